@@ -1,0 +1,64 @@
+# What one types here. Every target that needs .venv makes it first, once, from constraints.txt.
+
+PYTHON ?= python3
+VENV   := .venv
+BIN    := $(VENV)/bin
+READY  := $(VENV)/.ready
+CODE   := src tests examples benchmarks
+
+export PIP_DISABLE_PIP_VERSION_CHECK := 1
+
+.PHONY: help setup demo test lint format bench clean distclean FORCE
+
+help: ## Show these targets
+	@sed -n 's/^\([a-z]*\):.*## \(.*\)/  make \1@\2/p' Makefile | awk -F@ '{ printf "%-18s %s\n", $$1, $$2 }'
+
+# The stamp holds the folder that .venv was made for, and is written last. Without it, after a move or copy of the
+# repository, or when its Python has gone, .venv is made afresh; after a change of pins it is brought up to date.
+MADE_FOR := $(shell test -x $(BIN)/python && cat $(READY) 2>/dev/null)
+ifneq "$(MADE_FOR)" "$(CURDIR)"
+$(READY): FORCE
+endif
+FORCE:
+
+$(READY): pyproject.toml constraints.txt
+	@"$(PYTHON)" -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null || \
+	  { echo "surefoot needs Python 3.11 or newer, and '$(PYTHON)' is not: name one, as in 'make setup PYTHON=python3.12'" >&2; exit 1; }
+	@if [ "$(MADE_FOR)" = "$(CURDIR)" ]; then \
+	  echo "surefoot: the pins have changed, bringing $(VENV) up to date"; \
+	else \
+	  echo "surefoot: making $(VENV), once (a few minutes; torch is the large part)"; \
+	  "$(PYTHON)" -m venv --clear $(VENV); \
+	fi
+	@rm -f $(READY)
+	@$(BIN)/python -m pip install -c constraints.txt -e ".[train,report,dev]"
+	@echo "$(CURDIR)" > $(READY)
+	@echo "surefoot: $(VENV) is ready"
+
+setup: $(READY) ## Make .venv with everything for training, reports and tests
+	@:
+
+demo: $(READY) ## Run the demonstration
+	@$(BIN)/python examples/demo.py $(ARGS)
+
+test: lint ## Check style and types, then run the tests (ARGS="-k gait" for some)
+	@$(BIN)/python -m pytest $(ARGS)
+
+lint: $(READY) ## Check style and types
+	@$(BIN)/ruff check .
+	@$(BIN)/ruff format --check .
+	@$(BIN)/mypy
+
+format: $(READY) ## Format the code and fix what can be fixed
+	@$(BIN)/ruff check --fix .
+	@$(BIN)/ruff format .
+
+bench: $(READY) ## Run every benchmarks/bench_*.py
+	@for script in benchmarks/bench_*.py; do echo "== $$script"; $(BIN)/python "$$script" $(ARGS) || exit 1; done
+
+clean: ## Remove caches and build output; runs and .venv stay
+	@rm -rf build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	@find $(wildcard $(CODE)) -name __pycache__ -prune -exec rm -rf {} +
+
+distclean: clean ## Remove .venv too
+	@rm -rf $(VENV)

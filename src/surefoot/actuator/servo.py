@@ -1,0 +1,30 @@
+"""The position servo that runs on the microcontroller, once a servo step."""
+
+from __future__ import annotations
+
+from numba import njit, vectorize
+
+
+@njit(cache=True, inline="always")
+def servo_duty_kernel(target: float, angle: float, speed: float, kp: float, kd: float) -> float:
+    """Scalar form of `servo_duty`."""
+    return min(max(kp * (target - angle) - kd * speed, -1.0), 1.0)
+
+
+@vectorize(cache=True)
+def servo_duty(target, angle, speed, kp, kd):  # type: ignore[no-untyped-def]
+    """PWM duty of a PD servo whose target speed is zero: clip(k_p (q_target - q) - k_d qdot, -1, 1).
+
+    Source: Tan et al. 2018, eq. 7, with the duty limited as in the robot's published model.
+
+    Args:
+        target: motor angle asked for [rad].
+        angle: motor angle that the servo sees, `servo_latency` old [rad].
+        speed: motor speed that the servo sees, equally old [rad/s].
+        kp: proportional gain [1/rad].
+        kd: derivative gain [s/rad].
+
+    Returns:
+        Duty in [-1, 1], in the arguments' common shape.
+    """
+    return servo_duty_kernel(target, angle, speed, kp, kd)

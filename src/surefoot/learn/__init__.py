@@ -1,0 +1,1 @@
+"""PPO on rsl_rl: configuration, run folders, training with progress, exact resume."""

@@ -1,0 +1,115 @@
+"""A training run as data."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+from surefoot.configuration import from_mapping
+from surefoot.errors import SurefootError
+from surefoot.task.config import TaskConfig, load_task
+
+
+@dataclass(frozen=True)
+class PPOConfig:
+    """Proximal policy optimization (Schulman et al. 2017), as rsl_rl has it."""
+
+    policy_hidden: tuple[int, ...] = (185, 95)
+    """Hidden layers of the policy network; the paper's for the gallop."""
+    value_hidden: tuple[int, ...] = (128, 128)
+    """Hidden layers of the value network."""
+    activation: Literal["elu", "relu", "tanh", "selu", "swish"] = "elu"
+    """Activation of the hidden layers."""
+    privileged_critic: bool = True
+    """Let the value network see the simulation's true state; it is not needed once training is over."""
+    init_std: float = 0.6
+    """Standard deviation of the first policy's actions, in half widths of the feedback's bounds."""
+    epochs: int = 5
+    """Passes over the samples of an update."""
+    minibatches: int = 4
+    """Parts that a pass is split into."""
+    learning_rate: float = 1e-3
+    """Adam's learning rate at the start."""
+    schedule: Literal["adaptive", "fixed"] = "adaptive"
+    """adaptive: the learning rate follows the Kullback-Leibler divergence of the updates."""
+    desired_kl: float = 0.01
+    """Divergence that the adaptive schedule aims at."""
+    gamma: float = 0.99
+    """Discount factor for a control step."""
+    lam: float = 0.95
+    """Lambda of the generalized advantage estimate."""
+    clip: float = 0.2
+    """Clip range of the probability ratio, and of the value."""
+    value_coefficient: float = 1.0
+    """Weight of the value loss."""
+    entropy_coefficient: float = 0.003
+    """Weight of the entropy bonus."""
+    max_grad_norm: float = 1.0
+    """Gradients are clipped to this norm."""
+    reward_scale: float = 50.0
+    """Rewards are multiplied by this for learning; figures are reported unscaled."""
+
+
+@dataclass(frozen=True)
+class TrainConfig:
+    """A training run: what is learned and how."""
+
+    task: TaskConfig = field(default_factory=TaskConfig)
+    """What is to be learned."""
+    name: str = "run"
+    """Name of the run; its folder carries it."""
+    seed: int = 0
+    """The one seed of the run."""
+    steps: int = 7_000_000
+    """Control steps of all robots together; the paper's budget."""
+    num_envs: int = 128
+    """Robots that are simulated side by side."""
+    steps_per_update: int = 64
+    """Control steps of each robot between two updates of the policy."""
+    evaluate_every: int = 500_000
+    """Control steps between two evaluations of the deterministic policy."""
+    evaluation_episodes: int = 8
+    """Episodes of such an evaluation."""
+    checkpoint_every: int = 1_000_000
+    """Control steps between two checkpoints that are kept."""
+    threads: int = 0
+    """Threads of the simulation; 0 means one a core."""
+    ppo: PPOConfig = field(default_factory=PPOConfig)
+    """The learning algorithm."""
+
+    def __post_init__(self) -> None:
+        """Refuse what no run can be."""
+        for key in ("steps", "num_envs", "steps_per_update", "evaluate_every", "evaluation_episodes", "checkpoint_every"):
+            if getattr(self, key) < 1:
+                raise SurefootError(f"{key} is {getattr(self, key)}; it must be 1 or more")
+        if self.seed < 0:
+            raise SurefootError(f"seed is {self.seed}; it must not be below 0")
+        if self.samples_per_update < self.ppo.minibatches:
+            raise SurefootError(
+                f"num_envs {self.num_envs} x steps_per_update {self.steps_per_update} gives fewer samples than "
+                f"ppo.minibatches {self.ppo.minibatches}; each minibatch needs one or more"
+            )
+
+    @property
+    def samples_per_update(self) -> int:
+        """Control steps of all robots between two updates."""
+        return self.num_envs * self.steps_per_update
+
+    @property
+    def updates(self) -> int:
+        """Number of policy updates: the fewest that reach `steps`."""
+        return -(-self.steps // self.samples_per_update)
+
+
+def load_train_config(task: str) -> TrainConfig:
+    """The training run that a task's file asks for: its `train` table over the defaults.
+
+    Raises:
+        SurefootError: no such task, or a file that does not fit.
+    """
+    task_config, train = load_task(task)
+    data: dict[str, Any] = {"name": task_config.name, **train}
+    try:
+        return from_mapping(TrainConfig, data, base=TrainConfig(task=task_config))
+    except SurefootError as error:
+        raise SurefootError(f"{task}: train: {error}") from None

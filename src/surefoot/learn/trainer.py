@@ -1,0 +1,193 @@
+"""The learning loop: roll out, estimate advantages, update, and everything that an exact resume needs."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from rsl_rl.algorithms import PPO
+from rsl_rl.models import MLPModel
+from rsl_rl.storage import RolloutStorage
+from tensordict import TensorDict
+
+from surefoot.learn.config import TrainConfig
+from surefoot.task.env import LocomotionEnv
+from surefoot.world.interface import SimulationFactory
+
+
+@dataclass(frozen=True)
+class UpdateFigures:
+    """Figures of one update."""
+
+    steps: int
+    """Control steps so far, all robots together."""
+    episodes: int
+    """Episodes that ended since the last update."""
+    falls: int
+    """Those that ended before their time."""
+    return_mean: float
+    """Mean return of episodes that ended, unscaled; NaN if none did."""
+    speed_mean: float
+    """Mean speed of episodes that ended [m/s]; NaN if none did."""
+    reward_rate: float
+    """Mean reward of a control step, unscaled."""
+    std_mean: float
+    """Mean standard deviation of the policy's actions."""
+    learning_rate: float
+    value_loss: float
+    surrogate_loss: float
+    entropy: float
+    divergences: int
+    """Robots whose simulation diverged, since the start."""
+    rollout_seconds: float
+    learn_seconds: float
+
+
+class Trainer:
+    """PPO on a batch of robots.
+
+    Args:
+        config: the run.
+        make_world: makes the simulation.
+    """
+
+    def __init__(self, config: TrainConfig, make_world: SimulationFactory) -> None:
+        self.config = config
+        torch.manual_seed(config.seed)
+        self.env = LocomotionEnv(config.task, config.num_envs, make_world, config.seed, threads=config.threads)
+        observation, _ = self.env.reset()
+        self.observation = self._tensors(observation)
+        self.algorithm = self._make_algorithm()
+        self.update_count = 0
+
+    @property
+    def steps(self) -> int:
+        """Control steps so far, all robots together."""
+        return self.update_count * self.config.samples_per_update
+
+    @property
+    def policy(self) -> MLPModel:
+        """The policy network."""
+        return self.algorithm.get_policy()
+
+    def _make_algorithm(self) -> PPO:
+        ppo, obs = self.config.ppo, self.observation
+        groups = {"actor": ["policy"], "critic": ["policy", "privileged"] if ppo.privileged_critic else ["policy"]}
+        actions = self.env.single_action_space.shape[0]
+        actor = MLPModel(
+            obs,
+            groups,
+            "actor",
+            actions,
+            ppo.policy_hidden,
+            ppo.activation,
+            obs_normalization=True,
+            distribution_cfg={"class_name": "GaussianDistribution", "init_std": ppo.init_std, "std_type": "log"},
+        )
+        critic = MLPModel(obs, groups, "critic", 1, ppo.value_hidden, ppo.activation, obs_normalization=True)
+        # A first policy near the middle of the bounds, whatever it sees.
+        with torch.no_grad():
+            actor.mlp[-1].weight.mul_(0.1)
+        storage = RolloutStorage("rl", self.config.num_envs, self.config.steps_per_update, obs, [actions], "cpu")
+        algorithm = PPO(
+            actor,
+            critic,
+            storage,
+            num_learning_epochs=ppo.epochs,
+            num_mini_batches=ppo.minibatches,
+            clip_param=ppo.clip,
+            gamma=ppo.gamma,
+            lam=ppo.lam,
+            value_loss_coef=ppo.value_coefficient,
+            entropy_coef=ppo.entropy_coefficient,
+            learning_rate=ppo.learning_rate,
+            max_grad_norm=ppo.max_grad_norm,
+            schedule=ppo.schedule,
+            desired_kl=ppo.desired_kl,
+        )
+        algorithm.train_mode()
+        return algorithm
+
+    def _tensors(self, observation: NDArray[np.float32]) -> TensorDict:
+        groups = {"policy": torch.from_numpy(observation)}
+        if self.config.ppo.privileged_critic:
+            groups["privileged"] = torch.from_numpy(self.env.privileged())
+        return TensorDict(groups, batch_size=[self.config.num_envs])
+
+    def update(self) -> UpdateFigures:
+        """One rollout and one update of the policy."""
+        env, algorithm, config = self.env, self.algorithm, self.config
+        start = time.perf_counter()
+        rewards, ended = 0.0, []
+        with torch.inference_mode():
+            for _ in range(config.steps_per_update):
+                actions = algorithm.act(self.observation)
+                observation, reward, terminated, truncated, info = env.step(actions.numpy())
+                self.observation = self._tensors(observation)
+                rewards += float(reward.mean())
+                if "episode" in info:
+                    rows = info["_episode"]
+                    ended.append(np.stack([info["episode"][key][rows] for key in ("return", "steps", "distance", "duration")]))
+                algorithm.process_env_step(
+                    self.observation,
+                    torch.from_numpy((reward * config.ppo.reward_scale).astype(np.float32)),
+                    torch.from_numpy(terminated | truncated),
+                    {"time_outs": torch.from_numpy(truncated.astype(np.float32))},
+                )
+            algorithm.compute_returns(self.observation)
+        rollout_seconds = time.perf_counter() - start
+        losses = algorithm.update()
+        self.update_count += 1
+        episodes = np.concatenate(ended, axis=1) if ended else np.zeros((4, 0))
+        returns, lengths, distances, durations = episodes
+        return UpdateFigures(
+            steps=self.steps,
+            episodes=len(returns),
+            falls=int(np.sum(lengths < config.task.max_steps)),
+            return_mean=float(np.mean(returns)) if len(returns) else float("nan"),
+            speed_mean=float(np.mean(distances / durations)) if len(returns) else float("nan"),
+            reward_rate=rewards / config.steps_per_update,
+            std_mean=float(self.policy.distribution.std.mean()),
+            learning_rate=algorithm.learning_rate,
+            value_loss=losses["value"],
+            surrogate_loss=losses["surrogate"],
+            entropy=losses["entropy"],
+            divergences=env.world.divergences,
+            rollout_seconds=rollout_seconds,
+            learn_seconds=time.perf_counter() - start - rollout_seconds,
+        )
+
+    def act(self, observation: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Actions of the deterministic policy (N, 2 L) for observations (N, O)."""
+        with torch.inference_mode():
+            mean: NDArray[np.float32] = self.policy(
+                TensorDict({"policy": torch.from_numpy(observation)}, batch_size=[len(observation)])
+            ).numpy()
+        return mean
+
+    def get_state(self) -> dict[str, Any]:
+        """Everything that decides how the run goes on, for an exact resume."""
+        return {
+            "algorithm": self.algorithm.save(),
+            "learning_rate": self.algorithm.learning_rate,
+            "torch": torch.get_rng_state(),
+            "env": self.env.get_state(),
+            "observation": {key: value.numpy().copy() for key, value in self.observation.items()},
+            "update_count": self.update_count,
+        }
+
+    def set_state(self, state: dict[str, Any]) -> None:
+        """Go on from `get_state`, exactly."""
+        self.algorithm.load(state["algorithm"], None, strict=True)
+        self.algorithm.learning_rate = state["learning_rate"]
+        self.env.set_state(state["env"])
+        self.observation = TensorDict(
+            {key: torch.from_numpy(value) for key, value in state["observation"].items()},
+            batch_size=[self.config.num_envs],
+        )
+        self.update_count = state["update_count"]
+        torch.set_rng_state(state["torch"])

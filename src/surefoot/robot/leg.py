@@ -1,0 +1,99 @@
+r"""Leg space and the five-bar leg, in closed form.
+
+A leg's pose is (swing s, extension e) in leg space and (theta_1, theta_2) in motor space (Tan et al. 2018, figure 4):
+
+    theta_1 = e + s        theta_2 = e - s
+
+theta is measured from straight up; motor 1 turns its upper link forward, motor 2 backward. Positive extension makes
+the leg longer, positive swing moves the foot backward.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from surefoot.errors import SurefootError
+
+
+def leg_to_motor(swing: ArrayLike, extension: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Motor angles (theta_1, theta_2) [rad] of legs at swing and extension [rad]; any shape, broadcast."""
+    s, e = np.asarray(swing, float), np.asarray(extension, float)
+    return e + s, e - s
+
+
+def motor_to_leg(theta_1: ArrayLike, theta_2: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Swing and extension [rad] of legs whose motors stand at theta_1 and theta_2 [rad]; any shape, broadcast."""
+    t1, t2 = np.asarray(theta_1, float), np.asarray(theta_2, float)
+    return (t1 - t2) / 2, (t1 + t2) / 2
+
+
+@dataclass(frozen=True)
+class FiveBar:
+    """Lengths of a five-bar leg [m] and its kinematics in the leg's plane (x forward, z up, origin at the motor axis)."""
+
+    upper: float
+    """Motor axis to knee, both upper links."""
+    lower: tuple[float, float]
+    """Knee to pin joint, on the lower link of motor 1 and of motor 2."""
+    foot: float
+    """Knee to the foot's end, along the lower link of motor 2."""
+    foot_radius: float
+    """Radius of the foot's rounded end."""
+
+    def __post_init__(self) -> None:
+        """Refuse lengths that are no lengths."""
+        for key, value in (("upper", self.upper), ("lower", min(self.lower)), ("foot", self.foot)):
+            if not value > 0:
+                raise SurefootError(f"leg_geometry.{key} is {value:g}; a length must be over 0 m")
+        if not 0 <= self.foot_radius < self.foot:
+            raise SurefootError(f"leg_geometry.foot_radius is {self.foot_radius:g}; it must be from 0 to foot {self.foot:g} m")
+
+    def knees(self, theta_1: ArrayLike, theta_2: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Positions (..., 2) [m] of both knees, x forward and z up from the motor axis."""
+        t1, t2 = np.asarray(theta_1, float), np.asarray(theta_2, float)
+        knee_1 = self.upper * np.stack([np.sin(t1), np.cos(t1)], -1)
+        knee_2 = self.upper * np.stack([-np.sin(t2), np.cos(t2)], -1)
+        return knee_1, knee_2
+
+    def pin(self, theta_1: ArrayLike, theta_2: ArrayLike) -> NDArray[np.float64]:
+        """Position (..., 2) [m] of the pin joint: where circles around the knees meet, on the side away from the motors.
+
+        NaN where the lower links are too short to meet.
+        """
+        knee_1, knee_2 = self.knees(theta_1, theta_2)
+        across = knee_1 - knee_2
+        distance = np.linalg.norm(across, axis=-1, keepdims=True)
+        radius_1, radius_2 = self.lower
+        with np.errstate(invalid="ignore", divide="ignore"):
+            along = (distance**2 + radius_2**2 - radius_1**2) / (2 * distance)
+            height = np.sqrt(radius_2**2 - along**2)
+            unit = across / distance
+        # Turning the unit vector from knee 2 to knee 1 clockwise seen from the left points down when knee 1 is in front.
+        down = np.stack([unit[..., 1], -unit[..., 0]], -1)
+        return knee_2 + along * unit + height * down
+
+    def foot_position(self, theta_1: ArrayLike, theta_2: ArrayLike) -> NDArray[np.float64]:
+        """Position (..., 2) [m] of the foot's end, x forward and z up from the motor axis; NaN where no loop closes."""
+        _, knee_2 = self.knees(theta_1, theta_2)
+        pin = self.pin(theta_1, theta_2)
+        return knee_2 + (pin - knee_2) * (self.foot / self.lower[1])
+
+    def knee_angles(self, theta_1: ArrayLike, theta_2: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Angles [rad] of both lower links from their upper links, positive about +y; zero continues the upper link."""
+        knee_1, knee_2 = self.knees(theta_1, theta_2)
+        pin = self.pin(theta_1, theta_2)
+
+        def turn(start: NDArray[np.float64], angle: NDArray[np.float64]) -> NDArray[np.float64]:
+            along = pin - start
+            return (np.arctan2(along[..., 0], along[..., 1]) - angle + np.pi) % (2 * np.pi) - np.pi
+
+        # The knee of motor 1 bends past pi when the leg is short, so the branch is cut at 0 instead.
+        t1, t2 = np.asarray(theta_1, float), np.asarray(theta_2, float)
+        return turn(knee_1, t1) % (2 * np.pi), -(-turn(knee_2, -t2) % (2 * np.pi))
+
+    def closes(self, theta_1: ArrayLike, theta_2: ArrayLike) -> NDArray[np.bool_]:
+        """Whether the loop can close at these motor angles."""
+        return np.isfinite(self.pin(theta_1, theta_2)).all(-1)

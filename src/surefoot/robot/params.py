@@ -1,0 +1,113 @@
+"""`PhysicalParams`: everything that reality may dispute, one row a robot."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, fields, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from surefoot.errors import SurefootError, choices
+
+if TYPE_CHECKING:
+    from surefoot.robot.description import RobotDescription
+
+Array = NDArray[np.float64]
+
+
+def _row(unit: str, meaning: str, width: str = "one") -> Any:
+    return field(metadata={"unit": unit, "meaning": meaning, "width": width})
+
+
+@dataclass(frozen=True)
+class PhysicalParams:
+    """Physical parameters of a batch of robots; each array's first axis is `num_envs`.
+
+    Randomization draws them, identification fits them, a world applies them. Ratios multiply the description's value.
+    """
+
+    base_mass_ratio: Array = _row("1", "mass of the base and all that is fixed to it, to the description's")
+    leg_mass_ratio: Array = _row("1", "mass of every moving link, to the description's")
+    base_inertia_ratio: Array = _row("1", "rotational inertia of the base, to the description's")
+    leg_inertia_ratio: Array = _row("1", "rotational inertia of every moving link, to the description's")
+    motor_strength: Array = _row("1", "motor torque, to the motor model's", "motors")
+    motor_friction: Array = _row("N m", "Coulomb friction in each motor", "motors")
+    torque_constant: Array = _row("N m/A", "torque constant K_t, also the back-EMF constant")
+    resistance: Array = _row("Ohm", "armature resistance R")
+    voltage: Array = _row("V", "battery voltage")
+    servo_kp: Array = _row("1/rad", "servo's proportional gain, duty per angle")
+    servo_kd: Array = _row("s/rad", "servo's derivative gain, duty per speed")
+    servo_latency: Array = _row("s", "age of the motor angles and speeds that the servo sees")
+    control_latency: Array = _row("s", "age of the readings that the policy sees")
+    control_step: Array = _row("s", "time between two commands of the policy")
+    contact_friction: Array = _row("1", "lateral friction coefficient of the feet")
+    imu_bias: Array = _row("rad", "constant error of roll and pitch", "roll, pitch")
+    imu_noise: Array = _row("rad", "standard deviation of the white noise on roll and pitch")
+
+    @property
+    def num_envs(self) -> int:
+        """Number of robots."""
+        return len(self.base_mass_ratio)
+
+    @classmethod
+    def names(cls) -> list[str]:
+        """Names of all parameters."""
+        return [item.name for item in fields(cls)]
+
+    @classmethod
+    def nominal(cls, robot: RobotDescription, num_envs: int = 1) -> PhysicalParams:
+        """The parameters that the robot's description states, for `num_envs` robots."""
+        nominal = robot.nominal_params()
+        values = {}
+        for item in fields(cls):
+            width = {"one": (), "motors": (robot.num_motors,), "roll, pitch": (2,)}[item.metadata["width"]]
+            values[item.name] = np.full((num_envs, *width), nominal[item.name], dtype=np.float64)
+        return cls(**values)
+
+    def with_values(self, robot: RobotDescription, **values: ArrayLike) -> PhysicalParams:
+        """A copy with some parameters set, each given for all robots or one row a robot.
+
+        Raises:
+            SurefootError: no such parameter, or a value outside what the robot's description allows.
+        """
+        changed = {}
+        for name, value in values.items():
+            if name not in self.names():
+                raise SurefootError(f"'{name}' is no physical parameter; choices: {choices(self.names())}")
+            now = getattr(self, name)
+            given = np.asarray(value, dtype=np.float64)
+            if given.ndim == 1 and now.ndim == 2 and len(given) == len(now) and len(given) != now.shape[1]:
+                given = given[:, None]
+            try:
+                changed[name] = np.broadcast_to(given, now.shape).copy()
+            except ValueError as error:
+                raise SurefootError(f"{name} has shape {given.shape}; it must fit {now.shape}") from error
+            robot.check_allowed(name, changed[name])
+        return replace(self, **changed)
+
+    def rows(self, index: ArrayLike) -> PhysicalParams:
+        """The parameters of some of the robots, by index."""
+        return replace(self, **{name: getattr(self, name)[np.asarray(index)] for name in self.names()})
+
+    def summary(self) -> dict[str, float | list[float]]:
+        """Mean over the robots of each parameter, for reports and contracts."""
+        return {name: float(np.mean(getattr(self, name))) for name in self.names()}
+
+
+def parse_settings(settings: list[str] | tuple[str, ...]) -> dict[str, float]:
+    """Read `name=value` words as given on a command line.
+
+    Raises:
+        SurefootError: a word is not of that form, or names no physical parameter.
+    """
+    parsed = {}
+    for setting in settings:
+        name, equals, text = setting.partition("=")
+        if name not in PhysicalParams.names():
+            raise SurefootError(f"'{name}' is no physical parameter; choices: {choices(PhysicalParams.names())}")
+        try:
+            parsed[name] = float(text)
+        except ValueError:
+            raise SurefootError(f"'{setting}' sets no number; write {name}=VALUE") from None
+    return parsed

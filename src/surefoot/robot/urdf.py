@@ -1,0 +1,127 @@
+"""The part of a URDF that surefoot reads itself: names, masses, inertias and joint axes.
+
+Engines read the same file with their own readers; this one exists so that a description can be checked, and refused in
+plain words, without any engine.
+"""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ElementTree
+from dataclasses import dataclass
+from pathlib import Path
+
+from surefoot.errors import SurefootError, choices
+
+
+@dataclass(frozen=True)
+class Link:
+    """One rigid link: mass [kg] and diagonal of the inertia [kg m2] about its centre of mass."""
+
+    name: str
+    mass: float
+    inertia: tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Joint:
+    """One joint, by name, type, the links that it joins and its axis in the child's frame."""
+
+    name: str
+    kind: str
+    parent: str
+    child: str
+    axis: tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Urdf:
+    """Links and joints of a URDF, by name, in the order of the file."""
+
+    path: Path
+    links: dict[str, Link]
+    joints: dict[str, Joint]
+
+    @property
+    def total_mass(self) -> float:
+        """Mass of all links [kg]."""
+        return sum(link.mass for link in self.links.values())
+
+    @property
+    def root(self) -> str:
+        """Name of the link that is no joint's child."""
+        children = {joint.child for joint in self.joints.values()}
+        return next(name for name in self.links if name not in children)
+
+    def fixed_to(self, link: str) -> set[str]:
+        """Names of the links that move as one with `link`, itself included."""
+        group = {link}
+        while True:
+            more = set(group)
+            for joint in self.joints.values():
+                if joint.kind == "fixed" and (joint.parent in group) != (joint.child in group):
+                    more |= {joint.parent, joint.child}
+            if more == group:
+                return group
+            group = more
+
+
+def _floats(text: str, count: int, where: str) -> tuple[float, ...]:
+    try:
+        values = tuple(float(word) for word in text.split())
+    except ValueError:
+        values = ()
+    if len(values) != count:
+        raise SurefootError(f"{where} is '{text}': it must be {count} numbers")
+    return values
+
+
+def read_urdf(path: Path) -> Urdf:
+    """Read a URDF.
+
+    Raises:
+        SurefootError: the file can't be read, is not a URDF, or a mass or inertia is not that of a body.
+    """
+    try:
+        robot = ElementTree.parse(path).getroot()
+    except OSError as error:
+        raise SurefootError(f"{path}: can't be read: {error.strerror}") from error
+    except ElementTree.ParseError as error:
+        raise SurefootError(f"{path}: is not well-formed XML: {error}") from error
+    if robot.tag != "robot":
+        raise SurefootError(f"{path}: the root element is <{robot.tag}>; a URDF's is <robot>")
+
+    links = {}
+    for element in robot.findall("link"):
+        name = element.get("name", "")
+        mass_element = element.find("inertial/mass")
+        inertia_element = element.find("inertial/inertia")
+        if mass_element is None or inertia_element is None:
+            raise SurefootError(f"{path}: link '{name}' has no <inertial> with <mass> and <inertia>; every link needs both")
+        (mass,) = _floats(mass_element.get("value", ""), 1, f"{path}: link '{name}': mass")
+        ixx, iyy, izz = (
+            _floats(inertia_element.get(key, ""), 1, f"{path}: link '{name}': {key}")[0] for key in ("ixx", "iyy", "izz")
+        )
+        if not mass > 0:
+            raise SurefootError(f"{path}: link '{name}': mass is {mass:g}; it must be over 0 kg")
+        if not (min(ixx, iyy, izz) > 0 and 2 * max(ixx, iyy, izz) <= (ixx + iyy + izz) * (1 + 1e-9)):
+            raise SurefootError(
+                f"{path}: link '{name}': inertia ({ixx:g}, {iyy:g}, {izz:g}) is no rigid body's; "
+                "each must be over 0 and none over the sum of the other two"
+            )
+        links[name] = Link(name, mass, (ixx, iyy, izz))
+
+    joints = {}
+    for element in robot.findall("joint"):
+        name = element.get("name", "")
+        parent, child, axis = element.find("parent"), element.find("child"), element.find("axis")
+        ends = (parent.get("link", "") if parent is not None else "", child.get("link", "") if child is not None else "")
+        for end in ends:
+            if end not in links:
+                raise SurefootError(f"{path}: joint '{name}' joins '{end}', which is no link; links: {choices(links)}")
+        xyz = _floats(axis.get("xyz", ""), 3, f"{path}: joint '{name}': axis") if axis is not None else (1.0, 0.0, 0.0)
+        joints[name] = Joint(name, element.get("type", ""), ends[0], ends[1], (xyz[0], xyz[1], xyz[2]))
+
+    roots = [name for name in links if name not in {joint.child for joint in joints.values()}]
+    if len(roots) != 1:
+        raise SurefootError(f"{path}: {len(roots)} links have no parent ({choices(roots)}); exactly one must be the root")
+    return Urdf(path, links, joints)

@@ -1,0 +1,157 @@
+"""A task as data: which robot, what it sees, what it may do, what is rewarded."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+from surefoot.configuration import from_mapping, read_yaml
+from surefoot.errors import SurefootError, choices
+from surefoot.task.observation import IMU_AND_MOTORS_12D
+from surefoot.task.pushes import PushConfig
+from surefoot.task.reward import ENERGY_WEIGHT
+
+_PRESETS = Path(__file__).parent / "presets"
+
+PerLeg = float | dict[str, float]
+
+
+@dataclass(frozen=True)
+class WaveConfig:
+    """A sinusoid for each leg; each quantity one number, or one for each leg by name."""
+
+    amplitude: PerLeg = 0.0
+    """rad"""
+    frequency: PerLeg = 0.0
+    """Hz"""
+    phase: PerLeg = 0.0
+    """rad"""
+    offset: PerLeg = 0.0
+    """rad"""
+
+
+@dataclass(frozen=True)
+class ReferenceConfig:
+    """The open loop part of the gait."""
+
+    kind: Literal["none", "sine", "table"] = "none"
+    """none: zero at all times; sine: `swing` and `extension` below; table: poses out of `file`, repeated every `period`."""
+    swing: WaveConfig = field(default_factory=WaveConfig)
+    """Swing of the legs, for kind sine."""
+    extension: WaveConfig = field(default_factory=WaveConfig)
+    """Extension of the legs, for kind sine."""
+    file: str | None = None
+    """CSV or NPZ file with columns swing_LEG and extension_LEG, for kind table."""
+    period: float | None = None
+    """Time [s] in which the table is gone through once."""
+
+    def to_mapping(self) -> dict[str, Any] | None:
+        """As `make_reference` takes it."""
+        if self.kind == "none":
+            return None
+        if self.kind == "table":
+            if self.file is None:
+                raise SurefootError("reference.file is missing; a reference of kind table needs a CSV or NPZ file")
+            return {"kind": "table", "file": self.file, "period": self.period}
+        return {"kind": "sine", "swing": vars(self.swing), "extension": vars(self.extension)}
+
+
+@dataclass(frozen=True)
+class FeedbackConfig:
+    """Bounds of what the policy adds to the reference, in leg space [rad]; equal bounds leave no choice."""
+
+    swing: tuple[float, float] = (-0.5, 0.5)
+    """Least and greatest feedback on each leg's swing."""
+    extension: tuple[float, float] = (-0.5, 0.5)
+    """Least and greatest feedback on each leg's extension."""
+
+    def __post_init__(self) -> None:
+        """Refuse reversed bounds."""
+        for name, (low, high) in (("swing", self.swing), ("extension", self.extension)):
+            if not low <= high:
+                raise SurefootError(f"feedback.{name} is [{low:g}, {high:g}]; the lower bound must come first")
+
+
+@dataclass(frozen=True)
+class TaskConfig:
+    """What is to be learned."""
+
+    name: str = "gait"
+    """Name of the task; run folders carry it."""
+    robot: str = "minitaur"
+    """Name of a robot that ships with surefoot, or the path of a robot's folder."""
+    observations: tuple[str, ...] = IMU_AND_MOTORS_12D
+    """Parts of the observation, in order."""
+    history: int = 1
+    """How many of the last observations the policy sees, the newest first."""
+    reference: ReferenceConfig = field(default_factory=ReferenceConfig)
+    """The open loop part of the gait."""
+    feedback: FeedbackConfig = field(default_factory=FeedbackConfig)
+    """Bounds of the policy's part."""
+    rest: tuple[float, float] | None = None
+    """Swing and extension [rad] in which the robot settles before an episode; the middle of the command range, if not given."""
+    energy_weight: float = ENERGY_WEIGHT
+    """w of the reward [m/J]."""
+    fall_angle: float = 0.5
+    """Roll or pitch [rad] beyond which an episode ends."""
+    max_steps: int = 1000
+    """Control steps of an episode."""
+    pushes: PushConfig = field(default_factory=PushConfig)
+    """Random pushes on the base."""
+    params: dict[str, float] = field(default_factory=dict)
+    """Physical parameters that differ from the robot's description, by name."""
+    thermal_protection: bool = False
+    """Switch off motors that overheat."""
+    start_linear_speed: float = 0.05
+    """An episode starts with a random base velocity, each component up to this [m/s]."""
+    start_angular_speed: float = 0.1
+    """An episode starts with a random angular velocity, each component up to this [rad/s]."""
+
+    def __post_init__(self) -> None:
+        """Refuse what no task can be."""
+        if self.max_steps < 1:
+            raise SurefootError(f"max_steps is {self.max_steps}; an episode has 1 control step or more")
+        if self.history < 1:
+            raise SurefootError(f"history is {self.history}; the policy sees 1 observation or more")
+        for name in ("fall_angle", "energy_weight", "start_linear_speed", "start_angular_speed"):
+            if not getattr(self, name) >= 0:
+                raise SurefootError(f"{name} is {getattr(self, name):g}; it must not be below 0")
+
+
+def preset_names() -> list[str]:
+    """Names of the tasks that ship with surefoot."""
+    return sorted(path.stem for path in _PRESETS.glob("*.yaml"))
+
+
+def task_path(task: str) -> Path:
+    """The YAML file of a task, given by preset name or by path.
+
+    Raises:
+        SurefootError: neither a preset nor a file.
+    """
+    if task in preset_names():
+        return _PRESETS / f"{task}.yaml"
+    if Path(task).is_file():
+        return Path(task)
+    raise SurefootError(f"task '{task}' does not exist; choices: {choices(preset_names())}, or the path of a YAML file")
+
+
+def load_task(task: str) -> tuple[TaskConfig, dict[str, Any]]:
+    """Read a task by preset name or path; returns it and the file's `train` table (empty, if there is none).
+
+    Raises:
+        SurefootError: no such task, or a file that does not fit.
+    """
+    path = task_path(task)
+    data = read_yaml(path)
+    train = data.pop("train", None) or {}
+    try:
+        config = from_mapping(TaskConfig, {"name": path.stem, **data})
+    except SurefootError as error:
+        raise SurefootError(f"{path}: {error}") from None
+    if config.reference.file is not None:
+        # A table's path counts from the task's file, wherever surefoot is run.
+        absolute = str((path.parent / config.reference.file).resolve())
+        config = from_mapping(TaskConfig, {"reference": {"file": absolute}}, base=config)
+    return config, train

@@ -1,0 +1,216 @@
+"""`LocomotionEnv`: a batch of robots that learn a gait, as a Gymnasium vector environment."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+from numpy.typing import ArrayLike, NDArray
+
+from surefoot.robot import PhysicalParams, RobotDescription
+from surefoot.task.config import TaskConfig
+from surefoot.task.gait import HybridGait
+from surefoot.task.observation import Moment, Observer
+from surefoot.task.pushes import Pusher
+from surefoot.task.reference import make_reference
+from surefoot.task.reward import has_fallen, locomotion_reward
+from surefoot.world.interface import Readings, Simulation, SimulationFactory, Truth, WorldConfig
+
+Array = NDArray[np.float64]
+
+
+class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
+    """A batch of robots on one task.
+
+    Observations (N, O) are raw SI readings. Actions (N, 2 L) in [-1, 1] span the feedback's bounds: the swing of every leg,
+    then the extension of every leg. Rewards are those of Tan et al. 2018, eq. 3, in metres. An episode is terminated
+    by a fall or a diverged simulation, and truncated after `max_steps`. With `autoreset`, a robot whose episode is over
+    starts anew in the same step (`AutoresetMode.SAME_STEP`): the observation returned is the new episode's first one,
+    and `info` holds `final_obs` and, for every episode that ended, its `episode` figures.
+
+    Args:
+        task: what is to be learned.
+        num_envs: number of robots.
+        make_world: makes the simulation, such as `surefoot.world.sim_world.SimWorld`.
+        seed: seeds every stream of random numbers.
+        autoreset: whether robots start anew by themselves.
+        threads: threads of the simulation; 0 means one a core.
+
+    Raises:
+        SurefootError: a task that does not fit its robot.
+    """
+
+    metadata = {"autoreset_mode": AutoresetMode.SAME_STEP, "render_modes": []}
+
+    def __init__(
+        self,
+        task: TaskConfig,
+        num_envs: int,
+        make_world: SimulationFactory,
+        seed: int = 0,
+        autoreset: bool = True,
+        threads: int = 0,
+    ) -> None:
+        self.task, self.num_envs, self.autoreset, self._threads = task, num_envs, autoreset, threads
+        self.robot = robot = RobotDescription.load(task.robot)
+        self.observer = Observer(robot, task.observations)
+        reference = make_reference(task.reference.to_mapping(), robot.leg_names, Path())
+        self.gait = HybridGait(robot, reference, task.feedback.swing, task.feedback.extension)
+        self.nominal = PhysicalParams.nominal(robot, max(num_envs, 1)).with_values(robot, **task.params)
+        self._make_world = make_world
+        self._make(seed)
+        width = self.observer.width * task.history
+        self.single_observation_space = gymnasium.spaces.Box(-np.inf, np.inf, (width,), np.float32)
+        self.single_action_space = gymnasium.spaces.Box(-1.0, 1.0, (len(self.gait.action_names),), np.float32)
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.action_space = batch_space(self.single_action_space, num_envs)
+
+    def _make(self, seed: int) -> None:
+        task = self.task
+        config = WorldConfig(
+            rest=task.rest or self.gait.rest,
+            thermal_protection=task.thermal_protection,
+            start_linear_speed=task.start_linear_speed,
+            start_angular_speed=task.start_angular_speed,
+            threads=self._threads,
+        )
+        self.world: Simulation = self._make_world(self.robot, self.num_envs, self.nominal, seed, config)
+        self.pusher = Pusher(task.pushes, self.num_envs, seed)
+        self.steps = np.zeros(self.num_envs, np.int64)
+        self.returns = np.zeros(self.num_envs)
+        self.start_position = np.zeros((self.num_envs, 3))
+        self.feedback = np.zeros((self.num_envs, len(self.gait.action_names)))
+        self.readings: Readings = self.world.readings()
+        self.truth: Truth = self.world.truth()
+        self._begin(np.arange(self.num_envs))
+        self._history = np.tile(self._observe()[:, None], (1, task.history, 1))
+
+    def _begin(self, rows: NDArray[np.int64]) -> None:
+        """Start new episodes for some robots."""
+        self.readings = self.world.reset(rows)
+        self.steps[rows], self.returns[rows], self.feedback[rows] = 0, 0.0, 0.0
+        self.truth = self.world.truth()
+        self.start_position[rows] = self.truth.base_position_world[rows]
+        if self.task.pushes.enabled:
+            self.pusher.reset(rows)
+            self.world.push(self.pusher.force)
+
+    def _observe(self) -> Array:
+        return self.observer.observe(Moment(self.readings, self.gait.reference, self.feedback))
+
+    def _observation(self) -> NDArray[np.float32]:
+        return self._history.reshape(self.num_envs, -1).astype(np.float32)
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[NDArray[np.float32], dict[str, Any]]:
+        """Start all robots anew; with a seed, every stream of random numbers too.
+
+        `options={"reset_mask": (N,) bool}` resets only some of them.
+        """
+        rows = np.arange(self.num_envs)
+        if options and "reset_mask" in options:
+            rows = np.flatnonzero(options["reset_mask"])
+        if seed is not None:
+            self._make(seed)
+        else:
+            self._begin(rows)
+            self._history[rows] = self._observe()[rows, None]
+        return self._observation(), {}
+
+    def step(
+        self, actions: ArrayLike
+    ) -> tuple[NDArray[np.float32], Array, NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
+        """Run one control step of every robot."""
+        task, world = self.task, self.world
+        if task.pushes.enabled and self.pusher.update(self.readings.time):
+            world.push(self.pusher.force)
+        self.feedback = self.gait.feedback(actions)
+        self.readings = world.step(self.gait.motor_targets(self.readings.time, self.feedback))
+        before, self.truth = self.truth, world.truth()
+        diverged = self.truth.diverged
+        displacement = self.truth.base_position_world[:, 0] - before.base_position_world[:, 0]
+        reward = locomotion_reward(displacement, self.truth.energy, task.energy_weight)
+        reward[diverged] = 0.0
+        self.steps += 1
+        self.returns += reward
+        terminated = has_fallen(self.truth.roll_pitch_yaw, task.fall_angle) | diverged
+        truncated = ~terminated & (self.steps >= task.max_steps)
+        done = terminated | truncated
+        info: dict[str, Any] = {}
+        if diverged.any():
+            info["diverged"] = diverged.copy()
+        if task.history > 1:
+            self._history[:, 1:] = self._history[:, :-1].copy()
+        self._history[:, 0] = self._observe()
+        if done.any():
+            rows = np.flatnonzero(done)
+            info["episode"] = self._episode_figures(rows)
+            info["_episode"] = done.copy()
+            if self.autoreset:
+                info["final_obs"] = self._observation()
+                info["_final_obs"] = done.copy()
+                self._begin(rows)
+                self._history[rows] = self._observe()[rows, None]
+        return self._observation(), reward, terminated, truncated, info
+
+    def _episode_figures(self, rows: NDArray[np.int64]) -> dict[str, Array]:
+        """Figures of the episodes that just ended; arrays (N,), zero for robots that go on."""
+        figures = {name: np.zeros(self.num_envs) for name in ("return", "steps", "distance", "duration")}
+        figures["return"][rows] = self.returns[rows]
+        figures["steps"][rows] = self.steps[rows]
+        figures["distance"][rows] = self.truth.base_position_world[rows, 0] - self.start_position[rows, 0]
+        figures["duration"][rows] = self.readings.time[rows]
+        return figures
+
+    def privileged(self) -> NDArray[np.float32]:
+        """What a critic may see in simulation besides the observation: the true state of now (N, P).
+
+        Base height [m] and velocity in the world [m/s], roll, pitch and yaw [rad], motor angles [rad] and speeds [rad/s],
+        phase of the reference, force of a push [100 N].
+        """
+        truth = self.truth
+        parts = [
+            truth.base_position_world[:, 2:],
+            truth.base_velocity_world,
+            truth.roll_pitch_yaw,
+            truth.motor_angle,
+            truth.motor_velocity,
+        ]
+        period = self.gait.reference.period
+        if period is not None:
+            angle = 2 * np.pi * self.readings.time / period
+            parts.append(np.stack([np.sin(angle), np.cos(angle)], -1))
+        if self.task.pushes.enabled:
+            parts.append(self.pusher.force[:, :2] / 100.0)
+        return np.concatenate(parts, axis=1).astype(np.float32)
+
+    def get_state(self) -> dict[str, Any]:
+        """Everything that decides how the environment goes on, for an exact resume."""
+        return {
+            "world": self.world.get_state(),
+            "steps": self.steps.copy(),
+            "returns": self.returns.copy(),
+            "start_position": self.start_position.copy(),
+            "feedback": self.feedback.copy(),
+            "history": self._history.copy(),
+            "push_force": self.pusher.force.copy(),
+            "pushes_drawn": self.pusher.drawn.copy(),
+            "push_streams": [stream.bit_generator.state for stream in self.pusher.streams],
+        }
+
+    def set_state(self, state: dict[str, Any]) -> None:
+        """Go on from `get_state`, exactly."""
+        self.world.set_state(state["world"])
+        self.readings, self.truth = self.world.readings(), self.world.truth()
+        self.steps[:], self.returns[:] = state["steps"], state["returns"]
+        self.start_position[:] = state["start_position"]
+        self.feedback = state["feedback"].copy()
+        self._history[:] = state["history"]
+        self.pusher.force[:], self.pusher.drawn[:] = state["push_force"], state["pushes_drawn"]
+        for stream, saved in zip(self.pusher.streams, state["push_streams"], strict=True):
+            stream.bit_generator.state = saved

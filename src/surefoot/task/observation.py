@@ -1,0 +1,109 @@
+"""What the policy sees: named parts of the readings, in an order that the contract states."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surefoot.errors import SurefootError, choices
+from surefoot.robot import RobotDescription
+from surefoot.task.reference import Reference
+from surefoot.world.interface import Readings
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Moment:
+    """All that an observation may be made of, for N robots."""
+
+    readings: Readings
+    reference: Reference
+    last_feedback: Array
+    """Leg-space feedback of the last control step (N, 2 L) [rad]; zero before the first."""
+
+
+@dataclass(frozen=True)
+class Part:
+    """One named part of an observation."""
+
+    unit: str
+    frame: str
+    columns: Callable[[RobotDescription], list[str]]
+    """Names of its numbers."""
+    read: Callable[[Moment], Array]
+    """Its numbers (N, width)."""
+
+
+def _phase(moment: Moment) -> Array:
+    period = moment.reference.period
+    if period is None:
+        raise SurefootError("observation 'reference_phase' needs a periodic reference; this task's has no period")
+    angle = 2 * np.pi * moment.readings.time / period
+    return np.stack([np.sin(angle), np.cos(angle)], -1)
+
+
+def _motor_columns(prefix: str) -> Callable[[RobotDescription], list[str]]:
+    return lambda robot: [f"{prefix}.{name}" for name in robot.motor_names]
+
+
+PARTS: dict[str, Part] = {
+    "roll": Part("rad", "base in world", lambda _: ["roll"], lambda m: m.readings.roll_pitch_yaw[:, 0:1]),
+    "pitch": Part("rad", "base in world", lambda _: ["pitch"], lambda m: m.readings.roll_pitch_yaw[:, 1:2]),
+    "roll_rate": Part("rad/s", "base, about x", lambda _: ["roll_rate"], lambda m: m.readings.angular_velocity_base[:, 0:1]),
+    "pitch_rate": Part("rad/s", "base, about y", lambda _: ["pitch_rate"], lambda m: m.readings.angular_velocity_base[:, 1:2]),
+    "motor_angles": Part("rad", "motor", _motor_columns("angle"), lambda m: m.readings.motor_angle),
+    "motor_speeds": Part("rad/s", "motor", _motor_columns("speed"), lambda m: m.readings.motor_velocity),
+    "reference_phase": Part("1", "reference gait", lambda _: ["phase_sin", "phase_cos"], _phase),
+    "last_action": Part(
+        "rad",
+        "leg space",
+        lambda robot: [f"last_{part}.{leg}" for part in ("swing", "extension") for leg in robot.leg_names],
+        lambda m: m.last_feedback,
+    ),
+}
+"""Every part that an observation can have."""
+
+IMU_4D = ("roll", "pitch", "roll_rate", "pitch_rate")
+"""The paper's compact space (Tan et al. 2018, section VI-B)."""
+IMU_AND_MOTORS_12D = (*IMU_4D, "motor_angles")
+"""The paper's large space."""
+
+
+class Observer:
+    """Builds observations of given parts, in the order given.
+
+    Args:
+        robot: names the columns.
+        names: parts out of `PARTS`.
+
+    Raises:
+        SurefootError: no part, an unknown one, or one twice.
+    """
+
+    def __init__(self, robot: RobotDescription, names: tuple[str, ...]) -> None:
+        if not names:
+            raise SurefootError(f"observations is empty; choices: {choices(PARTS)}")
+        for name in names:
+            if name not in PARTS:
+                raise SurefootError(f"observation '{name}' does not exist; choices: {choices(PARTS)}")
+        if len(set(names)) != len(names):
+            raise SurefootError(f"observations are {choices(names)}; none may come twice")
+        self.names = names
+        self.columns = [column for name in names for column in PARTS[name].columns(robot)]
+
+    @property
+    def width(self) -> int:
+        """Numbers in an observation."""
+        return len(self.columns)
+
+    def observe(self, moment: Moment) -> Array:
+        """Observations (N, width), raw SI values."""
+        return np.concatenate([PARTS[name].read(moment) for name in self.names], axis=1)
+
+    def describe(self) -> list[dict[str, str]]:
+        """Name, unit and frame of each part, for the contract."""
+        return [{"name": name, "unit": PARTS[name].unit, "frame": PARTS[name].frame} for name in self.names]

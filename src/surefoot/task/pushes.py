@@ -1,0 +1,65 @@
+"""Random pushes on the base."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surefoot.errors import SurefootError
+from surefoot.seeding import generators
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class PushConfig:
+    """When and how hard robots are pushed; defaults after Tan et al. 2018, section V."""
+
+    enabled: bool = False
+    """Whether robots are pushed at all."""
+    period: float = 1.2
+    """Time from one push to the next [s]; the first comes after one period."""
+    duration: float = 0.06
+    """How long a push lasts [s]."""
+    force: tuple[float, float] = (130.0, 220.0)
+    """Least and greatest horizontal force [N]."""
+
+    def __post_init__(self) -> None:
+        """Refuse pushes that can't be."""
+        if not 0 < self.duration < self.period:
+            raise SurefootError(f"pushes.duration is {self.duration:g} s; it must be over 0 and below pushes.period {self.period:g} s")
+        if not 0 <= self.force[0] <= self.force[1]:
+            raise SurefootError(f"pushes.force is {list(self.force)}; lower then upper bound, neither below 0 N")
+
+
+class Pusher:
+    """Draws a force for each push of each robot: horizontal, any direction, uniform in direction and magnitude."""
+
+    def __init__(self, config: PushConfig, num_envs: int, seed: int) -> None:
+        self.config = config
+        self.streams = generators(seed, "pushes", num_envs)
+        self.force = np.zeros((num_envs, 3))
+        self.drawn = np.zeros(num_envs, np.int64)
+
+    def reset(self, index: NDArray[np.int64]) -> None:
+        """Start the clock of the robots at `index` anew."""
+        self.force[index] = 0
+        self.drawn[index] = 0
+
+    def update(self, time: Array) -> bool:
+        """Set `force` for robots whose episodes are `time` (N,) [s] old; true if any force changed."""
+        config = self.config
+        # Half a microsecond forgives rounding where a period is a whole number of control steps.
+        number = np.floor((time + 5e-7) / config.period).astype(np.int64)
+        pushing = (number >= 1) & (time + 5e-7 - number * config.period < config.duration)
+        start = pushing & (self.drawn < number)
+        stop = ~pushing & self.force.any(axis=1)
+        for i in np.flatnonzero(start):
+            angle = self.streams[i].uniform(0, 2 * np.pi)
+            size = self.streams[i].uniform(*config.force)
+            self.force[i] = size * np.cos(angle), size * np.sin(angle), 0.0
+            self.drawn[i] = number[i]
+        self.force[stop] = 0
+        return bool(start.any() or stop.any())

@@ -1,0 +1,254 @@
+"""The open loop part of a gait: a periodic reference for the swing and extension of every leg.
+
+Tan et al. 2018, eq. 4: a(t, o) = reference(t) + feedback(o).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from surefoot.errors import SurefootError, choices
+
+Array = NDArray[np.float64]
+
+
+class Reference(Protocol):
+    """A function of time that gives leg poses."""
+
+    @property
+    def period(self) -> float | None:
+        """Time [s] after which the reference repeats; None if it does not move or has no common period."""
+        ...
+
+    def pose(self, time: ArrayLike) -> tuple[Array, Array]:
+        """Swing and extension (N, L) [rad] at times (N,) [s] since the episode's start."""
+        ...
+
+    def to_dict(self) -> dict[str, Any]:
+        """Everything needed to make it again, as JSON can hold it."""
+        ...
+
+    def extent(self) -> tuple[tuple[float, float], tuple[float, float]]:
+        """Lowest and highest swing, lowest and highest extension [rad] over all legs and times."""
+        ...
+
+
+@dataclass(frozen=True)
+class Wave:
+    """Sinusoids, one a leg: amplitude sin(2 pi frequency t + phase) + offset; arrays (L,), rad and Hz."""
+
+    amplitude: Array
+    frequency: Array
+    phase: Array
+    offset: Array
+
+    def at(self, time: ArrayLike) -> Array:
+        """Values (N, L) [rad] at times (N,) [s]."""
+        angle = 2 * np.pi * np.asarray(time, float)[..., None] * self.frequency + self.phase
+        return self.amplitude * np.sin(angle) + self.offset
+
+    @property
+    def extent(self) -> tuple[float, float]:
+        """Lowest and highest value over all legs."""
+        size = np.abs(self.amplitude)
+        return float(np.min(self.offset - size)), float(np.max(self.offset + size))
+
+    def to_dict(self, legs: tuple[str, ...]) -> dict[str, dict[str, float]]:
+        """Each quantity as a mapping from leg to number."""
+        return {
+            name: dict(zip(legs, getattr(self, name).tolist(), strict=True))
+            for name in ("amplitude", "frequency", "phase", "offset")
+        }
+
+
+@dataclass(frozen=True)
+class SineReference:
+    """One sinusoid for the swing and one for the extension of every leg."""
+
+    legs: tuple[str, ...]
+    swing: Wave
+    extension: Wave
+
+    @property
+    def period(self) -> float | None:
+        """Common period [s], or None."""
+        moving = [wave.frequency[wave.amplitude != 0] for wave in (self.swing, self.extension)]
+        frequencies = np.unique(np.abs(np.concatenate(moving)))
+        frequencies = frequencies[frequencies > 0]
+        if len(frequencies) == 0:
+            return None
+        ratios = frequencies / frequencies[0]
+        return float(1 / frequencies[0]) if np.allclose(ratios, np.round(ratios)) else None
+
+    def pose(self, time: ArrayLike) -> tuple[Array, Array]:
+        """Swing and extension (N, L) [rad]."""
+        return self.swing.at(time), self.extension.at(time)
+
+    def extent(self) -> tuple[tuple[float, float], tuple[float, float]]:
+        """Extents of swing and extension [rad]."""
+        return self.swing.extent, self.extension.extent
+
+    def to_dict(self) -> dict[str, Any]:
+        """As YAML or JSON can hold it."""
+        return {"kind": "sine", "swing": self.swing.to_dict(self.legs), "extension": self.extension.to_dict(self.legs)}
+
+
+@dataclass(frozen=True)
+class TableReference:
+    """A table of leg poses over one period, with straight lines between its rows and from the last row to the first.
+
+    Row k stands for the time k period / rows.
+    """
+
+    legs: tuple[str, ...]
+    table_period: float
+    swing: Array
+    extension: Array
+
+    @property
+    def period(self) -> float | None:
+        """The table's period [s]."""
+        return self.table_period
+
+    def pose(self, time: ArrayLike) -> tuple[Array, Array]:
+        """Swing and extension (N, L) [rad]."""
+        rows = len(self.swing)
+        place = np.asarray(time, float) / self.table_period % 1.0 * rows
+        first = np.floor(place).astype(int) % rows
+        share = (place - np.floor(place))[..., None]
+        after = (first + 1) % rows
+        return (
+            self.swing[first] + share * (self.swing[after] - self.swing[first]),
+            self.extension[first] + share * (self.extension[after] - self.extension[first]),
+        )
+
+    def extent(self) -> tuple[tuple[float, float], tuple[float, float]]:
+        """Extents of swing and extension [rad]."""
+        return (
+            (float(self.swing.min()), float(self.swing.max())),
+            (float(self.extension.min()), float(self.extension.max())),
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """As YAML or JSON can hold it; the rows are inside, the file is not needed again."""
+        return {
+            "kind": "table",
+            "period": self.table_period,
+            "swing": dict(zip(self.legs, self.swing.T.tolist(), strict=True)),
+            "extension": dict(zip(self.legs, self.extension.T.tolist(), strict=True)),
+        }
+
+
+def make_reference(data: Mapping[str, Any] | None, legs: tuple[str, ...], folder: Path | None = None) -> Reference:
+    """Make a reference from configuration.
+
+    Three forms: nothing (zero at all times); `kind: sine` with `swing` and `extension`, each with `amplitude`,
+    `frequency`, `phase` and `offset`, each a number or a mapping from leg to number; `kind: table` with `period` and either
+    `file` (CSV or NPZ) or the rows themselves under `swing` and `extension`.
+
+    Raises:
+        SurefootError: an unknown key or leg, something that is no number, or a table that does not fit.
+    """
+    if data is None:
+        data = {"kind": "sine"}
+    kind = data.get("kind")
+    if kind == "sine":
+        _only(data, "reference", ("kind", "swing", "extension"))
+        waves = [_wave(data.get(part) or {}, f"reference.{part}", legs) for part in ("swing", "extension")]
+        return SineReference(legs, waves[0], waves[1])
+    if kind == "table":
+        return _table(data, legs, folder)
+    raise SurefootError(f"reference.kind is {kind!r}; choices: sine, table")
+
+
+def _only(data: Mapping[str, Any], where: str, keys: tuple[str, ...]) -> None:
+    if not isinstance(data, Mapping):
+        raise SurefootError(f"{where} is {data!r}; it must be a table with keys out of: {choices(keys)}")
+    for key in data:
+        if key not in keys:
+            raise SurefootError(f"{where}.{key} is no key; keys: {choices(keys)}")
+
+
+def _number(value: Any, where: str) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
+        raise SurefootError(f"{where} is {value!r}; it must be a finite number")
+    return float(value)
+
+
+def _wave(data: Mapping[str, Any], where: str, legs: tuple[str, ...]) -> Wave:
+    keys = ("amplitude", "frequency", "phase", "offset")
+    _only(data, where, keys)
+    values = {}
+    for key in keys:
+        given = data.get(key, 0.0)
+        if isinstance(given, Mapping):
+            _only(given, f"{where}.{key}", legs)
+            missing = [leg for leg in legs if leg not in given]
+            if missing:
+                raise SurefootError(f"{where}.{key} has no number for {choices(missing)}; every leg needs one")
+            values[key] = np.array([_number(given[leg], f"{where}.{key}.{leg}") for leg in legs])
+        else:
+            values[key] = np.full(len(legs), _number(given, f"{where}.{key}"))
+    if np.any(values["frequency"] < 0):
+        raise SurefootError(f"{where}.frequency is {values['frequency'].min():g}; it must not be below 0 Hz")
+    return Wave(**values)
+
+
+def _table(data: Mapping[str, Any], legs: tuple[str, ...], folder: Path | None) -> TableReference:
+    _only(data, "reference", ("kind", "period", "file", "swing", "extension"))
+    period = _number(data.get("period"), "reference.period")
+    if not period > 0:
+        raise SurefootError(f"reference.period is {period:g}; it must be over 0 s")
+    if "file" in data:
+        path = (folder or Path()) / str(data["file"])
+        swing, extension = _read_table(path, legs)
+        where = str(path)
+    else:
+        where = "reference"
+        parts = []
+        for part in ("swing", "extension"):
+            _only(data.get(part, {}), f"reference.{part}", legs)
+            try:
+                parts.append(np.array([data[part][leg] for leg in legs], dtype=np.float64).T)
+            except (KeyError, ValueError, TypeError):
+                raise SurefootError(f"reference.{part} must give one list of numbers, equally long, for {choices(legs)}") from None
+        swing, extension = parts
+    if swing.ndim != 2 or swing.shape != extension.shape or len(swing) < 2:
+        raise SurefootError(f"{where}: the table has {len(swing)} row(s); a periodic reference needs 2 or more")
+    bad = ~np.isfinite(np.concatenate([swing, extension], axis=1)).all(axis=1)
+    if bad.any():
+        raise SurefootError(f"{where}: row {int(np.argmax(bad)) + 1} of the table is not finite; every pose must be a number")
+    return TableReference(legs, period, swing, extension)
+
+
+def _read_table(path: Path, legs: tuple[str, ...]) -> tuple[Array, Array]:
+    columns = [f"{part}_{leg}" for part in ("swing", "extension") for leg in legs]
+    rule = f"a table has columns {choices(columns)}"
+    try:
+        if path.suffix == ".npz":
+            with np.load(path) as archive:
+                table = {name: np.atleast_1d(archive[name]).astype(float) for name in archive.files}
+        elif path.suffix == ".csv":
+            read = np.genfromtxt(path, delimiter=",", names=True, dtype=float)
+            table = {name: np.atleast_1d(read[name]) for name in read.dtype.names or ()}
+        else:
+            raise SurefootError(f"{path}: is no .csv or .npz file; {rule}")
+    except SurefootError:
+        raise
+    except (OSError, ValueError, KeyError) as error:
+        raise SurefootError(f"{path}: can't be read as a table: {str(error).splitlines()[0]}; {rule}") from error
+    missing = [name for name in columns if name not in table]
+    if missing:
+        raise SurefootError(f"{path}: has no column {missing[0]}; {rule}")
+    count = len(legs)
+    lengths = {len(table[name]) for name in columns}
+    if len(lengths) != 1:
+        raise SurefootError(f"{path}: columns differ in length ({choices(sorted(lengths))}); they must not")
+    values = np.stack([table[name] for name in columns], axis=1)
+    return values[:, :count], values[:, count:]

@@ -1,0 +1,29 @@
+"""Reward and fall, as pure functions."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+ENERGY_WEIGHT = 0.008
+"""w of the paper's reward [m/J]."""
+
+
+def locomotion_reward(displacement: Array, energy: Array, energy_weight: float = ENERGY_WEIGHT) -> Array:
+    """Reward of a control step: (p_n - p_{n-1}) . d - w dt |tau . qdot|, summed over its servo steps.
+
+    Source: Tan et al. 2018, eq. 3; the direction d is the world's x axis.
+
+    Args:
+        displacement: how far the base moved along d [m], (N,).
+        energy: integral of |tau . qdot| over the step [J], (N,).
+        energy_weight: w [m/J].
+    """
+    return displacement - energy_weight * energy
+
+
+def has_fallen(roll_pitch_yaw: Array, limit: float = 0.5) -> NDArray[np.bool_]:
+    """Whether the base tilts more than `limit` [rad] in roll or pitch (N,), from true angles (N, 3) (Tan et al. 2018)."""
+    return np.any(np.abs(roll_pitch_yaw[:, :2]) > limit, axis=1)

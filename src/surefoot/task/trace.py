@@ -1,0 +1,258 @@
+"""The one record of an episode, written alike by a simulation, the robot emulator and the robot.
+
+Speed, power, return, footfalls and the reality gap are all computed from this record by the same functions,
+so two worlds are never measured by two rulers. numpy only: the robot's computer writes it too.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import zipfile
+import zlib
+from dataclasses import dataclass, field, fields
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from surefoot.errors import SurefootError, choices
+
+SCHEMA = 1
+ENDINGS = ("time", "fall", "fault", "stopped")
+ENERGY_WEIGHT = 0.008  # w of the paper's reward, the same in all its experiments
+
+_REQUIRED_META = ("robot", "world", "control_step", "leg_names", "motor_names", "observation_names", "ended")
+_META_DEFAULTS: dict[str, Any] = {
+    "schema": SCHEMA,
+    "policy": "",
+    "seed": None,
+    "params": {},
+    "energy_weight": ENERGY_WEIGHT,
+    "max_steps": 1000,
+}
+# What a robot without motion capture or foot switches cannot know is NaN there; everything else is known.
+_MAY_BE_NAN = frozenset({"base_position_world", "base_quat_world", "foot_contact", "foot_position_world"})
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class EpisodeTrace:
+    """An episode of T control steps of a robot with M motors, L legs and O observations.
+
+    Arrays are float64 and read-only. World and base frames: x forward, y left, z up.
+
+    Attributes:
+        time: (T,) s since the episode's start at which the readings of each control step were taken,
+            that is at the END of the control step.
+        base_position_world: (T+1, 3) m. Row 0 is the start, row k is after control step k. NaN where unknown.
+        base_quat_world: (T+1, 4) unit quaternion w, x, y, z, rows as above. NaN where unknown.
+        roll_pitch_yaw: (T, 3) rad as the IMU told it, with its delay and noise.
+        angular_velocity_base: (T, 3) rad/s in the base frame, as the IMU told it.
+        motor_angle: (T, M) rad.
+        motor_velocity: (T, M) rad/s.
+        motor_torque: (T, M) N m at the end of the control step.
+        observation: (T, O) what the policy was given, in the units of the policy's contract.
+        feedback: (T, 2L) rad, the policy's part of the action in leg space: swing of each leg, then
+            extension of each leg.
+        target: (T, M) rad motor angles sent to the servos.
+        energy: (T,) J, integral over the control step of |tau . qdot| at servo rate.
+        foot_contact: (T, L) fraction of the control step's servo steps in which the foot touched, 0 to 1.
+            NaN where unknown.
+        foot_position_world: (T, L, 3) m; NaN where unknown, all NaN when left out.
+        meta: what can be written as JSON: schema, robot, world, policy, seed, control_step (s), leg_names,
+            motor_names, observation_names, params, energy_weight, ended (one of `ENDINGS`), max_steps.
+    """
+
+    time: FloatArray
+    base_position_world: FloatArray
+    base_quat_world: FloatArray
+    roll_pitch_yaw: FloatArray
+    angular_velocity_base: FloatArray
+    motor_angle: FloatArray
+    motor_velocity: FloatArray
+    motor_torque: FloatArray
+    observation: FloatArray
+    feedback: FloatArray
+    target: FloatArray
+    energy: FloatArray
+    foot_contact: FloatArray
+    foot_position_world: FloatArray = field(default_factory=lambda: np.empty(0))
+    meta: dict[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Check the record and freeze its arrays."""
+        object.__setattr__(self, "meta", _checked_meta(self.meta))
+        steps, legs = np.size(self.time), len(self.meta["leg_names"])
+        if self.foot_position_world is None or self.foot_position_world.size == 0:
+            object.__setattr__(self, "foot_position_world", np.full((steps, legs, 3), np.nan))
+        for name, shape in _shapes(steps, self.meta).items():
+            object.__setattr__(self, name, _checked_array(name, getattr(self, name), shape))
+        if self.time[0] <= 0.0 or np.any(np.diff(self.time) <= 0.0):
+            raise SurefootError("trace: time must be above 0 s at the first step and strictly increasing")
+        if np.any(self.energy < 0.0):
+            raise SurefootError(
+                f"trace: energy {self.energy.min():.3g} J must be 0 or above: it sums |tau . qdot|"
+            )
+        if np.any((self.foot_contact < 0.0) | (self.foot_contact > 1.0)):
+            raise SurefootError("trace: foot_contact is a fraction of the control step: 0 to 1")
+        norms = np.linalg.norm(self.base_quat_world, axis=1)
+        if np.any(np.abs(norms - 1.0) > 1e-3):
+            raise SurefootError("trace: base_quat_world must hold unit quaternions w, x, y, z (or NaN)")
+
+    @property
+    def num_steps(self) -> int:
+        """Number of control steps T."""
+        return len(self.time)
+
+    @property
+    def duration(self) -> float:
+        """Length of the episode in s."""
+        return float(self.time[-1])
+
+    @property
+    def fell(self) -> bool:
+        """Whether the episode ended because the robot fell."""
+        return bool(self.meta["ended"] == "fall")
+
+    @property
+    def leg_names(self) -> tuple[str, ...]:
+        """Names of the legs in the order of `foot_contact` and `feedback`."""
+        return tuple(self.meta["leg_names"])
+
+    def save(self, path: str | Path) -> Path:
+        """Write the trace to an .npz file; the file appears whole or not at all."""
+        path = Path(path)
+        if path.suffix != ".npz":
+            raise SurefootError(f"trace file {path}: the name must end in .npz")
+        path.parent.mkdir(parents=True, exist_ok=True)
+        arrays = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "meta"}
+        temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+        try:
+            with temporary.open("wb") as file:
+                np.savez_compressed(file, meta=np.array(json.dumps(self.meta)), **arrays)
+                file.flush()
+                os.fsync(file.fileno())
+            os.replace(temporary, path)
+        finally:
+            temporary.unlink(missing_ok=True)
+        return path
+
+    @classmethod
+    def load(cls, path: str | Path) -> EpisodeTrace:
+        """Read a trace and check it.
+
+        Raises:
+            SurefootError: the file is missing, cut off, damaged, not a trace, or of another schema.
+        """
+        path = Path(path)
+        try:
+            arrays = _read_members(path)
+            meta = json.loads(str(arrays.pop("meta")))
+        except OSError as error:
+            raise SurefootError(f"trace file {path}: cannot be read: {error.strerror}") from error
+        # RuntimeError: a flipped bit that makes a member look encrypted or packed in another way.
+        except (zipfile.BadZipFile, zlib.error, EOFError, RuntimeError) as error:
+            raise SurefootError(f"trace file {path}: cut off or damaged: {error}") from error
+        except (KeyError, ValueError) as error:
+            raise SurefootError(f"trace file {path}: not an episode trace: {error}") from error
+        schema = meta.get("schema") if isinstance(meta, dict) else None
+        if schema != SCHEMA:
+            raise SurefootError(f"trace file {path}: schema {schema}, but surefoot reads schema {SCHEMA}")
+        names = {f.name for f in fields(cls)} - {"meta"}
+        if set(arrays) != names:
+            odd = choices(sorted(names ^ set(arrays)))
+            raise SurefootError(f"trace file {path}: not an episode trace: missing or unknown {odd}")
+        try:
+            return cls(meta=meta, **arrays)
+        except SurefootError as error:
+            raise SurefootError(f"trace file {path}: {error}") from error
+
+
+def _shapes(steps: int, meta: dict[str, Any]) -> dict[str, tuple[int, ...]]:
+    """Return the shape of each array of a trace of `steps` control steps."""
+    legs, motors = len(meta["leg_names"]), len(meta["motor_names"])
+    per_motor = dict.fromkeys(("motor_angle", "motor_velocity", "motor_torque", "target"), (steps, motors))
+    return {
+        "time": (steps,),
+        "base_position_world": (steps + 1, 3),
+        "base_quat_world": (steps + 1, 4),
+        "roll_pitch_yaw": (steps, 3),
+        "angular_velocity_base": (steps, 3),
+        **per_motor,
+        "observation": (steps, len(meta["observation_names"])),
+        "feedback": (steps, 2 * legs),
+        "energy": (steps,),
+        "foot_contact": (steps, legs),
+        "foot_position_world": (steps, legs, 3),
+    }
+
+
+def _checked_array(name: str, value: ArrayLike, shape: tuple[int, ...]) -> FloatArray:
+    """Return a read-only float64 copy after checking shape and finiteness."""
+    array = np.array(value, dtype=np.float64)
+    if array.shape != shape:
+        raise SurefootError(f"trace: {name} has shape {array.shape}, but must have {shape}")
+    if array.size == 0 and shape[0] == 0:
+        raise SurefootError("trace: an episode needs at least one control step")
+    bad = np.isinf(array) if name in _MAY_BE_NAN else ~np.isfinite(array)
+    if np.any(bad):
+        row = int(np.argwhere(bad)[0][0])
+        rule = "finite or NaN" if name in _MAY_BE_NAN else "finite"
+        raise SurefootError(f"trace: {name} row {row} holds {array[bad][0]}, but must be {rule}")
+    array.setflags(write=False)
+    return array
+
+
+def _checked_meta(meta: dict[str, Any]) -> dict[str, Any]:
+    """Return meta with defaults filled in, as plain JSON types."""
+    missing = [name for name in _REQUIRED_META if name not in meta]
+    if missing:
+        raise SurefootError(f"trace: meta lacks {choices(missing)}")
+    try:
+        plain: dict[str, Any] = json.loads(json.dumps({**_META_DEFAULTS, **meta}, default=_plain))
+    except TypeError as error:
+        raise SurefootError(f"trace: meta must be what JSON can hold: {error}") from error
+    if plain["schema"] != SCHEMA:
+        raise SurefootError(f"trace: schema {plain['schema']}, but surefoot writes schema {SCHEMA}")
+    if plain["ended"] not in ENDINGS:
+        raise SurefootError(f"trace: ended {plain['ended']!r} is not one of {choices(ENDINGS)}")
+    for name in ("control_step", "max_steps"):
+        if isinstance(plain[name], bool) or not isinstance(plain[name], int | float) or not plain[name] > 0:
+            raise SurefootError(f"trace: {name} {plain[name]!r} must be above 0")
+    weight = plain["energy_weight"]
+    if isinstance(weight, bool) or not isinstance(weight, int | float) or not weight >= 0:
+        raise SurefootError(f"trace: energy_weight {weight!r} must be 0 or above")
+    for name in ("leg_names", "motor_names", "observation_names"):
+        names = plain[name]
+        if not isinstance(names, list) or len(set(map(str, names))) != len(names):
+            raise SurefootError(f"trace: {name} {names!r} must be a list of different names")
+    return plain
+
+
+def _plain(value: object) -> object:
+    """Turn numpy numbers and arrays into what JSON can hold."""
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    if isinstance(value, Path):
+        return str(value)
+    raise TypeError(f"{type(value).__name__} {value!r}")
+
+
+def _read_members(path: Path) -> dict[str, NDArray[Any]]:
+    """Read every array of an .npz file whole, so that each member's checksum is verified."""
+    with path.open("rb") as file:
+        start = file.read(2)
+        if not start:
+            raise EOFError("the file is empty")
+        if start != b"PK":
+            raise ValueError("not an .npz file")
+        file.seek(0)
+        with zipfile.ZipFile(file) as archive:
+            return {
+                name.removesuffix(".npy"): np.lib.format.read_array(BytesIO(archive.read(name)))
+                for name in archive.namelist()
+            }

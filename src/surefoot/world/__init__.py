@@ -1,0 +1,5 @@
+"""Something that takes motor angles and gives readings: engines, sensors and `SimWorld`."""
+
+from surefoot.world.interface import Readings, Simulation, Truth, World
+
+__all__ = ["Readings", "Simulation", "Truth", "World"]

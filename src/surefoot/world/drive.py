@@ -1,0 +1,172 @@
+"""What every simulated world shares between two physics steps: sensors, delays, servo and motor.
+
+One robot, one servo step: an engine calls `servo_tick`, applies `drive.torque` for the step, adds one to `drive.ticks`,
+writes the robot's new state to `drive.now` and calls `record`.
+
+What is read when, with a servo step dt, servo latency L_s and control latency L_c:
+
+    time       what happens
+    n dt       the engine's state of now enters the history
+    n dt       the servo reads angles and speeds of n dt - L_s and sets the duty; back-EMF uses the true speed of now
+    n dt       torque acts on the robot until (n + 1) dt
+    k T        the policy reads everything as it was at k T - L_c, where T is the control step, and its command holds
+               from k T to (k + 1) T
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from surefoot.actuator.delay import push_kernel, read_kernel
+from surefoot.actuator.motor import (
+    coulomb_friction_kernel,
+    motor_current_kernel,
+    motor_torque_kernel,
+    overheat_kernel,
+)
+from surefoot.actuator.servo import servo_duty_kernel
+from surefoot.robot import PhysicalParams, RobotDescription
+
+Array = NDArray[np.float64]
+
+IMU_WIDTH = 6
+"""Numbers of the IMU in a reading: roll, pitch, yaw [rad], and angular velocity in the base frame [rad/s]."""
+
+
+class Drive(NamedTuple):
+    """Arrays of a batch of robots with M motors and L legs; first axis `num_envs` unless said otherwise."""
+
+    strength: Array  # (N, M)
+    friction: Array  # (N, M) N m
+    torque_constant: Array  # (N,)
+    resistance: Array  # (N,)
+    voltage: Array  # (N,)
+    kp: Array  # (N,)
+    kd: Array  # (N,)
+    servo_latency: Array  # (N,) s
+    table_current: Array  # (points,) A, all robots
+    table_torque: Array  # (points,) N m, all robots
+    limits: Array  # (4,) all robots: voltage clip V, overheat torque N m, overheat time s (inf: off), servo step s
+    ticks: NDArray[np.int64]  # (N,) servo steps since reset
+    times: Array  # (N, H) s, of the history
+    history: Array  # (N, H, 2 M + 6)
+    now: Array  # (N, 2 M + 6) angles, speeds, roll, pitch, yaw, angular velocity in the base frame
+    seen: Array  # (N, 2 M) what the servo sees
+    target: Array  # (N, M) rad
+    torque: Array  # (N, M) N m on the motor shaft, friction included
+    motor_torque: Array  # (N, M) N m of the motor itself
+    energy: Array  # (N,) J, integral of |tau . qdot| since it was set to zero
+    hot_time: Array  # (N, M) s
+    switched_off: NDArray[np.bool_]  # (N, M)
+    contact_ticks: Array  # (N, L) servo steps with the foot on the ground since it was set to zero
+
+
+def new_drive(robot: RobotDescription, num_envs: int, history: int, thermal_protection: bool) -> Drive:
+    """Arrays for `num_envs` robots with nominal parameters and an empty history of that many samples."""
+    motors, legs = robot.num_motors, len(robot.legs)
+    width = 2 * motors + IMU_WIDTH
+    data = robot.actuator
+    current, torque = robot.torque_table
+    overheat_time = data.overheat_time if thermal_protection else math.inf
+
+    def zeros(*shape: int) -> Array:
+        return np.zeros((num_envs, *shape))
+
+    drive = Drive(
+        strength=zeros(motors),
+        friction=zeros(motors),
+        torque_constant=zeros(),
+        resistance=zeros(),
+        voltage=zeros(),
+        kp=zeros(),
+        kd=zeros(),
+        servo_latency=zeros(),
+        table_current=current,
+        table_torque=torque,
+        limits=np.array([data.voltage_clip, data.overheat_torque, overheat_time, robot.timing.servo_step]),
+        ticks=np.zeros(num_envs, np.int64),
+        times=zeros(history),
+        history=zeros(history, width),
+        now=zeros(width),
+        seen=zeros(2 * motors),
+        target=zeros(motors),
+        torque=zeros(motors),
+        motor_torque=zeros(motors),
+        energy=zeros(),
+        hot_time=zeros(motors),
+        switched_off=np.zeros((num_envs, motors), np.bool_),
+        contact_ticks=zeros(legs),
+    )
+    set_drive_params(drive, np.arange(num_envs), PhysicalParams.nominal(robot, num_envs))
+    return drive
+
+
+def set_drive_params(drive: Drive, index: NDArray[np.int64], params: PhysicalParams) -> None:
+    """Apply the parameters of servo and motor to the robots at `index`, one row each."""
+    drive.strength[index] = params.motor_strength
+    drive.friction[index] = params.motor_friction
+    drive.torque_constant[index] = params.torque_constant
+    drive.resistance[index] = params.resistance
+    drive.voltage[index] = params.voltage
+    drive.kp[index] = params.servo_kp
+    drive.kd[index] = params.servo_kd
+    drive.servo_latency[index] = params.servo_latency
+
+
+@njit(cache=True)
+def roll_pitch_yaw(w: float, x: float, y: float, z: float) -> tuple[float, float, float]:
+    """Euler angles [rad] of a unit quaternion: turn by yaw about z, then pitch about y, then roll about x."""
+    roll = math.atan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
+    pitch = math.asin(min(max(2 * (w * y - z * x), -1.0), 1.0))
+    yaw = math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+    return roll, pitch, yaw
+
+
+@njit(cache=True)
+def record(drive: Drive, i: int) -> None:
+    """The state of now of robot `i` enters its history, stamped with the robot's own time."""
+    push_kernel(drive.times[i], drive.history[i], drive.ticks[i], drive.ticks[i] * drive.limits[3], drive.now[i])
+
+
+@njit(cache=True)
+def servo_tick(drive: Drive, i: int) -> None:
+    """Servo and motor of robot `i` answer the state of now, which is in the history, with `drive.torque`."""
+    motors = drive.target.shape[1]
+    voltage_clip, hot_torque, hot_limit, dt = drive.limits
+    time = drive.ticks[i] * dt
+    read_at = time - drive.servo_latency[i]
+    read_kernel(drive.times[i], drive.history[i], drive.ticks[i] + 1, read_at, 2 * motors, drive.seen[i])
+    power = 0.0
+    for m in range(motors):
+        speed = drive.now[i, motors + m]
+        duty = servo_duty_kernel(
+            drive.target[i, m], drive.seen[i, m], drive.seen[i, motors + m], drive.kp[i], drive.kd[i]
+        )
+        current = motor_current_kernel(
+            duty, speed, drive.voltage[i], drive.torque_constant[i], drive.resistance[i], voltage_clip
+        )
+        torque = motor_torque_kernel(current, drive.strength[i, m], drive.table_current, drive.table_torque)
+        if hot_limit < math.inf:
+            hot = overheat_kernel(torque, drive.hot_time[i, m], dt, hot_torque)
+            drive.hot_time[i, m] = hot
+            if hot > hot_limit:
+                drive.switched_off[i, m] = True
+            if drive.switched_off[i, m]:
+                torque = 0.0
+        power += torque * speed
+        drive.motor_torque[i, m] = torque
+        drive.torque[i, m] = torque + coulomb_friction_kernel(speed, drive.friction[i, m])
+    drive.energy[i] += dt * abs(power)
+
+
+@njit(cache=True)
+def read_delayed(drive: Drive, latency: Array, out: Array) -> None:
+    """Write the readings (N, width) that are `latency` (N,) [s] old to `out`."""
+    for i in range(len(latency)):
+        at = drive.ticks[i] * drive.limits[3] - latency[i]
+        read_kernel(drive.times[i], drive.history[i], drive.ticks[i] + 1, at, out.shape[1], out[i])

@@ -1,0 +1,129 @@
+"""The small interface that simulation and robot share, and what goes through it.
+
+A world takes motor angles, holds them for a control step, and gives readings. A robot is a batch of one. Only a simulation
+also answers `truth()`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from surefoot.robot import PhysicalParams, RobotDescription
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Readings:
+    """What the control computer gets of a batch of N robots with M motors: delayed, biased and noisy as in reality."""
+
+    time: Array
+    """Time since reset on each robot's clock [s], (N,)."""
+    roll_pitch_yaw: Array
+    """Orientation of the base in the world [rad], (N, 3): yaw about z, then pitch about y, then roll about x."""
+    angular_velocity_base: Array
+    """Angular velocity of the base, in the base frame [rad/s], (N, 3)."""
+    motor_angle: Array
+    """Motor angles theta in the robot's motor order [rad], (N, M)."""
+    motor_velocity: Array
+    """Motor speeds [rad/s], (N, M)."""
+
+
+@dataclass(frozen=True)
+class Truth:
+    """What only a simulation knows, of now."""
+
+    base_position_world: Array
+    """Origin of the base link [m], (N, 3)."""
+    base_quat_world: Array
+    """Orientation of the base, (N, 4), w x y z."""
+    base_velocity_world: Array
+    """Velocity of the base link's origin, in the world frame [m/s], (N, 3)."""
+    roll_pitch_yaw: Array
+    """True orientation [rad], (N, 3)."""
+    motor_angle: Array
+    """True motor angles [rad], (N, M)."""
+    motor_velocity: Array
+    """True motor speeds [rad/s], (N, M)."""
+    motor_torque: Array
+    """Torque of each motor in the last servo step, friction not counted [N m], (N, M)."""
+    energy: Array
+    """Integral of |tau . qdot| over the last control step, at servo rate [J], (N,)."""
+    foot_contact: Array
+    """Fraction of the last control step's servo steps in which each foot touched the ground, (N, L)."""
+    diverged: NDArray[np.bool_]
+    """Robots whose state stopped being finite in the last control step; they wait for a reset, (N,)."""
+
+
+@dataclass(frozen=True)
+class WorldConfig:
+    """How a simulated world is set up."""
+
+    rest: tuple[float, float] | None = None
+    """Swing and extension [rad] in which robots settle before an episode; the description's, if not given."""
+    thermal_protection: bool = False
+    """Switch off motors that stay over their thermal torque limit, until the next reset."""
+    start_linear_speed: float = 0.0
+    """A reset gives the base a random velocity, each component up to this [m/s]."""
+    start_angular_speed: float = 0.0
+    """A reset gives the base a random angular velocity, each component up to this [rad/s]."""
+    threads: int = 0
+    """Threads to step on; 0 means one a core."""
+
+
+class World(Protocol):
+    """A robot, or a batch of simulated ones."""
+
+    robot: RobotDescription
+    num_envs: int
+
+    def reset(self, index: ArrayLike | None = None) -> Readings:
+        """Bring the robots at `index` (all, if none is given) to the resting pose; readings of all robots."""
+        ...
+
+    def step(self, target: ArrayLike) -> Readings:
+        """Send motor angles (N, M) [rad] and hold them for one control step; readings at its end."""
+        ...
+
+
+class Simulation(World, Protocol):
+    """A world that knows its own state and can be set up at will."""
+
+    params: PhysicalParams
+
+    def readings(self) -> Readings:
+        """The readings of now, again."""
+        ...
+
+    def truth(self) -> Truth:
+        """The true state of now; the arrays are the caller's to keep."""
+        ...
+
+    def foot_positions(self) -> Array:
+        """Centres of the rounded feet in the world frame [m], (N, L, 3)."""
+        ...
+
+    def set_params(self, index: ArrayLike, params: PhysicalParams) -> None:
+        """Give the robots at `index` other physical parameters, one row each."""
+        ...
+
+    def push(self, force_world: ArrayLike) -> None:
+        """Set the force (N, 3) [N] that acts at the base's centre of mass from now on, in the world frame."""
+        ...
+
+    def get_state(self) -> dict[str, Any]:
+        """Everything that decides how the world goes on."""
+        ...
+
+    def set_state(self, state: dict[str, Any]) -> None:
+        """Go on from `get_state`, exactly."""
+        ...
+
+
+SimulationFactory = Callable[[RobotDescription, int, PhysicalParams, int, WorldConfig], Simulation]
+"""Makes a simulation of a robot: number of robots, their parameters, seed, configuration."""

@@ -1,0 +1,240 @@
+"""A batch of robots in MuJoCo: one model and one state each, stepped by compiled loops on all cores.
+
+Each robot owns its MuJoCo model, so that masses, inertias and friction can differ, and its MuJoCo data, so that a robot's
+motion depends on nothing but itself: alone or in a batch it is the same to the last bit.
+"""
+
+from __future__ import annotations
+
+import copy
+import os
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from surefoot.robot import PhysicalParams, RobotDescription
+from surefoot.world.drive import Drive, record, roll_pitch_yaw, servo_tick
+from surefoot.world.mujoco_model import build_model, foot_geoms, resting_qpos, set_contact_compliance
+from surefoot.world.native import call_step, doubles, function_address
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+_STATE = mujoco.mjtState.mjSTATE_INTEGRATION
+_CHUNK = 8
+"""Robots a thread takes at a time: few enough that robots with long control steps do not leave a core idle."""
+_SPEED_LIMIT = 1e5
+"""A generalized speed beyond this [m/s, rad/s] counts as diverged, before MuJoCo itself would complain."""
+
+
+class _Native(NamedTuple):
+    """Addresses and layout that the compiled loop works on."""
+
+    step: int
+    model: Index
+    data: Index
+    qpos: Index
+    qvel: Index
+    applied: Index
+    geom_xpos: Index
+    motor_qpos: Index
+    motor_dof: Index
+    motor_sign: Array
+    base_qpos: int
+    base_dof: int
+    foot_geom: Index
+    foot_radius: Array
+    num_qpos: int
+    num_qvel: int
+
+
+@njit(cache=True)
+def _observe(native: _Native, drive: Drive, i: int) -> bool:
+    """Write robot `i`'s state to `drive.now`; false, and nothing written, if it is not finite."""
+    qpos, qvel = doubles(native.qpos[i]), doubles(native.qvel[i])
+    for k in range(native.num_qvel):
+        if not abs(qvel[k]) < _SPEED_LIMIT:
+            return False
+    for k in range(native.num_qpos):
+        if not np.isfinite(qpos[k]):
+            return False
+    now, motors = drive.now[i], len(native.motor_qpos)
+    for m in range(motors):
+        now[m] = native.motor_sign[m] * qpos[native.motor_qpos[m]]
+        now[motors + m] = native.motor_sign[m] * qvel[native.motor_dof[m]]
+    b, v = native.base_qpos + 3, native.base_dof + 3
+    roll, pitch, yaw = roll_pitch_yaw(qpos[b], qpos[b + 1], qpos[b + 2], qpos[b + 3])
+    now[2 * motors], now[2 * motors + 1], now[2 * motors + 2] = roll, pitch, yaw
+    for k in range(3):
+        now[2 * motors + 3 + k] = qvel[v + k]
+    return True
+
+
+@njit(cache=True, nogil=True)
+def _advance(native: _Native, drive: Drive, servo_steps: Index, diverged: NDArray[np.bool_], first: int, last: int) -> None:
+    """Run robots first to last (not included) for their number of servo steps."""
+    for i in range(first, last):
+        drive.energy[i] = 0.0
+        drive.contact_ticks[i] = 0.0
+        applied, xpos = doubles(native.applied[i]), doubles(native.geom_xpos[i])
+        for _ in range(servo_steps[i]):
+            if diverged[i]:
+                break
+            servo_tick(drive, i)
+            for m in range(len(native.motor_dof)):
+                torque = drive.torque[i, m]
+                if not np.isfinite(torque):
+                    diverged[i] = True
+                applied[native.motor_dof[m]] = native.motor_sign[m] * torque
+            if diverged[i]:
+                break
+            call_step(native.step, native.model[i], native.data[i])
+            drive.ticks[i] += 1
+            if not _observe(native, drive, i):
+                diverged[i] = True
+                break
+            record(drive, i)
+            for leg in range(len(native.foot_geom)):
+                if xpos[3 * native.foot_geom[leg] + 2] < native.foot_radius[leg]:
+                    drive.contact_ticks[i, leg] += 1.0
+
+
+@njit(cache=True)
+def _gather_base(native: _Native, rows: Array) -> None:
+    for i in range(len(rows)):
+        qpos, qvel = doubles(native.qpos[i]), doubles(native.qvel[i])
+        for k in range(7):
+            rows[i, k] = qpos[native.base_qpos + k]
+        for k in range(3):
+            rows[i, 7 + k] = qvel[native.base_dof + k]
+
+
+class MujocoEngine:
+    """MuJoCo behind the engine interface: observe, advance, parameters, forces and snapshots of single robots.
+
+    Args:
+        robot: what to simulate.
+        drive: shared servo, motor and sensor arrays; its first axis is the number of robots.
+        threads: threads to step on (0: one a core).
+    """
+
+    name = "mujoco"
+
+    def __init__(self, robot: RobotDescription, drive: Drive, threads: int = 0) -> None:
+        self.robot, self.drive = robot, drive
+        num_envs = len(drive.ticks)
+        self._nominal = build_model(robot)
+        self._scratch = mujoco.MjData(self._nominal)
+        self.models = [copy.copy(self._nominal) for _ in range(num_envs)]
+        self.datas = [mujoco.MjData(model) for model in self.models]
+        self._base = self._nominal.body(robot.base).id
+        self._legs = np.array([body for body in range(1, self._nominal.nbody) if body != self._base])
+        self._feet = foot_geoms(robot, self._nominal)
+        self._native = self._layout()
+        self.threads = min(threads or os.cpu_count() or 1, -(-num_envs // _CHUNK))
+        self._pool = ThreadPoolExecutor(self.threads - 1) if self.threads > 1 else None
+        self.diverged = np.zeros(num_envs, np.bool_)
+        self.initial_state = self._resting_state()
+
+    def _layout(self) -> _Native:
+        model, robot = self._nominal, self.robot
+        joints = [model.joint(name) for name in robot.motor_names]
+        free = model.body(robot.base).jntadr[0]
+
+        def addresses(field: str) -> Index:
+            return np.array([getattr(data, field).ctypes.data for data in self.datas], np.int64)
+
+        return _Native(
+            step=function_address("mj_step"),
+            model=np.array([item._address for item in self.models], np.int64),
+            data=np.array([item._address for item in self.datas], np.int64),
+            qpos=addresses("qpos"),
+            qvel=addresses("qvel"),
+            applied=addresses("qfrc_applied"),
+            geom_xpos=addresses("geom_xpos"),
+            motor_qpos=np.array([joint.qposadr[0] for joint in joints], np.int64),
+            motor_dof=np.array([joint.dofadr[0] for joint in joints], np.int64),
+            motor_sign=robot.motor_sign.astype(np.float64),
+            base_qpos=int(model.jnt_qposadr[free]),
+            base_dof=int(model.jnt_dofadr[free]),
+            foot_geom=self._feet,
+            foot_radius=model.geom_size[self._feet, 0].copy(),
+            num_qpos=model.nq,
+            num_qvel=model.nv,
+        )
+
+    def _resting_state(self) -> Array:
+        state = np.empty(mujoco.mj_stateSize(self._nominal, _STATE))
+        mujoco.mj_resetData(self._nominal, self._scratch)
+        self._scratch.qpos[:] = resting_qpos(self.robot, self._nominal)
+        mujoco.mj_getState(self._nominal, self._scratch, state, _STATE)
+        return state
+
+    def advance(self, servo_steps: Index) -> None:
+        """Run every robot for its number of servo steps (N,); those that diverge stop and are marked."""
+        if self._pool is None:
+            _advance(self._native, self.drive, servo_steps, self.diverged, 0, len(servo_steps))
+            return
+        # Threads take chunks as they come; drawing from an iterator is atomic under the interpreter's lock.
+        chunks = iter(range(0, len(servo_steps), _CHUNK))
+        others = [self._pool.submit(self._work, servo_steps, chunks) for _ in range(self.threads - 1)]
+        self._work(servo_steps, chunks)
+        for other in others:
+            other.result()
+
+    def _work(self, servo_steps: Index, chunks: Iterator[int]) -> None:
+        for first in chunks:
+            last = min(first + _CHUNK, len(servo_steps))
+            _advance(self._native, self.drive, servo_steps, self.diverged, first, last)
+
+    def observe(self, i: int) -> None:
+        """Write the state of robot `i` to `drive.now`."""
+        _observe(self._native, self.drive, i)
+
+    def get_state(self, i: int) -> Array:
+        """Everything that decides robot `i`'s further motion in the engine."""
+        state = np.empty_like(self.initial_state)
+        mujoco.mj_getState(self.models[i], self.datas[i], state, _STATE)
+        return state
+
+    def set_state(self, i: int, state: Array) -> None:
+        """Put robot `i` into a state from `get_state`."""
+        mujoco.mj_setState(self.models[i], self.datas[i], state, _STATE)
+        self.diverged[i] = False
+
+    def set_base_velocity(self, i: int, linear_world: Array, angular_base: Array) -> None:
+        """Set the base's velocity [m/s] in the world and angular velocity [rad/s] in the base frame."""
+        velocity = self.datas[i].qvel
+        velocity[self._native.base_dof :][:3] = linear_world
+        velocity[self._native.base_dof + 3 :][:3] = angular_base
+
+    def set_force(self, i: int, force_world: Array) -> None:
+        """Set the force [N] on the base's centre of mass, in the world frame."""
+        self.datas[i].xfrc_applied[self._base, :3] = force_world
+
+    def set_params(self, i: int, params: PhysicalParams, row: int) -> None:
+        """Apply masses, inertias and contact friction of `params[row]` to robot `i`."""
+        model, nominal, legs = self.models[i], self._nominal, self._legs
+        model.body_mass[self._base] = nominal.body_mass[self._base] * params.base_mass_ratio[row]
+        model.body_mass[legs] = nominal.body_mass[legs] * params.leg_mass_ratio[row]
+        model.body_inertia[self._base] = nominal.body_inertia[self._base] * params.base_inertia_ratio[row]
+        model.body_inertia[legs] = nominal.body_inertia[legs] * params.leg_inertia_ratio[row]
+        model.geom_friction[self._feet, 0] = params.contact_friction[row]
+        # Quantities that MuJoCo derives from the masses, with a state of no robot's.
+        mujoco.mj_setConst(model, self._scratch)
+        set_contact_compliance(self.robot, model)
+
+    def base(self) -> Array:
+        """Base position [m], quaternion (w x y z) and velocity [m/s], all in the world frame, (N, 10)."""
+        rows = np.empty((len(self.datas), 10))
+        _gather_base(self._native, rows)
+        return rows
+
+    def foot_positions(self) -> Array:
+        """Centres of the feet in the world frame [m], (N, L, 3)."""
+        return np.array([data.geom_xpos[self._feet] for data in self.datas])

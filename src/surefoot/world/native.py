@@ -1,0 +1,54 @@
+"""Calling MuJoCo's C functions and reading its arrays from compiled loops, without the interpreter in between.
+
+A MuJoCo step of a small robot takes some 15 microseconds, less than a handful of Python calls. A loop compiled by numba
+that calls `mj_step` by address holds no interpreter lock, so threads run side by side.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from pathlib import Path
+from typing import Any
+
+import mujoco
+from llvmlite import ir
+from numba import types
+from numba.core import cgutils
+from numba.extending import intrinsic
+
+
+def function_address(name: str) -> int:
+    """Address of a C function of the MuJoCo library that the `mujoco` package has loaded."""
+    folder = Path(mujoco.__file__).parent
+    patterns = ("libmujoco.so.*", "libmujoco.*.dylib", "mujoco.dll")
+    library = next(path for pattern in patterns for path in sorted(folder.glob(pattern)))
+    function = getattr(ctypes.CDLL(str(library)), name)
+    address = ctypes.cast(function, ctypes.c_void_p).value
+    if address is None:
+        raise OSError(f"{library}: has no function {name}")
+    return address
+
+
+@intrinsic
+def call_step(typing_context: Any, function: Any, model: Any, data: Any) -> Any:
+    """Call the C function `void function(model, data)`, all three given as addresses."""
+    signature = types.void(types.int64, types.int64, types.int64)
+
+    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        kind = ir.FunctionType(ir.VoidType(), [cgutils.voidptr_t, cgutils.voidptr_t])
+        callee = builder.inttoptr(args[0], ir.PointerType(kind))
+        builder.call(callee, [builder.inttoptr(arg, cgutils.voidptr_t) for arg in args[1:]])
+        return context.get_dummy_value()
+
+    return signature, codegen
+
+
+@intrinsic
+def doubles(typing_context: Any, address: Any) -> Any:
+    """The array of C doubles that starts at an address; its length is not known and not checked."""
+    signature = types.CPointer(types.float64)(types.int64)
+
+    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        return builder.inttoptr(args[0], context.get_value_type(signature.return_type))
+
+    return signature, codegen

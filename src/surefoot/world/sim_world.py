@@ -1,0 +1,265 @@
+"""`SimWorld`: engine + actuator + delays + sensors, for a batch of simulated robots."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from surefoot.errors import SurefootError
+from surefoot.robot import PhysicalParams, RobotDescription
+from surefoot.seeding import generators
+from surefoot.world.drive import Drive, new_drive, read_delayed, record, set_drive_params
+from surefoot.world.interface import Readings, Truth, WorldConfig
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+SETTLE_TIME = 0.5
+"""Time [s] for which a robot settles at its resting pose before an episode (the robot's published environment)."""
+_NOISE_BLOCK = 256
+
+
+class Engine(Protocol):
+    """Physics of a batch of robots; it shares the `Drive` arrays with the world. Forces and states are per robot."""
+
+    name: str
+    initial_state: Array
+    diverged: NDArray[np.bool_]
+
+    def advance(self, servo_steps: Index) -> None:
+        """Run each robot for its number of servo steps, `servo_tick` before and `record` after each."""
+
+    def observe(self, i: int) -> None:
+        """Write the state of robot `i` to `drive.now`."""
+
+    def get_state(self, i: int) -> Array:
+        """All that decides robot `i`'s further motion."""
+
+    def set_state(self, i: int, state: Array) -> None:
+        """Put robot `i` into a state, and mark it sound again."""
+
+    def set_base_velocity(self, i: int, linear_world: Array, angular_base: Array) -> None:
+        """Set the base's velocities [m/s], [rad/s]."""
+
+    def set_force(self, i: int, force_world: Array) -> None:
+        """Set the force [N] on the base's centre of mass."""
+
+    def set_params(self, i: int, params: PhysicalParams, row: int) -> None:
+        """Apply masses, inertias and friction of one row to robot `i`."""
+
+    def base(self) -> Array:
+        """Base position, quaternion and velocity in the world, (N, 10)."""
+
+    def foot_positions(self) -> Array:
+        """Foot centres in the world, (N, L, 3)."""
+
+
+EngineFactory = Callable[[RobotDescription, Drive, int], Engine]
+
+
+def mujoco_engine(robot: RobotDescription, drive: Drive, threads: int) -> Engine:
+    """The MuJoCo engine, imported when first asked for."""
+    from surefoot.world.mujoco_engine import MujocoEngine
+
+    return MujocoEngine(robot, drive, threads)
+
+
+class SimWorld:
+    """A batch of simulated robots, each with physical parameters, clock and control step of its own.
+
+    Args:
+        robot: what to simulate.
+        num_envs: number of robots.
+        params: their physical parameters; nominal, if none are given.
+        seed: seeds sensor noise and starting velocities, one stream a robot.
+        config: see `WorldConfig`.
+        engine: makes the physics; MuJoCo by default.
+
+    Raises:
+        SurefootError: no robots, or parameters for another number of robots or outside the allowed bounds.
+    """
+
+    def __init__(
+        self,
+        robot: RobotDescription,
+        num_envs: int,
+        params: PhysicalParams | None = None,
+        seed: int = 0,
+        config: WorldConfig | None = None,
+        engine: EngineFactory = mujoco_engine,
+    ) -> None:
+        if num_envs < 1:
+            raise SurefootError(f"num_envs is {num_envs}; a world needs 1 robot or more")
+        self.robot, self.num_envs, self.config = robot, num_envs, config or WorldConfig()
+        longest = max(robot.allowed["control_latency"][1], robot.allowed["servo_latency"][1])
+        self._history = int(np.ceil(longest / robot.timing.servo_step)) + 2
+        self.drive = new_drive(robot, num_envs, self._history, self.config.thermal_protection)
+        self.engine = engine(robot, self.drive, self.config.threads)
+        self.params = PhysicalParams.nominal(robot, num_envs)
+        legs = len(robot.legs)
+        swing, extension = self.config.rest or robot.rest
+        self.resting_angles = robot.leg_to_motor_angles(np.full(legs, swing), np.full(legs, extension))
+        self._settled = self._settle(engine)
+        self._imu_streams = generators(seed, "imu noise", num_envs)
+        self._start_streams = generators(seed, "start", num_envs)
+        self._noise = np.zeros((num_envs, _NOISE_BLOCK, 2))
+        self._control_steps = np.zeros(num_envs, np.int64)
+        self._diverged = np.zeros(num_envs, np.bool_)
+        self.divergences = 0
+        if params is not None:
+            if params.num_envs != num_envs:
+                raise SurefootError(f"params are for {params.num_envs} robots; the world has {num_envs}")
+            self.set_params(np.arange(num_envs), params)
+        self.reset()
+
+    def _settle(self, engine: EngineFactory) -> Array:
+        """State of one nominal robot after it has settled; every reset starts from it, whatever its parameters."""
+        drive = new_drive(self.robot, 1, self._history, thermal_protection=False)
+        single = engine(self.robot, drive, 1)
+        drive.target[:] = self.resting_angles
+        single.set_state(0, single.initial_state)
+        single.observe(0)
+        record(drive, 0)
+        single.advance(np.array([round(SETTLE_TIME / self.robot.timing.servo_step)]))
+        if single.diverged[0]:
+            raise SurefootError(f"{self.robot.name}: the robot does not settle at its resting pose; check its description")
+        return single.get_state(0)
+
+    def reset(self, index: ArrayLike | None = None) -> Readings:
+        """Bring robots back to the settled resting pose with a fresh history; readings of all robots."""
+        rows = np.arange(self.num_envs) if index is None else np.atleast_1d(np.asarray(index, np.int64))
+        self._reset(rows)
+        self._diverged[rows] = False
+        return self.readings()
+
+    def _reset(self, rows: Index) -> None:
+        drive, config = self.drive, self.config
+        for array in (drive.ticks, drive.torque, drive.motor_torque, drive.energy, drive.hot_time, drive.contact_ticks):
+            array[rows] = 0
+        drive.switched_off[rows] = False
+        drive.target[rows] = self.resting_angles
+        self._control_steps[rows] = 0
+        self._draw_noise(rows)
+        for i in rows:
+            self.engine.set_state(i, self._settled)
+            if config.start_linear_speed or config.start_angular_speed:
+                draw = self._start_streams[i].uniform(-1, 1, 6)
+                self.engine.set_base_velocity(i, config.start_linear_speed * draw[:3], config.start_angular_speed * draw[3:])
+            self.engine.observe(i)
+            record(drive, i)
+
+    def step(self, target: ArrayLike) -> Readings:
+        """Hold motor angles (N, M) [rad] for one control step of each robot; readings at its end.
+
+        A control step that is no whole number of servo steps is kept on average: the k-th one ends at the servo step
+        nearest to k times the control step. A robot that diverges is put back to its resting pose, counted in
+        `divergences` and marked in `truth().diverged`.
+        """
+        self.drive.target[:] = target
+        period = self.params.control_step / self.robot.timing.servo_step
+        before = np.round(self._control_steps * period)
+        self._control_steps += 1
+        self._draw_noise(np.flatnonzero(self._control_steps % _NOISE_BLOCK == 0))
+        self.engine.advance((np.round(self._control_steps * period) - before).astype(np.int64))
+        self._diverged = self.engine.diverged.copy()
+        if self._diverged.any():
+            rows = np.flatnonzero(self._diverged)
+            self.divergences += len(rows)
+            self._reset(rows)
+        return self.readings()
+
+    def readings(self) -> Readings:
+        """What the control computer gets now: `control_latency` old, with bias and noise on roll and pitch."""
+        motors = self.robot.num_motors
+        out = np.empty_like(self.drive.now)
+        read_delayed(self.drive, self.params.control_latency, out)
+        angles = out[:, 2 * motors : 2 * motors + 3]
+        angles[:, :2] += self.params.imu_bias
+        if self.params.imu_noise.any():
+            noise = self._noise[np.arange(self.num_envs), self._control_steps % _NOISE_BLOCK]
+            angles[:, :2] += noise * self.params.imu_noise[:, None]
+        return Readings(
+            time=self.drive.ticks * self.robot.timing.servo_step,
+            roll_pitch_yaw=angles,
+            angular_velocity_base=out[:, 2 * motors + 3 :],
+            motor_angle=out[:, :motors],
+            motor_velocity=out[:, motors : 2 * motors],
+        )
+
+    def _draw_noise(self, rows: Index) -> None:
+        """Draw the next block of standard normal numbers for robots that have noise."""
+        for i in rows[self.params.imu_noise[rows] > 0]:
+            self._noise[i] = self._imu_streams[i].standard_normal((_NOISE_BLOCK, 2))
+
+    def truth(self) -> Truth:
+        """The true state of now, and what happened over the last control step."""
+        base, motors = self.engine.base(), self.robot.num_motors
+        now = self.drive.now
+        ticks = np.maximum(np.round(self.params.control_step / self.robot.timing.servo_step), 1)
+        return Truth(
+            base_position_world=base[:, :3],
+            base_quat_world=base[:, 3:7],
+            base_velocity_world=base[:, 7:],
+            roll_pitch_yaw=now[:, 2 * motors : 2 * motors + 3].copy(),
+            motor_angle=now[:, :motors].copy(),
+            motor_velocity=now[:, motors : 2 * motors].copy(),
+            motor_torque=self.drive.motor_torque.copy(),
+            energy=self.drive.energy.copy(),
+            foot_contact=np.minimum(self.drive.contact_ticks / ticks[:, None], 1.0),
+            diverged=self._diverged.copy(),
+        )
+
+    def foot_positions(self) -> Array:
+        """Centres of the rounded feet in the world frame [m], (N, L, 3)."""
+        return self.engine.foot_positions()
+
+    def set_params(self, index: ArrayLike, params: PhysicalParams) -> None:
+        """Give the robots at `index` other physical parameters, one row each; best followed by their reset.
+
+        Raises:
+            SurefootError: a value outside what the robot's description allows.
+        """
+        rows = np.atleast_1d(np.asarray(index, np.int64))
+        for name in PhysicalParams.names():
+            values = getattr(params, name)
+            self.robot.check_allowed(name, values)
+            getattr(self.params, name)[rows] = values
+        set_drive_params(self.drive, rows, params)
+        for row, i in enumerate(rows):
+            state = self.engine.get_state(i)
+            self.engine.set_params(i, params, row)
+            self.engine.set_state(i, state)
+
+    def push(self, force_world: ArrayLike) -> None:
+        """Set the force (N, 3) [N] on each base's centre of mass from now on, in the world frame."""
+        for i, force in enumerate(np.asarray(force_world, float)):
+            self.engine.set_force(i, force)
+
+    def get_state(self) -> dict[str, Any]:
+        """Everything that decides how the world goes on, for an exact resume."""
+        return {
+            "engine": np.array([self.engine.get_state(i) for i in range(self.num_envs)]),
+            "drive": {name: array.copy() for name, array in self.drive._asdict().items()},
+            "params": {name: getattr(self.params, name).copy() for name in PhysicalParams.names()},
+            "control_steps": self._control_steps.copy(),
+            "noise": self._noise.copy(),
+            "streams": [stream.bit_generator.state for stream in self._imu_streams + self._start_streams],
+            "divergences": self.divergences,
+        }
+
+    def set_state(self, state: dict[str, Any]) -> None:
+        """Go on from `get_state`, exactly."""
+        self.set_params(np.arange(self.num_envs), replace(self.params, **state["params"]))
+        for name, array in self.drive._asdict().items():
+            array[...] = state["drive"][name]
+        for i in range(self.num_envs):
+            self.engine.set_state(i, state["engine"][i])
+        self._control_steps[:] = state["control_steps"]
+        self._noise[:] = state["noise"]
+        for stream, saved in zip(self._imu_streams + self._start_streams, state["streams"], strict=True):
+            stream.bit_generator.state = saved
+        self.divergences = state["divergences"]

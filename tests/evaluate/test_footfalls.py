@@ -1,0 +1,240 @@
+"""Footfalls: known gaits come back with their names, periods, duty factors and phases."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from surefoot.errors import SurefootError
+from surefoot.evaluate.footfalls import FEET, analyze_footfalls, classify, stance_intervals, stride_period
+
+STEP = 0.006
+PHASES = {  # by FEET: front_left, back_left, front_right, back_right
+    "trot": (0.0, 0.5, 0.5, 0.0),
+    "pace": (0.0, 0.0, 0.5, 0.5),
+    "bound": (0.0, 0.5, 0.0, 0.5),
+    "pronk": (0.0, 0.0, 0.0, 0.0),
+    "walk": (0.0, 0.75, 0.5, 0.25),  # lateral sequence: each hind foot, then the fore foot of its side
+    "gallop": (0.0, 0.5, 0.1, 0.6),
+}
+
+
+def contacts(
+    phases: tuple[float, ...],
+    duty: float = 0.4,
+    period: float = 0.5,
+    seconds: float = 6.0,
+    jitter: float = 0.0,
+    seed: int = 0,
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return contact fractions (T, 4) and times of a gait; jitter is the sd of touchdowns in strides."""
+    rng = np.random.default_rng(seed)
+    fine = np.arange(round(seconds / 0.001)) * 0.001 + 0.0005  # servo steps
+    touch = np.zeros((len(fine), len(phases)))
+    for foot, phase in enumerate(phases):
+        for stride in range(-1, math.ceil(seconds / period) + 1):
+            start = (stride + phase + jitter * rng.normal()) * period
+            touch[(fine >= start) & (fine < start + duty * period), foot] = 1.0
+    whole = len(fine) // 6
+    fractions = touch[: whole * 6].reshape(whole, 6, -1).mean(axis=1)
+    return fractions, STEP * np.arange(1, whole + 1)
+
+
+@pytest.mark.parametrize("gait", PHASES)
+@pytest.mark.parametrize("period", [0.15, 0.3, 0.5, 0.9])
+def test_known_gaits_come_back(gait: str, period: float) -> None:
+    duty = 0.7 if gait == "walk" else 0.4
+    feet = analyze_footfalls(*contacts(PHASES[gait], duty, period), FEET)
+    assert feet.gait == gait, feet.reason
+    assert feet.reason == ""
+    assert feet.stride_period == pytest.approx(period, rel=0.01)
+    for foot, phase in zip(FEET, PHASES[gait], strict=True):
+        assert math.remainder(feet.phase[foot] - phase, 1.0) == pytest.approx(0.0, abs=0.01)
+        assert 0.0 <= feet.phase[foot] < 1.0
+        assert feet.concentration[foot] > 0.99
+        assert feet.duty_factor[foot] == pytest.approx(duty, abs=0.01)
+        assert feet.stance[foot] == pytest.approx(duty * period, abs=0.002)
+
+
+@pytest.mark.parametrize("gait", PHASES)
+@pytest.mark.parametrize("seed", range(5))
+def test_names_survive_jitter(gait: str, seed: int) -> None:
+    duty = 0.7 if gait == "walk" else 0.35
+    feet = analyze_footfalls(*contacts(PHASES[gait], duty, 0.3, jitter=0.03, seed=seed), FEET)
+    assert feet.gait == gait, feet.reason
+
+
+@pytest.mark.parametrize("gait", PHASES)
+def test_names_survive_chatter(gait: str) -> None:
+    duty = 0.7 if gait == "walk" else 0.4
+    touch, time = contacts(PHASES[gait], duty, 0.4)
+    rng = np.random.default_rng(1)
+    noisy = np.where(rng.random(touch.shape) < 0.05, 1.0 - touch, touch)
+    feet = analyze_footfalls(noisy, time, FEET)
+    assert feet.gait == gait, feet.reason
+    assert feet.stride_period == pytest.approx(0.4, rel=0.02)
+
+
+def test_names_go_by_leg_name_not_by_place() -> None:
+    touch, time = contacts(PHASES["pace"])
+    order = [2, 1, 3, 0]
+    feet = analyze_footfalls(touch[:, order], time, [FEET[i] for i in order])
+    assert feet.gait == "pace"
+    assert feet.phase["front_right"] == pytest.approx(0.5, abs=0.01)
+    assert feet.phase["back_left"] == pytest.approx(0.0, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ("phases", "gait", "pattern"),
+    [
+        ((0.0, 0.6, 0.1, 0.7), "gallop", "transverse gallop"),
+        ((0.0, 0.6, 0.1, 0.5), "gallop", "rotary gallop"),
+        ((0.0, 0.5, 0.2, 0.5), "gallop", "half-bound"),
+        ((0.0, 0.4, 0.3, 0.7), "gallop", "transverse gallop"),  # the three beats of a canter
+        ((0.0, 0.95, 0.5, 0.45), "pace", "running pace"),
+        ((0.0, 0.25, 0.5, 0.75), "other", "diagonal-sequence run"),
+        ((0.0, 0.75, 0.5, 0.25), "other", "lateral-sequence run"),
+        ((0.0, 0.5, 0.5, 0.5), "other", "other"),
+        ((0.0, 0.0, 0.2, 0.2), "other", "other"),
+    ],
+)
+def test_patterns(phases: tuple[float, ...], gait: str, pattern: str) -> None:
+    feet = analyze_footfalls(*contacts(phases, duty=0.35), FEET)
+    assert (feet.gait, feet.pattern) == (gait, pattern)
+    assert bool(feet.reason) == (gait == "other")
+
+
+def test_walking_and_running_go_by_duty_factor() -> None:
+    assert analyze_footfalls(*contacts(PHASES["trot"], duty=0.6), FEET).pattern == "walking trot"
+    assert analyze_footfalls(*contacts(PHASES["trot"], duty=0.4), FEET).pattern == "running trot"
+    feet = analyze_footfalls(*contacts(PHASES["gallop"], duty=0.75), FEET)
+    assert feet.gait == "other"
+    assert "duty factor 0.75" in feet.reason
+
+
+def test_classify_does_not_care_where_the_cycle_starts() -> None:
+    for gait, phases in PHASES.items():
+        for shift in np.linspace(0, 1, 13):
+            moved = {f: (p + shift) % 1.0 for f, p in zip(FEET, phases, strict=True)}
+            assert classify(moved, 0.55)[0] == gait
+
+
+@pytest.mark.parametrize("foot", range(4))
+def test_a_foot_that_never_touches_is_named(foot: int) -> None:
+    touch, time = contacts(PHASES["trot"])
+    touch[:, foot] = 0.0
+    feet = analyze_footfalls(touch, time, FEET)
+    assert feet.gait == "other"
+    assert feet.reason == f"{FEET[foot]} never touches down"
+    assert feet.duty_factor[FEET[foot]] == 0.0
+    assert math.isnan(feet.phase[FEET[foot]])
+    assert feet.stride_period == pytest.approx(0.5, rel=0.01)
+
+
+@pytest.mark.parametrize("foot", range(4))
+def test_a_foot_always_in_stance_is_named(foot: int) -> None:
+    touch, time = contacts(PHASES["trot"])
+    touch[:, foot] = 1.0
+    feet = analyze_footfalls(touch, time, FEET)
+    assert feet.gait == "other"
+    assert feet.reason == f"{FEET[foot]} never leaves the ground"
+    assert feet.duty_factor[FEET[foot]] == pytest.approx(1.0)
+
+
+def test_a_foot_that_skips_or_doubles_is_named() -> None:
+    touch, time = contacts(PHASES["trot"])
+    skipping = touch.copy()
+    skipping[time % 1.0 > 0.5, 1] = 0.0
+    assert "back_left touches down 0.5" in analyze_footfalls(skipping, time, FEET).reason
+    twice, _ = contacts(PHASES["trot"], period=0.25)
+    touch[:, 1] = twice[:, 1]
+    assert "back_left touches down 2" in analyze_footfalls(touch, time, FEET).reason
+
+
+def test_random_feet_have_no_gait() -> None:
+    for seed in range(10):
+        feet = analyze_footfalls(*contacts(PHASES["trot"], jitter=0.3, seed=seed), FEET)
+        assert feet.gait == "other"
+        assert feet.reason
+
+
+def test_a_foot_that_drifts_has_low_concentration() -> None:
+    touch, time = contacts(PHASES["trot"])
+    slower, _ = contacts(PHASES["trot"], period=0.56)
+    touch[:, 3] = slower[:, 3]
+    feet = analyze_footfalls(touch, time, FEET)
+    assert feet.gait == "other"
+    assert "back_right has no steady phase" in feet.reason
+    assert feet.concentration["back_right"] < 0.5 < feet.concentration["back_left"]
+
+
+def test_standing_and_lying_have_no_gait() -> None:
+    time = STEP * np.arange(1, 1001)
+    for value in (0.0, 1.0):
+        feet = analyze_footfalls(np.full((1000, 4), value), time, FEET)
+        assert feet.gait == "other"
+        assert math.isnan(feet.stride_period)
+        assert feet.duty_factor["front_left"] == pytest.approx(value)
+
+
+def test_the_transient_does_not_count() -> None:
+    touch, time = contacts(PHASES["bound"], period=0.4)
+    start, _ = contacts(PHASES["pace"], period=0.23)
+    touch[time < 1.0] = start[time < 1.0]
+    feet = analyze_footfalls(touch, time, FEET)
+    assert feet.gait == "bound"
+    assert feet.window == (1.0, pytest.approx(6.0))
+
+
+def test_short_episodes() -> None:
+    feet = analyze_footfalls(*contacts(PHASES["trot"], period=0.3, seconds=1.8), FEET)
+    assert feet.gait == "trot"
+    feet = analyze_footfalls(*contacts(PHASES["trot"], period=0.5, seconds=1.4), FEET)
+    assert feet.gait == "other"
+    for steps in (1, 2, 3, 10):
+        feet = analyze_footfalls(np.ones((steps, 4)), STEP * np.arange(1, steps + 1), FEET)
+        assert feet.gait == "other"
+        assert feet.reason
+
+
+def test_unmeasured_contacts_say_so() -> None:
+    touch, time = contacts(PHASES["trot"])
+    feet = analyze_footfalls(np.full_like(touch, np.nan), time, FEET)
+    assert feet.reason == "foot contacts were not measured"
+    assert math.isnan(feet.duty_factor["back_left"])
+
+
+def test_other_feet_have_no_named_gait_but_numbers() -> None:
+    touch, time = contacts((0.0, 0.5))
+    feet = analyze_footfalls(touch, time, ["front_left", "right"])
+    assert feet.gait == "other"
+    assert feet.phase["right"] == pytest.approx(0.5, abs=0.01)
+
+
+def test_stance_intervals_by_hand() -> None:
+    time = np.arange(1, 11) * 0.01
+    contact = [0, 0.25, 1, 1, 0.75, 0, 0, 1, 0, 0]
+    # Down from .0175 (last quarter of the second step) to .0475 (three quarters of the fifth); then one step.
+    assert stance_intervals(contact, time) == (pytest.approx((0.0175, 0.0475)), pytest.approx((0.07, 0.08)))
+    assert stance_intervals(contact, time, debounce=0.02) == (pytest.approx((0.0175, 0.0475)),)
+    assert stance_intervals(contact, time, debounce=0.03) == (pytest.approx((0.0175, 0.08)),)
+    assert stance_intervals([1] * 10, time, debounce=0.03) == (pytest.approx((0.0, 0.1)),)
+    assert stance_intervals([0] * 10, time) == ()
+
+
+def test_stride_period_is_not_halved_by_feet_in_turn() -> None:
+    touch, _ = contacts(PHASES["walk"], duty=0.5, period=0.6)
+    assert stride_period(touch, STEP) == pytest.approx(0.6, rel=0.01)
+
+
+def test_what_does_not_fit_is_refused() -> None:
+    touch, time = contacts(PHASES["trot"])
+    with pytest.raises(SurefootError, match=r"contact \(1000, 4\) must be"):
+        analyze_footfalls(touch, time, FEET[:3])
+    with pytest.raises(SurefootError, match="strictly increasing"):
+        analyze_footfalls(touch, time[::-1], FEET)
+    with pytest.raises(SurefootError, match="must differ"):
+        analyze_footfalls(touch, time, ["a", "a", "b", "c"])

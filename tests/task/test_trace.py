@@ -1,0 +1,232 @@
+"""EpisodeTrace: what is checked, and that a file is whole or refused."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from surefoot.errors import SurefootError
+from surefoot.task.trace import SCHEMA, EpisodeTrace
+
+LEGS = ["front_left", "back_left", "front_right", "back_right"]
+
+
+def trace_arguments(steps: int = 5, motors: int = 8, observations: int = 3) -> dict[str, Any]:
+    """Return the arguments of a valid trace of random numbers."""
+    rng = np.random.default_rng(0)
+    legs = len(LEGS)
+    quat = np.tile([1.0, 0.0, 0.0, 0.0], (steps + 1, 1))
+    return {
+        "time": 0.006 * np.arange(1, steps + 1),
+        "base_position_world": rng.normal(size=(steps + 1, 3)),
+        "base_quat_world": quat,
+        "roll_pitch_yaw": rng.normal(size=(steps, 3)),
+        "angular_velocity_base": rng.normal(size=(steps, 3)),
+        "motor_angle": rng.normal(size=(steps, motors)),
+        "motor_velocity": rng.normal(size=(steps, motors)),
+        "motor_torque": rng.normal(size=(steps, motors)),
+        "observation": rng.normal(size=(steps, observations)),
+        "feedback": rng.normal(size=(steps, 2 * legs)),
+        "target": rng.normal(size=(steps, motors)),
+        "energy": rng.random(steps),
+        "foot_contact": rng.random((steps, legs)),
+        "meta": {
+            "robot": "minitaur",
+            "world": "mujoco",
+            "policy": "trot",
+            "seed": 3,
+            "control_step": 0.006,
+            "leg_names": LEGS,
+            "motor_names": [f"m{i}" for i in range(motors)],
+            "observation_names": [f"o{i}" for i in range(observations)],
+            "params": {"mass": np.array([7.473]), "count": np.int64(2)},
+            "ended": "time",
+        },
+    }
+
+
+def rewrite(path: Path, **changed: Any) -> None:
+    """Write the .npz file again with some of its arrays changed (None drops one)."""
+    with np.load(path) as file:
+        arrays = dict(file)
+    arrays.update(changed)
+    np.savez_compressed(path, **{k: v for k, v in arrays.items() if v is not None})
+
+
+@pytest.fixture
+def saved(tmp_path: Path) -> Path:
+    """Return the path of a good trace file."""
+    return EpisodeTrace(**trace_arguments(steps=200)).save(tmp_path / "episode.npz")
+
+
+def test_a_saved_trace_comes_back_bit_for_bit(tmp_path: Path) -> None:
+    trace = EpisodeTrace(**trace_arguments())
+    back = EpisodeTrace.load(trace.save(tmp_path / "deep" / "er" / "episode.npz"))
+    for name in trace_arguments():
+        if name != "meta":
+            np.testing.assert_array_equal(getattr(trace, name), getattr(back, name))
+    assert back.meta == trace.meta
+    assert np.isnan(back.foot_position_world).all()
+    assert back.foot_position_world.shape == (5, 4, 3)
+
+
+def test_meta_gets_defaults_and_plain_json_types() -> None:
+    meta = EpisodeTrace(**trace_arguments()).meta
+    assert meta["schema"] == SCHEMA
+    assert meta["energy_weight"] == 0.008
+    assert meta["max_steps"] == 1000
+    assert meta["params"] == {"mass": [7.473], "count": 2}
+    json.dumps(meta)
+
+
+def test_properties() -> None:
+    arguments = trace_arguments()
+    arguments["meta"]["ended"] = "fall"
+    trace = EpisodeTrace(**arguments)
+    assert trace.fell
+    assert trace.num_steps == 5
+    assert trace.duration == pytest.approx(0.030)
+    assert trace.leg_names == tuple(LEGS)
+
+
+def test_arrays_are_copies_and_read_only() -> None:
+    arguments = trace_arguments()
+    trace = EpisodeTrace(**arguments)
+    arguments["energy"][0] = 99.0
+    assert trace.energy[0] < 1.0
+    with pytest.raises(ValueError, match="read-only"):
+        trace.energy[0] = 0.0
+
+
+def test_what_a_robot_cannot_know_may_be_nan() -> None:
+    arguments = trace_arguments()
+    for name in ("base_position_world", "base_quat_world", "foot_contact"):
+        arguments[name] = np.full_like(arguments[name], np.nan)
+    EpisodeTrace(**arguments)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "match"),
+    [
+        ("motor_angle", np.zeros((5, 7)), r"motor_angle has shape \(5, 7\), but must have \(5, 8\)"),
+        ("base_position_world", np.zeros((5, 3)), r"must have \(6, 3\)"),
+        ("feedback", np.zeros((5, 4)), r"must have \(5, 8\)"),
+        ("time", np.array([0.1, 0.2, 0.2, 0.3, 0.4]), "strictly increasing"),
+        ("time", np.array([0.0, 0.2, 0.3, 0.4, 0.5]), "strictly increasing"),
+        ("energy", np.array([1.0, 1.0, np.nan, 1.0, 1.0]), "energy row 2 holds nan"),
+        ("energy", -np.ones(5), "0 or above"),
+        ("base_position_world", np.full((6, 3), np.inf), "finite or NaN"),
+        ("base_quat_world", np.ones((6, 4)), "unit quaternions"),
+        ("foot_contact", np.full((5, 4), 1.5), "0 to 1"),
+    ],
+)
+def test_bad_arrays_are_refused(name: str, value: np.ndarray, match: str) -> None:
+    with pytest.raises(SurefootError, match=match):
+        EpisodeTrace(**{**trace_arguments(), name: value})
+
+
+@pytest.mark.parametrize(
+    ("change", "match"),
+    [
+        ({"ended": "tired"}, "time, fall, fault, stopped"),
+        ({"schema": 99}, "schema 99"),
+        ({"control_step": 0.0}, "control_step"),
+        ({"energy_weight": "much"}, "energy_weight"),
+        ({"leg_names": ["a", "a", "b", "c"]}, "leg_names"),
+        ({"params": {"f": lambda: None}}, "JSON"),
+    ],
+)
+def test_bad_meta_is_refused(change: dict[str, Any], match: str) -> None:
+    arguments = trace_arguments()
+    arguments["meta"] |= change
+    with pytest.raises(SurefootError, match=match):
+        EpisodeTrace(**arguments)
+
+
+def test_missing_meta_is_named() -> None:
+    arguments = trace_arguments()
+    del arguments["meta"]["world"]
+    with pytest.raises(SurefootError, match="lacks world"):
+        EpisodeTrace(**arguments)
+
+
+def test_an_episode_without_steps_is_refused() -> None:
+    with pytest.raises(SurefootError, match="at least one control step"):
+        EpisodeTrace(**trace_arguments(steps=0))
+
+
+def test_a_file_cut_off_anywhere_is_refused(saved: Path) -> None:
+    whole = saved.read_bytes()
+    for size in np.linspace(0, len(whole) - 1, 40).astype(int):
+        saved.write_bytes(whole[:size])
+        with pytest.raises(SurefootError, match=r"episode\.npz: (cut off|not an)"):
+            EpisodeTrace.load(saved)
+
+
+def test_a_flipped_byte_never_passes_as_other_numbers(saved: Path) -> None:
+    whole = saved.read_bytes()
+    good = EpisodeTrace.load(saved)
+    for at in np.linspace(0, len(whole) - 1, 150).astype(int):
+        damaged = bytearray(whole)
+        damaged[at] ^= 0x55
+        saved.write_bytes(damaged)
+        try:
+            trace = EpisodeTrace.load(saved)
+        except SurefootError as error:
+            assert "episode.npz" in str(error)  # noqa: PT017
+            assert "\n" not in str(error)  # noqa: PT017
+        else:  # a byte that carries nothing, such as a date in the archive
+            np.testing.assert_array_equal(trace.motor_angle, good.motor_angle)
+            assert trace.meta == good.meta
+
+
+def test_other_files_are_refused(tmp_path: Path, saved: Path) -> None:
+    with pytest.raises(SurefootError, match=r"none\.npz: cannot be read: No such file"):
+        EpisodeTrace.load(tmp_path / "none.npz")
+    text = tmp_path / "text.npz"
+    text.write_text("hello")
+    with pytest.raises(SurefootError, match=r"not an episode trace: not an \.npz file"):
+        EpisodeTrace.load(text)
+    other = tmp_path / "other.npz"
+    np.savez(other, x=np.zeros(3))
+    with pytest.raises(SurefootError, match="not an episode trace: 'meta'"):
+        EpisodeTrace.load(other)
+    rewrite(saved, energy=None)
+    with pytest.raises(SurefootError, match="missing or unknown energy"):
+        EpisodeTrace.load(saved)
+
+
+def test_another_schema_is_refused_by_name(saved: Path) -> None:
+    meta = EpisodeTrace.load(saved).meta
+    rewrite(saved, meta=np.array(json.dumps({**meta, "schema": 2})))
+    with pytest.raises(SurefootError, match="schema 2, but surefoot reads schema 1"):
+        EpisodeTrace.load(saved)
+
+
+def test_pickles_are_never_opened(saved: Path) -> None:
+    rewrite(saved, energy=np.array([{"a": 1}], dtype=object))
+    with pytest.raises(SurefootError, match="not an episode trace"):
+        EpisodeTrace.load(saved)
+
+
+def test_a_failed_save_leaves_the_old_file(saved: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    before = saved.read_bytes()
+    trace = EpisodeTrace(**trace_arguments())
+
+    def out_of_space(*args: object, **kwargs: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(np, "savez_compressed", out_of_space)
+    with pytest.raises(OSError, match="No space"):
+        trace.save(saved)
+    assert saved.read_bytes() == before
+    assert [p.name for p in saved.parent.iterdir()] == ["episode.npz"]
+
+
+def test_the_name_must_end_in_npz(tmp_path: Path) -> None:
+    with pytest.raises(SurefootError, match=r"must end in \.npz"):
+        EpisodeTrace(**trace_arguments()).save(tmp_path / "episode.json")
