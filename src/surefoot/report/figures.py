@@ -1,7 +1,7 @@
 """Figures from traces and runs: footfalls, learning curves, one episode.
 
-Every function takes data, writes one PNG and returns its path. matplotlib is imported when the first figure is
-drawn, and only its Agg canvas is used: no display, no global state, nothing that reads the user's own style.
+Every function takes data, writes one PNG and returns its path. matplotlib is imported when the first figure
+is drawn, and only its Agg canvas is used: no display, no global state, nothing of the user's own style.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 DPI = 130
 INK, QUIET, GRID = "#22272e", "#6b7480", "#e3e7eb"
-# By leg: fore feet blue, hind feet orange, the left side dark and the right side light. Safe for colour-blind eyes.
+# Fore feet blue, hind feet orange, the left side dark and the right side light: safe for colour-blind eyes.
 LEG_COLORS = {
     "front_left": "#1f5fa8",
     "front_right": "#6aa5e0",
@@ -121,7 +121,9 @@ def learning_curve(
         curves["return_std"] = spread
     for name, curve in curves.items():
         if count.ndim != 1 or count.size == 0 or curve.shape != count.shape:
-            raise SurefootError(f"learning curve: {name} {curve.shape} must fit steps {count.shape}, not empty")
+            raise SurefootError(
+                f"learning curve: {name} {curve.shape} must fit steps {count.shape}, not empty"
+            )
     with _figure(path, (8.4, 3.3), columns=2) as (figure, (left, right)):
         scale, unit = (1e6, "million ") if count.max() >= 2e5 else (1.0, "")
         _curve(left, count / scale, curves["return_mean"], BLUE, spread)
@@ -215,13 +217,14 @@ def _figure(
     from matplotlib import rc_context
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
+    from matplotlib.layout_engine import ConstrainedLayoutEngine
 
     path = Path(path)
     if path.suffix.lower() != ".png":
         raise SurefootError(f"figure {path}: the name must end in .png")
     with rc_context(), matplotlib.style.context(["default", _STYLE]):
-        figure = Figure(figsize=size, dpi=DPI, layout="constrained")
-        figure.get_layout_engine().set(w_pad=0.1, h_pad=0.08, wspace=0.03, hspace=0.03)
+        padding = ConstrainedLayoutEngine(w_pad=0.1, h_pad=0.08, wspace=0.03, hspace=0.03)
+        figure = Figure(figsize=size, dpi=DPI, layout=padding)
         FigureCanvasAgg(figure)
         axes = figure.subplots(rows, columns, squeeze=False)
         yield figure, list(axes.flat)
@@ -266,7 +269,9 @@ def _curve(
     marker = "o" if known.sum() <= 30 else ""
     ax.plot(x[known], y[known], color=color, marker=marker, markersize=3.0)
     if spread is not None:
-        ax.fill_between(x[known], (y - spread)[known], (y + spread)[known], color=color, alpha=0.18, linewidth=0)
+        ax.fill_between(
+            x[known], (y - spread)[known], (y + spread)[known], color=color, alpha=0.18, linewidth=0
+        )
 
 
 def _raw_and_smooth(

@@ -18,8 +18,9 @@ from numba import njit
 from numpy.typing import NDArray
 
 from surefoot.robot import PhysicalParams, RobotDescription
+from surefoot.world.contact import foot_force_kernel
 from surefoot.world.drive import Drive, record, roll_pitch_yaw, servo_tick
-from surefoot.world.mujoco_model import build_model, foot_geoms, resting_qpos, set_contact_compliance
+from surefoot.world.mujoco_model import build_model, foot_geoms, resting_qpos
 from surefoot.world.native import call_step, doubles, function_address
 
 Array = NDArray[np.float64]
@@ -35,20 +36,30 @@ _SPEED_LIMIT = 1e5
 class _Native(NamedTuple):
     """Addresses and layout that the compiled loop works on."""
 
-    step: int
+    step1: int
+    step2: int
     model: Index
     data: Index
     qpos: Index
     qvel: Index
     applied: Index
+    force: Index
     geom_xpos: Index
+    body_xipos: Index
+    body_cvel: Index
+    subtree_com: Index
     motor_qpos: Index
     motor_dof: Index
     motor_sign: Array
     base_qpos: int
     base_dof: int
+    base_body: int
     foot_geom: Index
+    foot_body: Index
     foot_radius: Array
+    friction: Array
+    stretch: Array
+    contact: Array
     num_qpos: int
     num_qvel: int
 
@@ -75,13 +86,49 @@ def _observe(native: _Native, drive: Drive, i: int) -> bool:
     return True
 
 
+@njit(cache=True)
+def _feet_on_ground(native: _Native, drive: Drive, i: int, velocity: Array, force: Array) -> None:
+    """Apply the ground's forces on robot `i`'s feet, for positions and velocities that MuJoCo has just computed."""
+    xpos, xipos = doubles(native.geom_xpos[i]), doubles(native.body_xipos[i])
+    cvel, com = doubles(native.body_cvel[i]), doubles(native.subtree_com[i])
+    applied = doubles(native.force[i])
+    stiffness, damping = native.contact
+    root = 3 * native.base_body
+    for leg in range(len(native.foot_geom)):
+        g, b = 3 * native.foot_geom[leg], native.foot_body[leg]
+        radius = native.foot_radius[leg]
+        depth = radius - xpos[g + 2]
+        if depth > 0.0:
+            # MuJoCo's cvel is the velocity of the body where the whole robot's centre of mass is.
+            x, y, z = xpos[g] - com[root], xpos[g + 1] - com[root + 1], xpos[g + 2] - radius - com[root + 2]
+            wx, wy, wz = cvel[6 * b], cvel[6 * b + 1], cvel[6 * b + 2]
+            velocity[0] = cvel[6 * b + 3] + wy * z - wz * y
+            velocity[1] = cvel[6 * b + 4] + wz * x - wx * z
+            velocity[2] = cvel[6 * b + 5] + wx * y - wy * x
+        foot_force_kernel(
+            depth, velocity, native.stretch[i, leg], native.friction[i], stiffness, damping, drive.limits[3], force
+        )
+        if force[2] > 0.0:
+            drive.contact_ticks[i, leg] += 1.0
+        # MuJoCo takes a force at the body's centre of mass and a torque.
+        x, y, z = xpos[g] - xipos[3 * b], xpos[g + 1] - xipos[3 * b + 1], xpos[g + 2] - radius - xipos[3 * b + 2]
+        for k in range(3):
+            applied[6 * b + k] = force[k]
+        applied[6 * b + 3] = y * force[2] - z * force[1]
+        applied[6 * b + 4] = z * force[0] - x * force[2]
+        applied[6 * b + 5] = x * force[1] - y * force[0]
+
+
 @njit(cache=True, nogil=True)
-def _advance(native: _Native, drive: Drive, servo_steps: Index, diverged: NDArray[np.bool_], first: int, last: int) -> None:
+def _advance(
+    native: _Native, drive: Drive, servo_steps: Index, diverged: NDArray[np.bool_], first: int, last: int
+) -> None:
     """Run robots first to last (not included) for their number of servo steps."""
+    velocity, force = np.zeros(3), np.zeros(3)
     for i in range(first, last):
         drive.energy[i] = 0.0
         drive.contact_ticks[i] = 0.0
-        applied, xpos = doubles(native.applied[i]), doubles(native.geom_xpos[i])
+        applied = doubles(native.applied[i])
         for _ in range(servo_steps[i]):
             if diverged[i]:
                 break
@@ -93,15 +140,14 @@ def _advance(native: _Native, drive: Drive, servo_steps: Index, diverged: NDArra
                 applied[native.motor_dof[m]] = native.motor_sign[m] * torque
             if diverged[i]:
                 break
-            call_step(native.step, native.model[i], native.data[i])
+            call_step(native.step1, native.model[i], native.data[i])
+            _feet_on_ground(native, drive, i, velocity, force)
+            call_step(native.step2, native.model[i], native.data[i])
             drive.ticks[i] += 1
             if not _observe(native, drive, i):
                 diverged[i] = True
                 break
             record(drive, i)
-            for leg in range(len(native.foot_geom)):
-                if xpos[3 * native.foot_geom[leg] + 2] < native.foot_radius[leg]:
-                    drive.contact_ticks[i, leg] += 1.0
 
 
 @njit(cache=True)
@@ -150,30 +196,43 @@ class MujocoEngine:
             return np.array([getattr(data, field).ctypes.data for data in self.datas], np.int64)
 
         return _Native(
-            step=function_address("mj_step"),
+            step1=function_address("mj_step1"),
+            step2=function_address("mj_step2"),
             model=np.array([item._address for item in self.models], np.int64),
             data=np.array([item._address for item in self.datas], np.int64),
             qpos=addresses("qpos"),
             qvel=addresses("qvel"),
             applied=addresses("qfrc_applied"),
+            force=addresses("xfrc_applied"),
             geom_xpos=addresses("geom_xpos"),
+            body_xipos=addresses("xipos"),
+            body_cvel=addresses("cvel"),
+            subtree_com=addresses("subtree_com"),
             motor_qpos=np.array([joint.qposadr[0] for joint in joints], np.int64),
             motor_dof=np.array([joint.dofadr[0] for joint in joints], np.int64),
             motor_sign=robot.motor_sign.astype(np.float64),
             base_qpos=int(model.jnt_qposadr[free]),
             base_dof=int(model.jnt_dofadr[free]),
+            base_body=int(self._base),
             foot_geom=self._feet,
+            foot_body=model.geom_bodyid[self._feet].astype(np.int64),
             foot_radius=model.geom_size[self._feet, 0].copy(),
+            friction=np.full(len(self.datas), robot.contact.friction),
+            stretch=np.zeros((len(self.datas), len(self._feet), 2)),
+            contact=np.array([robot.contact.stiffness, robot.contact.damping]),
             num_qpos=model.nq,
             num_qvel=model.nv,
         )
 
     def _resting_state(self) -> Array:
-        state = np.empty(mujoco.mj_stateSize(self._nominal, _STATE))
         mujoco.mj_resetData(self._nominal, self._scratch)
         self._scratch.qpos[:] = resting_qpos(self.robot, self._nominal)
-        mujoco.mj_getState(self._nominal, self._scratch, state, _STATE)
-        return state
+        return self._read(self._nominal, self._scratch, np.zeros_like(self._native.stretch[0]))
+
+    def _read(self, model: mujoco.MjModel, data: mujoco.MjData, stretch: Array) -> Array:
+        state = np.empty(mujoco.mj_stateSize(model, _STATE))
+        mujoco.mj_getState(model, data, state, _STATE)
+        return np.concatenate([state, stretch.ravel()])
 
     def advance(self, servo_steps: Index) -> None:
         """Run every robot for its number of servo steps (N,); those that diverge stop and are marked."""
@@ -198,13 +257,13 @@ class MujocoEngine:
 
     def get_state(self, i: int) -> Array:
         """Everything that decides robot `i`'s further motion in the engine."""
-        state = np.empty_like(self.initial_state)
-        mujoco.mj_getState(self.models[i], self.datas[i], state, _STATE)
-        return state
+        return self._read(self.models[i], self.datas[i], self._native.stretch[i])
 
     def set_state(self, i: int, state: Array) -> None:
         """Put robot `i` into a state from `get_state`."""
-        mujoco.mj_setState(self.models[i], self.datas[i], state, _STATE)
+        stretch = self._native.stretch[i]
+        mujoco.mj_setState(self.models[i], self.datas[i], state[: -stretch.size], _STATE)
+        stretch[...] = state[-stretch.size :].reshape(stretch.shape)
         self.diverged[i] = False
 
     def set_base_velocity(self, i: int, linear_world: Array, angular_base: Array) -> None:
@@ -224,10 +283,9 @@ class MujocoEngine:
         model.body_mass[legs] = nominal.body_mass[legs] * params.leg_mass_ratio[row]
         model.body_inertia[self._base] = nominal.body_inertia[self._base] * params.base_inertia_ratio[row]
         model.body_inertia[legs] = nominal.body_inertia[legs] * params.leg_inertia_ratio[row]
-        model.geom_friction[self._feet, 0] = params.contact_friction[row]
+        self._native.friction[i] = params.contact_friction[row]
         # Quantities that MuJoCo derives from the masses, with a state of no robot's.
         mujoco.mj_setConst(model, self._scratch)
-        set_contact_compliance(self.robot, model)
 
     def base(self) -> Array:
         """Base position [m], quaternion (w x y z) and velocity [m/s], all in the world frame, (N, 10)."""

@@ -1,0 +1,222 @@
+"""Video: a real MP4 comes out, decodes again and shows a robot that moves; what is near hides the rest."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from surefoot.errors import SurefootError
+
+imageio_ffmpeg = pytest.importorskip("imageio_ffmpeg")
+pytest.importorskip("PIL.Image")
+
+from surefoot.report.video import Camera, Shape, filmstrip, render_frame, render_video  # noqa: E402
+
+RED, GREEN, BLUE = (230, 30, 30), (30, 200, 30), (30, 30, 230)
+SIZE = (320, 180)
+
+
+def pose(x: float = 0.0, y: float = 0.0, z: float = 0.0) -> NDArray[np.float64]:
+    """Return a transform that only moves."""
+    transform = np.eye(4)
+    transform[:3, 3] = x, y, z
+    return transform
+
+
+def looks(picture: object, color: tuple[int, int, int]) -> NDArray[np.bool_]:
+    """Return the mask (H, W) of pixels of a pure colour: its channel is far above the others."""
+    pixels = np.asarray(picture, dtype=float)
+    channel = int(np.argmax(color))
+    others = np.delete(pixels, channel, axis=-1).max(axis=-1)
+    return pixels[..., channel] > 1.8 * others
+
+
+@pytest.fixture
+def walker() -> tuple[list[Shape], dict[str, NDArray[np.float64]], NDArray[np.float64]]:
+    """Return a red base that runs forward with a green leg that swings, over one second."""
+    times = np.linspace(0.0, 1.0, 51)
+    shapes = [
+        Shape("base", "box", (0.15, 0.065, 0.0435), color=RED),
+        Shape("leg", "cylinder", (0.02, 0.08), color=GREEN),
+        Shape("leg", "sphere", (0.03,), (0.0, 0.0, -0.08), color=GREEN),
+    ]
+    base = np.stack([pose(x=1.2 * t, z=0.2) for t in times])
+    leg = np.stack([pose(x=1.2 * t + 0.25 * np.sin(6 * t), y=-0.1, z=0.12) for t in times])
+    return shapes, {"base": base, "leg": leg}, times
+
+
+def decode(path: Path) -> tuple[dict, NDArray[np.uint8]]:
+    """Return what ffmpeg says of a file, and its frames (N, H, W, 3)."""
+    reader = imageio_ffmpeg.read_frames(str(path))
+    about = next(reader)
+    width, height = about["size"]
+    return about, np.stack([np.frombuffer(f, np.uint8).reshape(height, width, 3) for f in reader])
+
+
+def test_an_mp4_is_written_and_decodes_again(walker, tmp_path: Path) -> None:
+    shapes, poses, times = walker
+    path = render_video(shapes, poses, times, tmp_path / "new" / "run.mp4", fps=25, size=SIZE)
+    about, frames = decode(path)
+    assert about["codec"] == "h264"
+    assert about["pix_fmt"].startswith("yuv420p")
+    assert about["fps"] == 25
+    assert frames.shape == (25, 180, 320, 3)
+    assert [p.name for p in path.parent.iterdir()] == ["run.mp4"]
+    assert path.stat().st_size < 300_000
+
+    reds = np.array([np.argwhere(looks(f, RED)).mean(axis=0) for f in frames])
+    greens = np.array([np.argwhere(looks(f, GREEN)).mean(axis=0) for f in frames])
+    assert np.ptp(reds[:, 1]) < 8  # the camera stays with the base
+    assert np.ptp(greens[:, 1]) > 30  # the leg swings
+    corner = frames[:, -40:, :60].astype(float)
+    assert np.abs(np.diff(corner, axis=0)).mean() > 1.0  # the ground runs by
+    assert frames[0].std() > 15  # not blank
+
+
+def test_seconds_and_text_as_list_or_function(walker, tmp_path: Path) -> None:
+    shapes, poses, times = walker
+    plain = render_video(shapes, poses, times, tmp_path / "a.mp4", fps=20, size=SIZE, seconds=0.5)
+    assert len(decode(plain)[1]) == 10
+    texts = [f"{t:.2f} s" for t in times]
+    listed = render_video(shapes, poses, times, tmp_path / "b.mp4", fps=10, size=SIZE, overlay=texts)
+    called = render_video(
+        shapes, poses, times, tmp_path / "c.mp4", fps=10, size=SIZE, overlay=lambda t: f"{t:.2f} s"
+    )
+    np.testing.assert_array_equal(decode(listed)[1], decode(called)[1])
+    panel = decode(listed)[1][0][5:25, 5:60].astype(float)
+    assert panel.min() < 120 < 220 < panel.max()  # dark letters on a light panel
+
+
+def test_nearer_covers_farther_whatever_the_order_of_the_shapes() -> None:
+    poses = {"near": pose(y=-0.3, z=0.15), "far": pose(y=0.3, z=0.15)}
+    camera = Camera(offset=(0.0, -1.5, 0.05))
+    near, far = (
+        Shape("near", "box", (0.2, 0.05, 0.1), color=RED),
+        Shape("far", "box", (0.1, 0.05, 0.05), color=BLUE),
+    )
+    for shapes in ([near, far], [far, near]):
+        picture = render_frame(shapes, poses, size=SIZE, camera=camera)
+        assert looks(picture, RED).sum() > 500
+        assert looks(picture, BLUE).sum() == 0
+
+
+def test_a_long_box_beside_a_small_one_is_ordered_by_planes_not_centres() -> None:
+    # The small box is in front of the long one's far end, though the long one's centre is nearer to the camera.
+    poses = {"long": pose(z=0.15), "small": pose(x=-0.9, y=-0.09, z=0.15)}
+    shapes = [
+        Shape("small", "box", (0.05, 0.03, 0.05), color=RED),
+        Shape("long", "box", (1.0, 0.05, 0.1), color=BLUE),
+    ]
+    camera = Camera(offset=(1.2, -0.8, 0.2))
+
+    def red(*drawn: Shape) -> int:
+        return int(looks(render_frame(drawn, poses, size=SIZE, camera=camera, follow="long"), RED).sum())
+
+    assert red(shapes[0]) > 30
+    assert red(*shapes) == red(*shapes[::-1]) > 0.9 * red(shapes[0])
+
+
+@pytest.mark.parametrize(
+    ("kind", "size"), [("box", (0.1, 0.1, 0.1)), ("cylinder", (0.1, 0.1)), ("sphere", (0.1,))]
+)
+def test_solids_have_the_size_they_should(kind: str, size: tuple[float, ...]) -> None:
+    camera = Camera(offset=(0.0, -10.0, 0.0), height=0.5, field_of_view=4.0)  # nearly parallel rays
+    picture = render_frame(
+        [Shape("b", kind, size, color=RED)], {"b": pose(z=0.5)}, size=(200, 200), camera=camera
+    )
+    rows, columns = np.nonzero(looks(picture, RED))
+    expected = 0.2 * 100 / (10.0 * np.tan(np.radians(2.0)))
+    assert np.ptp(rows) + 1 == pytest.approx(expected, abs=3)
+    assert np.ptp(columns) + 1 == pytest.approx(expected, abs=3)
+    area = {"box": 1.0, "cylinder": 1.0, "sphere": np.pi / 4}[kind]
+    assert len(rows) == pytest.approx(area * expected**2, rel=0.06)
+
+
+def test_position_and_rotation_are_in_the_bodys_frame() -> None:
+    quarter = np.array([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]])  # z of the shape along x of the body
+    shape = Shape("b", "cylinder", (0.01, 0.2), (0.1, 0.0, 0.0), quarter, RED)
+    camera = Camera(offset=(0.0, -10.0, 0.0), height=0.5, field_of_view=4.0)
+    picture = render_frame([shape], {"b": pose(z=0.5)}, size=(200, 200), camera=camera)
+    rows, columns = np.nonzero(looks(picture, RED))
+    scale = 100 / (10.0 * np.tan(np.radians(2.0)))
+    assert columns.mean() == pytest.approx(100 + 0.1 * scale, abs=2)  # forward is to the right
+    assert np.ptp(columns) == pytest.approx(0.4 * scale, abs=3)
+    assert np.ptp(rows) < 10
+
+
+def test_there_is_a_shadow_on_the_ground(walker) -> None:
+    shapes, poses, _ = walker
+    now = {body: p[0] for body, p in poses.items()}
+    aloft = {body: p @ pose(z=5.0) for body, p in now.items()}
+    camera = Camera(height=0.1)
+    low = np.asarray(render_frame(shapes, now, size=SIZE, camera=camera), float)
+    bare = np.asarray(render_frame(shapes, aloft, size=SIZE, camera=camera), float)
+    robot = looks(low, RED) | looks(low, GREEN)
+    darker = (bare.sum(axis=-1) - low.sum(axis=-1) > 60) & ~robot
+    assert 200 < darker.sum() < 0.3 * darker.size
+
+
+def test_a_frame_is_drawn_between_two_times(tmp_path: Path) -> None:
+    turn = np.eye(4)
+    turn[:2, :2] = [[0.0, -1.0], [1.0, 0.0]]
+    poses = {"b": np.stack([pose(z=0.2), pose(z=0.2) @ turn])}
+    shape = Shape("b", "box", (0.2, 0.05, 0.05), color=RED)
+    strip = filmstrip([shape], poses, [0.0, 1.0], count=3, size=SIZE, gap=0)
+    widths = [looks(strip.crop((i * 320, 0, (i + 1) * 320, 180)), RED).sum() for i in range(3)]
+    half = np.eye(4)
+    half[:2, :2] = np.array([[1.0, -1.0], [1.0, 1.0]]) / np.sqrt(2.0)
+    still = looks(render_frame([shape], {"b": pose(z=0.2) @ half}, size=SIZE), RED).sum()
+    assert widths[1] == still  # turned by half, not shrunk
+    assert strip.size == (960, 180)
+
+
+def test_a_box_behind_the_camera_is_no_harm() -> None:
+    camera = Camera(offset=(0.0, -1.0, 0.3))
+    shapes = [Shape("a", "box", (0.1, 0.1, 0.1), color=RED), Shape("b", "box", (0.5, 0.5, 0.5), color=BLUE)]
+    picture = render_frame(
+        shapes, {"a": pose(z=0.1), "b": pose(y=-3.0)}, size=SIZE, camera=camera, follow="a"
+    )
+    assert looks(picture, RED).sum() > 200
+    assert looks(picture, BLUE).sum() == 0
+
+
+def test_what_does_not_fit_is_refused(walker, tmp_path: Path) -> None:
+    shapes, poses, times = walker
+    to = tmp_path / "run.mp4"
+    with pytest.raises(SurefootError, match="not one of box, cylinder, sphere"):
+        Shape("base", "cone", (1.0,))
+    with pytest.raises(SurefootError, match="a cylinder has 2 sizes"):
+        Shape("base", "cylinder", (1.0,))
+    with pytest.raises(SurefootError, match="no poses of leg; there are base"):
+        render_video(shapes, {"base": poses["base"]}, times, to)
+    with pytest.raises(SurefootError, match="must be 51 finite 4 x 4"):
+        render_video(shapes, {**poses, "leg": np.full((51, 4, 4), np.nan)}, times, to)
+    with pytest.raises(SurefootError, match="sides must be even"):
+        render_video(shapes, poses, times, to, size=(321, 180))
+    with pytest.raises(SurefootError, match=r"must end in \.mp4"):
+        render_video(shapes, poses, times, tmp_path / "run.gif")
+    with pytest.raises(SurefootError, match="strictly increasing"):
+        render_video(shapes, poses, times[::-1], to)
+    with pytest.raises(SurefootError, match="2 overlay texts for 51 times"):
+        render_video(shapes, poses, times, to, overlay=["a", "b"])
+    with pytest.raises(SurefootError, match="no poses of tail"):
+        render_video(shapes, poses, times, to, follow="tail")
+    with pytest.raises(SurefootError, match="at least one shape"):
+        render_video([], poses, times, to)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_failure_leaves_no_half_file(walker, tmp_path: Path) -> None:
+    shapes, poses, times = walker
+
+    def fails(time: float) -> str:
+        if time > 0.5:
+            raise RuntimeError("no text")
+        return "fine"
+
+    with pytest.raises(RuntimeError, match="no text"):
+        render_video(shapes, poses, times, tmp_path / "run.mp4", fps=10, size=SIZE, overlay=fails)
+    assert list(tmp_path.iterdir()) == []
