@@ -104,7 +104,7 @@ def test_nearer_covers_farther_whatever_the_order_of_the_shapes() -> None:
 
 
 def test_a_long_box_beside_a_small_one_is_ordered_by_planes_not_centres() -> None:
-    # The small box is in front of the long one's far end, though the long one's centre is nearer to the camera.
+    # The small box is in front of the far end of the long one, whose centre is nearer to the camera.
     poses = {"long": pose(z=0.15), "small": pose(x=-0.9, y=-0.09, z=0.15)}
     shapes = [
         Shape("small", "box", (0.05, 0.03, 0.05), color=RED),

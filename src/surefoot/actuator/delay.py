@@ -21,7 +21,7 @@ from surefoot.errors import SurefootError
 Array = NDArray[np.float64]
 
 
-@njit(cache=True)
+@njit(cache=True, forceinline=True)
 def push_kernel(times: Array, samples: Array, count: int, time: float, sample: Array) -> None:
     """Store the sample number `count` in one robot's ring buffers, times (H,) and samples (H, D)."""
     slot = count % len(times)
@@ -29,7 +29,7 @@ def push_kernel(times: Array, samples: Array, count: int, time: float, sample: A
     samples[slot] = sample
 
 
-@njit(cache=True)
+@njit(cache=True, forceinline=True)
 def read_kernel(times: Array, samples: Array, count: int, time: float, width: int, out: Array) -> None:
     """Write the first `width` entries of one robot's reading at `time` to `out`, after `count` samples were pushed.
 

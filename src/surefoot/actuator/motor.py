@@ -73,7 +73,7 @@ def motor_torque(current, strength, table_current, table_torque, torque):  # typ
 @njit(cache=True, inline="always")
 def coulomb_friction_kernel(speed: float, friction: float) -> float:
     """Scalar form of `coulomb_friction`."""
-    return -friction * math.tanh(speed / STICTION_SPEED)
+    return -friction * math.tanh(speed / STICTION_SPEED) if friction > 0.0 else 0.0
 
 
 @vectorize(cache=True)

@@ -136,7 +136,7 @@ def render_video(
         quality=None,
         macro_block_size=2,
         ffmpeg_log_level="error",
-        output_params=["-crf", str(quality), "-preset", "fast", "-movflags", "+faststart"],
+        output_params=["-crf", str(quality), "-preset", "veryfast", "-movflags", "+faststart"],
     )
     try:
         writer.send(None)
@@ -335,7 +335,7 @@ def _back_to_front(mesh: _Mesh, turn: FloatArray, place: FloatArray, view: _View
     """Order the shapes so that none is drawn over one that is in front of it.
 
     Two convex solids apart are parted by a plane, mostly a face of a bounding box; the one on the camera's
-    side is in front. The face that parts them best decides, which also serves solids that run into each other.
+    side is in front. The face that parts them best decides, which also serves solids that overlap.
     """
     axes = turn[mesh.body] @ mesh.axes
     centre = np.einsum("sij,sj->si", turn[mesh.body], mesh.place) + place[mesh.body]

@@ -26,7 +26,7 @@ TANGENTIAL_DAMPING = 0.5
 """B_t / B. The sole's stiffness along the ground is taken as that into the ground; neither was measured."""
 
 
-@njit(cache=True)
+@njit(cache=True, forceinline=True)
 def foot_force_kernel(
     depth: float,
     velocity: Array,

@@ -118,7 +118,7 @@ def set_drive_params(drive: Drive, index: NDArray[np.int64], params: PhysicalPar
     drive.servo_latency[index] = params.servo_latency
 
 
-@njit(cache=True)
+@njit(cache=True, forceinline=True)
 def roll_pitch_yaw(w: float, x: float, y: float, z: float) -> tuple[float, float, float]:
     """Euler angles [rad] of a unit quaternion: turn by yaw about z, then pitch about y, then roll about x."""
     roll = math.atan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
@@ -127,13 +127,13 @@ def roll_pitch_yaw(w: float, x: float, y: float, z: float) -> tuple[float, float
     return roll, pitch, yaw
 
 
-@njit(cache=True)
+@njit(cache=True, forceinline=True)
 def record(drive: Drive, i: int) -> None:
     """The state of now of robot `i` enters its history, stamped with the robot's own time."""
     push_kernel(drive.times[i], drive.history[i], drive.ticks[i], drive.ticks[i] * drive.limits[3], drive.now[i])
 
 
-@njit(cache=True)
+@njit(cache=True, forceinline=True)
 def servo_tick(drive: Drive, i: int) -> None:
     """Servo and motor of robot `i` answer the state of now, which is in the history, with `drive.torque`."""
     motors = drive.target.shape[1]
