@@ -1,11 +1,15 @@
-"""Servo, DC motor and delay: laws of physics as pure functions, shared by every world, the emulator and the fits.
+"""Servo, DC motor and delay: laws of physics as pure functions, the same for every world and every fit.
 
-Each law exists once, as a compiled scalar kernel (`*_kernel`, for the inner loops), and is exposed as an array function of
-the same arguments that broadcasts like any NumPy ufunc.
+Each law exists once, as a compiled scalar kernel (`*_kernel`, for the inner loops), and is exposed as an
+array function of the same arguments that broadcasts like any NumPy ufunc.
 """
 
-from surefoot.actuator.delay import DelayLine
-from surefoot.actuator.motor import coulomb_friction, motor_current, motor_torque, overheat
-from surefoot.actuator.servo import servo_duty
+from surefoot.actuator.cache import drop_stale_caches
+
+drop_stale_caches()
+
+from surefoot.actuator.delay import DelayLine  # noqa: E402
+from surefoot.actuator.motor import coulomb_friction, motor_current, motor_torque, overheat  # noqa: E402
+from surefoot.actuator.servo import servo_duty  # noqa: E402
 
 __all__ = ["DelayLine", "coulomb_friction", "motor_current", "motor_torque", "overheat", "servo_duty"]

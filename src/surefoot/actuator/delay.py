@@ -1,7 +1,8 @@
 """Readings that arrive late: a history of timestamped samples, read with linear interpolation.
 
-Tan et al. 2018, section IV-A: with samples (t_i, O_i), a reader at time t that suffers a latency L gets O at t - L,
-interpolated between the two samples around it. Read with samples taken at t = 0, 1, 2 (in servo steps):
+Tan et al. 2018, section IV-A: with samples (t_i, O_i), a reader at time t that suffers a latency L gets O at
+t - L, interpolated between the two samples around it. Read with samples taken at t = 0, 1, 2 (in servo
+steps):
 
     latency   at t = 0   at t = 1            at t = 2
     0         O_0        O_1                 O_2
@@ -31,7 +32,7 @@ def push_kernel(times: Array, samples: Array, count: int, time: float, sample: A
 
 @njit(cache=True, forceinline=True)
 def read_kernel(times: Array, samples: Array, count: int, time: float, width: int, out: Array) -> None:
-    """Write the first `width` entries of one robot's reading at `time` to `out`, after `count` samples were pushed.
+    """Write the first `width` entries of one robot's reading at `time` to `out`, after `count` pushes.
 
     A time before the oldest sample kept reads the oldest; one after the newest reads the newest.
     """
@@ -77,7 +78,9 @@ class DelayLine:
 
     def __init__(self, num_envs: int, width: int, capacity: int = 64) -> None:
         if capacity < 2:
-            raise SurefootError(f"capacity is {capacity}; a delay line interpolates between 2 samples or more")
+            raise SurefootError(
+                f"capacity is {capacity}; a delay line interpolates between 2 samples or more"
+            )
         self.times: Array = np.zeros((num_envs, capacity))
         self.samples: Array = np.zeros((num_envs, capacity, width))
         self.count: NDArray[np.int64] = np.zeros(num_envs, np.int64)

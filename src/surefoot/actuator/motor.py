@@ -9,7 +9,7 @@ from numba import guvectorize, njit, vectorize
 from numpy.typing import NDArray
 
 STICTION_SPEED = 0.1
-"""Speed [rad/s] over which Coulomb friction changes sign smoothly; a sharp sign would chatter at a 1 ms step."""
+"""Speed [rad/s] over which Coulomb friction changes sign; a sharp sign would chatter at a 1 ms step."""
 
 
 @njit(cache=True, inline="always")
@@ -56,7 +56,7 @@ def motor_torque_kernel(
 
 @guvectorize(["void(float64, float64, float64[:], float64[:], float64[:])"], "(),(),(n),(n)->()", cache=True)
 def motor_torque(current, strength, table_current, table_torque, torque):  # type: ignore[no-untyped-def]
-    """Torque [N m] of the saturating motor: sign(I) table(|I|) strength, linear between points, flat beyond the last.
+    """Torque [N m] of the saturating motor: sign(I) table(|I|) strength, flat beyond the table's last point.
 
     Source: Tan et al. 2018, section IV-A ("piece-wise linear function"), after De and Koditschek 2015.
 
@@ -80,8 +80,8 @@ def coulomb_friction_kernel(speed: float, friction: float) -> float:
 def coulomb_friction(speed, friction):  # type: ignore[no-untyped-def]
     """Coulomb friction torque [N m]: -f tanh(qdot / v_s), with v_s = `STICTION_SPEED`.
 
-    Within 0.2 % of -f sign(qdot) above 4 v_s = 0.4 rad/s. A motor at rest creeps instead of sticking: under a load of
-    half the friction it turns at .055 rad/s.
+    Within 0.2 % of -f sign(qdot) above 4 v_s = 0.4 rad/s. A motor at rest creeps instead of sticking: under a
+    load of half the friction it turns at .055 rad/s.
 
     Args:
         speed: motor speed [rad/s].

@@ -3,7 +3,7 @@
     normal      f_n = max(0, K d + B d')                     d: how deep the foot is in the ground [m]
     tangential  f_t = -(K_t s + B_t v), |f_t| <= mu f_n       s: stretch of the sole since it took hold [m]
 
-While the foot holds, s follows its motion; when the bound is met it slides, and s shrinks to what the bound can hold. A
+While the foot holds, s follows its motion; when it slides, K_t s is cut back to mu f_n. A
 standing foot therefore sticks and does not creep. This is the spring-slider of Cundall and Strack (1979, "A discrete
 numerical model for granular assemblies").
 
@@ -60,14 +60,16 @@ def foot_force_kernel(
     force[0] = -(stiffness * stretch[0] + slide_damping * velocity[0])
     force[1] = -(stiffness * stretch[1] + slide_damping * velocity[1])
     force[2] = normal
-    tangential = math.hypot(force[0], force[1])
     bound = friction * normal
+    tangential = math.hypot(force[0], force[1])
     if tangential > bound:
-        share = bound / tangential
-        force[0] *= share
-        force[1] *= share
-        stretch[0] = -force[0] / stiffness
-        stretch[1] = -force[1] / stiffness
+        force[0] *= bound / tangential
+        force[1] *= bound / tangential
+    # Sliding may only take from what the sole has stored: a stretch set from the force would create energy.
+    held = stiffness * math.hypot(stretch[0], stretch[1])
+    if held > bound:
+        stretch[0] *= bound / held
+        stretch[1] *= bound / held
 
 
 def foot_force(

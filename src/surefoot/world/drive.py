@@ -1,16 +1,16 @@
 """What every simulated world shares between two physics steps: sensors, delays, servo and motor.
 
-One robot, one servo step: an engine calls `servo_tick`, applies `drive.torque` for the step, adds one to `drive.ticks`,
-writes the robot's new state to `drive.now` and calls `record`.
+One robot, one servo step: an engine calls `servo_tick`, applies `drive.torque` for the step, adds one to
+`drive.ticks`, writes the robot's new state to `drive.now` and calls `record`.
 
 What is read when, with a servo step dt, servo latency L_s and control latency L_c:
 
     time       what happens
     n dt       the engine's state of now enters the history
-    n dt       the servo reads angles and speeds of n dt - L_s and sets the duty; back-EMF uses the true speed of now
+    n dt       the servo reads angles and speeds of n dt - L_s, sets the duty; back-EMF uses the speed of now
     n dt       torque acts on the robot until (n + 1) dt
-    k T        the policy reads everything as it was at k T - L_c, where T is the control step, and its command holds
-               from k T to (k + 1) T
+    k T        the policy reads everything as it was at k T - L_c, where T is the control step, and its
+               command holds from k T to (k + 1) T
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ class Drive(NamedTuple):
     servo_latency: Array  # (N,) s
     table_current: Array  # (points,) A, all robots
     table_torque: Array  # (points,) N m, all robots
-    limits: Array  # (4,) all robots: voltage clip V, overheat torque N m, overheat time s (inf: off), servo step s
+    limits: Array  # (4,) all robots: voltage clip V, overheat torque N m and time s (inf: off), servo step s
     ticks: NDArray[np.int64]  # (N,) servo steps since reset
     times: Array  # (N, H) s, of the history
     history: Array  # (N, H, 2 M + 6)
@@ -130,7 +130,9 @@ def roll_pitch_yaw(w: float, x: float, y: float, z: float) -> tuple[float, float
 @njit(cache=True, forceinline=True)
 def record(drive: Drive, i: int) -> None:
     """The state of now of robot `i` enters its history, stamped with the robot's own time."""
-    push_kernel(drive.times[i], drive.history[i], drive.ticks[i], drive.ticks[i] * drive.limits[3], drive.now[i])
+    push_kernel(
+        drive.times[i], drive.history[i], drive.ticks[i], drive.ticks[i] * drive.limits[3], drive.now[i]
+    )
 
 
 @njit(cache=True, forceinline=True)

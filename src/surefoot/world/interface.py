@@ -1,7 +1,7 @@
 """The small interface that simulation and robot share, and what goes through it.
 
-A world takes motor angles, holds them for a control step, and gives readings. A robot is a batch of one. Only a simulation
-also answers `truth()`.
+A world takes motor angles, holds them for a control step, and gives readings. A robot is a batch of one. Only
+a simulation also answers `truth()`.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Readings:
-    """What the control computer gets of a batch of N robots with M motors: delayed, biased and noisy as in reality."""
+    """What the control computer gets of N robots with M motors: delayed, biased and noisy as in reality."""
 
     time: Array
     """Time since reset on each robot's clock [s], (N,)."""
     roll_pitch_yaw: Array
-    """Orientation of the base in the world [rad], (N, 3): yaw about z, then pitch about y, then roll about x."""
+    """Orientation of the base in the world [rad], (N, 3): yaw about z, pitch about y, then roll about x."""
     angular_velocity_base: Array
     """Angular velocity of the base, in the base frame [rad/s], (N, 3)."""
     motor_angle: Array

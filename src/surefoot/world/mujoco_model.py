@@ -16,8 +16,8 @@ LOOP_SOLIMP = (0.99, 0.99, 0.001, 0.5, 2.0)
 def build_spec(robot: RobotDescription) -> mujoco.MjSpec:
     """The robot with a free base over a ground plane at z = 0, ready to compile; gravity 9.81 m/s2.
 
-    Feet meet the ground by the law in `surefoot.world.contact`, so their geoms collide with nothing here; the other
-    collision shapes of the URDF meet the ground, and not each other, by MuJoCo's own contacts.
+    Feet meet the ground by the law in `surefoot.world.contact`, so their geoms collide with nothing here; the
+    other collision shapes of the URDF meet the ground, and not each other, by MuJoCo's own contacts.
     """
     try:
         spec = mujoco.MjSpec.from_file(str(robot.urdf.path))
@@ -43,7 +43,10 @@ def build_spec(robot: RobotDescription) -> mujoco.MjSpec:
                 geom.conaffinity = 2
     for loop in robot.loops:
         equality = spec.add_equality(
-            type=mujoco.mjtEq.mjEQ_CONNECT, objtype=mujoco.mjtObj.mjOBJ_SITE, solref=LOOP_SOLREF, solimp=LOOP_SOLIMP
+            type=mujoco.mjtEq.mjEQ_CONNECT,
+            objtype=mujoco.mjtObj.mjOBJ_SITE,
+            solref=LOOP_SOLREF,
+            solimp=LOOP_SOLIMP,
         )
         names = []
         for link, point in zip(loop.links, loop.points, strict=True):

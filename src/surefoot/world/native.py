@@ -1,7 +1,7 @@
-"""Calling MuJoCo's C functions and reading its arrays from compiled loops, without the interpreter in between.
+"""Calling MuJoCo's C functions and reading its arrays from compiled loops, past the interpreter.
 
-A MuJoCo step of a small robot takes some 15 microseconds, less than a handful of Python calls. A loop compiled by numba
-that calls `mj_step` by address holds no interpreter lock, so threads run side by side.
+A MuJoCo step of a small robot takes some 15 microseconds, less than a handful of Python calls. A loop
+compiled by numba that calls `mj_step` by address holds no interpreter lock, so threads run side by side.
 """
 
 from __future__ import annotations

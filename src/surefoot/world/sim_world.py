@@ -19,12 +19,12 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 SETTLE_TIME = 0.5
-"""Time [s] for which a robot settles at its resting pose before an episode (the robot's published environment)."""
+"""Time [s] for which a robot settles before an episode (the robot's published environment)."""
 _NOISE_BLOCK = 256
 
 
 class Engine(Protocol):
-    """Physics of a batch of robots; it shares the `Drive` arrays with the world. Forces and states are per robot."""
+    """Physics of a batch of robots; it shares the `Drive` arrays with the world."""
 
     name: str
     initial_state: Array
@@ -117,7 +117,7 @@ class SimWorld:
         self.reset()
 
     def _settle(self, engine: EngineFactory) -> Array:
-        """State of one nominal robot after it has settled; every reset starts from it, whatever its parameters."""
+        """State of one nominal robot after it has settled; resets start from it, whatever the parameters."""
         drive = new_drive(self.robot, 1, self._history, thermal_protection=False)
         single = engine(self.robot, drive, 1)
         drive.target[:] = self.resting_angles
@@ -126,7 +126,9 @@ class SimWorld:
         record(drive, 0)
         single.advance(np.array([round(SETTLE_TIME / self.robot.timing.servo_step)]))
         if single.diverged[0]:
-            raise SurefootError(f"{self.robot.name}: the robot does not settle at its resting pose; check its description")
+            raise SurefootError(
+                f"{self.robot.name}: the robot does not settle at its resting pose; check its description"
+            )
         return single.get_state(0)
 
     def reset(self, index: ArrayLike | None = None) -> Readings:
@@ -138,7 +140,14 @@ class SimWorld:
 
     def _reset(self, rows: Index) -> None:
         drive, config = self.drive, self.config
-        for array in (drive.ticks, drive.torque, drive.motor_torque, drive.energy, drive.hot_time, drive.contact_ticks):
+        for array in (
+            drive.ticks,
+            drive.torque,
+            drive.motor_torque,
+            drive.energy,
+            drive.hot_time,
+            drive.contact_ticks,
+        ):
             array[rows] = 0
         drive.switched_off[rows] = False
         drive.target[rows] = self.resting_angles
@@ -148,16 +157,18 @@ class SimWorld:
             self.engine.set_state(i, self._settled)
             if config.start_linear_speed or config.start_angular_speed:
                 draw = self._start_streams[i].uniform(-1, 1, 6)
-                self.engine.set_base_velocity(i, config.start_linear_speed * draw[:3], config.start_angular_speed * draw[3:])
+                self.engine.set_base_velocity(
+                    i, config.start_linear_speed * draw[:3], config.start_angular_speed * draw[3:]
+                )
             self.engine.observe(i)
             record(drive, i)
 
     def step(self, target: ArrayLike) -> Readings:
         """Hold motor angles (N, M) [rad] for one control step of each robot; readings at its end.
 
-        A control step that is no whole number of servo steps is kept on average: the k-th one ends at the servo step
-        nearest to k times the control step. A robot that diverges is put back to its resting pose, counted in
-        `divergences` and marked in `truth().diverged`.
+        A control step that is no whole number of servo steps is kept on average: the k-th one ends at the
+        servo step nearest to k times the control step. A robot that diverges is put back to its resting pose,
+        counted in `divergences` and marked in `truth().diverged`.
         """
         self.drive.target[:] = target
         period = self.params.control_step / self.robot.timing.servo_step
@@ -173,7 +184,7 @@ class SimWorld:
         return self.readings()
 
     def readings(self) -> Readings:
-        """What the control computer gets now: `control_latency` old, with bias and noise on roll and pitch."""
+        """What the control computer gets now: `control_latency` old, roll and pitch with bias and noise."""
         motors = self.robot.num_motors
         out = np.empty_like(self.drive.now)
         read_delayed(self.drive, self.params.control_latency, out)
@@ -183,7 +194,7 @@ class SimWorld:
             noise = self._noise[np.arange(self.num_envs), self._control_steps % _NOISE_BLOCK]
             angles[:, :2] += noise * self.params.imu_noise[:, None]
         return Readings(
-            time=self.drive.ticks * self.robot.timing.servo_step,
+            time=np.asarray(self.drive.ticks * self.robot.timing.servo_step, np.float64),
             roll_pitch_yaw=angles,
             angular_velocity_base=out[:, 2 * motors + 3 :],
             motor_angle=out[:, :motors],
