@@ -1,4 +1,4 @@
-"""Configuration as frozen dataclasses: read from YAML and written back, with errors that name key, rule and choices."""
+"""Configuration as frozen dataclasses: from YAML and back, with errors that name key, rule and choices."""
 
 from __future__ import annotations
 
@@ -50,7 +50,9 @@ def from_mapping(kind: type[T], data: Mapping[str, Any], where: str = "", base: 
     hints = typing.get_type_hints(kind)
     names = [item.name for item in dataclasses.fields(kind)]  # type: ignore[arg-type]
     if not isinstance(data, Mapping):
-        raise SurefootError(f"{where or kind.__name__} is {data!r}; it must be a table with keys out of: {choices(names)}")
+        raise SurefootError(
+            f"{where or kind.__name__} is {data!r}; it must be a table with keys out of: {choices(names)}"
+        )
     for key in data:
         if key not in names:
             raise SurefootError(f"{where}{'.' if where else ''}{key} is no key; keys: {choices(names)}")
@@ -70,7 +72,7 @@ def from_mapping(kind: type[T], data: Mapping[str, Any], where: str = "", base: 
 def _convert(hint: Any, value: Any, where: str, base: Any) -> Any:
     origin = typing.get_origin(hint)
     if dataclasses.is_dataclass(hint):
-        return from_mapping(hint, value, where, base)  # type: ignore[arg-type,type-var]
+        return from_mapping(hint, value, where, base)  # type: ignore[arg-type]
     if origin is typing.Literal:
         if value not in typing.get_args(hint):
             raise SurefootError(f"{where} is {value!r}; choices: {choices(typing.get_args(hint))}")
@@ -81,7 +83,9 @@ def _convert(hint: Any, value: Any, where: str, base: Any) -> Any:
                 return _convert(option, value, where, base)
             except SurefootError:
                 continue
-        raise SurefootError(f"{where} is {value!r}; it must be {' or '.join(_name(x) for x in typing.get_args(hint))}")
+        raise SurefootError(
+            f"{where} is {value!r}; it must be {' or '.join(_name(x) for x in typing.get_args(hint))}"
+        )
     if origin is tuple:
         args = typing.get_args(hint)
         if not isinstance(value, list | tuple) or (args[-1] is not Ellipsis and len(value) != len(args)):
@@ -91,7 +95,10 @@ def _convert(hint: Any, value: Any, where: str, base: Any) -> Any:
     if origin is dict:
         if not isinstance(value, Mapping):
             raise SurefootError(f"{where} is {value!r}; it must be a table")
-        return {str(key): _convert(typing.get_args(hint)[1], item, f"{where}.{key}", None) for key, item in value.items()}
+        return {
+            str(key): _convert(typing.get_args(hint)[1], item, f"{where}.{key}", None)
+            for key, item in value.items()
+        }
     if hint is Any:
         return value
     is_bool = isinstance(value, bool)

@@ -1,7 +1,7 @@
 """A robot's description: its URDF and its data sheet, read and checked once.
 
-A robot is a folder with a `robot.toml` and the URDF that it names. `RobotDescription.load` takes the name of a robot that
-ships with surefoot or the path of such a folder.
+A robot is a folder with a `robot.toml` and the URDF that it names. `RobotDescription.load` takes the name of
+a robot that ships with surefoot or the path of such a folder.
 """
 
 from __future__ import annotations
@@ -9,7 +9,6 @@ from __future__ import annotations
 import tomllib
 from dataclasses import dataclass
 from pathlib import Path
-
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -110,13 +109,14 @@ class RobotDescription:
         """Load a robot by name or by the path of its folder.
 
         Raises:
-            SurefootError: no such robot, or a description that does not fit; says the file, the key and the rule.
+            SurefootError: no such robot, or a description that does not fit: says file, key and rule.
         """
         folder = _HERE / str(robot) if str(robot) in cls.available() else Path(robot)
         sheet_path = folder / "robot.toml"
         if not sheet_path.is_file():
             raise SurefootError(
-                f"robot '{robot}': no such robot and no folder with a robot.toml; robots: {choices(cls.available())}"
+                f"robot '{robot}': no such robot and no folder with a robot.toml; "
+                f"robots: {choices(cls.available())}"
             )
         try:
             data = tomllib.loads(sheet_path.read_text(encoding="utf-8"))
@@ -153,13 +153,20 @@ class RobotDescription:
             legs.append(Leg(leg_name, (pair[0], pair[1]), (knees[0], knees[1]), leg.one_of("foot", links)))
         used = [name for leg in legs for name in leg.motors]
         if sorted(used) != sorted(order):
-            raise motors.error("order", f"names {len(order)} motors", f"each must belong to one leg; legs use {choices(used)}")
+            raise motors.error(
+                "order",
+                f"names {len(order)} motors",
+                f"each must belong to one leg; legs use {choices(used)}",
+            )
 
         geometry = sheet.table("leg_geometry", "upper", "lower", "foot", "foot_radius")
         lower = geometry.numbers("lower", 2)
         try:
             bars = FiveBar(
-                geometry.number("upper"), (lower[0], lower[1]), geometry.number("foot"), geometry.number("foot_radius")
+                geometry.number("upper"),
+                (lower[0], lower[1]),
+                geometry.number("foot"),
+                geometry.number("foot_radius"),
             )
         except SurefootError as error:
             raise SurefootError(f"{sheet.path}: {error}") from None
@@ -169,7 +176,9 @@ class RobotDescription:
             ends = loop.names("links", links, 2)
             points = loop.data["points"]
             if not (len(points) == 2 and all(len(point) == 3 for point in points)):
-                raise loop.error("points", f"of loop {index} is {points}", "it must be two points of three numbers")
+                raise loop.error(
+                    "points", f"of loop {index} is {points}", "it must be two points of three numbers"
+                )
             first, second = (tuple(float(x) for x in point) for point in points)
             loops.append(Loop((ends[0], ends[1]), (first, second)))  # type: ignore[arg-type]
 
@@ -195,7 +204,9 @@ class RobotDescription:
             rest=(rest[0], rest[1]),
             actuator=_read_actuator(sheet),
             timing=sheet.table("timing").dataclass(Timing, positive=("servo_step", "control_step")),
-            contact=sheet.table("contact").dataclass(ContactData, positive=("friction", "stiffness", "damping")),
+            contact=sheet.table("contact").dataclass(
+                ContactData, positive=("friction", "stiffness", "damping")
+            ),
             allowed={name: allowed.range(name) for name in PhysicalParams.names()},
         )
 
@@ -203,17 +214,20 @@ class RobotDescription:
         for loop in self.loops:
             for link in loop.links:
                 if not any(joint.child == link for joint in self.urdf.joints.values()):
-                    raise SurefootError(f"{sheet_path}: loops: '{link}' hangs on no joint, so no loop can close there")
+                    raise SurefootError(
+                        f"{sheet_path}: loops: '{link}' hangs on no joint, so no loop can close there"
+                    )
         if not self.leg_geometry.closes(*leg_to_motor(*self.rest)):
             raise SurefootError(
-                f"{sheet_path}: leg_geometry: a loop can't close at the resting pose (swing {self.rest[0]:g}, "
-                f"extension {self.rest[1]:g}); the lower links must reach each other"
+                f"{sheet_path}: leg_geometry: a loop can't close at the resting pose "
+                f"(swing {self.rest[0]:g}, extension {self.rest[1]:g}); the lower links must reach each other"
             )
         swing, extension = np.meshgrid(self.swing_range, self.extension_range)
         if not self.leg_geometry.closes(*leg_to_motor(swing, extension)).all():
             raise SurefootError(
-                f"{sheet_path}: leg_space: a loop can't close at every corner of swing {list(self.swing_range)} and "
-                f"extension {list(self.extension_range)}; narrow a range or check leg_geometry"
+                f"{sheet_path}: leg_space: a loop can't close at every corner of "
+                f"swing {list(self.swing_range)} and extension {list(self.extension_range)}; "
+                "narrow a range or check leg_geometry"
             )
         for name, value in self.nominal_params().items():
             self.check_allowed(name, np.asarray(value), source=f"{sheet_path}: nominal ")
@@ -262,7 +276,9 @@ class RobotDescription:
         """Nominal value of every physical parameter, by name."""
         data, timing = self.actuator, self.timing
         return {
-            **dict.fromkeys(("base_mass_ratio", "leg_mass_ratio", "base_inertia_ratio", "leg_inertia_ratio"), 1.0),
+            **dict.fromkeys(
+                ("base_mass_ratio", "leg_mass_ratio", "base_inertia_ratio", "leg_inertia_ratio"), 1.0
+            ),
             "motor_strength": 1.0,
             "motor_friction": data.friction,
             "torque_constant": data.torque_constant,
@@ -288,7 +304,9 @@ class RobotDescription:
         bad = np.asarray(values)[~((values >= low) & (values <= high))]
         if bad.size:
             unit = PhysicalParams.__dataclass_fields__[name].metadata["unit"]
-            raise SurefootError(f"{source}{name} is {bad.flat[0]:g}; {self.name} allows {low:g} to {high:g} (unit: {unit})")
+            raise SurefootError(
+                f"{source}{name} is {bad.flat[0]:g}; {self.name} allows {low:g} to {high:g} (unit: {unit})"
+            )
 
 
 def _read_actuator(sheet: Sheet) -> ActuatorData:
@@ -299,10 +317,12 @@ def _read_actuator(sheet: Sheet) -> ActuatorData:
     current, torque = data.torque_table_current, data.torque_table_torque
     if len(current) < 2 or len(current) != len(torque):
         raise table.error(
-            "torque_table_current", f"has {len(current)} points and torque_table_torque {len(torque)}", "both need the same, 2 or more"
+            "torque_table_current",
+            f"has {len(current)} points and torque_table_torque {len(torque)}",
+            "both need the same, 2 or more",
         )
     if current[0] != 0 or torque[0] != 0 or np.any(np.diff(current) <= 0) or np.any(np.diff(torque) < 0):
-        raise table.error("torque_table_current", f"is {list(current)}", "it must start at 0 A and 0 N m, and rise")
+        raise table.error(
+            "torque_table_current", f"is {list(current)}", "it must start at 0 A and 0 N m, and rise"
+        )
     return data
-
-

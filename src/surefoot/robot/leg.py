@@ -1,11 +1,12 @@
 r"""Leg space and the five-bar leg, in closed form.
 
-A leg's pose is (swing s, extension e) in leg space and (theta_1, theta_2) in motor space (Tan et al. 2018, figure 4):
+A leg's pose is (swing s, extension e) in leg space and (theta_1, theta_2) in motor space (Tan et al. 2018,
+figure 4):
 
     theta_1 = e + s        theta_2 = e - s
 
-theta is measured from straight up; motor 1 turns its upper link forward, motor 2 backward. Positive extension makes
-the leg longer, positive swing moves the foot backward.
+theta is measured from straight up; motor 1 turns its upper link forward, motor 2 backward. Positive extension
+makes the leg longer, positive swing moves the foot backward.
 """
 
 from __future__ import annotations
@@ -25,14 +26,14 @@ def leg_to_motor(swing: ArrayLike, extension: ArrayLike) -> tuple[NDArray[np.flo
 
 
 def motor_to_leg(theta_1: ArrayLike, theta_2: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Swing and extension [rad] of legs whose motors stand at theta_1 and theta_2 [rad]; any shape, broadcast."""
+    """Swing and extension [rad] of legs with motors at theta_1 and theta_2 [rad]; any shape, broadcast."""
     t1, t2 = np.asarray(theta_1, float), np.asarray(theta_2, float)
     return (t1 - t2) / 2, (t1 + t2) / 2
 
 
 @dataclass(frozen=True)
 class FiveBar:
-    """Lengths of a five-bar leg [m] and its kinematics in the leg's plane (x forward, z up, origin at the motor axis)."""
+    """Lengths [m] of a five-bar leg and its kinematics in its plane: x forward, z up from the motor axis."""
 
     upper: float
     """Motor axis to knee, both upper links."""
@@ -49,9 +50,13 @@ class FiveBar:
             if not value > 0:
                 raise SurefootError(f"leg_geometry.{key} is {value:g}; a length must be over 0 m")
         if not 0 <= self.foot_radius < self.foot:
-            raise SurefootError(f"leg_geometry.foot_radius is {self.foot_radius:g}; it must be from 0 to foot {self.foot:g} m")
+            raise SurefootError(
+                f"leg_geometry.foot_radius is {self.foot_radius:g}; it must be from 0 to foot {self.foot:g} m"
+            )
 
-    def knees(self, theta_1: ArrayLike, theta_2: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def knees(
+        self, theta_1: ArrayLike, theta_2: ArrayLike
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Positions (..., 2) [m] of both knees, x forward and z up from the motor axis."""
         t1, t2 = np.asarray(theta_1, float), np.asarray(theta_2, float)
         knee_1 = self.upper * np.stack([np.sin(t1), np.cos(t1)], -1)
@@ -59,7 +64,7 @@ class FiveBar:
         return knee_1, knee_2
 
     def pin(self, theta_1: ArrayLike, theta_2: ArrayLike) -> NDArray[np.float64]:
-        """Position (..., 2) [m] of the pin joint: where circles around the knees meet, on the side away from the motors.
+        """Position (..., 2) [m] of the pin joint, where circles around the knees meet away from the motors.
 
         NaN where the lower links are too short to meet.
         """
@@ -71,18 +76,20 @@ class FiveBar:
             along = (distance**2 + radius_2**2 - radius_1**2) / (2 * distance)
             height = np.sqrt(radius_2**2 - along**2)
             unit = across / distance
-        # Turning the unit vector from knee 2 to knee 1 clockwise seen from the left points down when knee 1 is in front.
+        # A quarter turn of the unit vector from knee 2 to knee 1 points down when knee 1 is in front.
         down = np.stack([unit[..., 1], -unit[..., 0]], -1)
         return knee_2 + along * unit + height * down
 
     def foot_position(self, theta_1: ArrayLike, theta_2: ArrayLike) -> NDArray[np.float64]:
-        """Position (..., 2) [m] of the foot's end, x forward and z up from the motor axis; NaN where no loop closes."""
+        """Position (..., 2) [m] of the foot's end from the motor axis; NaN where no loop closes."""
         _, knee_2 = self.knees(theta_1, theta_2)
         pin = self.pin(theta_1, theta_2)
         return knee_2 + (pin - knee_2) * (self.foot / self.lower[1])
 
-    def knee_angles(self, theta_1: ArrayLike, theta_2: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Angles [rad] of both lower links from their upper links, positive about +y; zero continues the upper link."""
+    def knee_angles(
+        self, theta_1: ArrayLike, theta_2: ArrayLike
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Angles [rad] of both lower links about +y from their upper links; zero continues the upper link."""
         knee_1, knee_2 = self.knees(theta_1, theta_2)
         pin = self.pin(theta_1, theta_2)
 
@@ -96,4 +103,4 @@ class FiveBar:
 
     def closes(self, theta_1: ArrayLike, theta_2: ArrayLike) -> NDArray[np.bool_]:
         """Whether the loop can close at these motor angles."""
-        return np.isfinite(self.pin(theta_1, theta_2)).all(-1)
+        return np.asarray(np.isfinite(self.pin(theta_1, theta_2)).all(-1))

@@ -24,7 +24,8 @@ def _row(unit: str, meaning: str, width: str = "one") -> Any:
 class PhysicalParams:
     """Physical parameters of a batch of robots; each array's first axis is `num_envs`.
 
-    Randomization draws them, identification fits them, a world applies them. Ratios multiply the description's value.
+    Randomization draws them, identification fits them, a world applies them. Ratios multiply the
+    description's value.
     """
 
     base_mass_ratio: Array = _row("1", "mass of the base and all that is fixed to it, to the description's")
@@ -103,9 +104,11 @@ def parse_settings(settings: list[str] | tuple[str, ...]) -> dict[str, float]:
     """
     parsed = {}
     for setting in settings:
-        name, equals, text = setting.partition("=")
+        name, _, text = setting.partition("=")
         if name not in PhysicalParams.names():
-            raise SurefootError(f"'{name}' is no physical parameter; choices: {choices(PhysicalParams.names())}")
+            raise SurefootError(
+                f"'{name}' is no physical parameter; choices: {choices(PhysicalParams.names())}"
+            )
         try:
             parsed[name] = float(text)
         except ValueError:

@@ -68,7 +68,9 @@ class Sheet:
         """A string out of `names`."""
         value = self.text(key)
         if value not in names:
-            raise self.error(key, f"is '{value}', which the robot does not have", f"choices: {choices(names)}")
+            raise self.error(
+                key, f"is '{value}', which the robot does not have", f"choices: {choices(names)}"
+            )
         return value
 
     def strings(self, key: str) -> list[str]:
@@ -85,7 +87,9 @@ class Sheet:
         value = self.strings(key)
         for name in value:
             if name not in valid:
-                raise self.error(key, f"names '{name}', which the robot does not have", f"choices: {choices(valid)}")
+                raise self.error(
+                    key, f"names '{name}', which the robot does not have", f"choices: {choices(valid)}"
+                )
         if count is not None and len(value) != count:
             raise self.error(key, f"has {len(value)} names", f"it must have {count}")
         return value
@@ -100,7 +104,9 @@ class Sheet:
     def numbers(self, key: str, count: int | None = None) -> list[float]:
         """A list of numbers, of a given length."""
         value = self._get(key)
-        if not isinstance(value, list) or any(isinstance(x, bool) or not isinstance(x, int | float) for x in value):
+        if not isinstance(value, list) or any(
+            isinstance(x, bool) or not isinstance(x, int | float) for x in value
+        ):
             raise self.error(key, f"is {value!r}", "it must be a list of numbers")
         if count is not None and len(value) != count:
             raise self.error(key, f"has {len(value)} numbers", f"it must have {count}")

@@ -1,7 +1,7 @@
 """The part of a URDF that surefoot reads itself: names, masses, inertias and joint axes.
 
-Engines read the same file with their own readers; this one exists so that a description can be checked, and refused in
-plain words, without any engine.
+Engines read the same file with their own readers; this one exists so that a description can be checked, and
+refused in plain words, without any engine.
 """
 
 from __future__ import annotations
@@ -96,10 +96,13 @@ def read_urdf(path: Path) -> Urdf:
         mass_element = element.find("inertial/mass")
         inertia_element = element.find("inertial/inertia")
         if mass_element is None or inertia_element is None:
-            raise SurefootError(f"{path}: link '{name}' has no <inertial> with <mass> and <inertia>; every link needs both")
+            raise SurefootError(
+                f"{path}: link '{name}' has no <inertial> with <mass> and <inertia>; every link needs both"
+            )
         (mass,) = _floats(mass_element.get("value", ""), 1, f"{path}: link '{name}': mass")
         ixx, iyy, izz = (
-            _floats(inertia_element.get(key, ""), 1, f"{path}: link '{name}': {key}")[0] for key in ("ixx", "iyy", "izz")
+            _floats(inertia_element.get(key, ""), 1, f"{path}: link '{name}': {key}")[0]
+            for key in ("ixx", "iyy", "izz")
         )
         if not mass > 0:
             raise SurefootError(f"{path}: link '{name}': mass is {mass:g}; it must be over 0 kg")
@@ -114,14 +117,25 @@ def read_urdf(path: Path) -> Urdf:
     for element in robot.findall("joint"):
         name = element.get("name", "")
         parent, child, axis = element.find("parent"), element.find("child"), element.find("axis")
-        ends = (parent.get("link", "") if parent is not None else "", child.get("link", "") if child is not None else "")
+        ends = (
+            parent.get("link", "") if parent is not None else "",
+            child.get("link", "") if child is not None else "",
+        )
         for end in ends:
             if end not in links:
-                raise SurefootError(f"{path}: joint '{name}' joins '{end}', which is no link; links: {choices(links)}")
-        xyz = _floats(axis.get("xyz", ""), 3, f"{path}: joint '{name}': axis") if axis is not None else (1.0, 0.0, 0.0)
+                raise SurefootError(
+                    f"{path}: joint '{name}' joins '{end}', which is no link; links: {choices(links)}"
+                )
+        xyz = (
+            _floats(axis.get("xyz", ""), 3, f"{path}: joint '{name}': axis")
+            if axis is not None
+            else (1.0, 0.0, 0.0)
+        )
         joints[name] = Joint(name, element.get("type", ""), ends[0], ends[1], (xyz[0], xyz[1], xyz[2]))
 
     roots = [name for name in links if name not in {joint.child for joint in joints.values()}]
     if len(roots) != 1:
-        raise SurefootError(f"{path}: {len(roots)} links have no parent ({choices(roots)}); exactly one must be the root")
+        raise SurefootError(
+            f"{path}: {len(roots)} links have no parent ({choices(roots)}); exactly one must be the root"
+        )
     return Urdf(path, links, joints)

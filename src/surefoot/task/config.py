@@ -36,7 +36,7 @@ class ReferenceConfig:
     """The open loop part of the gait."""
 
     kind: Literal["none", "sine", "table"] = "none"
-    """none: zero at all times; sine: `swing` and `extension` below; table: poses out of `file`, repeated every `period`."""
+    """none: zero at all times; sine: `swing` and `extension`; table: poses out of `file`, every `period`."""
     swing: WaveConfig = field(default_factory=WaveConfig)
     """Swing of the legs, for kind sine."""
     extension: WaveConfig = field(default_factory=WaveConfig)
@@ -52,7 +52,9 @@ class ReferenceConfig:
             return None
         if self.kind == "table":
             if self.file is None:
-                raise SurefootError("reference.file is missing; a reference of kind table needs a CSV or NPZ file")
+                raise SurefootError(
+                    "reference.file is missing; a reference of kind table needs a CSV or NPZ file"
+                )
             return {"kind": "table", "file": self.file, "period": self.period}
         return {"kind": "sine", "swing": vars(self.swing), "extension": vars(self.extension)}
 
@@ -70,7 +72,9 @@ class FeedbackConfig:
         """Refuse reversed bounds."""
         for name, (low, high) in (("swing", self.swing), ("extension", self.extension)):
             if not low <= high:
-                raise SurefootError(f"feedback.{name} is [{low:g}, {high:g}]; the lower bound must come first")
+                raise SurefootError(
+                    f"feedback.{name} is [{low:g}, {high:g}]; the lower bound must come first"
+                )
 
 
 @dataclass(frozen=True)
@@ -90,7 +94,7 @@ class TaskConfig:
     feedback: FeedbackConfig = field(default_factory=FeedbackConfig)
     """Bounds of the policy's part."""
     rest: tuple[float, float] | None = None
-    """Swing and extension [rad] in which the robot settles before an episode; the middle of the command range, if not given."""
+    """Swing and extension [rad] in which the robot settles first; the middle of commands if not given."""
     energy_weight: float = ENERGY_WEIGHT
     """w of the reward [m/J]."""
     fall_angle: float = 0.5
@@ -134,7 +138,9 @@ def task_path(task: str) -> Path:
         return _PRESETS / f"{task}.yaml"
     if Path(task).is_file():
         return Path(task)
-    raise SurefootError(f"task '{task}' does not exist; choices: {choices(preset_names())}, or the path of a YAML file")
+    raise SurefootError(
+        f"task '{task}' does not exist; choices: {choices(preset_names())}, or the path of a YAML file"
+    )
 
 
 def load_task(task: str) -> tuple[TaskConfig, dict[str, Any]]:

@@ -26,11 +26,12 @@ Array = NDArray[np.float64]
 class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
     """A batch of robots on one task.
 
-    Observations (N, O) are raw SI readings. Actions (N, 2 L) in [-1, 1] span the feedback's bounds: the swing of every leg,
-    then the extension of every leg. Rewards are those of Tan et al. 2018, eq. 3, in metres. An episode is terminated
-    by a fall or a diverged simulation, and truncated after `max_steps`. With `autoreset`, a robot whose episode is over
-    starts anew in the same step (`AutoresetMode.SAME_STEP`): the observation returned is the new episode's first one,
-    and `info` holds `final_obs` and, for every episode that ended, its `episode` figures.
+    Observations (N, O) are raw SI readings. Actions (N, 2 L) in [-1, 1] span the feedback's bounds: the swing
+    of every leg, then the extension of every leg. Rewards are those of Tan et al. 2018, eq. 3, in metres. An
+    episode is terminated by a fall or a diverged simulation, and truncated after `max_steps`. With
+    `autoreset`, a robot whose episode is over starts anew in the same step (`AutoresetMode.SAME_STEP`): the
+    observation returned is the new episode's first one, and `info` holds `final_obs` and, for every episode
+    that ended, its `episode` figures.
 
     Args:
         task: what is to be learned.
@@ -44,7 +45,7 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
         SurefootError: a task that does not fit its robot.
     """
 
-    metadata = {"autoreset_mode": AutoresetMode.SAME_STEP, "render_modes": []}
+    metadata = {"autoreset_mode": AutoresetMode.SAME_STEP, "render_modes": []}  # noqa: RUF012
 
     def __init__(
         self,
@@ -170,8 +171,8 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
     def privileged(self) -> NDArray[np.float32]:
         """What a critic may see in simulation besides the observation: the true state of now (N, P).
 
-        Base height [m] and velocity in the world [m/s], roll, pitch and yaw [rad], motor angles [rad] and speeds [rad/s],
-        phase of the reference, force of a push [100 N].
+        Base height [m] and velocity in the world [m/s], roll, pitch and yaw [rad], motor angles [rad] and
+        speeds [rad/s], phase of the reference, force of a push [100 N].
         """
         truth = self.truth
         parts = [

@@ -41,8 +41,9 @@ class HybridGait:
         for name, (least, most), (low, high), (allowed_low, allowed_high) in spans:
             if least + low < allowed_low - 1e-9 or most + high > allowed_high + 1e-9:
                 raise SurefootError(
-                    f"{name} can be {least + low:.3f} to {most + high:.3f} rad (reference {least:.3f} to {most:.3f}, "
-                    f"feedback {low:g} to {high:g}); a leg of {robot.name} allows {allowed_low:g} to {allowed_high:g}"
+                    f"{name} can be {least + low:.3f} to {most + high:.3f} rad "
+                    f"(reference {least:.3f} to {most:.3f}, feedback {low:g} to {high:g}); "
+                    f"a leg of {robot.name} allows {allowed_low:g} to {allowed_high:g}"
                 )
 
     @property

@@ -41,7 +41,9 @@ class Part:
 def _phase(moment: Moment) -> Array:
     period = moment.reference.period
     if period is None:
-        raise SurefootError("observation 'reference_phase' needs a periodic reference; this task's has no period")
+        raise SurefootError(
+            "observation 'reference_phase' needs a periodic reference; this task's has no period"
+        )
     angle = 2 * np.pi * moment.readings.time / period
     return np.stack([np.sin(angle), np.cos(angle)], -1)
 
@@ -53,8 +55,12 @@ def _motor_columns(prefix: str) -> Callable[[RobotDescription], list[str]]:
 PARTS: dict[str, Part] = {
     "roll": Part("rad", "base in world", lambda _: ["roll"], lambda m: m.readings.roll_pitch_yaw[:, 0:1]),
     "pitch": Part("rad", "base in world", lambda _: ["pitch"], lambda m: m.readings.roll_pitch_yaw[:, 1:2]),
-    "roll_rate": Part("rad/s", "base, about x", lambda _: ["roll_rate"], lambda m: m.readings.angular_velocity_base[:, 0:1]),
-    "pitch_rate": Part("rad/s", "base, about y", lambda _: ["pitch_rate"], lambda m: m.readings.angular_velocity_base[:, 1:2]),
+    "roll_rate": Part(
+        "rad/s", "base, about x", lambda _: ["roll_rate"], lambda m: m.readings.angular_velocity_base[:, 0:1]
+    ),
+    "pitch_rate": Part(
+        "rad/s", "base, about y", lambda _: ["pitch_rate"], lambda m: m.readings.angular_velocity_base[:, 1:2]
+    ),
     "motor_angles": Part("rad", "motor", _motor_columns("angle"), lambda m: m.readings.motor_angle),
     "motor_speeds": Part("rad/s", "motor", _motor_columns("speed"), lambda m: m.readings.motor_velocity),
     "reference_phase": Part("1", "reference gait", lambda _: ["phase_sin", "phase_cos"], _phase),

@@ -29,13 +29,18 @@ class PushConfig:
     def __post_init__(self) -> None:
         """Refuse pushes that can't be."""
         if not 0 < self.duration < self.period:
-            raise SurefootError(f"pushes.duration is {self.duration:g} s; it must be over 0 and below pushes.period {self.period:g} s")
+            raise SurefootError(
+                f"pushes.duration is {self.duration:g} s; "
+                f"it must be over 0 and below pushes.period {self.period:g} s"
+            )
         if not 0 <= self.force[0] <= self.force[1]:
-            raise SurefootError(f"pushes.force is {list(self.force)}; lower then upper bound, neither below 0 N")
+            raise SurefootError(
+                f"pushes.force is {list(self.force)}; lower then upper bound, neither below 0 N"
+            )
 
 
 class Pusher:
-    """Draws a force for each push of each robot: horizontal, any direction, uniform in direction and magnitude."""
+    """Draws a force for each push of each robot: horizontal, uniform in direction and magnitude."""
 
     def __init__(self, config: PushConfig, num_envs: int, seed: int) -> None:
         self.config = config

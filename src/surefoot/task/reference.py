@@ -96,14 +96,18 @@ class SineReference:
 
     def to_dict(self) -> dict[str, Any]:
         """As YAML or JSON can hold it."""
-        return {"kind": "sine", "swing": self.swing.to_dict(self.legs), "extension": self.extension.to_dict(self.legs)}
+        return {
+            "kind": "sine",
+            "swing": self.swing.to_dict(self.legs),
+            "extension": self.extension.to_dict(self.legs),
+        }
 
 
 @dataclass(frozen=True)
 class TableReference:
-    """A table of leg poses over one period, with straight lines between its rows and from the last row to the first.
+    """A table of leg poses over one period, with straight lines between its rows.
 
-    Row k stands for the time k period / rows.
+    Row k stands for the time k period / rows; after the last row comes the first.
     """
 
     legs: tuple[str, ...]
@@ -145,12 +149,14 @@ class TableReference:
         }
 
 
-def make_reference(data: Mapping[str, Any] | None, legs: tuple[str, ...], folder: Path | None = None) -> Reference:
+def make_reference(
+    data: Mapping[str, Any] | None, legs: tuple[str, ...], folder: Path | None = None
+) -> Reference:
     """Make a reference from configuration.
 
-    Three forms: nothing (zero at all times); `kind: sine` with `swing` and `extension`, each with `amplitude`,
-    `frequency`, `phase` and `offset`, each a number or a mapping from leg to number; `kind: table` with `period` and either
-    `file` (CSV or NPZ) or the rows themselves under `swing` and `extension`.
+    Three forms: nothing (zero at all times); `kind: sine` with `swing` and `extension`, each with
+    `amplitude`, `frequency`, `phase` and `offset`, each a number or a mapping from leg to number; `kind:
+    table` with `period` and either `file` (CSV or NPZ) or the rows themselves under `swing` and `extension`.
 
     Raises:
         SurefootError: an unknown key or leg, something that is no number, or a table that does not fit.
@@ -191,7 +197,9 @@ def _wave(data: Mapping[str, Any], where: str, legs: tuple[str, ...]) -> Wave:
             _only(given, f"{where}.{key}", legs)
             missing = [leg for leg in legs if leg not in given]
             if missing:
-                raise SurefootError(f"{where}.{key} has no number for {choices(missing)}; every leg needs one")
+                raise SurefootError(
+                    f"{where}.{key} has no number for {choices(missing)}; every leg needs one"
+                )
             values[key] = np.array([_number(given[leg], f"{where}.{key}.{leg}") for leg in legs])
         else:
             values[key] = np.full(len(legs), _number(given, f"{where}.{key}"))
@@ -217,13 +225,19 @@ def _table(data: Mapping[str, Any], legs: tuple[str, ...], folder: Path | None) 
             try:
                 parts.append(np.array([data[part][leg] for leg in legs], dtype=np.float64).T)
             except (KeyError, ValueError, TypeError):
-                raise SurefootError(f"reference.{part} must give one list of numbers, equally long, for {choices(legs)}") from None
+                raise SurefootError(
+                    f"reference.{part} must give one list of numbers, equally long, for {choices(legs)}"
+                ) from None
         swing, extension = parts
     if swing.ndim != 2 or swing.shape != extension.shape or len(swing) < 2:
-        raise SurefootError(f"{where}: the table has {len(swing)} row(s); a periodic reference needs 2 or more")
+        raise SurefootError(
+            f"{where}: the table has {len(swing)} row(s); a periodic reference needs 2 or more"
+        )
     bad = ~np.isfinite(np.concatenate([swing, extension], axis=1)).all(axis=1)
     if bad.any():
-        raise SurefootError(f"{where}: row {int(np.argmax(bad)) + 1} of the table is not finite; every pose must be a number")
+        raise SurefootError(
+            f"{where}: row {int(np.argmax(bad)) + 1} of the table is not finite; every pose must be a number"
+        )
     return TableReference(legs, period, swing, extension)
 
 
@@ -242,13 +256,17 @@ def _read_table(path: Path, legs: tuple[str, ...]) -> tuple[Array, Array]:
     except SurefootError:
         raise
     except (OSError, ValueError, KeyError) as error:
-        raise SurefootError(f"{path}: can't be read as a table: {str(error).splitlines()[0]}; {rule}") from error
+        raise SurefootError(
+            f"{path}: can't be read as a table: {str(error).splitlines()[0]}; {rule}"
+        ) from error
     missing = [name for name in columns if name not in table]
     if missing:
         raise SurefootError(f"{path}: has no column {missing[0]}; {rule}")
     count = len(legs)
     lengths = {len(table[name]) for name in columns}
     if len(lengths) != 1:
-        raise SurefootError(f"{path}: columns differ in length ({choices(sorted(lengths))}); they must not")
+        raise SurefootError(
+            f"{path}: columns differ in length ({choices(map(str, sorted(lengths)))}); they must not"
+        )
     values = np.stack([table[name] for name in columns], axis=1)
     return values[:, :count], values[:, count:]

@@ -25,5 +25,5 @@ def locomotion_reward(displacement: Array, energy: Array, energy_weight: float =
 
 
 def has_fallen(roll_pitch_yaw: Array, limit: float = 0.5) -> NDArray[np.bool_]:
-    """Whether the base tilts more than `limit` [rad] in roll or pitch (N,), from true angles (N, 3) (Tan et al. 2018)."""
+    """Whether roll or pitch is beyond `limit` [rad] (N,), by true angles (N, 3) (Tan et al. 2018)."""
     return np.any(np.abs(roll_pitch_yaw[:, :2]) > limit, axis=1)
