@@ -45,11 +45,15 @@ class ReferenceConfig:
     """CSV or NPZ file with columns swing_LEG and extension_LEG, for kind table."""
     period: float | None = None
     """Time [s] in which the table is gone through once."""
+    rows: dict[str, dict[str, tuple[float, ...]]] | None = None
+    """The table itself, in place of `file`: under swing and extension the poses [rad] of every leg by name."""
 
     def to_mapping(self) -> dict[str, Any] | None:
         """As `make_reference` takes it."""
         if self.kind == "none":
             return None
+        if self.kind == "table" and self.rows is not None:
+            return {"kind": "table", "period": self.period, **self.rows}
         if self.kind == "table":
             if self.file is None:
                 raise SurefootError(

@@ -34,7 +34,9 @@ _META_DEFAULTS: dict[str, Any] = {
     "max_steps": 1000,
 }
 # What a robot without motion capture or foot switches cannot know is NaN there; everything else is known.
-_MAY_BE_NAN = frozenset({"base_position_world", "base_quat_world", "foot_contact", "foot_position_world"})
+_MAY_BE_NAN = frozenset(
+    {"base_position_world", "base_quat_world", "foot_contact", "foot_position_world", "true_motor_angle"}
+)
 
 FloatArray = NDArray[np.float64]
 
@@ -63,6 +65,8 @@ class EpisodeTrace:
         foot_contact: (T, L) fraction of the control step's servo steps in which the foot touched, 0 to 1.
             NaN where unknown.
         foot_position_world: (T, L, 3) m; NaN where unknown, all NaN when left out.
+        true_motor_angle: (T, M) rad at the end of the control step, without the readings' delay; NaN where
+            unknown, all NaN when left out.
         meta: what can be written as JSON: schema, robot, world, policy, seed, control_step (s), leg_names,
             motor_names, observation_names, params, energy_weight, ended (one of `ENDINGS`), max_steps.
     """
@@ -81,15 +85,17 @@ class EpisodeTrace:
     energy: FloatArray
     foot_contact: FloatArray
     foot_position_world: FloatArray = field(default_factory=lambda: np.empty(0))
+    true_motor_angle: FloatArray = field(default_factory=lambda: np.empty(0))
     meta: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Check the record and freeze its arrays."""
         object.__setattr__(self, "meta", _checked_meta(self.meta))
-        steps, legs = np.size(self.time), len(self.meta["leg_names"])
-        if self.foot_position_world is None or self.foot_position_world.size == 0:
-            object.__setattr__(self, "foot_position_world", np.full((steps, legs, 3), np.nan))
-        for name, shape in _shapes(steps, self.meta).items():
+        shapes = _shapes(np.size(self.time), self.meta)
+        for name in ("foot_position_world", "true_motor_angle"):
+            if getattr(self, name) is None or np.size(getattr(self, name)) == 0:
+                object.__setattr__(self, name, np.full(shapes[name], np.nan))
+        for name, shape in shapes.items():
             object.__setattr__(self, name, _checked_array(name, getattr(self, name), shape))
         if self.time[0] <= 0.0 or np.any(np.diff(self.time) <= 0.0):
             raise SurefootError("trace: time must be above 0 s at the first step and strictly increasing")
@@ -188,6 +194,7 @@ def _shapes(steps: int, meta: dict[str, Any]) -> dict[str, tuple[int, ...]]:
         "energy": (steps,),
         "foot_contact": (steps, legs),
         "foot_position_world": (steps, legs, 3),
+        "true_motor_angle": (steps, motors),
     }
 
 

@@ -1,0 +1,169 @@
+"""Runs a policy in a simulation and records a trace of every episode."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from surefoot.configuration import from_mapping
+from surefoot.errors import SurefootError
+from surefoot.policy.contract import Contract
+from surefoot.task.config import TaskConfig
+from surefoot.task.env import LocomotionEnv
+from surefoot.task.trace import EpisodeTrace
+from surefoot.world.interface import SimulationFactory
+
+Array = NDArray[np.float64]
+Progress = Callable[[int, int], None]
+
+
+class Policy(Protocol):
+    """What gives leg-space feedback for observations, such as a `PolicyRuntime`."""
+
+    def feedback(self, observation: ArrayLike) -> Array:
+        """Feedback (N, 2 L) [rad] for observations (N, O * history)."""
+        ...
+
+
+def task_from_contract(contract: Contract) -> TaskConfig:
+    """The task that a policy was made for; a reference read from a file then comes from the contract itself.
+
+    Raises:
+        SurefootError: a task that this surefoot doesn't know.
+    """
+    task = from_mapping(TaskConfig, contract.task, f"policy '{contract.name}': task")
+    reference = contract.reference
+    if reference is not None and reference.get("kind") == "table":
+        rows = {
+            part: {leg: tuple(row) for leg, row in reference[part].items()} for part in ("swing", "extension")
+        }
+        table = replace(task.reference, file=None, period=float(reference["period"]), rows=rows)
+        task = replace(task, reference=table)
+    return task
+
+
+class _Recorder:
+    """Keeps what happened in each control step, for all robots."""
+
+    def __init__(self, env: LocomotionEnv) -> None:
+        truth = env.truth
+        self.position, self.quat = [truth.base_position_world.copy()], [truth.base_quat_world.copy()]
+        self.steps: list[dict[str, Array]] = []
+
+    def record(self, env: LocomotionEnv, time: Array, observation: NDArray[np.float32]) -> None:
+        """Keep the control step that just ended; `time` (N,) [s] and `observation` are of its start."""
+        readings, truth = env.readings, env.truth
+        self.position.append(truth.base_position_world.copy())
+        self.quat.append(truth.base_quat_world.copy())
+        self.steps.append(
+            {
+                "time": readings.time,
+                "roll_pitch_yaw": readings.roll_pitch_yaw,
+                "angular_velocity_base": readings.angular_velocity_base,
+                "motor_angle": readings.motor_angle,
+                "motor_velocity": readings.motor_velocity,
+                "motor_torque": truth.motor_torque,
+                "observation": observation[:, : env.observer.width].astype(float),
+                "feedback": env.feedback.copy(),
+                "target": env.gait.motor_targets(time, env.feedback),
+                "energy": truth.energy,
+                "foot_contact": truth.foot_contact,
+                "foot_position_world": env.world.foot_positions(),
+                "true_motor_angle": truth.motor_angle,
+            }
+        )
+
+    def trace(self, robot: int, steps: int, meta: dict[str, Any]) -> EpisodeTrace:
+        """The trace of one robot's first `steps` control steps."""
+        if steps < 1:
+            raise SurefootError(
+                "the simulation diverged in the first control step; no episode can be recorded"
+            )
+        arrays = {
+            name: np.array([step[name][robot] for step in self.steps[:steps]]) for name in self.steps[0]
+        }
+        return EpisodeTrace(
+            base_position_world=np.array([row[robot] for row in self.position[: steps + 1]]),
+            base_quat_world=np.array([row[robot] for row in self.quat[: steps + 1]]),
+            meta=meta,
+            **arrays,
+        )
+
+
+def run_episodes(
+    policy: Policy,
+    task: TaskConfig,
+    episodes: int,
+    make_world: SimulationFactory,
+    seed: int = 0,
+    threads: int = 0,
+    progress: Progress | None = None,
+    *,
+    world_name: str = "mujoco",
+    policy_name: str = "",
+) -> list[EpisodeTrace]:
+    """Run episodes side by side and record each to its own end: a fall, or `task.max_steps` control steps.
+
+    An episode in which the simulation diverged ends as a fault, one control step before.
+
+    Args:
+        policy: gives the feedback.
+        task: what is run; its physical parameters and pushes hold.
+        episodes: how many.
+        make_world: makes the simulation.
+        seed: the one seed; episode i is the same in any number of episodes.
+        threads: threads of the simulation; 0 means one a core.
+        progress: called after every control step with the steps so far and the number of robots still going.
+        world_name: name of the world, for the traces.
+        policy_name: name of the policy, for the traces.
+
+    Raises:
+        SurefootError: no episodes, or a task that does not fit.
+    """
+    if episodes < 1:
+        raise SurefootError(f"episodes is {episodes}; it must be 1 or more")
+    if seed < 0:
+        raise SurefootError(f"seed is {seed}; it must not be below 0")
+    env = LocomotionEnv(task, episodes, make_world, seed, autoreset=False, threads=threads)
+    observation, _ = env.reset()
+    recorder = _Recorder(env)
+    lengths = np.full(episodes, -1)
+    ended = np.full(episodes, "time", dtype="<U5")
+    for step in range(1, task.max_steps + 1):
+        time, given = env.readings.time, observation
+        observation, _, terminated, truncated, info = env.step(env.gait.action(policy.feedback(given)))
+        recorder.record(env, time, given)
+        diverged = info.get("diverged", np.zeros(episodes, np.bool_))
+        going = lengths < 0
+        over = going & (terminated | truncated)
+        lengths[over] = np.where(diverged, step - 1, step)[over]
+        ended[over] = np.where(diverged, "fault", np.where(terminated, "fall", "time"))[over]
+        going &= ~over
+        # What a robot that is over still does is of no interest, but it must stay a number for the policy.
+        observation = np.where(going[:, None], observation, 0.0).astype(np.float32)
+        if progress is not None:
+            progress(step, int(going.sum()))
+        if not going.any():
+            break
+    params = env.nominal.summary()
+    meta = {
+        "robot": env.robot.name,
+        "world": world_name,
+        "policy": policy_name,
+        "seed": seed,
+        "control_step": float(params["control_step"]),  # type: ignore[arg-type]
+        "leg_names": list(env.robot.leg_names),
+        "motor_names": list(env.robot.motor_names),
+        "observation_names": list(env.observer.columns),
+        "params": params,
+        "energy_weight": task.energy_weight,
+        "max_steps": task.max_steps,
+    }
+    return [
+        recorder.trace(i, int(lengths[i]), {**meta, "episode": i, "ended": str(ended[i])})
+        for i in range(episodes)
+    ]

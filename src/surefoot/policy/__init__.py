@@ -1,0 +1,1 @@
+"""The policy file: its contract, its export and the runtime that runs it."""

@@ -1,0 +1,187 @@
+"""What a policy file says about itself: everything needed to run it, and to refuse what does not match."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from surefoot.configuration import from_mapping, to_mapping
+from surefoot.errors import SurefootError, choices
+from surefoot.robot import RobotDescription
+
+KIND = "surefoot-policy"
+SCHEMA = 1
+METADATA_KEY = "surefoot"
+"""Property of the ONNX file that holds the contract."""
+
+
+@dataclass(frozen=True)
+class ObservationPart:
+    """One named part of the observation."""
+
+    name: str
+    unit: str
+    frame: str
+
+
+@dataclass(frozen=True)
+class Contract:
+    """What a policy was made for and what it takes and gives. Written as JSON at full precision."""
+
+    name: str
+    """Name of the policy."""
+    robot: str
+    """Name of the robot."""
+    motor_names: tuple[str, ...]
+    """Motors, in the order of motor angles."""
+    motor_signs: tuple[float, ...]
+    """Joint angle = sign * motor angle; 1 or -1 for each motor."""
+    leg_names: tuple[str, ...]
+    """Legs, in the order of the actions."""
+    observation: tuple[ObservationPart, ...]
+    """Parts of an observation, in order."""
+    columns: tuple[str, ...]
+    """Names of an observation's O numbers, in order."""
+    history: int
+    """How many of the last observations the policy sees, the newest first."""
+    action_names: tuple[str, ...]
+    """Names of the feedback's numbers: the swing of every leg, then the extension of every leg."""
+    low: tuple[float, ...]
+    """Least feedback [rad], one an action."""
+    high: tuple[float, ...]
+    """Greatest feedback [rad], one an action."""
+    reference: dict[str, Any] | None
+    """The open loop part of the gait, as the task's reference writes itself; None: zero at all times."""
+    rest: tuple[float, float]
+    """Swing and extension [rad] in which an episode starts."""
+    control_step: float
+    """Time between two commands [s]."""
+    servo_latency: float
+    """Assumed age of what the servo sees [s]."""
+    control_latency: float
+    """Assumed age of what the policy sees [s]."""
+    servo_kp: float
+    """Assumed proportional gain [duty/rad]."""
+    servo_kd: float
+    """Assumed derivative gain [duty s/rad]."""
+    voltage: float
+    """Assumed battery voltage [V]."""
+    task: dict[str, Any]
+    """The task as configuration."""
+    config_hash: str
+    """SHA-256 of the whole configuration, as `config_hash` makes it."""
+    figures: dict[str, Any] = field(default_factory=dict)
+    """Figures of the run that made the policy."""
+    version: str = ""
+    """Version of surefoot that wrote it."""
+    created: str = ""
+    """When it was written, ISO 8601; may be empty."""
+
+    def __post_init__(self) -> None:
+        """Refuse what contradicts itself, and keep only what JSON can hold."""
+        for name in ("task", "figures", "reference"):
+            object.__setattr__(self, name, plain(getattr(self, name)))
+        motors, actions = len(self.motor_names), len(self.action_names)
+        for name, length in (("motor_signs", motors), ("low", actions), ("high", actions)):
+            if len(getattr(self, name)) != length:
+                raise SurefootError(
+                    f"contract: {name} has {len(getattr(self, name))} numbers; it must have {length}"
+                )
+        if actions != 2 * len(self.leg_names) or not actions:
+            raise SurefootError(
+                f"contract: {actions} actions for {len(self.leg_names)} legs; each leg has swing and extension"
+            )
+        if not self.columns or self.history < 1:
+            raise SurefootError("contract: the policy sees nothing; columns and history must be 1 or more")
+        if any(abs(sign) != 1 for sign in self.motor_signs):
+            raise SurefootError(f"contract: motor_signs is {list(self.motor_signs)}; each must be 1 or -1")
+        bounds = zip(self.action_names, self.low, self.high, strict=True)
+        for name, low, high in bounds:
+            if not (math.isfinite(low) and math.isfinite(high) and low <= high):
+                raise SurefootError(
+                    f"contract: bounds of {name} are [{low:g}, {high:g}]; finite, the lower one first"
+                )
+        if not (math.isfinite(self.control_step) and self.control_step > 0):
+            raise SurefootError(f"contract: control_step is {self.control_step:g}; it must be over 0 s")
+
+    @property
+    def width(self) -> int:
+        """Numbers that the policy takes: O for each observation of the history."""
+        return len(self.columns) * self.history
+
+    def to_json(self) -> str:
+        """As JSON; `from_json` gives back an equal contract."""
+        data = {"kind": KIND, "schema": SCHEMA, **to_mapping(self)}
+        return json.dumps(data, ensure_ascii=False, allow_nan=False)
+
+    @classmethod
+    def from_json(cls, text: str) -> Contract:
+        """Read a contract.
+
+        Raises:
+            SurefootError: no JSON, no contract, one of another schema, or one that does not fit.
+        """
+        try:
+            data = json.loads(text)
+        except ValueError as error:
+            raise SurefootError(f"contract: is not JSON: {error}") from error
+        if not isinstance(data, dict) or data.pop("kind", None) != KIND:
+            raise SurefootError(f"contract: is no policy's; its kind must be '{KIND}'")
+        schema = data.pop("schema", None)
+        if schema != SCHEMA:
+            raise SurefootError(f"contract: has schema {schema!r}; this surefoot reads schema {SCHEMA}")
+        return from_mapping(cls, data, "contract")
+
+
+def plain(value: Any) -> Any:
+    """Tables, lists, text and numbers as JSON holds them; a number that is not finite becomes None."""
+    if isinstance(value, Mapping):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, np.ndarray | np.generic):
+        return plain(value.tolist())
+    if isinstance(value, list | tuple):
+        return [plain(item) for item in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
+
+
+def config_hash(config: Mapping[str, Any]) -> str:
+    """SHA-256 of a configuration as canonical JSON: keys sorted, no blanks."""
+    text = json.dumps(
+        plain(config), sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False
+    )
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def check_robot(contract: Contract, robot: RobotDescription) -> None:
+    """Refuse to run a policy on a robot that it was not made for.
+
+    Raises:
+        SurefootError: another robot, or other legs, motors, order or signs.
+    """
+    who = f"policy '{contract.name}'"
+    if contract.robot != robot.name:
+        raise SurefootError(f"{who} is for robot '{contract.robot}'; this robot is '{robot.name}'")
+    if contract.leg_names != robot.leg_names:
+        raise SurefootError(
+            f"{who} has legs {choices(contract.leg_names)}; {robot.name} has {choices(robot.leg_names)}, in this order"
+        )
+    for index, (theirs, ours) in enumerate(zip(contract.motor_names, robot.motor_names, strict=False)):
+        if theirs != ours:
+            raise SurefootError(f"{who} has '{theirs}' as motor {index}; {robot.name} has '{ours}' there")
+    if len(contract.motor_names) != robot.num_motors:
+        raise SurefootError(
+            f"{who} has {len(contract.motor_names)} motors; {robot.name} has {robot.num_motors}"
+        )
+    for name, their_sign, our_sign in zip(
+        robot.motor_names, contract.motor_signs, robot.motor_sign, strict=True
+    ):
+        if their_sign != our_sign:
+            raise SurefootError(f"{who} has sign {their_sign:+g} for {name}; {robot.name} has {our_sign:+g}")

@@ -1,0 +1,156 @@
+"""A trained actor as one ONNX file: normalizer, network, squashing, bounds and contract in it."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import onnx
+from numpy.typing import NDArray
+from onnx import TensorProto, helper, numpy_helper
+
+from surefoot.errors import SurefootError, choices
+from surefoot.policy.contract import METADATA_KEY, Contract
+
+OPSET = 17
+IR_VERSION = 8
+INPUT, OUTPUT = "observation", "feedback"
+ACTIVATIONS = {"elu": "Elu", "relu": "Relu", "tanh": "Tanh", "selu": "Selu", "swish": "swish"}
+
+Layer = tuple[NDArray[np.float32], NDArray[np.float32]]
+
+
+class _Graph:
+    """Nodes and constants, one after the other; `value` is the name of the last result."""
+
+    def __init__(self) -> None:
+        self.nodes: list[onnx.NodeProto] = []
+        self.constants: list[onnx.TensorProto] = []
+        self.value = INPUT
+
+    def constant(self, name: str, array: Any) -> str:
+        self.constants.append(numpy_helper.from_array(np.asarray(array, np.float32), name))
+        return name
+
+    def then(self, kind: str, *others: str, to: str = "", **attributes: Any) -> str:
+        """Apply an operator to the last result and other values."""
+        result = to or f"{kind.lower()}_{len(self.nodes)}"
+        self.nodes.append(helper.make_node(kind, [self.value, *others], [result], **attributes))
+        self.value = result
+        return result
+
+    def activate(self, activation: str) -> None:
+        before = self.value
+        if activation == "swish":
+            self.then("Sigmoid")
+            self.then("Mul", before)
+        else:
+            self.then(ACTIVATIONS[activation])
+
+
+def build_model(
+    layers: list[Layer],
+    mean: NDArray[np.float32],
+    scale: NDArray[np.float32],
+    activation: str,
+    contract: Contract,
+) -> onnx.ModelProto:
+    """The ONNX model of a multilayer perceptron.
+
+    feedback = low + (clip(mlp((observation - mean) / scale), -1, 1) + 1) / 2 (high - low)
+
+    Args:
+        layers: weight (out, in) and bias (out,) of each layer; the activation stands between two of them.
+        mean: subtracted from the observation, (O * history,), raw SI units.
+        scale: what is divided by, (O * history,).
+        activation: one of `ACTIVATIONS`.
+        contract: goes into the metadata; its bounds go into the graph.
+
+    Raises:
+        SurefootError: an activation that is not known, or layers that do not fit the contract.
+    """
+    if activation not in ACTIVATIONS:
+        raise SurefootError(f"activation is '{activation}'; choices: {choices(ACTIVATIONS)}")
+    inputs, outputs = contract.width, len(contract.action_names)
+    found = (layers[0][0].shape[1], layers[-1][0].shape[0])
+    if found != (inputs, outputs):
+        raise SurefootError(
+            f"the network takes {found[0]} and gives {found[1]} numbers; its contract says {inputs} and {outputs}"
+        )
+    low, high = np.array(contract.low), np.array(contract.high)
+    graph = _Graph()
+    graph.then("Sub", graph.constant("observation_mean", np.reshape(mean, (1, inputs))))
+    graph.then("Div", graph.constant("observation_scale", np.reshape(scale, (1, inputs))))
+    for index, (weight, bias) in enumerate(layers):
+        if index:
+            graph.activate(activation)
+        names = (graph.constant(f"weight_{index}", weight), graph.constant(f"bias_{index}", bias))
+        graph.then("Gemm", *names, transB=1)
+    graph.then("Clip", graph.constant("minus_one", -1.0), graph.constant("one", 1.0))
+    graph.then("Mul", graph.constant("half_width", (high - low)[None] / 2))
+    graph.then("Add", graph.constant("middle", (high + low)[None] / 2), to=OUTPUT)
+    model = helper.make_model(
+        helper.make_graph(
+            graph.nodes,
+            "policy",
+            [helper.make_tensor_value_info(INPUT, TensorProto.FLOAT, ["N", inputs])],
+            [helper.make_tensor_value_info(OUTPUT, TensorProto.FLOAT, ["N", outputs])],
+            graph.constants,
+        ),
+        opset_imports=[helper.make_opsetid("", OPSET)],
+        ir_version=IR_VERSION,
+        producer_name="surefoot",
+        producer_version=contract.version,
+    )
+    helper.set_model_props(model, {METADATA_KEY: contract.to_json()})
+    onnx.checker.check_model(model, full_check=True)
+    return model
+
+
+def export_policy(actor: Any, activation: str, contract: Contract, path: str | Path) -> Path:
+    """Write an actor as a policy file; the file appears whole or not at all.
+
+    Args:
+        actor: rsl_rl's `MLPModel`, whose deterministic output is the action in [-1, 1].
+        activation: of its hidden layers, one of `ACTIVATIONS`.
+        contract: what the file says about itself.
+        path: .onnx to write.
+
+    Raises:
+        SurefootError: another ending, or an actor that does not fit its contract or is not finite.
+    """
+    path = Path(path)
+    if path.suffix != ".onnx":
+        raise SurefootError(f"policy file {path}: the name must end in .onnx")
+    linear = [layer for layer in actor.mlp if hasattr(layer, "weight")]
+    layers = [(_array(layer.weight), _array(layer.bias)) for layer in linear]
+    width = layers[0][0].shape[1]
+    mean, scale = np.zeros(width, np.float32), np.ones(width, np.float32)
+    if hasattr(actor.obs_normalizer, "_mean"):
+        normalizer = actor.obs_normalizer
+        mean, scale = _array(normalizer._mean)[0], _array(normalizer._std)[0] + np.float32(normalizer.eps)
+    if not all(
+        np.isfinite(array).all() for array in (mean, scale, *(array for layer in layers for array in layer))
+    ):
+        raise SurefootError(
+            f"policy file {path}: the network holds numbers that are not finite; it is not written"
+        )
+    model = build_model(layers, mean, scale, activation, contract)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    try:
+        with temporary.open("wb") as file:
+            file.write(model.SerializeToString())
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
+    return path
+
+
+def _array(tensor: Any) -> NDArray[np.float32]:
+    array: NDArray[np.float32] = tensor.detach().cpu().numpy().astype(np.float32)
+    return array
