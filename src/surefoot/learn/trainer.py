@@ -15,8 +15,7 @@ from rsl_rl.storage import RolloutStorage
 from tensordict import TensorDict
 
 from surefoot.learn.config import TrainConfig
-from surefoot.task.env import LocomotionEnv
-from surefoot.world.interface import SimulationFactory
+from surefoot.task.env import LocomotionEnv, SimulationFactory
 
 
 @dataclass(frozen=True)
@@ -151,7 +150,7 @@ class Trainer:
             return_mean=float(np.mean(returns)) if len(returns) else float("nan"),
             speed_mean=float(np.mean(distances / durations)) if len(returns) else float("nan"),
             reward_rate=rewards / config.steps_per_update,
-            std_mean=float(self.policy.distribution.std.mean()),
+            std_mean=float(self.policy.output_std.detach().mean()),
             learning_rate=algorithm.learning_rate,
             value_loss=losses["value"],
             surrogate_loss=losses["surrogate"],

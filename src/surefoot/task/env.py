@@ -20,6 +20,8 @@ from surefoot.task.reference import make_reference
 from surefoot.task.reward import has_fallen, locomotion_reward
 from surefoot.world.interface import Readings, Simulation, SimulationFactory, Truth, WorldConfig
 
+__all__ = ["LocomotionEnv", "SimulationFactory"]
+
 Array = NDArray[np.float64]
 
 

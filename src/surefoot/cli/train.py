@@ -1,0 +1,138 @@
+"""`surefoot train gallop | trot | FILE.yaml`: learn a gait; `surefoot train --resume RUN`: go on with a run."""
+
+from __future__ import annotations
+
+import signal
+import time
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from rich.console import Console
+
+from surefoot.errors import SurefootError, choices
+
+if TYPE_CHECKING:
+    from surefoot.learn.config import TrainConfig
+    from surefoot.learn.run import TrainingRun
+    from surefoot.learn.run_folder import RunFolder
+
+_USAGE = """usage: surefoot train TASK [--runs DIR] [options]     learn a gait
+       surefoot train --resume RUN                     go on with a run, exactly where it stopped
+       surefoot train TASK --help                      every option, with the task's own values
+
+TASK is {tasks}, or the path of a YAML file."""
+
+
+def main(argv: list[str]) -> int:
+    """Run the command; returns its exit code."""
+    from surefoot.task.config import preset_names
+
+    if not argv or argv[0] in ("-h", "--help"):
+        print(_USAGE.format(tasks=choices(preset_names())))
+        return 0 if argv else 2
+    if argv[0] == "--resume":
+        if len(argv) != 2:
+            raise SurefootError("--resume takes the path of one run folder and nothing else; the run's own options hold")
+        return _train(None, Path(argv[1]))
+    if argv[0].startswith("-"):
+        raise SurefootError(f"'{argv[0]}' is no task; choices: {choices(preset_names())}, or the path of a YAML file")
+    config, root = _parse(argv)
+    return _train(config, root)
+
+
+def _parse(argv: list[str]) -> tuple[TrainConfig, Path]:
+    import tyro
+
+    from surefoot.learn.config import TrainConfig, load_train_config
+
+    preset, rest, root = load_train_config(argv[0]), argv[1:], Path("runs")
+    if "--runs" in rest:
+        place = rest.index("--runs")
+        if place + 1 >= len(rest):
+            raise SurefootError("--runs has no value; it takes the folder for run folders")
+        root = Path(rest[place + 1])
+        del rest[place : place + 2]
+    config = tyro.cli(TrainConfig, prog=f"surefoot train {argv[0]}", args=rest, default=preset)
+    return config, root
+
+
+def _train(config: TrainConfig | None, path: Path) -> int:
+    try:
+        from surefoot.learn.run import TrainingRun
+        from surefoot.learn.run_folder import RunFolder
+        from surefoot.world.sim_world import SimWorld
+    except ModuleNotFoundError as error:
+        raise SurefootError(f"training needs {error.name}, which is not installed; pip install 'surefoot[train]'") from None
+    from surefoot.learn.progress import TrainingProgress
+
+    console = Console()
+    resume = config is None
+    if config is None:
+        folder, config = RunFolder.open(path)
+        run = TrainingRun(config, folder, SimWorld, resume=True)
+    else:
+        _check(config)
+        folder = RunFolder.create(config, path)
+        run = TrainingRun(config, folder, SimWorld)
+    console.print(f"{'Going on with' if resume else 'Training'} {config.task.name} in {folder.path}", soft_wrap=True)
+    with TrainingProgress(config, console, run.trainer.steps) as progress, _Stop(console) as stop:
+        run.run(progress.update, stop.asked)
+    if not run.finished:
+        console.print(f"Stopped and saved at {run.trainer.steps:,} steps. To go on:", highlight=False)
+        console.print(f"  surefoot train --resume {folder.path}", soft_wrap=True, highlight=False)
+        return 130
+    finish(run, folder, console)
+    return 0
+
+
+class _Stop:
+    """Turns Ctrl-C and a request to terminate into a stop after the update under way; a second Ctrl-C stops at once."""
+
+    def __init__(self, console: Console) -> None:
+        self._console, self._asked = console, False
+        self._before: dict[int, Any] = {}
+
+    def __enter__(self) -> _Stop:
+        for number in (signal.SIGINT, signal.SIGTERM):
+            self._before[number] = signal.signal(number, self._on_signal)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for number, handler in self._before.items():
+            signal.signal(number, handler)
+
+    def _on_signal(self, number: int, _: object) -> None:
+        if self._asked:
+            raise KeyboardInterrupt
+        self._asked = True
+        self._console.print("Stopping after this update; once more stops at once, back at the last checkpoint.")
+
+    def asked(self) -> bool:
+        """Whether to stop."""
+        return self._asked
+
+
+def _check(config: TrainConfig) -> None:
+    """Refuse a task that does not fit before a folder is made for it."""
+    from surefoot.task.env import LocomotionEnv
+    from surefoot.world.sim_world import SimWorld
+
+    LocomotionEnv(config.task, 1, SimWorld, threads=1)
+
+
+def finish(run: TrainingRun, folder: RunFolder, console: Console) -> dict[str, Any]:
+    """Export the best policy, evaluate it, and leave figures, video and table in the run folder."""
+    from surefoot.cli.results import report_run
+    from surefoot.learn.export import export_trainer
+
+    run.use_best()
+    figures = {
+        "training": asdict(run.best) if run.best else {},
+        "seconds": round(run.seconds, 1),
+        "seed": run.config.seed,
+        "steps": run.trainer.steps,
+    }
+    created = time.strftime("%Y-%m-%dT%H:%M:%S%z")
+    export_trainer(run.trainer, folder.policy, figures, created=created)
+    return report_run(folder.path, folder.policy, run.config.task, folder.rows(), console)

@@ -1,0 +1,207 @@
+"""A run's folder: what was asked for, what it was run with, what came out, and checkpoints that survive accidents."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+import os
+import platform
+import subprocess
+import sys
+import time
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from surefoot import __version__
+from surefoot.configuration import from_mapping, read_yaml, write_yaml
+from surefoot.errors import SurefootError
+from surefoot.learn.config import TrainConfig
+
+FORMAT = 1
+_MAGIC = b"surefoot checkpoint 1\n"
+_PACKAGES = ("mujoco", "numpy", "numba", "torch", "rsl-rl-lib", "gymnasium", "onnx", "onnxruntime")
+
+
+def _write(path: Path, content: bytes) -> None:
+    """Write a file whole or not at all."""
+    partial = path.with_name(f".{path.name}.partial")
+    try:
+        with partial.open("wb") as file:
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(partial, path)
+    except OSError as error:
+        partial.unlink(missing_ok=True)
+        raise SurefootError(f"{path}: can't be written: {error.strerror}; what was saved before is untouched") from error
+
+
+def write_checkpoint(path: Path, state: dict[str, Any]) -> None:
+    """Write a checkpoint with its digest, whole or not at all.
+
+    Raises:
+        SurefootError: it can't be written, for example because the disk is full.
+    """
+    buffer = io.BytesIO()
+    torch.save(state, buffer)
+    payload = buffer.getvalue()
+    _write(path, _MAGIC + hashlib.sha256(payload).hexdigest().encode() + b"\n" + payload)
+
+
+def read_checkpoint(path: Path) -> dict[str, Any]:
+    """Read a checkpoint written by `write_checkpoint`.
+
+    Raises:
+        SurefootError: it is missing, cut off, damaged, or no checkpoint.
+    """
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        raise SurefootError(f"{path}: can't be read: {error.strerror}") from error
+    if not content.startswith(_MAGIC):
+        raise SurefootError(f"{path}: is no surefoot checkpoint, or its start is damaged")
+    digest, _, payload = content[len(_MAGIC) :].partition(b"\n")
+    if hashlib.sha256(payload).hexdigest().encode() != digest:
+        raise SurefootError(f"{path}: the checkpoint is broken (cut off or damaged): its digest does not match")
+    state: dict[str, Any] = torch.load(io.BytesIO(payload), weights_only=False)
+    return state
+
+
+def _git_revision() -> str | None:
+    try:
+        here = Path(__file__).parent
+        result = subprocess.run(
+            ["git", "describe", "--always", "--dirty"], cwd=here, capture_output=True, text=True, timeout=10, check=False
+        )
+    except (OSError, subprocess.TimeoutExpired):
+        return None
+    return result.stdout.strip() or None
+
+
+class RunFolder:
+    """The folder of one run: `config.yaml`, `run.json`, `figures.jsonl`, TensorBoard log, `checkpoints/`, `policy.onnx`."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.checkpoints = path / "checkpoints"
+        self.latest = self.checkpoints / "latest.ckpt"
+        self.previous = self.checkpoints / "previous.ckpt"
+        self.figures_log = path / "figures.jsonl"
+        self.policy = path / "policy.onnx"
+
+    @classmethod
+    def create(cls, config: TrainConfig, root: Path) -> RunFolder:
+        """Make the folder `root/<task>/<time>_<name>` of a new run.
+
+        Raises:
+            SurefootError: it can't be made.
+        """
+        stamp = time.strftime("%Y-%m-%d_%H-%M-%S")
+        base = root / config.task.name / f"{stamp}_{config.name}_seed{config.seed}"
+        path, count = base, 1
+        while path.exists():
+            count += 1
+            path = base.with_name(f"{base.name}-{count}")
+        folder = cls(path)
+        try:
+            folder.checkpoints.mkdir(parents=True)
+            write_yaml(path / "config.yaml", config)
+        except OSError as error:
+            raise SurefootError(f"{path}: a run folder can't be made there: {error.strerror}") from error
+        about = {
+            "format": FORMAT,
+            "surefoot": __version__,
+            "git": _git_revision(),
+            "command": ["surefoot", *sys.argv[1:]],
+            "started": stamp,
+            "seed": config.seed,
+            "python": platform.python_version(),
+            "packages": {name: metadata.version(name) for name in _PACKAGES},
+            "machine": {"processor": platform.machine(), "cores": os.cpu_count()},
+        }
+        _write(path / "run.json", (json.dumps(about, indent=2) + "\n").encode())
+        return folder
+
+    @classmethod
+    def open(cls, path: Path) -> tuple[RunFolder, TrainConfig]:
+        """Open an existing run's folder.
+
+        Raises:
+            SurefootError: no run folder, one of another version, or a configuration that does not fit.
+        """
+        about_path = path / "run.json"
+        try:
+            about = json.loads(about_path.read_text(encoding="utf-8"))
+            written = about["format"]
+        except OSError:
+            raise SurefootError(f"{path}: is no run folder; one has run.json and config.yaml") from None
+        except (ValueError, KeyError, TypeError):
+            raise SurefootError(f"{about_path}: is damaged; it must be the JSON that surefoot wrote") from None
+        if written != FORMAT:
+            raise SurefootError(
+                f"{path}: is of run format {written}, by surefoot {about.get('surefoot')}; this is surefoot {__version__}, "
+                f"which reads format {FORMAT}"
+            )
+        config_path = path / "config.yaml"
+        try:
+            config = from_mapping(TrainConfig, read_yaml(config_path))
+        except SurefootError as error:
+            raise SurefootError(f"{config_path}: {error}") from None
+        return cls(path), config
+
+    def save(self, state: dict[str, Any]) -> None:
+        """Save the run's state; the one saved before is kept as `previous.ckpt`."""
+        fresh = self.checkpoints / "fresh.ckpt"
+        write_checkpoint(fresh, state)
+        if self.latest.exists():
+            os.replace(self.latest, self.previous)
+        os.replace(fresh, self.latest)
+
+    def load(self) -> dict[str, Any]:
+        """The run's last state.
+
+        Raises:
+            SurefootError: it is missing or broken; says whether the one before it is whole.
+        """
+        try:
+            return read_checkpoint(self.latest)
+        except SurefootError as error:
+            try:
+                steps = read_checkpoint(self.previous)["steps"]
+            except SurefootError:
+                raise SurefootError(f"{error}; there is no older one to go on from") from None
+            raise SurefootError(
+                f"{error}; {self.previous.name} beside it is whole, at {steps} steps: rename it to {self.latest.name} to go on"
+            ) from None
+
+    def log(self, row: dict[str, Any]) -> None:
+        """Append a row of figures.
+
+        Raises:
+            SurefootError: it can't be written, for example because the disk is full.
+        """
+        try:
+            with self.figures_log.open("a", encoding="utf-8") as file:
+                file.write(json.dumps(row) + "\n")
+        except OSError as error:
+            raise SurefootError(f"{self.figures_log}: can't be written: {error.strerror}; checkpoints are untouched") from error
+
+    def rows(self) -> list[dict[str, Any]]:
+        """All rows of figures; a last line that was cut off is left out."""
+        rows = []
+        if self.figures_log.exists():
+            for line in self.figures_log.read_text(encoding="utf-8").splitlines():
+                try:
+                    rows.append(json.loads(line))
+                except ValueError:
+                    break
+        return rows
+
+    def drop_rows_after(self, steps: int) -> None:
+        """Forget rows later than `steps`, which a resumed run will write again."""
+        kept = [row for row in self.rows() if row["steps"] <= steps]
+        _write(self.figures_log, "".join(json.dumps(row) + "\n" for row in kept).encode())
