@@ -141,7 +141,7 @@ class RobotDescription:
         order = motors.names("order", turning)
         sign = np.array(motors.numbers("sign", len(order)))
         if not np.all(np.abs(sign) == 1):
-            raise motors.error("sign", f"is {sign.astype(int).tolist()}", "each must be 1 or -1")
+            raise motors.error("sign", f"is {motors.data['sign']}", "each must be 1 or -1")
 
         legs_table = sheet.table("legs")
         leg_names = legs_table.strings("order")
@@ -174,13 +174,7 @@ class RobotDescription:
         loops = []
         for index, loop in enumerate(sheet.tables("loops", "links", "points")):
             ends = loop.names("links", links, 2)
-            points = loop.data["points"]
-            if not (len(points) == 2 and all(len(point) == 3 for point in points)):
-                raise loop.error(
-                    "points", f"of loop {index} is {points}", "it must be two points of three numbers"
-                )
-            first, second = (tuple(float(x) for x in point) for point in points)
-            loops.append(Loop((ends[0], ends[1]), (first, second)))  # type: ignore[arg-type]
+            loops.append(Loop((ends[0], ends[1]), loop.two_points("points", index)))
 
         space = sheet.table("leg_space", "swing", "extension", "rest")
         rest = space.numbers("rest", 2)
@@ -222,12 +216,11 @@ class RobotDescription:
                 f"{sheet_path}: leg_geometry: a loop can't close at the resting pose "
                 f"(swing {self.rest[0]:g}, extension {self.rest[1]:g}); the lower links must reach each other"
             )
-        swing, extension = np.meshgrid(self.swing_range, self.extension_range)
-        if not self.leg_geometry.closes(*leg_to_motor(swing, extension)).all():
+        extension = np.linspace(*self.extension_range, 201)
+        if not self.leg_geometry.closes(*leg_to_motor(0.0, extension)).all():
             raise SurefootError(
-                f"{sheet_path}: leg_space: a loop can't close at every corner of "
-                f"swing {list(self.swing_range)} and extension {list(self.extension_range)}; "
-                "narrow a range or check leg_geometry"
+                f"{sheet_path}: leg_space.extension is {list(self.extension_range)}, "
+                "and a loop can't close everywhere in it; narrow it or check leg_geometry"
             )
         for name, value in self.nominal_params().items():
             self.check_allowed(name, np.asarray(value), source=f"{sheet_path}: nominal ")

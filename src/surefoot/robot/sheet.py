@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -10,6 +11,11 @@ from typing import Any, TypeVar
 from surefoot.errors import SurefootError, choices
 
 T = TypeVar("T")
+Point = tuple[float, float, float]
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
 
 
 @dataclass(frozen=True)
@@ -97,20 +103,32 @@ class Sheet:
     def number(self, key: str) -> float:
         """A number."""
         value = self._get(key)
-        if isinstance(value, bool) or not isinstance(value, int | float):
-            raise self.error(key, f"is {value!r}", "it must be a number")
+        if not _is_number(value):
+            raise self.error(key, f"is {value!r}", "it must be a finite number")
         return float(value)
 
     def numbers(self, key: str, count: int | None = None) -> list[float]:
         """A list of numbers, of a given length."""
         value = self._get(key)
-        if not isinstance(value, list) or any(
-            isinstance(x, bool) or not isinstance(x, int | float) for x in value
-        ):
-            raise self.error(key, f"is {value!r}", "it must be a list of numbers")
+        if not isinstance(value, list) or not all(map(_is_number, value)):
+            raise self.error(key, f"is {value!r}", "it must be a list of finite numbers")
         if count is not None and len(value) != count:
             raise self.error(key, f"has {len(value)} numbers", f"it must have {count}")
         return [float(item) for item in value]
+
+    def two_points(self, key: str, index: int) -> tuple[Point, Point]:
+        """Two points in space; `index` tells which table of a list this is."""
+        value = self._get(key)
+        if not (
+            isinstance(value, list)
+            and len(value) == 2
+            and all(isinstance(point, list) and len(point) == 3 for point in value)
+            and all(_is_number(x) for point in value for x in point)
+        ):
+            rule = "it must be two points of three finite numbers"
+            raise self.error(key, f"of table {index + 1} is {value!r}", rule)
+        (a, b, c), (d, e, f) = value
+        return (float(a), float(b), float(c)), (float(d), float(e), float(f))
 
     def range(self, key: str) -> tuple[float, float]:
         """A lower and an upper bound."""

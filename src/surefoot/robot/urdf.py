@@ -6,6 +6,7 @@ refused in plain words, without any engine.
 
 from __future__ import annotations
 
+import math
 import xml.etree.ElementTree as ElementTree
 from dataclasses import dataclass
 from pathlib import Path
@@ -70,8 +71,9 @@ def _floats(text: str, count: int, where: str) -> tuple[float, ...]:
         values = tuple(float(word) for word in text.split())
     except ValueError:
         values = ()
-    if len(values) != count:
-        raise SurefootError(f"{where} is '{text}': it must be {count} numbers")
+    if len(values) != count or not all(map(math.isfinite, values)):
+        rule = "a finite number" if count == 1 else f"{count} finite numbers"
+        raise SurefootError(f"{where} is '{text}'; it must be {rule}")
     return values
 
 

@@ -1,0 +1,132 @@
+"""The DC motor at points worked by hand; figures of the Minitaur's motor."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from surefoot.actuator import coulomb_friction, motor_current, motor_torque, overheat
+
+VOLTAGE, KT, RESISTANCE, CLIP = 16.0, 0.0954, 0.186, 50.0
+CURRENTS = np.array([0.0, 10, 20, 30, 40, 50, 60])
+TORQUES = np.array([0.0, 1.0, 1.9, 2.45, 3.0, 3.25, 3.5])
+
+
+def current(duty: float, speed: float) -> float:
+    return float(motor_current(duty, speed, VOLTAGE, KT, RESISTANCE, CLIP))
+
+
+def torque(amperes, strength=1.0):
+    return motor_torque(amperes, strength, CURRENTS, TORQUES)
+
+
+@pytest.mark.parametrize(
+    ("duty", "speed", "expected"),
+    [
+        (1.0, 0.0, 86.0215),  # stall: 16 / .186
+        (-1.0, 0.0, -86.0215),
+        (0.5, 0.0, 43.0108),  # 8 / .186
+        (1.0, 16.0 / 0.0954, 0.0),  # no load: back-EMF .0954 x 167.715 = 16 V
+        (-1.0, -16.0 / 0.0954, 0.0),
+        (1.0, 100.0, 34.7312),  # (16 - 9.54) / .186
+        (0.5, 100.0, -8.2796),  # (8 - 9.54) / .186: the motor brakes
+        (0.0, 100.0, -51.2903),  # -9.54 / .186
+        (0.0, 0.0, 0.0),
+    ],
+)
+def test_current(duty: float, speed: float, expected: float):
+    assert current(duty, speed) == pytest.approx(expected, abs=1e-4)
+
+
+def test_stall_torque_is_the_end_of_the_table():
+    assert torque(current(1.0, 0.0)) == 3.5
+
+
+def test_torque_at_a_working_point():
+    # 34.7312 A is .47312 of the way from 30 A to 40 A: 2.45 + .47312 x .55
+    assert torque(current(1.0, 100.0)) == pytest.approx(2.71022, abs=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("speed", "expected"),
+    [
+        (1000.0, -50 / 0.186),  # 16 - 95.4 = -79.4 V
+        (-1000.0, 50 / 0.186),  # 16 + 95.4 = 111.4 V
+        (691.0, (16 - 65.9214) / 0.186),  # -49.9 V is within
+    ],
+)
+def test_net_voltage_is_clipped(speed: float, expected: float):
+    assert current(1.0, speed) == pytest.approx(expected)
+
+
+@pytest.mark.parametrize(("amperes", "expected"), list(zip(CURRENTS, TORQUES, strict=True)))
+def test_torque_at_the_tables_points(amperes: float, expected: float):
+    assert torque(amperes) == pytest.approx(expected, abs=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("amperes", "expected"),
+    [
+        (5.0, 0.5),
+        (12.5, 1.225),  # 1 + .25 x .9
+        (59.0, 3.475),
+        (60.1, 3.5),
+        (1e6, 3.5),
+        (-5.0, -0.5),
+        (-12.5, -1.225),
+        (-1e6, -3.5),
+    ],
+)
+def test_torque_between_and_beyond_the_tables_points(amperes: float, expected: float):
+    assert torque(amperes) == pytest.approx(expected)
+
+
+@pytest.mark.parametrize("strength", [0.0, 0.8, 1.2])
+def test_strength_scales_the_torque(strength: float):
+    assert torque(60.0, strength) == pytest.approx(3.5 * strength)
+    assert torque(-10.0, strength) == pytest.approx(-strength)
+
+
+@pytest.mark.parametrize("speed", [0.5, 3.0, 100.0])
+@pytest.mark.parametrize("friction", [0.01, 0.05])
+def test_friction_opposes_motion(speed: float, friction: float):
+    assert coulomb_friction(speed, friction) == pytest.approx(-friction, rel=2e-3)
+    assert coulomb_friction(-speed, friction) == pytest.approx(friction, rel=2e-3)
+
+
+def test_friction_is_zero_at_rest_and_without_friction():
+    assert coulomb_friction(0.0, 0.05) == 0.0
+    assert coulomb_friction(10.0, 0.0) == 0.0
+
+
+def test_friction_at_low_speed():
+    # tanh(.05 / .1) = .462117
+    assert coulomb_friction(0.05, 0.05) == pytest.approx(-0.0231059, abs=1e-7)
+
+
+def test_friction_takes_power():
+    speed = np.linspace(-20, 20, 101)
+    assert np.all(coulomb_friction(speed, 0.05) * speed <= 0)
+
+
+def test_hot_time_counts_and_starts_anew():
+    hot = 0.0
+    for _ in range(5):
+        hot = overheat(2.5, hot, 0.001, 2.45)
+    assert hot == pytest.approx(0.005)
+    assert overheat(-2.5, hot, 0.001, 2.45) == pytest.approx(0.006)
+    assert overheat(2.45, hot, 0.001, 2.45) == 0.0
+    assert overheat(0.0, hot, 0.001, 2.45) == 0.0
+
+
+def test_laws_broadcast_over_robots_and_motors(rng: np.random.Generator):
+    duty, speed = rng.uniform(-1, 1, (5, 8)), rng.uniform(-50, 50, (5, 8))
+    voltage, strength = rng.uniform(14, 17, (5, 1)), rng.uniform(0.8, 1.2, (5, 8))
+    amperes = motor_current(duty, speed, voltage, KT, RESISTANCE, CLIP)
+    answer = torque(amperes, strength)
+    assert amperes.shape == answer.shape == (5, 8)
+    expected = np.sign(amperes) * np.interp(np.abs(amperes), CURRENTS, TORQUES) * strength
+    np.testing.assert_allclose(answer, expected, rtol=1e-14)
+    np.testing.assert_allclose(amperes, (duty * voltage - KT * speed) / RESISTANCE, rtol=1e-14)
+    assert coulomb_friction(speed, np.full(8, 0.05)).shape == (5, 8)
+    assert overheat(answer, np.zeros((5, 8)), 0.001, 2.45).shape == (5, 8)

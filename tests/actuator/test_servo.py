@@ -1,0 +1,39 @@
+"""The position servo at points worked by hand."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from surefoot.actuator import servo_duty
+
+
+@pytest.mark.parametrize(
+    ("target", "angle", "speed", "expected"),
+    [
+        (2.0, 2.0, 0.0, 0.0),
+        (2.3, 2.0, 0.0, 0.3),
+        (1.7, 2.0, 0.0, -0.3),
+        (2.0, 2.0, 10.0, -0.15),  # damping: -.015 x 10
+        (2.0, 2.0, -10.0, 0.15),
+        (2.3, 2.0, 10.0, 0.15),
+        (3.5, 2.0, 0.0, 1.0),
+        (0.0, 2.0, 0.0, -1.0),
+        (2.0, 2.0, 1000.0, -1.0),
+        (3.5, 2.0, 50.0, 0.75),  # the sum is clipped, not its parts: 1.5 - .75
+    ],
+)
+def test_duty(target: float, angle: float, speed: float, expected: float):
+    assert servo_duty(target, angle, speed, 1.0, 0.015) == pytest.approx(expected)
+
+
+def test_gains_scale_their_parts():
+    assert servo_duty(2.1, 2.0, 0.0, 3.0, 0.015) == pytest.approx(0.3)
+    assert servo_duty(2.0, 2.0, 2.0, 3.0, 0.1) == pytest.approx(-0.2)
+
+
+def test_duty_broadcasts_over_robots_and_motors(rng: np.random.Generator):
+    target, angle, speed = rng.normal(size=(3, 5, 8))
+    kp, kd = rng.uniform(0.5, 2, (5, 1)), rng.uniform(0, 0.1, (5, 1))
+    duty = servo_duty(target, angle, speed, kp, kd)
+    np.testing.assert_allclose(duty, np.clip(kp * (target - angle) - kd * speed, -1, 1), rtol=1e-13)

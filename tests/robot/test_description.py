@@ -1,0 +1,332 @@
+"""The Minitaur's description, and copies of it with one thing wrong."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from surefoot.errors import SurefootError
+from surefoot.robot import RobotDescription
+
+
+@pytest.fixture(scope="module")
+def robot() -> RobotDescription:
+    return RobotDescription.load("minitaur")
+
+
+@pytest.fixture
+def folder(tmp_path: Path, robot: RobotDescription) -> Path:
+    """A copy of the Minitaur's folder, to be broken."""
+    return Path(
+        shutil.copytree(robot.folder, tmp_path / "robot", ignore=shutil.ignore_patterns("__pycache__"))
+    )
+
+
+def test_total_mass(robot: RobotDescription):
+    # 3.353 + 2 x 1.320 + 8 x .072 + 8 x .034 + 4 x .072 + 4 x .086
+    assert robot.urdf.total_mass == pytest.approx(7.473, abs=1e-9)
+
+
+def test_motor_order_and_signs(robot: RobotDescription):
+    assert robot.num_motors == 8
+    assert robot.motor_names[:2] == ("front_left_2_motor", "front_left_1_motor")
+    assert robot.motor_names[-2:] == ("back_right_1_motor", "back_right_2_motor")
+    # Motor 1 turns its upper link forward, about +y as the URDF's joints do; motor 2 the other way.
+    expected = [1 if "_1_" in name else -1 for name in robot.motor_names]
+    assert robot.motor_sign.tolist() == expected
+
+
+def test_legs(robot: RobotDescription):
+    assert robot.leg_names == ("front_left", "back_left", "front_right", "back_right")
+    for leg, pair in zip(robot.legs, robot.leg_motor_index, strict=True):
+        assert tuple(robot.motor_names[k] for k in pair) == leg.motors
+        assert leg.motors == (f"{leg.name}_1_motor", f"{leg.name}_2_motor")
+        # The longer lower link, which has the foot, hangs on motor 2.
+        assert leg.foot == f"{leg.name}_2_lower"
+
+
+@pytest.mark.parametrize(
+    ("link", "mass", "inertia"),
+    [
+        ("base", 3.353, (0.006837, 0.027262, 0.02987)),
+        ("left_rail", 1.32, (0.004147, 0.040913, 0.04184)),
+        ("front_left_1_upper", 0.034, (0.00003877, 0.000042198, 0.000003603)),
+        ("front_left_1_lower", 0.072, (0.00023166, 0.00023325, 0.00000198)),
+        ("front_left_2_lower", 0.086, (0.00032459, 0.00032637, 0.000002178)),
+        ("back_right_2_rotor", 0.072, (0.00011397, 0.00011397, 0.00021765)),
+    ],
+)
+def test_mass_and_inertia_of_a_link(robot: RobotDescription, link: str, mass: float, inertia: tuple):
+    assert robot.urdf.links[link].mass == pytest.approx(mass)
+    assert robot.urdf.links[link].inertia == pytest.approx(inertia)
+
+
+def test_rails_are_fixed_to_the_base(robot: RobotDescription):
+    assert robot.urdf.root == "base"
+    assert robot.urdf.fixed_to("base") == {"base", "left_rail", "right_rail"}
+
+
+def test_actuator_and_timing(robot: RobotDescription):
+    assert robot.actuator.torque_constant == 0.0954
+    assert robot.actuator.resistance == 0.186
+    assert robot.timing.servo_step == 0.001
+    assert robot.timing.control_step == 0.006
+    current, torque = robot.torque_table
+    assert current.tolist() == [0, 10, 20, 30, 40, 50, 60]
+    assert torque.tolist() == [0, 1.0, 1.9, 2.45, 3.0, 3.25, 3.5]
+
+
+def test_leg_poses_go_to_motors_and_back(robot: RobotDescription, rng: np.random.Generator):
+    swing, extension = rng.uniform(-0.5, 0.5, (7, 4)), rng.uniform(1, 2, (7, 4))
+    angles = robot.leg_to_motor_angles(swing, extension)
+    assert angles.shape == (7, 8)
+    back = robot.motor_to_leg_pose(angles)
+    np.testing.assert_allclose(back, (swing, extension), atol=1e-15)
+
+
+def test_each_legs_pose_goes_to_its_own_motors(robot: RobotDescription):
+    # Only the front left leg swings, by .3: its motor 2 comes first in the order, then its motor 1.
+    angles = robot.leg_to_motor_angles([0.3, 0, 0, 0], [2.0, 2, 2, 2])
+    np.testing.assert_allclose(angles, [1.7, 2.3, 2, 2, 2, 2, 2, 2])
+
+
+def test_resting_pose(robot: RobotDescription):
+    np.testing.assert_allclose(robot.resting_angles, np.full(8, 2.0))
+
+
+def test_a_folder_loads_like_a_name(folder: Path, robot: RobotDescription):
+    assert RobotDescription.load(folder).urdf.links == robot.urdf.links
+
+
+def test_unknown_robot_names_the_known_ones():
+    with pytest.raises(SurefootError, match=r"robot 'snake': no such robot .*; robots: minitaur"):
+        RobotDescription.load("snake")
+
+
+SHEET, URDF = "robot.toml", "minitaur.urdf"
+BREAKS = {
+    "missing joint": (
+        URDF,
+        'name="back_left_1_motor"',
+        'name="back_left_x_motor"',
+        ["motors.order", "'back_left_1_motor'", "choices: ", "back_left_x_motor"],
+    ),
+    "unknown motor in order": (
+        SHEET,
+        '"front_left_2_motor", "front_left_1_motor", "back_left_2_motor"',
+        '"front_left_3_motor", "front_left_1_motor", "back_left_2_motor"',
+        ["motors.order", "'front_left_3_motor'", "choices: ", "front_left_2_motor"],
+    ),
+    "unknown motor in a leg": (
+        SHEET,
+        'motors = ["back_right_1_motor"',
+        'motors = ["back_right_9_motor"',
+        ["legs.back_right.motors", "'back_right_9_motor'", "choices: ", "back_right_1_motor"],
+    ),
+    "motor of no leg": (
+        SHEET,
+        'motors = ["back_right_1_motor", "back_right_2_motor"]',
+        'motors = ["front_right_1_motor", "front_right_2_motor"]',
+        ["motors.order", "each must belong to one leg"],
+    ),
+    "unknown foot": (
+        SHEET,
+        'foot = "front_left_2_lower"',
+        'foot = "toe"',
+        ["legs.front_left.foot", "'toe'", "choices: ", "front_left_2_lower"],
+    ),
+    "unknown base": (SHEET, 'base = "base"', 'base = "trunk"', ["base is 'trunk'", "choices: base, "]),
+    "sign of two": (
+        SHEET,
+        "sign = [-1, 1, -1, 1, 1,",
+        "sign = [-1, 1, -1, 2, 1,",
+        ["motors.sign", "each must be 1 or -1"],
+    ),
+    "sign of half": (
+        SHEET,
+        "sign = [-1, 1, -1, 1, 1,",
+        "sign = [-1, 1, -1, 0.5, 1,",
+        ["motors.sign", "0.5", "each must be 1 or -1"],
+    ),
+    "too few signs": (
+        SHEET,
+        "sign = [-1, 1, -1, 1, 1,",
+        "sign = [1, -1, 1, 1,",
+        ["motors.sign has 7 numbers", "it must have 8"],
+    ),
+    "mass of zero": (
+        URDF,
+        '<mass value="3.353"/>',
+        '<mass value="0"/>',
+        ["link 'base'", "mass is 0", "over 0 kg"],
+    ),
+    "mass that is no number": (
+        URDF,
+        '<mass value="3.353"/>',
+        '<mass value="heavy"/>',
+        ["link 'base'", "mass is 'heavy'", "number"],
+    ),
+    "mass that is not finite": (
+        URDF,
+        '<mass value="3.353"/>',
+        '<mass value="inf"/>',
+        ["link 'base'", "mass is 'inf'", "a finite number"],
+    ),
+    "no inertia": (
+        URDF,
+        '<mass value="3.353"/>',
+        "",
+        ["link 'base'", "every link needs both"],
+    ),
+    "inertia of no body": (
+        URDF,
+        'ixx="0.006837"',
+        'ixx="0.6837"',
+        ["link 'base'", "inertia (0.6837,", "none over the sum of the other two"],
+    ),
+    "parent that is no link": (
+        URDF,
+        '<parent link="base"/><child link="left_rail"/>',
+        '<parent link="trunk"/><child link="left_rail"/>',
+        ["joint 'left_rail_mount'", "'trunk'", "links: base"],
+    ),
+    "loop that can't close at rest": (
+        SHEET,
+        "lower = [0.200, 0.208]",
+        "lower = [0.020, 0.021]",
+        ["leg_geometry", "can't close at the resting pose", "must reach each other"],
+    ),
+    "loop that can't close in the range": (
+        SHEET,
+        "lower = [0.200, 0.208]",
+        "lower = [0.095, 0.095]",
+        ["leg_space.extension is [0.6, 2.7]", "can't close everywhere", "narrow it"],
+    ),
+    "loop of unknown links": (
+        SHEET,
+        'links = ["back_left_1_lower"',
+        'links = ["back_left_0_lower"',
+        ["loops.links", "'back_left_0_lower'", "choices: ", "back_left_1_lower"],
+    ),
+    "loop point of two numbers": (
+        SHEET,
+        "points = [[0.0, 0.0045, 0.200],",
+        "points = [[0.0, 0.200],",
+        ["loops.points", "two points of three finite numbers"],
+    ),
+    "loop point that is text": (
+        SHEET,
+        "points = [[0.0, 0.0045, 0.200],",
+        'points = [[0.0, "a", 0.200],',
+        ["loops.points", "two points of three finite numbers"],
+    ),
+    "loop point that is a number": (
+        SHEET,
+        "points = [[0.0, 0.0045, 0.200],",
+        "points = [1.0,",
+        ["loops.points", "two points of three finite numbers"],
+    ),
+    "negative length": (SHEET, "upper = 0.101", "upper = -0.101", ["leg_geometry.upper is -0.101"]),
+    "unknown key": (
+        SHEET,
+        "body_length = 0.54",
+        "body_lenght = 0.54",
+        ["body_lenght", "is no key", "keys: ", "body_length"],
+    ),
+    "unknown key in a table": (
+        SHEET,
+        "resistance = 0.186",
+        "resistanse = 0.186",
+        ["actuator.resistanse", "is no key", "resistance"],
+    ),
+    "missing key": (SHEET, "body_length = 0.54", "", ["body_length", "is missing"]),
+    "missing key in a table": (SHEET, "kp = 1.0", "", ["actuator.kp", "is missing"]),
+    "text for a number": (
+        SHEET,
+        "resistance = 0.186",
+        'resistance = "low"',
+        ["actuator.resistance", "'low'", "must be a finite number"],
+    ),
+    "resistance of zero": (
+        SHEET,
+        "resistance = 0.186",
+        "resistance = 0.0",
+        ["actuator.resistance is 0", "over 0"],
+    ),
+    "resistance that is nan": (
+        SHEET,
+        "resistance = 0.186",
+        "resistance = nan",
+        ["actuator.resistance is nan", "finite"],
+    ),
+    "torque table that falls": (
+        SHEET,
+        "torque_table_current = [0.0, 10.0, 20.0,",
+        "torque_table_current = [0.0, 20.0, 10.0,",
+        ["actuator.torque_table_current", "rise"],
+    ),
+    "torque table of unequal length": (
+        SHEET,
+        "torque_table_current = [0.0, 10.0,",
+        "torque_table_current = [0.0,",
+        ["actuator.torque_table_current has 6 points", "both need the same"],
+    ),
+    "reversed range": (
+        SHEET,
+        "swing = [-1.0, 1.0]",
+        "swing = [1.0, -1.0]",
+        ["leg_space.swing", "the lower bound must come first"],
+    ),
+    "reversed allowed range": (
+        SHEET,
+        "voltage = [5.0, 30.0]",
+        "voltage = [30.0, 5.0]",
+        ["allowed.voltage", "the lower bound must come first"],
+    ),
+    "nominal outside what is allowed": (
+        SHEET,
+        "voltage = [5.0, 30.0]",
+        "voltage = [17.0, 30.0]",
+        ["nominal voltage is 16", "17 to 30", "unit: V"],
+    ),
+    "unknown parameter allowed": (
+        SHEET,
+        "voltage = [5.0, 30.0]",
+        "voltage = [5.0, 30.0]\nvolts = [5.0, 30.0]",
+        ["allowed.volts", "is no key", "voltage"],
+    ),
+    "not TOML": (SHEET, "[motors]", "[motors", ["is not TOML"]),
+    "not XML": (URDF, "</robot>", "", ["is not well-formed XML"]),
+    "not a URDF": (URDF, '<robot name="minitaur">', '<robot name="minitaur"/><!--', ["XML"]),
+    "missing URDF": (
+        SHEET,
+        'urdf = "minitaur.urdf"',
+        'urdf = "cheetah.urdf"',
+        ["cheetah.urdf", "can't be read"],
+    ),
+    "URDF that is a number": (SHEET, 'urdf = "minitaur.urdf"', "urdf = 3", ["urdf is 3", "must be text"]),
+}
+
+
+@pytest.mark.parametrize("case", BREAKS)
+def test_a_broken_description_is_refused_in_one_line(case: str, folder: Path):
+    name, old, new, pieces = BREAKS[case]
+    text = (folder / name).read_text()
+    assert old in text
+    (folder / name).write_text(text.replace(old, new))
+    with pytest.raises(SurefootError) as caught:
+        RobotDescription.load(folder)
+    message = str(caught.value)
+    assert "\n" not in message
+    assert str(folder) in message
+    for piece in pieces:
+        assert piece in message
+
+
+def test_a_sheet_that_is_not_text_is_refused(folder: Path):
+    (folder / SHEET).write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(SurefootError, match=r"robot.toml: is not TOML"):
+        RobotDescription.load(folder)

@@ -1,0 +1,146 @@
+"""Leg space and the five-bar leg against figures worked by hand."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from surefoot.errors import SurefootError
+from surefoot.robot import FiveBar, leg_to_motor, motor_to_leg
+
+MINITAUR = FiveBar(upper=0.101, lower=(0.200, 0.208), foot=0.240, foot_radius=0.0085)
+ANGLE = st.floats(-10, 10)
+
+
+def test_motor_angles_are_extension_plus_and_minus_swing():
+    theta_1, theta_2 = leg_to_motor(0.25, 2.0)
+    assert (theta_1, theta_2) == (2.25, 1.75)
+
+
+@given(swing=ANGLE, extension=ANGLE)
+def test_motor_to_leg_undoes_leg_to_motor(swing: float, extension: float):
+    back = motor_to_leg(*leg_to_motor(swing, extension))
+    np.testing.assert_allclose(back, (swing, extension), atol=1e-12)
+
+
+@given(theta_1=ANGLE, theta_2=ANGLE)
+def test_leg_to_motor_undoes_motor_to_leg(theta_1: float, theta_2: float):
+    back = leg_to_motor(*motor_to_leg(theta_1, theta_2))
+    np.testing.assert_allclose(back, (theta_1, theta_2), atol=1e-12)
+
+
+def test_leg_space_broadcasts():
+    theta_1, theta_2 = leg_to_motor(np.zeros((5, 4)), 2.0)
+    assert theta_1.shape == theta_2.shape == (5, 4)
+
+
+def test_upper_links_at_a_right_angle_point_away_from_the_leg():
+    # theta = pi/2 is horizontal: motor 1 forward, motor 2 backward.
+    front, back = MINITAUR.knees(np.pi / 2, np.pi / 2)
+    np.testing.assert_allclose(front, (0.101, 0), atol=1e-15)
+    np.testing.assert_allclose(back, (-0.101, 0), atol=1e-15)
+
+
+def test_upper_links_straight_down_meet():
+    front, back = MINITAUR.knees(np.pi, np.pi)
+    np.testing.assert_allclose(front, (0, -0.101), atol=1e-15)
+    np.testing.assert_allclose(back, front, atol=1e-15)
+
+
+# At e = pi/2 the knees are at x = +-.101, z = 0, a distance d = .202 apart. From knee 2 the pin lies
+#   (d^2 + .208^2 - .200^2) / 2d = .044068 / .404 = .109079 along, sqrt(.208^2 - .109079^2) = .177104 down,
+# and the foot .240 / .208 times as far along the same link.
+def test_pin_at_a_right_angle():
+    np.testing.assert_allclose(MINITAUR.pin(np.pi / 2, np.pi / 2), (-0.101 + 0.109079, -0.177104), atol=1e-6)
+
+
+def test_foot_at_a_right_angle():
+    np.testing.assert_allclose(
+        MINITAUR.foot_position(np.pi / 2, np.pi / 2), (-0.101 + 0.125860, -0.204350), atol=1e-6
+    )
+
+
+def test_equal_lower_links_put_pin_and_foot_of_a_symmetric_pose():
+    # Equal links of .2: knees at +-.1, pin sqrt(.04 - .01) = .173205 below the axis, foot .3 from knee 2
+    # along a link at 60 degrees: x = -.1 + .3 cos 60 = .05, z = -.3 sin 60 = -.259808.
+    leg = FiveBar(upper=0.1, lower=(0.2, 0.2), foot=0.3, foot_radius=0.0)
+    np.testing.assert_allclose(leg.pin(np.pi / 2, np.pi / 2), (0, -0.173205), atol=1e-6)
+    np.testing.assert_allclose(leg.foot_position(np.pi / 2, np.pi / 2), (0.05, -0.259808), atol=1e-6)
+
+
+@pytest.mark.parametrize("extension", np.linspace(0.6, 2.7, 8))
+@pytest.mark.parametrize("swing", [-0.5, 0.0, 0.5])
+def test_loop_keeps_every_length(swing: float, extension: float):
+    theta = leg_to_motor(swing, extension)
+    (knee_1, knee_2), pin, foot = MINITAUR.knees(*theta), MINITAUR.pin(*theta), MINITAUR.foot_position(*theta)
+    lengths = [np.linalg.norm(x) for x in (knee_1, knee_2, pin - knee_1, pin - knee_2, foot - knee_2)]
+    np.testing.assert_allclose(lengths, (0.101, 0.101, 0.200, 0.208, 0.240), rtol=1e-12)
+
+
+@pytest.mark.parametrize("extension", np.linspace(0.6, 2.7, 8))
+@pytest.mark.parametrize("swing", [-0.5, 0.0, 0.5])
+def test_knee_angles_lead_from_upper_links_to_the_pin(swing: float, extension: float):
+    theta = leg_to_motor(swing, extension)
+    turns = MINITAUR.knee_angles(*theta)
+    # Absolute angle from straight up, about +y: motor 1 turns by theta_1, motor 2 by -theta_2.
+    for knee, start, turn, length in zip(
+        MINITAUR.knees(*theta), (theta[0], -theta[1]), turns, MINITAUR.lower, strict=True
+    ):
+        angle = start + turn
+        end = knee + length * np.array([np.sin(angle), np.cos(angle)])
+        np.testing.assert_allclose(end, MINITAUR.pin(*theta), atol=1e-12)
+
+
+def test_knees_bend_to_either_side():
+    # Lower link 1 runs from (.101, 0) to the pin at (.008079, -.177104):
+    # pi + atan(.092921 / .177104) = 3.62478 from straight up, less the upper link's pi/2.
+    # Link 2, from (-.101, 0): -(pi + atan(.109079 / .177104)) + pi/2.
+    knee_1, knee_2 = MINITAUR.knee_angles(np.pi / 2, np.pi / 2)
+    assert knee_1 == pytest.approx(2.05398, abs=1e-5)
+    assert knee_2 == pytest.approx(-2.12283, abs=1e-5)
+
+
+def test_more_extension_makes_the_leg_longer():
+    extension = np.linspace(0.6, 2.7, 100)
+    height = MINITAUR.foot_position(extension, extension)[:, 1]
+    assert np.all(np.diff(height) < 0)
+
+
+@pytest.mark.parametrize("extension", [1.2, 1.6, 2.0, 2.4])
+def test_positive_swing_moves_the_foot_backward(extension: float):
+    forward = MINITAUR.foot_position(*leg_to_motor(np.linspace(-0.5, 0.5, 50), extension))[:, 0]
+    assert np.all(np.diff(forward) < 0)
+
+
+def test_swing_turns_the_whole_leg_about_the_motor_axis():
+    # Both upper links turn about +y by the swing, so the leg turns as one rigid body.
+    at_rest, swung = (MINITAUR.foot_position(*leg_to_motor(s, 2.0)) for s in (0.0, 0.3))
+    turned = [
+        np.cos(0.3) * at_rest[0] + np.sin(0.3) * at_rest[1],
+        -np.sin(0.3) * at_rest[0] + np.cos(0.3) * at_rest[1],
+    ]
+    np.testing.assert_allclose(swung, turned, atol=1e-12)
+
+
+def test_short_lower_links_do_not_close():
+    leg = FiveBar(upper=0.2, lower=(0.1, 0.1), foot=0.15, foot_radius=0.0)
+    assert not leg.closes(np.pi / 2, np.pi / 2)
+    assert leg.closes(0.9 * np.pi, 0.9 * np.pi)
+
+
+@pytest.mark.parametrize(
+    ("upper", "lower", "foot", "radius", "key"),
+    [
+        (0.0, (0.2, 0.2), 0.2, 0.0, "upper"),
+        (0.1, (0.2, -0.2), 0.2, 0.0, "lower"),
+        (0.1, (0.2, 0.2), 0.0, 0.0, "foot"),
+        (0.1, (0.2, 0.2), 0.2, 0.3, "foot_radius"),
+        (0.1, (0.2, 0.2), 0.2, -0.1, "foot_radius"),
+        (float("nan"), (0.2, 0.2), 0.2, 0.0, "upper"),
+    ],
+)
+def test_lengths_that_are_none_are_refused(upper, lower, foot, radius, key):
+    with pytest.raises(SurefootError, match=rf"leg_geometry\.{key} is "):
+        FiveBar(upper, lower, foot, radius)

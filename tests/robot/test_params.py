@@ -1,0 +1,126 @@
+"""Physical parameters: shapes, values, and what is refused."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from surefoot.errors import SurefootError
+from surefoot.robot import PhysicalParams, RobotDescription, parse_settings
+
+PER_MOTOR = {"motor_strength", "motor_friction"}
+
+
+@pytest.fixture(scope="module")
+def robot() -> RobotDescription:
+    return RobotDescription.load("minitaur")
+
+
+@pytest.fixture
+def params(robot: RobotDescription) -> PhysicalParams:
+    return PhysicalParams.nominal(robot, 5)
+
+
+@pytest.mark.parametrize("name", PhysicalParams.names())
+def test_every_array_has_a_row_for_each_robot(params: PhysicalParams, name: str):
+    width = (8,) if name in PER_MOTOR else (2,) if name == "imu_bias" else ()
+    value = getattr(params, name)
+    assert value.shape == (5, *width)
+    assert value.dtype == np.float64
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("base_mass_ratio", 1.0),
+        ("motor_strength", 1.0),
+        ("motor_friction", 0.0),
+        ("torque_constant", 0.0954),
+        ("resistance", 0.186),
+        ("voltage", 16.0),
+        ("servo_kp", 1.0),
+        ("servo_kd", 0.015),
+        ("servo_latency", 0.003),
+        ("control_step", 0.006),
+        ("contact_friction", 1.0),
+        ("imu_bias", 0.0),
+        ("imu_noise", 0.0),
+    ],
+)
+def test_nominal_values_are_the_sheets(params: PhysicalParams, name: str, value: float):
+    assert np.all(getattr(params, name) == value)
+
+
+def test_one_value_goes_to_all(robot, params):
+    assert np.all(params.with_values(robot, motor_strength=0.8).motor_strength == 0.8)
+
+
+def test_a_row_of_numbers_gives_each_robot_its_own(robot, params):
+    changed = params.with_values(robot, voltage=[14, 15, 16, 16.5, 16.8])
+    assert changed.voltage.tolist() == [14, 15, 16, 16.5, 16.8]
+
+
+def test_one_number_a_robot_goes_to_all_its_motors(robot, params):
+    strength = params.with_values(robot, motor_strength=[0.8, 0.9, 1.0, 1.1, 1.2]).motor_strength
+    assert np.all(strength == np.array([0.8, 0.9, 1.0, 1.1, 1.2])[:, None])
+
+
+def test_one_number_a_motor_goes_to_all_robots(robot, params):
+    ratios = np.linspace(0.8, 1.2, 8)
+    assert np.all(params.with_values(robot, motor_strength=ratios).motor_strength == ratios)
+
+
+def test_with_values_leaves_the_original_alone(robot, params):
+    params.with_values(robot, voltage=15.0)
+    assert np.all(params.voltage == 16.0)
+
+
+@pytest.mark.parametrize(
+    ("values", "pieces"),
+    [
+        ({"motor_power": 1.0}, ["'motor_power' is no physical parameter", "motor_strength", "imu_noise"]),
+        # Given in milliseconds instead of seconds.
+        ({"control_latency": 15}, ["control_latency is 15", "allows 0 to 0.1", "unit: s"]),
+        ({"base_mass_ratio": -1.0}, ["base_mass_ratio is -1", "allows 0.2 to 5"]),
+        ({"voltage": float("nan")}, ["voltage is nan", "allows 5 to 30", "unit: V"]),
+        ({"voltage": [16, 16, 16, 16, 40]}, ["voltage is 40"]),
+        ({"voltage": [16.0, 15.0]}, ["voltage has shape (2,)", "(5,)"]),
+        ({"motor_strength": np.ones((5, 3))}, ["motor_strength has shape (5, 3)", "(5, 8)"]),
+    ],
+)
+def test_values_that_do_not_fit_are_refused_in_one_line(robot, params, values, pieces):
+    with pytest.raises(SurefootError) as caught:
+        params.with_values(robot, **values)
+    message = str(caught.value)
+    assert "\n" not in message
+    for piece in pieces:
+        assert piece in message
+
+
+def test_rows_takes_robots_by_index(robot, params):
+    changed = params.with_values(robot, voltage=[14, 15, 16, 16.5, 16.8])
+    rows = changed.rows([4, 0])
+    assert rows.num_envs == 2
+    assert rows.voltage.tolist() == [16.8, 14]
+    assert rows.motor_strength.shape == (2, 8)
+
+
+def test_summary_is_the_mean_over_robots(robot, params):
+    summary = params.with_values(robot, voltage=[14, 15, 16, 17, 18]).summary()
+    assert summary["voltage"] == 16.0
+    assert set(summary) == set(PhysicalParams.names())
+
+
+def test_settings_of_a_command_line():
+    assert parse_settings(["voltage=15.5", "imu_bias=1e-2"]) == {"voltage": 15.5, "imu_bias": 0.01}
+    assert parse_settings([]) == {}
+
+
+@pytest.mark.parametrize(
+    ("word", "piece"),
+    [("volts=3", "'volts' is no physical parameter; choices: "), ("voltage", "write voltage=VALUE")],
+)
+def test_settings_that_are_none(word: str, piece: str):
+    with pytest.raises(SurefootError) as caught:
+        parse_settings([word])
+    assert piece in str(caught.value)
