@@ -94,9 +94,7 @@ class Contract:
                     f"contract: {name} has {len(getattr(self, name))} numbers; it must have {length}"
                 )
         if actions != 2 * len(self.leg_names) or not actions:
-            raise SurefootError(
-                f"contract: {actions} actions for {len(self.leg_names)} legs; each leg has swing and extension"
-            )
+            raise SurefootError(f"contract: {actions} actions for {len(self.leg_names)} legs; a leg has two")
         if not self.columns or self.history < 1:
             raise SurefootError("contract: the policy sees nothing; columns and history must be 1 or more")
         if any(abs(sign) != 1 for sign in self.motor_signs):
@@ -171,7 +169,7 @@ def check_robot(contract: Contract, robot: RobotDescription) -> None:
         raise SurefootError(f"{who} is for robot '{contract.robot}'; this robot is '{robot.name}'")
     if contract.leg_names != robot.leg_names:
         raise SurefootError(
-            f"{who} has legs {choices(contract.leg_names)}; {robot.name} has {choices(robot.leg_names)}, in this order"
+            f"{who} has legs {choices(contract.leg_names)}; {robot.name} has {choices(robot.leg_names)}"
         )
     for index, (theirs, ours) in enumerate(zip(contract.motor_names, robot.motor_names, strict=False)):
         if theirs != ours:

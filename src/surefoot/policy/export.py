@@ -77,7 +77,7 @@ def build_model(
     found = (layers[0][0].shape[1], layers[-1][0].shape[0])
     if found != (inputs, outputs):
         raise SurefootError(
-            f"the network takes {found[0]} and gives {found[1]} numbers; its contract says {inputs} and {outputs}"
+            f"the network takes {found[0]} and gives {found[1]}; its contract says {inputs} and {outputs}"
         )
     low, high = np.array(contract.low), np.array(contract.high)
     graph = _Graph()

@@ -28,7 +28,8 @@ class PolicyRuntime:
         """Load a policy file.
 
         Raises:
-            SurefootError: the file is missing, damaged, no policy, of another schema, or contradicts its contract.
+            SurefootError: the file is missing, damaged, no policy, of another schema, or not what its
+                contract says.
         """
         path = Path(path)
         try:
@@ -61,15 +62,15 @@ class PolicyRuntime:
         return cls(session, contract)
 
     def feedback(self, observation: ArrayLike) -> NDArray[np.float64]:
-        """Feedback (N, 2 L) [rad] within the contract's bounds, for observations (N, O * history), raw SI values.
+        """Feedback (N, 2 L) [rad] within the contract's bounds for observations (N, O * history) in SI.
 
         Raises:
-            SurefootError: observations of another shape, or a number that is not finite going in or coming out.
+            SurefootError: observations of another shape, or a number not finite going in or coming out.
         """
         given = np.asarray(observation, np.float32)
         if given.ndim != 2 or given.shape[1] != self.contract.width:
             raise SurefootError(
-                f"observation has shape {given.shape}; policy '{self.contract.name}' takes (N, {self.contract.width})"
+                f"observation has shape {given.shape}; this policy takes (N, {self.contract.width})"
             )
         if not np.isfinite(given).all():
             column = int(np.argwhere(~np.isfinite(given))[0][1]) % len(self.contract.columns)
@@ -96,7 +97,7 @@ def _options() -> onnxruntime.SessionOptions:
 
 
 def _check_end(path: Path, what: str, found: list[Any], name: str, width: int) -> None:
-    """Refuse an input or output that is not the one tensor (N, width) of 32-bit numbers that the contract tells of."""
+    """Refuse what is not one tensor (N, width) of 32-bit numbers, as the contract tells."""
     said = ", ".join(f"{end.name} {end.type} {end.shape}" for end in found)
     fits = len(found) == 1 and found[0].name == name and found[0].type == "tensor(float)"
     if not (

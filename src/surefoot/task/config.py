@@ -46,7 +46,7 @@ class ReferenceConfig:
     period: float | None = None
     """Time [s] in which the table is gone through once."""
     rows: dict[str, dict[str, tuple[float, ...]]] | None = None
-    """The table itself, in place of `file`: under swing and extension the poses [rad] of every leg by name."""
+    """The table itself, in place of `file`: under swing and extension, each leg's poses [rad]."""
 
     def to_mapping(self) -> dict[str, Any] | None:
         """As `make_reference` takes it."""

@@ -67,7 +67,7 @@ class HybridGait:
         return self.low + (unit + 1.0) / 2 * (self.high - self.low)
 
     def action(self, feedback: ArrayLike) -> Array:
-        """Actions (N, 2 L) in [-1, 1] that give this feedback (N, 2 L) [rad]; 0 where the bounds leave no choice."""
+        """Actions (N, 2 L) in [-1, 1] that give this feedback (N, 2 L) [rad]; 0 where bounds are equal."""
         width = self.high - self.low
         free = width > 0
         unit = 2 * (np.asarray(feedback, float) - self.low) / np.where(free, width, 1.0) - 1.0

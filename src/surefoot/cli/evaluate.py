@@ -1,0 +1,149 @@
+"""`surefoot evaluate`: run a policy in simulation and measure it."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import tyro
+
+from surefoot.errors import SurefootError
+
+if TYPE_CHECKING:
+    from surefoot.robot import RobotDescription
+    from surefoot.task.trace import EpisodeTrace
+
+Settings = Annotated[
+    tuple[tuple[str, ...], ...],
+    tyro.conf.UseAppendAction,
+    tyro.conf.arg(name="set", metavar="NAME=VALUE [...]"),
+]
+
+
+@dataclass(frozen=True)
+class EvaluateCommand:
+    """Run a policy for some episodes and print speed, power, return and gait."""
+
+    policy: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="POLICY")]
+    """Path of a policy file (.onnx), or the name of a policy that ships with surefoot."""
+    episodes: int = 20
+    """Episodes to run, side by side."""
+    pushes: bool = False
+    """Push the robot at random, as its task says how; without this nothing pushes."""
+    settings: Settings = ()
+    """Physical parameters that differ from the task's, such as motor_strength=0.8."""
+    seed: int = 1
+    """The one seed."""
+    json: bool = False
+    """Print one JSON object instead of a table."""
+    world: str = "mujoco"
+    """Where to run: mujoco."""
+    thermal_protection: bool = False
+    """Switch off motors that overheat."""
+    robot: str | None = None
+    """Name or folder of the robot; the one of the policy's task, if not given."""
+    out: Path | None = None
+    """Folder for traces (.npz), a footfall diagram and an episode plot (.png)."""
+    threads: int = 0
+    """Threads of the simulation; 0 means one a core."""
+
+
+def main(argv: list[str]) -> int:
+    """Run the command with the words after its name; returns the exit code."""
+    config = (tyro.conf.FlagCreatePairsOff,)
+    command = tyro.cli(EvaluateCommand, args=argv, prog="surefoot evaluate", config=config)
+    if command.episodes < 1:
+        raise SurefootError(f"episodes is {command.episodes}; it must be 1 or more")
+    from surefoot.cli.policies import adjust_task, find_policy, find_world, load_policy
+    from surefoot.evaluate.metrics import summarize
+
+    path = find_policy(command.policy)
+    make_world = find_world(command.world)
+    policy, robot, task = load_policy(path, command.robot)
+    task = adjust_task(task, robot, command.settings, command.pushes, command.thermal_protection)
+    if command.out is not None:
+        import_module("matplotlib")
+        command.out.mkdir(parents=True, exist_ok=True)
+    from surefoot.cli.progress import run_with_progress
+
+    traces = run_with_progress(
+        policy,
+        task,
+        command.episodes,
+        make_world,
+        command.seed,
+        command.threads,
+        world_name=command.world,
+        policy_name=policy.contract.name,
+    )
+    summary = summarize(traces, robot.urdf.total_mass)
+    summary |= {
+        "faults": sum(trace.meta["ended"] == "fault" for trace in traces),
+        "seed": command.seed,
+        "pushes": command.pushes,
+        "set": {
+            name: task.params[name] for group in command.settings for name in (w.split("=")[0] for w in group)
+        },
+        "robot": robot.name,
+        "policy_file": str(path),
+        "config_hash": policy.contract.config_hash,
+    }
+    if command.out is not None:
+        summary["files"] = [str(file) for file in write_files(command.out, traces, robot)]
+    if command.json:
+        print(json.dumps(summary, allow_nan=False))
+    else:
+        print_table(summary)
+    return 0
+
+
+def write_files(folder: Path, traces: list[EpisodeTrace], robot: RobotDescription) -> list[Path]:
+    """Write each trace, a footfall diagram and a plot of the first episode; returns the files."""
+    import numpy as np
+
+    from surefoot.report.figures import episode_plot, footfall_diagram
+
+    files = [trace.save(folder / f"episode_{i:03d}.npz") for i, trace in enumerate(traces)]
+    leg_angle = np.concatenate(robot.motor_to_leg_pose(traces[0].motor_angle), axis=-1)
+    files.append(footfall_diagram(traces[0], folder / "footfalls.png"))
+    files.append(episode_plot(traces[0], folder / "episode.png", leg_angle=leg_angle))
+    return files
+
+
+def print_table(summary: dict[str, Any]) -> None:
+    """Print the figures of an evaluation as a table."""
+    from rich.console import Console
+    from rich.table import Table
+
+    def text(key: str, unit: str, spread: str = "") -> str:
+        value = summary[key]
+        if value is None:
+            return "-"
+        return f"{value:.3f}" + (f" ± {summary[spread]:.3f}" if spread else "") + f" {unit}".rstrip()
+
+    falls = f"{summary['falls']} of {summary['episodes']}"
+    rows = [
+        ("falls", falls + (f", {summary['faults']} diverged" if summary["faults"] else "")),
+        ("steps", f"{summary['steps_mean']:.1f}"),
+        ("speed", text("speed_mean", "m/s", "speed_std")),
+        ("power", text("power_mean", "W")),
+        ("return", text("return_mean", "", "return_std")),
+        ("distance", text("distance_mean", "m")),
+        ("drift", text("drift_mean", "m")),
+        ("cost of transport", text("cost_of_transport_mean", "")),
+        ("gait", summary["gait"]),
+    ]
+    duty, phases = summary["duty_factor"], summary["phases"]
+    for leg in duty:
+        numbers = ["-" if value is None else f"{value:.2f}" for value in (duty[leg], phases[leg])]
+        rows.append((leg.replace("_", " "), f"duty factor {numbers[0]}, phase {numbers[1]}"))
+    rows += [("wrote", file) for file in summary.get("files", [])[-2:]]
+    table = Table(
+        title=f"{summary['policy']} in {summary['world']}, {summary['episodes']} episodes", show_header=False
+    )
+    for row in rows:
+        table.add_row(*row)
+    Console().print(table)

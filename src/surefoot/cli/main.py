@@ -1,0 +1,84 @@
+"""`surefoot`: finds the command, runs it, and tells errors in one line."""
+
+from __future__ import annotations
+
+import importlib
+import os
+import sys
+from collections.abc import Sequence
+
+from surefoot import __version__
+from surefoot.errors import SurefootError, choices
+
+COMMANDS = {
+    "train": ("surefoot.cli.train", "learn a gait in simulation"),
+    "evaluate": ("surefoot.cli.evaluate", "run a policy in simulation and measure it"),
+    "play": ("surefoot.cli.play", "watch a policy, in a window or as a video"),
+}
+_EXTRAS = {
+    "sim": ("mujoco", "numba", "llvmlite", "gymnasium", "scipy"),
+    "train": ("torch", "tensordict", "rsl_rl", "onnx", "tensorboard"),
+    "report": ("matplotlib", "imageio_ffmpeg", "PIL"),
+    "bullet": ("pybullet",),
+}
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run a command; returns the exit code: 0, 2 for what the user can mend, 130 when interrupted.
+
+    Args:
+        argv: words after `surefoot`; those of the process, if not given.
+    """
+    words = list(sys.argv[1:] if argv is None else argv)
+    if not words or words[0] in ("-h", "--help", "help"):
+        print(_help(), file=sys.stdout if words else sys.stderr)
+        return 0 if words else 2
+    if words[0] == "--version":
+        print(f"surefoot {__version__}")
+        return 0
+    if words[0] not in COMMANDS:
+        return _fail(f"'{words[0]}' is no command; commands: {choices(COMMANDS)}")
+    try:
+        code: int = importlib.import_module(COMMANDS[words[0]][0]).main(words[1:])
+        sys.stdout.flush()
+        return code
+    except SurefootError as error:
+        return _fail(str(error))
+    except BrokenPipeError:
+        # Whoever read the output has enough; nothing more can be written, not even at exit.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 141
+    except OSError as error:
+        where = f"{error.filename}: " if error.filename else ""
+        return _fail(f"{where}{error.strerror or error}")
+    except ModuleNotFoundError as error:
+        module = (error.name or "").split(".")[0]
+        for extra, modules in _EXTRAS.items():
+            if module in modules:
+                return _fail(f"this needs {module}, which is not installed: pip install 'surefoot[{extra}]'")
+        raise
+    except KeyboardInterrupt:
+        print("surefoot: interrupted", file=sys.stderr)
+        return 130
+
+
+def _fail(message: str) -> int:
+    print(f"surefoot: error: {' '.join(message.split())}", file=sys.stderr)
+    return 2
+
+
+def _help() -> str:
+    width = max(map(len, COMMANDS))
+    lines = [f"  {name:<{width}}  {what}" for name, (_, what) in COMMANDS.items()]
+    return "\n".join(
+        [
+            "usage: surefoot COMMAND ...",
+            "",
+            "Agile gaits for quadruped robots, learned in simulation and carried to the robot.",
+            "",
+            "commands:",
+            *lines,
+            "",
+            "surefoot COMMAND --help tells what a command takes; surefoot --version its version.",
+        ]
+    )

@@ -1,0 +1,173 @@
+"""A robot as shapes that move: the URDF's visuals, placed by base pose and motor angles, no engine needed."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ElementTree
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from surefoot.errors import SurefootError
+from surefoot.report.video import Shape
+from surefoot.robot import RobotDescription
+from surefoot.task.trace import EpisodeTrace
+
+FloatArray = NDArray[np.float64]
+
+DEFAULT_COLOR = (120, 130, 140)
+
+
+def scene(robot: RobotDescription) -> list[Shape]:
+    """The boxes, cylinders and spheres among the URDF's visuals; a link's name is the body's.
+
+    Raises:
+        SurefootError: none of the links has such a visual.
+    """
+    root = ElementTree.parse(robot.urdf.path).getroot()
+    colors = {item.get("name", ""): color for item in root.findall("material") if (color := _color(item))}
+    shapes = []
+    for link in root.findall("link"):
+        for visual in link.findall("visual"):
+            kind, size = _solid(visual)
+            if not kind:
+                continue
+            origin, material = _origin(visual), visual.find("material")
+            color = None
+            if material is not None:
+                color = _color(material) or colors.get(material.get("name", ""))
+            shapes.append(
+                Shape(link.get("name", ""), kind, size, origin[:3, 3], origin[:3, :3], color or DEFAULT_COLOR)
+            )
+    if not shapes:
+        raise SurefootError(
+            f"{robot.urdf.path}: has nothing to draw; a link's <visual> must be a box, cylinder or sphere"
+        )
+    return shapes
+
+
+def poses(
+    robot: RobotDescription, base_position: ArrayLike, base_quat: ArrayLike, motor_angles: ArrayLike
+) -> dict[str, FloatArray]:
+    """Forward kinematics, with every leg's loop closed.
+
+    Args:
+        robot: whose links.
+        base_position: (T, 3) m, origin of the base link in the world.
+        base_quat: (T, 4) w x y z, from the base to the world.
+        motor_angles: (T, M) rad, in the robot's motor order.
+
+    Returns:
+        by link, (T, 4, 4) transforms from the link's frame to the world.
+
+    Raises:
+        SurefootError: numbers that are not finite, or angles at which a leg's loop can't close.
+    """
+    position, quat, theta = (
+        np.atleast_2d(np.asarray(x, float)) for x in (base_position, base_quat, motor_angles)
+    )
+    for name, array in (("base position", position), ("base orientation", quat), ("motor angles", theta)):
+        if not np.isfinite(array).all():
+            raise SurefootError(f"the {name} is not known throughout; the robot can't be drawn")
+    angles = _joint_angles(robot, theta)
+    elements = {
+        item.get("name", ""): item for item in ElementTree.parse(robot.urdf.path).getroot().findall("joint")
+    }
+    count = len(theta)
+    found = {robot.urdf.root: np.tile(np.eye(4), (count, 1, 1))}
+    waiting = list(robot.urdf.joints.values())
+    while waiting:
+        ready = [joint for joint in waiting if joint.parent in found]
+        for joint in ready:
+            turn = np.tile(np.eye(4), (count, 1, 1))
+            if joint.name in angles:
+                turn[:, :3, :3] = _axis_turn(np.array(joint.axis), angles[joint.name])
+            found[joint.child] = found[joint.parent] @ _origin(elements[joint.name]) @ turn
+        waiting = [joint for joint in waiting if joint not in ready]
+    base = np.tile(np.eye(4), (count, 1, 1))
+    base[:, :3, :3], base[:, :3, 3] = quat_matrix(quat), position
+    world = base @ np.linalg.inv(found[robot.base])
+    return {name: world @ pose for name, pose in found.items()}
+
+
+def trace_poses(robot: RobotDescription, trace: EpisodeTrace) -> dict[str, FloatArray]:
+    """The links' poses (T, 4, 4) at the end of each control step of a trace.
+
+    Where true motor angles are not known the readings are taken, which are a little old.
+    """
+    known = np.isfinite(trace.true_motor_angle).all()
+    angles = trace.true_motor_angle if known else trace.motor_angle
+    return poses(robot, trace.base_position_world[1:], trace.base_quat_world[1:], angles)
+
+
+def quat_matrix(quat: ArrayLike) -> FloatArray:
+    """Rotation matrices (..., 3, 3) of unit quaternions (..., 4), w x y z."""
+    q = np.asarray(quat, float)
+    w, x, y, z = np.moveaxis(q / np.linalg.norm(q, axis=-1, keepdims=True), -1, 0)
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.stack([np.stack(row, -1) for row in rows], -2)
+
+
+def _joint_angles(robot: RobotDescription, theta: FloatArray) -> dict[str, FloatArray]:
+    """Angles (T,) [rad] of motor and knee joints by name, in the URDF's sense."""
+    angles = {name: robot.motor_sign[i] * theta[:, i] for i, name in enumerate(robot.motor_names)}
+    for leg, index in zip(robot.legs, robot.leg_motor_index, strict=True):
+        knees = robot.leg_geometry.knee_angles(theta[:, index[0]], theta[:, index[1]])
+        for name, angle in zip(leg.knees, knees, strict=True):
+            if not np.isfinite(angle).all():
+                step = int(np.argmax(~np.isfinite(angle)))
+                raise SurefootError(
+                    f"leg {leg.name} can't close its loop at step {step}; check the motor angles"
+                )
+            angles[name] = angle
+    return angles
+
+
+def _axis_turn(axis: FloatArray, angle: FloatArray) -> FloatArray:
+    """Rotation matrices (T, 3, 3) about an axis by angles (T,) [rad]: a quaternion's."""
+    unit = axis / np.linalg.norm(axis)
+    return quat_matrix(
+        np.concatenate([np.cos(angle / 2)[:, None], np.sin(angle / 2)[:, None] * unit], axis=1)
+    )
+
+
+def _origin(element: ElementTree.Element) -> FloatArray:
+    """The (4, 4) transform of an element's <origin>: fixed-axis roll, pitch, yaw."""
+    transform = np.eye(4)
+    origin = element.find("origin")
+    if origin is not None:
+        transform[:3, 3] = _numbers(origin.get("xyz", "0 0 0"))
+        roll, pitch, yaw = _numbers(origin.get("rpy", "0 0 0"))
+        turns = [
+            _axis_turn(axis, np.array([a])) for axis, a in zip(np.eye(3), (roll, pitch, yaw), strict=True)
+        ]
+        transform[:3, :3] = turns[2][0] @ turns[1][0] @ turns[0][0]
+    return transform
+
+
+def _solid(visual: ElementTree.Element) -> tuple[str, tuple[float, ...]]:
+    """Kind and sizes of a visual as `Shape` takes them; an empty kind for a mesh."""
+    box, cylinder, sphere = (visual.find(f"geometry/{kind}") for kind in ("box", "cylinder", "sphere"))
+    if box is not None:
+        return "box", tuple(0.5 * x for x in _numbers(box.get("size", "")))
+    if cylinder is not None:
+        return "cylinder", (float(cylinder.get("radius", "0")), float(cylinder.get("length", "0")) / 2)
+    if sphere is not None:
+        return "sphere", (float(sphere.get("radius", "0")),)
+    return "", ()
+
+
+def _color(material: ElementTree.Element) -> tuple[int, int, int] | None:
+    """Red, green and blue of a material, 0 to 255; None if it only names one."""
+    color = material.find("color")
+    if color is None:
+        return None
+    red, green, blue, _ = (round(255 * x) for x in _numbers(color.get("rgba", "0.5 0.5 0.5 1")))
+    return red, green, blue
+
+
+def _numbers(text: str) -> list[float]:
+    return [float(word) for word in text.split()]
