@@ -1,0 +1,127 @@
+"""The contract: a round trip without loss, and refusals in one line."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from surefoot.errors import SurefootError
+from surefoot.policy.contract import Contract, ObservationPart, check_robot, config_hash
+from surefoot.robot import RobotDescription
+
+
+@pytest.fixture(scope="module")
+def robot() -> RobotDescription:
+    return RobotDescription.load("minitaur")
+
+
+@pytest.fixture
+def contract(robot: RobotDescription) -> Contract:
+    legs = robot.leg_names
+    actions = tuple(f"{part}.{leg}" for part in ("swing", "extension") for leg in legs)
+    return Contract(
+        name="test",
+        robot=robot.name,
+        motor_names=robot.motor_names,
+        motor_signs=tuple(robot.motor_sign.tolist()),
+        leg_names=legs,
+        observation=(ObservationPart("roll", "rad", "base in world"),),
+        columns=("roll",),
+        history=2,
+        action_names=actions,
+        low=(-0.1,) * 8,
+        high=(1 / 3,) * 8,
+        reference={"kind": "sine", "swing": {"amplitude": {"front_left": 0.1 + 0.2}}},
+        rest=(0.0, np.pi / 2),
+        control_step=0.006,
+        servo_latency=0.003,
+        control_latency=0.02,
+        servo_kp=1.0,
+        servo_kd=0.015,
+        voltage=16.0,
+        task={"name": "test", "observations": ("roll",), "rest": None},
+        config_hash=config_hash({"a": 1}),
+        figures={"speed_mean": np.float64(2 / 7), "return_mean": float("nan"), "falls": np.int64(0)},
+    )
+
+
+def test_json_and_back_gives_an_equal_contract_to_the_last_bit(contract: Contract):
+    again = Contract.from_json(contract.to_json())
+    assert again == contract
+    assert again.high[0] == 1 / 3
+    assert again.rest[1] == np.pi / 2
+    assert again.figures == {"speed_mean": 2 / 7, "return_mean": None, "falls": 0}
+    assert again.width == 2
+
+
+def test_json_states_kind_and_schema(contract: Contract):
+    data = json.loads(contract.to_json())
+    assert (data["kind"], data["schema"]) == ("surefoot-policy", 1)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"kind": "recipe"}, "its kind must be 'surefoot-policy'"),
+        ({"schema": 2}, "has schema 2; this surefoot reads schema 1"),
+        ({"history": "two"}, "contract.history is 'two'; it must be a whole number"),
+        ({"low": [0.0]}, "low has 1 numbers; it must have 8"),
+        ({"low": [9.0] * 8}, r"bounds of swing.front_left are \[9, 0.333333\]"),
+        ({"motor_signs": [2.0] * 8}, "each must be 1 or -1"),
+        ({"control_step": 0.0}, "control_step is 0; it must be over 0 s"),
+        ({"colour": "red"}, "contract.colour is no key"),
+        ({"columns": []}, "the policy sees nothing"),
+    ],
+)
+def test_what_does_not_fit_is_refused(contract: Contract, change: dict, message: str):
+    data = json.loads(contract.to_json()) | change
+    with pytest.raises(SurefootError, match=message) as caught:
+        Contract.from_json(json.dumps(data))
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("text", ["", "{", "[]", "null", '"surefoot-policy"', "{}"])
+def test_what_is_no_contract_is_refused(text: str):
+    with pytest.raises(SurefootError, match="contract: is no"):
+        Contract.from_json(text)
+
+
+def test_a_missing_key_is_named(contract: Contract):
+    data = json.loads(contract.to_json())
+    del data["voltage"]
+    with pytest.raises(SurefootError, match=r"contract\.voltage is missing"):
+        Contract.from_json(json.dumps(data))
+
+
+def test_the_robot_it_was_made_for_is_accepted(contract: Contract, robot: RobotDescription):
+    check_robot(contract, robot)
+
+
+def swapped(names: tuple[str, ...]) -> tuple[str, ...]:
+    return (names[1], names[0], *names[2:])
+
+
+def test_another_robot_is_refused(contract: Contract, robot: RobotDescription):
+    cases = [
+        (replace(contract, robot="spot"), "is for robot 'spot'; this robot is 'minitaur'"),
+        (replace(contract, leg_names=swapped(contract.leg_names)), "has legs back_left, front_left"),
+        (replace(contract, motor_names=swapped(contract.motor_names)), "has 'front_left_1_motor' as motor 0"),
+        (replace(contract, motor_signs=tuple(-s for s in contract.motor_signs)), "sign .1 for front_left_2"),
+        (
+            replace(contract, motor_names=contract.motor_names[:7], motor_signs=contract.motor_signs[:7]),
+            "has 7 motors; minitaur has 8",
+        ),
+    ]
+    for changed, message in cases:
+        with pytest.raises(SurefootError, match=message):
+            check_robot(changed, robot)
+
+
+def test_the_hash_knows_content_and_not_order():
+    assert config_hash({"a": 1, "b": (1, 2.5)}) == config_hash({"b": [1, 2.5], "a": 1})
+    assert config_hash({"a": 1}) != config_hash({"a": 2})
+    # SHA-256 of {"a":1}, by coreutils' sha256sum.
+    assert config_hash({"a": 1}) == "015abd7f5cc57a2dd94b7590f04ad8084273905ee33ec5cebeae62276a97f862"

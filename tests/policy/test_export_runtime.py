@@ -1,0 +1,210 @@
+"""A policy file computes what the network did, and a file that is no policy is refused."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch")
+onnx = pytest.importorskip("onnx")
+pytest.importorskip("rsl_rl")
+pytest.importorskip("mujoco")
+
+from surefoot.errors import SurefootError  # noqa: E402
+from surefoot.learn.config import PPOConfig, load_train_config  # noqa: E402
+from surefoot.learn.export import export_trainer, make_contract  # noqa: E402
+from surefoot.learn.trainer import Trainer  # noqa: E402
+from surefoot.policy.contract import METADATA_KEY  # noqa: E402
+from surefoot.policy.export import export_policy  # noqa: E402
+from surefoot.policy.runtime import PolicyRuntime  # noqa: E402
+from surefoot.world.sim_world import SimWorld  # noqa: E402
+
+
+def make_trainer(task: str, activation: str = "elu", history: int = 1) -> Trainer:
+    """An untrained trainer whose normalizer and last layer are not those of the first moment."""
+    config = load_train_config(task)
+    config = replace(
+        config,
+        task=replace(config.task, history=history),
+        num_envs=2,
+        ppo=PPOConfig(policy_hidden=(16, 8), activation=activation),
+    )
+    trainer = Trainer(config, SimWorld)
+    with torch.no_grad():
+        trainer.policy.mlp[-1].weight.mul_(20)
+        for name, low, high in (("_mean", -1.0, 1.0), ("_std", 0.1, 3.0)):
+            getattr(trainer.policy.obs_normalizer, name).uniform_(low, high)
+    return trainer
+
+
+@pytest.fixture(scope="module")
+def trainer() -> Trainer:
+    return make_trainer("trot")
+
+
+@pytest.fixture(scope="module")
+def policy_file(trainer: Trainer, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return export_trainer(trainer, tmp_path_factory.mktemp("policy") / "test.onnx", {"speed_mean": 0.1 + 0.2})
+
+
+@pytest.mark.parametrize(
+    ("task", "activation", "history"),
+    [
+        ("trot", "elu", 1),
+        ("gallop", "tanh", 3),
+        ("trot", "relu", 2),
+        ("gallop", "selu", 1),
+        ("trot", "swish", 1),
+    ],
+)
+def test_the_file_computes_what_the_network_and_the_environment_do(
+    task: str, activation: str, history: int, tmp_path: Path, rng: np.random.Generator
+):
+    trainer = make_trainer(task, activation, history)
+    runtime = PolicyRuntime.load(export_trainer(trainer, tmp_path / "p.onnx"))
+    observation = rng.normal(scale=3.0, size=(200, runtime.contract.width)).astype(np.float32)
+    action = trainer.act(observation)
+    assert np.any(np.abs(action) > 1)
+    assert np.any(np.abs(action) < 1)
+    expected = trainer.env.gait.feedback(action)
+    assert np.allclose(runtime.feedback(observation), expected, rtol=0, atol=1e-5)
+
+
+def test_the_file_is_the_same_from_the_module_and_from_the_trainer(trainer: Trainer, tmp_path: Path):
+    contract = make_contract(trainer.env)
+    path = export_policy(trainer.policy, "elu", contract, tmp_path / "deep" / "p.onnx")
+    assert PolicyRuntime.load(path).contract == contract
+    assert [file.name for file in path.parent.iterdir()] == ["p.onnx"]
+
+
+def test_the_contract_tells_the_task(policy_file: Path, trainer: Trainer):
+    contract = PolicyRuntime.load(policy_file).contract
+    assert contract.robot == "minitaur"
+    assert contract.columns == ("roll", "pitch", "roll_rate", "pitch_rate")
+    assert [part.unit for part in contract.observation] == ["rad", "rad", "rad/s", "rad/s"]
+    assert contract.low == (-0.25,) * 8
+    assert contract.figures["speed_mean"] == 0.1 + 0.2
+    assert (contract.control_step, contract.control_latency) == (0.006, 0.02)
+    assert contract.reference == trainer.env.gait.reference.to_dict()
+
+
+def test_feedback_is_clipped_to_the_bounds_exactly(policy_file: Path):
+    runtime = PolicyRuntime.load(policy_file)
+    feedback = runtime.feedback(np.full((1, 4), 1e6))
+    assert feedback.dtype == np.float64
+    assert np.all(np.abs(feedback) <= 0.25)
+
+
+def test_one_robot_and_many_get_the_same(policy_file: Path, rng: np.random.Generator):
+    runtime = PolicyRuntime.load(policy_file)
+    observation = rng.normal(size=(7, 4))
+    alone = np.concatenate([runtime.feedback(row[None]) for row in observation])
+    assert np.allclose(runtime.feedback(observation), alone, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("observation", "message"),
+    [
+        (np.zeros((1, 5)), r"shape \(1, 5\); this policy takes \(N, 4\)"),
+        (np.zeros(4), r"shape \(4,\)"),
+        (np.array([[0.0, np.nan, 0.0, 0.0]]), "observation 'pitch' is not finite"),
+        (np.array([[0.0, 0.0, 0.0, np.inf]]), "observation 'pitch_rate' is not finite"),
+    ],
+)
+def test_an_observation_that_does_not_fit_is_refused(
+    policy_file: Path, observation: np.ndarray, message: str
+):
+    with pytest.raises(SurefootError, match=message):
+        PolicyRuntime.load(policy_file).feedback(observation)
+
+
+def refused(path: Path, message: str) -> None:
+    with pytest.raises(SurefootError, match=message) as caught:
+        PolicyRuntime.load(path)
+    assert "\n" not in str(caught.value)
+    assert str(path) in str(caught.value)
+
+
+def test_a_missing_file_is_refused(tmp_path: Path):
+    refused(tmp_path / "none.onnx", "can't be read: No such file")
+    refused(tmp_path, "can't be read: Is a directory")
+
+
+@pytest.mark.parametrize("part", [0.0, 0.001, 0.1, 0.3, 0.5, 0.7, 0.9, 0.99, 0.999])
+def test_a_truncated_file_is_refused(policy_file: Path, tmp_path: Path, part: float):
+    data = policy_file.read_bytes()
+    path = tmp_path / "cut.onnx"
+    path.write_bytes(data[: int(part * len(data))])
+    refused(path, "is empty|is damaged or not ONNX|has no contract")
+
+
+def test_another_kind_of_file_is_refused(tmp_path: Path):
+    path = tmp_path / "text.onnx"
+    path.write_text("I am no policy.\n" * 40)
+    refused(path, "is damaged or not ONNX")
+
+
+def change(policy_file: Path, path: Path, edit: object) -> Path:
+    model = onnx.load(policy_file)
+    edit(model)  # type: ignore[operator]
+    onnx.save(model, path)
+    return path
+
+
+def test_onnx_without_a_contract_is_refused(policy_file: Path, tmp_path: Path):
+    path = change(policy_file, tmp_path / "p.onnx", lambda m: m.ClearField("metadata_props"))
+    refused(path, "has no contract")
+
+
+def test_a_contract_of_another_schema_is_refused(policy_file: Path, tmp_path: Path):
+    def edit(model: object) -> None:
+        (prop,) = (p for p in model.metadata_props if p.key == METADATA_KEY)  # type: ignore[attr-defined]
+        prop.value = prop.value.replace('"schema": 1', '"schema": 7')
+
+    refused(change(policy_file, tmp_path / "p.onnx", edit), "has schema 7; this surefoot reads schema 1")
+
+
+def test_a_graph_that_contradicts_its_contract_is_refused(policy_file: Path, tmp_path: Path):
+    def edit(model: object) -> None:
+        (prop,) = (p for p in model.metadata_props if p.key == METADATA_KEY)  # type: ignore[attr-defined]
+        prop.value = prop.value.replace('"history": 1', '"history": 2')
+
+    refused(change(policy_file, tmp_path / "p.onnx", edit), r"input is observation .*its contract says .*8\]")
+
+
+def test_feedback_that_is_not_finite_is_refused(policy_file: Path, tmp_path: Path):
+    def edit(model: object) -> None:
+        for tensor in model.graph.initializer:  # type: ignore[attr-defined]
+            if tensor.name == "middle":
+                tensor.CopyFrom(onnx.numpy_helper.from_array(np.full((1, 8), np.nan, np.float32), "middle"))
+
+    runtime = PolicyRuntime.load(change(policy_file, tmp_path / "p.onnx", edit))
+    with pytest.raises(SurefootError, match="not finite"):
+        runtime.feedback(np.zeros((1, 4)))
+
+
+def test_a_failed_export_leaves_the_old_file(policy_file: Path, tmp_path: Path):
+    trainer = make_trainer("trot")
+    path = tmp_path / "p.onnx"
+    path.write_bytes(policy_file.read_bytes())
+    with torch.no_grad():
+        trainer.policy.mlp[0].bias[0] = float("nan")
+    with pytest.raises(SurefootError, match="not finite"):
+        export_trainer(trainer, path)
+    assert path.read_bytes() == policy_file.read_bytes()
+    assert [file.name for file in tmp_path.iterdir()] == ["p.onnx"]
+
+
+def test_an_export_that_does_not_fit_is_refused(trainer: Trainer, tmp_path: Path):
+    contract = make_contract(trainer.env)
+    for activation, fitting, name, message in (
+        ("sine", contract, "p.onnx", "activation is 'sine'; choices: elu, relu"),
+        ("elu", replace(contract, history=2), "p.onnx", "takes 4 and gives 8; its contract says 8 and 8"),
+        ("elu", contract, "p.pt", "must end in .onnx"),
+    ):
+        with pytest.raises(SurefootError, match=message):
+            export_policy(trainer.policy, activation, fitting, tmp_path / name)
+    assert not list(tmp_path.iterdir())
