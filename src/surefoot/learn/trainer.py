@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from dataclasses import dataclass
 from typing import Any
@@ -57,6 +58,7 @@ class Trainer:
     def __init__(self, config: TrainConfig, make_world: SimulationFactory) -> None:
         self.config = config
         torch.manual_seed(config.seed)
+        self._threads = config.threads or os.cpu_count() or 1
         self.env = LocomotionEnv(config.task, config.num_envs, make_world, config.seed, threads=config.threads)
         observation, _ = self.env.reset()
         self.observation = self._tensors(observation)
@@ -121,6 +123,8 @@ class Trainer:
         """One rollout and one update of the policy."""
         env, algorithm, config = self.env, self.algorithm, self.config
         start = time.perf_counter()
+        # Threads of torch that spin between small products would take the cores from the physics.
+        torch.set_num_threads(1)
         rewards, ended = 0.0, []
         with torch.inference_mode():
             for _ in range(config.steps_per_update):
@@ -139,6 +143,7 @@ class Trainer:
                 )
             algorithm.compute_returns(self.observation)
         rollout_seconds = time.perf_counter() - start
+        torch.set_num_threads(self._threads)
         losses = algorithm.update()
         self.update_count += 1
         episodes = np.concatenate(ended, axis=1) if ended else np.zeros((4, 0))

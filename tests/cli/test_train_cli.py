@@ -1,0 +1,109 @@
+"""`surefoot train` as a real process: errors in one line, Ctrl-C saves, resume finishes."""
+
+from __future__ import annotations
+
+import os
+import pty
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+TINY = ["--num-envs", "16", "--steps-per-update", "16", "--evaluate-every", "100000", "--evaluation-episodes", "2"]
+TINY += ["--task.max-steps", "60"]
+
+
+def surefoot(*words: str, cwd: Path) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", "surefoot", *words], cwd=cwd, capture_output=True, text=True, timeout=280, check=False
+    )
+
+
+BAD = [
+    (["train", "walk"], "task 'walk' does not exist; choices: gallop, trot"),
+    (["train", "gallop", "--num-envs", "0"], "num_envs is 0; it must be 1 or more"),
+    (["train", "gallop", "--task.params", "control_latency", "-0.01"], "control_latency is -0.01; minitaur allows 0 to 0.1"),
+    (["train", "gallop", "--task.robot", "spot"], "robot 'spot': no such robot .* robots: minitaur"),
+    (["train", "trot", "--task.feedback.swing", "-2", "2"], "swing can be -2.300 to 2.300 rad .* allows -1 to 1"),
+    (["train", "gallop", "--task.observations", "roll", "smell"], "observation 'smell' does not exist; choices: roll, pitch"),
+    (["train", "--resume", "nowhere"], "nowhere: is no run folder"),
+    (["train", "key.yaml"], r"key.yaml: speed is no key; keys: name, robot"),
+    (["train", "type.yaml"], r"type.yaml: max_steps is 'long'; it must be a whole number"),
+    (["train", "nan.yaml"], r"nan.csv: row 2 of the table is not finite"),
+    (["train", "one.yaml"], r"one.csv: the table has 1 row\(s\); a periodic reference needs 2 or more"),
+    (["train", "amplitude.yaml"], "extension can be .* a leg of minitaur allows 0.6 to 2.7"),
+    (["fly"], "'fly' is no command; commands: train, evaluate, play"),
+]
+
+
+@pytest.fixture(scope="module")
+def bad_files(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("bad")
+    header = ",".join(f"{part}_{end}_{side}" for part in ("swing", "extension") for side in ("left", "right") for end in ("front", "back"))
+    row = ",".join(["0.1"] * 4 + ["1.6"] * 4)
+    table = "reference: {{kind: table, period: 0.5, file: {}}}\n"
+    files = {
+        "key.yaml": "speed: 3\n",
+        "type.yaml": "max_steps: long\n",
+        "nan.csv": f"{header}\n{row}\n{row.replace('0.1', 'nan', 1)}\n",
+        "nan.yaml": table.format("nan.csv"),
+        "one.csv": f"{header}\n{row}\n",
+        "one.yaml": table.format("one.csv"),
+        "amplitude.yaml": "reference: {kind: sine, extension: {amplitude: 2.0, frequency: 2.0, offset: 1.6}}\n",
+    }
+    for name, text in files.items():
+        (folder / name).write_text(text)
+    return folder
+
+
+@pytest.mark.parametrize(("words", "message"), BAD, ids=[" ".join(words)[:40] for words, _ in BAD])
+def test_bad_input_gets_one_line_and_exit_code_2(words: list[str], message: str, bad_files: Path) -> None:
+    result = surefoot(*words, cwd=bad_files)
+    assert result.returncode == 2, result.stderr
+    assert "Traceback" not in result.stderr
+    lines = result.stderr.strip().splitlines()
+    assert len(lines) == 1, result.stderr
+    assert re.search(message, lines[0]), lines[0]
+    assert not (bad_files / "runs").exists()
+
+
+def test_ctrl_c_on_a_terminal_saves_and_resume_finishes(tmp_path: Path) -> None:
+    host, terminal = pty.openpty()
+    words = ["train", "trot", "--steps", "100000", "--seed", "3", *TINY]
+    process = subprocess.Popen(
+        [sys.executable, "-m", "surefoot", *words],
+        cwd=tmp_path, stdin=terminal, stdout=terminal, stderr=terminal, env={**os.environ, "COLUMNS": "120"},
+    )  # fmt: skip
+    os.close(terminal)
+    deadline, log = time.monotonic() + 200, []
+    while time.monotonic() < deadline and not (log := list(tmp_path.glob("runs/*/*/figures.jsonl"))):
+        time.sleep(0.1)
+    assert log, "no update was logged"
+    process.send_signal(signal.SIGINT)
+    shown = b""
+    while True:
+        try:
+            part = os.read(host, 65536)
+        except OSError:
+            break
+        if not part:
+            break
+        shown += part
+    assert process.wait(timeout=60) == 130
+    text = shown.decode(errors="replace")
+    assert "To go on:" in text
+    assert "steps/s" in text
+    run = log[0].parent
+    assert (run / "checkpoints" / "latest.ckpt").exists()
+
+    config = (run / "config.yaml").read_text()
+    (run / "config.yaml").write_text(config.replace("steps: 100000", f"steps: {256 * 10}"))
+    result = surefoot("train", "--resume", str(run), cwd=tmp_path)
+    assert result.returncode == 0, result.stderr
+    made = {str(path.relative_to(run)) for path in run.rglob("*") if path.is_file()}
+    wanted = {"policy.onnx", "evaluation.json", "figures/video.mp4", "figures/footfalls.png", "figures/episode.png"}
+    assert wanted <= made, made

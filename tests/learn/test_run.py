@@ -1,0 +1,169 @@
+"""Training runs: the same seed, interrupted or not, ends with the same weights; accidents lose nothing."""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+
+from surefoot.configuration import from_mapping
+from surefoot.errors import SurefootError
+from surefoot.learn.config import TrainConfig, load_train_config
+from surefoot.learn.run import TrainingRun
+from surefoot.learn.run_folder import RunFolder, read_checkpoint, write_checkpoint
+from surefoot.world.sim_world import SimWorld
+
+# Noise, pushes, ends of episodes and an evaluation all fall into these few updates.
+TINY = {
+    "num_envs": 16,
+    "steps_per_update": 16,
+    "steps": 16 * 16 * 5,
+    "evaluate_every": 600,
+    "evaluation_episodes": 2,
+    "checkpoint_every": 512,
+    "task": {
+        "max_steps": 40,
+        "params": {"imu_noise": 0.02},
+        "pushes": {"enabled": True, "period": 0.1, "duration": 0.03},
+    },
+}
+
+
+def tiny_config(**changes: object) -> TrainConfig:
+    return from_mapping(TrainConfig, {**TINY, **changes}, base=load_train_config("trot"))
+
+
+def train(root: Path, config: TrainConfig, stop_after: int | None = None) -> TrainingRun:
+    run = TrainingRun(config, RunFolder.create(config, root), SimWorld)
+    updates = []
+    run.run(lambda *figures: updates.append(figures), lambda: stop_after is not None and len(updates) >= stop_after)
+    return run
+
+
+def resume(path: Path) -> TrainingRun:
+    folder, config = RunFolder.open(path)
+    return TrainingRun(config, folder, SimWorld, resume=True)
+
+
+def same_weights(a: TrainingRun, b: TrainingRun) -> bool:
+    first, second = a.trainer.policy.state_dict(), b.trainer.policy.state_dict()
+    return first.keys() == second.keys() and all(torch.equal(first[key], second[key]) for key in first)
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> TrainingRun:
+    return train(tmp_path_factory.mktemp("whole"), tiny_config())
+
+
+def test_same_seed_gives_the_same_weights_to_the_last_bit(whole: TrainingRun, tmp_path: Path) -> None:
+    assert same_weights(whole, train(tmp_path, tiny_config()))
+
+
+def test_another_seed_gives_other_weights(whole: TrainingRun, tmp_path: Path) -> None:
+    assert not same_weights(whole, train(tmp_path, tiny_config(seed=1)))
+
+
+@pytest.mark.parametrize("stop_after", [1, 3])
+def test_an_interrupted_run_ends_as_one_that_was_not(whole: TrainingRun, tmp_path: Path, stop_after: int) -> None:
+    stopped = train(tmp_path, tiny_config(), stop_after)
+    assert not stopped.finished
+    again = resume(stopped.folder.path)
+    again.run(lambda *_: None)
+    assert again.finished
+    assert same_weights(whole, again)
+    assert again.best == whole.best
+    timings = {"rollout_seconds", "learn_seconds", "seconds"}
+    rows = [[{k: v for k, v in row.items() if k not in timings} for row in r.folder.rows()] for r in (whole, again)]
+    assert rows[0] == rows[1]
+
+
+def test_folder_holds_what_the_run_was_made_with(whole: TrainingRun) -> None:
+    about = json.loads((whole.folder.path / "run.json").read_text())
+    assert about["seed"] == 0
+    assert about["packages"]["torch"].startswith("2.13.0")
+    assert RunFolder.open(whole.folder.path)[1] == whole.config
+    assert list(whole.folder.path.glob("events.out.tfevents.*"))
+    assert len(list(whole.folder.checkpoints.glob("steps_*.ckpt"))) == 3
+
+
+def test_cut_off_checkpoint_is_refused_and_the_one_before_named(tmp_path: Path) -> None:
+    run = train(tmp_path, tiny_config())
+    content = run.folder.latest.read_bytes()
+    run.folder.latest.write_bytes(content[: len(content) // 2])
+    with pytest.raises(SurefootError, match=r"broken.*previous\.ckpt beside it is whole, at 1024 steps") as error:
+        resume(run.folder.path)
+    assert "\n" not in str(error.value)
+
+
+def test_one_flipped_bit_is_found(tmp_path: Path) -> None:
+    path = tmp_path / "a.ckpt"
+    write_checkpoint(path, {"weights": torch.arange(1000.0)})
+    content = bytearray(path.read_bytes())
+    content[-500] ^= 4
+    path.write_bytes(content)
+    with pytest.raises(SurefootError, match="broken"):
+        read_checkpoint(path)
+
+
+def test_folder_of_another_version_is_refused(whole: TrainingRun, tmp_path: Path) -> None:
+    folder = RunFolder.create(whole.config, tmp_path)
+    about = json.loads((folder.path / "run.json").read_text())
+    (folder.path / "run.json").write_text(json.dumps({**about, "format": 99, "surefoot": "9.0"}))
+    with pytest.raises(SurefootError, match=r"format 99, by surefoot 9\.0.*reads format 1"):
+        RunFolder.open(folder.path)
+
+
+def test_no_run_folder_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(SurefootError, match="is no run folder"):
+        RunFolder.open(tmp_path)
+
+
+def test_full_disk_leaves_the_old_checkpoint_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "a.ckpt"
+    write_checkpoint(path, {"steps": 1})
+
+    def full(_: int) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(SurefootError, match="No space left on device; what was saved before is untouched"):
+        write_checkpoint(path, {"steps": 2})
+    monkeypatch.undo()
+    assert read_checkpoint(path) == {"steps": 1}
+    assert [item.name for item in tmp_path.iterdir()] == ["a.ckpt"]
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
+def test_full_disk_under_the_log_is_told_in_one_line(whole: TrainingRun) -> None:
+    folder = RunFolder(whole.folder.path)
+    folder.figures_log = Path("/dev/full")
+    with pytest.raises(SurefootError, match="No space left on device; checkpoints are untouched"):
+        folder.log({"steps": 1})
+
+
+@pytest.mark.parametrize(
+    ("changes", "rule"),
+    [
+        ({"num_envs": 0}, "num_envs is 0; it must be 1 or more"),
+        ({"steps": -5}, "steps is -5; it must be 1 or more"),
+        ({"seed": -1}, "seed is -1; it must not be below 0"),
+        ({"num_envs": 1, "steps_per_update": 2}, "each minibatch needs one or more"),
+        ({"ppo": {"lr": 1}}, "ppo.lr is no key; keys: policy_hidden"),
+        ({"ppo": {"epochs": "many"}}, "ppo.epochs is 'many'; it must be a whole number"),
+    ],
+)
+def test_impossible_runs_are_refused(changes: dict[str, object], rule: str) -> None:
+    with pytest.raises(SurefootError, match=rule.replace(".", r"\.")):
+        tiny_config(**changes)
+
+
+def test_rank_prefers_no_falls_over_return(whole: TrainingRun) -> None:
+    assert whole.best is not None
+    steady = replace(whole.best, falls=0, pushed_falls=0, return_mean=1.0)
+    assert steady.rank > replace(steady, falls=1, return_mean=5.0).rank
+    assert steady.rank > replace(steady, pushed_falls=2, return_mean=1.2).rank
