@@ -81,6 +81,11 @@ def test_torque_between_and_beyond_the_tables_points(amperes: float, expected: f
     assert torque(amperes) == pytest.approx(expected)
 
 
+def test_what_is_no_number_gives_no_torque():
+    assert np.isnan(current(np.nan, 0.0))
+    assert np.isnan(torque(np.nan))
+
+
 @pytest.mark.parametrize("strength", [0.0, 0.8, 1.2])
 def test_strength_scales_the_torque(strength: float):
     assert torque(60.0, strength) == pytest.approx(3.5 * strength)

@@ -27,6 +27,11 @@ def test_duty(target: float, angle: float, speed: float, expected: float):
     assert servo_duty(target, angle, speed, 1.0, 0.015) == pytest.approx(expected)
 
 
+def test_what_is_no_number_gives_no_duty():
+    assert np.isnan(servo_duty(np.nan, 2.0, 0.0, 1.0, 0.015))
+    assert np.isnan(servo_duty(2.0, 2.0, np.nan, 1.0, 0.015))
+
+
 def test_gains_scale_their_parts():
     assert servo_duty(2.1, 2.0, 0.0, 3.0, 0.015) == pytest.approx(0.3)
     assert servo_duty(2.0, 2.0, 2.0, 3.0, 0.1) == pytest.approx(-0.2)

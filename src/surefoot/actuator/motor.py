@@ -18,7 +18,11 @@ def motor_current_kernel(
 ) -> float:
     """Scalar form of `motor_current`."""
     net = duty * voltage - torque_constant * speed
-    return min(max(net, -voltage_clip), voltage_clip) / resistance
+    if net > voltage_clip:
+        net = voltage_clip
+    elif net < -voltage_clip:
+        net = -voltage_clip
+    return net / resistance
 
 
 @vectorize(cache=True)
@@ -44,6 +48,8 @@ def motor_torque_kernel(
 ) -> float:
     """Scalar form of `motor_torque`."""
     magnitude = abs(current)
+    if math.isnan(magnitude):
+        return magnitude
     last = len(table_current) - 1
     torque = table_torque[last]
     for k in range(last):

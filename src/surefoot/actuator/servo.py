@@ -8,7 +8,9 @@ from numba import njit, vectorize
 @njit(cache=True, inline="always")
 def servo_duty_kernel(target: float, angle: float, speed: float, kp: float, kd: float) -> float:
     """Scalar form of `servo_duty`."""
-    return min(max(kp * (target - angle) - kd * speed, -1.0), 1.0)
+    duty = kp * (target - angle) - kd * speed
+    # Compiled min and max would turn what is no number into full duty.
+    return 1.0 if duty > 1.0 else -1.0 if duty < -1.0 else duty
 
 
 @vectorize(cache=True)

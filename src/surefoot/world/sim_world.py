@@ -167,14 +167,15 @@ class SimWorld:
         """Hold motor angles (N, M) [rad] for one control step of each robot; readings at its end.
 
         A control step that is no whole number of servo steps is kept on average: the k-th one ends at the
-        servo step nearest to k times the control step. A robot that diverges is put back to its resting pose,
-        counted in `divergences` and marked in `truth().diverged`.
+        servo step nearest to k times the control step. A robot that diverges, or is sent angles that are not
+        finite, is put back to its resting pose, counted in `divergences` and marked in `truth().diverged`.
         """
         self.drive.target[:] = target
         period = self.params.control_step / self.robot.timing.servo_step
         before = np.round(self._control_steps * period)
         self._control_steps += 1
         self._draw_noise(np.flatnonzero(self._control_steps % _NOISE_BLOCK == 0))
+        self.engine.diverged |= ~np.isfinite(self.drive.target).all(axis=1)
         self.engine.advance((np.round(self._control_steps * period) - before).astype(np.int64))
         self._diverged = self.engine.diverged.copy()
         if self._diverged.any():

@@ -1,0 +1,113 @@
+"""The ground's force on one foot."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from surefoot.world.contact import TANGENTIAL_DAMPING, foot_force
+
+STIFFNESS, DAMPING, STEP = 3000.0, 100.0, 0.001
+SPEED = st.floats(-5, 5)
+
+
+def on_ground(depth: float, velocity=(0.0, 0.0, 0.0), stretch=(0.0, 0.0), friction: float = 1.0):
+    return foot_force(depth, np.array(velocity), np.array(stretch), friction, STIFFNESS, DAMPING, STEP)
+
+
+@pytest.mark.parametrize(
+    ("depth", "sinking", "normal"),
+    [
+        (0.006, 0.0, 18.0),  # 3000 x .006
+        (0.006, 0.1, 28.0),  # + 100 x .1
+        (0.006, -0.1, 8.0),
+        (0.006, -0.2, 0.0),  # 18 - 20 would pull
+        (0.0, 1.0, 0.0),  # the damper acts in the ground only
+        (-0.001, 1.0, 0.0),
+    ],
+)
+def test_normal_force(depth: float, sinking: float, normal: float):
+    force, _ = on_ground(depth, (0, 0, -sinking))
+    np.testing.assert_allclose(force, (0, 0, normal), atol=1e-12)
+
+
+def test_the_sole_stretches_with_the_foot():
+    # In 1 ms at .02 m/s the sole stretches by .02 mm: 3000 x .00002 + 50 x .02 = 1.06 N against it.
+    force, stretch = on_ground(0.01, (0.02, 0, 0))
+    np.testing.assert_allclose(stretch, (2e-5, 0))
+    np.testing.assert_allclose(force, (-(0.06 + TANGENTIAL_DAMPING * 2.0), 0, 30.0))
+
+
+def test_friction_has_a_bound():
+    # 30 N on the foot, mu .5: 15 N at most, whatever the direction.
+    force, _ = on_ground(0.01, (0, 0, 0), stretch=(0.03, 0.04), friction=0.5)
+    np.testing.assert_allclose(force, (-9.0, -12.0, 30.0))
+
+
+def test_a_foot_in_the_air_forgets_its_stretch():
+    _, stretch = on_ground(-0.001, stretch=(0.01, 0.01))
+    assert stretch.tolist() == [0, 0]
+
+
+@given(
+    depth=st.floats(-0.05, 0.05),
+    velocity=st.tuples(SPEED, SPEED, SPEED),
+    stretch=st.tuples(st.floats(-0.05, 0.05), st.floats(-0.05, 0.05)),
+    friction=st.floats(0.05, 3),
+)
+def test_ground_never_pulls_and_friction_stays_in_its_cone(depth, velocity, stretch, friction):
+    force, after = on_ground(depth, velocity, stretch, friction)
+    assert force[2] >= 0
+    assert np.hypot(force[0], force[1]) <= friction * force[2] * (1 + 1e-9)
+    assert STIFFNESS * np.hypot(*after) <= friction * force[2] * (1 + 1e-9)
+
+
+@given(velocity=st.tuples(SPEED, SPEED), friction=st.floats(0.05, 3))
+def test_friction_of_a_fresh_foot_opposes_its_motion(velocity, friction):
+    force, _ = on_ground(0.01, (*velocity, 0.0), friction=friction)
+    assert force[0] * velocity[0] <= 0
+    assert force[1] * velocity[1] <= 0
+
+
+def drag(pull: float, seconds: float, mass: float = 2.0):
+    """Position and speed, at every step, of a mass that 20 N press on the ground and a growing force pulls.
+
+    The pull grows for half a second, so that the spring does not overshoot.
+    """
+    position, speed, stretch, path = 0.0, 0.0, np.zeros(2), []
+    for k in range(round(seconds / STEP)):
+        force, stretch = on_ground(20.0 / STIFFNESS, (speed, 0, 0), stretch, friction=0.5)
+        speed += STEP * (pull * min(1.0, 2 * k * STEP) + force[0]) / mass
+        position += STEP * speed
+        path.append((position, speed))
+    return np.array(path)
+
+
+@pytest.mark.parametrize("pull", [1.0, 5.0, 9.5, -9.5])
+def test_below_the_bound_the_foot_holds(pull: float):
+    # mu N = 10 N. The sole gives by pull / K, and there is no creep.
+    path = drag(pull, 5.0)
+    np.testing.assert_allclose(path[-2000:, 0], pull / STIFFNESS, rtol=1e-6)
+    np.testing.assert_allclose(path[-2000:, 1], 0, atol=1e-9)
+
+
+@pytest.mark.parametrize("pull", [10.5, 12.0, 20.0, -20.0])
+def test_above_the_bound_it_slides(pull: float):
+    # Acceleration (pull - mu N) / m over the second second.
+    speed = drag(pull, 2.0)[:, 1]
+    assert speed[-1] - speed[-1001] == pytest.approx((pull - np.sign(pull) * 10.0) / 2.0, rel=1e-6)
+
+
+def test_a_sliding_foot_comes_to_rest():
+    position, speed, stretch, reached = 0.0, 1.0, np.zeros(2), []
+    for _ in range(2000):
+        force, stretch = on_ground(20.0 / STIFFNESS, (speed, 0, 0), stretch, 0.5)
+        speed += STEP * force[0] / 2.0
+        position += STEP * speed
+        reached.append(position)
+    # From 1 m/s at 10 N / 2 kg = 5 m/s2: v^2 / 2a = .1 m, and it stays there.
+    assert max(reached) == pytest.approx(0.1, rel=0.05)
+    assert abs(speed) < 1e-9
+    assert position == pytest.approx(0.1, rel=0.06)

@@ -1,0 +1,128 @@
+"""The MuJoCo model against the closed form and against conservation of energy."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import pytest
+
+from surefoot.robot import RobotDescription, leg_to_motor
+from surefoot.world.mujoco_model import build_model, build_spec, foot_geoms
+
+
+class Rack:
+    """The robot with its base fixed in space, every loop closed at swing 0 and an extension."""
+
+    def __init__(self, robot: RobotDescription, extension: float, gravity: bool) -> None:
+        spec = build_spec(robot)
+        spec.delete(spec.body(robot.base).joints[0])
+        if not gravity:
+            spec.option.gravity = [0, 0, 0]
+        self.robot, self.model = robot, spec.compile()
+        self.data = mujoco.MjData(self.model)
+        self.motors = [self.model.joint(name) for name in robot.motor_names]
+        for joint, sign in zip(self.motors, robot.motor_sign, strict=True):
+            self.data.qpos[joint.qposadr[0]] = sign * extension
+        knees = robot.leg_geometry.knee_angles(extension, extension)
+        for leg in robot.legs:
+            for name, angle in zip(leg.knees, knees, strict=True):
+                self.data.qpos[self.model.joint(name).qposadr[0]] = angle
+        mujoco.mj_forward(self.model, self.data)
+
+    @property
+    def angles(self) -> np.ndarray:
+        return self.robot.motor_sign * [self.data.qpos[joint.qposadr[0]] for joint in self.motors]
+
+    def drive(self, target: np.ndarray) -> None:
+        """One step of a stiff servo."""
+        speeds = self.robot.motor_sign * [self.data.qvel[joint.dofadr[0]] for joint in self.motors]
+        torque = 20.0 * (target - self.angles) - 0.4 * speeds
+        for joint, value in zip(self.motors, self.robot.motor_sign * torque, strict=True):
+            self.data.qfrc_applied[joint.dofadr[0]] = value
+        mujoco.mj_step(self.model, self.data)
+
+    def feet_from_axes(self) -> np.ndarray:
+        """Feet (legs, 2) in their legs' planes, x and z from the motor axis."""
+        axes = [self.data.xanchor[self.model.joint(leg.motors[1]).id] for leg in self.robot.legs]
+        return (self.data.geom_xpos[foot_geoms(self.robot, self.model)] - axes)[:, [0, 2]]
+
+    def energy(self) -> float:
+        mujoco.mj_energyPos(self.model, self.data)
+        mujoco.mj_energyVel(self.model, self.data)
+        return float(self.data.energy.sum())
+
+
+def foot_centre(robot: RobotDescription, theta_1: np.ndarray, theta_2: np.ndarray) -> np.ndarray:
+    """Where the closed form puts the middle of the foot's rounding, which is one radius short of its end."""
+    bars = robot.leg_geometry
+    _, knee = bars.knees(theta_1, theta_2)
+    end = bars.foot_position(theta_1, theta_2)
+    return knee + (end - knee) * (1 - bars.foot_radius / bars.foot)
+
+
+def test_mass_is_the_descriptions(robot: RobotDescription):
+    assert build_model(robot).body_mass.sum() == pytest.approx(7.473, abs=1e-6)
+
+
+def test_rails_add_to_the_bases_inertia(robot: RobotDescription):
+    model = build_model(robot)
+    # Turning about x through the common centre of mass at z = -.0185 x 2.64 / 5.993 = -.0081495:
+    # .006837 + 3.353 x .0081495^2 + 2 (.004147 + 1.32 (.1265^2 + .0103505^2)) = .0578824
+    assert model.body(robot.base).mass[0] == pytest.approx(5.993)
+    assert sorted(model.body(robot.base).inertia)[0] == pytest.approx(0.0578824, rel=2e-2)
+
+
+def test_six_free_eight_motor_and_eight_knee_coordinates(robot: RobotDescription):
+    model = build_model(robot)
+    assert (model.nv, model.neq, model.opt.timestep) == (6 + 8 + 8, 4, 0.001)
+
+
+@pytest.mark.parametrize("swing", [-0.5, 0.0, 0.5])
+def test_feet_follow_the_closed_form_over_the_legs_range(robot: RobotDescription, swing: float):
+    rack = Rack(robot, 1.5, gravity=False)
+    pair = robot.leg_motor_index
+    worst = 0.0
+    path = np.concatenate([np.linspace(1.5, 2.6, 800), np.linspace(2.6, 0.7, 1400)])
+    for k, extension in enumerate(path):
+        angles = robot.leg_to_motor_angles(np.full(4, swing * min(1, k / 300)), np.full(4, extension))
+        rack.drive(angles)
+        if k % 10 == 0:
+            expected = foot_centre(robot, rack.angles[pair[:, 0]], rack.angles[pair[:, 1]])
+            worst = max(worst, float(np.abs(rack.feet_from_axes() - expected).max()))
+    np.testing.assert_allclose(rack.angles, angles, atol=0.05)  # the path was gone
+    assert worst < 1e-3
+
+
+def test_closed_form_puts_the_foot_where_the_urdf_does(robot: RobotDescription):
+    rack = Rack(robot, 2.0, gravity=False)
+    expected = foot_centre(robot, *leg_to_motor(0.0, 2.0))
+    np.testing.assert_allclose(rack.feet_from_axes(), np.tile(expected, (4, 1)), atol=1e-9)
+
+
+@pytest.mark.parametrize("direction", [1, -1])
+def test_legs_that_swing_freely_keep_their_energy(robot: RobotDescription, direction: int):
+    rack = Rack(robot, 1.5, gravity=False)
+    for name, joint, sign in zip(robot.motor_names, rack.motors, robot.motor_sign, strict=True):
+        rack.data.qvel[joint.dofadr[0]] = 5.0 * sign * (1 if "_1_" in name else direction)
+    for _ in range(20):  # the knees take up what the motors were given
+        mujoco.mj_step(rack.model, rack.data)
+    start, path = rack.energy(), []
+    for _ in range(1000):
+        mujoco.mj_step(rack.model, rack.data)
+        path.append(rack.energy())
+    assert start > 0.04  # J
+    np.testing.assert_allclose(path, start, rtol=0.02)
+
+
+@pytest.mark.parametrize(("step", "share"), [(0.001, 0.05), (0.00025, 0.005)])
+def test_legs_that_fall_turn_height_into_speed(robot: RobotDescription, step: float, share: float):
+    rack = Rack(robot, 1.5, gravity=True)
+    rack.model.opt.timestep = step
+    start, kinetic = rack.energy(), []
+    for _ in range(round(1 / step)):
+        mujoco.mj_step(rack.model, rack.data)
+        mujoco.mj_energyVel(rack.model, rack.data)
+        kinetic.append(rack.data.energy[1])
+    assert max(kinetic) > 0.5  # J
+    # A first-order integrator errs in proportion to its step, or less.
+    assert rack.energy() == pytest.approx(start, abs=share * max(kinetic))
