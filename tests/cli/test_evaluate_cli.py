@@ -1,0 +1,236 @@
+"""`surefoot evaluate` and `surefoot play` as a user runs them: in a process of their own."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("torch")
+pytest.importorskip("mujoco")
+pytest.importorskip("onnx")
+
+KEYS = {
+    *("episodes", "falls", "steps_mean", "distance_mean", "speed_mean", "speed_std", "power_mean"),
+    *("return_mean", "return_std", "drift_mean", "gait", "duty_factor", "phases", "world", "policy"),
+}
+EXTRAS = {
+    *("cost_of_transport_mean", "stance", "faults", "seed", "pushes", "set", "robot", "policy_file"),
+    "config_hash",
+}
+LEGS = {"front_left", "back_left", "front_right", "back_right"}
+
+
+def environment() -> dict[str, str]:
+    env = {key: value for key, value in os.environ.items() if key not in ("DISPLAY", "WAYLAND_DISPLAY")}
+    return env | {"PYTHONPATH": str(Path(__file__).resolve().parents[2] / "src"), "COLUMNS": "100"}
+
+
+def surefoot(*words: str | Path, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "surefoot", *map(str, words)]
+    return subprocess.run(command, capture_output=True, text=True, timeout=120, env=environment(), cwd=cwd)
+
+
+def refused(done: subprocess.CompletedProcess[str], *parts: str) -> None:
+    """Exit code 2, nothing on stdout, one line on stderr that has all parts."""
+    assert done.returncode == 2, done.stderr
+    assert done.stdout == ""
+    assert done.stderr.startswith("surefoot: error: ")
+    assert done.stderr.count("\n") == 1
+    for part in parts:
+        assert part in done.stderr
+
+
+@pytest.fixture(scope="module")
+def policy(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """An untrained policy of short episodes."""
+    from surefoot.learn.config import PPOConfig, load_train_config
+    from surefoot.learn.export import export_trainer
+    from surefoot.learn.trainer import Trainer
+    from surefoot.world.sim_world import SimWorld
+
+    config = load_train_config("trot")
+    config = replace(
+        config,
+        num_envs=4,
+        task=replace(config.task, max_steps=240),
+        ppo=PPOConfig(policy_hidden=(8,)),
+        name="untrained",
+    )
+    return export_trainer(Trainer(config, SimWorld), tmp_path_factory.mktemp("policy") / "untrained.onnx")
+
+
+def test_help_is_fast_and_names_the_commands():
+    start = time.perf_counter()
+    done = surefoot("--help")
+    assert time.perf_counter() - start < 2
+    assert done.returncode == 0
+    for command in ("train", "evaluate", "play"):
+        assert command in done.stdout
+    assert surefoot("--version").stdout.startswith("surefoot ")
+
+
+def test_help_loads_nothing_heavy():
+    script = (
+        "import sys; from surefoot.cli.main import main; main(['evaluate', 'nowhere.onnx', '--episodes', '0']);"
+        "print([m for m in ('torch', 'mujoco', 'numba', 'matplotlib') if m in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, env=environment())
+    assert done.stdout.strip() == "[]"
+
+
+def test_an_unknown_command_is_refused():
+    refused(surefoot("fly"), "'fly' is no command; commands: train, evaluate, play")
+    assert surefoot().returncode == 2
+
+
+def test_json_is_one_object_with_the_keys_promised(policy: Path):
+    done = surefoot("evaluate", policy, "--episodes", "3", "--json", "--seed", "4")
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.count("\n") == 1
+    result = json.loads(done.stdout)
+    assert set(result) == KEYS | EXTRAS
+    assert (result["episodes"], result["world"], result["policy"]) == (3, "mujoco", "untrained")
+    assert set(result["duty_factor"]) == set(result["phases"]) == LEGS
+    assert (result["seed"], result["pushes"], result["set"]) == (4, False, {})
+    assert surefoot("evaluate", policy, "--episodes", "3", "--json", "--seed", "4").stdout == done.stdout
+
+
+def test_settings_and_pushes_make_a_difference(policy: Path):
+    calm, weak, pushed = (
+        json.loads(surefoot("evaluate", policy, "--episodes", "2", "--json", *more).stdout)
+        for more in ((), ("--set", "motor_strength=0.7", "--set", "voltage=15"), ("--pushes",))
+    )
+    assert weak["set"] == {"motor_strength": 0.7, "voltage": 15.0}
+    assert pushed["pushes"] is True
+    assert len({result["distance_mean"] for result in (calm, weak, pushed)}) == 3
+
+
+def test_a_table_and_files_are_written(policy: Path, tmp_path: Path):
+    from surefoot.task.trace import EpisodeTrace
+
+    done = surefoot("evaluate", policy, "--episodes", "2", "--out", tmp_path / "deep" / "out")
+    assert done.returncode == 0, done.stderr
+    assert "speed" in done.stdout
+    assert "untrained in mujoco" in done.stdout
+    files = sorted(file.name for file in (tmp_path / "deep" / "out").iterdir())
+    assert files == ["episode.png", "episode_000.npz", "episode_001.npz", "footfalls.png"]
+    trace = EpisodeTrace.load(tmp_path / "deep" / "out" / "episode_001.npz")
+    assert trace.meta["policy"] == "untrained"
+    assert trace.num_steps <= 240
+
+
+@pytest.mark.parametrize(
+    ("words", "parts"),
+    [
+        (("--episodes", "0"), ("episodes is 0; it must be 1 or more",)),
+        (("--set", "strength=1"), ("'strength' is no physical parameter", "motor_strength")),
+        (("--set", "motor_strength=9"), ("motor_strength is 9; minitaur allows 0 to 2",)),
+        (("--set", "motor_strength=much"), ("sets no number",)),
+        (("--set", "motor_strength=nan"), ("motor_strength",)),
+        (("--world", "moon"), ("world 'moon' does not exist; choices: mujoco",)),
+        (("--seed", "-1"), ("seed is -1",)),
+        (("--robot", "spot"), ("robot 'spot': no such robot",)),
+        (("--out", "/dev/null/out"), ("/dev/null",)),
+    ],
+)
+def test_what_does_not_fit_is_refused(policy: Path, words: tuple[str, ...], parts: tuple[str, ...]):
+    refused(surefoot("evaluate", policy, *words), *parts)
+
+
+@pytest.mark.parametrize("words", [(), ("p.onnx", "--episodes", "x"), ("p.onnx", "--colour", "red")])
+def test_words_that_make_no_sense_exit_with_2(words: tuple[str, ...]):
+    done = surefoot("evaluate", *words)
+    assert done.returncode == 2
+    assert done.stdout == ""
+    assert "Traceback" not in done.stderr
+
+
+def test_no_policy_is_refused(tmp_path: Path, policy: Path):
+    refused(surefoot("evaluate", "nowhere"), "policy 'nowhere' does not exist")
+    (tmp_path / "cut.onnx").write_bytes(policy.read_bytes()[:500])
+    refused(surefoot("evaluate", tmp_path / "cut.onnx"), "is damaged or not ONNX")
+
+
+def test_a_policy_for_another_robot_is_refused(policy: Path, tmp_path: Path):
+    from surefoot.robot import RobotDescription
+
+    folder = RobotDescription.load("minitaur").folder
+    for file in folder.iterdir():
+        if file.is_file():
+            (tmp_path / file.name).write_bytes(file.read_bytes())
+    sheet = (tmp_path / "robot.toml").read_text()
+    (tmp_path / "robot.toml").write_text(sheet.replace('name = "minitaur"', 'name = "maxitaur"'))
+    refused(
+        surefoot("evaluate", policy, "--robot", tmp_path),
+        "policy 'untrained' is for robot 'minitaur'; this robot is 'maxitaur'",
+    )
+
+
+def test_play_writes_a_video_where_there_is_no_display(policy: Path, tmp_path: Path):
+    ffmpeg = pytest.importorskip("imageio_ffmpeg")
+    done = surefoot("play", policy, "--seconds", "0.4", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout == "untrained.mp4\n"
+    frames = ffmpeg.read_frames(str(tmp_path / "untrained.mp4"))
+    meta = next(frames)
+    assert meta["size"] == (960, 540)
+    first = np.frombuffer(next(frames), np.uint8)
+    for later in frames:
+        last = np.frombuffer(later, np.uint8)
+    assert np.abs(first.astype(int) - last).mean() > 0.1
+    frames.close()
+
+
+@pytest.mark.parametrize(
+    ("words", "part"),
+    [(("--seconds", "0"), "seconds is 0"), (("--out", "film.gif"), "the name must end in .mp4")],
+)
+def test_play_refuses_what_does_not_fit(policy: Path, words: tuple[str, ...], part: str):
+    refused(surefoot("play", policy, *words), part)
+
+
+def run_without(module: str, *words: str | Path) -> subprocess.CompletedProcess[str]:
+    """Run the command line in a process that can't import a module."""
+    script = (
+        f"import sys; sys.modules[{module!r}] = None\n"
+        "from surefoot.cli.main import main\nsys.exit(main(sys.argv[1:]))"
+    )
+    command = [sys.executable, "-c", script, *map(str, words)]
+    return subprocess.run(command, capture_output=True, text=True, timeout=120, env=environment())
+
+
+def test_what_is_not_installed_is_told_with_the_command_that_installs_it(policy: Path, tmp_path: Path):
+    without = run_without("mujoco", "evaluate", policy)
+    refused(without, "this needs mujoco, which is not installed: pip install 'surefoot[sim]'")
+    without = run_without("matplotlib", "evaluate", policy, "--out", tmp_path / "out")
+    refused(without, "this needs matplotlib, which is not installed: pip install 'surefoot[report]'")
+    refused(run_without("imageio_ffmpeg", "play", policy), "pip install 'surefoot[report]'")
+
+
+def test_an_interrupt_ends_with_130(policy: Path):
+    command = [sys.executable, "-m", "surefoot", "evaluate", str(policy), "--episodes", "1000"]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=environment())
+    time.sleep(4)
+    process.send_signal(signal.SIGINT)
+    _, errors = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert b"Traceback" not in errors
+
+
+def test_a_policy_that_ships_is_found_by_name(policy: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    from surefoot.cli import policies
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(policies, "SHELVES", (policy.parent,))
+    assert policies.find_policy("untrained") == policy
+    with pytest.raises(ValueError, match=r"policy 'trot' .*shipped policies: untrained"):
+        policies.find_policy("trot")

@@ -1,0 +1,159 @@
+"""The scene: shapes out of the URDF, where MuJoCo's own kinematics has them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("PIL.Image")
+
+from surefoot.errors import SurefootError
+from surefoot.report.scene import poses, quat_matrix, scene, trace_poses
+from surefoot.robot import RobotDescription
+from surefoot.task.trace import EpisodeTrace
+
+ROBOT = RobotDescription.load("minitaur")
+FOOT = np.array([0.0, 0.0, 0.2315, 1.0])  # centre of the foot's sphere in the frame of its link, see the URDF
+LEVEL = [1.0, 0.0, 0.0, 0.0]
+
+
+def test_every_visual_becomes_a_shape_of_its_color():
+    shapes = scene(ROBOT)
+    text = ROBOT.urdf.path.read_text()
+    assert len(shapes) == text.count("<visual>")
+    feet = [shape for shape in shapes if shape.kind == "sphere"]
+    assert [shape.body for shape in feet] == [leg.foot for leg in ROBOT.legs]
+    assert feet[0].size == (0.0085,)
+    assert feet[0].color == (230, 115, 26)  # 0.90 0.45 0.10 of 255
+    base = shapes[0]
+    assert (base.body, base.kind, base.size) == ("base", "box", (0.15, 0.065, 0.0435))
+    rotor = next(shape for shape in shapes if shape.kind == "cylinder")
+    assert np.allclose(rotor.rotation @ np.array([0, 0, 1]), [0, -1, 0])
+
+
+@pytest.mark.parametrize(
+    ("quat", "turned"),
+    [
+        ([1, 0, 0, 0], [1, 0, 0]),
+        ([np.sqrt(0.5), 0, 0, np.sqrt(0.5)], [0, 1, 0]),
+        ([np.sqrt(0.5), 0, np.sqrt(0.5), 0], [0, 0, -1]),
+    ],
+)
+def test_a_quaternion_turns_x(quat: list[float], turned: list[float]):
+    assert np.allclose(quat_matrix(quat) @ np.array([1.0, 0, 0]), turned)
+
+
+def test_feet_are_where_the_leg_geometry_says():
+    """A foot's centre lies a radius short of the foot's end, on the line from the knee."""
+    theta = ROBOT.leg_to_motor_angles([[0.2, -0.3, 0.0, 0.4]], [[1.8, 2.1, 1.5, 1.2]])
+    found = poses(ROBOT, [[0.0, 0.0, 0.0]], [LEVEL], theta)
+    bars = ROBOT.leg_geometry
+    for leg, index in zip(ROBOT.legs, ROBOT.leg_motor_index, strict=True):
+        angles = theta[0, index]
+        end, knee = bars.foot_position(*angles), bars.knees(*angles)[1]
+        centre = knee + (end - knee) * (bars.foot - bars.foot_radius) / bars.foot
+        hip = found[leg.motors[0].replace("motor", "rotor")][0, :3, 3]
+        assert np.allclose((found[leg.foot][0] @ FOOT)[[0, 2]], hip[[0, 2]] + centre, atol=1e-9)
+
+
+def test_loops_are_closed():
+    theta = ROBOT.leg_to_motor_angles([[0.2, -0.3, 0.0, 0.4]], [[1.8, 2.1, 1.5, 1.2]])
+    found = poses(ROBOT, [[0.1, 0.2, 0.3]], [[0.5, 0.5, 0.5, 0.5]], theta)
+    for loop in ROBOT.loops:
+        ends = [found[link][0] @ [*point, 1] for link, point in zip(loop.links, loop.points, strict=True)]
+        assert np.allclose(*ends, atol=1e-9)
+
+
+def test_all_bodies_are_where_mujoco_has_them():
+    mujoco = pytest.importorskip("mujoco")
+    from surefoot.world.mujoco_model import build_model, resting_qpos
+
+    model = build_model(ROBOT)
+    data = mujoco.MjData(model)
+    data.qpos[:] = resting_qpos(ROBOT, model)
+    quat = np.array([0.9, 0.1, -0.2, 0.3]) / np.linalg.norm([0.9, 0.1, -0.2, 0.3])
+    data.qpos[:7] = [0.3, -0.2, 0.5, *quat]
+    mujoco.mj_kinematics(model, data)
+    found = poses(ROBOT, data.qpos[None, :3], data.qpos[None, 3:7], ROBOT.resting_angles[None])
+    for body in range(1, model.nbody):
+        pose = found[model.body(body).name][0]
+        assert np.allclose(pose[:3, 3], data.xpos[body], atol=1e-9)
+        assert np.allclose(pose[:3, :3], data.xmat[body].reshape(3, 3), atol=1e-9)
+
+
+def test_what_is_not_known_is_not_drawn():
+    with pytest.raises(SurefootError, match="base position is not known"):
+        poses(ROBOT, [[np.nan, 0, 0]], [LEVEL], ROBOT.resting_angles[None])
+
+
+def test_a_robot_without_visuals_is_refused(tmp_path: Path):
+    import re
+
+    text = re.sub(r"<visual>.*?</visual>", "", ROBOT.urdf.path.read_text())
+    (tmp_path / "bare.urdf").write_text(text)
+    bare = replace(ROBOT, urdf=replace(ROBOT.urdf, path=tmp_path / "bare.urdf"))
+    with pytest.raises(SurefootError, match="has nothing to draw"):
+        scene(bare)
+
+
+@pytest.fixture(scope="module")
+def trace() -> EpisodeTrace:
+    pytest.importorskip("mujoco")
+    pytest.importorskip("gymnasium")
+    from surefoot.evaluate.rollout import run_episodes
+    from surefoot.task.config import load_task
+    from surefoot.world.sim_world import SimWorld
+
+    class Still:
+        def feedback(self, observation: object) -> np.ndarray:
+            return np.zeros((1, 8))
+
+    task, _ = load_task("trot")
+    (trace,) = run_episodes(Still(), replace(task, max_steps=150), 1, SimWorld, threads=1)
+    return trace
+
+
+def test_feet_are_drawn_where_the_simulation_had_them(trace: EpisodeTrace):
+    found = trace_poses(ROBOT, trace)
+    for k, leg in enumerate(ROBOT.legs):
+        apart = (found[leg.foot] @ FOOT)[:, :3] - trace.foot_position_world[:, k]
+        # The engine's own positions of geoms are those before its last millisecond.
+        assert np.abs(apart).max() < 0.01
+        assert np.abs(apart).mean() < 0.002
+
+
+def test_the_lowest_foot_touches_the_ground(trace: EpisodeTrace):
+    found = trace_poses(ROBOT, trace)
+    heights = np.stack([(found[leg.foot] @ FOOT)[:, 2] for leg in ROBOT.legs], -1) - 0.0085
+    lowest = heights.min(axis=1)[30:]
+    assert lowest.min() > -0.03
+    assert abs(np.median(lowest)) < 0.015
+    down = trace.foot_contact[30:] == 1
+    assert np.all(heights[30:][down] < 0.002)
+
+
+def test_readings_are_drawn_where_the_truth_is_not_known(trace: EpisodeTrace):
+    blind = replace(trace, true_motor_angle=np.empty(0))
+    name = ROBOT.legs[0].foot
+    expected = poses(
+        ROBOT, trace.base_position_world[1:], trace.base_quat_world[1:], np.array(trace.motor_angle)
+    )
+    assert np.array_equal(trace_poses(ROBOT, blind)[name], expected[name])
+
+
+def test_the_viewer_puts_every_body_where_the_poses_say(trace: EpisodeTrace):
+    mujoco = pytest.importorskip("mujoco")
+    from surefoot.cli.viewer import build_stage, set_stage
+
+    shapes, found = scene(ROBOT), trace_poses(ROBOT, trace)
+    model = build_stage(shapes)
+    assert model.ngeom == len(shapes) + 1
+    data = mujoco.MjData(model)
+    set_stage(model, data, found, 99)
+    for shape_body in {shape.body for shape in shapes}:
+        body = model.body(shape_body).id
+        assert np.allclose(data.xpos[body], found[shape_body][99, :3, 3])
+        assert np.allclose(data.xmat[body].reshape(3, 3), found[shape_body][99, :3, :3], atol=1e-6)
