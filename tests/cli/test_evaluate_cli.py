@@ -80,7 +80,7 @@ def test_help_is_fast_and_names_the_commands():
 
 def test_help_loads_nothing_heavy():
     script = (
-        "import sys; from surefoot.cli.main import main; main(['evaluate', 'nowhere.onnx', '--episodes', '0']);"
+        "import sys; from surefoot.cli.main import main; main(['evaluate', 'no.onnx', '--episodes', '0']);"
         "print([m for m in ('torch', 'mujoco', 'numba', 'matplotlib') if m in sys.modules])"
     )
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, env=environment())
