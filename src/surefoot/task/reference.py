@@ -5,6 +5,8 @@ Tan et al. 2018, eq. 4: a(t, o) = reference(t) + feedback(o).
 
 from __future__ import annotations
 
+import zipfile
+import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,6 +18,12 @@ from numpy.typing import ArrayLike, NDArray
 from surefoot.errors import SurefootError, choices
 
 Array = NDArray[np.float64]
+
+# What NumPy raises for files that are empty, cut off or of another kind.
+_UNREADABLE = (
+    *(OSError, ValueError, KeyError, EOFError, IndexError, TypeError, AttributeError),
+    *(zipfile.BadZipFile, zlib.error),
+)
 
 
 class Reference(Protocol):
@@ -255,9 +263,9 @@ def _read_table(path: Path, legs: tuple[str, ...]) -> tuple[Array, Array]:
             raise SurefootError(f"{path}: is no .csv or .npz file; {rule}")
     except SurefootError:
         raise
-    except (OSError, ValueError, KeyError) as error:
+    except _UNREADABLE as error:
         raise SurefootError(
-            f"{path}: can't be read as a table: {str(error).splitlines()[0]}; {rule}"
+            f"{path}: can't be read as a table: {' '.join(str(error).split())}; {rule}"
         ) from error
     missing = [name for name in columns if name not in table]
     if missing:

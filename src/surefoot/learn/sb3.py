@@ -1,0 +1,92 @@
+"""`LocomotionEnv` for Stable-Baselines3, which has a vector interface of its own."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+from gymnasium import Wrapper
+from numpy.typing import NDArray
+from stable_baselines3.common.vec_env import VecEnv
+
+from surefoot.errors import SurefootError
+from surefoot.task.env import LocomotionEnv
+
+Indices = int | Iterable[int] | None
+
+
+class SB3VecEnv(VecEnv):  # type: ignore[misc, unused-ignore]
+    """A batch of robots as Stable-Baselines3 takes it.
+
+    What differs from Gymnasium: one `done` for both ends of an episode; `infos[i]` holds
+    `terminal_observation`, the last one of an episode, `TimeLimit.truncated`, true where the episode was cut
+    off and its value is to be estimated, and `episode`, its return `r`, length `l` and wall time `t`.
+
+    Args:
+        env: the robots, with `autoreset`.
+    """
+
+    def __init__(self, env: LocomotionEnv) -> None:
+        if not env.autoreset:
+            raise SurefootError(
+                "autoreset is off; Stable-Baselines3 needs robots that start anew by themselves"
+            )
+        self.env = env
+        self._actions: NDArray[np.float32] = np.zeros(env.action_space.shape or (), np.float32)
+        self._start = time.monotonic()
+        super().__init__(env.num_envs, env.single_observation_space, env.single_action_space)
+
+    def reset(self) -> NDArray[np.float32]:
+        """Start all robots anew, with the seed given to `seed` since the last reset, if any."""
+        observation, _ = self.env.reset(seed=self._seeds[0])
+        self._reset_seeds()
+        self._reset_options()
+        return observation
+
+    def step_async(self, actions: NDArray[np.float32]) -> None:
+        """Keep the actions (N, A) for `step_wait`."""
+        self._actions = actions
+
+    def step_wait(
+        self,
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]:
+        """Run one control step."""
+        observation, reward, terminated, truncated, info = self.env.step(self._actions)
+        done = terminated | truncated
+        infos: list[dict[str, Any]] = [{"TimeLimit.truncated": bool(cut)} for cut in truncated]
+        for i in np.flatnonzero(done):
+            figures = info["episode"]
+            infos[i]["terminal_observation"] = info["final_obs"][i]
+            infos[i]["episode"] = {
+                "r": float(figures["return"][i]),
+                "l": int(figures["steps"][i]),
+                "t": time.monotonic() - self._start,
+            }
+        return observation, reward.astype(np.float32), done, infos
+
+    def close(self) -> None:
+        """Give back what the environment holds."""
+        self.env.close()
+
+    def _count(self, indices: Indices) -> int:
+        return len(list(self._get_indices(indices)))
+
+    def get_attr(self, attr_name: str, indices: Indices = None) -> list[Any]:
+        """An attribute of the batch, once for each robot asked for."""
+        return [getattr(self.env, attr_name)] * self._count(indices)
+
+    def set_attr(self, attr_name: str, value: Any, indices: Indices = None) -> None:
+        """Set an attribute of the batch; robots can't differ in it."""
+        if self._count(indices) != self.num_envs:
+            raise SurefootError(f"{attr_name} belongs to the whole batch; it can't be set for some robots")
+        setattr(self.env, attr_name, value)
+
+    def env_method(self, method_name: str, *args: Any, indices: Indices = None, **kwargs: Any) -> list[Any]:
+        """Call a method of the batch once; its answer, once for each robot asked for."""
+        return [getattr(self.env, method_name)(*args, **kwargs)] * self._count(indices)
+
+    def env_is_wrapped(self, wrapper_class: type[Wrapper], indices: Indices = None) -> list[bool]:
+        """No robot is wrapped."""
+        return [False] * self._count(indices)

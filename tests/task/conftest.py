@@ -1,0 +1,81 @@
+"""The robot that tests of this room share, and a world that answers as it is told."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from surefoot.robot import PhysicalParams, RobotDescription
+from surefoot.world.interface import Readings, Truth, WorldConfig
+
+
+class ScriptedWorld:
+    """A simulation without physics: the base goes `speed` forward, takes `power`, and tilts when told to.
+
+    A robot's motors are where they were sent, one control step ago.
+    """
+
+    def __init__(
+        self,
+        robot: RobotDescription,
+        num_envs: int,
+        params: PhysicalParams,
+        seed: int = 0,
+        config: WorldConfig | None = None,
+    ) -> None:
+        self.robot, self.num_envs, self.params = robot, num_envs, params
+        self.config, self.seed = config or WorldConfig(), seed
+        self.speed, self.power = np.zeros(num_envs), np.zeros(num_envs)
+        self.tilt = np.zeros((num_envs, 2))
+        self.diverged = np.zeros(num_envs, np.bool_)
+        self.position, self.time = np.zeros(num_envs), np.zeros(num_envs)
+        self.angles = np.zeros((num_envs, robot.num_motors))
+        self.force = np.zeros((num_envs, 3))
+        self.forces: list[np.ndarray] = []
+
+    def reset(self, index: Any = None) -> Readings:
+        rows = np.arange(self.num_envs) if index is None else index
+        self.position[rows], self.time[rows], self.angles[rows] = 0.0, 0.0, 0.0
+        return self.readings()
+
+    def step(self, target: Any) -> Readings:
+        self.forces.append(self.force.copy())
+        self.time += self.params.control_step
+        self.position += self.speed * self.params.control_step
+        self.angles = np.array(target, float)
+        return self.readings()
+
+    def readings(self) -> Readings:
+        tilt = np.concatenate([self.tilt, np.zeros((self.num_envs, 1))], axis=1)
+        return Readings(self.time.copy(), tilt, 10 * tilt, self.angles.copy(), 2 * self.angles)
+
+    def truth(self) -> Truth:
+        zeros, motors = np.zeros((self.num_envs, 3)), np.zeros((self.num_envs, self.robot.num_motors))
+        tilt = np.concatenate([self.tilt, np.zeros((self.num_envs, 1))], axis=1)
+        return Truth(
+            base_position_world=np.stack([self.position, 0 * self.position, 0 * self.position + 0.2], -1),
+            base_quat_world=np.tile([1.0, 0, 0, 0], (self.num_envs, 1)),
+            base_velocity_world=zeros,
+            roll_pitch_yaw=tilt,
+            motor_angle=self.angles.copy(),
+            motor_velocity=motors,
+            motor_torque=motors,
+            energy=self.power * self.params.control_step,
+            foot_contact=np.ones((self.num_envs, 4)),
+            diverged=self.diverged.copy(),
+        )
+
+    def push(self, force_world: Any) -> None:
+        self.force = np.array(force_world, float)
+
+
+@pytest.fixture(scope="session")
+def robot() -> RobotDescription:
+    return RobotDescription.load("minitaur")
+
+
+@pytest.fixture(scope="session")
+def scripted_world() -> type[ScriptedWorld]:
+    return ScriptedWorld

@@ -1,0 +1,114 @@
+"""The hybrid policy's arithmetic."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from surefoot.errors import SurefootError
+from surefoot.robot import RobotDescription
+from surefoot.task.gait import HybridGait
+from surefoot.task.reference import make_reference
+
+PHASE = {"front_left": 0.0, "back_left": np.pi, "front_right": np.pi, "back_right": 0.0}
+
+
+def trot(robot: RobotDescription, amplitude: float = 0.35):
+    wave = {"amplitude": amplitude, "frequency": 2.0, "phase": PHASE}
+    data = {"kind": "sine", "swing": wave | {"amplitude": 0.3}, "extension": wave | {"offset": 2.0}}
+    return make_reference(data, robot.leg_names)
+
+
+def scratch(robot: RobotDescription) -> HybridGait:
+    """From scratch: no reference; swing +-.5, extension from 1 to 2."""
+    return HybridGait(robot, make_reference(None, robot.leg_names), (-0.5, 0.5), (1.0, 2.0))
+
+
+# Actions -1, 0 and 1 are the lower bound, the middle and the upper bound; there is nothing beyond.
+@pytest.mark.parametrize(
+    ("action", "swing", "extension"),
+    [(-1, -0.5, 1.0), (0, 0.0, 1.5), (1, 0.5, 2.0), (0.5, 0.25, 1.75), (7, 0.5, 2.0), (-7, -0.5, 1.0)],
+)
+def test_actions_span_the_bounds(robot, action: float, swing: float, extension: float):
+    feedback = scratch(robot).feedback(np.full((2, 8), action))
+    np.testing.assert_allclose(feedback, np.tile([swing] * 4 + [extension] * 4, (2, 1)))
+
+
+def test_action_names_go_swing_then_extension(robot):
+    names = scratch(robot).action_names
+    assert names[0] == "swing.front_left"
+    assert names[3] == "swing.back_right"
+    assert names[4] == "extension.front_left"
+    assert len(names) == 8
+
+
+def test_each_action_moves_its_own_leg(robot):
+    gait = scratch(robot)
+    for k, name in enumerate(gait.action_names):
+        action = np.zeros((1, 8))
+        action[0, k] = 1.0
+        targets = gait.motor_targets([0.0], gait.feedback(action))
+        moved = targets - gait.motor_targets([0.0], gait.feedback(np.zeros((1, 8))))
+        leg = name.split(".")[1]
+        sign = -1 if name.startswith("swing") else 1  # theta_1 = e + s, theta_2 = e - s
+        expected = dict.fromkeys(robot.motor_names, 0.0) | {
+            f"{leg}_1_motor": 0.5,
+            f"{leg}_2_motor": sign * 0.5,
+        }
+        np.testing.assert_allclose(moved[0], list(expected.values()), atol=1e-12)
+
+
+def test_zero_bounds_give_exactly_the_reference(robot):
+    gait = HybridGait(robot, trot(robot), (0.0, 0.0), (0.0, 0.0))
+    time = np.linspace(0, 1, 11)
+    feedback = gait.feedback(np.random.default_rng(1).uniform(-1, 1, (11, 8)))
+    targets = gait.motor_targets(time, feedback)
+    assert np.array_equal(targets, robot.leg_to_motor_angles(*gait.reference.pose(time)))
+
+
+def test_reference_and_feedback_add(robot):
+    gait = HybridGait(robot, trot(robot), (-0.25, 0.25), (-0.25, 0.25))
+    # At .125 s the front left leg has swing .3 and extension 2.35; feedback adds .25 to each:
+    # theta_1 = 2.6 + .55, theta_2 = 2.6 - .55.
+    targets = gait.motor_targets([0.125], gait.feedback(np.ones((1, 8))))[0]
+    assert targets[robot.motor_names.index("front_left_1_motor")] == pytest.approx(3.15)
+    assert targets[robot.motor_names.index("front_left_2_motor")] == pytest.approx(2.05)
+
+
+def test_rest_is_the_middle_of_what_can_be_asked_for(robot):
+    assert scratch(robot).rest == pytest.approx((0.0, 1.5))
+    assert HybridGait(robot, trot(robot), (-0.25, 0.25), (-0.25, 0.25)).rest == pytest.approx((0.0, 2.0))
+
+
+@pytest.mark.parametrize(
+    ("amplitude", "swing", "extension", "pieces"),
+    [
+        (
+            0.5,
+            (0.0, 0.0),
+            (-0.3, 0.3),
+            [
+                "extension can be 1.200 to 2.800",
+                "reference 1.500 to 2.500",
+                "feedback -0.3 to 0.3",
+                "0.6 to 2.7",
+            ],
+        ),
+        (0.35, (-0.8, 0.8), (0.0, 0.0), ["swing can be -1.100 to 1.100", "minitaur allows -1 to 1"]),
+        (1.5, (0.0, 0.0), (0.0, 0.0), ["extension can be 0.500 to 3.500"]),
+    ],
+)
+def test_commands_beyond_the_legs_range_are_refused(robot, amplitude, swing, extension, pieces):
+    with pytest.raises(SurefootError) as caught:
+        HybridGait(robot, trot(robot, amplitude), swing, extension)
+    message = str(caught.value)
+    assert "\n" not in message
+    for piece in pieces:
+        assert piece in message
+
+
+def test_the_edge_of_the_legs_range_is_allowed(robot):
+    reference = make_reference(None, robot.leg_names)
+    gait = HybridGait(robot, reference, robot.swing_range, robot.extension_range)
+    assert gait.low[0] == -1.0
+    assert gait.high[-1] == 2.7

@@ -1,0 +1,110 @@
+"""Random pushes: when, how hard, where to."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from surefoot.errors import SurefootError
+from surefoot.task.pushes import PushConfig, Pusher
+
+STEP = 0.006
+
+
+def forces(pusher: Pusher, steps: int, first: int = 0) -> np.ndarray:
+    """Force in each control step (steps, N, 3); time is that of the step's start."""
+    path = []
+    for k in range(first, first + steps):
+        pusher.update(np.full(len(pusher.force), k * STEP))
+        path.append(pusher.force.copy())
+    return np.array(path)
+
+
+def test_a_push_comes_every_200_steps_for_10_steps():
+    pushed = forces(Pusher(PushConfig(enabled=True), 3, seed=1), 1000).any(axis=2)
+    expected = [k for k in range(1000) if k >= 200 and k % 200 < 10]
+    for robot in range(3):
+        assert np.flatnonzero(pushed[:, robot]).tolist() == expected
+
+
+def test_a_push_keeps_its_force_while_it_lasts():
+    path = forces(Pusher(PushConfig(enabled=True), 2, seed=1), 620)
+    for start in (200, 400, 600):
+        assert np.all(path[start : start + 10] == path[start])
+    assert not np.allclose(path[200], path[400])
+    assert not np.allclose(path[200, 0], path[200, 1])
+
+
+@pytest.fixture(scope="module")
+def many() -> np.ndarray:
+    """Two thousand pushes (2000, 3)."""
+    pusher = Pusher(PushConfig(enabled=True), 2000, seed=3)
+    return forces(pusher, 1, first=200)[0]
+
+
+def test_pushes_are_horizontal_and_uniform_in_size(many):
+    size = np.linalg.norm(many, axis=1)
+    assert np.all(many[:, 2] == 0)
+    assert size.min() >= 130
+    assert size.max() <= 220
+    assert stats.kstest(size, "uniform", (130, 90)).pvalue > 0.01
+
+
+def test_pushes_are_uniform_in_direction(many):
+    direction = np.arctan2(many[:, 1], many[:, 0])
+    assert stats.kstest(direction, "uniform", (-np.pi, 2 * np.pi)).pvalue > 0.01
+
+
+def test_a_robots_pushes_do_not_depend_on_the_batch():
+    few = forces(Pusher(PushConfig(enabled=True), 2, seed=5), 450)
+    lots = forces(Pusher(PushConfig(enabled=True), 9, seed=5), 450)
+    assert np.array_equal(few, lots[:, :2])
+
+
+@pytest.mark.parametrize(("seed", "same"), [(5, True), (6, False)])
+def test_pushes_depend_on_the_seed_alone(seed, same):
+    one, other = (forces(Pusher(PushConfig(enabled=True), 2, seed=s), 250) for s in (5, seed))
+    assert np.array_equal(one, other) == same
+
+
+def test_a_reset_starts_the_clock_anew_and_ends_a_push():
+    pusher = Pusher(PushConfig(enabled=True), 2, seed=1)
+    forces(pusher, 203)
+    assert pusher.force.any(axis=1).all()
+    pusher.reset(np.array([1]))
+    assert pusher.force.any(axis=1).tolist() == [True, False]
+    # Robot 1 is at the start of its episode: its next push comes 200 steps later.
+    time = np.array([203 * STEP, 0.0])
+    for k in range(200):
+        pusher.update(time + k * STEP)
+        assert not pusher.force[1].any()
+    pusher.update(time + 200 * STEP)
+    assert pusher.force[1].any()
+
+
+@pytest.mark.parametrize("step", [0.003, 0.0045, 0.02])
+def test_any_control_step_gets_every_push(step):
+    pusher = Pusher(PushConfig(enabled=True), 1, seed=1)
+    started = 0
+    for k in range(round(6.1 / step)):
+        before = pusher.force.any()
+        pusher.update(np.array([k * step]))
+        started += bool(pusher.force.any() and not before)
+    assert started == 5
+
+
+@pytest.mark.parametrize(
+    ("values", "piece"),
+    [
+        ({"duration": 0.0}, "pushes.duration is 0 s"),
+        ({"duration": 1.2}, "below pushes.period 1.2 s"),
+        ({"force": (220.0, 130.0)}, "pushes.force is [220.0, 130.0]; lower then upper"),
+        ({"force": (-1.0, 130.0)}, "neither below 0 N"),
+        ({"period": float("nan")}, "pushes.duration is 0.06 s"),
+    ],
+)
+def test_pushes_that_cannot_be_are_refused(values, piece):
+    with pytest.raises(SurefootError) as caught:
+        PushConfig(**values)
+    assert piece in str(caught.value)

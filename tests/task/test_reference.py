@@ -1,0 +1,254 @@
+"""Reference gaits: sinusoids and tables, at points worked by hand."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from surefoot.errors import SurefootError
+from surefoot.task.reference import make_reference
+
+LEGS = ("front_left", "back_left", "front_right", "back_right")
+DIAGONAL = {"front_left": 0.0, "back_left": np.pi, "front_right": np.pi, "back_right": 0.0}
+TROT = {
+    "kind": "sine",
+    "swing": {"amplitude": 0.3, "frequency": 2.0, "phase": DIAGONAL},
+    "extension": {"amplitude": 0.35, "frequency": 2.0, "phase": DIAGONAL, "offset": 2.0},
+}
+ROWS = {
+    "kind": "table",
+    "period": 0.8,
+    "swing": {leg: [0.0, 0.4, 0.0, -0.4] for leg in LEGS},
+    "extension": {leg: [2.0, 2.0, 2.2, 1.8] for leg in LEGS},
+}
+
+
+def test_no_reference_is_zero_at_all_times():
+    reference = make_reference(None, LEGS)
+    swing, extension = reference.pose(np.array([0.0, 0.3, 7.0]))
+    assert swing.shape == extension.shape == (3, 4)
+    assert not swing.any()
+    assert not extension.any()
+    assert reference.period is None
+    assert reference.extent() == ((0, 0), (0, 0))
+
+
+# Two hertz: a quarter of a period is .125 s.
+@pytest.mark.parametrize(
+    ("time", "sine"), [(0.0, 0.0), (0.125, 1.0), (0.25, 0.0), (0.375, -1.0), (1 / 24, 0.5), (0.625, 1.0)]
+)
+def test_sine_at_known_phases(time: float, sine: float):
+    swing, extension = make_reference(TROT, LEGS).pose([time])
+    one = np.array([1, -1, -1, 1])
+    np.testing.assert_allclose(swing, [0.3 * sine * one], atol=1e-12)
+    np.testing.assert_allclose(extension, [2.0 + 0.35 * sine * one], atol=1e-12)
+
+
+def test_a_sines_extent_and_period():
+    reference = make_reference(TROT, LEGS)
+    np.testing.assert_allclose(reference.extent(), ((-0.3, 0.3), (1.65, 2.35)))
+    assert reference.period == 0.5
+
+
+def test_extent_covers_every_leg():
+    offset = dict(zip(LEGS, (0.0, 0.1, -0.2, 0.0), strict=True))
+    data = {"kind": "sine", "swing": {"amplitude": -0.3, "frequency": 1.0, "offset": offset}}
+    np.testing.assert_allclose(make_reference(data, LEGS).extent()[0], (-0.5, 0.4))
+
+
+@pytest.mark.parametrize(
+    ("swing", "extension", "period"),
+    [(2.0, 2.0, 0.5), (2.0, 4.0, 0.5), (4.0, 2.0, 0.5), (0.0, 2.0, 0.5), (2.0, 3.1, None), (0.0, 0.0, None)],
+)
+def test_the_period_is_common_to_swing_and_extension(swing: float, extension: float, period: float | None):
+    data = {
+        "kind": "sine",
+        "swing": {"amplitude": 0.1, "frequency": swing},
+        "extension": {"amplitude": 0.1, "frequency": extension},
+    }
+    assert make_reference(data, LEGS).period == period
+
+
+def test_waves_that_do_not_move_do_not_count_for_the_period():
+    data = {"kind": "sine", "swing": {"frequency": 3.1}, "extension": {"amplitude": 0.1, "frequency": 2.0}}
+    assert make_reference(data, LEGS).period == 0.5
+
+
+# Rows stand for 0, .2, .4 and .6 s; after the last row comes the first.
+@pytest.mark.parametrize(
+    ("time", "swing", "extension"),
+    [
+        (0.0, 0.0, 2.0),
+        (0.1, 0.2, 2.0),
+        (0.2, 0.4, 2.0),
+        (0.45, -0.1, 2.1),
+        (0.6, -0.4, 1.8),
+        (0.7, -0.2, 1.9),
+        (0.8, 0.0, 2.0),
+        (0.9, 0.2, 2.0),
+        (8.1, 0.2, 2.0),
+    ],
+)
+def test_a_table_runs_in_straight_lines_and_starts_anew(time: float, swing: float, extension: float):
+    got = make_reference(ROWS, LEGS).pose([time])
+    np.testing.assert_allclose(got, [np.full((1, 4), swing), np.full((1, 4), extension)], atol=1e-12)
+
+
+def test_a_tables_extent_and_period():
+    reference = make_reference(ROWS, LEGS)
+    assert reference.extent() == ((-0.4, 0.4), (1.8, 2.2))
+    assert reference.period == 0.8
+
+
+def columns() -> dict[str, list[float]]:
+    return {f"{part}_{leg}": ROWS[part][leg] for part in ("swing", "extension") for leg in LEGS}
+
+
+def write(path: Path, table: dict[str, list[float]]) -> Path:
+    if path.suffix == ".npz":
+        np.savez(path, **{name: np.array(values) for name, values in table.items()})
+    else:
+        lines = [",".join(table), *(",".join(map(str, row)) for row in zip(*table.values(), strict=True))]
+        path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+@pytest.mark.parametrize("name", ["gait.csv", "gait.npz"])
+def test_a_file_gives_what_its_rows_would(tmp_path: Path, name: str):
+    write(tmp_path / name, columns())
+    reference = make_reference({"kind": "table", "file": name, "period": 0.8}, LEGS, tmp_path)
+    time = np.linspace(0, 2, 37)
+    assert np.array_equal(reference.pose(time), make_reference(ROWS, LEGS).pose(time))
+
+
+def test_columns_go_by_name_not_by_place(tmp_path: Path):
+    table = columns()
+    table["swing_back_right"] = [0.1, 0.1, 0.1, 0.1]
+    write(tmp_path / "gait.csv", dict(reversed(table.items())) | {})
+    reference = make_reference({"kind": "table", "file": "gait.csv", "period": 0.8}, LEGS, tmp_path)
+    np.testing.assert_allclose(reference.pose([0.2])[0], [[0.4, 0.4, 0.4, 0.1]])
+
+
+@pytest.mark.parametrize("data", [None, TROT, ROWS])
+def test_to_dict_makes_it_again(data):
+    reference = make_reference(data, LEGS)
+    again = make_reference(reference.to_dict(), LEGS)
+    time = np.linspace(0, 2, 41)
+    assert np.array_equal(reference.pose(time), again.pose(time))
+    assert again.to_dict() == reference.to_dict()
+
+
+@pytest.mark.parametrize(
+    ("data", "pieces"),
+    [
+        ({"kind": "square"}, ["reference.kind is 'square'", "sine, table"]),
+        ({"kind": "sine", "swign": {}}, ["reference.swign is no key", "keys: kind, swing, extension"]),
+        ({"kind": "sine", "swing": {"amp": 1.0}}, ["reference.swing.amp is no key", "amplitude, frequency"]),
+        (
+            {"kind": "sine", "swing": {"amplitude": "big"}},
+            ["reference.swing.amplitude is 'big'", "finite number"],
+        ),
+        ({"kind": "sine", "swing": {"amplitude": np.inf}}, ["reference.swing.amplitude is inf"]),
+        ({"kind": "sine", "swing": {"amplitude": True}}, ["reference.swing.amplitude is True"]),
+        ({"kind": "sine", "swing": {"frequency": -1.0}}, ["reference.swing.frequency is -1", "below 0 Hz"]),
+        (
+            {"kind": "sine", "swing": {"phase": {"front_left": 0.0, "back_left": 0.0, "front_right": 0.0}}},
+            ["reference.swing.phase", "back_right", "every leg needs one"],
+        ),
+        (
+            {"kind": "sine", "swing": {"phase": DIAGONAL | {"tail": 0.0}}},
+            ["reference.swing.phase.tail is no key", "keys: front_left"],
+        ),
+        ({"kind": "sine", "swing": 3.0}, ["reference.swing is 3.0", "must be a table"]),
+        ({**ROWS, "period": 0.0}, ["reference.period is 0", "over 0 s"]),
+        ({**ROWS, "period": None}, ["reference.period is None", "finite number"]),
+        ({**ROWS, "rows": 4}, ["reference.rows is no key"]),
+        (
+            {**ROWS, "swing": {leg: [0.0] for leg in LEGS}, "extension": {leg: [2.0] for leg in LEGS}},
+            ["has 1 row", "2 or more"],
+        ),
+        ({**ROWS, "swing": {**ROWS["swing"], "back_left": [0.0]}}, ["reference.swing", "equally long"]),
+        ({**ROWS, "swing": {"front_left": [0.0, 1.0]}}, ["reference.swing", "equally long", "back_left"]),
+        (
+            {**ROWS, "swing": {**ROWS["swing"], "back_left": [0.0, 0.0, np.nan, 0.0]}},
+            ["row 3 of the table is not finite"],
+        ),
+    ],
+)
+def test_what_does_not_fit_is_refused_in_one_line(data, pieces):
+    with pytest.raises(SurefootError) as caught:
+        make_reference(data, LEGS)
+    message = str(caught.value)
+    assert "\n" not in message
+    for piece in pieces:
+        assert piece in message
+
+
+def without(name: str) -> dict[str, list[float]]:
+    return {key: values for key, values in columns().items() if key != name}
+
+
+@pytest.mark.parametrize("name", ["gait.csv", "gait.npz"])
+@pytest.mark.parametrize(
+    ("table", "piece"),
+    [
+        (
+            without("extension_back_left"),
+            "has no column extension_back_left; a table has columns swing_front_left",
+        ),
+        (columns() | {"swing_back_left": [0.0, np.nan, 0.0, 0.0]}, "row 2 of the table is not finite"),
+        (
+            {key: values[:1] for key, values in columns().items()},
+            "has 1 row(s); a periodic reference needs 2",
+        ),
+        ({key: [] for key in columns()}, "has 0 row(s); a periodic reference needs 2"),
+    ],
+)
+@pytest.mark.filterwarnings("ignore:.*input contained no data")
+def test_a_file_that_does_not_fit_is_refused_in_one_line(tmp_path: Path, name: str, table, piece: str):
+    write(tmp_path / name, table)
+    with pytest.raises(SurefootError) as caught:
+        make_reference({"kind": "table", "file": name, "period": 0.8}, LEGS, tmp_path)
+    message = str(caught.value)
+    assert "\n" not in message
+    assert message.startswith(f"{tmp_path / name}: ")
+    assert piece in message
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "piece"),
+    [
+        ("gait.txt", b"", "is no .csv or .npz file"),
+        ("gait.npz", b"not a zip", "can't be read as a table"),
+        ("gait.npz", b"", "can't be read as a table"),
+        ("gait.npz", b"PK\x03\x04 and no more", "can't be read as a table"),
+        ("gait.npz", b"\x93NUMPY\x01\x00", "can't be read as a table"),
+        ("gait.csv", b"", "can't be read as a table"),
+        ("gait.csv", b"a,b\n1,2,3\n", "can't be read as a table"),
+        ("gait.csv", b"\xff\xfe\x00\x01", "gait.csv: "),
+        ("gait.csv", b"a,b\n1,2\n", "has no column swing_front_left"),
+    ],
+)
+@pytest.mark.filterwarnings("ignore:.*Empty input file", "ignore:.*input contained no data")
+def test_a_file_that_is_no_table_is_refused_in_one_line(
+    tmp_path: Path, name: str, content: bytes, piece: str
+):
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(SurefootError) as caught:
+        make_reference({"kind": "table", "file": name, "period": 0.8}, LEGS, tmp_path)
+    assert "\n" not in str(caught.value)
+    assert piece in str(caught.value)
+
+
+@pytest.mark.parametrize("name", ["gait.csv", "gait.npz"])
+def test_a_missing_file_is_refused(tmp_path: Path, name: str):
+    with pytest.raises(SurefootError, match=f"{name}: can't be read"):
+        make_reference({"kind": "table", "file": name, "period": 0.8}, LEGS, tmp_path)
+
+
+def test_npz_columns_of_unequal_length_are_refused(tmp_path: Path):
+    write(tmp_path / "gait.npz", columns() | {"swing_back_left": [0.0, 0.1]})
+    with pytest.raises(SurefootError, match=r"columns differ in length \(2, 4\)"):
+        make_reference({"kind": "table", "file": "gait.npz", "period": 0.8}, LEGS, tmp_path)
