@@ -36,9 +36,7 @@ def test_between_samples_it_interpolates(latency: float):
 
 
 # The table in the module's docstring, with O_k = k + 10.
-@pytest.mark.parametrize(
-    ("latency", "expected"), [(0.0, [10, 11, 12]), (1.0, [10, 10, 11]), (1.5, [10, 10, 10.5])]
-)
+@pytest.mark.parametrize(("latency", "expected"), [(0.0, [10, 11, 12]), (1.0, [10, 10, 11]), (1.5, [10, 10, 10.5])])
 def test_readings_as_the_docstring_says(latency: float, expected: list[float]):
     line, seen = DelayLine(1, 1), []
     for k in range(3):

@@ -20,9 +20,7 @@ def robot() -> RobotDescription:
 @pytest.fixture
 def folder(tmp_path: Path, robot: RobotDescription) -> Path:
     """A copy of the Minitaur's folder, to be broken."""
-    return Path(
-        shutil.copytree(robot.folder, tmp_path / "robot", ignore=shutil.ignore_patterns("__pycache__"))
-    )
+    return Path(shutil.copytree(robot.folder, tmp_path / "robot", ignore=shutil.ignore_patterns("__pycache__")))
 
 
 def test_total_mass(robot: RobotDescription):

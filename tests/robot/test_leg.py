@@ -57,9 +57,7 @@ def test_pin_at_a_right_angle():
 
 
 def test_foot_at_a_right_angle():
-    np.testing.assert_allclose(
-        MINITAUR.foot_position(np.pi / 2, np.pi / 2), (-0.101 + 0.125860, -0.204350), atol=1e-6
-    )
+    np.testing.assert_allclose(MINITAUR.foot_position(np.pi / 2, np.pi / 2), (-0.101 + 0.125860, -0.204350), atol=1e-6)
 
 
 def test_equal_lower_links_put_pin_and_foot_of_a_symmetric_pose():

@@ -232,9 +232,7 @@ def test_a_file_that_does_not_fit_is_refused_in_one_line(tmp_path: Path, name: s
     ],
 )
 @pytest.mark.filterwarnings("ignore:.*Empty input file", "ignore:.*input contained no data")
-def test_a_file_that_is_no_table_is_refused_in_one_line(
-    tmp_path: Path, name: str, content: bytes, piece: str
-):
+def test_a_file_that_is_no_table_is_refused_in_one_line(tmp_path: Path, name: str, content: bytes, piece: str):
     (tmp_path / name).write_bytes(content)
     with pytest.raises(SurefootError) as caught:
         make_reference({"kind": "table", "file": name, "period": 0.8}, LEGS, tmp_path)

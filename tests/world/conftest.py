@@ -22,9 +22,7 @@ def robot() -> RobotDescription:
 def make_world(robot: RobotDescription) -> Callable[..., SimWorld]:
     """Make a world of so many robots, with parameters by name and the rest as `SimWorld` takes it."""
 
-    def make(
-        num_envs: int = 1, *, seed: int = 0, config: dict[str, Any] | None = None, **values: Any
-    ) -> SimWorld:
+    def make(num_envs: int = 1, *, seed: int = 0, config: dict[str, Any] | None = None, **values: Any) -> SimWorld:
         params = PhysicalParams.nominal(robot, num_envs).with_values(robot, **values)
         return SimWorld(robot, num_envs, params, seed, WorldConfig(**(config or {})))
 

@@ -52,9 +52,7 @@ def test_standing_height_is_the_geometrys_less_the_compression(make_world, robot
     stand(world)
     truth = world.truth()
     pair = robot.leg_motor_index
-    feet = robot.leg_geometry.foot_position(
-        truth.motor_angle[0, pair[:, 0]], truth.motor_angle[0, pair[:, 1]]
-    )
+    feet = robot.leg_geometry.foot_position(truth.motor_angle[0, pair[:, 0]], truth.motor_angle[0, pair[:, 1]])
     # Motor axes lie .0185 m below the base's origin; F / K = 73.3 N / 4 / 3000 N/m = 6.1 mm.
     expected = 0.0185 - feet[:, 1].mean() - WEIGHT / 4 / 3000
     assert truth.base_position_world[0, 2] == pytest.approx(expected, abs=0.003)
@@ -453,6 +451,4 @@ def test_thermal_protection_switches_off(make_world, protected):
 
 def test_world_config_is_kept(robot):
     world = SimWorld(robot, 1, config=WorldConfig(rest=(0.1, 1.8)))
-    np.testing.assert_allclose(
-        world.resting_angles, RobotDescription.leg_to_motor_angles(robot, [0.1] * 4, [1.8] * 4)
-    )
+    np.testing.assert_allclose(world.resting_angles, RobotDescription.leg_to_motor_angles(robot, [0.1] * 4, [1.8] * 4))

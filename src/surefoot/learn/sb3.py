@@ -30,9 +30,7 @@ class SB3VecEnv(VecEnv):  # type: ignore[misc, unused-ignore]
 
     def __init__(self, env: LocomotionEnv) -> None:
         if not env.autoreset:
-            raise SurefootError(
-                "autoreset is off; Stable-Baselines3 needs robots that start anew by themselves"
-            )
+            raise SurefootError("autoreset is off; Stable-Baselines3 needs robots that start anew by themselves")
         self.env = env
         self._actions: NDArray[np.float32] = np.zeros(env.action_space.shape or (), np.float32)
         self._start = time.monotonic()

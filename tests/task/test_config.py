@@ -1,0 +1,127 @@
+"""Tasks as data: presets, YAML files, and what is refused."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from surefoot.configuration import to_mapping, write_yaml
+from surefoot.errors import SurefootError
+from surefoot.task.config import TaskConfig, load_task, preset_names
+
+
+def test_the_papers_two_gaits_are_presets():
+    assert {"gallop", "trot"} <= set(preset_names())
+
+
+@pytest.mark.parametrize("name", ["gallop", "trot"])
+def test_a_preset_loads(name):
+    config, _ = load_task(name)
+    assert config.name == name
+    assert config.robot == "minitaur"
+
+
+def test_gallop_learns_from_scratch_and_trot_follows_a_reference():
+    gallop, trot = load_task("gallop")[0], load_task("trot")[0]
+    assert gallop.reference.kind == "none"
+    assert gallop.feedback.swing == (-0.5, 0.5)
+    np.testing.assert_allclose(gallop.feedback.extension, (np.pi / 2 - 0.5, np.pi / 2 + 0.5), atol=1e-6)
+    assert trot.reference.kind == "sine"
+    assert trot.feedback.swing == trot.feedback.extension == (-0.25, 0.25)
+    assert trot.pushes.force == (130.0, 220.0)
+
+
+def load(tmp_path: Path, text: str) -> TaskConfig:
+    (tmp_path / "mine.yaml").write_text(text)
+    return load_task(str(tmp_path / "mine.yaml"))[0]
+
+
+def test_a_file_without_a_name_gives_its_own(tmp_path):
+    assert load(tmp_path, "robot: minitaur\n").name == "mine"
+
+
+def test_an_empty_table_gives_the_defaults(tmp_path):
+    assert load(tmp_path, "{}\n") == TaskConfig(name="mine")
+
+
+def test_the_train_table_is_handed_over_unread(tmp_path):
+    (tmp_path / "mine.yaml").write_text("train: {steps: 5, seed: 3}\n")
+    assert load_task(str(tmp_path / "mine.yaml"))[1] == {"steps": 5, "seed": 3}
+
+
+def test_numbers_for_each_leg(tmp_path):
+    config = load(tmp_path, "reference: {kind: sine, swing: {amplitude: 1, phase: {front_left: 2}}}\n")
+    assert config.reference.swing.amplitude == 1.0
+    assert config.reference.swing.phase == {"front_left": 2.0}
+
+
+def test_a_tables_path_counts_from_the_tasks_file(tmp_path):
+    config = load(tmp_path, "reference: {kind: table, file: sub/gait.csv, period: 0.5}\n")
+    assert config.reference.file == str(tmp_path / "sub" / "gait.csv")
+    assert config.reference.period == 0.5
+
+
+@pytest.mark.parametrize("name", ["gallop", "trot"])
+def test_written_and_read_again_it_is_the_same(tmp_path, name):
+    config, _ = load_task(name)
+    write_yaml(tmp_path / "again.yaml", config)
+    assert load_task(str(tmp_path / "again.yaml"))[0] == config
+    assert to_mapping(config)["feedback"]["swing"] == list(config.feedback.swing)
+
+
+@pytest.mark.parametrize(
+    ("text", "pieces"),
+    [
+        ("robott: minitaur", ["robott is no key", "keys: name, robot, observations"]),
+        ("feedback: {swign: [0, 1]}", ["feedback.swign is no key", "keys: swing, extension"]),
+        (
+            "feedback: {swing: [0, 1, 2]}",
+            ["feedback.swing is [0, 1, 2]", "a list of 2 values, each a number"],
+        ),
+        ("feedback: {swing: [0, big]}", ["feedback.swing[1] is 'big'", "a number"]),
+        ("feedback: {swing: [1, 0]}", ["feedback.swing is [1, 0]", "the lower bound must come first"]),
+        ("feedback: 3", ["feedback is 3", "must be a table", "swing, extension"]),
+        ("max_steps: 10.5", ["max_steps is 10.5", "a whole number"]),
+        ("max_steps: true", ["max_steps is True", "a whole number"]),
+        ("max_steps: 0", ["max_steps is 0", "1 control step or more"]),
+        ("history: 0", ["history is 0", "1 observation or more"]),
+        ("fall_angle: -1", ["fall_angle is -1", "not be below 0"]),
+        ("fall_angle: .nan", ["fall_angle is nan"]),
+        ("observations: roll", ["observations is 'roll'", "a list of values, each text"]),
+        ("observations: [1]", ["observations[0] is 1", "text"]),
+        ("robot: 3", ["robot is 3", "text"]),
+        ("reference: {kind: square}", ["reference.kind is 'square'", "choices: none, sine, table"]),
+        ("reference: {swing: {phase: left}}", ["reference.swing.phase is 'left'", "a number or a table"]),
+        ("pushes: {enabled: sometimes}", ["pushes.enabled is 'sometimes'", "true or false"]),
+        ("pushes: {duration: 2}", ["pushes.duration is 2 s", "below pushes.period 1.2 s"]),
+        ("params: {voltage: high}", ["params.voltage is 'high'", "a number"]),
+        ("rest: 2", ["rest is 2", "a list of 2 values, each a number or nothing"]),
+        ("3: 4", ["3 is no key"]),
+        ("", ["holds NoneType", "must be a table"]),
+        ("- a\n- b", ["holds list", "must be a table"]),
+        ("robot: [minitaur\nname: x", ["is not YAML"]),
+        ("\t- x: {", ["is not YAML"]),
+        ("robot: !!python/object:os.system x", ["is not YAML"]),
+    ],
+)
+def test_a_file_that_does_not_fit_is_refused_in_one_line(tmp_path, text, pieces):
+    with pytest.raises(SurefootError) as caught:
+        load(tmp_path, text + "\n")
+    message = str(caught.value)
+    assert "\n" not in message
+    assert message.startswith(f"{tmp_path / 'mine.yaml'}: ")
+    for piece in pieces:
+        assert piece in message
+
+
+def test_a_file_that_is_not_text_is_refused(tmp_path):
+    (tmp_path / "mine.yaml").write_bytes(b"\xff\xfe\x00\x81")
+    with pytest.raises(SurefootError, match="is not YAML"):
+        load_task(str(tmp_path / "mine.yaml"))
+
+
+def test_an_unknown_task_names_the_presets():
+    with pytest.raises(SurefootError, match=r"task 'waltz' does not exist; choices: gallop, trot.*path of a YAML file"):
+        load_task("waltz")

@@ -1,0 +1,338 @@
+"""`LocomotionEnv` on a scripted world, whose answers are known, and on MuJoCo."""
+
+from __future__ import annotations
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.vector import AutoresetMode
+
+from surefoot.errors import SurefootError
+from surefoot.task.config import FeedbackConfig, ReferenceConfig, TaskConfig, WaveConfig, load_task
+from surefoot.task.env import LocomotionEnv
+from surefoot.task.pushes import PushConfig
+from surefoot.world.sim_world import SimWorld
+
+FEEDBACK = FeedbackConfig(swing=(-0.5, 0.5), extension=(1.0, 2.0))
+
+
+@pytest.fixture
+def make_env(scripted_world):
+    """Make an environment on the scripted world; keywords are the task's, or with `env_` its own."""
+
+    def make(num_envs: int = 2, **values) -> LocomotionEnv:
+        options = {key.removeprefix("env_"): values.pop(key) for key in list(values) if key.startswith("env_")}
+        return LocomotionEnv(TaskConfig(**{"feedback": FEEDBACK, **values}), num_envs, scripted_world, **options)
+
+    return make
+
+
+def rest(env: LocomotionEnv) -> np.ndarray:
+    return np.zeros((env.num_envs, 8))
+
+
+# --- interface --------------------------------------------------------------------------------------------
+
+
+def test_spaces(make_env):
+    env = make_env(3)
+    assert isinstance(env, gymnasium.vector.VectorEnv)
+    assert env.single_observation_space.shape == (12,)
+    assert env.single_action_space == gymnasium.spaces.Box(-1, 1, (8,), np.float32)
+    assert env.observation_space.shape == (3, 12)
+    assert env.action_space.shape == (3, 8)
+    assert env.metadata["autoreset_mode"] == AutoresetMode.SAME_STEP
+
+
+def test_reset_and_step_answer_as_gymnasium_says(make_env):
+    env = make_env(3)
+    observation, info = env.reset(seed=1)
+    assert env.observation_space.contains(observation)
+    assert info == {}
+    observation, reward, terminated, truncated, info = env.step(env.action_space.sample())
+    assert env.observation_space.contains(observation)
+    assert observation.dtype == np.float32
+    assert (reward.shape, reward.dtype) == ((3,), np.float64)
+    assert (terminated.shape, terminated.dtype) == ((3,), np.bool_)
+    assert (truncated.shape, truncated.dtype) == ((3,), np.bool_)
+    assert info == {}
+
+
+def test_an_observation_once_given_does_not_change(make_env):
+    env = make_env()
+    first, _ = env.reset()
+    kept = first.copy()
+    env.step(np.ones((2, 8)))
+    assert np.array_equal(first, kept)
+
+
+# --- reward and ends --------------------------------------------------------------------------------------
+
+
+def test_reward_is_displacement_less_weighted_energy(make_env):
+    env = make_env(2, energy_weight=0.01)
+    env.reset()
+    env.world.speed[:], env.world.power[:] = (1.0, -0.5), (100.0, 0.0)
+    _, reward, *_ = env.step(rest(env))
+    # .006 m - .01 x .6 J, and -.003 m.
+    np.testing.assert_allclose(reward, (0.0, -0.003), atol=1e-15)
+
+
+def test_an_episode_of_a_thousand_steps_is_truncated(make_env):
+    env = make_env(2)
+    env.reset()
+    env.world.speed[:] = 1.0
+    for _ in range(999):
+        *_, terminated, truncated, info = env.step(rest(env))
+        assert not terminated.any()
+        assert not truncated.any()
+        assert info == {}
+    *_, terminated, truncated, info = env.step(rest(env))
+    assert not terminated.any()
+    assert truncated.all()
+    np.testing.assert_allclose(info["episode"]["steps"], 1000)
+    np.testing.assert_allclose(info["episode"]["distance"], 6.0)
+    np.testing.assert_allclose(info["episode"]["duration"], 6.0)
+    np.testing.assert_allclose(info["episode"]["return"], 6.0)
+
+
+def test_figures_of_a_small_episode_by_hand(make_env):
+    env = make_env(2, max_steps=3)
+    env.reset()
+    for speed in (0.0, 1.0, 2.0):
+        env.world.speed[:], env.world.power[:] = (speed, 0.0), 100.0
+        *_, info = env.step(rest(env))
+    np.testing.assert_allclose(info["episode"]["return"], (0.018 - 0.0144, -0.0144))
+    np.testing.assert_allclose(info["episode"]["distance"], (0.018, 0.0))
+    assert info["_episode"].tolist() == [True, True]
+
+
+def test_a_fall_terminates_and_only_that_robot_starts_anew(make_env):
+    env = make_env(3)
+    env.reset()
+    env.step(np.ones((3, 8)))
+    env.world.tilt[1, 0] = 0.6
+    observation, _, terminated, truncated, info = env.step(np.ones((3, 8)))
+    assert terminated.tolist() == [False, True, False]
+    assert not truncated.any()
+    assert info["_episode"].tolist() == info["_final_obs"].tolist() == [False, True, False]
+    assert info["episode"]["steps"].tolist() == [0, 2, 0]
+    # The last observation of the old episode: motors at feedback's upper bound, theta = 2 +- .5.
+    assert sorted(set(info["final_obs"][1, 4:].tolist())) == [1.5, 2.5]
+    # The first one of the new episode: motors where this world's reset puts them.
+    assert not observation[1, 4:].any()
+    assert env.steps.tolist() == [2, 0, 2]
+
+
+def test_a_fall_in_the_last_step_is_no_truncation(make_env):
+    env = make_env(2, max_steps=1)
+    env.reset()
+    env.world.tilt[0, 1] = -0.6
+    *_, terminated, truncated, _ = env.step(rest(env))
+    assert terminated.tolist() == [True, False]
+    assert truncated.tolist() == [False, True]
+
+
+def test_a_diverged_robot_ends_without_reward(make_env):
+    env = make_env(2)
+    env.reset()
+    env.world.speed[:] = 1.0
+    env.world.diverged[0] = True
+    _, reward, terminated, _, info = env.step(rest(env))
+    np.testing.assert_allclose(reward, (0.0, 0.006))
+    assert terminated.tolist() == [True, False]
+    assert info["diverged"].tolist() == [True, False]
+
+
+def test_without_autoreset_a_robot_waits(make_env):
+    env = make_env(2, max_steps=2, env_autoreset=False)
+    env.reset()
+    env.step(rest(env))
+    *_, truncated, info = env.step(rest(env))
+    assert truncated.all()
+    assert "final_obs" not in info
+    assert env.steps.tolist() == [2, 2]
+    env.reset(options={"reset_mask": np.array([True, False])})
+    assert env.steps.tolist() == [0, 2]
+
+
+# --- observation and action -------------------------------------------------------------------------------
+
+
+def test_history_stacks_the_newest_first(make_env):
+    env = make_env(1, history=3, observations=("last_action",))
+    observation, _ = env.reset()
+    assert observation.shape == (1, 24)
+    for action in (-1.0, 0.0, 1.0):
+        observation, *_ = env.step(np.full((1, 8), action))
+    # Swing of the front left leg, then its extension, in the last three control steps.
+    assert observation.reshape(3, 8)[:, 0].tolist() == [0.5, 0.0, -0.5]
+    assert observation.reshape(3, 8)[:, 4].tolist() == [2.0, 1.5, 1.0]
+
+
+def test_a_new_episodes_history_is_its_first_observation(make_env):
+    env = make_env(2, history=3, max_steps=5)
+    env.reset()
+    for _ in range(5):
+        observation, *_ = env.step(np.ones((2, 8)))
+    stacked = observation.reshape(2, 3, 12)
+    assert np.array_equal(stacked[:, 0], stacked[:, 1])
+    assert np.array_equal(stacked[:, 0], stacked[:, 2])
+
+
+def test_actions_become_motor_angles_at_the_robots_own_time(make_env):
+    wave = WaveConfig(amplitude=0.3, frequency=2.0)
+    reference = ReferenceConfig(kind="sine", swing=wave, extension=WaveConfig(offset=2.0))
+    env = make_env(1, reference=reference, feedback=FeedbackConfig((0.0, 0.0), (0.0, 0.0)))
+    env.reset()
+    for k in range(5):
+        env.step(rest(env))
+        # The command of step k is the reference's at its start.
+        swing = 0.3 * np.sin(4 * np.pi * k * 0.006)
+        assert env.world.angles[0, 1] == pytest.approx(2.0 + swing)
+        assert env.world.angles[0, 0] == pytest.approx(2.0 - swing)
+
+
+def test_robots_settle_in_the_middle_of_what_they_may_ask_for(make_env):
+    assert make_env().world.config.rest == pytest.approx((0.0, 1.5))
+    assert make_env(rest=(0.1, 1.8)).world.config.rest == (0.1, 1.8)
+
+
+def test_params_of_the_task_reach_the_world(make_env):
+    env = make_env(3, params={"voltage": 15.0})
+    assert env.world.params.voltage.tolist() == [15.0] * 3
+    with pytest.raises(SurefootError, match="'volts' is no physical parameter"):
+        make_env(params={"volts": 15.0})
+
+
+@pytest.mark.parametrize(
+    ("values", "piece"),
+    [
+        ({"robot": "snake"}, "robot 'snake'"),
+        ({"observations": ("yaw",)}, "observation 'yaw' does not exist"),
+        ({"observations": ("reference_phase",)}, "'reference_phase' needs a periodic reference"),
+        ({"feedback": FeedbackConfig((-2.0, 0.0), (1.0, 2.0))}, "swing can be -2.000"),
+        ({"reference": ReferenceConfig(kind="table")}, "reference.file is missing"),
+    ],
+)
+def test_a_task_that_does_not_fit_its_robot_is_refused(make_env, values, piece):
+    with pytest.raises(SurefootError) as caught:
+        make_env(**values)
+    assert piece in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+# --- pushes -----------------------------------------------------------------------------------------------
+
+
+def test_pushes_reach_the_world_when_they_are_due(make_env):
+    env = make_env(2, pushes=PushConfig(enabled=True))
+    env.reset()
+    for _ in range(420):
+        env.step(rest(env))
+    pushed = np.linalg.norm(env.world.forces, axis=2)
+    for robot in range(2):
+        due = np.flatnonzero(pushed[:, robot])
+        assert due.tolist() == [*range(200, 210), *range(400, 410)]
+    assert np.all((pushed[pushed > 0] >= 130) & (pushed[pushed > 0] <= 220))
+
+
+def test_a_reset_ends_a_push(make_env):
+    env = make_env(2, pushes=PushConfig(enabled=True))
+    env.reset()
+    for _ in range(205):
+        env.step(rest(env))
+    assert env.world.force.any(axis=1).all()
+    env.world.tilt[0, 0] = 0.6
+    env.step(rest(env))
+    assert env.world.force.any(axis=1).tolist() == [False, True]
+
+
+def test_without_pushes_there_is_no_force(make_env):
+    env = make_env(2)
+    env.reset()
+    for _ in range(205):
+        env.step(rest(env))
+    assert not np.any(env.world.forces)
+
+
+# --- on MuJoCo --------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def trot():
+    """Two trotting robots that are pushed early, with noise and delay, two observations deep."""
+    task, _ = load_task("trot")
+    values = vars(task) | {
+        "pushes": PushConfig(enabled=True, period=0.2),
+        "params": {"imu_noise": 0.02},
+        "history": 2,
+        "max_steps": 60,
+    }
+    return lambda seed=0: LocomotionEnv(TaskConfig(**values), 2, SimWorld, seed, threads=1)
+
+
+def run(env: LocomotionEnv, steps: int, seed: int = 0) -> list[np.ndarray]:
+    draw = np.random.default_rng(seed)
+    path = []
+    for _ in range(steps):
+        observation, reward, terminated, truncated, _ = env.step(draw.uniform(-1, 1, (2, 8)))
+        path += [observation, reward, terminated, truncated]
+    return path
+
+
+def same(first: list[np.ndarray], second: list[np.ndarray]) -> bool:
+    return all(np.array_equal(a, b) for a, b in zip(first, second, strict=True))
+
+
+def test_a_seeded_reset_repeats_everything(trot):
+    env = trot(seed=9)
+    run(env, 5)
+    first, _ = env.reset(seed=3)
+    path = run(env, 90)
+    again, _ = env.reset(seed=3)
+    assert np.array_equal(first, again)
+    assert same(path, run(env, 90))
+    env.reset(seed=4)
+    assert not same(path, run(env, 90))
+
+
+def test_the_seed_given_at_the_start_counts_alike(trot):
+    env = trot(seed=9)
+    env.reset(seed=3)
+    assert same(run(env, 30), run(trot(seed=3), 30))
+
+
+def test_episodes_differ_from_one_another(trot):
+    env = trot()
+    first, _ = env.reset(seed=3)
+    second, _ = env.reset()
+    assert not np.array_equal(first, second)
+
+
+def test_a_state_taken_and_given_back_goes_on_alike(trot):
+    env, other = trot(seed=1), trot(seed=2)
+    run(env, 45)  # in the middle of a push, with noise drawn
+    state = env.get_state()
+    path = run(env, 60)  # over the end of an episode
+    other.set_state(state)
+    assert same(path, run(other, 60))
+    assert np.array_equal(env.privileged(), other.privileged())
+
+
+def test_reward_is_the_true_displacement_less_weighted_energy(trot):
+    env = trot()
+    env.reset(seed=0)
+    for k in range(20):
+        before = env.world.truth().base_position_world[:, 0]
+        _, reward, *_ = env.step(np.full((2, 8), 0.1 * (k % 3)))
+        truth = env.world.truth()
+        expected = truth.base_position_world[:, 0] - before - 0.008 * truth.energy
+        np.testing.assert_allclose(reward, expected, atol=1e-12)
+
+
+def test_the_first_observation_is_a_standing_robot():
+    env = LocomotionEnv(load_task("gallop")[0], 4, SimWorld, threads=1)
+    observation, _ = env.reset(seed=0)
+    assert np.abs(observation[:, :2]).max() < 0.05
+    np.testing.assert_allclose(observation[:, 4:], np.pi / 2, atol=0.3)

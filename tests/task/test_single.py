@@ -1,0 +1,159 @@
+"""One robot as a Gymnasium environment, its ids, and Stable-Baselines3 on both forms."""
+
+from __future__ import annotations
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+
+import surefoot.cli.envs
+from surefoot.errors import SurefootError
+from surefoot.task.config import FeedbackConfig, TaskConfig
+from surefoot.task.env import LocomotionEnv
+from surefoot.task.registration import env_id
+from surefoot.task.single import LocomotionSingleEnv
+from surefoot.world.sim_world import SimWorld
+
+FEEDBACK = FeedbackConfig(swing=(-0.5, 0.5), extension=(1.0, 2.0))
+
+
+@pytest.fixture
+def single(scripted_world):
+    def make(**values) -> LocomotionSingleEnv:
+        return LocomotionSingleEnv(TaskConfig(**{"feedback": FEEDBACK, **values}), scripted_world, seed=0)
+
+    return make
+
+
+def test_shapes_are_those_of_one_robot(single):
+    env = single()
+    observation, info = env.reset(seed=1)
+    assert env.observation_space.shape == (12,)
+    assert env.observation_space.contains(observation)
+    assert info == {}
+    observation, reward, terminated, truncated, info = env.step(env.action_space.sample())
+    assert env.observation_space.contains(observation)
+    assert (type(reward), type(terminated), type(truncated)) == (float, bool, bool)
+    assert info == {}
+
+
+def test_an_episode_ends_after_its_steps_and_starts_anew_when_told_to(single):
+    env = single(max_steps=3)
+    env.reset()
+    env.batch.world.speed[:] = 1.0
+    for _ in range(2):
+        *_, truncated, info = env.step(np.zeros(8))
+        assert not truncated
+    *_, terminated, truncated, info = env.step(np.zeros(8))
+    assert (terminated, truncated) == (False, True)
+    assert info["figures"] == pytest.approx({"return": 0.018, "steps": 3, "distance": 0.018, "duration": 0.018})
+    env.reset()
+    assert env.batch.steps.tolist() == [0]
+
+
+def test_a_fall_terminates(single):
+    env = single()
+    env.reset()
+    env.batch.world.tilt[0, 1] = 0.6
+    *_, terminated, truncated, _ = env.step(np.zeros(8))
+    assert (terminated, truncated) == (True, False)
+
+
+def test_it_goes_as_robot_0_of_a_batch():
+    task = TaskConfig(feedback=FEEDBACK, params={"imu_noise": 0.02})
+    one = LocomotionSingleEnv(task, SimWorld, seed=0)
+    many = LocomotionEnv(task, 3, SimWorld, 0, autoreset=False, threads=1)
+    observation, _ = one.reset(seed=5)
+    assert np.array_equal(observation, many.reset(seed=5)[0][0])
+    action = np.linspace(-1, 1, 8)
+    for _ in range(30):
+        first, second = one.step(action), many.step(np.tile(action, (3, 1)))
+        assert np.array_equal(first[0], second[0][0])
+        assert first[1] == second[1][0]
+
+
+def test_without_a_seed_robots_differ():
+    task = TaskConfig(feedback=FEEDBACK)
+    first, second = (LocomotionSingleEnv(task, SimWorld).reset()[0] for _ in range(2))
+    assert not np.array_equal(first, second)
+
+
+# --- ids --------------------------------------------------------------------------------------------------
+
+
+def test_every_preset_has_an_id():
+    assert {"surefoot/Gallop-v0", "surefoot/Trot-v0"} <= set(surefoot.cli.envs.IDS)
+    assert env_id("slow_trot") == "surefoot/SlowTrot-v0"
+
+
+@pytest.mark.parametrize("name", ["surefoot/Gallop-v0", "surefoot/Trot-v0"])
+# Raw SI readings have no bounds; nothing else may be amiss.
+@pytest.mark.filterwarnings("error::UserWarning", "ignore:.*infinity:UserWarning")
+def test_gymnasiums_checker_passes(name):
+    check_env(gymnasium.make(name).unwrapped)
+
+
+def test_make_adds_no_time_limit_of_its_own():
+    env = gymnasium.make("surefoot/Gallop-v0")
+    assert env.spec.max_episode_steps is None
+    assert isinstance(env.unwrapped, LocomotionSingleEnv)
+    assert env.unwrapped.batch.task.max_steps == 1000
+
+
+def test_an_id_can_bring_its_module():
+    env = gymnasium.make("surefoot.cli.envs:surefoot/Trot-v0")
+    assert env.observation_space.shape == (4,)
+
+
+def test_a_spec_survives_json():
+    spec = gymnasium.make("surefoot/Gallop-v0").spec
+    again = gymnasium.make(gymnasium.envs.registration.EnvSpec.from_json(spec.to_json()))
+    assert again.observation_space.shape == (12,)
+
+
+def test_another_task_can_be_given_and_is_checked():
+    env = gymnasium.make("surefoot/Gallop-v0", task=TaskConfig(feedback=FEEDBACK, observations=("roll",)))
+    assert env.observation_space.shape == (1,)
+    with pytest.raises(SurefootError, match="task 'waltz' does not exist"):
+        gymnasium.make("surefoot/Gallop-v0", task="waltz")
+
+
+def test_make_vec_gives_the_batch():
+    envs = gymnasium.make_vec("surefoot/Gallop-v0", num_envs=3, threads=1)
+    assert isinstance(envs, LocomotionEnv)
+    observation, _ = envs.reset(seed=0)
+    assert observation.shape == (3, 12)
+    envs.step(envs.action_space.sample())
+    envs.close()
+
+
+def test_make_vec_can_also_put_single_robots_side_by_side():
+    envs = gymnasium.make_vec("surefoot/Gallop-v0", num_envs=2, vectorization_mode="sync")
+    observation, _ = envs.reset(seed=0)
+    assert observation.shape == (2, 12)
+    assert not np.array_equal(observation[0], observation[1])
+    envs.close()
+
+
+def test_gymnasiums_statistics_wrap_one_robot():
+    env = gymnasium.wrappers.RecordEpisodeStatistics(
+        gymnasium.make("surefoot/Gallop-v0", task=TaskConfig(feedback=FEEDBACK, max_steps=3))
+    )
+    env.reset(seed=0)
+    for _ in range(3):
+        *_, info = env.step(np.zeros(8, np.float32))
+    assert info["episode"]["l"] == 3
+    assert info["episode"]["r"] == pytest.approx(info["figures"]["return"], abs=1e-5)
+
+
+@pytest.mark.xfail(reason="LocomotionEnv's info has `episode`, the key of Gymnasium's wrapper", strict=False)
+def test_gymnasiums_statistics_wrap_a_batch():
+    task = TaskConfig(feedback=FEEDBACK, max_steps=3)
+    env = gymnasium.wrappers.vector.RecordEpisodeStatistics(
+        gymnasium.make_vec("surefoot/Gallop-v0", num_envs=2, task=task, threads=1)
+    )
+    env.reset(seed=0)
+    for _ in range(3):
+        *_, info = env.step(np.zeros((2, 8), np.float32))
+    assert info["episode"]["l"].tolist() == [3, 3]
