@@ -1,7 +1,7 @@
 """Physics steps per second of each layer of surefoot, as ratios to MuJoCo alone on the same motion, in one run.
 
-    bare    `mujoco.rollout` on all cores, many steps a call, replaying the forces recorded from the layers below: the same
-            model goes through the same motion, to rounding
+    bare    `mujoco.rollout` on all cores, many steps a call, replaying the forces recorded from the layers below: the
+            same model goes through the same motion
     world   `SimWorld.step`: servo, motor, delays, foot contact and sensors around every physics step
     env     `LocomotionEnv.step` with the policy file deciding
     train   whole PPO updates, learning included
@@ -26,8 +26,8 @@ import mujoco
 import mujoco.rollout
 import numpy as np
 
-from surefoot.evaluate.rollout import task_from_contract
 from surefoot.cli.policies import find_policy
+from surefoot.evaluate.rollout import task_from_contract
 from surefoot.learn.config import load_train_config
 from surefoot.learn.trainer import Trainer
 from surefoot.policy.runtime import PolicyRuntime
@@ -194,7 +194,9 @@ def main() -> int:
         print(f"  {name:6} {result[name]:>9,.0f} physics steps/s {spread:24} {ratio}")
     print(f"  the bare engine's replay ends within {result['replay_error_m']:.1e} of the world's motion")
     if result["authors"]:
-        print(f"  authors' environment {result['authors']:,.0f}; env runs {result['env_to_authors_ratio']:.0f} times that")
+        print(
+            f"  authors' environment {result['authors']:,.0f}; env runs {result['env_to_authors_ratio']:.0f} times that"
+        )
     else:
         print("  authors' environment: not run (pip install pybullet)")
     return 0

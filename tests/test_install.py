@@ -17,9 +17,7 @@ from packaging.version import Version
 ROOT = Path(__file__).resolve().parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 BARE = [Requirement(line) for line in PROJECT["dependencies"]]
-EXTRAS = {
-    extra: [Requirement(line) for line in lines] for extra, lines in PROJECT["optional-dependencies"].items()
-}
+EXTRAS = {extra: [Requirement(line) for line in lines] for extra, lines in PROJECT["optional-dependencies"].items()}
 DIRECT = [r for r in [*BARE, *(r for lines in EXTRAS.values() for r in lines)] if r.name != PROJECT["name"]]
 
 NOT_ON_THE_ROBOT = {"torch", "mujoco", "mujoco-core", "numba", "gymnasium", "rsl-rl-lib", "pybullet", "scipy"}

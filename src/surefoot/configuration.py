@@ -83,9 +83,7 @@ def _convert(hint: Any, value: Any, where: str, base: Any) -> Any:
                 return _convert(option, value, where, base)
             except SurefootError:
                 continue
-        raise SurefootError(
-            f"{where} is {value!r}; it must be {' or '.join(_name(x) for x in typing.get_args(hint))}"
-        )
+        raise SurefootError(f"{where} is {value!r}; it must be {' or '.join(_name(x) for x in typing.get_args(hint))}")
     if origin is tuple:
         args = typing.get_args(hint)
         if not isinstance(value, list | tuple) or (args[-1] is not Ellipsis and len(value) != len(args)):
@@ -96,8 +94,7 @@ def _convert(hint: Any, value: Any, where: str, base: Any) -> Any:
         if not isinstance(value, Mapping):
             raise SurefootError(f"{where} is {value!r}; it must be a table")
         return {
-            str(key): _convert(typing.get_args(hint)[1], item, f"{where}.{key}", None)
-            for key, item in value.items()
+            str(key): _convert(typing.get_args(hint)[1], item, f"{where}.{key}", None) for key, item in value.items()
         }
     if hint is Any:
         return value

@@ -12,9 +12,7 @@ def generator(seed: int, name: str, index: int = 0) -> np.random.Generator:
 
     Streams of different names or indices are independent, so a robot draws the same in any batch.
     """
-    return np.random.Generator(
-        np.random.PCG64(np.random.SeedSequence([seed, zlib.crc32(name.encode()), index]))
-    )
+    return np.random.Generator(np.random.PCG64(np.random.SeedSequence([seed, zlib.crc32(name.encode()), index])))
 
 
 def generators(seed: int, name: str, count: int) -> list[np.random.Generator]:

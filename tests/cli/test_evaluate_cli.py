@@ -201,8 +201,7 @@ def test_play_refuses_what_does_not_fit(policy: Path, words: tuple[str, ...], pa
 def run_without(module: str, *words: str | Path) -> subprocess.CompletedProcess[str]:
     """Run the command line in a process that can't import a module."""
     script = (
-        f"import sys; sys.modules[{module!r}] = None\n"
-        "from surefoot.cli.main import main\nsys.exit(main(sys.argv[1:]))"
+        f"import sys; sys.modules[{module!r}] = None\nfrom surefoot.cli.main import main\nsys.exit(main(sys.argv[1:]))"
     )
     command = [sys.executable, "-c", script, *map(str, words)]
     return subprocess.run(command, capture_output=True, text=True, timeout=120, env=environment())

@@ -13,23 +13,46 @@ from pathlib import Path
 
 import pytest
 
-TINY = ["--num-envs", "16", "--steps-per-update", "16", "--evaluate-every", "100000", "--evaluation-episodes", "2"]
+TINY = [
+    "--num-envs",
+    "16",
+    "--steps-per-update",
+    "16",
+    "--evaluate-every",
+    "100000",
+    "--evaluation-episodes",
+    "2",
+]
 TINY += ["--task.max-steps", "60"]
 
 
 def surefoot(*words: str, cwd: Path) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        [sys.executable, "-m", "surefoot", *words], cwd=cwd, capture_output=True, text=True, timeout=280, check=False
+        [sys.executable, "-m", "surefoot", *words],
+        cwd=cwd,
+        capture_output=True,
+        text=True,
+        timeout=280,
+        check=False,
     )
 
 
 BAD = [
     (["train", "walk"], "task 'walk' does not exist; choices: gallop, trot"),
     (["train", "gallop", "--num-envs", "0"], "num_envs is 0; it must be 1 or more"),
-    (["train", "gallop", "--task.params", "control_latency", "-0.01"], "control_latency is -0.01; minitaur allows 0 to 0.1"),
+    (
+        ["train", "gallop", "--task.params", "control_latency", "-0.01"],
+        "control_latency is -0.01; minitaur allows 0 to 0.1",
+    ),
     (["train", "gallop", "--task.robot", "spot"], "robot 'spot': no such robot .* robots: minitaur"),
-    (["train", "trot", "--task.feedback.swing", "-2", "2"], "swing can be -2.300 to 2.300 rad .* allows -1 to 1"),
-    (["train", "gallop", "--task.observations", "roll", "smell"], "observation 'smell' does not exist; choices: roll, pitch"),
+    (
+        ["train", "trot", "--task.feedback.swing", "-2", "2"],
+        "swing can be -2.300 to 2.300 rad .* allows -1 to 1",
+    ),
+    (
+        ["train", "gallop", "--task.observations", "roll", "smell"],
+        "observation 'smell' does not exist; choices: roll, pitch",
+    ),
     (["train", "--resume", "nowhere"], "nowhere: is no run folder"),
     (["train", "key.yaml"], r"key.yaml: speed is no key; keys: name, robot"),
     (["train", "type.yaml"], r"type.yaml: max_steps is 'long'; it must be a whole number"),
@@ -43,7 +66,12 @@ BAD = [
 @pytest.fixture(scope="module")
 def bad_files(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("bad")
-    header = ",".join(f"{part}_{end}_{side}" for part in ("swing", "extension") for side in ("left", "right") for end in ("front", "back"))
+    header = ",".join(
+        f"{part}_{end}_{side}"
+        for part in ("swing", "extension")
+        for side in ("left", "right")
+        for end in ("front", "back")
+    )
     row = ",".join(["0.1"] * 4 + ["1.6"] * 4)
     table = "reference: {{kind: table, period: 0.5, file: {}}}\n"
     files = {
@@ -105,5 +133,11 @@ def test_ctrl_c_on_a_terminal_saves_and_resume_finishes(tmp_path: Path) -> None:
     result = surefoot("train", "--resume", str(run), cwd=tmp_path)
     assert result.returncode == 0, result.stderr
     made = {str(path.relative_to(run)) for path in run.rglob("*") if path.is_file()}
-    wanted = {"policy.onnx", "evaluation.json", "figures/video.mp4", "figures/footfalls.png", "figures/episode.png"}
+    wanted = {
+        "policy.onnx",
+        "evaluation.json",
+        "figures/video.mp4",
+        "figures/footfalls.png",
+        "figures/episode.png",
+    }
     assert wanted <= made, made

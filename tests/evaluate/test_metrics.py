@@ -39,9 +39,7 @@ def make_trace(
     contact = (((time[:, None] - step / 2) / 0.5 - phases) % 1.0 < 0.4).astype(float)
     return EpisodeTrace(
         time=time,
-        base_position_world=np.stack(
-            [1 + speed * clock, 2 + lateral * clock / clock[-1], zero + 0.2], axis=1
-        ),
+        base_position_world=np.stack([1 + speed * clock, 2 + lateral * clock / clock[-1], zero + 0.2], axis=1),
         base_quat_world=np.stack([np.cos(yaw / 2), zero, zero, np.sin(yaw / 2)], axis=1),
         roll_pitch_yaw=np.stack([0 * time, 0 * time, (yaw[1:] + math.pi) % math.tau - math.pi], axis=1),
         angular_velocity_base=np.zeros((steps, 3)),

@@ -41,7 +41,10 @@ def tiny_config(**changes: object) -> TrainConfig:
 def train(root: Path, config: TrainConfig, stop_after: int | None = None) -> TrainingRun:
     run = TrainingRun(config, RunFolder.create(config, root), SimWorld)
     updates = []
-    run.run(lambda *figures: updates.append(figures), lambda: stop_after is not None and len(updates) >= stop_after)
+    run.run(
+        lambda *figures: updates.append(figures),
+        lambda: stop_after is not None and len(updates) >= stop_after,
+    )
     return run
 
 

@@ -114,9 +114,7 @@ def test_one_robot_and_many_get_the_same(policy_file: Path, rng: np.random.Gener
         (np.array([[0.0, 0.0, 0.0, np.inf]]), "observation 'pitch_rate' is not finite"),
     ],
 )
-def test_an_observation_that_does_not_fit_is_refused(
-    policy_file: Path, observation: np.ndarray, message: str
-):
+def test_an_observation_that_does_not_fit_is_refused(policy_file: Path, observation: np.ndarray, message: str):
     with pytest.raises(SurefootError, match=message):
         PolicyRuntime.load(policy_file).feedback(observation)
 

@@ -138,9 +138,7 @@ def test_the_lowest_foot_touches_the_ground(trace: EpisodeTrace):
 def test_readings_are_drawn_where_the_truth_is_not_known(trace: EpisodeTrace):
     blind = replace(trace, true_motor_angle=np.empty(0))
     name = ROBOT.legs[0].foot
-    expected = poses(
-        ROBOT, trace.base_position_world[1:], trace.base_quat_world[1:], np.array(trace.motor_angle)
-    )
+    expected = poses(ROBOT, trace.base_position_world[1:], trace.base_quat_world[1:], np.array(trace.motor_angle))
     assert np.array_equal(trace_poses(ROBOT, blind)[name], expected[name])
 
 

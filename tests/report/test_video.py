@@ -82,9 +82,7 @@ def test_seconds_and_text_as_list_or_function(walker, tmp_path: Path) -> None:
     assert len(decode(plain)[1]) == 10
     texts = [f"{t:.2f} s" for t in times]
     listed = render_video(shapes, poses, times, tmp_path / "b.mp4", fps=10, size=SIZE, overlay=texts)
-    called = render_video(
-        shapes, poses, times, tmp_path / "c.mp4", fps=10, size=SIZE, overlay=lambda t: f"{t:.2f} s"
-    )
+    called = render_video(shapes, poses, times, tmp_path / "c.mp4", fps=10, size=SIZE, overlay=lambda t: f"{t:.2f} s")
     np.testing.assert_array_equal(decode(listed)[1], decode(called)[1])
     panel = decode(listed)[1][0][5:25, 5:60].astype(float)
     assert panel.min() < 120 < 220 < panel.max()  # dark letters on a light panel
@@ -119,14 +117,10 @@ def test_a_long_box_beside_a_small_one_is_ordered_by_planes_not_centres() -> Non
     assert red(*shapes) == red(*shapes[::-1]) > 0.9 * red(shapes[0])
 
 
-@pytest.mark.parametrize(
-    ("kind", "size"), [("box", (0.1, 0.1, 0.1)), ("cylinder", (0.1, 0.1)), ("sphere", (0.1,))]
-)
+@pytest.mark.parametrize(("kind", "size"), [("box", (0.1, 0.1, 0.1)), ("cylinder", (0.1, 0.1)), ("sphere", (0.1,))])
 def test_solids_have_the_size_they_should(kind: str, size: tuple[float, ...]) -> None:
     camera = Camera(offset=(0.0, -10.0, 0.0), height=0.5, field_of_view=4.0)  # nearly parallel rays
-    picture = render_frame(
-        [Shape("b", kind, size, color=RED)], {"b": pose(z=0.5)}, size=(200, 200), camera=camera
-    )
+    picture = render_frame([Shape("b", kind, size, color=RED)], {"b": pose(z=0.5)}, size=(200, 200), camera=camera)
     rows, columns = np.nonzero(looks(picture, RED))
     expected = 0.2 * 100 / (10.0 * np.tan(np.radians(2.0)))
     assert np.ptp(rows) + 1 == pytest.approx(expected, abs=3)
@@ -176,9 +170,7 @@ def test_a_frame_is_drawn_between_two_times(tmp_path: Path) -> None:
 def test_a_box_behind_the_camera_is_no_harm() -> None:
     camera = Camera(offset=(0.0, -1.0, 0.3))
     shapes = [Shape("a", "box", (0.1, 0.1, 0.1), color=RED), Shape("b", "box", (0.5, 0.5, 0.5), color=BLUE)]
-    picture = render_frame(
-        shapes, {"a": pose(z=0.1), "b": pose(y=-3.0)}, size=SIZE, camera=camera, follow="a"
-    )
+    picture = render_frame(shapes, {"a": pose(z=0.1), "b": pose(y=-3.0)}, size=SIZE, camera=camera, follow="a")
     assert looks(picture, RED).sum() > 200
     assert looks(picture, BLUE).sum() == 0
 

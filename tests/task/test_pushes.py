@@ -43,17 +43,28 @@ def many() -> np.ndarray:
     return forces(pusher, 1, first=200)[0]
 
 
-def test_pushes_are_horizontal_and_uniform_in_size(many):
+def test_pushes_are_uniform_in_size(many):
     size = np.linalg.norm(many, axis=1)
-    assert np.all(many[:, 2] == 0)
     assert size.min() >= 130
     assert size.max() <= 220
     assert stats.kstest(size, "uniform", (130, 90)).pvalue > 0.01
 
 
 def test_pushes_are_uniform_in_direction(many):
-    direction = np.arctan2(many[:, 1], many[:, 0])
-    assert stats.kstest(direction, "uniform", (-np.pi, 2 * np.pi)).pvalue > 0.01
+    unit = many / np.linalg.norm(many, axis=1, keepdims=True)
+    # On a sphere, the heading and each coordinate are uniform (Archimedes).
+    heading = np.arctan2(unit[:, 1], unit[:, 0])
+    assert stats.kstest(heading, "uniform", (-np.pi, 2 * np.pi)).pvalue > 0.01
+    for axis in range(3):
+        assert stats.kstest(unit[:, axis], "uniform", (-1, 2)).pvalue > 0.01
+
+
+@pytest.mark.parametrize("probability", [0.0, 0.3, 1.0])
+def test_pushes_are_given_with_their_probability(probability: float):
+    pusher = Pusher(PushConfig(enabled=True, probability=probability), 2000, seed=3)
+    given = forces(pusher, 10, first=200).any(axis=2)
+    assert given[0].mean() == pytest.approx(probability, abs=0.03)
+    assert np.all(given == given[0])  # one draw a push, not one a step
 
 
 def test_a_robots_pushes_do_not_depend_on_the_batch():
@@ -100,6 +111,7 @@ def test_any_control_step_gets_every_push(step):
         ({"duration": 0.0}, "pushes.duration is 0 s"),
         ({"duration": 1.2}, "below pushes.period 1.2 s"),
         ({"force": (220.0, 130.0)}, "pushes.force is [220.0, 130.0]; lower then upper"),
+        ({"probability": 1.5}, "pushes.probability is 1.5; it must be from 0 to 1"),
         ({"force": (-1.0, 130.0)}, "neither below 0 N"),
         ({"period": float("nan")}, "pushes.duration is 0.06 s"),
     ],

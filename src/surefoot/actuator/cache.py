@@ -1,8 +1,8 @@
 """Compiled code that is older than the law it was compiled from must not run.
 
-numba caches compiled functions beside their source and looks only at that one file's age. A loop in one module into which
-a law of another was inlined would keep the old law after an edit. So all caches of the kernels are dropped whenever any
-of their sources has changed.
+numba caches compiled functions beside their source and looks only at that one file's age. A loop in one module into
+which a law of another was inlined would keep the old law after an edit. So all caches of the kernels are dropped
+whenever any of their sources has changed.
 """
 
 from __future__ import annotations

@@ -78,9 +78,7 @@ class DelayLine:
 
     def __init__(self, num_envs: int, width: int, capacity: int = 64) -> None:
         if capacity < 2:
-            raise SurefootError(
-                f"capacity is {capacity}; a delay line interpolates between 2 samples or more"
-            )
+            raise SurefootError(f"capacity is {capacity}; a delay line interpolates between 2 samples or more")
         self.times: Array = np.zeros((num_envs, capacity))
         self.samples: Array = np.zeros((num_envs, capacity, width))
         self.count: NDArray[np.int64] = np.zeros(num_envs, np.int64)

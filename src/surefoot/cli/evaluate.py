@@ -84,9 +84,7 @@ def main(argv: list[str]) -> int:
         "faults": sum(trace.meta["ended"] == "fault" for trace in traces),
         "seed": command.seed,
         "pushes": command.pushes,
-        "set": {
-            name: task.params[name] for group in command.settings for name in (w.split("=")[0] for w in group)
-        },
+        "set": {name: task.params[name] for group in command.settings for name in (w.split("=")[0] for w in group)},
         "robot": robot.name,
         "policy_file": str(path),
         "config_hash": policy.contract.config_hash,
@@ -126,7 +124,7 @@ def print_table(summary: dict[str, Any]) -> None:
 
     falls = f"{summary['falls']} of {summary['episodes']}"
     rows = [
-        ("falls", falls + (f", {summary['faults']} diverged" if summary["faults"] else "")),
+        ("falls", falls + (f", {summary['faults']} diverged" if summary.get("faults") else "")),
         ("steps", f"{summary['steps_mean']:.1f}"),
         ("speed", text("speed_mean", "m/s", "speed_std")),
         ("power", text("power_mean", "W")),
@@ -141,9 +139,7 @@ def print_table(summary: dict[str, Any]) -> None:
         numbers = ["-" if value is None else f"{value:.2f}" for value in (duty[leg], phases[leg])]
         rows.append((leg.replace("_", " "), f"duty factor {numbers[0]}, phase {numbers[1]}"))
     rows += [("wrote", file) for file in summary.get("files", [])[-2:]]
-    table = Table(
-        title=f"{summary['policy']} in {summary['world']}, {summary['episodes']} episodes", show_header=False
-    )
+    table = Table(title=f"{summary['policy']} in {summary['world']}, {summary['episodes']} episodes", show_header=False)
     for row in rows:
         table.add_row(*row)
     Console().print(table)

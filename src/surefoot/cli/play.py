@@ -67,9 +67,7 @@ def main(argv: list[str]) -> int:
 
         from surefoot.report.video import render_video
     name = policy.contract.name
-    (trace,) = run_with_progress(
-        policy, task, 1, make_world, command.seed, world_name=command.world, policy_name=name
-    )
+    (trace,) = run_with_progress(policy, task, 1, make_world, command.seed, world_name=command.world, policy_name=name)
     shapes, poses = scene(robot), trace_poses(robot, trace)
     if window:
         replay(shapes, poses, trace.time, robot.base)
@@ -92,7 +90,5 @@ def captions(trace: EpisodeTrace) -> list[str]:
         start = max(step + 1 - half, 0)
         moved = trace.base_position_world[step + 1, 0] - trace.base_position_world[start, 0]
         since = time - (trace.time[start - 1] if start else 0.0)
-        lines.append(
-            f"{trace.meta['policy']} in {trace.meta['world']}\n{time:4.1f} s   {moved / since:5.2f} m/s"
-        )
+        lines.append(f"{trace.meta['policy']} in {trace.meta['world']}\n{time:4.1f} s   {moved / since:5.2f} m/s")
     return lines

@@ -33,7 +33,9 @@ def main(argv: list[str]) -> int:
         return 0 if argv else 2
     if argv[0] == "--resume":
         if len(argv) != 2:
-            raise SurefootError("--resume takes the path of one run folder and nothing else; the run's own options hold")
+            raise SurefootError(
+                "--resume takes the path of one run folder and nothing else; the run's own options hold"
+            )
         return _train(None, Path(argv[1]))
     if argv[0].startswith("-"):
         raise SurefootError(f"'{argv[0]}' is no task; choices: {choices(preset_names())}, or the path of a YAML file")
@@ -63,7 +65,9 @@ def _train(config: TrainConfig | None, path: Path) -> int:
         from surefoot.learn.run_folder import RunFolder
         from surefoot.world.sim_world import SimWorld
     except ModuleNotFoundError as error:
-        raise SurefootError(f"training needs {error.name}, which is not installed; pip install 'surefoot[train]'") from None
+        raise SurefootError(
+            f"training needs {error.name}, which is not installed; pip install 'surefoot[train]'"
+        ) from None
     from surefoot.learn.progress import TrainingProgress
 
     console = Console()

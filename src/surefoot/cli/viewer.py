@@ -30,9 +30,7 @@ def build_stage(shapes: Sequence[Shape]) -> mujoco.MjModel:
         contype=0,
         conaffinity=0,
     )
-    bodies = {
-        name: spec.worldbody.add_body(name=name, mocap=True) for name in dict.fromkeys(s.body for s in shapes)
-    }
+    bodies = {name: spec.worldbody.add_body(name=name, mocap=True) for name in dict.fromkeys(s.body for s in shapes)}
     for shape in shapes:
         bodies[shape.body].add_geom(
             type=_KINDS[shape.kind],

@@ -38,9 +38,7 @@ def task_from_contract(contract: Contract) -> TaskConfig:
     task = from_mapping(TaskConfig, contract.task, f"policy '{contract.name}': task")
     reference = contract.reference
     if reference is not None and reference.get("kind") == "table":
-        rows = {
-            part: {leg: tuple(row) for leg, row in reference[part].items()} for part in ("swing", "extension")
-        }
+        rows = {part: {leg: tuple(row) for leg, row in reference[part].items()} for part in ("swing", "extension")}
         table = replace(task.reference, file=None, period=float(reference["period"]), rows=rows)
         task = replace(task, reference=table)
     return task
@@ -80,12 +78,8 @@ class _Recorder:
     def trace(self, robot: int, steps: int, meta: dict[str, Any]) -> EpisodeTrace:
         """The trace of one robot's first `steps` control steps."""
         if steps < 1:
-            raise SurefootError(
-                "the simulation diverged in the first control step; no episode can be recorded"
-            )
-        arrays = {
-            name: np.array([step[name][robot] for step in self.steps[:steps]]) for name in self.steps[0]
-        }
+            raise SurefootError("the simulation diverged in the first control step; no episode can be recorded")
+        arrays = {name: np.array([step[name][robot] for step in self.steps[:steps]]) for name in self.steps[0]}
         return EpisodeTrace(
             base_position_world=np.array([row[robot] for row in self.position[: steps + 1]]),
             base_quat_world=np.array([row[robot] for row in self.quat[: steps + 1]]),
@@ -163,7 +157,4 @@ def run_episodes(
         "energy_weight": task.energy_weight,
         "max_steps": task.max_steps,
     }
-    return [
-        recorder.trace(i, int(lengths[i]), {**meta, "episode": i, "ended": str(ended[i])})
-        for i in range(episodes)
-    ]
+    return [recorder.trace(i, int(lengths[i]), {**meta, "episode": i, "ended": str(ended[i])}) for i in range(episodes)]

@@ -79,7 +79,14 @@ class TrainConfig:
 
     def __post_init__(self) -> None:
         """Refuse what no run can be."""
-        for key in ("steps", "num_envs", "steps_per_update", "evaluate_every", "evaluation_episodes", "checkpoint_every"):
+        for key in (
+            "steps",
+            "num_envs",
+            "steps_per_update",
+            "evaluate_every",
+            "evaluation_episodes",
+            "checkpoint_every",
+        ):
             if getattr(self, key) < 1:
                 raise SurefootError(f"{key} is {getattr(self, key)}; it must be 1 or more")
         if self.seed < 0:

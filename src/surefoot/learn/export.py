@@ -71,7 +71,5 @@ def export_trainer(
 ) -> Path:
     """Write a trainer's policy of now as a policy file; see `make_contract` and `export_policy`."""
     config = trainer.config
-    contract = make_contract(
-        trainer.env, figures, name=name or config.name, config=to_mapping(config), created=created
-    )
+    contract = make_contract(trainer.env, figures, name=name or config.name, config=to_mapping(config), created=created)
     return export_policy(trainer.policy, config.ppo.activation, contract, path)

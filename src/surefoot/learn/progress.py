@@ -66,7 +66,9 @@ class TrainingProgress:
             self._spoke = seconds
             left = (self._total - self._steps) / rate
             self._console.print(
-                f"{self._steps:>9,} of {self._total:,} steps  {text}  {left:.0f} s left", highlight=False, soft_wrap=True
+                f"{self._steps:>9,} of {self._total:,} steps  {text}  {left:.0f} s left",
+                highlight=False,
+                soft_wrap=True,
             )
         if evaluation is not None:
             pushed = f", {evaluation.pushed_falls} with pushes" if evaluation.pushed_falls else ""

@@ -59,7 +59,9 @@ def _run(
 ) -> tuple[float, float, int, float]:
     config = trainer.config
     task = replace(config.task, pushes=pushes)
-    env = LocomotionEnv(task, episodes, make_world, EVALUATION_SEED + config.seed, autoreset=False, threads=config.threads)
+    env = LocomotionEnv(
+        task, episodes, make_world, EVALUATION_SEED + config.seed, autoreset=False, threads=config.threads
+    )
     observation, _ = env.reset()
     alive = np.ones(episodes, bool)
     returns, energy, distance, duration = (np.zeros(episodes) for _ in range(4))
@@ -181,7 +183,10 @@ class TrainingRun:
         return evaluation
 
     def _log(self, figures: UpdateFigures, evaluation: Evaluation | None) -> None:
-        row = {key: None if isinstance(value, float) and math.isnan(value) else value for key, value in asdict(figures).items()}
+        row = {
+            key: None if isinstance(value, float) and math.isnan(value) else value
+            for key, value in asdict(figures).items()
+        }
         row["seconds"] = self.seconds
         if evaluation is not None:
             row["evaluation"] = asdict(evaluation)

@@ -37,7 +37,9 @@ def _write(path: Path, content: bytes) -> None:
         os.replace(partial, path)
     except OSError as error:
         partial.unlink(missing_ok=True)
-        raise SurefootError(f"{path}: can't be written: {error.strerror}; what was saved before is untouched") from error
+        raise SurefootError(
+            f"{path}: can't be written: {error.strerror}; what was saved before is untouched"
+        ) from error
 
 
 def write_checkpoint(path: Path, state: dict[str, Any]) -> None:
@@ -75,7 +77,12 @@ def _git_revision() -> str | None:
     try:
         here = Path(__file__).parent
         result = subprocess.run(
-            ["git", "describe", "--always", "--dirty"], cwd=here, capture_output=True, text=True, timeout=10, check=False
+            ["git", "describe", "--always", "--dirty"],
+            cwd=here,
+            capture_output=True,
+            text=True,
+            timeout=10,
+            check=False,
         )
     except (OSError, subprocess.TimeoutExpired):
         return None
@@ -83,7 +90,7 @@ def _git_revision() -> str | None:
 
 
 class RunFolder:
-    """The folder of one run: `config.yaml`, `run.json`, `figures.jsonl`, TensorBoard log, `checkpoints/`, `policy.onnx`."""
+    """The folder of one run: configuration, versions, figures, TensorBoard log, checkpoints and policy."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -143,7 +150,8 @@ class RunFolder:
             raise SurefootError(f"{about_path}: is damaged; it must be the JSON that surefoot wrote") from None
         if written != FORMAT:
             raise SurefootError(
-                f"{path}: is of run format {written}, by surefoot {about.get('surefoot')}; this is surefoot {__version__}, "
+                f"{path}: is of run format {written}, by surefoot {about.get('surefoot')}; "
+                f"this is surefoot {__version__}, "
                 f"which reads format {FORMAT}"
             )
         config_path = path / "config.yaml"
@@ -175,7 +183,8 @@ class RunFolder:
             except SurefootError:
                 raise SurefootError(f"{error}; there is no older one to go on from") from None
             raise SurefootError(
-                f"{error}; {self.previous.name} beside it is whole, at {steps} steps: rename it to {self.latest.name} to go on"
+                f"{error}; {self.previous.name} beside it is whole, at {steps} steps: "
+                f"rename it to {self.latest.name} to go on"
             ) from None
 
     def log(self, row: dict[str, Any]) -> None:
@@ -188,7 +197,9 @@ class RunFolder:
             with self.figures_log.open("a", encoding="utf-8") as file:
                 file.write(json.dumps(row) + "\n")
         except OSError as error:
-            raise SurefootError(f"{self.figures_log}: can't be written: {error.strerror}; checkpoints are untouched") from error
+            raise SurefootError(
+                f"{self.figures_log}: can't be written: {error.strerror}; checkpoints are untouched"
+            ) from error
 
     def rows(self) -> list[dict[str, Any]]:
         """All rows of figures; a last line that was cut off is left out."""

@@ -77,8 +77,11 @@ class Trainer:
 
     def _make_algorithm(self) -> PPO:
         ppo, obs = self.config.ppo, self.observation
-        groups = {"actor": ["policy"], "critic": ["policy", "privileged"] if ppo.privileged_critic else ["policy"]}
-        actions = self.env.single_action_space.shape[0]
+        groups = {
+            "actor": ["policy"],
+            "critic": ["policy", "privileged"] if ppo.privileged_critic else ["policy"],
+        }
+        actions = len(self.env.gait.action_names)
         actor = MLPModel(
             obs,
             groups,
@@ -87,7 +90,11 @@ class Trainer:
             ppo.policy_hidden,
             ppo.activation,
             obs_normalization=True,
-            distribution_cfg={"class_name": "GaussianDistribution", "init_std": ppo.init_std, "std_type": "log"},
+            distribution_cfg={
+                "class_name": "GaussianDistribution",
+                "init_std": ppo.init_std,
+                "std_type": "log",
+            },
         )
         critic = MLPModel(obs, groups, "critic", 1, ppo.value_hidden, ppo.activation, obs_normalization=True)
         # A first policy near the middle of the bounds, whatever it sees.
@@ -134,7 +141,9 @@ class Trainer:
                 rewards += float(reward.mean())
                 if "episode" in info:
                     rows = info["_episode"]
-                    ended.append(np.stack([info["episode"][key][rows] for key in ("return", "steps", "distance", "duration")]))
+                    ended.append(
+                        np.stack([info["episode"][key][rows] for key in ("return", "steps", "distance", "duration")])
+                    )
                 algorithm.process_env_step(
                     self.observation,
                     torch.from_numpy((reward * config.ppo.reward_scale).astype(np.float32)),

@@ -90,9 +90,7 @@ class Contract:
         motors, actions = len(self.motor_names), len(self.action_names)
         for name, length in (("motor_signs", motors), ("low", actions), ("high", actions)):
             if len(getattr(self, name)) != length:
-                raise SurefootError(
-                    f"contract: {name} has {len(getattr(self, name))} numbers; it must have {length}"
-                )
+                raise SurefootError(f"contract: {name} has {len(getattr(self, name))} numbers; it must have {length}")
         if actions != 2 * len(self.leg_names) or not actions:
             raise SurefootError(f"contract: {actions} actions for {len(self.leg_names)} legs; a leg has two")
         if not self.columns or self.history < 1:
@@ -102,9 +100,7 @@ class Contract:
         bounds = zip(self.action_names, self.low, self.high, strict=True)
         for name, low, high in bounds:
             if not (math.isfinite(low) and math.isfinite(high) and low <= high):
-                raise SurefootError(
-                    f"contract: bounds of {name} are [{low:g}, {high:g}]; finite, the lower one first"
-                )
+                raise SurefootError(f"contract: bounds of {name} are [{low:g}, {high:g}]; finite, the lower one first")
         if not (math.isfinite(self.control_step) and self.control_step > 0):
             raise SurefootError(f"contract: control_step is {self.control_step:g}; it must be over 0 s")
 
@@ -152,9 +148,7 @@ def plain(value: Any) -> Any:
 
 def config_hash(config: Mapping[str, Any]) -> str:
     """SHA-256 of a configuration as canonical JSON: keys sorted, no blanks."""
-    text = json.dumps(
-        plain(config), sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False
-    )
+    text = json.dumps(plain(config), sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False)
     return hashlib.sha256(text.encode()).hexdigest()
 
 
@@ -175,11 +169,7 @@ def check_robot(contract: Contract, robot: RobotDescription) -> None:
         if theirs != ours:
             raise SurefootError(f"{who} has '{theirs}' as motor {index}; {robot.name} has '{ours}' there")
     if len(contract.motor_names) != robot.num_motors:
-        raise SurefootError(
-            f"{who} has {len(contract.motor_names)} motors; {robot.name} has {robot.num_motors}"
-        )
-    for name, their_sign, our_sign in zip(
-        robot.motor_names, contract.motor_signs, robot.motor_sign, strict=True
-    ):
+        raise SurefootError(f"{who} has {len(contract.motor_names)} motors; {robot.name} has {robot.num_motors}")
+    for name, their_sign, our_sign in zip(robot.motor_names, contract.motor_signs, robot.motor_sign, strict=True):
         if their_sign != our_sign:
             raise SurefootError(f"{who} has sign {their_sign:+g} for {name}; {robot.name} has {our_sign:+g}")

@@ -131,12 +131,8 @@ def export_policy(actor: Any, activation: str, contract: Contract, path: str | P
     if hasattr(actor.obs_normalizer, "_mean"):
         normalizer = actor.obs_normalizer
         mean, scale = _array(normalizer._mean)[0], _array(normalizer._std)[0] + np.float32(normalizer.eps)
-    if not all(
-        np.isfinite(array).all() for array in (mean, scale, *(array for layer in layers for array in layer))
-    ):
-        raise SurefootError(
-            f"policy file {path}: the network holds numbers that are not finite; it is not written"
-        )
+    if not all(np.isfinite(array).all() for array in (mean, scale, *(array for layer in layers for array in layer))):
+        raise SurefootError(f"policy file {path}: the network holds numbers that are not finite; it is not written")
     model = build_model(layers, mean, scale, activation, contract)
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")

@@ -37,9 +37,7 @@ class PolicyRuntime:
         except OSError as error:
             raise SurefootError(f"policy file {path}: can't be read: {error.strerror}") from error
         if not data:
-            raise SurefootError(
-                f"policy file {path}: is empty; a policy is an ONNX file that surefoot exported"
-            )
+            raise SurefootError(f"policy file {path}: is empty; a policy is an ONNX file that surefoot exported")
         try:
             session = onnxruntime.InferenceSession(data, _options(), providers=["CPUExecutionProvider"])
             metadata = session.get_modelmeta().custom_metadata_map
@@ -47,9 +45,7 @@ class PolicyRuntime:
             reason = " ".join(str(error).split()).rsplit(" : ", 1)[-1]
             raise SurefootError(f"policy file {path}: is damaged or not ONNX: {reason}") from error
         if METADATA_KEY not in metadata:
-            raise SurefootError(
-                f"policy file {path}: has no contract; surefoot runs only policies that it exported"
-            )
+            raise SurefootError(f"policy file {path}: has no contract; surefoot runs only policies that it exported")
         try:
             contract = Contract.from_json(metadata[METADATA_KEY])
         except SurefootError as error:
@@ -69,9 +65,7 @@ class PolicyRuntime:
         """
         given = np.asarray(observation, np.float32)
         if given.ndim != 2 or given.shape[1] != self.contract.width:
-            raise SurefootError(
-                f"observation has shape {given.shape}; this policy takes (N, {self.contract.width})"
-            )
+            raise SurefootError(f"observation has shape {given.shape}; this policy takes (N, {self.contract.width})")
         if not np.isfinite(given).all():
             column = int(np.argwhere(~np.isfinite(given))[0][1]) % len(self.contract.columns)
             raise SurefootError(
@@ -79,9 +73,7 @@ class PolicyRuntime:
             )
         (raw,) = self._session.run(None, {"observation": np.ascontiguousarray(given)})
         if not np.isfinite(raw).all():
-            raise SurefootError(
-                f"policy '{self.contract.name}' gave feedback that is not finite; it can't be run"
-            )
+            raise SurefootError(f"policy '{self.contract.name}' gave feedback that is not finite; it can't be run")
         # 32-bit numbers may miss a bound by a rounding.
         bounded: NDArray[np.float64] = np.clip(np.asarray(raw, np.float64), self._low, self._high)
         return bounded
@@ -101,10 +93,7 @@ def _check_end(path: Path, what: str, found: list[Any], name: str, width: int) -
     said = ", ".join(f"{end.name} {end.type} {end.shape}" for end in found)
     fits = len(found) == 1 and found[0].name == name and found[0].type == "tensor(float)"
     if not (
-        fits
-        and len(found[0].shape) == 2
-        and found[0].shape[1] == width
-        and not isinstance(found[0].shape[0], int)
+        fits and len(found[0].shape) == 2 and found[0].shape[1] == width and not isinstance(found[0].shape[0], int)
     ):
         raise SurefootError(
             f"policy file {path}: {what} is {said}; its contract says {name} tensor(float) ['N', {width}]"

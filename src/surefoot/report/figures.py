@@ -121,9 +121,7 @@ def learning_curve(
         curves["return_std"] = spread
     for name, curve in curves.items():
         if count.ndim != 1 or count.size == 0 or curve.shape != count.shape:
-            raise SurefootError(
-                f"learning curve: {name} {curve.shape} must fit steps {count.shape}, not empty"
-            )
+            raise SurefootError(f"learning curve: {name} {curve.shape} must fit steps {count.shape}, not empty")
     with _figure(path, (8.4, 3.3), columns=2) as (figure, (left, right)):
         scale, unit = (1e6, "million ") if count.max() >= 2e5 else (1.0, "")
         _curve(left, count / scale, curves["return_mean"], BLUE, spread)
@@ -269,9 +267,7 @@ def _curve(
     marker = "o" if known.sum() <= 30 else ""
     ax.plot(x[known], y[known], color=color, marker=marker, markersize=3.0)
     if spread is not None:
-        ax.fill_between(
-            x[known], (y - spread)[known], (y + spread)[known], color=color, alpha=0.18, linewidth=0
-        )
+        ax.fill_between(x[known], (y - spread)[known], (y + spread)[known], color=color, alpha=0.18, linewidth=0)
 
 
 def _raw_and_smooth(

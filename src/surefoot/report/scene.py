@@ -62,16 +62,12 @@ def poses(
     Raises:
         SurefootError: numbers that are not finite, or angles at which a leg's loop can't close.
     """
-    position, quat, theta = (
-        np.atleast_2d(np.asarray(x, float)) for x in (base_position, base_quat, motor_angles)
-    )
+    position, quat, theta = (np.atleast_2d(np.asarray(x, float)) for x in (base_position, base_quat, motor_angles))
     for name, array in (("base position", position), ("base orientation", quat), ("motor angles", theta)):
         if not np.isfinite(array).all():
             raise SurefootError(f"the {name} is not known throughout; the robot can't be drawn")
     angles = _joint_angles(robot, theta)
-    elements = {
-        item.get("name", ""): item for item in ElementTree.parse(robot.urdf.path).getroot().findall("joint")
-    }
+    elements = {item.get("name", ""): item for item in ElementTree.parse(robot.urdf.path).getroot().findall("joint")}
     count = len(theta)
     found = {robot.urdf.root: np.tile(np.eye(4), (count, 1, 1))}
     waiting = list(robot.urdf.joints.values())
@@ -119,9 +115,7 @@ def _joint_angles(robot: RobotDescription, theta: FloatArray) -> dict[str, Float
         for name, angle in zip(leg.knees, knees, strict=True):
             if not np.isfinite(angle).all():
                 step = int(np.argmax(~np.isfinite(angle)))
-                raise SurefootError(
-                    f"leg {leg.name} can't close its loop at step {step}; check the motor angles"
-                )
+                raise SurefootError(f"leg {leg.name} can't close its loop at step {step}; check the motor angles")
             angles[name] = angle
     return angles
 
@@ -129,9 +123,7 @@ def _joint_angles(robot: RobotDescription, theta: FloatArray) -> dict[str, Float
 def _axis_turn(axis: FloatArray, angle: FloatArray) -> FloatArray:
     """Rotation matrices (T, 3, 3) about an axis by angles (T,) [rad]: a quaternion's."""
     unit = axis / np.linalg.norm(axis)
-    return quat_matrix(
-        np.concatenate([np.cos(angle / 2)[:, None], np.sin(angle / 2)[:, None] * unit], axis=1)
-    )
+    return quat_matrix(np.concatenate([np.cos(angle / 2)[:, None], np.sin(angle / 2)[:, None] * unit], axis=1))
 
 
 def _origin(element: ElementTree.Element) -> FloatArray:
@@ -141,9 +133,7 @@ def _origin(element: ElementTree.Element) -> FloatArray:
     if origin is not None:
         transform[:3, 3] = _numbers(origin.get("xyz", "0 0 0"))
         roll, pitch, yaw = _numbers(origin.get("rpy", "0 0 0"))
-        turns = [
-            _axis_turn(axis, np.array([a])) for axis, a in zip(np.eye(3), (roll, pitch, yaw), strict=True)
-        ]
+        turns = [_axis_turn(axis, np.array([a])) for axis, a in zip(np.eye(3), (roll, pitch, yaw), strict=True)]
         transform[:3, :3] = turns[2][0] @ turns[1][0] @ turns[0][0]
     return transform
 

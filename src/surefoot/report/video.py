@@ -30,9 +30,7 @@ FAR = 6.0  # m from the camera where the squares have faded out
 NEAR = 0.1  # m from the camera; what is nearer is not drawn
 SEGMENTS = 20  # of a circle
 TO_LIGHT = np.array([-0.30, -0.42, 0.86]) / np.linalg.norm([-0.30, -0.42, 0.86])
-SKY, HAZE, GROUND, SQUARE = np.array(
-    [(150, 184, 216), (232, 238, 243), (208, 213, 216), (184, 191, 197)], float
-)
+SKY, HAZE, GROUND, SQUARE = np.array([(150, 184, 216), (232, 238, 243), (208, 213, 216), (184, 191, 197)], float)
 SHADOW, INK, PANEL = (52, 58, 66), (34, 39, 46), (255, 255, 255, 190)
 
 
@@ -212,15 +210,11 @@ class _Film:
         follow = follow or ("base" if "base" in poses else bodies[0] if bodies else "")
         missing = sorted({*(s.body for s in shapes), follow} - set(bodies))
         if missing:
-            raise SurefootError(
-                f"video: no poses of {choices(missing)}; there are {choices(bodies) or 'none'}"
-            )
+            raise SurefootError(f"video: no poses of {choices(missing)}; there are {choices(bodies) or 'none'}")
         for body in bodies:
             pose = np.asarray(poses[body], dtype=np.float64)
             if pose.shape != (len(self.times), 4, 4) or not np.all(np.isfinite(pose)):
-                raise SurefootError(
-                    f"video: poses of {body} {pose.shape} must be {len(self.times)} finite 4 x 4"
-                )
+                raise SurefootError(f"video: poses of {body} {pose.shape} must be {len(self.times)} finite 4 x 4")
         if overlay is not None and not callable(overlay) and len(overlay) != len(self.times):
             raise SurefootError(f"video: {len(overlay)} overlay texts for {len(self.times)} times; one each")
         self.poses = np.stack([np.asarray(poses[body], dtype=np.float64) for body in bodies], axis=1)
@@ -262,16 +256,12 @@ class _Mesh:
         start = np.cumsum([0] + [len(points) for points, _ in solids])
         body = np.array([bodies.index(s.body) for s in shapes])
         corner = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
-        self.half = np.array(
-            [np.abs(points).max(axis=0) for points, _ in solids]
-        )  # (S, 3) of the bounding boxes
+        self.half = np.array([np.abs(points).max(axis=0) for points, _ in solids])  # (S, 3) of the bounding boxes
         self.axes, self.place, self.body = np.array(turn), np.array(place), body
         self.points = np.concatenate([p @ r.T + t for (p, _), r, t in zip(solids, turn, place, strict=True)])
         self.point_body = np.repeat(body, np.diff(start))
         self.corners = np.einsum("sij,skj->ski", self.axes, corner * self.half[:, None]) + self.place[:, None]
-        self.faces = [
-            tuple(a + i for i in f) for (_, fs), a in zip(solids, start[:-1], strict=True) for f in fs
-        ]
+        self.faces = [tuple(a + i for i in f) for (_, fs), a in zip(solids, start[:-1], strict=True) for f in fs]
         self.owner = np.repeat(np.arange(len(shapes)), [len(faces) for _, faces in solids])
         self.centres = np.array([self.points[list(f)].mean(axis=0) for f in self.faces])
         self.normals = np.array([_normal(self.points[list(f)]) for f in self.faces])
@@ -302,9 +292,7 @@ class _View:
 def _draw(mesh: _Mesh, poses: FloatArray, view: _View) -> Image.Image:
     """Draw sky, ground, shadows and shapes, back to front, and shrink the picture to its size."""
     # Sky and ground hang only on the camera's height and direction, which are the same in every frame.
-    picture = _backdrop(
-        view.width, view.height, view.focal, float(view.eye[2]), tuple(view.axes[:, 2])
-    ).copy()
+    picture = _backdrop(view.width, view.height, view.focal, float(view.eye[2]), tuple(view.axes[:, 2])).copy()
     pen = ImageDraw.Draw(picture)
     for polygon, fill in _squares(view):
         pen.polygon(polygon, fill=fill)
@@ -395,9 +383,7 @@ def _ground_color(distance: FloatArray) -> FloatArray:
 
 
 @functools.lru_cache(maxsize=4)
-def _backdrop(
-    width: int, height: int, focal: float, above: float, slope: tuple[float, float, float]
-) -> Image.Image:
+def _backdrop(width: int, height: int, focal: float, above: float, slope: tuple[float, float, float]) -> Image.Image:
     """Paint sky and bare ground, row by row; slope is the world's z along the view's axes."""
     ray = (np.arange(height) + 0.5 - height / 2) / focal * slope[1] + slope[2]
     length = np.sqrt(1.0 + ((np.arange(height) + 0.5 - height / 2) / focal) ** 2)
@@ -474,9 +460,7 @@ def _normal(corners: FloatArray) -> FloatArray:
 def _solid(kind: str, size: tuple[float, ...]) -> tuple[FloatArray, list[tuple[int, ...]]]:
     """Return points (P, 3) about the centre and faces (indices, counter-clockwise seen from outside)."""
     if kind == "box":
-        corner = np.array(
-            [[x, y, z] for z in (-1, 1) for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))], float
-        )
+        corner = np.array([[x, y, z] for z in (-1, 1) for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))], float)
         sides: list[tuple[int, ...]] = [
             (0, 1, 5, 4),
             (1, 2, 6, 5),

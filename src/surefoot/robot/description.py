@@ -115,8 +115,7 @@ class RobotDescription:
         sheet_path = folder / "robot.toml"
         if not sheet_path.is_file():
             raise SurefootError(
-                f"robot '{robot}': no such robot and no folder with a robot.toml; "
-                f"robots: {choices(cls.available())}"
+                f"robot '{robot}': no such robot and no folder with a robot.toml; robots: {choices(cls.available())}"
             )
         try:
             data = tomllib.loads(sheet_path.read_text(encoding="utf-8"))
@@ -198,9 +197,7 @@ class RobotDescription:
             rest=(rest[0], rest[1]),
             actuator=_read_actuator(sheet),
             timing=sheet.table("timing").dataclass(Timing, positive=("servo_step", "control_step")),
-            contact=sheet.table("contact").dataclass(
-                ContactData, positive=("friction", "stiffness", "damping")
-            ),
+            contact=sheet.table("contact").dataclass(ContactData, positive=("friction", "stiffness", "damping")),
             allowed={name: allowed.range(name) for name in PhysicalParams.names()},
         )
 
@@ -208,9 +205,7 @@ class RobotDescription:
         for loop in self.loops:
             for link in loop.links:
                 if not any(joint.child == link for joint in self.urdf.joints.values()):
-                    raise SurefootError(
-                        f"{sheet_path}: loops: '{link}' hangs on no joint, so no loop can close there"
-                    )
+                    raise SurefootError(f"{sheet_path}: loops: '{link}' hangs on no joint, so no loop can close there")
         if not self.leg_geometry.closes(*leg_to_motor(*self.rest)):
             raise SurefootError(
                 f"{sheet_path}: leg_geometry: a loop can't close at the resting pose "
@@ -269,9 +264,7 @@ class RobotDescription:
         """Nominal value of every physical parameter, by name."""
         data, timing = self.actuator, self.timing
         return {
-            **dict.fromkeys(
-                ("base_mass_ratio", "leg_mass_ratio", "base_inertia_ratio", "leg_inertia_ratio"), 1.0
-            ),
+            **dict.fromkeys(("base_mass_ratio", "leg_mass_ratio", "base_inertia_ratio", "leg_inertia_ratio"), 1.0),
             "motor_strength": 1.0,
             "motor_friction": data.friction,
             "torque_constant": data.torque_constant,
@@ -315,7 +308,5 @@ def _read_actuator(sheet: Sheet) -> ActuatorData:
             "both need the same, 2 or more",
         )
     if current[0] != 0 or torque[0] != 0 or np.any(np.diff(current) <= 0) or np.any(np.diff(torque) < 0):
-        raise table.error(
-            "torque_table_current", f"is {list(current)}", "it must start at 0 A and 0 N m, and rise"
-        )
+        raise table.error("torque_table_current", f"is {list(current)}", "it must start at 0 A and 0 N m, and rise")
     return data

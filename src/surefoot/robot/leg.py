@@ -54,9 +54,7 @@ class FiveBar:
                 f"leg_geometry.foot_radius is {self.foot_radius:g}; it must be from 0 to foot {self.foot:g} m"
             )
 
-    def knees(
-        self, theta_1: ArrayLike, theta_2: ArrayLike
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def knees(self, theta_1: ArrayLike, theta_2: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Positions (..., 2) [m] of both knees, x forward and z up from the motor axis."""
         t1, t2 = np.asarray(theta_1, float), np.asarray(theta_2, float)
         knee_1 = self.upper * np.stack([np.sin(t1), np.cos(t1)], -1)
@@ -86,9 +84,7 @@ class FiveBar:
         pin = self.pin(theta_1, theta_2)
         return knee_2 + (pin - knee_2) * (self.foot / self.lower[1])
 
-    def knee_angles(
-        self, theta_1: ArrayLike, theta_2: ArrayLike
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def knee_angles(self, theta_1: ArrayLike, theta_2: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Angles [rad] of both lower links about +y from their upper links; zero continues the upper link."""
         knee_1, knee_2 = self.knees(theta_1, theta_2)
         pin = self.pin(theta_1, theta_2)

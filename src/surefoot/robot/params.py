@@ -106,9 +106,7 @@ def parse_settings(settings: list[str] | tuple[str, ...]) -> dict[str, float]:
     for setting in settings:
         name, _, text = setting.partition("=")
         if name not in PhysicalParams.names():
-            raise SurefootError(
-                f"'{name}' is no physical parameter; choices: {choices(PhysicalParams.names())}"
-            )
+            raise SurefootError(f"'{name}' is no physical parameter; choices: {choices(PhysicalParams.names())}")
         try:
             parsed[name] = float(text)
         except ValueError:

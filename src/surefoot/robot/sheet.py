@@ -74,9 +74,7 @@ class Sheet:
         """A string out of `names`."""
         value = self.text(key)
         if value not in names:
-            raise self.error(
-                key, f"is '{value}', which the robot does not have", f"choices: {choices(names)}"
-            )
+            raise self.error(key, f"is '{value}', which the robot does not have", f"choices: {choices(names)}")
         return value
 
     def strings(self, key: str) -> list[str]:
@@ -93,9 +91,7 @@ class Sheet:
         value = self.strings(key)
         for name in value:
             if name not in valid:
-                raise self.error(
-                    key, f"names '{name}', which the robot does not have", f"choices: {choices(valid)}"
-                )
+                raise self.error(key, f"names '{name}', which the robot does not have", f"choices: {choices(valid)}")
         if count is not None and len(value) != count:
             raise self.error(key, f"has {len(value)} names", f"it must have {count}")
         return value

@@ -125,14 +125,8 @@ def read_urdf(path: Path) -> Urdf:
         )
         for end in ends:
             if end not in links:
-                raise SurefootError(
-                    f"{path}: joint '{name}' joins '{end}', which is no link; links: {choices(links)}"
-                )
-        xyz = (
-            _floats(axis.get("xyz", ""), 3, f"{path}: joint '{name}': axis")
-            if axis is not None
-            else (1.0, 0.0, 0.0)
-        )
+                raise SurefootError(f"{path}: joint '{name}' joins '{end}', which is no link; links: {choices(links)}")
+        xyz = _floats(axis.get("xyz", ""), 3, f"{path}: joint '{name}': axis") if axis is not None else (1.0, 0.0, 0.0)
         joints[name] = Joint(name, element.get("type", ""), ends[0], ends[1], (xyz[0], xyz[1], xyz[2]))
 
     roots = [name for name in links if name not in {joint.child for joint in joints.values()}]

@@ -56,9 +56,7 @@ class ReferenceConfig:
             return {"kind": "table", "period": self.period, **self.rows}
         if self.kind == "table":
             if self.file is None:
-                raise SurefootError(
-                    "reference.file is missing; a reference of kind table needs a CSV or NPZ file"
-                )
+                raise SurefootError("reference.file is missing; a reference of kind table needs a CSV or NPZ file")
             return {"kind": "table", "file": self.file, "period": self.period}
         return {"kind": "sine", "swing": vars(self.swing), "extension": vars(self.extension)}
 
@@ -76,9 +74,7 @@ class FeedbackConfig:
         """Refuse reversed bounds."""
         for name, (low, high) in (("swing", self.swing), ("extension", self.extension)):
             if not low <= high:
-                raise SurefootError(
-                    f"feedback.{name} is [{low:g}, {high:g}]; the lower bound must come first"
-                )
+                raise SurefootError(f"feedback.{name} is [{low:g}, {high:g}]; the lower bound must come first")
 
 
 @dataclass(frozen=True)
@@ -142,9 +138,7 @@ def task_path(task: str) -> Path:
         return _PRESETS / f"{task}.yaml"
     if Path(task).is_file():
         return Path(task)
-    raise SurefootError(
-        f"task '{task}' does not exist; choices: {choices(preset_names())}, or the path of a YAML file"
-    )
+    raise SurefootError(f"task '{task}' does not exist; choices: {choices(preset_names())}, or the path of a YAML file")
 
 
 def load_task(task: str) -> tuple[TaskConfig, dict[str, Any]]:

@@ -41,9 +41,7 @@ class Part:
 def _phase(moment: Moment) -> Array:
     period = moment.reference.period
     if period is None:
-        raise SurefootError(
-            "observation 'reference_phase' needs a periodic reference; this task's has no period"
-        )
+        raise SurefootError("observation 'reference_phase' needs a periodic reference; this task's has no period")
     angle = 2 * np.pi * moment.readings.time / period
     return np.stack([np.sin(angle), np.cos(angle)], -1)
 

@@ -24,19 +24,20 @@ class PushConfig:
     duration: float = 0.06
     """How long a push lasts [s]."""
     force: tuple[float, float] = (130.0, 220.0)
-    """Least and greatest horizontal force [N]."""
+    """Least and greatest force [N]."""
+    probability: float = 1.0
+    """Chance that a push that is due is given; the paper gives every one."""
 
     def __post_init__(self) -> None:
         """Refuse pushes that can't be."""
         if not 0 < self.duration < self.period:
             raise SurefootError(
-                f"pushes.duration is {self.duration:g} s; "
-                f"it must be over 0 and below pushes.period {self.period:g} s"
+                f"pushes.duration is {self.duration:g} s; it must be over 0 and below pushes.period {self.period:g} s"
             )
+        if not 0 <= self.probability <= 1:
+            raise SurefootError(f"pushes.probability is {self.probability:g}; it must be from 0 to 1")
         if not 0 <= self.force[0] <= self.force[1]:
-            raise SurefootError(
-                f"pushes.force is {list(self.force)}; lower then upper bound, neither below 0 N"
-            )
+            raise SurefootError(f"pushes.force is {list(self.force)}; lower then upper bound, neither below 0 N")
 
 
 class Pusher:
@@ -62,9 +63,11 @@ class Pusher:
         start = pushing & (self.drawn < number)
         stop = ~pushing & self.force.any(axis=1)
         for i in np.flatnonzero(start):
-            angle = self.streams[i].uniform(0, 2 * np.pi)
-            size = self.streams[i].uniform(*config.force)
-            self.force[i] = size * np.cos(angle), size * np.sin(angle), 0.0
+            stream = self.streams[i]
+            given = stream.uniform() < config.probability
+            direction = stream.standard_normal(3)
+            size = stream.uniform(*config.force) / np.linalg.norm(direction)
+            self.force[i] = size * direction if given else 0.0
             self.drawn[i] = number[i]
         self.force[stop] = 0
         return bool(start.any() or stop.any())

@@ -157,9 +157,7 @@ class TableReference:
         }
 
 
-def make_reference(
-    data: Mapping[str, Any] | None, legs: tuple[str, ...], folder: Path | None = None
-) -> Reference:
+def make_reference(data: Mapping[str, Any] | None, legs: tuple[str, ...], folder: Path | None = None) -> Reference:
     """Make a reference from configuration.
 
     Three forms: nothing (zero at all times); `kind: sine` with `swing` and `extension`, each with
@@ -205,9 +203,7 @@ def _wave(data: Mapping[str, Any], where: str, legs: tuple[str, ...]) -> Wave:
             _only(given, f"{where}.{key}", legs)
             missing = [leg for leg in legs if leg not in given]
             if missing:
-                raise SurefootError(
-                    f"{where}.{key} has no number for {choices(missing)}; every leg needs one"
-                )
+                raise SurefootError(f"{where}.{key} has no number for {choices(missing)}; every leg needs one")
             values[key] = np.array([_number(given[leg], f"{where}.{key}.{leg}") for leg in legs])
         else:
             values[key] = np.full(len(legs), _number(given, f"{where}.{key}"))
@@ -238,9 +234,7 @@ def _table(data: Mapping[str, Any], legs: tuple[str, ...], folder: Path | None) 
                 ) from None
         swing, extension = parts
     if swing.ndim != 2 or swing.shape != extension.shape or len(swing) < 2:
-        raise SurefootError(
-            f"{where}: the table has {len(swing)} row(s); a periodic reference needs 2 or more"
-        )
+        raise SurefootError(f"{where}: the table has {len(swing)} row(s); a periodic reference needs 2 or more")
     bad = ~np.isfinite(np.concatenate([swing, extension], axis=1)).all(axis=1)
     if bad.any():
         raise SurefootError(
@@ -264,17 +258,13 @@ def _read_table(path: Path, legs: tuple[str, ...]) -> tuple[Array, Array]:
     except SurefootError:
         raise
     except _UNREADABLE as error:
-        raise SurefootError(
-            f"{path}: can't be read as a table: {' '.join(str(error).split())}; {rule}"
-        ) from error
+        raise SurefootError(f"{path}: can't be read as a table: {' '.join(str(error).split())}; {rule}") from error
     missing = [name for name in columns if name not in table]
     if missing:
         raise SurefootError(f"{path}: has no column {missing[0]}; {rule}")
     count = len(legs)
     lengths = {len(table[name]) for name in columns}
     if len(lengths) != 1:
-        raise SurefootError(
-            f"{path}: columns differ in length ({choices(map(str, sorted(lengths)))}); they must not"
-        )
+        raise SurefootError(f"{path}: columns differ in length ({choices(map(str, sorted(lengths)))}); they must not")
     values = np.stack([table[name] for name in columns], axis=1)
     return values[:, :count], values[:, count:]

@@ -100,9 +100,7 @@ class EpisodeTrace:
         if self.time[0] <= 0.0 or np.any(np.diff(self.time) <= 0.0):
             raise SurefootError("trace: time must be above 0 s at the first step and strictly increasing")
         if np.any(self.energy < 0.0):
-            raise SurefootError(
-                f"trace: energy {self.energy.min():.3g} J must be 0 or above: it sums |tau . qdot|"
-            )
+            raise SurefootError(f"trace: energy {self.energy.min():.3g} J must be 0 or above: it sums |tau . qdot|")
         if np.any((self.foot_contact < 0.0) | (self.foot_contact > 1.0)):
             raise SurefootError("trace: foot_contact is a fraction of the control step: 0 to 1")
         norms = np.linalg.norm(self.base_quat_world, axis=1)

@@ -73,7 +73,13 @@ def foot_force_kernel(
 
 
 def foot_force(
-    depth: float, velocity: Array, stretch: Array, friction: float, stiffness: float, damping: float, dt: float
+    depth: float,
+    velocity: Array,
+    stretch: Array,
+    friction: float,
+    stiffness: float,
+    damping: float,
+    dt: float,
 ) -> tuple[Array, Array]:
     """Force (3,) [N] of the ground on one foot, and the sole's new stretch (2,) [m]; see `foot_force_kernel`."""
     force, after = np.zeros(3), np.array(stretch, dtype=np.float64)

@@ -130,9 +130,7 @@ def roll_pitch_yaw(w: float, x: float, y: float, z: float) -> tuple[float, float
 @njit(cache=True, forceinline=True)
 def record(drive: Drive, i: int) -> None:
     """The state of now of robot `i` enters its history, stamped with the robot's own time."""
-    push_kernel(
-        drive.times[i], drive.history[i], drive.ticks[i], drive.ticks[i] * drive.limits[3], drive.now[i]
-    )
+    push_kernel(drive.times[i], drive.history[i], drive.ticks[i], drive.ticks[i] * drive.limits[3], drive.now[i])
 
 
 @njit(cache=True, forceinline=True)

@@ -95,6 +95,8 @@ class Simulation(World, Protocol):
     """A world that knows its own state and can be set up at will."""
 
     params: PhysicalParams
+    divergences: int
+    """How often a robot's state stopped being finite, since the world was made."""
 
     def readings(self) -> Readings:
         """The readings of now, again."""

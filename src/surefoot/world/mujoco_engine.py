@@ -1,7 +1,7 @@
 """A batch of robots in MuJoCo: one model and one state each, stepped by compiled loops on all cores.
 
-Each robot owns its MuJoCo model, so that masses, inertias and friction can differ, and its MuJoCo data, so that a robot's
-motion depends on nothing but itself: alone or in a batch it is the same to the last bit.
+Each robot owns its MuJoCo model, so that masses and inertias can differ, and its MuJoCo data, so that a robot's motion
+depends on nothing but itself: alone or in a batch it is the same to the last bit.
 """
 
 from __future__ import annotations
@@ -106,12 +106,23 @@ def _feet_on_ground(native: _Native, drive: Drive, i: int, velocity: Array, forc
             velocity[1] = cvel[6 * b + 4] + wz * x - wx * z
             velocity[2] = cvel[6 * b + 5] + wx * y - wy * x
         foot_force_kernel(
-            depth, velocity, native.stretch[i, leg], native.friction[i], stiffness, damping, drive.limits[3], force
+            depth,
+            velocity,
+            native.stretch[i, leg],
+            native.friction[i],
+            stiffness,
+            damping,
+            drive.limits[3],
+            force,
         )
         if force[2] > 0.0:
             drive.contact_ticks[i, leg] += 1.0
         # MuJoCo takes a force at the body's centre of mass and a torque.
-        x, y, z = xpos[g] - xipos[3 * b], xpos[g + 1] - xipos[3 * b + 1], xpos[g + 2] - radius - xipos[3 * b + 2]
+        x, y, z = (
+            xpos[g] - xipos[3 * b],
+            xpos[g + 1] - xipos[3 * b + 1],
+            xpos[g + 2] - radius - xipos[3 * b + 2],
+        )
         for k in range(3):
             applied[6 * b + k] = force[k]
         applied[6 * b + 3] = y * force[2] - z * force[1]
