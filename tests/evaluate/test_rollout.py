@@ -95,7 +95,7 @@ def test_robots_that_fall_end_earlier_and_the_others_go_on():
 
 def test_pushes_move_the_robot():
     calm = trot(260)
-    pushed = replace(calm, pushes=replace(calm.pushes, enabled=True))
+    pushed = replace(calm, pushes=replace(calm.pushes, enabled=True, probability=1.0))
     still, moved = (run_episodes(Constant(), task, 1, SimWorld, threads=1)[0] for task in (calm, pushed))
     steps = min(still.num_steps, moved.num_steps)
     apart = np.linalg.norm(still.base_position_world[:steps] - moved.base_position_world[:steps], axis=1)

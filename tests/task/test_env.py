@@ -90,10 +90,10 @@ def test_an_episode_of_a_thousand_steps_is_truncated(make_env):
     *_, terminated, truncated, info = env.step(rest(env))
     assert not terminated.any()
     assert truncated.all()
-    np.testing.assert_allclose(info["episode"]["steps"], 1000)
-    np.testing.assert_allclose(info["episode"]["distance"], 6.0)
-    np.testing.assert_allclose(info["episode"]["duration"], 6.0)
-    np.testing.assert_allclose(info["episode"]["return"], 6.0)
+    np.testing.assert_allclose(info["figures"]["steps"], 1000)
+    np.testing.assert_allclose(info["figures"]["distance"], 6.0)
+    np.testing.assert_allclose(info["figures"]["duration"], 6.0)
+    np.testing.assert_allclose(info["figures"]["return"], 6.0)
 
 
 def test_figures_of_a_small_episode_by_hand(make_env):
@@ -102,9 +102,9 @@ def test_figures_of_a_small_episode_by_hand(make_env):
     for speed in (0.0, 1.0, 2.0):
         env.world.speed[:], env.world.power[:] = (speed, 0.0), 100.0
         *_, info = env.step(rest(env))
-    np.testing.assert_allclose(info["episode"]["return"], (0.018 - 0.0144, -0.0144))
-    np.testing.assert_allclose(info["episode"]["distance"], (0.018, 0.0))
-    assert info["_episode"].tolist() == [True, True]
+    np.testing.assert_allclose(info["figures"]["return"], (0.018 - 0.0144, -0.0144))
+    np.testing.assert_allclose(info["figures"]["distance"], (0.018, 0.0))
+    assert info["_figures"].tolist() == [True, True]
 
 
 def test_a_fall_terminates_and_only_that_robot_starts_anew(make_env):
@@ -115,8 +115,8 @@ def test_a_fall_terminates_and_only_that_robot_starts_anew(make_env):
     observation, _, terminated, truncated, info = env.step(np.ones((3, 8)))
     assert terminated.tolist() == [False, True, False]
     assert not truncated.any()
-    assert info["_episode"].tolist() == info["_final_obs"].tolist() == [False, True, False]
-    assert info["episode"]["steps"].tolist() == [0, 2, 0]
+    assert info["_figures"].tolist() == info["_final_obs"].tolist() == [False, True, False]
+    assert info["figures"]["steps"].tolist() == [0, 2, 0]
     # The last observation of the old episode: motors at feedback's upper bound, theta = 2 +- .5.
     assert sorted(set(info["final_obs"][1, 4:].tolist())) == [1.5, 2.5]
     # The first one of the new episode: motors where this world's reset puts them.

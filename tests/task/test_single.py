@@ -147,7 +147,6 @@ def test_gymnasiums_statistics_wrap_one_robot():
     assert info["episode"]["r"] == pytest.approx(info["figures"]["return"], abs=1e-5)
 
 
-@pytest.mark.xfail(reason="LocomotionEnv's info has `episode`, the key of Gymnasium's wrapper", strict=False)
 def test_gymnasiums_statistics_wrap_a_batch():
     task = TaskConfig(feedback=FEEDBACK, max_steps=3)
     env = gymnasium.wrappers.vector.RecordEpisodeStatistics(

@@ -90,7 +90,6 @@ def test_legs_stay_closed_while_the_robot_trots(make_world, trot, robot):
     assert worst < 1e-3
 
 
-@pytest.mark.xfail(reason="MuJoCo's geom_xpos is that of the last step's start", strict=False)
 def test_foot_positions_are_those_of_now(make_world, trot):
     world = make_world()
     start = world.foot_positions()

@@ -86,7 +86,7 @@ def adjust_task(
         task: as the policy was trained.
         robot: says which values are allowed.
         settings: words NAME=VALUE, as often as `--set` was given.
-        pushes: whether the base is pushed, as the task says how.
+        pushes: whether the base is pushed, as hard and often as the task says; every push that is due is given.
         thermal_protection: switch off motors that overheat, whatever the task says.
 
     Raises:
@@ -97,6 +97,6 @@ def adjust_task(
     return replace(
         task,
         params={**task.params, **given},
-        pushes=replace(task.pushes, enabled=pushes),
+        pushes=replace(task.pushes, enabled=pushes, probability=1.0),
         thermal_protection=task.thermal_protection or thermal_protection,
     )

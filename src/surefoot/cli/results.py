@@ -47,7 +47,8 @@ def report_run(
     summary = summarize(traces, mass)
     results: dict[str, Any] = {"without_pushes": summary}
     if task.pushes.enabled:
-        pushed = run_episodes(policy, task, EPISODES, SimWorld, seed=0, policy_name=policy.contract.name)
+        every = replace(task, pushes=replace(task.pushes, probability=1.0))
+        pushed = run_episodes(policy, every, EPISODES, SimWorld, seed=0, policy_name=policy.contract.name)
         results["with_pushes"] = summarize(pushed, mass)
     (folder / "evaluation.json").write_text(json.dumps(results, indent=2) + "\n", encoding="utf-8")
     console.print("Drawing figures and video ...")

@@ -55,7 +55,7 @@ class SB3VecEnv(VecEnv):  # type: ignore[misc, unused-ignore]
         done = terminated | truncated
         infos: list[dict[str, Any]] = [{"TimeLimit.truncated": bool(cut)} for cut in truncated]
         for i in np.flatnonzero(done):
-            figures = info["episode"]
+            figures = info["figures"]
             infos[i]["terminal_observation"] = info["final_obs"][i]
             infos[i]["episode"] = {
                 "r": float(figures["return"][i]),

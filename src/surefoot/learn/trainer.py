@@ -139,10 +139,10 @@ class Trainer:
                 observation, reward, terminated, truncated, info = env.step(actions.numpy())
                 self.observation = self._tensors(observation)
                 rewards += float(reward.mean())
-                if "episode" in info:
-                    rows = info["_episode"]
+                if "figures" in info:
+                    rows = info["_figures"]
                     ended.append(
-                        np.stack([info["episode"][key][rows] for key in ("return", "steps", "distance", "duration")])
+                        np.stack([info["figures"][key][rows] for key in ("return", "steps", "distance", "duration")])
                     )
                 algorithm.process_env_step(
                     self.observation,

@@ -33,7 +33,7 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
     episode is terminated by a fall or a diverged simulation, and truncated after `max_steps`. With
     `autoreset`, a robot whose episode is over starts anew in the same step (`AutoresetMode.SAME_STEP`): the
     observation returned is the new episode's first one, and `info` holds `final_obs` and, for every episode
-    that ended, its `episode` figures.
+    that ended, its `figures`.
 
     Args:
         task: what is to be learned.
@@ -152,8 +152,8 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
         self._history[:, 0] = self._observe()
         if done.any():
             rows = np.flatnonzero(done)
-            info["episode"] = self._episode_figures(rows)
-            info["_episode"] = done.copy()
+            info["figures"] = self._episode_figures(rows)
+            info["_figures"] = done.copy()
             if self.autoreset:
                 info["final_obs"] = self._observation()
                 info["_final_obs"] = done.copy()

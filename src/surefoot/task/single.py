@@ -51,6 +51,6 @@ class LocomotionSingleEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]
         if "diverged" in info:
             single["diverged"] = True
         # Not under the key `episode`, which belongs to Gymnasium's own wrapper.
-        if "episode" in info:
-            single["figures"] = {name: float(values[0]) for name, values in info["episode"].items()}
+        if "figures" in info:
+            single["figures"] = {name: float(values[0]) for name, values in info["figures"].items()}
         return observation[0], float(reward[0]), bool(terminated[0]), bool(truncated[0]), single

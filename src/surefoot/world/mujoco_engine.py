@@ -308,4 +308,7 @@ class MujocoEngine:
 
     def foot_positions(self) -> Array:
         """Centres of the feet in the world frame [m], (N, L, 3)."""
+        # MuJoCo's positions are those of the last step's start, or of before a reset.
+        for model, data in zip(self.models, self.datas, strict=True):
+            mujoco.mj_kinematics(model, data)
         return np.array([data.geom_xpos[self._feet] for data in self.datas])
