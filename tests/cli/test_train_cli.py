@@ -40,6 +40,9 @@ def surefoot(*words: str, cwd: Path) -> subprocess.CompletedProcess[str]:
 BAD = [
     (["train", "walk"], "task 'walk' does not exist; choices: gallop, trot"),
     (["train", "gallop", "--num-envs", "0"], "num_envs is 0; it must be 1 or more"),
+    (["train", "gallop", "--num-envs", "few"], "invalid.*few"),
+    (["train", "gallop", "--nun-envs", "8"], "nun-envs"),
+    (["evaluate", "--episodes", "2"], "POLICY"),
     (
         ["train", "gallop", "--task.params", "control_latency", "-0.01"],
         "control_latency is -0.01; minitaur allows 0 to 0.1",

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
+from surefoot.cli.parsing import parse
 from surefoot.errors import SurefootError
 
 if TYPE_CHECKING:
@@ -54,7 +55,7 @@ class EvaluateCommand:
 def main(argv: list[str]) -> int:
     """Run the command with the words after its name; returns the exit code."""
     config = (tyro.conf.FlagCreatePairsOff,)
-    command = tyro.cli(EvaluateCommand, args=argv, prog="surefoot evaluate", config=config)
+    command = parse(EvaluateCommand, argv, "surefoot evaluate", config=config)
     if command.episodes < 1:
         raise SurefootError(f"episodes is {command.episodes}; it must be 1 or more")
     from surefoot.cli.policies import adjust_task, find_policy, find_world, load_policy

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from surefoot.cli.evaluate import Settings
+from surefoot.cli.parsing import parse
 from surefoot.errors import SurefootError
 
 if TYPE_CHECKING:
@@ -42,7 +43,7 @@ class PlayCommand:
 def main(argv: list[str]) -> int:
     """Run the command with the words after its name; returns the exit code."""
     config = (tyro.conf.FlagCreatePairsOff,)
-    command = tyro.cli(PlayCommand, args=argv, prog="surefoot play", config=config)
+    command = parse(PlayCommand, argv, "surefoot play", config=config)
     if not (command.seconds > 0 and math.isfinite(command.seconds)):
         raise SurefootError(f"seconds is {command.seconds:g}; it must be over 0")
     if command.out is not None and command.out.suffix.lower() != ".mp4":

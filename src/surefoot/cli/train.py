@@ -44,8 +44,7 @@ def main(argv: list[str]) -> int:
 
 
 def _parse(argv: list[str]) -> tuple[TrainConfig, Path]:
-    import tyro
-
+    from surefoot.cli.parsing import parse
     from surefoot.learn.config import TrainConfig, load_train_config
 
     preset, rest, root = load_train_config(argv[0]), argv[1:], Path("runs")
@@ -55,7 +54,7 @@ def _parse(argv: list[str]) -> tuple[TrainConfig, Path]:
             raise SurefootError("--runs has no value; it takes the folder for run folders")
         root = Path(rest[place + 1])
         del rest[place : place + 2]
-    config = tyro.cli(TrainConfig, prog=f"surefoot train {argv[0]}", args=rest, default=preset)
+    config = parse(TrainConfig, rest, f"surefoot train {argv[0]}", default=preset)
     return config, root
 
 
