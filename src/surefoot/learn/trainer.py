@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import time
 from dataclasses import dataclass
@@ -64,6 +65,8 @@ class Trainer:
         self.observation = self._tensors(observation)
         self.algorithm = self._make_algorithm()
         self.update_count = 0
+        # Some hundred thousand objects of imported packages would be looked through again and again; they stay anyway.
+        gc.freeze()
 
     @property
     def steps(self) -> int:

@@ -189,7 +189,8 @@ class MujocoEngine:
         num_envs = len(drive.ticks)
         self._nominal = build_model(robot)
         self._scratch = mujoco.MjData(self._nominal)
-        self.models = [copy.copy(self._nominal) for _ in range(num_envs)]
+        # Robots of nominal mass share one model: it stays in the processor's cache.
+        self.models = [self._nominal] * num_envs
         self.datas = [mujoco.MjData(model) for model in self.models]
         self._base = self._nominal.body(robot.base).id
         self._legs = np.array([body for body in range(1, self._nominal.nbody) if body != self._base])
@@ -291,12 +292,25 @@ class MujocoEngine:
 
     def set_params(self, i: int, params: PhysicalParams, row: int) -> None:
         """Apply masses, inertias and contact friction of `params[row]` to robot `i`."""
-        model, nominal, legs = self.models[i], self._nominal, self._legs
+        self._native.friction[i] = params.contact_friction[row]
+        nominal, legs = self._nominal, self._legs
+        ratios = (
+            params.base_mass_ratio[row],
+            params.leg_mass_ratio[row],
+            params.base_inertia_ratio[row],
+            params.leg_inertia_ratio[row],
+        )
+        own = any(ratio != 1.0 for ratio in ratios)
+        if not own or self.models[i] is nominal:
+            self.models[i] = model = copy.copy(nominal) if own else nominal
+            self._native.model[i] = model._address
+        if not own:
+            return
+        model = self.models[i]
         model.body_mass[self._base] = nominal.body_mass[self._base] * params.base_mass_ratio[row]
         model.body_mass[legs] = nominal.body_mass[legs] * params.leg_mass_ratio[row]
         model.body_inertia[self._base] = nominal.body_inertia[self._base] * params.base_inertia_ratio[row]
         model.body_inertia[legs] = nominal.body_inertia[legs] * params.leg_inertia_ratio[row]
-        self._native.friction[i] = params.contact_friction[row]
         # Quantities that MuJoCo derives from the masses, with a state of no robot's.
         mujoco.mj_setConst(model, self._scratch)
 
