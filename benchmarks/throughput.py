@@ -13,12 +13,14 @@ Each layer is timed in turns, several rounds; the median is reported.
 from __future__ import annotations
 
 import argparse
+import importlib
 import json
 import multiprocessing
 import os
 import statistics
 import sys
 import time
+import types
 from dataclasses import replace
 from typing import Any
 
@@ -140,7 +142,13 @@ def authors_rate(seconds: float = 5.0) -> float | None:
 
 def _authors_worker(seconds: float) -> float | None:
     try:
-        os.environ.setdefault("PYTHONWARNINGS", "ignore")
+        # That environment was written for gym, whose place gymnasium has taken; its registry is not needed here.
+        registration = types.ModuleType("gym.envs.registration")
+        registration.registry = types.SimpleNamespace(env_specs={})
+        registration.register = lambda **_: None
+        for name in ("", ".spaces", ".utils", ".utils.seeding", ".envs"):
+            sys.modules[f"gym{name}"] = importlib.import_module(f"gymnasium{name}")
+        sys.modules["gym.envs.registration"] = registration
         from pybullet_envs.minitaur.envs import minitaur_gym_env
 
         env: Any = minitaur_gym_env.MinitaurGymEnv(
