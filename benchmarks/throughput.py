@@ -142,10 +142,11 @@ def authors_rate(seconds: float = 5.0) -> float | None:
 
 def _authors_worker(seconds: float) -> float | None:
     try:
+        os.environ["PROTOCOL_BUFFERS_PYTHON_IMPLEMENTATION"] = "python"  # its messages were generated long ago
         # That environment was written for gym, whose place gymnasium has taken; its registry is not needed here.
         registration = types.ModuleType("gym.envs.registration")
         registration.registry = types.SimpleNamespace(env_specs={})
-        registration.register = lambda **_: None
+        registration.register = registration.make = registration.spec = lambda *_, **__: None
         for name in ("", ".spaces", ".utils", ".utils.seeding", ".envs"):
             sys.modules[f"gym{name}"] = importlib.import_module(f"gymnasium{name}")
         sys.modules["gym.envs.registration"] = registration
