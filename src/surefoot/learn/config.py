@@ -73,7 +73,10 @@ class TrainConfig:
     checkpoint_every: int = 1_000_000
     """Control steps between two checkpoints that are kept."""
     threads: int = 0
-    """Threads of the simulation; 0 means one a core."""
+    """Threads of the simulation; 0 means one a core. The result does not depend on it."""
+    learning_threads: int = 0
+    """Threads of the learning; 0 means one a core. Sums are rounded in an order that depends on it: with a number,
+    machines with more or fewer cores learn the same."""
     ppo: PPOConfig = field(default_factory=PPOConfig)
     """The learning algorithm."""
 

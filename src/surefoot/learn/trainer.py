@@ -59,7 +59,7 @@ class Trainer:
     def __init__(self, config: TrainConfig, make_world: SimulationFactory) -> None:
         self.config = config
         torch.manual_seed(config.seed)
-        self._threads = config.threads or os.cpu_count() or 1
+        self._threads = config.learning_threads or os.cpu_count() or 1
         self.env = LocomotionEnv(config.task, config.num_envs, make_world, config.seed, threads=config.threads)
         observation, _ = self.env.reset()
         self.observation = self._tensors(observation)
