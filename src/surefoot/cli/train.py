@@ -59,15 +59,10 @@ def _parse(argv: list[str]) -> tuple[TrainConfig, Path]:
 
 
 def _train(config: TrainConfig | None, path: Path) -> int:
-    try:
-        from surefoot.learn.run import TrainingRun
-        from surefoot.learn.run_folder import RunFolder
-        from surefoot.world.sim_world import SimWorld
-    except ModuleNotFoundError as error:
-        raise SurefootError(
-            f"training needs {error.name}, which is not installed; pip install 'surefoot[train]'"
-        ) from None
     from surefoot.learn.progress import TrainingProgress
+    from surefoot.learn.run import TrainingRun
+    from surefoot.learn.run_folder import RunFolder
+    from surefoot.world.sim_world import SimWorld
 
     console = Console()
     resume = config is None

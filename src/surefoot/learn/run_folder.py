@@ -19,6 +19,7 @@ import torch
 from surefoot import __version__
 from surefoot.configuration import from_mapping, read_yaml, write_yaml
 from surefoot.errors import SurefootError
+from surefoot.files import whole_file
 from surefoot.learn.config import TrainConfig
 
 FORMAT = 1
@@ -28,15 +29,10 @@ _PACKAGES = ("mujoco", "numpy", "numba", "torch", "rsl-rl-lib", "gymnasium", "on
 
 def _write(path: Path, content: bytes) -> None:
     """Write a file whole or not at all."""
-    partial = path.with_name(f".{path.name}.partial")
     try:
-        with partial.open("wb") as file:
+        with whole_file(path) as file:
             file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(partial, path)
     except OSError as error:
-        partial.unlink(missing_ok=True)
         raise SurefootError(
             f"{path}: can't be written: {error.strerror}; what was saved before is untouched"
         ) from error

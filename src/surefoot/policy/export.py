@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +11,7 @@ from numpy.typing import NDArray
 from onnx import TensorProto, helper, numpy_helper
 
 from surefoot.errors import SurefootError, choices
+from surefoot.files import whole_file
 from surefoot.policy.contract import METADATA_KEY, Contract
 
 OPSET = 17
@@ -135,15 +135,8 @@ def export_policy(actor: Any, activation: str, contract: Contract, path: str | P
         raise SurefootError(f"policy file {path}: the network holds numbers that are not finite; it is not written")
     model = build_model(layers, mean, scale, activation, contract)
     path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    try:
-        with temporary.open("wb") as file:
-            file.write(model.SerializeToString())
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
+    with whole_file(path) as file:
+        file.write(model.SerializeToString())
     return path
 
 

@@ -7,7 +7,6 @@ so two worlds are never measured by two rulers. numpy only: the robot's computer
 from __future__ import annotations
 
 import json
-import os
 import zipfile
 import zlib
 from dataclasses import dataclass, field, fields
@@ -19,6 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from surefoot.errors import SurefootError, choices
+from surefoot.files import whole_file
 
 SCHEMA = 1
 ENDINGS = ("time", "fall", "fault", "stopped")
@@ -134,15 +134,8 @@ class EpisodeTrace:
             raise SurefootError(f"trace file {path}: the name must end in .npz")
         path.parent.mkdir(parents=True, exist_ok=True)
         arrays = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "meta"}
-        temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-        try:
-            with temporary.open("wb") as file:
-                np.savez_compressed(file, meta=np.array(json.dumps(self.meta)), **arrays)
-                file.flush()
-                os.fsync(file.fileno())
-            os.replace(temporary, path)
-        finally:
-            temporary.unlink(missing_ok=True)
+        with whole_file(path) as file:
+            np.savez_compressed(file, meta=np.array(json.dumps(self.meta)), **arrays)
         return path
 
     @classmethod
