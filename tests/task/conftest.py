@@ -40,7 +40,7 @@ class ScriptedWorld:
         self.position[rows], self.time[rows], self.angles[rows] = 0.0, 0.0, 0.0
         return self.readings()
 
-    def step(self, target: Any) -> Readings:
+    def step(self, target: Any, active=None) -> Readings:
         self.forces.append(self.force.copy())
         self.time += self.params.control_step
         self.position += self.speed * self.params.control_step

@@ -11,7 +11,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 
 from surefoot.cli.parsing import parse
+from surefoot.cli.ranges import take_ranges
 from surefoot.errors import SurefootError
+from surefoot.task.randomize import RandomizeConfig
 
 if TYPE_CHECKING:
     from surefoot.robot import RobotDescription
@@ -26,7 +28,11 @@ Settings = Annotated[
 
 @dataclass(frozen=True)
 class EvaluateCommand:
-    """Run a policy for some episodes and print speed, power, return and gait."""
+    """Run a policy for some episodes and print speed, power, return and gait.
+
+    With --randomize NAME (table1, none, or a YAML file) every episode draws its physical parameters;
+    --randomize.ROW LOW HIGH sets or changes one row, such as --randomize.latency 0.010 0.030.
+    """
 
     policy: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="POLICY")]
     """Path of a policy file (.onnx), or the name of a policy that ships with surefoot."""
@@ -55,7 +61,8 @@ class EvaluateCommand:
 def main(argv: list[str]) -> int:
     """Run the command with the words after its name; returns the exit code."""
     config = (tyro.conf.FlagCreatePairsOff,)
-    command = parse(EvaluateCommand, argv, "surefoot evaluate", config=config)
+    words, ranges = take_ranges(argv, RandomizeConfig())
+    command = parse(EvaluateCommand, words, "surefoot evaluate", config=config)
     if command.episodes < 1:
         raise SurefootError(f"episodes is {command.episodes}; it must be 1 or more")
     from surefoot.cli.policies import adjust_task, find_policy, find_world, load_policy
@@ -64,7 +71,7 @@ def main(argv: list[str]) -> int:
     path = find_policy(command.policy)
     make_world = find_world(command.world)
     policy, robot, task = load_policy(path, command.robot)
-    task = adjust_task(task, robot, command.settings, command.pushes, command.thermal_protection)
+    task = adjust_task(task, robot, command.settings, command.pushes, command.thermal_protection, ranges)
     if command.out is not None:
         import_module("matplotlib")
         command.out.mkdir(parents=True, exist_ok=True)
@@ -85,6 +92,7 @@ def main(argv: list[str]) -> int:
         "faults": sum(trace.meta["ended"] == "fault" for trace in traces),
         "seed": command.seed,
         "pushes": command.pushes,
+        "randomize": {row: list(given) for row, given in ranges.ranges.items()},
         "set": {name: task.params[name] for group in command.settings for name in (w.split("=")[0] for w in group)},
         "robot": robot.name,
         "policy_file": str(path),

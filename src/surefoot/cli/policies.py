@@ -11,6 +11,7 @@ from surefoot.policy.contract import check_robot
 from surefoot.policy.runtime import PolicyRuntime
 from surefoot.robot import PhysicalParams, RobotDescription, parse_settings
 from surefoot.task.config import TaskConfig
+from surefoot.task.randomize import RandomizeConfig, check_ranges
 from surefoot.world.interface import SimulationFactory
 
 PACKAGE = Path(__file__).resolve().parents[1]
@@ -79,8 +80,9 @@ def adjust_task(
     settings: Sequence[Sequence[str]],
     pushes: bool,
     thermal_protection: bool = False,
+    randomize: RandomizeConfig | None = None,
 ) -> TaskConfig:
-    """The task with other physical parameters, and with pushes or without.
+    """The task with other physical parameters, with pushes or without, with parameters drawn or without.
 
     Args:
         task: as the policy was trained.
@@ -88,15 +90,19 @@ def adjust_task(
         settings: words NAME=VALUE, as often as `--set` was given.
         pushes: whether the base is pushed, as hard and often as the task says; every push that is due is given.
         thermal_protection: switch off motors that overheat, whatever the task says.
+        randomize: ranges that every episode draws from, whatever the task says; none, if not given.
 
     Raises:
         SurefootError: no such parameter, or a value that the robot does not allow.
     """
     given = parse_settings([word for group in settings for word in group])
     PhysicalParams.nominal(robot).with_values(robot, **given)
+    ranges = randomize or RandomizeConfig()
+    check_ranges(ranges, robot)
     return replace(
         task,
         params={**task.params, **given},
+        randomize=ranges,
         pushes=replace(task.pushes, enabled=pushes, probability=1.0),
         thermal_protection=task.thermal_protection or thermal_protection,
     )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import signal
 import time
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,7 +21,11 @@ _USAGE = """usage: surefoot train TASK [--runs DIR] [options]     learn a gait
        surefoot train --resume RUN                     go on with a run, exactly where it stopped
        surefoot train TASK --help                      every option, with the task's own values
 
-TASK is {tasks}, or the path of a YAML file."""
+TASK is {tasks}, or the path of a YAML file.
+
+Besides every field of the configuration:
+  --pushes                   push the robot at random, as the task says how hard and how often
+{ranges}"""
 
 
 def main(argv: list[str]) -> int:
@@ -29,7 +33,9 @@ def main(argv: list[str]) -> int:
     from surefoot.task.config import preset_names
 
     if not argv or argv[0] in ("-h", "--help"):
-        print(_USAGE.format(tasks=choices(preset_names())))
+        from surefoot.cli.ranges import ranges_help
+
+        print(_USAGE.format(tasks=choices(preset_names()), ranges=ranges_help()))
         return 0 if argv else 2
     if argv[0] == "--resume":
         if len(argv) != 2:
@@ -45,6 +51,7 @@ def main(argv: list[str]) -> int:
 
 def _parse(argv: list[str]) -> tuple[TrainConfig, Path]:
     from surefoot.cli.parsing import parse
+    from surefoot.cli.ranges import take_ranges
     from surefoot.learn.config import TrainConfig, load_train_config
 
     preset, rest, root = load_train_config(argv[0]), argv[1:], Path("runs")
@@ -54,6 +61,10 @@ def _parse(argv: list[str]) -> tuple[TrainConfig, Path]:
             raise SurefootError("--runs has no value; it takes the folder for run folders")
         root = Path(rest[place + 1])
         del rest[place : place + 2]
+    rest, ranges = take_ranges(rest, preset.task.randomize)
+    pushes = replace(preset.task.pushes, enabled=preset.task.pushes.enabled or "--pushes" in rest)
+    rest = [word for word in rest if word != "--pushes"]
+    preset = replace(preset, task=replace(preset.task, randomize=ranges, pushes=pushes))
     config = parse(TrainConfig, rest, f"surefoot train {argv[0]}", default=preset)
     return config, root
 

@@ -143,18 +143,23 @@ def run_episodes(
             progress(step, int(going.sum()))
         if not going.any():
             break
-    params = env.nominal.summary()
+    rows = [env.world.params.rows([i]).summary() for i in range(episodes)]
     meta = {
         "robot": env.robot.name,
         "world": world_name,
         "policy": policy_name,
         "seed": seed,
-        "control_step": float(params["control_step"]),  # type: ignore[arg-type]
         "leg_names": list(env.robot.leg_names),
         "motor_names": list(env.robot.motor_names),
         "observation_names": list(env.observer.columns),
-        "params": params,
         "energy_weight": task.energy_weight,
         "max_steps": task.max_steps,
     }
-    return [recorder.trace(i, int(lengths[i]), {**meta, "episode": i, "ended": str(ended[i])}) for i in range(episodes)]
+    return [
+        recorder.trace(
+            i,
+            int(lengths[i]),
+            {**meta, "episode": i, "ended": str(ended[i]), "params": row, "control_step": row["control_step"]},
+        )
+        for i, row in enumerate(rows)
+    ]

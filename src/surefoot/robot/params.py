@@ -91,7 +91,7 @@ class PhysicalParams:
         """The parameters of some of the robots, by index."""
         return replace(self, **{name: getattr(self, name)[np.asarray(index)] for name in self.names()})
 
-    def summary(self) -> dict[str, float | list[float]]:
+    def summary(self) -> dict[str, float]:
         """Mean over the robots of each parameter, for reports and contracts."""
         return {name: float(np.mean(getattr(self, name))) for name in self.names()}
 

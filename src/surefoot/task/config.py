@@ -10,6 +10,7 @@ from surefoot.configuration import from_mapping, read_yaml
 from surefoot.errors import SurefootError, choices
 from surefoot.task.observation import IMU_AND_MOTORS_12D
 from surefoot.task.pushes import PushConfig
+from surefoot.task.randomize import RandomizeConfig, with_ranges
 from surefoot.task.reward import ENERGY_WEIGHT
 
 _PRESETS = Path(__file__).parent / "presets"
@@ -103,6 +104,8 @@ class TaskConfig:
     """Control steps of an episode."""
     pushes: PushConfig = field(default_factory=PushConfig)
     """Random pushes on the base."""
+    randomize: RandomizeConfig = field(default_factory=RandomizeConfig)
+    """Ranges that every episode draws its physical parameters from; in a file also the name of a table of ranges."""
     params: dict[str, float] = field(default_factory=dict)
     """Physical parameters that differ from the robot's description, by name."""
     thermal_protection: bool = False
@@ -151,7 +154,7 @@ def load_task(task: str) -> tuple[TaskConfig, dict[str, Any]]:
     data = read_yaml(path)
     train = data.pop("train", None) or {}
     try:
-        config = from_mapping(TaskConfig, {"name": path.stem, **data})
+        config = from_mapping(TaskConfig, {"name": path.stem, **with_ranges(data)})
     except SurefootError as error:
         raise SurefootError(f"{path}: {error}") from None
     if config.reference.file is not None:

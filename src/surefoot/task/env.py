@@ -16,6 +16,7 @@ from surefoot.task.config import TaskConfig
 from surefoot.task.gait import HybridGait
 from surefoot.task.observation import Moment, Observer
 from surefoot.task.pushes import Pusher
+from surefoot.task.randomize import Randomizer
 from surefoot.task.reference import make_reference
 from surefoot.task.reward import has_fallen, locomotion_reward
 from surefoot.world.interface import Readings, Simulation, SimulationFactory, Truth, WorldConfig
@@ -33,7 +34,7 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
     episode is terminated by a fall or a diverged simulation, and truncated after `max_steps`. With
     `autoreset`, a robot whose episode is over starts anew in the same step (`AutoresetMode.SAME_STEP`): the
     observation returned is the new episode's first one, and `info` holds `final_obs` and, for every episode
-    that ended, its `figures`.
+    that ended, its `figures`. Without it, time stands still for a robot whose episode is over, until its reset.
 
     Args:
         task: what is to be learned.
@@ -83,6 +84,8 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
         )
         self.world: Simulation = self._make_world(self.robot, self.num_envs, self.nominal, seed, config)
         self.pusher = Pusher(task.pushes, self.num_envs, seed)
+        self.randomizer = Randomizer(task.randomize, self.robot, self.nominal, seed)
+        self.over = np.zeros(self.num_envs, np.bool_)
         self.steps = np.zeros(self.num_envs, np.int64)
         self.returns = np.zeros(self.num_envs)
         self.start_position = np.zeros((self.num_envs, 3))
@@ -94,7 +97,10 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
 
     def _begin(self, rows: NDArray[np.int64]) -> None:
         """Start new episodes for some robots."""
+        if self.randomizer.enabled:
+            self.world.set_params(rows, self.randomizer.draw(rows))
         self.readings = self.world.reset(rows)
+        self.over[rows] = False
         self.steps[rows], self.returns[rows], self.feedback[rows] = 0, 0.0, 0.0
         self.truth = self.world.truth()
         self.start_position[rows] = self.truth.base_position_world[rows]
@@ -133,16 +139,17 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
         if task.pushes.enabled and self.pusher.update(self.readings.time):
             world.push(self.pusher.force)
         self.feedback = self.gait.feedback(actions)
-        self.readings = world.step(self.gait.motor_targets(self.readings.time, self.feedback))
+        active = ~self.over if self.over.any() else None
+        self.readings = world.step(self.gait.motor_targets(self.readings.time, self.feedback), active)
         before, self.truth = self.truth, world.truth()
         diverged = self.truth.diverged
         displacement = self.truth.base_position_world[:, 0] - before.base_position_world[:, 0]
         reward = locomotion_reward(displacement, self.truth.energy, task.energy_weight)
-        reward[diverged] = 0.0
-        self.steps += 1
+        reward[diverged | self.over] = 0.0
+        self.steps += ~self.over
         self.returns += reward
-        terminated = has_fallen(self.truth.roll_pitch_yaw, task.fall_angle) | diverged
-        truncated = ~terminated & (self.steps >= task.max_steps)
+        terminated = (has_fallen(self.truth.roll_pitch_yaw, task.fall_angle) | diverged) & ~self.over
+        truncated = ~terminated & ~self.over & (self.steps >= task.max_steps)
         done = terminated | truncated
         info: dict[str, Any] = {}
         if diverged.any():
@@ -154,7 +161,9 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
             rows = np.flatnonzero(done)
             info["figures"] = self._episode_figures(rows)
             info["_figures"] = done.copy()
-            if self.autoreset:
+            if not self.autoreset:
+                self.over |= done
+            else:
                 info["final_obs"] = self._observation()
                 info["_final_obs"] = done.copy()
                 self._begin(rows)
@@ -174,7 +183,8 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
         """What a critic may see in simulation besides the observation: the true state of now (N, P).
 
         Base height [m] and velocity in the world [m/s], roll, pitch and yaw [rad], motor angles [rad] and
-        speeds [rad/s], phase of the reference, force of a push [100 N].
+        speeds [rad/s], phase of the reference, force of a push [100 N], and physical parameters that were drawn,
+        from -1 to 1 over their range.
         """
         truth = self.truth
         parts = [
@@ -190,6 +200,8 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
             parts.append(np.stack([np.sin(angle), np.cos(angle)], -1))
         if self.task.pushes.enabled:
             parts.append(self.pusher.force[:, :2] / 100.0)
+        if self.randomizer.enabled:
+            parts.append(self.randomizer.scaled(self.world.params))
         return np.concatenate(parts, axis=1).astype(np.float32)
 
     def get_state(self) -> dict[str, Any]:
@@ -204,6 +216,8 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
             "push_force": self.pusher.force.copy(),
             "pushes_drawn": self.pusher.drawn.copy(),
             "push_streams": [stream.bit_generator.state for stream in self.pusher.streams],
+            "randomize_streams": [stream.bit_generator.state for stream in self.randomizer.streams],
+            "over": self.over.copy(),
         }
 
     def set_state(self, state: dict[str, Any]) -> None:
@@ -215,5 +229,7 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
         self.feedback = state["feedback"].copy()
         self._history[:] = state["history"]
         self.pusher.force[:], self.pusher.drawn[:] = state["push_force"], state["pushes_drawn"]
-        for stream, saved in zip(self.pusher.streams, state["push_streams"], strict=True):
-            stream.bit_generator.state = saved
+        self.over[:] = state["over"]
+        for streams, name in ((self.pusher.streams, "push_streams"), (self.randomizer.streams, "randomize_streams")):
+            for stream, saved in zip(streams, state[name], strict=True):
+                stream.bit_generator.state = saved

@@ -98,6 +98,10 @@ class Simulation(World, Protocol):
     divergences: int
     """How often a robot's state stopped being finite, since the world was made."""
 
+    def step(self, target: ArrayLike, active: NDArray[np.bool_] | None = None) -> Readings:
+        """As a world's; with `active` (N,), time stands still for all other robots."""
+        ...
+
     def readings(self) -> Readings:
         """The readings of now, again."""
         ...

@@ -1,12 +1,12 @@
-"""A batch of robots in MuJoCo: one model and one state each, stepped by compiled loops on all cores.
+"""A batch of robots in MuJoCo, stepped by compiled loops on all cores.
 
-Each robot owns its MuJoCo model, so that masses and inertias can differ, and its MuJoCo data, so that a robot's motion
-depends on nothing but itself: alone or in a batch it is the same to the last bit.
+Each robot owns its MuJoCo data, so that a robot's motion depends on nothing but itself: alone or in a batch it is the
+same to the last bit. Models are owned by threads: before a thread steps a robot, it writes that robot's masses and
+inertias into its model, which so stays in the processor's cache whatever the robots weigh.
 """
 
 from __future__ import annotations
 
-import copy
 import os
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -29,6 +29,8 @@ Index = NDArray[np.int64]
 _STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 _CHUNK = 8
 """Robots a thread takes at a time: few enough that robots with long control steps do not leave a core idle."""
+_MASS_FIELDS = ("body_mass", "body_inertia", "body_subtreemass", "body_invweight0", "dof_M0", "dof_invweight0")
+"""Arrays of a MuJoCo model that depend on masses and inertias, `mj_setConst`'s results included."""
 _SPEED_LIMIT = 1e5
 """A generalized speed beyond this [m/s, rad/s] counts as diverged, before MuJoCo itself would complain."""
 
@@ -39,6 +41,9 @@ class _Native(NamedTuple):
     step1: int
     step2: int
     model: Index
+    mass_fields: Index
+    mass_sizes: Index
+    mass: Array
     data: Index
     qpos: Index
     qvel: Index
@@ -62,6 +67,17 @@ class _Native(NamedTuple):
     contact: Array
     num_qpos: int
     num_qvel: int
+
+
+@njit(cache=True, forceinline=True)
+def _load_masses(native: _Native, worker: int, i: int) -> None:
+    """Give the model of a thread the masses and inertias of robot `i`."""
+    at = 0
+    for field in range(len(native.mass_sizes)):
+        values = doubles(native.mass_fields[worker, field])
+        for k in range(native.mass_sizes[field]):
+            values[k] = native.mass[i, at + k]
+        at += native.mass_sizes[field]
 
 
 @njit(cache=True, forceinline=True)
@@ -132,11 +148,13 @@ def _feet_on_ground(native: _Native, drive: Drive, i: int, velocity: Array, forc
 
 @njit(cache=True, nogil=True)
 def _advance(
-    native: _Native, drive: Drive, servo_steps: Index, diverged: NDArray[np.bool_], first: int, last: int
+    native: _Native, drive: Drive, servo_steps: Index, diverged: NDArray[np.bool_], worker: int, first: int, last: int
 ) -> None:
-    """Run robots first to last (not included) for their number of servo steps."""
+    """Run robots first to last (not included) for their number of servo steps, on a thread's model."""
     velocity, force = np.zeros(3), np.zeros(3)
+    model = native.model[worker]
     for i in range(first, last):
+        _load_masses(native, worker, i)
         drive.energy[i] = 0.0
         drive.contact_ticks[i] = 0.0
         applied = doubles(native.applied[i])
@@ -151,9 +169,9 @@ def _advance(
                 applied[native.motor_dof[m]] = native.motor_sign[m] * torque
             if diverged[i]:
                 break
-            call_step(native.step1, native.model[i], native.data[i])
+            call_step(native.step1, model, native.data[i])
             _feet_on_ground(native, drive, i, velocity, force)
-            call_step(native.step2, native.model[i], native.data[i])
+            call_step(native.step2, model, native.data[i])
             drive.ticks[i] += 1
             if not _observe(native, drive, i):
                 diverged[i] = True
@@ -169,6 +187,11 @@ def _gather_base(native: _Native, rows: Array) -> None:
             rows[i, k] = qpos[native.base_qpos + k]
         for k in range(3):
             rows[i, 7 + k] = qvel[native.base_dof + k]
+
+
+def _masses(model: mujoco.MjModel) -> Array:
+    """What `_load_masses` writes, from a model that has it."""
+    return np.concatenate([getattr(model, field).ravel() for field in _MASS_FIELDS])
 
 
 class MujocoEngine:
@@ -188,17 +211,18 @@ class MujocoEngine:
         mujoco.set_mjcb_time(None)
         num_envs = len(drive.ticks)
         self._nominal = build_model(robot)
-        self._scratch = mujoco.MjData(self._nominal)
-        # Robots of nominal mass share one model: it stays in the processor's cache.
-        self.models = [self._nominal] * num_envs
-        self.datas = [mujoco.MjData(model) for model in self.models]
+        self._scratch_model = build_model(robot)
+        self._scratch = mujoco.MjData(self._scratch_model)
+        self.threads = min(threads or os.cpu_count() or 1, -(-num_envs // _CHUNK))
+        self.models = [build_model(robot) for _ in range(self.threads)]
+        self.datas = [mujoco.MjData(self._nominal) for _ in range(num_envs)]
         self._base = self._nominal.body(robot.base).id
         self._legs = np.array([body for body in range(1, self._nominal.nbody) if body != self._base])
         self._feet = foot_geoms(robot, self._nominal)
         self._native = self._layout()
-        self.threads = min(threads or os.cpu_count() or 1, -(-num_envs // _CHUNK))
         self._pool = ThreadPoolExecutor(self.threads - 1) if self.threads > 1 else None
         self.diverged = np.zeros(num_envs, np.bool_)
+        self._ratios: list[tuple[float, ...]] = [(1.0, 1.0, 1.0, 1.0)] * num_envs
         self.initial_state = self._resting_state()
 
     def _layout(self) -> _Native:
@@ -213,6 +237,11 @@ class MujocoEngine:
             step1=function_address("mj_step1"),
             step2=function_address("mj_step2"),
             model=np.array([item._address for item in self.models], np.int64),
+            mass_fields=np.array(
+                [[getattr(item, field).ctypes.data for field in _MASS_FIELDS] for item in self.models], np.int64
+            ),
+            mass_sizes=np.array([getattr(model, field).size for field in _MASS_FIELDS], np.int64),
+            mass=np.tile(_masses(model), (len(self.datas), 1)),
             data=np.array([item._address for item in self.datas], np.int64),
             qpos=addresses("qpos"),
             qvel=addresses("qvel"),
@@ -241,29 +270,29 @@ class MujocoEngine:
     def _resting_state(self) -> Array:
         mujoco.mj_resetData(self._nominal, self._scratch)
         self._scratch.qpos[:] = resting_qpos(self.robot, self._nominal)
-        return self._read(self._nominal, self._scratch, np.zeros_like(self._native.stretch[0]))
+        return self._read(self._scratch, np.zeros_like(self._native.stretch[0]))
 
-    def _read(self, model: mujoco.MjModel, data: mujoco.MjData, stretch: Array) -> Array:
-        state = np.empty(mujoco.mj_stateSize(model, _STATE))
-        mujoco.mj_getState(model, data, state, _STATE)
+    def _read(self, data: mujoco.MjData, stretch: Array) -> Array:
+        state = np.empty(mujoco.mj_stateSize(self._nominal, _STATE))
+        mujoco.mj_getState(self._nominal, data, state, _STATE)
         return np.concatenate([state, stretch.ravel()])
 
     def advance(self, servo_steps: Index) -> None:
         """Run every robot for its number of servo steps (N,); those that diverge stop and are marked."""
         if self._pool is None:
-            _advance(self._native, self.drive, servo_steps, self.diverged, 0, len(servo_steps))
+            _advance(self._native, self.drive, servo_steps, self.diverged, 0, 0, len(servo_steps))
             return
         # Threads take chunks as they come; drawing from an iterator is atomic under the interpreter's lock.
         chunks = iter(range(0, len(servo_steps), _CHUNK))
-        others = [self._pool.submit(self._work, servo_steps, chunks) for _ in range(self.threads - 1)]
-        self._work(servo_steps, chunks)
+        others = [self._pool.submit(self._work, servo_steps, worker, chunks) for worker in range(1, self.threads)]
+        self._work(servo_steps, 0, chunks)
         for other in others:
             other.result()
 
-    def _work(self, servo_steps: Index, chunks: Iterator[int]) -> None:
+    def _work(self, servo_steps: Index, worker: int, chunks: Iterator[int]) -> None:
         for first in chunks:
             last = min(first + _CHUNK, len(servo_steps))
-            _advance(self._native, self.drive, servo_steps, self.diverged, first, last)
+            _advance(self._native, self.drive, servo_steps, self.diverged, worker, first, last)
 
     def observe(self, i: int) -> None:
         """Write the state of robot `i` to `drive.now`."""
@@ -271,12 +300,12 @@ class MujocoEngine:
 
     def get_state(self, i: int) -> Array:
         """Everything that decides robot `i`'s further motion in the engine."""
-        return self._read(self.models[i], self.datas[i], self._native.stretch[i])
+        return self._read(self.datas[i], self._native.stretch[i])
 
     def set_state(self, i: int, state: Array) -> None:
         """Put robot `i` into a state from `get_state`."""
         stretch = self._native.stretch[i]
-        mujoco.mj_setState(self.models[i], self.datas[i], state[: -stretch.size], _STATE)
+        mujoco.mj_setState(self._nominal, self.datas[i], state[: -stretch.size], _STATE)
         stretch[...] = state[-stretch.size :].reshape(stretch.shape)
         self.diverged[i] = False
 
@@ -293,26 +322,25 @@ class MujocoEngine:
     def set_params(self, i: int, params: PhysicalParams, row: int) -> None:
         """Apply masses, inertias and contact friction of `params[row]` to robot `i`."""
         self._native.friction[i] = params.contact_friction[row]
-        nominal, legs = self._nominal, self._legs
         ratios = (
             params.base_mass_ratio[row],
             params.leg_mass_ratio[row],
             params.base_inertia_ratio[row],
             params.leg_inertia_ratio[row],
         )
-        own = any(ratio != 1.0 for ratio in ratios)
-        if not own or self.models[i] is nominal:
-            self.models[i] = model = copy.copy(nominal) if own else nominal
-            self._native.model[i] = model._address
-        if not own:
-            return
-        model = self.models[i]
-        model.body_mass[self._base] = nominal.body_mass[self._base] * params.base_mass_ratio[row]
-        model.body_mass[legs] = nominal.body_mass[legs] * params.leg_mass_ratio[row]
-        model.body_inertia[self._base] = nominal.body_inertia[self._base] * params.base_inertia_ratio[row]
-        model.body_inertia[legs] = nominal.body_inertia[legs] * params.leg_inertia_ratio[row]
+        if self._ratios[i] != ratios:
+            self._native.mass[i] = self._scaled_masses(*ratios)
+            self._ratios[i] = ratios
+
+    def _scaled_masses(self, base_mass: float, leg_mass: float, base_inertia: float, leg_inertia: float) -> Array:
+        nominal, model, base, legs = self._nominal, self._scratch_model, self._base, self._legs
+        model.body_mass[base] = nominal.body_mass[base] * base_mass
+        model.body_mass[legs] = nominal.body_mass[legs] * leg_mass
+        model.body_inertia[base] = nominal.body_inertia[base] * base_inertia
+        model.body_inertia[legs] = nominal.body_inertia[legs] * leg_inertia
         # Quantities that MuJoCo derives from the masses, with a state of no robot's.
         mujoco.mj_setConst(model, self._scratch)
+        return _masses(model)
 
     def base(self) -> Array:
         """Base position [m], quaternion (w x y z) and velocity [m/s], all in the world frame, (N, 10)."""
@@ -323,6 +351,6 @@ class MujocoEngine:
     def foot_positions(self) -> Array:
         """Centres of the feet in the world frame [m], (N, L, 3)."""
         # MuJoCo's positions are those of the last step's start, or of before a reset.
-        for model, data in zip(self.models, self.datas, strict=True):
-            mujoco.mj_kinematics(model, data)
+        for data in self.datas:
+            mujoco.mj_kinematics(self._nominal, data)
         return np.array([data.geom_xpos[self._feet] for data in self.datas])

@@ -49,7 +49,7 @@ class Engine(Protocol):
         """Set the force [N] on the base's centre of mass."""
 
     def set_params(self, i: int, params: PhysicalParams, row: int) -> None:
-        """Apply masses, inertias and friction of one row to robot `i`."""
+        """Apply masses, inertias and friction of one row to robot `i`, whose state stays as it is."""
 
     def base(self) -> Array:
         """Base position, quaternion and velocity in the world, (N, 10)."""
@@ -163,18 +163,21 @@ class SimWorld:
             self.engine.observe(i)
             record(drive, i)
 
-    def step(self, target: ArrayLike) -> Readings:
+    def step(self, target: ArrayLike, active: NDArray[np.bool_] | None = None) -> Readings:
         """Hold motor angles (N, M) [rad] for one control step of each robot; readings at its end.
+
+        With `active` (N,), time stands still for all other robots, which cost nothing.
 
         A control step that is no whole number of servo steps is kept on average: the k-th one ends at the
         servo step nearest to k times the control step. A robot that diverges, or is sent angles that are not
         finite, is put back to its resting pose, counted in `divergences` and marked in `truth().diverged`.
         """
-        self.drive.target[:] = target
+        going = np.ones(self.num_envs, np.bool_) if active is None else active
+        np.copyto(self.drive.target, target, where=going[:, None])
         period = self.params.control_step / self.robot.timing.servo_step
         before = np.round(self._control_steps * period)
-        self._control_steps += 1
-        self._draw_noise(np.flatnonzero(self._control_steps % _NOISE_BLOCK == 0))
+        self._control_steps[going] += 1
+        self._draw_noise(np.flatnonzero(going & (self._control_steps % _NOISE_BLOCK == 0)))
         self.engine.diverged |= ~np.isfinite(self.drive.target).all(axis=1)
         self.engine.advance((np.round(self._control_steps * period) - before).astype(np.int64))
         self._diverged = self.engine.diverged.copy()
@@ -242,9 +245,7 @@ class SimWorld:
             getattr(self.params, name)[rows] = values
         set_drive_params(self.drive, rows, params)
         for row, i in enumerate(rows):
-            state = self.engine.get_state(i)
             self.engine.set_params(i, params, row)
-            self.engine.set_state(i, state)
 
     def push(self, force_world: ArrayLike) -> None:
         """Set the force (N, 3) [N] on each base's centre of mass from now on, in the world frame."""

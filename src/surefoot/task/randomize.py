@@ -1,0 +1,207 @@
+"""Randomization: an episode's physical parameters, drawn uniformly from ranges that are data.
+
+The rows are those of Tan et al. 2018, table I, and a few more that a robot may be uncertain in. A range is the least and
+the greatest value; a row without a range keeps its nominal value.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from surefoot.configuration import from_mapping, read_yaml
+from surefoot.errors import SurefootError, choices
+from surefoot.robot import PhysicalParams, RobotDescription
+from surefoot.seeding import generators
+
+Array = NDArray[np.float64]
+Range = tuple[float, float] | None
+
+_RANGES = Path(__file__).parent / "ranges"
+
+
+@dataclass(frozen=True)
+class Row:
+    """What one row of a table of ranges sets."""
+
+    params: tuple[str, ...]
+    """Physical parameters; each draws a number of its own from the row's range."""
+    each: bool = False
+    """Whether each motor, or each axis of the IMU, draws a number of its own too."""
+
+
+ROWS: dict[str, Row] = {
+    "mass": Row(("base_mass_ratio", "leg_mass_ratio")),
+    "motor_friction": Row(("motor_friction",)),
+    "inertia": Row(("base_inertia_ratio", "leg_inertia_ratio")),
+    "motor_strength": Row(("motor_strength",), each=True),
+    "control_step": Row(("control_step",)),
+    "latency": Row(("control_latency",)),
+    "voltage": Row(("voltage",)),
+    "contact_friction": Row(("contact_friction",)),
+    "imu_bias": Row(("imu_bias",), each=True),
+    "imu_noise": Row(("imu_noise",)),
+    "torque_constant": Row(("torque_constant",)),
+    "resistance": Row(("resistance",)),
+    "servo_latency": Row(("servo_latency",)),
+}
+"""Every row that can be drawn. New ones go to the end, so that the others' draws stay what they were."""
+
+
+@dataclass(frozen=True)
+class RandomizeConfig:
+    """Ranges (least, greatest) from which every episode draws its physical parameters; None: nominal."""
+
+    mass: Range = None
+    """Mass to the description's; base and legs draw their own."""
+    motor_friction: Range = None
+    """Coulomb friction of the motors [N m]."""
+    inertia: Range = None
+    """Rotational inertia to the description's; base and legs draw their own."""
+    motor_strength: Range = None
+    """Motor torque to the model's; each motor draws its own."""
+    control_step: Range = None
+    """Time between two commands of the policy [s]."""
+    latency: Range = None
+    """Age of the readings that the policy sees [s]."""
+    voltage: Range = None
+    """Battery voltage [V]."""
+    contact_friction: Range = None
+    """Lateral friction coefficient of the feet."""
+    imu_bias: Range = None
+    """Constant error of roll and of pitch, each its own [rad]."""
+    imu_noise: Range = None
+    """Standard deviation of the noise on roll and pitch [rad]."""
+    torque_constant: Range = None
+    """Torque constant K_t [N m/A]; not in the paper's table."""
+    resistance: Range = None
+    """Armature resistance R [Ohm]; not in the paper's table."""
+    servo_latency: Range = None
+    """Age of what the servo sees [s]; not in the paper's table."""
+
+    def __post_init__(self) -> None:
+        """Refuse reversed ranges."""
+        for name, (low, high) in self.ranges.items():
+            if not low <= high:
+                raise SurefootError(f"randomize.{name} is [{low:g}, {high:g}]; the lower bound must come first")
+
+    @property
+    def ranges(self) -> dict[str, tuple[float, float]]:
+        """Rows that have a range, and their ranges."""
+        given = {item.name: getattr(self, item.name) for item in fields(self)}
+        return {name: value for name, value in given.items() if value is not None}
+
+
+def range_names() -> list[str]:
+    """Names of the tables of ranges that ship with surefoot."""
+    return sorted(path.stem for path in _RANGES.glob("*.yaml"))
+
+
+def load_ranges(name: str) -> RandomizeConfig:
+    """Read a table of ranges by name or by the path of a YAML file.
+
+    Raises:
+        SurefootError: no such table, or a file that does not fit.
+    """
+    path = _RANGES / f"{name}.yaml" if name in range_names() else Path(name)
+    if not path.is_file():
+        raise SurefootError(
+            f"randomize '{name}' does not exist; choices: {choices(range_names())}, or the path of a YAML file"
+        )
+    try:
+        return from_mapping(RandomizeConfig, read_yaml(path), "randomize")
+    except SurefootError as error:
+        raise SurefootError(f"{path}: {error}") from None
+
+
+def row_values(row: str, values: ArrayLike) -> dict[str, Array]:
+    """The physical parameters that a row sets, when each takes the same value of `values` (N,)."""
+    return {name: np.asarray(values, np.float64) for name in ROWS[row].params}
+
+
+def check_ranges(config: RandomizeConfig, robot: RobotDescription) -> None:
+    """Refuse ranges outside what the robot's description allows.
+
+    Raises:
+        SurefootError: with the row, its range, the rule and the bounds.
+    """
+    for row, given in config.ranges.items():
+        for name in ROWS[row].params:
+            low, high = robot.allowed[name]
+            if not (low <= given[0] and given[1] <= high):
+                unit = PhysicalParams.__dataclass_fields__[name].metadata["unit"]
+                raise SurefootError(
+                    f"randomize.{row} is [{given[0]:g}, {given[1]:g}]; "
+                    f"{robot.name} allows {name} from {low:g} to {high:g} (unit: {unit})"
+                )
+
+
+class Randomizer:
+    """Draws physical parameters for robots whose episodes start.
+
+    Each robot has a stream of its own, and an episode takes as many numbers from it whatever the ranges are: a robot
+    draws the same in any batch, and a row's draws do not change when another row is dropped.
+
+    Args:
+        config: the ranges.
+        robot: says what is allowed.
+        nominal: values of all that is not drawn, one row a robot.
+        seed: the one seed.
+
+    Raises:
+        SurefootError: a range outside what the robot allows.
+    """
+
+    def __init__(self, config: RandomizeConfig, robot: RobotDescription, nominal: PhysicalParams, seed: int) -> None:
+        check_ranges(config, robot)
+        self.ranges, self.nominal = config.ranges, nominal
+        self.streams = generators(seed, "randomize", nominal.num_envs)
+        self._places: dict[str, tuple[str, slice]] = {}
+        used = 0
+        for row, what in ROWS.items():
+            for name in what.params:
+                width = getattr(nominal, name)[0].size if what.each else 1
+                self._places[name] = (row, slice(used, used + width))
+                used += width
+        self._numbers = used
+
+    @property
+    def enabled(self) -> bool:
+        """Whether anything is drawn at all."""
+        return bool(self.ranges)
+
+    def draw(self, index: NDArray[np.int64]) -> PhysicalParams:
+        """Parameters of new episodes of the robots at `index`, one row each."""
+        unit = np.array([self.streams[i].uniform(size=self._numbers) for i in index])
+        params = self.nominal.rows(index)
+        for name, (row, place) in self._places.items():
+            if row in self.ranges:
+                low, high = self.ranges[row]
+                values = getattr(params, name)
+                drawn = low + (high - low) * unit[:, place]
+                values[...] = drawn if values.ndim == 2 else drawn[:, 0]
+        return params
+
+    def scaled(self, params: PhysicalParams) -> Array:
+        """Drawn parameters of robots as numbers from -1 to 1 (N, P): what a critic may know."""
+        columns = []
+        for name, (row, _) in self._places.items():
+            if row in self.ranges and self.ranges[row][1] > self.ranges[row][0]:
+                low, high = self.ranges[row]
+                values = getattr(params, name).reshape(params.num_envs, -1)
+                if not ROWS[row].each:
+                    values = values[:, :1]
+                columns.append((2 * values - low - high) / (high - low))
+        return np.concatenate(columns, axis=1) if columns else np.zeros((params.num_envs, 0))
+
+
+def with_ranges(data: dict[str, Any]) -> dict[str, Any]:
+    """A task's table with `randomize` as a table, where it names a table of ranges or a file."""
+    given = data.get("randomize")
+    if not isinstance(given, str):
+        return data
+    return {**data, "randomize": vars(load_ranges(given))}
