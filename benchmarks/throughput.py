@@ -4,7 +4,10 @@
             same model goes through the same motion
     world   `SimWorld.step`: servo, motor, delays, foot contact and sensors around every physics step
     env     `LocomotionEnv.step` with the policy file deciding
+    drawn   the same with all of table I but the control step drawn anew at every reset
+    unequal the same with control steps of 3 to 20 ms in one batch, counted in physics steps
     train   whole PPO updates, learning included
+    train+  the same with all of table I drawn
     authors one process a core of the authors' PyBullet environment, where `pybullet` is installed
 
 Each layer is timed in turns, several rounds; the median is reported.
@@ -32,7 +35,9 @@ from surefoot.evaluate.rollout import task_from_contract
 from surefoot.learn.config import load_train_config
 from surefoot.learn.trainer import Trainer
 from surefoot.policy.runtime import PolicyRuntime
+from surefoot.task.config import TaskConfig
 from surefoot.task.env import LocomotionEnv
+from surefoot.task.randomize import RandomizeConfig, load_ranges
 from surefoot.world.mujoco_model import build_model
 from surefoot.world.sim_world import SimWorld
 
@@ -54,9 +59,35 @@ class Bench:
         self.model = build_model(self.env.robot)
         self.rollout = mujoco.rollout.Rollout(nthread=threads)
         self.datas = [mujoco.MjData(self.model) for _ in range(threads)]
+        table1 = load_ranges("table1")
+        self.drawn_env = self._env(task, replace(table1, control_step=None))
+        self.unequal_env = self._env(task, RandomizeConfig(control_step=table1.control_step))
+        self.redraw_seconds = 0.0
+        self._time_redraws(self.drawn_env)
         config = replace(load_train_config("gallop"), threads=threads)
         self.trainer = Trainer(config, SimWorld)
-        self.trainer.update()
+        self.drawn_trainer = Trainer(replace(config, task=replace(config.task, randomize=table1)), SimWorld)
+        for trainer in (self.trainer, self.drawn_trainer):
+            trainer.update()
+
+    def _env(self, task: TaskConfig, ranges: RandomizeConfig) -> LocomotionEnv:
+        drawn = replace(task, randomize=ranges)
+        return LocomotionEnv(drawn, self.num_envs, SimWorld, seed=1, threads=self.threads)
+
+    def _time_redraws(self, env: LocomotionEnv) -> None:
+        """Add up the time that drawing and applying parameters takes."""
+        draw, apply = env.randomizer.draw, env.world.set_params
+
+        def timed(function: Any) -> Any:
+            def call(*arguments: Any) -> Any:
+                start = time.perf_counter()
+                result = function(*arguments)
+                self.redraw_seconds += time.perf_counter() - start
+                return result
+
+            return call
+
+        env.randomizer.draw, env.world.set_params = timed(draw), timed(apply)  # type: ignore[method-assign]
 
     def _act(self, observation: np.ndarray) -> np.ndarray:
         return self.env.gait.action(self.policy.feedback(observation))
@@ -75,17 +106,17 @@ class Bench:
         env.reset(seed=1)
         world = env.world
         world.params.control_step[:] = env.robot.timing.servo_step
-        models, datas = world.engine.models, world.engine.datas
-        size = mujoco.mj_stateSize(models[0], FORCES)
-        initial = np.empty((self.num_envs, mujoco.mj_stateSize(models[0], PHYSICS)))
+        model, datas = world.engine.models[0], world.engine.datas
+        size = mujoco.mj_stateSize(model, FORCES)
+        initial = np.empty((self.num_envs, mujoco.mj_stateSize(model, PHYSICS)))
         forces = np.empty((self.num_envs, self.steps * self.servo_steps, size))
         for i in range(self.num_envs):
-            mujoco.mj_getState(models[i], datas[i], initial[i], PHYSICS)
+            mujoco.mj_getState(model, datas[i], initial[i], PHYSICS)
         for k, target in enumerate(self.targets):
             for j in range(self.servo_steps):
                 world.step(target)
                 for i in range(self.num_envs):
-                    mujoco.mj_getState(models[i], datas[i], forces[i, k * self.servo_steps + j], FORCES)
+                    mujoco.mj_getState(model, datas[i], forces[i, k * self.servo_steps + j], FORCES)
         final = np.array([data.qpos.copy() for data in datas])
         world.params.control_step[:] = self.policy.contract.control_step
         return initial, forces, final
@@ -113,18 +144,48 @@ class Bench:
 
     def environment(self) -> tuple[int, float]:
         """Observation, policy, reward and episodes added."""
-        observation, _ = self.env.reset(seed=1)
+        return self._run(self.env)
+
+    def drawn(self) -> tuple[int, float]:
+        """Physical parameters drawn at every reset added."""
+        self.redraw_seconds = 0.0
+        steps, seconds = self._run(self.drawn_env)
+        self.redraw_share = self.redraw_seconds / seconds
+        return steps, seconds
+
+    def unequal(self) -> tuple[int, float]:
+        """Control steps that differ between robots added."""
+        return self._run(self.unequal_env)
+
+    def _run(self, env: LocomotionEnv) -> tuple[int, float]:
+        """As many control steps as an episode has on average here, the reset included."""
         start = time.perf_counter()
+        observation, _ = env.reset()
+        physics = 0
         for _ in range(self.steps):
-            observation, *_ = self.env.step(self._act(observation))
-        return self.num_envs * self.steps * self.servo_steps, time.perf_counter() - start
+            servo_steps = env.world.drive.ticks.copy()
+            observation, *_ = env.step(self._act(observation))
+            went = env.world.drive.ticks - servo_steps
+            physics += int(went[went > 0].sum())
+        return physics, time.perf_counter() - start
 
     def train(self) -> tuple[int, float]:
         """Learning added."""
+        return self._train(self.trainer)
+
+    def train_drawn(self) -> tuple[int, float]:
+        """Learning with all of table I drawn."""
+        return self._train(self.drawn_trainer)
+
+    def _train(self, trainer: Trainer) -> tuple[int, float]:
+        world = trainer.env.world
         start = time.perf_counter()
+        mean_steps = []
         for _ in range(3):
-            self.trainer.update()
-        return 3 * self.trainer.config.samples_per_update * self.servo_steps, time.perf_counter() - start
+            trainer.update()
+            mean_steps.append(world.params.control_step.mean() / trainer.env.robot.timing.servo_step)
+        seconds = time.perf_counter() - start
+        return int(3 * trainer.config.samples_per_update * statistics.mean(mean_steps)), seconds
 
 
 def authors_rate() -> float | None:
@@ -150,16 +211,27 @@ def main() -> int:
     parser.add_argument("--threads", type=int, default=os.cpu_count() or 1)
     options = parser.parse_args()
     bench = Bench(options.num_envs, options.steps, options.threads)
-    layers = {"bare": bench.bare, "world": bench.world, "env": bench.environment, "train": bench.train}
+    layers = {
+        "bare": bench.bare,
+        "world": bench.world,
+        "env": bench.environment,
+        "drawn": bench.drawn,
+        "unequal": bench.unequal,
+        "train": bench.train,
+        "train+": bench.train_drawn,
+    }
     rates: dict[str, list[float]] = {name: [] for name in layers}
     for _ in range(options.rounds):
         for name, layer in layers.items():
             steps, seconds = layer()
             rates[name].append(steps / seconds)
     result: dict[str, Any] = {name: statistics.median(values) for name, values in rates.items()}
-    for name in ("world", "env", "train"):
-        ratios = [layer / bare for layer, bare in zip(rates[name], rates["bare"], strict=True)]
+    pairs = [(name, "bare") for name in ("world", "env", "train")]
+    pairs += [("drawn", "env"), ("unequal", "env"), ("train+", "train")]
+    for name, base in pairs:
+        ratios = [layer / other for layer, other in zip(rates[name], rates[base], strict=True)]
         result[f"{name}_ratio"] = statistics.median(ratios)
+    result["redraw_share"] = bench.redraw_share
     result["replay_error_m"] = bench.replay_error
     result["authors"] = authors_rate()
     if result["authors"]:
@@ -169,9 +241,10 @@ def main() -> int:
         return 0
     print(f"{options.num_envs} robots, {options.threads} threads, median of {options.rounds} rounds")
     for name in layers:
-        ratio = f"{result[f'{name}_ratio']:.2f} of bare" if name != "bare" else ""
+        ratio = next((f"{result[f'{a}_ratio']:.2f} of {b}" for a, b in pairs if a == name), "")
         spread = f"({min(rates[name]):,.0f} to {max(rates[name]):,.0f})"
-        print(f"  {name:6} {result[name]:>9,.0f} physics steps/s {spread:24} {ratio}")
+        print(f"  {name:7} {result[name]:>9,.0f} physics steps/s {spread:24} {ratio}")
+    print(f"  drawing and applying parameters: {100 * result['redraw_share']:.1f} % of the time of 'drawn'")
     print(f"  the bare engine's replay ends within {result['replay_error_m']:.1e} of the world's motion")
     if result["authors"]:
         print(

@@ -1,7 +1,7 @@
 """Randomization: an episode's physical parameters, drawn uniformly from ranges that are data.
 
-The rows are those of Tan et al. 2018, table I, and a few more that a robot may be uncertain in. A range is the least and
-the greatest value; a row without a range keeps its nominal value.
+The rows are those of Tan et al. 2018, table I, and a few more that a robot may be uncertain in. A range is the least
+and the greatest value; a row without a range keeps its nominal value.
 """
 
 from __future__ import annotations
