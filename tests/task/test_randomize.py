@@ -1,0 +1,779 @@
+"""Randomization: what is drawn, that it is measured in physics, servo and sensors, and when it is drawn anew."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+from scipy import stats
+
+from surefoot.configuration import from_mapping
+from surefoot.errors import SurefootError
+from surefoot.robot import PhysicalParams
+from surefoot.task.config import FeedbackConfig, TaskConfig, load_task
+from surefoot.task.env import LocomotionEnv
+from surefoot.task.randomize import (
+    ROWS,
+    RandomizeConfig,
+    Randomizer,
+    check_ranges,
+    load_ranges,
+    range_names,
+    row_values,
+)
+from surefoot.world.mujoco_model import build_model
+from surefoot.world.sim_world import SimWorld
+
+TABLE_1 = {
+    "mass": (0.80, 1.20),
+    "motor_friction": (0.0, 0.05),
+    "inertia": (0.50, 1.50),
+    "motor_strength": (0.80, 1.20),
+    "control_step": (0.003, 0.020),
+    "latency": (0.0, 0.040),
+    "voltage": (14.0, 16.8),
+    "contact_friction": (0.5, 1.25),
+    "imu_bias": (-0.05, 0.05),
+    "imu_noise": (0.0, 0.05),
+}
+"""Tan et al. 2018, table I, in SI units."""
+MORE = {"torque_constant": (0.08, 0.11), "resistance": (0.15, 0.22), "servo_latency": (0.0, 0.010)}
+FULL = RandomizeConfig(**TABLE_1, **MORE)
+NUMBERS = {
+    **{row: 1 for row in ROWS},
+    "mass": 2,  # base, legs
+    "inertia": 2,  # base, legs
+    "motor_strength": 8,  # each motor
+    "imu_bias": 2,  # roll, pitch
+}
+"""How many numbers an episode draws from each row."""
+
+
+def numbers(params: PhysicalParams, row: str) -> np.ndarray:
+    """The numbers (N, k) of one row; one that all motors share counts once."""
+    if row == "motor_friction":
+        return params.motor_friction[:, :1]
+    return np.concatenate([getattr(params, name).reshape(params.num_envs, -1) for name in ROWS[row].params], axis=1)
+
+
+def same(first: PhysicalParams, second: PhysicalParams) -> bool:
+    return all(np.array_equal(getattr(first, name), getattr(second, name)) for name in PhysicalParams.names())
+
+
+@pytest.fixture
+def make_randomizer(robot):
+    def make(num_envs: int = 4, config: RandomizeConfig = FULL, seed: int = 5, **nominal: float) -> Randomizer:
+        return Randomizer(config, robot, PhysicalParams.nominal(robot, num_envs).with_values(robot, **nominal), seed)
+
+    return make
+
+
+# --- what is drawn ----------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def many(robot) -> list[PhysicalParams]:
+    """Forty episodes of each of 100 robots."""
+    randomizer = Randomizer(FULL, robot, PhysicalParams.nominal(robot, 100), seed=11)
+    return [randomizer.draw(np.arange(100)) for _ in range(40)]
+
+
+@pytest.mark.parametrize("row", ROWS)
+def test_draws_are_uniform_over_the_range(many, row):
+    drawn = np.concatenate([numbers(params, row) for params in many])
+    low, high = FULL.ranges[row]
+    assert drawn.shape == (4000, NUMBERS[row])
+    assert drawn.min() >= low
+    assert drawn.max() <= high
+    for column in drawn.T:
+        assert stats.kstest(column, "uniform", (low, high - low)).pvalue > 0.005
+
+
+def test_all_numbers_are_independent(many):
+    drawn = np.array([np.concatenate([numbers(params, row) for row in ROWS], axis=1) for params in many])
+    assert drawn.shape == (40, 100, 23)
+    between = np.corrcoef(drawn.reshape(4000, 23), rowvar=False) - np.eye(23)
+    # The standard error of a correlation of 4000 pairs is .016; this is four of them.
+    assert np.abs(between).max() < 0.064
+    for first, second in ((drawn[:-1], drawn[1:]), (drawn[:, :-1], drawn[:, 1:])):  # episodes, and robots, in a row
+        for k in range(23):
+            assert abs(np.corrcoef(first[..., k].ravel(), second[..., k].ravel())[0, 1]) < 0.064
+
+
+def test_all_motors_share_one_friction(many):
+    assert np.all(many[0].motor_friction == many[0].motor_friction[:, :1])
+
+
+def test_what_has_no_row_or_no_range_stays_nominal(make_randomizer, robot):
+    randomizer = make_randomizer(3, RandomizeConfig(mass=(0.8, 1.2)), servo_kp=1.5, voltage=15.0)
+    drawn = randomizer.draw(np.array([2, 0]))
+    expected = PhysicalParams.nominal(robot, 2).with_values(robot, servo_kp=1.5, voltage=15.0)
+    for name in set(PhysicalParams.names()) - {"base_mass_ratio", "leg_mass_ratio"}:
+        assert np.array_equal(getattr(drawn, name), getattr(expected, name)), name
+    assert np.all(randomizer.nominal.base_mass_ratio == 1.0)  # a draw leaves the nominal values alone
+    assert np.all(drawn.base_mass_ratio != 1.0)
+
+
+# --- on what a draw depends -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("i", [0, 3, 40])
+def test_a_robot_draws_the_same_in_any_batch(make_randomizer, i):
+    few, lots = make_randomizer(i + 1), make_randomizer(64)
+    for _ in range(3):
+        assert same(few.draw(np.array([i])), lots.draw(np.arange(64)).rows([i]))
+
+
+def test_the_order_of_resets_does_not_matter(make_randomizer):
+    one, other = make_randomizer(), make_randomizer()
+    assert same(one.draw(np.array([3, 1])).rows([1, 0]), other.draw(np.array([1, 3])))
+    # Robots 0 and 2 have not drawn yet, and 1 and 3 have drawn once, whatever the order.
+    one.draw(np.array([0])), one.draw(np.array([2]))
+    other.draw(np.array([2, 0]))
+    assert same(one.draw(np.arange(4)), other.draw(np.arange(4)))
+
+
+@pytest.mark.parametrize(("seed", "equal"), [(5, True), (6, False)])
+def test_draws_depend_on_the_seed_alone(make_randomizer, seed, equal):
+    one, other = make_randomizer(seed=5).draw(np.arange(4)), make_randomizer(seed=seed).draw(np.arange(4))
+    for row in ROWS:
+        assert np.array_equal(numbers(one, row), numbers(other, row)) == equal
+
+
+def test_episodes_and_robots_draw_differently(make_randomizer):
+    randomizer = make_randomizer()
+    first, second = randomizer.draw(np.arange(4)), randomizer.draw(np.arange(4))
+    for row in ROWS:
+        drawn = np.concatenate([numbers(first, row), numbers(second, row)])
+        assert len(np.unique(drawn)) == drawn.size
+
+
+@pytest.mark.parametrize("row", ROWS)
+def test_a_row_dropped_or_narrowed_leaves_the_others_draws(make_randomizer, row):
+    low, high = FULL.ranges[row]
+    width = high - low
+    narrow = (low + 0.25 * width, low + 0.5 * width)
+    full, dropped, narrowed = (
+        make_randomizer(config=replace(FULL, **change)) for change in ({}, {row: None}, {row: narrow})
+    )
+    for _ in range(2):
+        drawn = [randomizer.draw(np.arange(4)) for randomizer in (full, dropped, narrowed)]
+        for other in set(ROWS) - {row}:
+            for params in drawn[1:]:
+                assert np.array_equal(numbers(drawn[0], other), numbers(params, other)), other
+        for name in ROWS[row].params:
+            was, now = getattr(drawn[0], name), getattr(drawn[2], name)
+            # The same number from 0 to 1, over a quarter of the range.
+            np.testing.assert_allclose((now - narrow[0]) / (narrow[1] - narrow[0]), (was - low) / width, atol=1e-12)
+
+
+# --- drawn values, measured -------------------------------------------------------------------------------
+
+STILL: dict[str, Any] = {
+    "feedback": FeedbackConfig(swing=(-0.5, 0.5), extension=(1.5, 2.5)),
+    "start_linear_speed": 0.0,
+    "start_angular_speed": 0.0,
+}
+
+
+def make_env(ranges: dict[str, Any], num_envs: int = 4, seed: int = 1, **task: Any) -> LocomotionEnv:
+    """Robots that stand still at first, with these ranges."""
+    config = TaskConfig(**{**STILL, "randomize": RandomizeConfig(**ranges), **task})
+    return LocomotionEnv(config, num_envs, SimWorld, seed, threads=1)
+
+
+FINE = {"control_step": 0.001}
+"""A command for every servo step, so that the truth of every servo step is known."""
+
+
+def wave(env: LocomotionEnv, k: int) -> np.ndarray:
+    """Motor angles that keep all legs busy, for the servo step k."""
+    phase = 2 * np.pi * 2.0 * 0.001 * k + np.array([0, np.pi, np.pi, 0])
+    return env.robot.leg_to_motor_angles(0.3 * np.sin(phase), 2.0 + 0.35 * np.sin(phase))
+
+
+def lift(env: LocomotionEnv, height: float = 2.0) -> None:
+    for data in env.world.engine.datas:
+        data.qpos[2] = height
+
+
+def test_mass_base_and_legs_weigh_what_was_drawn(robot):
+    env = make_env({"mass": (0.8, 1.2)}, num_envs=16)
+    for _ in range(450):
+        env.world.step(env.world.resting_angles)
+    depth = robot.leg_geometry.foot_radius - env.world.foot_positions()[:, :, 2]
+    weighed = robot.contact.stiffness * depth.sum(axis=1) / 9.81
+    ratios = np.stack([env.world.params.base_mass_ratio, env.world.params.leg_mass_ratio], axis=1)
+    base = sum(robot.urdf.links[name].mass for name in robot.urdf.fixed_to(robot.base))
+    expected = base, robot.urdf.total_mass - base
+    assert expected == pytest.approx((5.993, 1.48))
+    np.testing.assert_allclose(weighed, ratios @ expected, rtol=1e-3)
+    # Kilograms for one unit of either ratio, from the weights alone.
+    slopes = np.linalg.lstsq(ratios, weighed, rcond=None)[0]
+    np.testing.assert_allclose(slopes, expected, rtol=0.01)
+
+
+def own_model(env: LocomotionEnv, i: int, without: str = "") -> mujoco.MjModel:
+    """A model apart from the engine's with robot i's drawn masses and inertias; `without` one of them."""
+    model, params = build_model(env.robot), env.world.params
+    for body in range(1, model.nbody):
+        part = "base" if model.body(body).name == env.robot.base else "leg"
+        for quantity, array in (("mass", model.body_mass), ("inertia", model.body_inertia)):
+            name = f"{part}_{quantity}_ratio"
+            if name != without:
+                array[body] *= getattr(params, name)[i]
+    mujoco.mj_setConst(model, mujoco.MjData(model))
+    return model
+
+
+def own_motion(model: mujoco.MjModel, start: np.ndarray, forces: list[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
+    """Coordinates after each servo step under the forces given, from a state of another MuJoCo."""
+    data = mujoco.MjData(model)
+    mujoco.mj_setState(model, data, start, mujoco.mjtState.mjSTATE_INTEGRATION)
+    path = []
+    for joint_force, body_force in forces:
+        data.qfrc_applied[:], data.xfrc_applied[:] = joint_force, body_force
+        mujoco.mj_step(model, data)
+        path.append(data.qpos.copy())
+    return np.array(path)
+
+
+@pytest.mark.parametrize("row", ["mass", "inertia"])
+def test_mass_and_inertia_move_as_in_a_model_of_our_own(row):
+    env = make_env({row: FULL.ranges[row]}, num_envs=3, params=FINE)
+    engine = env.world.engine
+    size = mujoco.mj_stateSize(build_model(env.robot), mujoco.mjtState.mjSTATE_INTEGRATION)
+    start = [engine.get_state(i)[:size] for i in range(3)]
+    forces: list[list[Any]] = [[], [], []]
+    path: list[list[np.ndarray]] = [[], [], []]
+    for k in range(120):
+        env.world.step(wave(env, k))
+        for i, data in enumerate(engine.datas):
+            forces[i].append((data.qfrc_applied.copy(), data.xfrc_applied.copy()))
+            path[i].append(data.qpos.copy())
+    for i in range(3):
+        assert np.array_equal(own_motion(own_model(env, i), start[i], forces[i]), path[i])
+        for part in ("base", "leg"):
+            other = own_motion(own_model(env, i, without=f"{part}_{row}_ratio"), start[i], forces[i])
+            assert np.abs(other - path[i]).max() > 1e-6
+
+
+def angular_momentum(model: mujoco.MjModel, data: mujoco.MjData, base_ratio: float, leg_ratio: float) -> np.ndarray:
+    """About the centre of mass [N m s], summed body by body; ratios of inertia."""
+    mine, velocity, total = mujoco.MjData(model), np.empty(6), np.zeros(3)
+    mine.qpos[:], mine.qvel[:] = data.qpos, data.qvel
+    mujoco.mj_forward(model, mine)
+    centre = model.body_mass @ mine.xipos / model.body_mass.sum()
+    for body in range(1, model.nbody):
+        mujoco.mj_objectVelocity(model, mine, mujoco.mjtObj.mjOBJ_BODY, body, velocity, 0)
+        ratio = base_ratio if model.body(body).name == "base" else leg_ratio
+        frame = mine.ximat[body].reshape(3, 3)
+        total += frame * (ratio * model.body_inertia[body]) @ frame.T @ velocity[:3]
+        total += model.body_mass[body] * np.cross(mine.xipos[body] - centre, velocity[3:])
+    return total
+
+
+def test_inertia_sets_what_a_torque_turns(robot):
+    # In the air, a torque for a time is the gain of angular momentum, whatever the legs do.
+    env = make_env({"inertia": (0.5, 1.5)}, num_envs=6)
+    lift(env)
+    params, model, datas = env.world.params, build_model(robot), env.world.engine.datas
+    ratios = list(zip(params.base_inertia_ratio, params.leg_inertia_ratio, strict=True))
+    torque = np.array([1.0, -0.5, 2.0])
+    for data in datas:
+        data.xfrc_applied[model.body(robot.base).id, 3:] = torque
+    start = [angular_momentum(model, data, *ratio) for data, ratio in zip(datas, ratios, strict=True)]
+    unaware = [angular_momentum(model, data, 1.0, 1.0) for data in datas]
+    for _ in range(10):
+        env.world.step(env.world.resting_angles)
+    for i, data in enumerate(datas):
+        gained = angular_momentum(model, data, *ratios[i]) - start[i]
+        np.testing.assert_allclose(gained, 0.06 * torque, atol=1e-3)
+        if abs(ratios[i][0] - 1) > 0.1:
+            gained = angular_momentum(model, data, 1.0, 1.0) - unaware[i]
+            assert np.abs(gained - 0.06 * torque).max() > 5e-3
+
+
+class MotorLog:
+    """What the motors of an environment went through, one entry a servo step."""
+
+    def __init__(self, env: LocomotionEnv, targets: list[np.ndarray]) -> None:
+        self.robot, self.params = env.robot, env.world.params
+        engine, robot = env.world.engine, env.robot
+        model = build_model(robot)
+        dofs = [model.joint(name).dofadr[0] for name in robot.motor_names]
+        angle, speed, torque, applied = [], [], [], []
+        for target in targets:
+            truth = env.world.truth()
+            angle.append(truth.motor_angle)
+            speed.append(truth.motor_velocity)
+            env.world.step(target)
+            torque.append(env.world.truth().motor_torque)
+            applied.append(np.array([data.qfrc_applied[dofs] * robot.motor_sign for data in engine.datas]))
+        self.target = np.array([np.broadcast_to(target, angle[0].shape) for target in targets])
+        self.angle, self.speed = np.array(angle), np.array(speed)
+        self.torque, self.applied = np.array(torque), np.array(applied)
+
+    def by_hand(self, **changed: Any) -> np.ndarray:
+        """Torque on each motor's shaft (steps, N, M) by eq. 5 to 7 of the paper; `changed` parameters for all."""
+        robot, steps = self.robot, len(self.angle)
+        params = self.params.with_values(robot, **changed)
+        time = 0.001 * np.arange(steps)
+        expected = np.empty_like(self.torque)
+        for i, m in np.ndindex(*self.angle.shape[1:]):
+            angle, speed = (
+                np.interp(time - params.servo_latency[i], time, x[:, i, m]) for x in (self.angle, self.speed)
+            )
+            duty = params.servo_kp[i] * (self.target[:, i, m] - angle) - params.servo_kd[i] * speed
+            now = self.speed[:, i, m]
+            net = np.clip(duty, -1, 1) * params.voltage[i] - params.torque_constant[i] * now
+            current = net / params.resistance[i]
+            torque = np.sign(current) * np.interp(np.abs(current), *robot.torque_table) * params.motor_strength[i, m]
+            expected[:, i, m] = torque - params.motor_friction[i, m] * np.tanh(now / 0.1)
+        return expected
+
+
+@pytest.mark.parametrize(
+    "row", ["motor_strength", "motor_friction", "voltage", "torque_constant", "resistance", "servo_latency"]
+)
+def test_the_motors_answer_as_drawn(row):
+    env = make_env({row: FULL.ranges[row]}, num_envs=3, params=FINE)
+    log = MotorLog(env, [wave(env, k) for k in range(80)])
+    np.testing.assert_allclose(log.applied, log.by_hand(), rtol=1e-9, atol=1e-9)
+    nominal = {name: env.robot.nominal_params()[name] for name in ROWS[row].params}
+    apart = np.abs(log.applied - log.by_hand(**nominal)).max(axis=0)
+    assert np.all(apart > 1e-6)  # each motor of each robot
+
+
+def test_motor_strength_each_motor_its_own(robot):
+    # All robots start in the same state: the first servo step's torque differs by strength alone.
+    env, nominal = make_env({"motor_strength": (0.8, 1.2)}, params=FINE), make_env({}, num_envs=1, params=FINE)
+    target = env.world.resting_angles + 0.3
+    for world in (env.world, nominal.world):
+        world.step(target)
+    ratio = env.world.truth().motor_torque / nominal.world.truth().motor_torque
+    np.testing.assert_allclose(ratio, env.world.params.motor_strength, rtol=1e-12)
+    assert len(np.unique(env.world.params.motor_strength)) == 4 * 8
+
+
+def test_motor_friction_brakes_a_turning_motor():
+    env = make_env({"motor_friction": (0.01, 0.05)}, params=FINE)
+    log = MotorLog(env, [wave(env, k) for k in range(80)])
+    turning = np.abs(log.speed) > 0.5
+    assert turning.sum() > 500
+    measured = -(log.applied - log.torque) * np.sign(log.speed)
+    drawn = np.broadcast_to(env.world.params.motor_friction, measured.shape)
+    np.testing.assert_allclose(measured[turning], drawn[turning], rtol=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("row", "given"),
+    [("voltage", (14.0, 16.8)), ("torque_constant", (0.08, 0.11)), ("resistance", (0.4, 0.6))],
+)
+def test_torque_at_full_duty_follows_the_current(row, given):
+    # I = (V - K_t qdot) / R, solved for what was drawn. R of half an ohm keeps I below 60 A, where the torque is flat.
+    env = make_env({row: given}, params={**FINE, "resistance": 0.5})
+    log = MotorLog(env, [env.world.resting_angles + 1.5] * 30)  # 1.5 rad at k_p = 1: duty is cut to 1
+    currents, torques = env.robot.torque_table
+    current = np.interp(log.torque, torques, currents)
+    speed, params = log.speed, env.world.params
+    volt, constant, resistance = (
+        value[None, :, None] for value in (params.voltage, params.torque_constant, params.resistance)
+    )
+    use = (log.target - log.angle > 1.2) & (speed > 2.0) & (current > 1.0)
+    assert use.sum(axis=(0, 2)).min() > 20
+    measured = {
+        "voltage": current * resistance + constant * speed,
+        "torque_constant": (volt - current * resistance) / np.where(use, speed, 1.0),
+        "resistance": (volt - constant * speed) / np.where(use, current, 1.0),
+    }[row]
+    drawn = np.broadcast_to(getattr(params, row)[None, :, None], measured.shape)
+    np.testing.assert_allclose(measured[use], drawn[use], rtol=1e-9)
+    assert len(np.unique(getattr(params, row))) == 4
+
+
+def test_control_step_on_the_robots_clocks():
+    env = make_env({"control_step": (0.003, 0.020)}, num_envs=8)
+    period = env.world.params.control_step
+    for k in range(1, 101):
+        env.step(np.zeros((8, 8)))
+        # Each ends at the nearest servo step, and none drifts.
+        np.testing.assert_allclose(env.readings.time, k * period, atol=0.0005 + 1e-9)
+    assert period.max() > 2 * period.min()
+
+
+def test_latency_is_the_age_of_the_readings():
+    env = make_env({"latency": (0.0, 0.040)}, params=FINE)
+    truths, time = [env.world.truth()], 0.001 * np.arange(101)
+    for k in range(100):
+        readings = env.world.step(wave(env, k))
+        truths.append(env.world.truth())
+    for i, latency in enumerate(env.world.params.control_latency):
+        for name in ("motor_angle", "motor_velocity", "roll_pitch_yaw"):
+            path = np.array([getattr(truth, name)[i] for truth in truths])
+            old = [np.interp(0.1 - latency, time, column) for column in path.T]
+            np.testing.assert_allclose(getattr(readings, name)[i], old, atol=1e-12)
+        now, read = truths[-1].motor_velocity[i], readings.motor_velocity[i]
+        assert np.abs(read - now).max() > 0.1 * min(latency / 0.001, 1)
+
+
+def test_contact_friction_sets_where_feet_slide_and_how_they_slow():
+    # A sideways force that rises to 0.2 of the weight: feet slide where mu is less and hold where it is more.
+    env = make_env({"contact_friction": (0.05, 0.45)}, num_envs=16, params=FINE)
+    world, model = env.world, build_model(env.robot)
+    feet = [model.body(leg.foot).id for leg in env.robot.legs]
+    for _ in range(100):
+        world.step(world.resting_angles)
+    start, ratio, speed = world.foot_positions().mean(axis=1), np.zeros(16), []
+    for k in range(600):
+        world.push(np.tile([0.0, 0.2 * min(k / 300, 1) * 7.473 * 9.81, 0.0], (16, 1)))
+        world.step(world.resting_angles)
+        force = np.array([data.xfrc_applied[feet, :3] for data in world.engine.datas])
+        share = np.linalg.norm(force[..., :2], axis=-1) / np.maximum(force[..., 2], 1.0)
+        ratio = np.maximum(ratio, share.max(axis=1))
+        speed.append(world.truth().base_velocity_world[:, 1])
+    slipped = (world.foot_positions().mean(axis=1) - start)[:, 1]
+    mu = world.params.contact_friction
+    # Between the two the robot rocks on its legs, and feet without load let go now and then.
+    slide, hold = mu < 0.19, mu > 0.3
+    assert slide.sum() > 4
+    assert hold.sum() > 4
+    assert np.all(slipped[slide] > 0.02)
+    assert np.all(np.abs(slipped[hold]) < 0.005)
+    gained = (speed[599] - speed[399]) / 0.2
+    # Newton: the force is 0.2 of the weight, friction takes mu of it.
+    np.testing.assert_allclose(gained[slide], 9.81 * (0.2 - mu[slide]), rtol=0.05)
+    assert np.all(ratio <= mu + 1e-9)
+    np.testing.assert_allclose(ratio[slide], mu[slide], rtol=1e-9)
+
+
+def errors(env: LocomotionEnv, steps: int) -> np.ndarray:
+    """Read roll, pitch and yaw less the true ones (steps, N, 3)."""
+    path = []
+    for _ in range(steps):
+        env.step(np.zeros((env.num_envs, 8)))
+        path.append(env.readings.roll_pitch_yaw - env.truth.roll_pitch_yaw)
+    return np.array(path)
+
+
+def test_imu_bias_is_in_the_readings():
+    env = make_env({"imu_bias": (-0.05, 0.05)}, params={"control_latency": 0.0})
+    error, drawn = errors(env, 20), env.world.params.imu_bias
+    np.testing.assert_allclose(error[..., :2], np.broadcast_to(drawn, (20, 4, 2)), atol=1e-12)
+    assert np.all(error[..., 2] == 0)
+    assert len(np.unique(drawn)) == 8
+
+
+def test_imu_noise_is_in_the_readings():
+    env = make_env({"imu_noise": (0.01, 0.05)}, params={"control_latency": 0.0})
+    error, drawn = errors(env, 900), env.world.params.imu_noise
+    assert np.all(error[..., 2] == 0)
+    # The standard error of a standard deviation of 1800 numbers is 1.7 %, that of a mean 2.4 %.
+    spread = error[..., :2].std(axis=(0, 2))
+    np.testing.assert_allclose(spread, drawn, rtol=0.06)
+    assert np.all(np.abs(error[..., :2].mean(axis=(0, 2))) < 0.08 * drawn)
+    assert drawn.max() > 1.5 * drawn.min()
+
+
+def test_bias_and_noise_add_up():
+    env = make_env({"imu_bias": (-0.05, 0.05), "imu_noise": (0.01, 0.02)}, params={"control_latency": 0.0})
+    error, params = errors(env, 900)[..., :2], env.world.params
+    assert np.all(np.abs(error.mean(axis=0) - params.imu_bias) < 0.15 * params.imu_noise[:, None])
+    np.testing.assert_allclose(error.std(axis=0).mean(axis=1), params.imu_noise, rtol=0.06)
+
+
+# --- when it is drawn -------------------------------------------------------------------------------------
+
+
+def run(env: LocomotionEnv, steps: int, seed: int = 0) -> list[np.ndarray]:
+    draw = np.random.default_rng(seed)
+    path = []
+    for _ in range(steps):
+        observation, reward, terminated, truncated, _ = env.step(draw.uniform(-1, 1, (env.num_envs, 8)))
+        path += [observation, reward, terminated, truncated, env.privileged()]
+        path += [getattr(env.world.params, name).copy() for name in PhysicalParams.names()]
+    return path
+
+
+def same_path(first: list[np.ndarray], second: list[np.ndarray]) -> bool:
+    return all(np.array_equal(a, b) for a, b in zip(first, second, strict=True))
+
+
+def changed(env: LocomotionEnv, before: PhysicalParams) -> np.ndarray:
+    """Whether each number of each row of the table differs from before, (N, rows)."""
+    now = env.world.params
+    return np.array(
+        [
+            [np.any(getattr(now, name)[i] != getattr(before, name)[i]) for row in TABLE_1 for name in ROWS[row].params]
+            for i in range(env.num_envs)
+        ]
+    )
+
+
+def kept(env: LocomotionEnv) -> PhysicalParams:
+    return env.world.params.rows(np.arange(env.num_envs))
+
+
+def test_the_first_episode_is_drawn():
+    env, nominal = make_env(TABLE_1), PhysicalParams.nominal(make_env({}).robot, 4)
+    assert changed(env, nominal).all()
+
+
+def test_every_reset_draws_anew_for_the_robots_that_restart():
+    env = make_env(TABLE_1)
+    env.reset()
+    before = kept(env)
+    env.reset(options={"reset_mask": np.array([False, True, False, True])})
+    assert changed(env, before).all(axis=1).tolist() == [False, True, False, True]
+    assert changed(env, before).any(axis=1).tolist() == [False, True, False, True]
+    before = kept(env)
+    env.reset()
+    assert changed(env, before).all()
+
+
+def test_a_robot_that_starts_anew_by_itself_draws_alone():
+    env = make_env(TABLE_1)
+    env.reset()
+    before, strength = kept(env), env.world.drive.strength.copy()
+    env.step(np.zeros((4, 8)))
+    assert not changed(env, before).any()
+    env.world.engine.datas[2].qpos[3:7] = np.cos(0.5), np.sin(0.5), 0.0, 0.0  # rolled by 1 rad
+    *_, terminated, _, _ = env.step(np.zeros((4, 8)))
+    assert terminated.tolist() == [False, False, True, False]
+    assert changed(env, before).all(axis=1).tolist() == [False, False, True, False]
+    assert changed(env, before).any(axis=1).tolist() == [False, False, True, False]
+    # It arrived where the motors are computed.
+    assert np.array_equal(env.world.drive.strength != strength, np.repeat([[False, False, True, False]], 8, 0).T)
+
+
+def test_the_end_of_an_episode_draws_anew():
+    env = make_env(TABLE_1, max_steps=3)
+    env.reset()
+    before = kept(env)
+    for _ in range(2):
+        env.step(np.zeros((4, 8)))
+    assert not changed(env, before).any()
+    env.step(np.zeros((4, 8)))
+    assert changed(env, before).all()
+
+
+def test_without_autoreset_an_episode_that_is_over_keeps_its_parameters():
+    task = TaskConfig(**{**STILL, "randomize": RandomizeConfig(**TABLE_1), "max_steps": 2})
+    env = LocomotionEnv(task, 2, SimWorld, 1, autoreset=False, threads=1)
+    env.reset()
+    before = kept(env)
+    for _ in range(4):
+        env.step(np.zeros((2, 8)))
+    assert env.over.all()
+    assert not changed(env, before).any()
+
+
+def test_a_seeded_reset_repeats_all_draws():
+    env = make_env(TABLE_1, max_steps=12, seed=8)
+    env.reset(seed=3)
+    path = run(env, 30)
+    env.reset(seed=3)
+    assert same_path(path, run(env, 30))
+    assert same_path(path, run(make_env(TABLE_1, max_steps=12, seed=3), 30))
+    env.reset(seed=4)
+    assert not same_path(path, run(env, 30))
+
+
+def test_a_robots_episodes_do_not_depend_on_the_batch():
+    few, lots = (make_env(TABLE_1, num_envs=n, max_steps=10) for n in (3, 11))
+    draw = np.random.default_rng(2)
+    for _ in range(35):
+        action = draw.uniform(-1, 1, (11, 8))
+        (one, reward, *_), (other, rewards, *_) = few.step(action[:3]), lots.step(action)
+        assert np.array_equal(one, other[:3])
+        assert np.array_equal(reward, rewards[:3])
+
+
+def test_a_state_taken_and_given_back_goes_on_alike():
+    table = {**TABLE_1, **MORE}
+    env, other = (
+        make_env(table, num_envs=3, seed=seed, max_steps=20, start_linear_speed=0.05, history=2) for seed in (1, 2)
+    )
+    run(env, 30)
+    state = env.get_state()
+    path = run(env, 55)  # over the ends of several episodes, whose parameters are drawn after the state was taken
+    other.set_state(state)
+    assert same_path(path, run(other, 55))
+    env.set_state(state)
+    assert same_path(path, run(env, 55))
+
+
+# --- nothing to draw --------------------------------------------------------------------------------------
+
+
+def test_a_range_of_the_nominal_value_is_as_no_range(robot):
+    nominal = robot.nominal_params()
+    ranges = {row: (nominal[what.params[0]],) * 2 for row, what in ROWS.items()}
+    values = {"max_steps": 15, "start_linear_speed": 0.05}
+    env, plain = make_env(ranges, **values), make_env({}, **values)
+    assert env.randomizer.enabled
+    assert not plain.randomizer.enabled
+    assert same_path(run(env, 40), run(plain, 40))
+
+
+def test_without_ranges_nothing_is_drawn(robot):
+    env = make_env({}, max_steps=5, params={"voltage": 15.0})
+    run(env, 12)
+    expected = PhysicalParams.nominal(robot, 4).with_values(robot, voltage=15.0)
+    assert same(kept(env), expected)
+    assert TaskConfig().randomize == RandomizeConfig() == load_ranges("none")
+    assert load_ranges("none").ranges == {}
+
+
+# --- what a critic may know -------------------------------------------------------------------------------
+
+
+def test_scaled_is_from_minus_one_to_one(make_randomizer, many):
+    randomizer = make_randomizer()
+    scaled = np.concatenate([randomizer.scaled(params) for params in many])
+    assert scaled.shape == (4000, 23)
+    assert np.abs(scaled).max() <= 1 + 1e-12
+    assert np.all(scaled.min(axis=0) < -0.99)
+    assert np.all(scaled.max(axis=0) > 0.99)
+
+
+def test_scaled_by_hand(robot, make_randomizer):
+    config = RandomizeConfig(mass=(0.8, 1.2), voltage=(14.0, 16.0), imu_bias=(-0.05, 0.05), resistance=(0.2, 0.2))
+    params = PhysicalParams.nominal(robot, 2).with_values(
+        robot,
+        base_mass_ratio=[0.8, 1.2],
+        leg_mass_ratio=[1.0, 1.1],
+        voltage=[14.5, 16.0],
+        imu_bias=[[0.05, 0], [0, -0.025]],
+    )
+    # Base, legs, voltage, roll, pitch; a range without width tells nothing.
+    expected = [[-1, 0, -0.5, 1, 0], [1, 0.5, 1, 0, -0.5]]
+    np.testing.assert_allclose(make_randomizer(2, config).scaled(params), expected, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("ranges", "width"),
+    [
+        ({}, 0),
+        ({"mass": (0.8, 1.2)}, 2),
+        ({"motor_strength": (0.8, 1.2)}, 8),
+        ({"motor_friction": (0.0, 0.05)}, 1),
+        ({"imu_bias": (-0.05, 0.05), "latency": (0.01, 0.01)}, 2),
+        (TABLE_1, 20),
+    ],
+)
+def test_the_critics_state_grows_by_what_is_drawn(ranges, width):
+    env, plain = make_env(ranges), make_env({})
+    grown = env.privileged()
+    assert grown.shape[1] - plain.privileged().shape[1] == width
+    if width:
+        np.testing.assert_allclose(grown[:, -width:], env.randomizer.scaled(env.world.params), atol=1e-6)
+
+
+# --- ranges as data ---------------------------------------------------------------------------------------
+
+
+def test_table1_is_the_papers():
+    assert load_ranges("table1").ranges == TABLE_1
+    assert range_names() == ["none", "table1"]
+
+
+def test_row_values_are_the_rows_parameters():
+    values = row_values("mass", [0.8, 1.2])
+    assert {name: list(value) for name, value in values.items()} == {
+        "base_mass_ratio": [0.8, 1.2],
+        "leg_mass_ratio": [0.8, 1.2],
+    }
+    assert list(row_values("latency", [0.0, 0.04])) == ["control_latency"]
+
+
+@pytest.mark.parametrize(
+    ("ranges", "pieces"),
+    [
+        ({"latency": [0.03, 0.01]}, ["randomize.latency is [0.03, 0.01]", "the lower bound must come first"]),
+        ({"latency": [0.0, 15]}, ["randomize.latency is [0, 15]", "control_latency from 0 to 0.1 (unit: s)"]),
+        ({"latency": [-0.01, 0.02]}, ["randomize.latency is [-0.01, 0.02]", "from 0 to 0.1 (unit: s)"]),
+        ({"control_step": [3, 20]}, ["randomize.control_step is [3, 20]", "from 0.001 to 0.05 (unit: s)"]),
+        ({"mass": [80, 120]}, ["randomize.mass is [80, 120]", "minitaur allows base_mass_ratio from 0.2 to 5"]),
+        ({"voltage": [14.0, 168.0]}, ["randomize.voltage is [14, 168]", "voltage from 5 to 30 (unit: V)"]),
+        ({"imu_noise": [-0.05, 0.05]}, ["randomize.imu_noise", "imu_noise from 0 to 0.5 (unit: rad)"]),
+        ({"voltage": [14.0, float("inf")]}, ["randomize.voltage is [14, inf]", "from 5 to 30 (unit: V)"]),
+        ({"voltage": [float("nan"), 16.0]}, ["randomize.voltage is [nan, 16]"]),
+        ({"voltage": [14.0, float("nan")]}, ["randomize.voltage is [14, nan]"]),
+        ({"mass": [0.8]}, ["randomize.mass is [0.8]", "2 values, each a number"]),
+        ({"mass": 0.8}, ["randomize.mass is 0.8", "2 values, each a number"]),
+        ({"mass": ["light", "heavy"]}, ["randomize.mass is ['light', 'heavy']"]),
+        ({"colour": [0, 1]}, ["randomize.colour is no key", "keys: mass, motor_friction", "servo_latency"]),
+    ],
+)
+def test_ranges_that_cannot_be_are_refused(robot, ranges, pieces):
+    feedback = {"extension": [1.5, 2.5]}
+    for make in (
+        lambda: check_ranges(from_mapping(RandomizeConfig, ranges, "randomize"), robot),
+        lambda: LocomotionEnv(from_mapping(TaskConfig, {"feedback": feedback, "randomize": ranges}), 1, SimWorld),
+    ):
+        with pytest.raises(SurefootError) as caught:
+            make()
+        assert "\n" not in str(caught.value)
+        for piece in pieces:
+            assert piece in str(caught.value)
+
+
+def test_a_table_that_is_not_there_is_refused(tmp_path: Path):
+    with pytest.raises(SurefootError) as caught:
+        load_ranges("tabel1")
+    assert str(caught.value) == "randomize 'tabel1' does not exist; choices: none, table1, or the path of a YAML file"
+    with pytest.raises(SurefootError, match="does not exist"):
+        load_ranges(str(tmp_path))
+    (tmp_path / "bad.yaml").write_text("mass: [1.2, 0.8]\n")
+    with pytest.raises(SurefootError, match=r"bad.yaml: randomize.mass is \[1.2, 0.8\]; the lower bound must come"):
+        load_ranges(str(tmp_path / "bad.yaml"))
+    (tmp_path / "cut.yaml").write_text("mass: [1.2,\n")
+    with pytest.raises(SurefootError, match=r"cut.yaml: is not YAML"):
+        load_ranges(str(tmp_path / "cut.yaml"))
+
+
+def task_file(folder: Path, randomize: str) -> str:
+    path = folder / "task.yaml"
+    path.write_text(f"feedback: {{extension: [1.5, 2.5]}}\n{randomize}\n")
+    return str(path)
+
+
+def test_a_task_names_a_table_or_has_its_own(tmp_path: Path):
+    assert load_task(task_file(tmp_path, ""))[0].randomize.ranges == {}
+    assert load_task(task_file(tmp_path, "randomize: none"))[0].randomize.ranges == {}
+    assert load_task(task_file(tmp_path, "randomize: table1"))[0].randomize.ranges == TABLE_1
+    own = "randomize:\n  mass: [0.9, 1.1]\n  latency: [0, 0.02]\n  voltage: null"
+    assert load_task(task_file(tmp_path, own))[0].randomize.ranges == {"mass": (0.9, 1.1), "latency": (0.0, 0.02)}
+    (tmp_path / "mine.yaml").write_text("voltage: [15, 16]\n")
+    by_path = load_task(task_file(tmp_path, f"randomize: {tmp_path / 'mine.yaml'}"))[0]
+    assert by_path.randomize.ranges == {"voltage": (15.0, 16.0)}
+
+
+def test_a_tables_path_counts_from_the_tasks_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    # As that of a reference does, wherever surefoot is run.
+    (tmp_path / "mine.yaml").write_text("voltage: [15, 16]\n")
+    task = task_file(tmp_path, "randomize: mine.yaml")
+    (tmp_path / "elsewhere").mkdir()
+    monkeypatch.chdir(tmp_path / "elsewhere")
+    assert load_task(task)[0].randomize.ranges == {"voltage": (15.0, 16.0)}
+
+
+@pytest.mark.parametrize(
+    ("randomize", "pieces"),
+    [
+        ("randomize: tabel1", ["task.yaml: randomize 'tabel1' does not exist; choices: none, table1"]),
+        ("randomize: {mass: [1.2, 0.8]}", ["task.yaml: randomize.mass is [1.2, 0.8]"]),
+        ("randomize: {speed: [1, 2]}", ["task.yaml: randomize.speed is no key; keys: mass"]),
+        ("randomize: 3", ["task.yaml: randomize is 3; it must be a table"]),
+    ],
+)
+def test_a_task_with_ranges_that_do_not_fit_is_refused(tmp_path: Path, randomize, pieces):
+    with pytest.raises(SurefootError) as caught:
+        load_task(task_file(tmp_path, randomize))
+    for piece in pieces:
+        assert piece in str(caught.value)
