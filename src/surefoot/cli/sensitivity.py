@@ -1,0 +1,241 @@
+"""`surefoot sensitivity`: which physical parameters break a policy, one at a time."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import tyro
+
+from surefoot.cli.parsing import parse
+from surefoot.errors import SurefootError
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from surefoot.evaluate.sensitivity import Progress, Sensitivity
+
+
+@dataclass(frozen=True)
+class SensitivityCommand:
+    """Run policies in worlds that differ from the nominal one in one physical parameter, and say what breaks them.
+
+    Each row of a table of ranges, the paper's table I by default, takes evenly spaced values within its range while
+    all else stays nominal. Mean and standard deviation of the return over all these test worlds tell how robust a
+    policy is. Written to --out: sensitivity.csv, one line a world; episodes.csv, one line an episode; a figure for
+    each row and one for all of them.
+    """
+
+    policies: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="POLICY [POLICY ...]")]
+    """Paths of policy files (.onnx), or names of policies that ship with surefoot."""
+    out: Path = Path("sensitivity")
+    """Folder for tables (.csv) and figures (.png)."""
+    ranges: str = "table1"
+    """Rows to vary and their ranges: the name of a table, or a YAML file."""
+    values: int = 10
+    """Values of each row, evenly spaced, the ends of its range included."""
+    episodes: int = 8
+    """Episodes in each world."""
+    duration: float | None = None
+    """Length of an episode [s], the same in all worlds; the longest of the policies' tasks, if not given."""
+    pushes: bool = False
+    """Push the robot at random, as its task says how; without this nothing pushes."""
+    seed: int = 1
+    """The one seed."""
+    json: bool = False
+    """Print one JSON object instead of tables."""
+    world: str = "mujoco"
+    """Where to run: mujoco."""
+    threads: int = 0
+    """Threads of the simulation; 0 means one a core."""
+
+
+def main(argv: list[str]) -> int:
+    """Run the command with the words after its name; returns the exit code."""
+    command = parse(SensitivityCommand, argv, "surefoot sensitivity", config=(tyro.conf.FlagCreatePairsOff,))
+    for name, number, least in (("episodes", command.episodes, 1), ("values", command.values, 2)):
+        if number < least:
+            raise SurefootError(f"{name} is {number}; it must be {least} or more")
+    if not command.policies:
+        raise SurefootError("no policy is given; give one or more .onnx files, or names of policies that ship")
+    if command.duration is not None and not command.duration > 0:
+        raise SurefootError(f"duration is {command.duration:g} s; it must be over 0")
+    from surefoot.cli.policies import find_policy, find_world, load_policy
+    from surefoot.task.randomize import check_ranges, load_ranges
+
+    paths = [find_policy(policy) for policy in command.policies]
+    make_world = find_world(command.world)
+    ranges = load_ranges(command.ranges)
+    loaded = [load_policy(path, None) for path in paths]
+    names = distinct_names([policy.contract.name for policy, _, _ in loaded], [path.stem for path in paths])
+    robot = loaded[0][1]
+    for name, (_, other, _) in zip(names, loaded, strict=True):
+        if other.name != robot.name:
+            raise SurefootError(
+                f"policy '{name}' is for robot '{other.name}' and '{names[0]}' for '{robot.name}'; "
+                "policies that are compared must be for the same robot"
+            )
+    check_ranges(ranges, robot)
+    import_module("matplotlib")
+    command.out.mkdir(parents=True, exist_ok=True)
+    from rich.console import Console
+
+    from surefoot.evaluate.sensitivity import episode_duration, run_sensitivity
+
+    duration = command.duration or max(episode_duration(task) for _, _, task in loaded)
+    console = Console(stderr=True)
+    results = []
+    for name, (policy, _, task) in zip(names, loaded, strict=True):
+        with _Bar(console, name) as progress:
+            results.append(
+                run_sensitivity(
+                    policy,
+                    task,
+                    make_world,
+                    policy_name=name,
+                    ranges=ranges,
+                    values=command.values,
+                    episodes=command.episodes,
+                    duration=duration,
+                    seed=command.seed,
+                    threads=command.threads,
+                    pushes=command.pushes,
+                    progress=progress,
+                )
+            )
+    trained = {name: task.randomize.ranges for name, (_, _, task) in zip(names, loaded, strict=True)}
+    files = write_files(command.out, results, trained)
+    if command.json:
+        whole = {
+            "world": command.world,
+            "robot": robot.name,
+            "ranges": {row: list(given) for row, given in ranges.ranges.items()},
+            "values": command.values,
+            "episodes": command.episodes,
+            "duration": duration,
+            "pushes": command.pushes,
+            "seed": command.seed,
+            "policies": [
+                summary(result) | {"policy_file": str(path), "config_hash": policy.contract.config_hash}
+                for result, path, (policy, _, _) in zip(results, paths, loaded, strict=True)
+            ],
+            "files": [str(file) for file in files],
+        }
+        print(json.dumps(whole, allow_nan=False))
+    else:
+        print_tables(results, files)
+    return 0
+
+
+def distinct_names(names: Sequence[str], stems: Sequence[str]) -> list[str]:
+    """Names that tell policies apart: a name given twice becomes the file's, and then gets a number.
+
+    Args:
+        names: the policies' own names.
+        stems: the names of their files.
+    """
+    often = Counter(names)
+    chosen = [name if often[name] == 1 else stem for name, stem in zip(names, stems, strict=True)]
+    often, taken = Counter(chosen), set(chosen)
+    for i, name in enumerate(chosen):
+        if often[name] > 1:
+            number = 1
+            while f"{name}-{number}" in taken:
+                number += 1
+            chosen[i] = f"{name}-{number}"
+            taken.add(chosen[i])
+    return chosen
+
+
+class _Bar:
+    """A progress bar on stderr, so that stdout is the result's alone."""
+
+    def __init__(self, console: Console, name: str) -> None:
+        from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
+
+        columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
+        self._bar = Progress(*columns, console=console, transient=True, disable=not console.is_terminal)
+        self._row = self._bar.add_task(name, total=None)
+        self._calls = 0
+
+    def __enter__(self) -> Progress:
+        self._bar.start()
+        return self._show
+
+    def __exit__(self, *_: object) -> None:
+        self._bar.stop()
+
+    def _show(self, done: int, total: int) -> None:
+        self._calls += 1
+        if self._calls % 10 == 0 or done == total:
+            self._bar.update(self._row, completed=done, total=total)
+
+
+def write_files(
+    folder: Path, results: list[Sensitivity], trained: dict[str, dict[str, tuple[float, float]]]
+) -> list[Path]:
+    """Write both tables, a figure for each row and one for all; returns the files."""
+    from surefoot.evaluate.sensitivity import write_csv, write_episodes_csv
+    from surefoot.report.sensitivity_figures import aggregate_figure, parameter_figure
+
+    files = [write_csv(folder / "sensitivity.csv", results), write_episodes_csv(folder / "episodes.csv", results)]
+    files.append(aggregate_figure(results, folder / "aggregate.png"))
+    for row in results[0].rows:
+        files.append(parameter_figure(row, results, folder / f"{row}.png", trained_ranges=trained))
+    return files
+
+
+def summary(result: Sensitivity) -> dict[str, Any]:
+    """What a program wants to know of one policy, as JSON holds it."""
+    from surefoot.evaluate.sensitivity import find_breaks, plain_words
+
+    return {
+        "policy": result.policy,
+        "test_worlds": len(result.worlds),
+        "return_mean": result.mean,
+        "return_std": result.std,
+        "fall_rate": result.fall_rate,
+        "nominal_return": result.nominal.mean_return,
+        "nominal_falls": int(result.nominal.fell.sum()),
+        "breaks": [vars(item) for item in find_breaks(result)],
+        "words": plain_words(result),
+    }
+
+
+def print_tables(results: list[Sensitivity], files: list[Path]) -> None:
+    """Print each policy's table and what breaks it, then the files."""
+    from rich.console import Console
+    from rich.table import Table
+
+    from surefoot.evaluate.sensitivity import plain_words, row_unit
+
+    console = Console()
+    for result in results:
+        nominal = f"nominal return {result.nominal.mean_return:.2f} m"
+        table = Table(title=f"{result.policy}, {len(result.worlds)} test worlds, {nominal}")
+        table.add_column("row")
+        for column in ("range", "worst return (m)", "at", "falls"):
+            table.add_column(column, justify="right")
+        for row in result.rows:
+            rows, unit = result.of_row(row), row_unit(row)
+            worst = rows[result.mean_return[rows].argmin()]
+            ends = [result.worlds[i].value for i in (rows[0], rows[-1])]
+            table.add_row(
+                row,
+                f"{ends[0]:.3g} to {ends[1]:.3g} {unit}".rstrip(),
+                f"{result.mean_return[worst]:.2f}",
+                f"{result.worlds[worst].value:.3g} {unit}".rstrip(),
+                f"{result.fell[rows].sum()} of {result.fell[rows].size}",
+            )
+        spread = f"{result.mean:.2f} ± {result.std:.2f}"
+        table.add_section()
+        table.add_row("all", "", f"mean {spread}", "", f"{result.fell.sum()} of {result.fell.size}")
+        console.print(table)
+        console.print(plain_words(result), highlight=False, markup=False, soft_wrap=True)
+        console.print()
+    console.print(f"wrote {files[0].parent}:", ", ".join(file.name for file in files), highlight=False, soft_wrap=True)

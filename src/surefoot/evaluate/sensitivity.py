@@ -1,0 +1,428 @@
+"""Sensitivity of a policy to physical parameters: it is run in worlds that differ from the nominal one in one of them.
+
+After Tan et al. 2018, section VI: each parameter of table I takes evenly spaced values within its range, while all
+others stay nominal, and the mean and standard deviation of the return over all these test worlds tell how robust a
+policy is.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surefoot.errors import SurefootError
+from surefoot.evaluate.rollout import Policy
+from surefoot.files import whole_file
+from surefoot.robot import PhysicalParams, RobotDescription
+from surefoot.task.config import TaskConfig
+from surefoot.task.env import LocomotionEnv
+from surefoot.task.randomize import ROWS, RandomizeConfig, check_ranges, load_ranges, row_values
+from surefoot.world.interface import Simulation, SimulationFactory, WorldConfig
+
+Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True)
+class TestWorld:
+    """A world that differs from the nominal one in one row of a table of ranges."""
+
+    __test__ = False  # no test of pytest's, whatever its name
+
+    row: str
+    """Row of the table."""
+    value: float
+    """What all parameters of the row are set to, for every motor and axis."""
+
+
+@dataclass(frozen=True)
+class Nominal:
+    """The nominal world, which the others are compared with."""
+
+    values: Mapping[str, float] = field(default_factory=dict)
+    """Value of each row of the table."""
+    returns: Array = field(default_factory=lambda: np.zeros(0))
+    """Return of each episode [m], (E,)."""
+    fell: Flags = field(default_factory=lambda: np.zeros(0, np.bool_))
+    """Whether each episode ended in a fall, (E,)."""
+    speed: Array = field(default_factory=lambda: np.zeros(0))
+    """Speed in each episode [m/s], (E,)."""
+
+    @property
+    def mean_return(self) -> float:
+        """Mean of the returns [m]; NaN where the nominal world was not run."""
+        return float(self.returns.mean()) if self.returns.size else math.nan
+
+
+@dataclass(frozen=True)
+class Sensitivity:
+    """How one policy did in W test worlds, E episodes in each."""
+
+    policy: str
+    """Name of the policy."""
+    worlds: tuple[TestWorld, ...]
+    """Test worlds: row by row of the table, values rising."""
+    returns: Array
+    """Return of each episode [m], to its own end, (W, E)."""
+    fell: Flags
+    """Whether each episode ended in a fall, or the simulation diverged, (W, E)."""
+    speed: Array
+    """Distance forward over time [m/s], to each episode's own end, (W, E)."""
+    nominal: Nominal = field(default_factory=Nominal)
+    """The nominal world; no test world, so in none of the aggregates."""
+
+    @property
+    def episodes(self) -> int:
+        """Episodes in each world."""
+        return self.returns.shape[1]
+
+    @property
+    def mean_return(self) -> Array:
+        """Mean return in each world [m], (W,)."""
+        return np.asarray(self.returns.mean(axis=1), np.float64)
+
+    @property
+    def standard_error(self) -> Array:
+        """Standard error of each world's mean return [m], (W,); NaN where there is one episode only."""
+        if self.episodes < 2:
+            return np.full(len(self.worlds), math.nan)
+        return np.asarray(self.returns.std(axis=1, ddof=1) / math.sqrt(self.episodes), np.float64)
+
+    @property
+    def mean(self) -> float:
+        """Mean over all test worlds of their mean returns [m]: the paper's measure of performance."""
+        return float(self.mean_return.mean())
+
+    @property
+    def std(self) -> float:
+        """Standard deviation over all test worlds of their mean returns [m]: the paper's measure of robustness."""
+        return float(self.mean_return.std())
+
+    @property
+    def fall_rate(self) -> float:
+        """Share of all episodes in test worlds that ended in a fall."""
+        return float(self.fell.mean())
+
+    @property
+    def rows(self) -> tuple[str, ...]:
+        """Rows of the table that were varied, in its order."""
+        return tuple(dict.fromkeys(world.row for world in self.worlds))
+
+    def of_row(self, row: str) -> NDArray[np.int64]:
+        """Indices of a row's test worlds, values rising."""
+        return np.array([i for i, world in enumerate(self.worlds) if world.row == row], np.int64)
+
+
+def make_test_worlds(ranges: RandomizeConfig, values: int = 10) -> tuple[TestWorld, ...]:
+    """The test worlds of a table of ranges.
+
+    Args:
+        ranges: rows to vary; a range of one value gives one world.
+        values: evenly spaced values in each row's range, both ends included.
+
+    Raises:
+        SurefootError: nothing to vary, or fewer than two values.
+    """
+    if values < 2:
+        raise SurefootError(f"values is {values}; it must be 2 or more, the ends of a range")
+    if not ranges.ranges:
+        raise SurefootError("the table of ranges has no rows; a sensitivity study needs 1 or more, such as table1's")
+    return tuple(
+        TestWorld(row, float(value))
+        for row, (low, high) in ranges.ranges.items()
+        for value in np.linspace(low, high, values if high > low else 1)
+    )
+
+
+def row_unit(row: str) -> str:
+    """Unit of a row's values; empty for a ratio."""
+    unit = str(PhysicalParams.__dataclass_fields__[ROWS[row].params[0]].metadata["unit"])
+    return "" if unit == "1" else unit
+
+
+def episode_duration(task: TaskConfig) -> float:
+    """How long an episode of a task lasts in the nominal world [s]."""
+    nominal = RobotDescription.load(task.robot).timing.control_step
+    return task.max_steps * task.params.get("control_step", nominal)
+
+
+def run_sensitivity(
+    policy: Policy,
+    task: TaskConfig,
+    make_world: SimulationFactory,
+    *,
+    policy_name: str = "",
+    ranges: RandomizeConfig | None = None,
+    values: int = 10,
+    episodes: int = 8,
+    duration: float | None = None,
+    seed: int = 1,
+    threads: int = 0,
+    pushes: bool = False,
+    progress: Progress | None = None,
+) -> Sensitivity:
+    """Run a policy in every test world, and in the nominal one, all of them in one batch.
+
+    Episodes last the same time in all worlds, not the same number of control steps: else the returns of the row
+    `control_step` would tell how long episodes are. Each ends with the whole number of control steps that is nearest
+    to the duration, or with a fall. Episode i starts alike and is pushed alike in every world, so that what differs
+    between two worlds is the worlds' doing; in the nominal world it is episode i of `run_episodes`.
+
+    Args:
+        policy: gives the feedback.
+        task: what is run; its own physical parameters are the nominal ones.
+        make_world: makes the simulation.
+        policy_name: for the results.
+        ranges: rows to vary and their ranges; the paper's table I, if not given.
+        values: evenly spaced values in each range.
+        episodes: episodes in each world.
+        duration: length of an episode [s]; `task.max_steps` nominal control steps, if not given.
+        seed: the one seed.
+        threads: threads of the simulation; 0 means one a core.
+        pushes: whether the base is pushed, as the task says how, every push in full.
+        progress: called after every control step with the control steps done and those of all episodes together;
+            an episode that ends early is done.
+
+    Raises:
+        SurefootError: a number that does not fit, or ranges outside what the robot allows.
+    """
+    for name, number, least in (("episodes", episodes, 1), ("seed", seed, 0)):
+        if number < least:
+            raise SurefootError(f"{name} is {number}; it must be {least} or more")
+    duration = episode_duration(task) if duration is None else duration
+    if not 0 < duration < math.inf:
+        raise SurefootError(f"duration is {duration:g} s; it must be over 0")
+    ranges = load_ranges("table1") if ranges is None else ranges
+    worlds = make_test_worlds(ranges, values)
+    check_ranges(ranges, RobotDescription.load(task.robot))
+    task = replace(
+        task,
+        randomize=RandomizeConfig(),
+        pushes=replace(task.pushes, enabled=pushes, probability=1.0),
+        # Every robot ends by its own number of control steps, which the environment knows nothing about.
+        max_steps=np.iinfo(np.int64).max,
+    )
+    env = LocomotionEnv(
+        task, (1 + len(worlds)) * episodes, _in_worlds(make_world, worlds, episodes), seed, False, threads
+    )
+    _share_streams(env, episodes)
+    steps = np.maximum(np.round(duration / env.world.params.control_step), 1).astype(np.int64)
+    returns, fell, speed = _run(policy, env, steps, progress)
+    shape = (-1, episodes)
+    returns, fell, speed = returns.reshape(shape), fell.reshape(shape), speed.reshape(shape)
+    rows = {row: float(np.mean(getattr(env.nominal, ROWS[row].params[0])[0])) for row in ranges.ranges}
+    nominal = Nominal(rows, returns[0], fell[0], speed[0])
+    return Sensitivity(policy_name, worlds, returns[1:], fell[1:], speed[1:], nominal)
+
+
+def _in_worlds(make_world: SimulationFactory, worlds: Sequence[TestWorld], episodes: int) -> SimulationFactory:
+    """What makes a simulation of which the first `episodes` robots are nominal, the next in the first world, ..."""
+
+    def make(
+        robot: RobotDescription, num_envs: int, nominal: PhysicalParams, seed: int, config: WorldConfig
+    ) -> Simulation:
+        params = nominal.rows(np.arange(num_envs))
+        for number, world in enumerate(worlds, start=1):
+            rows = slice(number * episodes, (number + 1) * episodes)
+            for name, value in row_values(world.row, world.value).items():
+                getattr(params, name)[rows] = value
+        return make_world(robot, num_envs, params, seed, config)
+
+    return make
+
+
+def _share_streams(env: LocomotionEnv, episodes: int) -> None:
+    """Let episode i draw the same random numbers in every world: those of the i-th robot."""
+    state, robots = env.get_state(), env.num_envs
+
+    def shared(streams: list[object]) -> list[object]:
+        return [streams[first + i % episodes] for first in range(0, len(streams), robots) for i in range(robots)]
+
+    state["world"]["streams"] = shared(state["world"]["streams"])
+    state["push_streams"] = shared(state["push_streams"])
+    env.set_state(state)
+
+
+def _run(
+    policy: Policy, env: LocomotionEnv, steps: NDArray[np.int64], progress: Progress | None
+) -> tuple[Array, Flags, Array]:
+    """Run every robot for its own number of control steps; return, fall and speed of each, (N,)."""
+    observation, _ = env.reset()
+    fell = np.zeros(env.num_envs, np.bool_)
+    position, time = env.truth.base_position_world[:, 0].copy(), env.readings.time.copy()
+    start, feedback, total = position.copy(), env.feedback.copy(), int(steps.sum())
+    while not env.over.all():
+        going = ~env.over
+        feedback[going] = policy.feedback(observation[going])
+        observation, _, terminated, _, _ = env.step(env.gait.action(feedback))
+        # A robot that diverged is back at its start; where it was a control step before is what counts.
+        sound = going & ~env.truth.diverged
+        position[sound], time[sound] = env.truth.base_position_world[sound, 0], env.readings.time[sound]
+        fell |= terminated
+        env.over |= env.steps >= steps
+        if progress is not None:
+            progress(int(np.where(env.over, steps, env.steps).sum()), total)
+    speed = np.divide(position - start, time, out=np.zeros_like(time), where=time > 0)
+    return env.returns.copy(), fell, speed
+
+
+@dataclass(frozen=True)
+class Break:
+    """Where a gait stops to hold, going from a row's nominal value to one end of its range.
+
+    A gait breaks in a world in which it falls in half of the episodes or more, or in which its mean return is below
+    half of the nominal one (if that is over 0).
+    """
+
+    row: str
+    """Row of the table."""
+    value: float
+    """Value nearest to the nominal one in whose world the gait breaks."""
+    above: bool
+    """Whether the value is over the nominal one."""
+    fraction: float
+    """How far from the nominal value, over 0, to the end of the range on this side, 1."""
+    falls: int
+    """Episodes in which the robot falls there."""
+    mean_return: float
+    """Mean return there [m]."""
+    beyond: int
+    """Values that were tried beyond."""
+    broken_beyond: int
+    """At how many of these the gait breaks too."""
+
+
+def find_breaks(sensitivity: Sensitivity) -> list[Break]:
+    """Where the gait breaks, up to two a row (below and above its nominal value), the nearest to nominal first."""
+    means, nominal = sensitivity.mean_return, sensitivity.nominal.mean_return
+    broken = sensitivity.fell.mean(axis=1) >= 0.5
+    if nominal > 0:
+        broken |= means < 0.5 * nominal
+    found = []
+    for row in sensitivity.rows:
+        rows = sensitivity.of_row(row)
+        values = np.array([sensitivity.worlds[i].value for i in rows])
+        centre = sensitivity.nominal.values.get(row, float(values.mean()))
+        for above in (True, False):
+            distance = values - centre if above else centre - values
+            # A value that is the nominal one but for rounding belongs to neither side.
+            side = np.flatnonzero(distance > 1e-9 * max(np.ptp(values), abs(centre)))
+            side = side[np.argsort(distance[side])]
+            bad = broken[rows[side]]
+            if not bad.any():
+                continue
+            first = int(np.argmax(bad))
+            world = rows[side[first]]
+            found.append(
+                Break(
+                    row=row,
+                    value=float(values[side[first]]),
+                    above=above,
+                    fraction=float(distance[side[first]] / distance[side[-1]]),
+                    falls=int(sensitivity.fell[world].sum()),
+                    mean_return=float(means[world]),
+                    beyond=len(side) - first - 1,
+                    broken_beyond=int(bad[first + 1 :].sum()),
+                )
+            )
+    return sorted(found, key=lambda item: item.fraction)
+
+
+def plain_words(sensitivity: Sensitivity) -> str:
+    """One line on which parameters break the gait, the nearest to its nominal value first (see `Break`)."""
+    name, nominal, episodes = sensitivity.policy or "policy", sensitivity.nominal, sensitivity.episodes
+    if nominal.fell.size and nominal.fell.mean() >= 0.5:
+        standing = int((sensitivity.fell.mean(axis=1) < 0.5).sum())
+        return (
+            f"{name}: falls in the nominal world already ({nominal.fell.sum()} of {nominal.fell.size} fall); "
+            f"stays up in {standing} of {len(sensitivity.worlds)} test worlds"
+        )
+    parts = []
+    if nominal.mean_return <= 0:
+        parts.append(
+            f"goes nowhere in the nominal world (return {nominal.mean_return:.2f} m), so that only falls count"
+        )
+    breaks = find_breaks(sensitivity)
+    if breaks:
+        told = [_break_words(item, episodes, nominal.mean_return) for item in breaks]
+        parts.append("breaks first at " + ", then ".join([told[0], ", ".join(told[1:])] if told[1:] else told))
+    names = {item.row for item in breaks}
+    holding = [row for row in sensitivity.rows if row not in names]
+    if holding:
+        whole = "" if breaks else "every row: "
+        parts.append(f"holds over the whole range of {whole}{', '.join(holding)}")
+    return f"{name}: {'; '.join(parts)}"
+
+
+def _break_words(item: Break, episodes: int, nominal: float) -> str:
+    """Tell of a break, such as `latency 0.0356 s and above (5 of 8 fall)`."""
+    what = f"{item.row} {item.value:.3g} {row_unit(item.row)}".rstrip()
+    direction = "above" if item.above else "below"
+    if item.beyond and item.broken_beyond == item.beyond:
+        what += f" and {direction}"
+    elif item.broken_beyond:
+        what += f" and {item.broken_beyond} of {item.beyond} values {direction}"
+    elif item.beyond:
+        what += f" but not {direction}"
+    why = [f"{item.falls} of {episodes} fall"] if item.falls else []
+    if 2 * item.falls < episodes:
+        why.append(f"return {item.mean_return:.2f} m instead of {nominal:.2f} m")
+    return f"{what} ({', '.join(why)})"
+
+
+def write_csv(path: str | Path, results: Sequence[Sensitivity]) -> Path:
+    """Write one line for each test world and policy; returns the path.
+
+    Columns: policy, row, unit, value, episodes, return_mean [m], return_standard_error [m] (empty for one episode),
+    return_std [m] (of the population), speed_mean [m/s], falls.
+    """
+    header = "policy,row,unit,value,episodes,return_mean,return_standard_error,return_std,speed_mean,falls"
+    lines = []
+    for result in results:
+        errors = result.standard_error
+        for i, world in enumerate(result.worlds):
+            numbers = (result.mean_return[i], errors[i], result.returns[i].std(), result.speed[i].mean())
+            texts = ["" if math.isnan(number) else f"{number:.6f}" for number in numbers]
+            falls = int(result.fell[i].sum())
+            start = [result.policy, world.row, row_unit(world.row), f"{world.value:.9g}", result.episodes]
+            lines.append([*start, *texts, falls])
+    return _write(Path(path), header, lines)
+
+
+def write_episodes_csv(path: str | Path, results: Sequence[Sensitivity]) -> Path:
+    """Write one line for each episode; returns the path.
+
+    Columns: policy, row (`nominal` for the nominal world), unit, value (empty for the nominal world), episode,
+    return [m], speed [m/s], fell (0 or 1).
+    """
+    lines: list[list[object]] = []
+    for result in results:
+        nominal = result.nominal
+        whole = [("nominal", "", "", nominal.returns, nominal.speed, nominal.fell)]
+        whole += [
+            (world.row, row_unit(world.row), f"{world.value:.9g}", *parts)
+            for world, *parts in zip(result.worlds, result.returns, result.speed, result.fell, strict=True)
+        ]
+        for row, unit, value, *parts in whole:
+            for episode, (gained, speed, fell) in enumerate(zip(*parts, strict=True)):
+                lines.append([result.policy, row, unit, value, episode, f"{gained:.6f}", f"{speed:.6f}", int(fell)])
+    return _write(Path(path), "policy,row,unit,value,episode,return,speed,fell", lines)
+
+
+def _write(path: Path, header: str, lines: Sequence[Sequence[object]]) -> Path:
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(header.split(","))
+    writer.writerows(lines)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with whole_file(path) as file:
+        file.write(text.getvalue().encode())
+    return path
