@@ -1,0 +1,267 @@
+"""Robots of different masses in one batch, masses that change, and robots for which time stands still."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+
+from surefoot.robot import PhysicalParams
+from surefoot.world.interface import Readings, Truth
+from surefoot.world.mujoco_model import build_model
+from surefoot.world.sim_world import SimWorld
+
+RATIOS = ("base_mass_ratio", "leg_mass_ratio", "base_inertia_ratio", "leg_inertia_ratio")
+NUM = 20
+"""Three chunks of eight: two threads share them, and each changes its model's masses again and again."""
+
+
+def masses(num_envs: int = NUM) -> dict[str, np.ndarray]:
+    """Other masses and inertias for each robot; every fourth is nominal."""
+    draw = np.random.default_rng(12)
+    values = {name: draw.uniform(0.5, 1.5, num_envs) for name in RATIOS}
+    for value in values.values():
+        value[::4] = 1.0
+    return values
+
+
+Motion = list[Readings | Truth]
+
+
+@pytest.fixture
+def motion(trot) -> Callable[..., Motion]:
+    """What a world reads in so many control steps of the trot, and where it is at their end."""
+
+    def run(world: SimWorld, steps: int = 40, first: int = 0) -> Motion:
+        return [*(world.step(trot(k)) for k in range(first, first + steps)), world.truth()]
+
+    return run
+
+
+@pytest.fixture
+def assert_same_motion(assert_same) -> Callable[..., None]:
+    def compare(one: Motion, other: Motion, rows: Any = slice(None), other_rows: Any = slice(None)) -> None:
+        for a, b in zip(one, other, strict=True):
+            assert_same(a, b, rows, other_rows)
+
+    return compare
+
+
+def set_ratios(world: SimWorld, rows: list[int], **values: Any) -> None:
+    params = world.params.rows(rows).with_values(world.robot, **values)
+    world.set_params(rows, params)
+
+
+# --- many masses in one batch -----------------------------------------------------------------------------
+
+
+def test_a_robot_moves_alike_alone_and_among_others_of_other_masses(make_world, motion, assert_same_motion):
+    values = masses()
+    crowd = motion(make_world(NUM, config={"threads": 2}, **values))
+    for i in (0, 1, 7, 8, 19):
+        alone = motion(make_world(1, **{name: value[i : i + 1] for name, value in values.items()}))
+        assert_same_motion(crowd, alone, slice(i, i + 1))
+    assert len(np.unique(crowd[-1].motor_angle[:, 0])) == 16  # five are nominal, all others differ
+
+
+def test_threads_and_order_do_not_matter(make_world, motion, assert_same_motion):
+    values = masses()
+    one, two = (motion(make_world(NUM, config={"threads": threads}, **values)) for threads in (1, 2))
+    assert_same_motion(one, two)
+    turned = motion(make_world(NUM, config={"threads": 2}, **{name: value[::-1] for name, value in values.items()}))
+    assert_same_motion(one, turned, slice(None), slice(None, None, -1))
+
+
+def test_a_nominal_robot_among_heavy_ones_moves_as_in_a_world_of_its_own(make_world, motion, assert_same_motion):
+    crowd, plain = motion(make_world(NUM, **masses())), motion(make_world(1))
+    for i in range(0, NUM, 4):
+        assert_same_motion(crowd, plain, slice(i, i + 1))
+
+
+def test_masses_set_later_are_as_those_given_at_the_start(make_world, motion, assert_same_motion):
+    values = masses()
+    world, given = make_world(NUM, config={"threads": 2}), make_world(NUM, config={"threads": 2}, **values)
+    motion(world, 5)
+    set_ratios(world, list(range(NUM)), **values)
+    world.reset()
+    assert_same_motion(motion(world), motion(given))
+
+
+@pytest.mark.parametrize("name", RATIOS)
+def test_each_ratio_matters_and_is_its_own(make_world, motion, name):
+    values = {other: [1.0, 1.0] for other in RATIOS} | {name: [1.0, 1.1]}
+    truth = motion(make_world(2, **values))[-1]
+    assert np.abs(truth.motor_angle[0] - truth.motor_angle[1]).max() > 1e-6
+
+
+def test_masses_change_in_the_middle_of_a_motion(make_world, motion, assert_same_motion):
+    # The state stays as it is; from then on the robot moves as one of that mass from that state.
+    world, heavy = make_world(1), make_world(1, **{name: 1.3 for name in RATIOS})
+    motion(world, 15)
+    state = world.get_state()
+    before = world.truth()
+    set_ratios(world, [0], **{name: 1.3 for name in RATIOS})
+    for name, value in vars(before).items():
+        assert np.array_equal(getattr(world.truth(), name), value), name
+    state["params"] = heavy.get_state()["params"]
+    heavy.set_state(state)
+    assert_same_motion(motion(world, 20, 15), motion(heavy, 20, 15))
+
+
+# --- back to nominal --------------------------------------------------------------------------------------
+
+
+def test_a_ratio_of_one_is_the_nominal_robot_again(make_world, motion, assert_same_motion):
+    world = make_world(NUM, config={"threads": 2}, **masses())
+    motion(world, 10)
+    set_ratios(world, list(range(NUM)), **{name: 0.3 for name in RATIOS})
+    motion(world, 10)
+    set_ratios(world, list(range(NUM)), **{name: 1.0 for name in RATIOS})
+    world.reset()
+    nominal = motion(make_world(1))
+    now = motion(world)
+    for i in range(NUM):
+        assert_same_motion(now, nominal, slice(i, i + 1))
+
+
+def test_what_mujoco_derives_from_masses_is_all_that_a_mass_changes(robot):
+    # The engine copies these arrays between robots; another one that mj_setConst fills would be another robot's.
+    model, nominal = build_model(robot), build_model(robot)
+    model.body_mass[1:] *= 1.2
+    model.body_inertia[1:] *= 1.3
+    mujoco.mj_setConst(model, mujoco.MjData(model))
+    names = [name for name in dir(model) if isinstance(getattr(model, name), np.ndarray)]
+    differ = {
+        name for name in names if not np.array_equal(getattr(model, name), getattr(nominal, name), equal_nan=True)
+    }
+    assert len(names) > 200
+    assert differ == {
+        *("body_mass", "body_inertia", "body_subtreemass"),
+        *("body_invweight0", "dof_M0", "dof_invweight0"),
+    }
+    assert options_of(model.opt) == options_of(nominal.opt)
+
+
+def options_of(options: Any) -> dict[str, Any]:
+    """The options of a model, by name."""
+    names = [name for name in dir(options) if not name.startswith("_")]
+    return {name: np.asarray(getattr(options, name)).tolist() for name in names if not callable(getattr(options, name))}
+
+
+def test_mujocos_constants_of_nominal_masses_are_those_compiled(robot):
+    model, nominal = build_model(robot), build_model(robot)
+    for name in ("body_mass", "body_inertia"):
+        getattr(model, name)[1:] *= 0.7
+    mujoco.mj_setConst(model, mujoco.MjData(model))
+    model.body_mass[:], model.body_inertia[:] = nominal.body_mass, nominal.body_inertia
+    mujoco.mj_setConst(model, mujoco.MjData(model))
+    for name in ("body_subtreemass", "body_invweight0", "dof_M0", "dof_invweight0"):
+        assert np.array_equal(getattr(model, name), getattr(nominal, name)), name
+
+
+# --- robots that are not active ---------------------------------------------------------------------------
+
+BUSY: dict[str, Any] = {
+    "imu_noise": 0.02,
+    "control_step": [0.003, 0.0045, 0.006, 0.0115],
+    "control_latency": [0.0, 0.013, 0.02, 0.04],
+}
+
+
+def same_state(one: dict[str, Any], other: dict[str, Any], rows: list[int], without: tuple[str, ...] = ()) -> bool:
+    """Whether two states of a world of four are alike, to the last bit, in what belongs to some robots."""
+    equal = [one["streams"][k] == other["streams"][k] for i in rows for k in (i, 4 + i)]
+    for part in ("engine", "control_steps", "noise"):
+        equal.append(np.array_equal(one[part][rows], other[part][rows]))
+    for part in ("drive", "params"):
+        for name, array in one[part].items():
+            shared = name in ("table_current", "table_torque", "limits")
+            if name not in without:
+                place = slice(None) if shared else rows
+                equal.append(np.array_equal(array[place], other[part][name][place]))
+    return all(equal)
+
+
+def rows_of(given: Readings | Truth, rows: list[int]) -> list[np.ndarray]:
+    return [getattr(given, name)[rows] for name in vars(given)]
+
+
+def test_time_stands_still_for_robots_that_are_not_active(make_world, trot):
+    world = make_world(4, **BUSY)
+    for k in range(20):
+        world.step(trot(k))
+    state, readings, truth = world.get_state(), world.readings(), world.truth()
+    active = np.array([True, False, True, False])
+    for k in range(20, 320):  # over a block of noise
+        given = world.step(trot(k), active)
+        for before, now in zip(rows_of(readings, [1, 3]), rows_of(given, [1, 3]), strict=True):
+            assert np.array_equal(before, now)
+    now = world.get_state()
+    # What a control step adds up is that of the last one, in which they did nothing.
+    summed = ("energy", "contact_ticks")
+    assert same_state(state, now, [1, 3], without=summed)
+    assert not same_state(state, now, [0, 2], without=summed)
+    for name in set(vars(truth)) - {"energy", "foot_contact"}:
+        assert np.array_equal(getattr(truth, name)[[1, 3]], getattr(world.truth(), name)[[1, 3]]), name
+    assert np.all(given.time[[0, 2]] > readings.time[[0, 2]])
+
+
+def test_active_robots_move_as_if_all_were(make_world, trot):
+    world, all_go = make_world(4, **BUSY), make_world(4, **BUSY)
+    for k in range(320):
+        active = np.array([True, k % 3 == 0, True, False])
+        given, expected = world.step(trot(k), active), all_go.step(trot(k))
+        for a, b in zip(rows_of(given, [0, 2]), rows_of(expected, [0, 2]), strict=True):
+            assert np.array_equal(a, b)
+        for a, b in zip(rows_of(world.truth(), [0, 2]), rows_of(all_go.truth(), [0, 2]), strict=True):
+            assert np.array_equal(a, b)
+    assert same_state(world.get_state(), all_go.get_state(), [0, 2])
+
+
+def test_a_robot_that_waited_goes_on_as_if_it_had_not(make_world, trot):
+    waits, goes = make_world(4, **BUSY), make_world(4, **BUSY)
+    for k in range(15):
+        waits.step(trot(k))
+        goes.step(trot(k))
+    for k in range(50):
+        waits.step(trot(k), np.array([True, True, False, True]))
+    for k in range(15, 300):
+        given, expected = waits.step(trot(k)), goes.step(trot(k))
+        for a, b in zip(rows_of(given, [2]), rows_of(expected, [2]), strict=True):
+            assert np.array_equal(a, b)
+    assert same_state(waits.get_state(), goes.get_state(), [2])
+
+
+def test_all_active_is_as_without_a_mask(make_world, motion, trot, assert_same):
+    world, plain = make_world(4, **BUSY), make_world(4, **BUSY)
+    for k in range(30):
+        assert_same(world.step(trot(k), np.ones(4, np.bool_)), plain.step(trot(k)))
+
+
+def test_what_is_sent_to_a_robot_that_waits_is_not_heard(make_world, trot, assert_same):
+    # Not even if it is no number.
+    world, other = make_world(4, **BUSY), make_world(4, **BUSY)
+    active = np.array([True, False, True, True])
+    for k in range(10):
+        target = np.tile(trot(k), (4, 1))
+        target[1] = np.nan
+        given = world.step(target, active)
+        assert_same(given, other.step(trot(k), active))
+    assert world.divergences == 0
+    assert not world.truth().diverged.any()
+    assert_same(world.step(trot(10)), other.step(trot(10)))
+
+
+def test_none_active_changes_nothing(make_world, trot):
+    world = make_world(4, **BUSY)
+    for k in range(10):
+        world.step(trot(k))
+    state = world.get_state()
+    world.step(trot(11), np.zeros(4, np.bool_))
+    assert same_state(state, world.get_state(), [0, 1, 2, 3], without=("energy", "contact_ticks"))
+    assert state["divergences"] == world.divergences
+    for name in PhysicalParams.names():
+        assert np.array_equal(state["params"][name], getattr(world.params, name)), name
