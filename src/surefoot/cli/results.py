@@ -17,15 +17,20 @@ from surefoot.evaluate.rollout import run_episodes
 from surefoot.policy.runtime import PolicyRuntime
 from surefoot.robot import RobotDescription
 from surefoot.task.config import TaskConfig
+from surefoot.task.randomize import RandomizeConfig
 from surefoot.world.sim_world import SimWorld
 
 EPISODES = 20
+DRAWN_EPISODES = 100
+"""Episodes with physical parameters drawn: falls are rare there, and worlds differ."""
 
 
 def report_run(
     folder: Path, policy_path: Path, task: TaskConfig, rows: list[dict[str, Any]], console: Console
 ) -> dict[str, Any]:
-    """Evaluate a run's policy without pushes, and with them where the task has them; write tables and figures.
+    """Evaluate a run's policy on the nominal robot, on drawn ones and with pushes where the task has them.
+
+    Leaves tables, figures and a video.
 
     Args:
         folder: the run's folder.
@@ -42,12 +47,16 @@ def report_run(
     mass, figures = robot.urdf.total_mass, folder / "figures"
     figures.mkdir(exist_ok=True)
     console.print(f"Evaluating over {EPISODES} episodes ...")
-    calm = replace(task, pushes=replace(task.pushes, enabled=False))
+    calm = replace(task, pushes=replace(task.pushes, enabled=False), randomize=RandomizeConfig())
     traces = run_episodes(policy, calm, EPISODES, SimWorld, seed=0, policy_name=policy.contract.name)
     summary = summarize(traces, mass)
     results: dict[str, Any] = {"without_pushes": summary}
+    if task.randomize.ranges:
+        drawn = replace(calm, randomize=task.randomize)
+        drawn_traces = run_episodes(policy, drawn, DRAWN_EPISODES, SimWorld, seed=0, policy_name=policy.contract.name)
+        results["randomized"] = summarize(drawn_traces, mass)
     if task.pushes.enabled:
-        every = replace(task, pushes=replace(task.pushes, probability=1.0))
+        every = replace(calm, pushes=replace(task.pushes, probability=1.0))
         pushed = run_episodes(policy, every, EPISODES, SimWorld, seed=0, policy_name=policy.contract.name)
         results["with_pushes"] = summarize(pushed, mass)
     (folder / "evaluation.json").write_text(json.dumps(results, indent=2) + "\n", encoding="utf-8")
