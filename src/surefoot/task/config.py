@@ -154,7 +154,7 @@ def load_task(task: str) -> tuple[TaskConfig, dict[str, Any]]:
     data = read_yaml(path)
     train = data.pop("train", None) or {}
     try:
-        config = from_mapping(TaskConfig, {"name": path.stem, **with_ranges(data)})
+        config = from_mapping(TaskConfig, {"name": path.stem, **with_ranges(data, path.parent)})
     except SurefootError as error:
         raise SurefootError(f"{path}: {error}") from None
     if config.reference.file is not None:

@@ -199,9 +199,14 @@ class Randomizer:
         return np.concatenate(columns, axis=1) if columns else np.zeros((params.num_envs, 0))
 
 
-def with_ranges(data: dict[str, Any]) -> dict[str, Any]:
-    """A task's table with `randomize` as a table, where it names a table of ranges or a file."""
+def with_ranges(data: dict[str, Any], folder: Path = Path()) -> dict[str, Any]:
+    """A task's table with `randomize` as a table, where it names a table of ranges or a file, seen from a folder.
+
+    Raises:
+        SurefootError: no such table, or a file that does not fit.
+    """
     given = data.get("randomize")
     if not isinstance(given, str):
         return data
-    return {**data, "randomize": vars(load_ranges(given))}
+    name = given if given in range_names() else str(folder / given)
+    return {**data, "randomize": vars(load_ranges(name))}
