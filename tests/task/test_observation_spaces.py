@@ -1,0 +1,173 @@
+"""Any choice of observation parts, by name and in any order, from task to environment to contract."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+pytest.importorskip("torch")
+
+from surefoot.configuration import from_mapping, to_mapping
+from surefoot.learn.export import make_contract
+from surefoot.policy.contract import Contract
+from surefoot.task.config import FeedbackConfig, ReferenceConfig, TaskConfig, WaveConfig
+from surefoot.task.env import LocomotionEnv
+from surefoot.task.observation import PARTS
+from surefoot.world.interface import Readings
+
+WIDTHS = {
+    "roll": 1,
+    "pitch": 1,
+    "roll_rate": 1,
+    "pitch_rate": 1,
+    "motor_angles": 8,
+    "motor_speeds": 8,
+    "reference_phase": 2,
+    "last_action": 8,
+}
+UNITS = {
+    "roll": ("rad", "base in world"),
+    "pitch": ("rad", "base in world"),
+    "roll_rate": ("rad/s", "base, about x"),
+    "pitch_rate": ("rad/s", "base, about y"),
+    "motor_angles": ("rad", "motor"),
+    "motor_speeds": ("rad/s", "motor"),
+    "reference_phase": ("1", "reference gait"),
+    "last_action": ("rad", "leg space"),
+}
+FOUR = ("roll", "pitch", "roll_rate", "pitch_rate")
+"""The paper's compact space (Tan et al. 2018, section VI-B)."""
+TWELVE = (*FOUR, "motor_angles")
+"""The paper's large space: the same and eight motor angles."""
+
+choices_of_parts = st.permutations(sorted(WIDTHS)).flatmap(
+    lambda names: st.integers(1, len(names)).map(lambda count: tuple(names[:count]))
+)
+
+
+@pytest.fixture(scope="module")
+def make_env(scripted_world):
+    """An environment that observes these parts; each reading is a number of its own."""
+
+    class Telling(scripted_world):
+        def readings(self) -> Readings:
+            robots = 1000.0 * np.arange(self.num_envs)[:, None]
+            return Readings(
+                time=self.time.copy(),
+                roll_pitch_yaw=robots + np.arange(1.0, 4.0),
+                angular_velocity_base=robots + np.arange(4.0, 7.0),
+                motor_angle=robots + np.arange(10.0, 18.0),
+                motor_velocity=robots + np.arange(20.0, 28.0),
+            )
+
+    def make(names: tuple[str, ...], history: int = 1, **task: Any) -> LocomotionEnv:
+        # A period of 4 control steps: the phase of the k-th one is k quarters.
+        wave = WaveConfig(amplitude=0.1, frequency=1 / 0.024)
+        values: dict[str, Any] = {
+            "observations": names,
+            "history": history,
+            "reference": ReferenceConfig(kind="sine", swing=wave, extension=WaveConfig(offset=2.0)),
+            "feedback": FeedbackConfig((-0.5, 0.5), (-0.5, 0.5)),
+        }
+        return LocomotionEnv(TaskConfig(**{**values, **task}), 2, Telling)
+
+    return make
+
+
+def expected(name: str, robot: int, steps: int) -> list[float]:
+    """What a part says after so many control steps under action 0.5, worked by hand."""
+    start = 1000.0 * robot
+    quarter = [(0.0, 1.0), (1.0, 0.0), (0.0, -1.0), (-1.0, 0.0)][steps % 4]
+    return {
+        "roll": [start + 1],
+        "pitch": [start + 2],
+        "roll_rate": [start + 4],
+        "pitch_rate": [start + 5],
+        "motor_angles": [start + 10 + k for k in range(8)],
+        "motor_speeds": [start + 20 + k for k in range(8)],
+        "reference_phase": list(quarter),
+        "last_action": [0.25 if steps else 0.0] * 8,
+    }[name]
+
+
+def check(env: LocomotionEnv, names: tuple[str, ...], history: int) -> Contract:
+    """The space, the numbers and the contract of an environment that should observe these parts."""
+    width = sum(WIDTHS[name] for name in names)
+    assert env.single_observation_space.shape == (width * history,)
+    observation, _ = env.reset(seed=0)
+    steps = 3
+    for _ in range(steps):
+        assert observation.shape == (2, width * history)
+        observation, *_ = env.step(np.full((2, 8), 0.5))
+    for robot in range(2):
+        newest_first = [
+            n for back in range(history) for name in names for n in expected(name, robot, max(steps - back, 0))
+        ]
+        np.testing.assert_allclose(observation[robot], newest_first, atol=1e-6)
+
+    contract = make_contract(env)
+    assert tuple(part.name for part in contract.observation) == names
+    assert [(part.unit, part.frame) for part in contract.observation] == [UNITS[name] for name in names]
+    assert len(contract.columns) == len(set(contract.columns)) == width
+    assert contract.history == history
+    assert contract.width == width * history
+    # Each part's columns stand where its numbers do.
+    at = 0
+    for name in names:
+        assert env.observer.columns[at : at + WIDTHS[name]] == list(PARTS[name].columns(env.robot))
+        at += WIDTHS[name]
+    assert contract.columns == tuple(env.observer.columns)
+    assert Contract.from_json(contract.to_json()) == contract
+    return contract
+
+
+def test_these_are_all_parts():
+    assert list(PARTS) == list(WIDTHS)
+    assert {name: (part.unit, part.frame) for name, part in PARTS.items()} == UNITS
+
+
+@given(names=choices_of_parts, history=st.integers(1, 3))
+def test_any_choice_in_any_order(make_env, names, history):
+    check(make_env(names, history), names, history)
+
+
+@pytest.mark.parametrize("name", WIDTHS)
+def test_each_part_alone(make_env, name):
+    check(make_env((name,)), (name,), 1)
+
+
+def test_all_parts_at_once(make_env):
+    assert check(make_env(tuple(WIDTHS), 2), tuple(WIDTHS), 2).width == 2 * 30
+
+
+def test_the_papers_four_numbers(make_env):
+    contract = check(make_env(FOUR), FOUR, 1)
+    assert contract.columns == ("roll", "pitch", "roll_rate", "pitch_rate")
+
+
+def test_the_papers_twelve_numbers(make_env, robot):
+    contract = check(make_env(TWELVE), TWELVE, 1)
+    assert contract.columns == (
+        *("roll", "pitch", "roll_rate", "pitch_rate"),
+        *("angle.front_left_2_motor", "angle.front_left_1_motor", "angle.back_left_2_motor", "angle.back_left_1_motor"),
+        *("angle.front_right_1_motor", "angle.front_right_2_motor"),
+        *("angle.back_right_1_motor", "angle.back_right_2_motor"),
+    )
+    assert TaskConfig().observations == TWELVE
+
+
+@given(names=choices_of_parts)
+def test_a_task_file_keeps_the_names_and_their_order(names):
+    task = from_mapping(TaskConfig, {"observations": list(names)})
+    assert task.observations == names
+    assert from_mapping(TaskConfig, to_mapping(task)) == task
+
+
+def test_another_order_is_another_contract(make_env):
+    one, other = (make_contract(make_env(names)) for names in (("roll", "pitch"), ("pitch", "roll")))
+    assert one.columns == other.columns[::-1]
+    assert one.config_hash != other.config_hash
