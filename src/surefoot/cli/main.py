@@ -14,6 +14,7 @@ COMMANDS = {
     "train": ("surefoot.cli.train", "learn a gait in simulation"),
     "evaluate": ("surefoot.cli.evaluate", "run a policy in simulation and measure it"),
     "play": ("surefoot.cli.play", "watch a policy, in a window or as a video"),
+    "study": ("surefoot.cli.study", "train several groups with several seeds, compare them"),
     "sensitivity": ("surefoot.cli.sensitivity", "find which physical parameters break a policy"),
 }
 _EXTRAS = {

@@ -93,6 +93,7 @@ class RunFolder:
         self.checkpoints = path / "checkpoints"
         self.latest = self.checkpoints / "latest.ckpt"
         self.previous = self.checkpoints / "previous.ckpt"
+        self.fresh = self.checkpoints / "fresh.ckpt"
         self.figures_log = path / "figures.jsonl"
         self.policy = path / "policy.onnx"
 
@@ -109,9 +110,19 @@ class RunFolder:
         while path.exists():
             count += 1
             path = base.with_name(f"{base.name}-{count}")
+        return cls.create_at(config, path)
+
+    @classmethod
+    def create_at(cls, config: TrainConfig, path: Path) -> RunFolder:
+        """Make the folder of a new run at a place of one's choice; figures of an earlier try there are forgotten.
+
+        Raises:
+            SurefootError: it can't be made.
+        """
         folder = cls(path)
         try:
-            folder.checkpoints.mkdir(parents=True)
+            folder.checkpoints.mkdir(parents=True, exist_ok=True)
+            folder.figures_log.unlink(missing_ok=True)
             write_yaml(path / "config.yaml", config)
         except OSError as error:
             raise SurefootError(f"{path}: a run folder can't be made there: {error.strerror}") from error
@@ -120,7 +131,7 @@ class RunFolder:
             "surefoot": __version__,
             "git": _git_revision(),
             "command": ["surefoot", *sys.argv[1:]],
-            "started": stamp,
+            "started": time.strftime("%Y-%m-%d_%H-%M-%S"),
             "seed": config.seed,
             "python": platform.python_version(),
             "packages": {name: metadata.version(name) for name in _PACKAGES},
@@ -159,11 +170,10 @@ class RunFolder:
 
     def save(self, state: dict[str, Any]) -> None:
         """Save the run's state; the one saved before is kept as `previous.ckpt`."""
-        fresh = self.checkpoints / "fresh.ckpt"
-        write_checkpoint(fresh, state)
+        write_checkpoint(self.fresh, state)
         if self.latest.exists():
             os.replace(self.latest, self.previous)
-        os.replace(fresh, self.latest)
+        os.replace(self.fresh, self.latest)
 
     def load(self) -> dict[str, Any]:
         """The run's last state.
@@ -171,6 +181,9 @@ class RunFolder:
         Raises:
             SurefootError: it is missing or broken; says whether the one before it is whole.
         """
+        if self.fresh.exists() and not self.latest.exists():
+            # Killed between the two renamings of `save`; a file of this name is whole.
+            os.replace(self.fresh, self.latest)
         try:
             return read_checkpoint(self.latest)
         except SurefootError as error:

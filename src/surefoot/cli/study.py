@@ -1,0 +1,125 @@
+"""`surefoot study FILE.yaml`: groups of trainings, several seeds each, one evaluation of all of them, a report."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated, Any
+
+import tyro
+from rich.console import Console
+
+from surefoot.cli.parsing import parse
+from surefoot.configuration import to_mapping
+from surefoot.errors import SurefootError
+from surefoot.learn.study import StudyConfig, StudyRun, load_study, study_runs
+from surefoot.learn.workers import Job, Outcome, run_jobs
+
+
+@dataclass(frozen=True)
+class StudyCommand:
+    """Train several groups with several seeds each, evaluate all policies, and write a report.
+
+    The same command, run again, goes on where it was stopped: finished runs are skipped, others go on from their
+    last checkpoint. Ctrl-C saves every run under way.
+    """
+
+    file: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
+    """YAML file of the study."""
+    out: Path | None = None
+    """Folder for tables, figures and the report; results/NAME if not given."""
+    runs: Path | None = None
+    """Folder for the runs; runs/NAME if not given."""
+    workers: int = 0
+    """Trainings side by side, each with one thread; 0 means one a core."""
+    seeds: tuple[int, ...] = ()
+    """Seeds in place of the file's."""
+    only: tuple[str, ...] = ()
+    """Groups to train and evaluate; all if not given. The report covers whatever is there."""
+    train_only: bool = False
+    """Stop after training: no evaluation, no report."""
+
+
+def main(argv: list[str]) -> int:
+    """Run the command with the words after its name; returns the exit code."""
+    command = parse(StudyCommand, argv, "surefoot study", config=(tyro.conf.FlagCreatePairsOff,))
+    if command.workers < 0:
+        raise SurefootError(f"workers is {command.workers}; it must be 0 (one a core) or more")
+    study = load_study(command.file)
+    if command.seeds:
+        study = replace(study, seeds=command.seeds)
+    runs = study_runs(study, command.runs or Path("runs") / study.name, command.only)
+    for run in runs:
+        run.check()
+    console = Console(highlight=False, soft_wrap=True)
+    outcome = train(study, runs, command.workers or os.cpu_count() or 1, console)
+    if outcome.stopped:
+        console.print("Stopped; every run under way is saved. The same command goes on.")
+        return 130
+    if outcome.failed:
+        for name, line in outcome.failed.items():
+            print(f"surefoot: error: {name}: {line}", file=sys.stderr)
+    return 1 if outcome.failed else 0
+
+
+def train(study: StudyConfig, runs: list[StudyRun], workers: int, console: Console) -> Outcome:
+    """Train every run that is not finished, some at a time, and show how far each is."""
+    from surefoot.cli.study_progress import StudyProgress
+
+    waiting = [run for run in runs if run.state != "finished"]
+    if not waiting:
+        console.print(f"{study.name}: all {len(runs)} trainings are finished")
+        return Outcome()
+    for group in dict.fromkeys(run.group for run in waiting):
+        _check_task(next(run for run in waiting if run.group == group))
+    jobs = [
+        Job(
+            run.name,
+            {"group": run.group, "path": str(run.path), "config": to_mapping(run.config)},
+            run.path / "worker.log",
+        )
+        for run in waiting
+    ]
+    command = [sys.executable, "-m", "surefoot.cli.study_worker"]
+    with StudyProgress(study, runs, workers, console) as progress, _Stops(console) as stops:
+        return run_jobs(command, jobs, workers, progress.event, progress.change, stops.count)
+
+
+def _check_task(run: StudyRun) -> None:
+    """Refuse a task that does not fit before anything is trained."""
+    from surefoot.task.env import LocomotionEnv
+    from surefoot.world.sim_world import SimWorld
+
+    try:
+        LocomotionEnv(run.config.task, 1, SimWorld, threads=1)
+    except SurefootError as error:
+        raise SurefootError(f"group {run.group}: {error}") from None
+
+
+class _Stops:
+    """Counts Ctrl-C and requests to terminate."""
+
+    def __init__(self, console: Console) -> None:
+        self._console, self._asked = console, 0
+        self._before: dict[int, Any] = {}
+
+    def __enter__(self) -> _Stops:
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+            self._before[number] = signal.signal(number, self._on_signal)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for number, handler in self._before.items():
+            signal.signal(number, handler)
+
+    def _on_signal(self, number: int, _: object) -> None:
+        self._asked += 1
+        if self._asked == 1:
+            self._console.print("Stopping after the updates under way; once more stops at once.")
+
+    def count(self) -> int:
+        """How often a stop was asked for."""
+        return self._asked

@@ -1,0 +1,130 @@
+"""One training of a study in a process of its own: `python -m surefoot.cli.study_worker`, started by `surefoot study`.
+
+The request comes as one line of JSON on standard input, figures go as lines of JSON to standard output.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import math
+import os
+import signal
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from surefoot.configuration import from_mapping
+from surefoot.errors import SurefootError
+from surefoot.learn.config import TrainConfig
+from surefoot.learn.study import StudyRun
+from surefoot.learn.workers import orphaned
+
+if TYPE_CHECKING:
+    from surefoot.learn.run import Evaluation, TrainingRun
+    from surefoot.learn.trainer import UpdateFigures
+
+STOPPED = 130
+PATIENCE = 120.0
+"""How long [s] to wait for another process to leave the folder: one that lost its parent needs an update to stop."""
+
+
+def main() -> int:
+    """Train the run that standard input names; returns 0 when finished, 130 when stopped, 2 for what can be mended."""
+    asked = [False]
+
+    def stop(*_: object) -> None:
+        asked[0] = True
+
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, stop)
+    request = json.loads(sys.stdin.readline())
+    config = from_mapping(TrainConfig, request["config"])
+    run = StudyRun(request["group"], config, Path(request["path"]))
+    try:
+        with _alone(run.path):
+            return 0 if _train(run, lambda: asked[0] or orphaned()) else STOPPED
+    except SurefootError as error:
+        print(error, file=sys.stderr)
+        return 2
+    except BrokenPipeError:
+        return STOPPED  # The parent is gone; the last checkpoint stands.
+
+
+def _train(run: StudyRun, should_stop: Any) -> bool:
+    """Train a run from wherever it is until it is exported, or told to stop; returns whether it is."""
+    from surefoot.learn.run import TrainingRun
+    from surefoot.learn.run_folder import RunFolder
+    from surefoot.world.sim_world import SimWorld
+
+    run.check()
+    state = run.state
+    if state == "finished":
+        return True
+    if state == "started":
+        folder, config = RunFolder.open(run.path)
+    else:
+        folder, config = RunFolder.create_at(run.config, run.path), run.config
+    training = TrainingRun(config, folder, SimWorld, resume=state == "started")
+    training.run(_tell, should_stop)
+    if not training.finished:
+        return False
+    _export(training, folder.policy)
+    return True
+
+
+def _tell(figures: UpdateFigures, evaluation: Evaluation | None) -> None:
+    event: dict[str, Any] = {"steps": figures.steps}
+    for name, value in (("speed", figures.speed_mean), ("return", figures.return_mean)):
+        if not math.isnan(value):
+            event[name] = value
+    if evaluation is not None:
+        event["evaluation"] = asdict(evaluation)
+    print(json.dumps(event), flush=True)
+
+
+def _export(training: TrainingRun, path: Path) -> None:
+    """Write the best evaluated policy; its file is what makes a run finished."""
+    from surefoot.learn.export import export_trainer
+
+    training.use_best()
+    figures = {
+        "training": asdict(training.best) if training.best else {},
+        "seconds": round(training.seconds, 1),
+        "seed": training.config.seed,
+        "steps": training.trainer.steps,
+    }
+    export_trainer(training.trainer, path, figures, created=time.strftime("%Y-%m-%dT%H:%M:%S%z"))
+
+
+@contextmanager
+def _alone(path: Path) -> Iterator[None]:
+    """Hold a folder so that no other process trains in it.
+
+    Raises:
+        SurefootError: another process keeps it.
+    """
+    with (path / "lock").open("a+") as lock:
+        end = time.monotonic() + PATIENCE
+        while True:
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                break
+            except BlockingIOError:
+                if time.monotonic() > end:
+                    raise SurefootError(
+                        f"{path}: another process trains in this folder; wait for it, or end it"
+                    ) from None
+                time.sleep(0.2)
+        lock.truncate(0)
+        lock.write(f"{os.getpid()}\n")
+        lock.flush()
+        yield
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,201 @@
+"""A study as data: groups of trainings that differ in some settings, several seeds each, at fixed places."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, is_dataclass, replace
+from pathlib import Path
+from typing import Any, Literal
+
+from surefoot.configuration import from_mapping, read_yaml
+from surefoot.errors import SurefootError, choices
+from surefoot.learn.config import TrainConfig, load_train_config
+from surefoot.task.config import preset_names
+from surefoot.task.randomize import with_ranges
+
+CHECKPOINT_EVERY = 200_000
+"""Control steps between two checkpoints of a study's runs: about a minute of one core, lost at most when killed."""
+_SAME_RESULT = ("threads", "checkpoint_every")
+"""Fields that a run's outcome does not depend on; a stored run may differ in them."""
+
+State = Literal["new", "started", "finished"]
+
+
+@dataclass(frozen=True)
+class GroupConfig:
+    """Trainings that differ in nothing but the seed."""
+
+    label: str = ""
+    """What figures and tables call the group; its name, if empty."""
+    train: dict[str, Any] = field(default_factory=dict)
+    """What differs from the study's training run: any field of TrainConfig."""
+
+
+@dataclass(frozen=True)
+class StudyConfig:
+    """Groups of trainings, several seeds each, and how they are evaluated."""
+
+    groups: dict[str, GroupConfig]
+    """The groups, by the names of their folders."""
+    name: str = "study"
+    """Name of the study; its folders carry it."""
+    task: str = "trot"
+    """Base of every group: a preset, or the path of a task's file, counted from the study's file."""
+    seeds: tuple[int, ...] = (0, 1, 2)
+    """A training for each, in every group."""
+    train: dict[str, Any] = field(default_factory=dict)
+    """What all groups share and the task does not say: any field of TrainConfig."""
+    evaluate: tuple[str, ...] = ()
+    """Kinds of evaluation of every trained policy."""
+
+    def __post_init__(self) -> None:
+        """Refuse what no study can be."""
+        if not self.groups:
+            raise SurefootError("groups is empty; a study has 1 group or more")
+        for what in (self.name, *self.groups):
+            if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_.-]*", what):
+                raise SurefootError(f"name '{what}': letters, digits, _ - and . only, since a folder is called so")
+        if not self.seeds or min(self.seeds) < 0 or len(set(self.seeds)) < len(self.seeds):
+            raise SurefootError(f"seeds is {list(self.seeds)}; it takes 1 or more, none below 0 and none twice")
+
+    def label(self, group: str) -> str:
+        """What figures and tables call a group."""
+        return self.groups[group].label or group
+
+
+@dataclass(frozen=True)
+class StudyRun:
+    """One training of a study."""
+
+    group: str
+    """Name of its group."""
+    config: TrainConfig
+    """The training."""
+    path: Path
+    """Its folder."""
+
+    @property
+    def name(self) -> str:
+        """Group and seed, as the user reads them."""
+        return f"{self.group} seed {self.config.seed}"
+
+    @property
+    def policy(self) -> Path:
+        """The exported policy of a finished run."""
+        return self.path / "policy.onnx"
+
+    @property
+    def state(self) -> State:
+        """How far the run is, told from its files alone."""
+        if self.policy.exists():
+            return "finished"
+        checkpoints = self.path / "checkpoints"
+        saved = any((checkpoints / name).exists() for name in ("latest.ckpt", "fresh.ckpt"))
+        return "started" if saved else "new"
+
+    def rows(self) -> list[dict[str, Any]]:
+        """The figures of its updates; a last line that was cut off is left out."""
+        log, rows = self.path / "figures.jsonl", []
+        for line in log.read_text(encoding="utf-8").splitlines() if log.exists() else []:
+            try:
+                rows.append(json.loads(line))
+            except ValueError:
+                break
+        return rows
+
+    def check(self) -> None:
+        """Refuse a folder whose run is another one than the study asks for.
+
+        Raises:
+            SurefootError: with the folder, the first field that differs, and what to do.
+        """
+        if self.state == "new":
+            return
+        try:
+            stored = from_mapping(TrainConfig, read_yaml(self.path / "config.yaml"))
+        except SurefootError as error:
+            raise SurefootError(f"{self.path}: {error}; move the folder away to train anew") from None
+        kept = {name: getattr(stored, name) for name in _SAME_RESULT}
+        found = difference(stored, replace(self.config, **kept))
+        if found is not None:
+            name, was, now = found
+            raise SurefootError(
+                f"{self.path}: was trained with {name} {was!r}, and the study asks for {now!r}; move the folder away "
+                "to train it anew, give another --runs, or change the study back"
+            )
+
+
+def difference(one: Any, other: Any, way: str = "") -> tuple[str, Any, Any] | None:
+    """The first field in which two configurations differ, by its dotted name, with both values; None if in none."""
+    for item in fields(one):
+        name = f"{way}.{item.name}" if way else item.name
+        a, b = getattr(one, item.name), getattr(other, item.name)
+        if is_dataclass(a) and is_dataclass(b):
+            found = difference(a, b, name)
+            if found is not None:
+                return found
+        elif a != b:
+            return name, a, b
+    return None
+
+
+def load_study(path: Path) -> StudyConfig:
+    """Read a study's file; a path of a task in it counts from the file's folder.
+
+    Raises:
+        SurefootError: it can't be read, or does not fit.
+    """
+    try:
+        study = from_mapping(StudyConfig, {"name": path.stem, **read_yaml(path)})
+    except SurefootError as error:
+        raise SurefootError(str(error) if str(error).startswith(str(path)) else f"{path}: {error}") from None
+    if study.task not in preset_names():
+        study = replace(study, task=str(path.parent / study.task))
+    for group in study.groups:
+        try:
+            group_config(study, group)
+        except SurefootError as error:
+            raise SurefootError(f"{path}: {error}") from None
+    return study
+
+
+def group_config(study: StudyConfig, group: str) -> TrainConfig:
+    """The training of a group: its own settings over the study's, over the task's; one thread, since runs share cores.
+
+    Raises:
+        SurefootError: settings that do not fit.
+    """
+    base = load_train_config(study.task)
+    every = min(base.checkpoint_every, CHECKPOINT_EVERY)
+    config = replace(base, name=group, threads=1, learning_threads=1, checkpoint_every=every)
+    for where, given in (("train", study.train), (f"groups.{group}.train", study.groups[group].train)):
+        task = given.get("task")
+        if isinstance(task, Mapping):
+            # A named table of ranges replaces every range there was.
+            given = {**given, "task": with_ranges(dict(task))}
+        config = from_mapping(TrainConfig, given, where, base=config)
+    return config
+
+
+def study_runs(study: StudyConfig, root: Path, only: tuple[str, ...] = ()) -> list[StudyRun]:
+    """The runs of a study, seed by seed, so that a study that is stopped has something of every group.
+
+    Args:
+        study: the study.
+        root: the folder for its runs.
+        only: names of the groups wanted; all, if empty.
+
+    Raises:
+        SurefootError: no such group.
+    """
+    for name in only:
+        if name not in study.groups:
+            raise SurefootError(f"group '{name}' is not in the study; groups: {choices(study.groups)}")
+    configs = {name: group_config(study, name) for name in study.groups if not only or name in only}
+    return [
+        StudyRun(name, replace(config, seed=seed), root / name / f"seed_{seed}")
+        for seed in study.seeds
+        for name, config in configs.items()
+    ]

@@ -1,0 +1,169 @@
+"""Runs in processes of their own, a few at a time, which outlive neither their parent nor a wish to stop."""
+
+from __future__ import annotations
+
+import json
+import os
+import queue
+import signal
+import subprocess
+import threading
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from surefoot.errors import SurefootError
+
+PARENT = "SUREFOOT_PARENT"
+"""Environment variable with the number of the process that started a worker, which ends when that one is gone."""
+_ONE_THREAD = {name: "1" for name in ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")}
+
+
+@dataclass(frozen=True)
+class Job:
+    """What a worker is to do."""
+
+    name: str
+    """How the user calls it."""
+    request: dict[str, Any]
+    """Given to the worker's standard input as one line of JSON."""
+    log: Path
+    """What the worker writes to standard error is added to this file."""
+
+
+@dataclass
+class Outcome:
+    """How the jobs went."""
+
+    done: list[str] = field(default_factory=list)
+    """Names of the jobs that ended well."""
+    failed: dict[str, str] = field(default_factory=dict)
+    """Names of those that did not, each with the last line it left."""
+    stopped: bool = False
+    """Whether it was ended by a wish to stop, with jobs left."""
+
+
+Event = Callable[[Job, dict[str, Any]], None]
+Tell = Callable[[Job, str], None]
+
+
+def run_jobs(
+    command: Sequence[str],
+    jobs: Sequence[Job],
+    workers: int,
+    on_event: Event,
+    on_change: Tell,
+    stops: Callable[[], int] = lambda: 0,
+) -> Outcome:
+    """Run jobs, each by a process of its own that writes what it does as lines of JSON.
+
+    Args:
+        command: the words that start a worker.
+        jobs: what is to be done, in order.
+        workers: how many run at a time.
+        on_event: called with each line that a worker writes.
+        on_change: called when a job is "started", "done", "stopped" or "failed".
+        stops: how often a stop was asked for: once lets the workers save and end, twice ends them at once.
+
+    Raises:
+        SurefootError: no workers, or a log that can't be written.
+    """
+    if workers < 1:
+        raise SurefootError(f"workers is {workers}; it must be 1 or more")
+    outcome, waiting, running = Outcome(), list(jobs), dict[int, _Worker]()
+    told: queue.Queue[tuple[_Worker, dict[str, Any] | None]] = queue.Queue()
+    asked = 0
+    try:
+        while waiting or running:
+            asked = _pass_on(asked, stops(), running.values())
+            while waiting and len(running) < workers and not asked:
+                worker = _Worker(command, waiting.pop(0), told)
+                running[worker.process.pid] = worker
+                on_change(worker.job, "started")
+            if not running:
+                break
+            try:
+                worker, event = told.get(timeout=0.2)
+            except queue.Empty:
+                continue
+            if event is not None:
+                on_event(worker.job, event)
+                continue
+            running.pop(worker.process.pid)
+            on_change(worker.job, _ended(worker, outcome, asked))
+    finally:
+        for worker in running.values():
+            worker.process.terminate()
+    outcome.stopped = bool(asked)
+    return outcome
+
+
+class _Worker:
+    """A process that does one job, and a thread that reads what it says."""
+
+    def __init__(self, command: Sequence[str], job: Job, told: queue.Queue[Any]) -> None:
+        self.job, self._told = job, told
+        try:
+            job.log.parent.mkdir(parents=True, exist_ok=True)
+            log = job.log.open("ab")
+        except OSError as error:
+            raise SurefootError(f"{job.log}: can't be written: {error.strerror}") from error
+        self._logged = job.log.stat().st_size
+        with log:
+            # In a session of its own: Ctrl-C reaches this process alone, which then asks the workers to stop.
+            self.process = subprocess.Popen(
+                list(command), stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=log, start_new_session=True,
+                env={**os.environ, **_ONE_THREAD, PARENT: str(os.getpid())},
+            )  # fmt: skip
+        threading.Thread(target=self._read, daemon=True).start()
+
+    def _read(self) -> None:
+        assert self.process.stdin is not None
+        assert self.process.stdout is not None
+        try:
+            with self.process.stdin as pipe:
+                pipe.write(json.dumps(self.job.request).encode() + b"\n")
+        except OSError:
+            pass  # It has died already; its end is told below.
+        for line in self.process.stdout:
+            try:
+                self._told.put((self, json.loads(line)))
+            except ValueError:
+                continue
+        self.process.wait()
+        self._told.put((self, None))
+
+    def last_line(self) -> str:
+        """The last line that the worker wrote to its log, and how it ended."""
+        code = self.process.returncode
+        end = f"killed by signal {-code} ({signal.Signals(-code).name})" if code < 0 else f"exit code {code}"
+        with self.job.log.open("rb") as log:
+            log.seek(self._logged)
+            lines = log.read().decode(errors="replace").strip().splitlines()
+        return f"{lines[-1].strip()} ({end})" if lines else end
+
+
+def _pass_on(before: int, now: int, running: Any) -> int:
+    """Ask workers to stop, or end them, when that was asked for since last time."""
+    if now > before:
+        for worker in running:
+            worker.process.send_signal(signal.SIGTERM if now == 1 else signal.SIGKILL)
+    return now
+
+
+def _ended(worker: _Worker, outcome: Outcome, asked: int) -> str:
+    """Note how a worker ended; returns it in one word."""
+    code = worker.process.returncode
+    if code == 0:
+        outcome.done.append(worker.job.name)
+        return "done"
+    if asked:
+        return "stopped"
+    outcome.failed[worker.job.name] = worker.last_line()
+    return "failed"
+
+
+def orphaned() -> bool:
+    """Whether the process that started this worker is gone."""
+    return os.environ.get(PARENT, str(os.getppid())) != str(os.getppid())
