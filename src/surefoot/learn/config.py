@@ -22,6 +22,8 @@ class PPOConfig:
     """Activation of the hidden layers."""
     privileged_critic: bool = True
     """Let the value network see the simulation's true state; it is not needed once training is over."""
+    symmetry: bool = False
+    """Learn from every sample's mirror image too: for robots and reference gaits that are left-right symmetric."""
     init_std: float = 0.6
     """Standard deviation of the first policy's actions, in half widths of the feedback's bounds."""
     epochs: int = 5

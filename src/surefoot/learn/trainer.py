@@ -17,6 +17,7 @@ from rsl_rl.storage import RolloutStorage
 from tensordict import TensorDict
 
 from surefoot.learn.config import TrainConfig
+from surefoot.learn.symmetry import MirrorSamples
 from surefoot.task.env import LocomotionEnv, SimulationFactory
 
 
@@ -104,6 +105,10 @@ class Trainer:
         with torch.no_grad():
             actor.mlp[-1].weight.mul_(0.1)
         storage = RolloutStorage("rl", self.config.num_envs, self.config.steps_per_update, obs, [actions], "cpu")
+        symmetry = None
+        if ppo.symmetry:
+            mirror = MirrorSamples(self.env)
+            symmetry = {"env": self.env, "data_augmentation_func": mirror, "use_data_augmentation": True}
         algorithm = PPO(
             actor,
             critic,
@@ -119,6 +124,7 @@ class Trainer:
             max_grad_norm=ppo.max_grad_norm,
             schedule=ppo.schedule,
             desired_kl=ppo.desired_kl,
+            symmetry_cfg=symmetry,
         )
         algorithm.train_mode()
         return algorithm

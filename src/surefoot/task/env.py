@@ -204,6 +204,17 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
             parts.append(self.randomizer.scaled(self.world.params))
         return np.concatenate(parts, axis=1).astype(np.float32)
 
+    @property
+    def privileged_columns(self) -> list[str]:
+        """Names of the numbers of `privileged`, in order."""
+        names = ["height", "velocity_x", "velocity_y", "velocity_z", "roll", "pitch", "yaw"]
+        names += [f"{part}.{motor}" for part in ("angle", "speed") for motor in self.robot.motor_names]
+        if self.gait.reference.period is not None:
+            names += ["phase_sin", "phase_cos"]
+        if self.task.pushes.enabled:
+            names += ["push_x", "push_y"]
+        return names + (self.randomizer.columns if self.randomizer.enabled else [])
+
     def get_state(self) -> dict[str, Any]:
         """Everything that decides how the environment goes on, for an exact resume."""
         return {

@@ -158,7 +158,7 @@ class Randomizer:
 
     def __init__(self, config: RandomizeConfig, robot: RobotDescription, nominal: PhysicalParams, seed: int) -> None:
         check_ranges(config, robot)
-        self.ranges, self.nominal = config.ranges, nominal
+        self.ranges, self.nominal, self._motor_names = config.ranges, nominal, robot.motor_names
         self.streams = generators(seed, "randomize", nominal.num_envs)
         self._places: dict[str, tuple[str, slice]] = {}
         used = 0
@@ -186,11 +186,24 @@ class Randomizer:
                 values[...] = drawn if values.ndim == 2 else drawn[:, 0]
         return params
 
+    @property
+    def columns(self) -> list[str]:
+        """Names of the numbers of `scaled`, in order."""
+        parts = {"motor_strength": self._motor_names, "imu_bias": ("roll", "pitch")}
+        names = []
+        for name, (row, _) in self._places.items():
+            if self._varies(row):
+                names += [f"{name}.{part}" for part in parts[name]] if ROWS[row].each else [name]
+        return names
+
+    def _varies(self, row: str) -> bool:
+        return row in self.ranges and self.ranges[row][1] > self.ranges[row][0]
+
     def scaled(self, params: PhysicalParams) -> Array:
         """Drawn parameters of robots as numbers from -1 to 1 (N, P): what a critic may know."""
         columns = []
         for name, (row, _) in self._places.items():
-            if row in self.ranges and self.ranges[row][1] > self.ranges[row][0]:
+            if self._varies(row):
                 low, high = self.ranges[row]
                 values = getattr(params, name).reshape(params.num_envs, -1)
                 if not ROWS[row].each:

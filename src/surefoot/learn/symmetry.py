@@ -1,0 +1,110 @@
+"""Left for right: what a robot that is its own mirror image learns on one side, it has learned on the other.
+
+Every sample is seen twice in an update, as it was and mirrored in the robot's middle plane (data augmentation, see
+Mittal et al. 2024, "Symmetry Considerations for Learning Task Symmetric Robot Policies").
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from tensordict import TensorDict
+
+from surefoot.errors import SurefootError
+from surefoot.task.env import LocomotionEnv
+
+_FLIPPED = ("roll", "roll_rate", "yaw", "velocity_y", "push_y", "imu_bias.roll")
+"""Columns that change their sign in the mirror; all others keep it."""
+_PHASE = ("phase_sin", "phase_cos")
+
+
+def mirror_name(name: str) -> str:
+    """The name of a leg, motor or column on the other side."""
+    return name.replace("left", "\0").replace("right", "left").replace("\0", "right")
+
+
+def mirror_columns(
+    columns: Sequence[str], half_a_period: bool = False
+) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
+    """Which column each one comes from in the mirror, and its sign; (C,) each.
+
+    Args:
+        columns: their names.
+        half_a_period: whether the mirrored reference gait is the reference half a period later.
+
+    Raises:
+        SurefootError: a column without a counterpart.
+    """
+    places = {name: place for place, name in enumerate(columns)}
+    try:
+        source = np.array([places[mirror_name(name)] for name in columns], np.int64)
+    except KeyError as error:
+        raise SurefootError(
+            f"symmetry: column {error} has no counterpart; legs must be called left and right"
+        ) from None
+    flipped = _FLIPPED + _PHASE if half_a_period else _FLIPPED
+    return source, np.array([-1.0 if name in flipped else 1.0 for name in columns], np.float32)
+
+
+def reference_shift(env: LocomotionEnv) -> bool:
+    """Whether the mirrored reference gait is the reference half a period later (else it is its own mirror image).
+
+    Raises:
+        SurefootError: neither, so that nothing learned on one side holds on the other.
+    """
+    reference, legs = env.gait.reference, env.robot.leg_names
+    period = reference.period or 1.0
+    times = np.linspace(0, period, 64, endpoint=False)
+    source, _ = mirror_columns(legs)
+    for half in (False, True):
+        pairs = zip(reference.pose(times), reference.pose(times + half * period / 2), strict=True)
+        if all(np.allclose(here[:, source], there, atol=1e-4) for here, there in pairs):
+            return half
+    raise SurefootError(
+        "ppo.symmetry is set, but the task's reference gait is not left-right symmetric, at once or half a period later"
+    )
+
+
+class MirrorSamples:
+    """Samples and their mirror images, as rsl_rl asks for them.
+
+    Args:
+        env: names the columns.
+
+    Raises:
+        SurefootError: a robot or a reference gait that is not its own mirror image.
+    """
+
+    def __init__(self, env: LocomotionEnv) -> None:
+        half = reference_shift(env)
+        columns = {
+            "policy": (env.observer.columns, env.task.history),
+            "privileged": (env.privileged_columns, 1),
+            "actions": (env.gait.action_names, 1),
+        }
+        self._mirrors = {}
+        for group, (names, times) in columns.items():
+            source, sign = mirror_columns(names, half)
+            whole = np.concatenate([source + k * len(names) for k in range(times)])
+            self._mirrors[group] = (torch.from_numpy(whole), torch.from_numpy(np.tile(sign, times)))
+
+    def mirrored(self, group: str, values: torch.Tensor) -> torch.Tensor:
+        """The mirror image of a group's values (B, C)."""
+        source, sign = self._mirrors[group]
+        return values[:, source] * sign
+
+    def __call__(
+        self, env: Any, obs: TensorDict | None, actions: torch.Tensor | None
+    ) -> tuple[TensorDict | None, torch.Tensor | None]:
+        """Observations and actions, each followed by its mirror images."""
+        if obs is not None:
+            groups: dict[str, Any] = dict(obs.items())
+            both = {key: torch.cat([values, self.mirrored(key, values)]) for key, values in groups.items()}
+            obs = TensorDict(both, batch_size=[2 * obs.batch_size[0]])
+        if actions is not None:
+            actions = torch.cat([actions, self.mirrored("actions", actions)])
+        return obs, actions

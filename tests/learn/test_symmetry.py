@@ -1,0 +1,126 @@
+"""Mirror images: worked by hand, and measured in the physics."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from tensordict import TensorDict
+
+from surefoot.errors import SurefootError
+from surefoot.learn.symmetry import MirrorSamples, mirror_columns, mirror_name, reference_shift
+from surefoot.task.config import FeedbackConfig, ReferenceConfig, TaskConfig, WaveConfig, load_task
+from surefoot.task.env import LocomotionEnv
+from surefoot.task.observation import PARTS
+from surefoot.task.pushes import PushConfig
+from surefoot.task.randomize import load_ranges
+from surefoot.world.sim_world import SimWorld
+
+
+def make_env(task: TaskConfig, num_envs: int = 2) -> LocomotionEnv:
+    return LocomotionEnv(task, num_envs, SimWorld, seed=3, threads=1)
+
+
+def test_columns_by_hand():
+    names = ["roll", "pitch", "angle.front_left_1", "angle.front_right_1", "phase_sin"]
+    assert mirror_name("back_right_2_motor") == "back_left_2_motor"
+    source, sign = mirror_columns(names)
+    assert source.tolist() == [0, 1, 3, 2, 4]
+    assert sign.tolist() == [-1, 1, 1, 1, 1]
+    assert mirror_columns(names, half_a_period=True)[1].tolist() == [-1, 1, 1, 1, -1]
+
+
+def test_a_column_without_counterpart_is_refused():
+    with pytest.raises(SurefootError, match=r"angle\.right_1.*no counterpart"):
+        mirror_columns(["angle.left_1"])
+
+
+def wave(phases: dict[str, float]) -> TaskConfig:
+    waves = ReferenceConfig(
+        kind="sine",
+        swing=WaveConfig(amplitude=0.2, frequency=2.0, phase=phases),
+        extension=WaveConfig(amplitude=0.2, frequency=2.0, phase=phases, offset=2.0),
+    )
+    return TaskConfig(reference=waves, feedback=FeedbackConfig((-0.1, 0.1), (-0.1, 0.1)))
+
+
+@pytest.mark.parametrize(
+    ("phases", "half"),
+    [
+        ({"front_left": 0.0, "back_left": np.pi, "front_right": np.pi, "back_right": 0.0}, True),  # trot
+        ({"front_left": 0.0, "back_left": 0.0, "front_right": np.pi, "back_right": np.pi}, True),  # pace
+        ({"front_left": 0.0, "back_left": np.pi, "front_right": 0.0, "back_right": np.pi}, False),  # bound
+    ],
+)
+def test_a_symmetric_reference_is_its_own_image_at_once_or_half_a_period_later(phases, half):
+    assert reference_shift(make_env(wave(phases))) is half
+
+
+def test_a_reference_that_is_not_symmetric_is_refused():
+    with pytest.raises(SurefootError, match=r"ppo\.symmetry.*not left-right symmetric"):
+        reference_shift(make_env(wave({"front_left": 0.0, "back_left": 1.0, "front_right": 2.0, "back_right": 3.0})))
+
+
+@pytest.fixture(scope="module")
+def trot_env() -> LocomotionEnv:
+    task = replace(
+        load_task("trot")[0],
+        observations=tuple(PARTS),
+        history=2,
+        randomize=load_ranges("table1"),
+        pushes=PushConfig(enabled=True),
+    )
+    return make_env(task)
+
+
+def test_the_mirror_image_of_the_mirror_image_is_the_sample(trot_env):
+    mirror = MirrorSamples(trot_env)
+    generator = torch.Generator().manual_seed(0)
+    width = trot_env.single_observation_space.shape[0]
+    obs = TensorDict(
+        {
+            "policy": torch.randn(5, width, generator=generator),
+            "privileged": torch.randn(5, trot_env.privileged().shape[1], generator=generator),
+        },
+        batch_size=[5],
+    )
+    actions = torch.randn(5, 8, generator=generator)
+    both, both_actions = mirror(None, obs, actions)
+    assert both.batch_size[0] == len(both_actions) == 10
+    for group, values in obs.items():
+        assert torch.equal(both[group][:5], values)
+        image = both[group][5:]
+        assert not torch.equal(image, values)
+        assert torch.equal(mirror.mirrored(group, image), values)
+    assert mirror(None, None, actions)[0] is None
+
+
+def test_privileged_columns_name_every_number(trot_env):
+    assert len(trot_env.privileged_columns) == trot_env.privileged().shape[1]
+    assert len(set(trot_env.privileged_columns)) == len(trot_env.privileged_columns)
+
+
+def test_a_mirrored_robot_moves_as_the_mirror_image():
+    # The second robot gets the mirrored actions half a period later: all that it sees must be the mirror image.
+    task = replace(
+        load_task("trot")[0],
+        observations=tuple(name for name in PARTS if name != "reference_phase"),
+        start_linear_speed=0.0,
+        start_angular_speed=0.0,
+        pushes=PushConfig(),
+    )
+    phases = {"front_left": 0.0, "back_left": 0.0, "front_right": 0.0, "back_right": 0.0}
+    pronk = wave(phases).reference
+    env = make_env(replace(task, reference=pronk, feedback=FeedbackConfig((-0.2, 0.2), (-0.2, 0.2))))
+    mirror = MirrorSamples(env)
+    draws = np.random.default_rng(1)
+    observation, _ = env.reset()
+    for _ in range(40):
+        actions = draws.uniform(-1, 1, (2, 8)).astype(np.float32)
+        actions[1] = mirror.mirrored("actions", torch.from_numpy(actions[:1])).numpy()[0]
+        observation, *_ = env.step(actions)
+        image = mirror.mirrored("policy", torch.from_numpy(observation[:1])).numpy()[0]
+        np.testing.assert_allclose(observation[1], image, atol=5e-3)
+    assert np.abs(observation[0, :4]).max() > 0.02
