@@ -1,0 +1,274 @@
+"""`--randomize NAME` and `--randomize.ROW LOW HIGH`: as words, and as a user gives them to a process."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import yaml
+
+from surefoot.cli.ranges import ranges_help, take_ranges
+from surefoot.errors import SurefootError
+from surefoot.task.randomize import ROWS, RandomizeConfig, load_ranges
+
+pytest.importorskip("torch")
+pytest.importorskip("mujoco")
+pytest.importorskip("onnx")
+
+TABLE_1 = load_ranges("table1").ranges
+NOTHING = RandomizeConfig()
+
+
+def ranges_of(line: str, base: RandomizeConfig = NOTHING) -> dict[str, tuple[float, float]]:
+    return take_ranges(line.split(), base)[1].ranges
+
+
+# --- words ------------------------------------------------------------------------------------------------
+
+
+def test_without_options_all_stays():
+    words = ["trot", "--steps", "100", "--set", "voltage=15"]
+    rest, ranges = take_ranges(words, load_ranges("table1"))
+    assert rest == words == ["trot", "--steps", "100", "--set", "voltage=15"]
+    assert ranges == load_ranges("table1")
+
+
+@pytest.mark.parametrize("line", ["--randomize table1", "--randomize=table1"])
+def test_a_table_by_name(line):
+    assert ranges_of(line) == TABLE_1
+    assert ranges_of(line, RandomizeConfig(resistance=(0.1, 0.2))) == TABLE_1  # in place of the task's, not over them
+
+
+def test_none_draws_nothing():
+    assert ranges_of("--randomize none", load_ranges("table1")) == {}
+
+
+def test_a_table_by_path(tmp_path: Path):
+    (tmp_path / "mine.yaml").write_text("voltage: [15, 16]\n")
+    assert ranges_of(f"--randomize {tmp_path / 'mine.yaml'}") == {"voltage": (15.0, 16.0)}
+    assert ranges_of(f"--randomize={tmp_path / 'mine.yaml'}") == {"voltage": (15.0, 16.0)}
+
+
+def test_the_last_table_counts():
+    assert ranges_of("--randomize table1 --randomize none") == {}
+    assert ranges_of("--randomize none --randomize table1") == TABLE_1
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "--randomize.latency 0.01 0.03",
+        "--randomize.latency=0.01 0.03",
+        "--randomize.latency 10e-3 3e-2",
+        "--randomize.latency 0 1 --randomize.latency 0.01 0.03",
+        "--randomize.latency none --randomize.latency 0.01 0.03",
+    ],
+)
+def test_a_row(line):
+    assert ranges_of(line) == {"latency": (0.01, 0.03)}
+    base = RandomizeConfig(latency=(0.0, 0.04), mass=(0.9, 1.1))
+    assert ranges_of(line, base) == {"mass": (0.9, 1.1), "latency": (0.01, 0.03)}
+
+
+def test_a_row_takes_negative_numbers_and_either_hyphen():
+    for line in ("--randomize.imu_bias -0.02 -0.01", "--randomize.imu-bias -0.02 -0.01"):
+        assert ranges_of(line) == {"imu_bias": (-0.02, -0.01)}
+
+
+@pytest.mark.parametrize("row", ROWS)
+def test_every_row_can_be_given_and_dropped(row):
+    assert ranges_of(f"--randomize.{row} 0.1 0.2") == {row: (0.1, 0.2)}
+    full = RandomizeConfig(**{name: (0.1, 0.2) for name in ROWS})
+    for line in (f"--randomize.{row} none", f"--randomize.{row}=none", f"--randomize.{row} None"):
+        assert ranges_of(line, full) == {name: (0.1, 0.2) for name in ROWS if name != row}
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "--randomize table1 --randomize.latency 0.01 0.02 --randomize.mass none",
+        "--randomize.latency 0.01 0.02 --randomize table1 --randomize.mass none",
+        "--randomize.mass none --randomize.latency 0.01 0.02 --randomize=table1",
+    ],
+)
+def test_rows_go_over_the_table_in_any_order(line):
+    expected = {**TABLE_1, "latency": (0.01, 0.02)}
+    del expected["mass"]
+    assert ranges_of(line) == expected
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "trot --randomize table1 --episodes 2",
+        "--randomize=table1 trot --episodes 2",
+        "trot --episodes 2 --randomize table1",
+    ],
+)
+def test_other_words_stay_in_order(line):
+    rest, ranges = take_ranges(line.split(), NOTHING)
+    assert rest == ["trot", "--episodes", "2"]
+    assert ranges.ranges == TABLE_1
+
+
+def test_words_behind_a_row_are_not_taken():
+    line = "--randomize.latency 0.01 0.02 trot --randomize.mass none -v"
+    rest, ranges = take_ranges(line.split(), NOTHING)
+    assert rest == ["trot", "-v"]
+    assert ranges.ranges == {"latency": (0.01, 0.02)}
+    assert take_ranges(["--randomize.mass=none", "trot"], NOTHING)[0] == ["trot"]
+
+
+def test_what_only_begins_alike_is_left():
+    words = ["--randomizer", "x", "--random", "--task.randomize.mass", "0.9", "1.1"]
+    assert take_ranges(words, NOTHING) == (words, NOTHING)
+
+
+@pytest.mark.parametrize(
+    ("line", "pieces"),
+    [
+        ("--randomize", ["--randomize has no value", "none, table1, or a YAML file"]),
+        ("--randomize --json", ["--randomize has no value"]),
+        ("--randomize tabel1", ["randomize 'tabel1' does not exist; choices: none, table1"]),
+        ("--randomize=", ["randomize '' does not exist"]),
+        ("--randomize.colour 0 1", ["--randomize.colour is no row that can be drawn; rows: mass, motor_friction"]),
+        ("--randomize. 0 1", ["--randomize. is no row"]),
+        ("--randomize.mass", ["--randomize.mass is nothing; it takes two numbers, LOW HIGH, or none"]),
+        ("--randomize.mass 1.0", ["--randomize.mass is 1.0; it takes two numbers"]),
+        ("--randomize.mass 1.0 --json", ["--randomize.mass is 1.0; it takes two numbers"]),
+        ("--randomize.mass light heavy", ["--randomize.mass is light heavy; it takes two numbers"]),
+        ("--randomize.mass 0.9 none", ["--randomize.mass is 0.9 none; it takes two numbers"]),
+        ("--randomize.mass 1.1 0.9", ["randomize.mass is [1.1, 0.9]; the lower bound must come first"]),
+        ("--randomize.mass nan 1", ["randomize.mass is [nan, 1]"]),
+    ],
+)
+def test_words_that_do_not_fit_are_refused(line, pieces):
+    with pytest.raises(SurefootError) as caught:
+        take_ranges(line.split(), NOTHING)
+    assert "\n" not in str(caught.value)
+    for piece in pieces:
+        assert piece in str(caught.value)
+
+
+def test_help_has_every_row():
+    lines = ranges_help().splitlines()
+    for row, (low, high) in TABLE_1.items():
+        assert any(line.split() == [row, f"{low:g}", "to", f"{high:g}"] for line in lines), row
+    for row in set(ROWS) - set(TABLE_1):
+        assert row in lines[-1]
+    assert max(map(len, lines)) <= 120
+
+
+# --- processes --------------------------------------------------------------------------------------------
+
+
+def environment() -> dict[str, str]:
+    return os.environ | {"PYTHONPATH": str(Path(__file__).resolve().parents[2] / "src"), "COLUMNS": "100"}
+
+
+def surefoot(*words: str, cwd: Path) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "surefoot", *words]
+    return subprocess.run(command, capture_output=True, text=True, timeout=120, env=environment(), cwd=cwd)
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        ("train trot --randomize.latency 0.03 0.01", r"randomize.latency is \[0.03, 0.01\]; the lower bound must come"),
+        (
+            "train trot --randomize.latency 0 15",
+            r"randomize.latency is \[0, 15\]; minitaur allows control_latency from 0 to 0.1 \(unit: s\)",
+        ),
+        ("train trot --randomize nowhere", "randomize 'nowhere' does not exist; choices: none, table1"),
+        ("train bad.yaml", r"bad.yaml: randomize.mass is \[1.2, 0.8\]; the lower bound must come first"),
+        ("evaluate trot --randomize.mass 80 120", "minitaur allows base_mass_ratio from 0.2 to 5"),
+        ("evaluate trot --randomize nowhere", "randomize 'nowhere' does not exist; choices: none, table1"),
+    ],
+)
+def test_ranges_that_do_not_fit_get_one_line_and_exit_code_2(line: str, message: str, tmp_path: Path):
+    (tmp_path / "bad.yaml").write_text("randomize: {mass: [1.2, 0.8]}\n")
+    done = surefoot(*line.split(), cwd=tmp_path)
+    assert done.returncode == 2, done.stderr
+    assert done.stdout == ""
+    assert done.stderr.count("\n") == 1
+    assert re.search(message, done.stderr), done.stderr
+    assert [path.name for path in tmp_path.iterdir()] == ["bad.yaml"]
+
+
+def test_train_help_shows_the_table(tmp_path: Path):
+    done = surefoot("train", "--help", cwd=tmp_path)
+    assert done.returncode == 0
+    assert ranges_help() in done.stdout
+    assert re.search(r"latency +0 to 0\.04\n", done.stdout)
+    assert re.search(r"imu_bias +-0\.05 to 0\.05\n", done.stdout)
+
+
+def test_an_evaluation_says_what_was_drawn(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    from surefoot.cli.evaluate import main
+
+    words = ["trot", "--episodes", "2", "--json", "--seed", "3"]
+    ranges = ["--randomize", "table1", "--randomize.latency", "0.01", "0.02", "--randomize.mass", "none"]
+    drawn = surefoot("evaluate", *words, *ranges, cwd=tmp_path)
+    assert drawn.returncode == 0, drawn.stderr
+    assert drawn.stdout.count("\n") == 1
+    result = json.loads(drawn.stdout)
+    assert result["falls"] in (0, 1, 2)
+    expected = {row: list(given) for row, given in {**TABLE_1, "latency": (0.01, 0.02)}.items() if row != "mass"}
+    assert result["randomize"] == expected
+    # The same words draw the same, and without the options nothing is drawn.
+    assert main([*words, *ranges]) == 0
+    assert capsys.readouterr().out == drawn.stdout
+    assert main(words) == 0
+    plain = json.loads(capsys.readouterr().out)
+    assert plain["randomize"] == {}
+    assert plain["distance_mean"] != result["distance_mean"]
+
+
+def test_a_trace_holds_the_parameters_of_its_episode():
+    from surefoot.cli.policies import adjust_task, find_policy, load_policy
+    from surefoot.evaluate.rollout import run_episodes
+    from surefoot.world.sim_world import SimWorld
+
+    policy, robot, task = load_policy(find_policy("trot"), None)
+    task = replace(adjust_task(task, robot, (), False, randomize=load_ranges("table1")), max_steps=40)
+    traces = run_episodes(policy, task, 3, SimWorld, seed=1, threads=1)
+    assert len({trace.meta["params"]["voltage"] for trace in traces}) == 3
+    for trace in traces:
+        params = trace.meta["params"]
+        assert 14.0 <= params["voltage"] <= 16.8
+        assert 0.8 <= params["leg_mass_ratio"] <= 1.2
+        assert trace.meta["control_step"] == params["control_step"]
+        assert abs(trace.time[-1] - trace.num_steps * params["control_step"]) <= 0.0005 + 1e-9
+
+
+def test_a_run_keeps_its_ranges(tmp_path: Path):
+    from surefoot.learn.run_folder import RunFolder
+
+    line = "train trot --randomize table1 --randomize.latency 0.01 0.02 --randomize.mass none"
+    process = subprocess.Popen(
+        [sys.executable, "-m", "surefoot", *line.split(), "--num-envs", "16"],
+        cwd=tmp_path, env=environment(), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+    )  # fmt: skip
+    try:
+        deadline, made = time.monotonic() + 100, []
+        while time.monotonic() < deadline and process.poll() is None and not made:
+            made = list(tmp_path.glob("runs/trot/*/run.json"))
+            time.sleep(0.05)
+    finally:
+        # The folder is made before the training starts; there is nothing more to wait for.
+        process.kill()
+        process.wait()
+    assert made
+    expected = {**TABLE_1, "latency": (0.01, 0.02)}
+    del expected["mass"]
+    assert RunFolder.open(made[0].parent)[1].task.randomize.ranges == expected
+    stored = yaml.safe_load((made[0].parent / "config.yaml").read_text())["task"]["randomize"]
+    assert {row: tuple(given) for row, given in stored.items() if given is not None} == expected
+    assert stored["mass"] is None
