@@ -216,11 +216,10 @@ def print_tables(results: list[Sensitivity], files: list[Path]) -> None:
 
     console = Console()
     for result in results:
-        nominal = f"nominal return {result.nominal.mean_return:.2f} m"
-        table = Table(title=f"{result.policy}, {len(result.worlds)} test worlds, {nominal}")
-        table.add_column("row")
-        for column in ("range", "worst return (m)", "at", "falls"):
-            table.add_column(column, justify="right")
+        table = Table(title=f"{result.policy}: nominal return {result.nominal.mean_return:.2f} m")
+        table.add_column("row", no_wrap=True)
+        for column in ("range", "worst return", "at", "falls"):
+            table.add_column(column, justify="right", no_wrap=column in ("range", "at"))
         for row in result.rows:
             rows, unit = result.of_row(row), row_unit(row)
             worst = rows[result.mean_return[rows].argmin()]
@@ -228,14 +227,16 @@ def print_tables(results: list[Sensitivity], files: list[Path]) -> None:
             table.add_row(
                 row,
                 f"{ends[0]:.3g} to {ends[1]:.3g} {unit}".rstrip(),
-                f"{result.mean_return[worst]:.2f}",
+                f"{result.mean_return[worst]:.2f} m",
                 f"{result.worlds[worst].value:.3g} {unit}".rstrip(),
                 f"{result.fell[rows].sum()} of {result.fell[rows].size}",
             )
-        spread = f"{result.mean:.2f} ± {result.std:.2f}"
-        table.add_section()
-        table.add_row("all", "", f"mean {spread}", "", f"{result.fell.sum()} of {result.fell.size}")
         console.print(table)
-        console.print(plain_words(result), highlight=False, markup=False, soft_wrap=True)
-        console.print()
-    console.print(f"wrote {files[0].parent}:", ", ".join(file.name for file in files), highlight=False, soft_wrap=True)
+        said = (
+            f"{result.policy}: return {result.mean:.2f} ± {result.std:.2f} m over {len(result.worlds)} test worlds, "
+            f"{result.fell.sum()} of {result.fell.size} episodes fall"
+        )
+        for line in (said, plain_words(result), ""):
+            console.print(line, highlight=False, markup=False, soft_wrap=True)
+    told = f"wrote {files[0].parent}: {', '.join(file.name for file in files)}"
+    console.print(told, highlight=False, markup=False, soft_wrap=True)

@@ -338,7 +338,7 @@ def find_breaks(sensitivity: Sensitivity) -> list[Break]:
 
 def plain_words(sensitivity: Sensitivity) -> str:
     """One line on which parameters break the gait, the nearest to its nominal value first (see `Break`)."""
-    name, nominal, episodes = sensitivity.policy or "policy", sensitivity.nominal, sensitivity.episodes
+    name, nominal = sensitivity.policy or "policy", sensitivity.nominal
     if nominal.fell.size and nominal.fell.mean() >= 0.5:
         standing = int((sensitivity.fell.mean(axis=1) < 0.5).sum())
         return (
@@ -352,7 +352,7 @@ def plain_words(sensitivity: Sensitivity) -> str:
         )
     breaks = find_breaks(sensitivity)
     if breaks:
-        told = [_break_words(item, episodes, nominal.mean_return) for item in breaks]
+        told = list(dict.fromkeys(_break_words(item, breaks, sensitivity) for item in breaks))
         parts.append("breaks first at " + ", then ".join([told[0], ", ".join(told[1:])] if told[1:] else told))
     names = {item.row for item in breaks}
     holding = [row for row in sensitivity.rows if row not in names]
@@ -362,9 +362,17 @@ def plain_words(sensitivity: Sensitivity) -> str:
     return f"{name}: {'; '.join(parts)}"
 
 
-def _break_words(item: Break, episodes: int, nominal: float) -> str:
-    """Tell of a break, such as `latency 0.0356 s and above (5 of 8 fall)`."""
-    what = f"{item.row} {item.value:.3g} {row_unit(item.row)}".rstrip()
+def _break_words(item: Break, breaks: Sequence[Break], sensitivity: Sensitivity) -> str:
+    """Tell of a break, such as `latency 0.0356 s and above (5 of 8 fall)`; of both of a row that holds nowhere."""
+    unit, episodes = row_unit(item.row), sensitivity.episodes
+    nominal = sensitivity.nominal.values.get(item.row, math.nan)
+    same = [other for other in breaks if other.row == item.row]
+    others = [i for i in sensitivity.of_row(item.row) if not math.isclose(sensitivity.worlds[i].value, nominal)]
+    if len(same) == 2 and sum(1 + other.broken_beyond for other in same) == len(others):
+        falls = int(sensitivity.fell[others].sum())
+        what = f"{item.row} other than {nominal:.3g} {unit}".rstrip()
+        return f"{what} ({falls} of {len(others) * episodes} fall)"
+    what = f"{item.row} {item.value:.3g} {unit}".rstrip()
     direction = "above" if item.above else "below"
     if item.beyond and item.broken_beyond == item.beyond:
         what += f" and {direction}"
@@ -374,7 +382,7 @@ def _break_words(item: Break, episodes: int, nominal: float) -> str:
         what += f" but not {direction}"
     why = [f"{item.falls} of {episodes} fall"] if item.falls else []
     if 2 * item.falls < episodes:
-        why.append(f"return {item.mean_return:.2f} m instead of {nominal:.2f} m")
+        why.append(f"return {item.mean_return:.2f} m instead of {sensitivity.nominal.mean_return:.2f} m")
     return f"{what} ({', '.join(why)})"
 
 

@@ -1,0 +1,159 @@
+"""`surefoot sensitivity` as a user runs it: in a process of its own, with the policies that ship."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("mujoco")
+pytest.importorskip("matplotlib")
+
+from surefoot.cli.policies import find_policy
+from surefoot.cli.sensitivity import distinct_names
+
+SHORT = ("--values", "2", "--episodes", "1", "--duration", "0.12", "--threads", "1")
+ROWS = ["mass", "motor_friction", "inertia", "motor_strength", "control_step", "latency", "voltage"]
+ROWS += ["contact_friction", "imu_bias", "imu_noise"]
+
+
+def environment() -> dict[str, str]:
+    source = str(Path(__file__).resolve().parents[2] / "src")
+    return dict(os.environ) | {"PYTHONPATH": source, "COLUMNS": "100"}
+
+
+def surefoot(*words: str | Path, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "surefoot", "sensitivity", *map(str, words)]
+    return subprocess.run(command, capture_output=True, text=True, timeout=120, env=environment(), cwd=cwd)
+
+
+def refused(done: subprocess.CompletedProcess[str], *parts: str) -> None:
+    """Exit code 2, nothing on stdout, one line on stderr that has all parts."""
+    assert done.returncode == 2, done.stderr
+    assert done.stdout == ""
+    assert done.stderr.startswith("surefoot: error: ")
+    assert done.stderr.count("\n") == 1
+    for part in parts:
+        assert part in done.stderr
+
+
+def test_tables_figures_and_words(tmp_path: Path):
+    done = surefoot("trot", "gallop", *SHORT, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert done.stderr == ""
+    out = tmp_path / "sensitivity"
+    files = {"sensitivity.csv", "episodes.csv", "aggregate.png", *(f"{row}.png" for row in ROWS)}
+    assert {file.name for file in out.iterdir()} == files
+    with (out / "sensitivity.csv").open() as file:
+        worlds = list(csv.DictReader(file))
+    assert [(world["policy"], world["row"]) for world in worlds] == [
+        (policy, row) for policy in ("trot", "gallop") for row in ROWS for _ in range(2)
+    ]
+    assert [float(world["value"]) for world in worlds if world["row"] == "latency"] == [0.0, 0.04, 0.0, 0.04]
+    for row in ROWS:
+        assert f" {row} " in done.stdout
+    assert "over 20 test worlds, 0 of 20 episodes fall" in done.stdout
+    assert "holds over the whole range of" in done.stdout
+    assert "wrote sensitivity: sensitivity.csv, episodes.csv, aggregate.png, mass.png" in done.stdout
+
+
+def test_json_is_one_object_and_the_ranges_are_the_user_s(tmp_path: Path):
+    (tmp_path / "mine.yaml").write_text("voltage: [12.0, 16.0]\nresistance: [0.15, 0.25]\n")
+    words = ("gallop", *SHORT, "--values", "3", "--ranges", "mine.yaml", "--json", "--seed", "4", "--out", "a/b")
+    done = surefoot(*words, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.count("\n") == 1
+    result = json.loads(done.stdout)
+    assert result["ranges"] == {"voltage": [12.0, 16.0], "resistance": [0.15, 0.25]}
+    assert (result["values"], result["episodes"], result["duration"], result["seed"]) == (3, 1, 0.12, 4)
+    (policy,) = result["policies"]
+    assert (policy["policy"], policy["test_worlds"], policy["fall_rate"]) == ("gallop", 6, 0.0)
+    assert policy["words"].startswith("gallop: ")
+    assert sorted(result["files"]) == sorted(
+        f"a/b/{name}" for name in ("sensitivity.csv", "episodes.csv", "aggregate.png", "voltage.png", "resistance.png")
+    )
+    with (tmp_path / "a/b/sensitivity.csv").open() as file:
+        means = [float(world["return_mean"]) for world in csv.DictReader(file)]
+    assert policy["return_mean"] == pytest.approx(sum(means) / 6, abs=1e-6)
+
+
+def test_policies_of_one_name_are_told_apart(tmp_path: Path):
+    for folder, name in (("a", "mine"), ("b", "mine"), ("b", "other")):
+        (tmp_path / folder).mkdir(exist_ok=True)
+        shutil.copy(find_policy("trot"), tmp_path / folder / f"{name}.onnx")
+    done = surefoot("a/mine.onnx", "b/mine.onnx", "b/other.onnx", *SHORT, "--ranges", "r.yaml", "--json", cwd=tmp_path)
+    refused(done, "r.yaml")
+    (tmp_path / "r.yaml").write_text("mass: [0.8, 1.2]\n")
+    done = surefoot("a/mine.onnx", "b/mine.onnx", "b/other.onnx", *SHORT, "--ranges", "r.yaml", "--json", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    policies = json.loads(done.stdout)["policies"]
+    assert [policy["policy"] for policy in policies] == ["mine-1", "mine-2", "other"]
+    # The same policy in the same worlds, whatever it is called.
+    assert len({policy["return_mean"] for policy in policies}) == 1
+
+
+def test_names():
+    assert distinct_names(["trot", "gallop"], ["a", "b"]) == ["trot", "gallop"]
+    assert distinct_names(["trot", "trot", "gallop"], ["a", "b", "c"]) == ["a", "b", "gallop"]
+    assert distinct_names(["trot", "trot"], ["policy", "policy"]) == ["policy-1", "policy-2"]
+    assert distinct_names(["p", "p", "p-1"], ["p", "p", "q"]) == ["p-2", "p-3", "p-1"]
+
+
+@pytest.mark.parametrize(
+    ("words", "parts"),
+    [
+        ((), ("no policy is given",)),
+        (("trot", "nowhere"), ("policy 'nowhere' does not exist",)),
+        (("trot", "--episodes", "0"), ("episodes is 0; it must be 1 or more",)),
+        (("trot", "--values", "1"), ("values is 1; it must be 2 or more",)),
+        (("trot", "--duration", "0"), ("duration is 0 s; it must be over 0",)),
+        (("trot", "--duration", "inf"), ("duration is inf s",)),
+        (("trot", "--seed", "-1"), ("seed is -1",)),
+        (("trot", "--world", "moon"), ("world 'moon' does not exist; choices: mujoco",)),
+        (("trot", "--ranges", "table9"), ("'table9' does not exist; choices: none, table1",)),
+        (("trot", "--ranges", "none"), ("the table of ranges has no rows",)),
+        (("trot", "--out", "/dev/null/out"), ("/dev/null",)),
+        (("trot", "--colour", "red"), ("--colour",)),
+    ],
+)
+def test_what_does_not_fit_is_refused(words: tuple[str, ...], parts: tuple[str, ...], tmp_path: Path):
+    refused(surefoot(*words, cwd=tmp_path), *parts)
+
+
+def test_policies_for_different_robots_are_refused(tmp_path: Path):
+    onnx = pytest.importorskip("onnx")
+    from surefoot.policy.contract import METADATA_KEY
+    from surefoot.robot import RobotDescription
+
+    robot = tmp_path / "maxitaur"
+    robot.mkdir()
+    for file in RobotDescription.load("minitaur").folder.iterdir():
+        if file.is_file():
+            (robot / file.name).write_bytes(file.read_bytes())
+    sheet = robot / "robot.toml"
+    sheet.write_text(sheet.read_text().replace('name = "minitaur"', 'name = "maxitaur"'))
+    model = onnx.load(find_policy("trot"))
+    for entry in model.metadata_props:
+        if entry.key == METADATA_KEY:
+            contract = json.loads(entry.value)
+            contract["robot"], contract["task"]["robot"] = "maxitaur", str(robot)
+            entry.value = json.dumps(contract)
+    onnx.save(model, tmp_path / "other.onnx")
+    done = surefoot("gallop", tmp_path / "other.onnx", *SHORT, cwd=tmp_path)
+    refused(done, "policy 'trot' is for robot 'maxitaur' and 'gallop' for 'minitaur'", "the same robot")
+    assert not (tmp_path / "sensitivity").exists()
+
+
+def test_what_is_wrong_is_told_before_anything_heavy_is_loaded():
+    script = (
+        "import sys; from surefoot.cli.main import main; main(['sensitivity', 'no.onnx', '--episodes', '0']);"
+        "print([m for m in ('torch', 'mujoco', 'numba', 'matplotlib', 'gymnasium') if m in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, env=environment())
+    assert done.stdout.strip() == "[]"

@@ -1,0 +1,405 @@
+"""The sensitivity study: test worlds, returns over the same time, and words that name what breaks a gait."""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import ArrayLike, NDArray
+
+pytest.importorskip("mujoco")
+pytest.importorskip("gymnasium")
+
+from surefoot.errors import SurefootError
+from surefoot.evaluate.metrics import episode_metrics
+from surefoot.evaluate.rollout import run_episodes
+from surefoot.evaluate.sensitivity import (
+    Nominal,
+    Sensitivity,
+    TestWorld,
+    find_breaks,
+    make_test_worlds,
+    plain_words,
+    row_unit,
+    run_sensitivity,
+    write_csv,
+    write_episodes_csv,
+)
+from surefoot.robot import PhysicalParams, RobotDescription
+from surefoot.task.config import TaskConfig, load_task
+from surefoot.task.randomize import RandomizeConfig, load_ranges
+from surefoot.world.interface import Readings, Truth, WorldConfig
+from surefoot.world.sim_world import SimWorld
+
+
+class Constant:
+    """Gives the same feedback whatever it sees, and counts the robots that it was asked about."""
+
+    def __init__(self) -> None:
+        self.asked: list[int] = []
+
+    def feedback(self, observation: ArrayLike) -> NDArray[np.float64]:
+        self.asked.append(len(np.asarray(observation)))
+        return np.tile(np.repeat([0.05, -0.02], 4), (self.asked[-1], 1))
+
+
+class Reactive:
+    """Answers the roll that it sees, so that latency matters."""
+
+    def feedback(self, observation: ArrayLike) -> NDArray[np.float64]:
+        return np.clip(0.5 * np.asarray(observation, float)[:, :1] + np.linspace(-0.05, 0.05, 8), -0.2, 0.2)
+
+
+class ScriptedWorld:
+    """A simulation without physics: a base goes 1 m/s for each Newton of friction, takes 10 W, and tilts on a date."""
+
+    fall_time: Callable[[PhysicalParams], NDArray[np.float64]] = staticmethod(lambda p: np.full(p.num_envs, math.inf))
+    diverge_time = math.inf
+
+    def __init__(self, robot: Any, num_envs: int, params: PhysicalParams, seed: int, config: WorldConfig) -> None:
+        self.robot, self.num_envs, self.params = robot, num_envs, params
+        self.time, self.position = np.zeros(num_envs), np.zeros(num_envs)
+        self.forces = np.zeros((num_envs, 3))
+        self.pushes = 0
+
+    def reset(self, index: Any = None) -> Readings:
+        self.time[:], self.position[:] = 0.0, 0.0
+        return self.readings()
+
+    def step(self, target: Any, active: Any = None) -> Readings:
+        went = self.params.control_step * (True if active is None else active)
+        self.time += went
+        self.position += self.params.contact_friction * went
+        self.diverged = self.time > self.diverge_time - 1e-9
+        self.position[self.diverged] = 0.0
+        self.energy = 10.0 * went
+        return self.readings()
+
+    def readings(self) -> Readings:
+        motors = np.zeros((self.num_envs, 8))
+        return Readings(self.time.copy(), np.zeros((self.num_envs, 3)), np.zeros((self.num_envs, 3)), motors, motors)
+
+    def truth(self) -> Truth:
+        zeros, motors = np.zeros((self.num_envs, 3)), np.zeros((self.num_envs, 8))
+        tilt = np.where(self.time > self.fall_time(self.params) - 1e-9, 1.0, 0.0)
+        return Truth(
+            base_position_world=self.position[:, None] * [1.0, 0.0, 0.0],
+            base_quat_world=np.tile([1.0, 0, 0, 0], (self.num_envs, 1)),
+            base_velocity_world=zeros,
+            roll_pitch_yaw=tilt[:, None] * [1.0, 0.0, 0.0],
+            motor_angle=motors,
+            motor_velocity=motors,
+            motor_torque=motors,
+            energy=getattr(self, "energy", np.zeros(self.num_envs)).copy(),
+            foot_contact=np.ones((self.num_envs, 4)),
+            diverged=getattr(self, "diverged", np.zeros(self.num_envs, np.bool_)).copy(),
+        )
+
+    def push(self, force_world: Any) -> None:
+        self.pushes += 1
+
+    def get_state(self) -> dict[str, Any]:
+        return {"streams": []}
+
+    def set_state(self, state: dict[str, Any]) -> None:
+        assert state == {"streams": []}
+
+
+def trot(max_steps: int = 100, **changes: Any) -> TaskConfig:
+    task, _ = load_task("trot")
+    return replace(task, max_steps=max_steps, **changes)
+
+
+def scripted(**attributes: Any) -> Any:
+    return type("World", (ScriptedWorld,), attributes)
+
+
+def of_row(result: Sensitivity, row: str, part: NDArray[Any]) -> list[Any]:
+    return part[result.of_row(row)].tolist()
+
+
+def test_table_1_gives_a_hundred_worlds():
+    worlds = make_test_worlds(load_ranges("table1"))
+    assert len(worlds) == 100
+    assert worlds[0] == TestWorld("mass", 0.8)
+    latency = [world.value for world in worlds if world.row == "latency"]
+    assert np.allclose(latency, np.arange(10) * 0.04 / 9)
+    assert latency[-1] == 0.04
+    assert {row_unit(world.row) for world in worlds} == {"", "N m", "s", "V", "rad"}
+
+
+def test_worlds_are_the_ends_and_what_lies_between():
+    ranges = RandomizeConfig(mass=(0.9, 1.1), voltage=(15.0, 15.0))
+    worlds = make_test_worlds(ranges, 3)
+    assert worlds == (TestWorld("mass", 0.9), TestWorld("mass", 1.0), TestWorld("mass", 1.1), TestWorld("voltage", 15))
+
+
+def test_worlds_that_can_not_be_are_refused():
+    with pytest.raises(SurefootError, match="values is 1; it must be 2 or more"):
+        make_test_worlds(load_ranges("table1"), 1)
+    with pytest.raises(SurefootError, match="the table of ranges has no rows"):
+        make_test_worlds(RandomizeConfig())
+
+
+def test_returns_by_hand_over_the_same_time():
+    ranges = RandomizeConfig(control_step=(0.003, 0.020), contact_friction=(0.5, 1.0))
+    policy = Constant()
+    result = run_sensitivity(policy, trot(), scripted(), ranges=ranges, values=2, episodes=2, duration=0.6)
+    # 0.6 s at 1 m/s and 10 W with w = 0.008 m/J: 0.6 - 0.048, whether in 200 control steps or in 30.
+    assert result.returns.shape == result.fell.shape == result.speed.shape == (4, 2)
+    assert np.allclose(of_row(result, "control_step", result.returns), 0.552)
+    assert np.allclose(of_row(result, "contact_friction", result.returns), [[0.252] * 2, [0.552] * 2])
+    assert np.allclose(of_row(result, "contact_friction", result.speed), [[0.5] * 2, [1.0] * 2])
+    assert np.allclose(result.nominal.returns, 0.552)
+    assert result.nominal.values == pytest.approx({"control_step": 0.006, "contact_friction": 1.0})
+    assert not result.fell.any()
+    # Robots whose time is over are not asked about: 10 until 30 control steps, 8 until 100, 2 until 200.
+    assert policy.asked == [10] * 30 + [8] * 70 + [2] * 100
+
+
+def test_an_episode_ends_with_the_control_step_nearest_to_its_duration():
+    ranges = RandomizeConfig(control_step=(0.007, 0.017))
+    result = run_sensitivity(Constant(), trot(), scripted(), ranges=ranges, values=2, episodes=1, duration=0.1)
+    # 14 control steps of 7 ms and 6 of 17 ms.
+    assert np.allclose(result.returns[:, 0], np.array([0.098, 0.102]) * 0.92)
+
+
+def test_a_robot_that_falls_counts_to_its_fall():
+    world = scripted(fall_time=staticmethod(lambda p: np.where(p.voltage > 15.9, math.inf, 0.3)))
+    ranges = RandomizeConfig(voltage=(15.0, 16.0), mass=(0.8, 1.2))
+    result = run_sensitivity(Constant(), trot(), world, ranges=ranges, values=2, episodes=3, duration=0.6)
+    assert of_row(result, "voltage", result.fell) == [[True] * 3, [False] * 3]
+    assert np.allclose(of_row(result, "voltage", result.returns), [[0.276] * 3, [0.552] * 3])
+    assert np.allclose(result.speed, 1.0)
+    assert result.fall_rate == 0.25
+
+
+def test_a_robot_that_diverges_fell_where_it_was():
+    world = scripted(diverge_time=0.3)
+    ranges = RandomizeConfig(mass=(0.8, 1.2))
+    result = run_sensitivity(Constant(), trot(), world, ranges=ranges, values=2, episodes=1, duration=0.6)
+    assert result.fell.all()
+    # The 50th control step is lost; the robot was at 0.294 m after 0.294 s.
+    assert np.allclose(result.returns, 0.294 * 0.92)
+    assert np.allclose(result.speed, 1.0)
+
+
+def test_the_default_time_is_the_task_s():
+    ranges = RandomizeConfig(control_step=(0.003, 0.020))
+    result = run_sensitivity(Constant(), trot(100), scripted(), ranges=ranges, values=2, episodes=1)
+    assert np.allclose(result.returns, 0.552)
+    slower = run_sensitivity(
+        Constant(), trot(100, params={"control_step": 0.012}), scripted(), ranges=ranges, values=2, episodes=1
+    )
+    assert np.allclose(slower.returns, 1.104)
+    assert slower.nominal.values["control_step"] == 0.012
+
+
+def test_robots_are_pushed_only_when_asked():
+    made: list[ScriptedWorld] = []
+
+    def make(*arguments: Any) -> ScriptedWorld:
+        made.append(ScriptedWorld(*arguments))
+        return made[-1]
+
+    task = trot(pushes=replace(trot().pushes, enabled=True, probability=0.5), randomize=load_ranges("table1"))
+    ranges = RandomizeConfig(mass=(0.8, 1.2))
+    for pushes in (False, True):
+        run_sensitivity(Constant(), task, make, ranges=ranges, values=2, episodes=1, duration=1.3, pushes=pushes)
+    assert made[0].pushes == 0
+    # Of the start, its restart, and the one push at 1.2 s: on and off.
+    assert made[1].pushes == 4
+
+
+@pytest.mark.parametrize(("pushes", "max_steps"), [(False, 60), (True, 220)])
+def test_an_episode_is_the_one_that_evaluate_runs(pushes: bool, max_steps: int):
+    task = trot(max_steps, pushes=replace(trot().pushes, enabled=pushes, probability=1.0))
+    ranges = RandomizeConfig(
+        mass=(0.8, 1.2), motor_strength=(0.8, 1.1), control_step=(0.003, 0.02), latency=(0.0, 0.04)
+    )
+    result = run_sensitivity(
+        Reactive(), task, SimWorld, ranges=ranges, values=2, episodes=3, seed=7, threads=1, pushes=pushes
+    )
+    assert [world.row for world in result.worlds[::2]] == list(ranges.ranges)
+    checked: list[tuple[dict[str, float], int, Any, Any]] = [
+        ({}, max_steps, result.nominal.returns, result.nominal.speed),
+        ({"base_mass_ratio": 1.2, "leg_mass_ratio": 1.2}, max_steps, result.returns[1], result.speed[1]),
+        ({"motor_strength": 0.8}, max_steps, result.returns[2], result.speed[2]),
+        ({"control_step": 0.003}, 2 * max_steps, result.returns[4], result.speed[4]),
+        ({"control_latency": 0.04}, max_steps, result.returns[7], result.speed[7]),
+    ]
+    for params, steps, returns, speed in checked:
+        same = replace(task, params=params, max_steps=steps)
+        traces = run_episodes(Reactive(), same, 3, SimWorld, seed=7, threads=1)
+        metrics = [episode_metrics(trace) for trace in traces]
+        assert np.allclose(returns, [item.return_ for item in metrics], rtol=0, atol=1e-9), params
+        assert np.allclose(speed, [item.speed for item in metrics], rtol=0, atol=1e-9), params
+    assert len(np.unique(result.returns.round(9))) == result.returns.size
+
+
+def test_progress_counts_to_the_end():
+    seen: list[tuple[int, int]] = []
+    ranges = RandomizeConfig(control_step=(0.003, 0.020))
+    run_sensitivity(
+        Constant(),
+        trot(),
+        scripted(fall_time=staticmethod(lambda p: np.where(p.control_step < 0.005, 0.3, math.inf))),
+        ranges=ranges,
+        values=2,
+        episodes=1,
+        duration=0.6,
+        progress=lambda done, total: seen.append((done, total)),
+    )
+    # 100 nominal steps, 200 of 3 ms of which a fall spares the second half, 30 of 20 ms.
+    assert {total for _, total in seen} == {330}
+    assert [done for done, _ in seen] == sorted(done for done, _ in seen)
+    assert seen[0] == (3, 330)
+    assert seen[-1] == (330, 330)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"episodes": 0}, "episodes is 0; it must be 1 or more"),
+        ({"seed": -1}, "seed is -1; it must be 0 or more"),
+        ({"duration": 0.0}, "duration is 0 s; it must be over 0"),
+        ({"duration": math.nan}, "duration is nan s"),
+        ({"ranges": RandomizeConfig(voltage=(1.0, 16.0))}, r"randomize.voltage is \[1, 16\]; minitaur allows voltage"),
+    ],
+)
+def test_what_does_not_fit_is_refused(options: dict[str, Any], message: str):
+    with pytest.raises(SurefootError, match=message):
+        run_sensitivity(Constant(), trot(), scripted(), **options)
+
+
+def made_up(
+    returns: dict[str, list[float]], falls: dict[str, list[int]] | None = None, nominal: float = 10.0, fell: int = 0
+) -> Sensitivity:
+    """A study of 4 episodes a world over 0 to 40 ms of latency and other rows, from mean returns and falls."""
+    spans = {"latency": (0.0, 0.04), "mass": (0.8, 1.2), "motor_friction": (0.0, 0.05)}
+    centres = {"latency": 0.02, "mass": 1.0, "motor_friction": 0.0}
+    worlds, means, downs = [], [], []
+    for row, values in returns.items():
+        worlds += [TestWorld(row, float(value)) for value in np.linspace(*spans[row], len(values))]
+        means += values
+        downs += (falls or {}).get(row, [0] * len(values))
+    shape = (len(worlds), 4)
+    spread = np.array([-1.0, 1.0, -1.0, 1.0])
+    return Sensitivity(
+        policy="trot",
+        worlds=tuple(worlds),
+        returns=np.array(means)[:, None] + spread,
+        fell=np.arange(4) < np.array(downs)[:, None],
+        speed=np.full(shape, 0.5),
+        nominal=Nominal({row: centres[row] for row in returns}, nominal + spread, np.arange(4) < fell, np.full(4, 0.5)),
+    )
+
+
+def test_aggregates_by_hand():
+    study = made_up({"latency": [4.0, 8.0]}, {"latency": [3, 0]})
+    assert study.mean_return.tolist() == [4.0, 8.0]
+    # Four numbers at 1 from their mean: variance 4/3, and 4/3/4 of the mean.
+    assert np.allclose(study.standard_error, math.sqrt(1 / 3))
+    assert (study.mean, study.std, study.fall_rate) == (6.0, 2.0, 0.375)
+    assert (study.rows, study.episodes) == (("latency",), 4)
+    once = replace(study, returns=study.returns[:, :1], fell=study.fell[:, :1], speed=study.speed[:, :1])
+    assert np.isnan(once.standard_error).all()
+
+
+def test_words_name_the_nearest_break_first():
+    study = made_up(
+        {"mass": [10, 10, 10, 10, 1], "latency": [10, 10, 10, 4, 3], "motor_friction": [10, 9, 8, 8, 7]},
+        {"mass": [0, 0, 0, 0, 4], "latency": [0, 0, 0, 1, 3]},
+    )
+    assert [(item.row, item.above, item.fraction) for item in find_breaks(study)] == [
+        ("latency", True, pytest.approx(0.5)),
+        ("mass", True, pytest.approx(1.0)),
+    ]
+    assert plain_words(study) == (
+        "trot: breaks first at latency 0.03 s and above (1 of 4 fall, return 4.00 m instead of 10.00 m), "
+        "then mass 1.2 (4 of 4 fall); holds over the whole range of motor_friction"
+    )
+
+
+@pytest.mark.parametrize(
+    ("returns", "falls", "words"),
+    [
+        ([10] * 5, [0, 0, 0, 0, 1], "trot: holds over the whole range of every row: latency"),
+        (
+            [10] * 5,
+            [3, 0, 0, 2, 4],
+            "trot: breaks first at latency 0.03 s and above (2 of 4 fall), then latency 0 s (3 of 4 fall)",
+        ),
+        ([10] * 5, [4, 4, 0, 3, 4], "trot: breaks first at latency other than 0.02 s (15 of 16 fall)"),
+        ([10] * 4, [4, 4, 4, 4], "trot: breaks first at latency other than 0.02 s (16 of 16 fall)"),
+        ([10, 10, 10, 4, 10], [0] * 5, "trot: breaks first at latency 0.03 s but not above"),
+        (
+            [10] * 9,
+            [0] * 5 + [4, 0, 0, 4],
+            "trot: breaks first at latency 0.025 s and 1 of 3 values above (4 of 4 fall)",
+        ),
+    ],
+)
+def test_words_on_both_sides_everywhere_never_and_here_and_there(returns: list[float], falls: list[int], words: str):
+    said = plain_words(made_up({"latency": returns}, {"latency": falls}))
+    assert said.startswith(words)
+    assert "\n" not in said
+
+
+def test_words_on_a_gait_that_fails_in_the_nominal_world():
+    study = made_up({"latency": [1.0, 1.0]}, {"latency": [4, 1]}, fell=3)
+    assert plain_words(study) == (
+        "trot: falls in the nominal world already (3 of 4 fall); stays up in 1 of 2 test worlds"
+    )
+    still = made_up({"latency": [-5.0, -5.0]}, {"latency": [0, 2]}, nominal=-1.0)
+    assert plain_words(still) == (
+        "trot: goes nowhere in the nominal world (return -1.00 m), so that only falls count; "
+        "breaks first at latency 0.04 s (2 of 4 fall)"
+    )
+
+
+def test_a_study_without_its_nominal_world_can_be_told():
+    study = replace(made_up({"latency": [1.0, 9.0, 9.0]}, {"latency": [4, 0, 0]}), nominal=Nominal())
+    assert plain_words(study) == "trot: breaks first at latency 0 s (4 of 4 fall)"
+
+
+def test_tables_hold_the_worlds_and_the_raw_episodes(tmp_path: Path):
+    study = made_up({"latency": [4.0, 8.0], "mass": [5.0, 6.0]}, {"latency": [3, 0]})
+    path = write_csv(tmp_path / "deep" / "s.csv", [study, replace(study, policy="gallop")])
+    lines = path.read_text().splitlines()
+    assert len(lines) == 1 + 2 * 4
+    assert lines[0] == "policy,row,unit,value,episodes,return_mean,return_standard_error,return_std,speed_mean,falls"
+    assert lines[1] == "trot,latency,s,0,4,4.000000,0.577350,1.000000,0.500000,3"
+    assert lines[8] == "gallop,mass,,1.2,4,6.000000,0.577350,1.000000,0.500000,0"
+    with write_episodes_csv(tmp_path / "e.csv", [study]).open() as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == 5 * 4
+    assert [row["return"] for row in rows[:4]] == ["9.000000", "11.000000", "9.000000", "11.000000"]
+    assert {row["row"] for row in rows[:4]} == {"nominal"}
+    assert [int(row["fell"]) for row in rows[4:8]] == [1, 1, 1, 0]
+    again = np.array([float(row["return"]) for row in rows[4:]]).reshape(4, 4)
+    assert np.array_equal(again, study.returns)
+
+
+def test_a_single_episode_has_no_standard_error(tmp_path: Path):
+    study = made_up({"latency": [4.0, 8.0]})
+    once = replace(study, returns=study.returns[:, :1], fell=study.fell[:, :1], speed=study.speed[:, :1])
+    assert write_csv(tmp_path / "s.csv", [once]).read_text().splitlines()[1].split(",")[5:8] == [
+        "3.000000",
+        "",
+        "0.000000",
+    ]
+
+
+def test_the_robot_s_nominal_values_are_told():
+    assert RobotDescription.load("minitaur").nominal_params()["control_latency"] == 0.02
+    ranges = RandomizeConfig(latency=(0.0, 0.04), motor_strength=(0.8, 1.2), mass=(0.8, 1.2))
+    task = trot(params={"motor_strength": 0.9})
+    result = run_sensitivity(Constant(), task, scripted(), ranges=ranges, values=2, episodes=1, duration=0.1)
+    assert result.nominal.values == pytest.approx({"latency": 0.02, "motor_strength": 0.9, "mass": 1.0})
