@@ -766,7 +766,7 @@ def test_a_tables_path_counts_from_the_tasks_file(tmp_path: Path, monkeypatch: p
 @pytest.mark.parametrize(
     ("randomize", "pieces"),
     [
-        ("randomize: tabel1", ["task.yaml: randomize 'tabel1' does not exist; choices: none, table1"]),
+        ("randomize: tabel1", ["task.yaml: randomize '", "tabel1' does not exist; choices: none, table1"]),
         ("randomize: {mass: [1.2, 0.8]}", ["task.yaml: randomize.mass is [1.2, 0.8]"]),
         ("randomize: {speed: [1, 2]}", ["task.yaml: randomize.speed is no key; keys: mass"]),
         ("randomize: 3", ["task.yaml: randomize is 3; it must be a table"]),
