@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shlex
 import signal
 import sys
 from dataclasses import dataclass, replace
@@ -41,6 +42,8 @@ class StudyCommand:
     """Groups to train and evaluate; all if not given. The report covers whatever is there."""
     train_only: bool = False
     """Stop after training: no evaluation, no report."""
+    report_only: bool = False
+    """Train nothing: evaluate the runs that are finished, and report what is there."""
 
 
 def main(argv: list[str]) -> int:
@@ -48,21 +51,34 @@ def main(argv: list[str]) -> int:
     command = parse(StudyCommand, argv, "surefoot study", config=(tyro.conf.FlagCreatePairsOff,))
     if command.workers < 0:
         raise SurefootError(f"workers is {command.workers}; it must be 0 (one a core) or more")
+    if command.train_only and command.report_only:
+        raise SurefootError("--train-only and --report-only leave nothing to do; give one of them, or neither")
+    from surefoot.cli.study_results import check_kinds, evaluate_runs, report
+
     study = load_study(command.file)
+    check_kinds(study)
     if command.seeds:
         study = replace(study, seeds=command.seeds)
-    runs = study_runs(study, command.runs or Path("runs") / study.name, command.only)
+    root = command.runs or Path("runs") / study.name
+    runs = study_runs(study, root, command.only)
     for run in runs:
         run.check()
+    workers = command.workers or os.cpu_count() or 1
     console = Console(highlight=False, soft_wrap=True)
-    outcome = train(study, runs, command.workers or os.cpu_count() or 1, console)
-    if outcome.stopped:
-        console.print("Stopped; every run under way is saved. The same command goes on.")
-        return 130
-    if outcome.failed:
-        for name, line in outcome.failed.items():
-            print(f"surefoot: error: {name}: {line}", file=sys.stderr)
-    return 1 if outcome.failed else 0
+    failed: dict[str, str] = {}
+    if not command.report_only:
+        outcome = train(study, runs, workers, console)
+        failed = outcome.failed
+        if outcome.stopped:
+            console.print("Stopped; every run under way is saved. The same command goes on.")
+            return 130
+    if not command.train_only:
+        evaluate_runs(study, runs, command.workers, console)
+        words = ["surefoot", "study", *argv]
+        report(study, root, command.out or Path("results") / study.name, shlex.join(words), console)
+    for name, line in failed.items():
+        print(f"surefoot: error: {name}: {line}", file=sys.stderr)
+    return 1 if failed else 0
 
 
 def train(study: StudyConfig, runs: list[StudyRun], workers: int, console: Console) -> Outcome:

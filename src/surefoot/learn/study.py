@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import re
 from collections.abc import Mapping
@@ -49,6 +50,8 @@ class StudyConfig:
     """What all groups share and the task does not say: any field of TrainConfig."""
     evaluate: tuple[str, ...] = ()
     """Kinds of evaluation of every trained policy."""
+    compare: tuple[tuple[str, str], ...] = ()
+    """Pairs of groups whose difference is reported, the second against the first; every pair, if empty."""
 
     def __post_init__(self) -> None:
         """Refuse what no study can be."""
@@ -59,6 +62,14 @@ class StudyConfig:
                 raise SurefootError(f"name '{what}': letters, digits, _ - and . only, since a folder is called so")
         if not self.seeds or min(self.seeds) < 0 or len(set(self.seeds)) < len(self.seeds):
             raise SurefootError(f"seeds is {list(self.seeds)}; it takes 1 or more, none below 0 and none twice")
+        for name in (name for pair in self.compare for name in pair):
+            if name not in self.groups:
+                raise SurefootError(f"compare: '{name}' is no group of the study; groups: {choices(self.groups)}")
+
+    @property
+    def pairs(self) -> tuple[tuple[str, str], ...]:
+        """Pairs of groups whose difference is reported."""
+        return self.compare or tuple(itertools.combinations(self.groups, 2))
 
     def label(self, group: str) -> str:
         """What figures and tables call a group."""
@@ -142,23 +153,38 @@ def difference(one: Any, other: Any, way: str = "") -> tuple[str, Any, Any] | No
 
 
 def load_study(path: Path) -> StudyConfig:
-    """Read a study's file; a path of a task in it counts from the file's folder.
+    """Read a study's file; paths in it count from the file's folder.
 
     Raises:
         SurefootError: it can't be read, or does not fit.
     """
+    data = {"name": path.stem, **read_yaml(path)}
     try:
-        study = from_mapping(StudyConfig, {"name": path.stem, **read_yaml(path)})
+        study = from_mapping(StudyConfig, data)
+        if study.task not in preset_names():
+            study = replace(study, task=str(path.parent / study.task))
+        groups = {
+            name: replace(group, train=_located(group.train, path.parent)) for name, group in study.groups.items()
+        }
+        study = replace(study, train=_located(study.train, path.parent), groups=groups)
+        for name in study.groups:
+            group_config(study, name)
     except SurefootError as error:
-        raise SurefootError(str(error) if str(error).startswith(str(path)) else f"{path}: {error}") from None
-    if study.task not in preset_names():
-        study = replace(study, task=str(path.parent / study.task))
-    for group in study.groups:
-        try:
-            group_config(study, group)
-        except SurefootError as error:
-            raise SurefootError(f"{path}: {error}") from None
+        raise SurefootError(f"{path}: {error}") from None
     return study
+
+
+def _located(train: dict[str, Any], folder: Path) -> dict[str, Any]:
+    """Settings with the files that they name found: tables of ranges as their rows, references by whole path."""
+    task = train.get("task")
+    if not isinstance(task, Mapping):
+        return train
+    # A named table of ranges replaces every range there was.
+    task = with_ranges(dict(task), folder)
+    reference = task.get("reference")
+    if isinstance(reference, Mapping) and isinstance(reference.get("file"), str):
+        task["reference"] = {**reference, "file": str((folder / reference["file"]).resolve())}
+    return {**train, "task": task}
 
 
 def group_config(study: StudyConfig, group: str) -> TrainConfig:
@@ -171,10 +197,6 @@ def group_config(study: StudyConfig, group: str) -> TrainConfig:
     every = min(base.checkpoint_every, CHECKPOINT_EVERY)
     config = replace(base, name=group, threads=1, learning_threads=1, checkpoint_every=every)
     for where, given in (("train", study.train), (f"groups.{group}.train", study.groups[group].train)):
-        task = given.get("task")
-        if isinstance(task, Mapping):
-            # A named table of ranges replaces every range there was.
-            given = {**given, "task": with_ranges(dict(task))}
         config = from_mapping(TrainConfig, given, where, base=config)
     return config
 

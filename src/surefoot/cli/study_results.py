@@ -1,0 +1,103 @@
+"""Evaluation and report of a study's finished runs."""
+
+from __future__ import annotations
+
+import time
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rich.console import Console
+
+from surefoot.errors import SurefootError
+from surefoot.learn.study import StudyConfig, StudyRun, study_runs
+
+if TYPE_CHECKING:
+    from surefoot.evaluate.comparison import Comparison, SeedResult
+
+
+def check_kinds(study: StudyConfig) -> None:
+    """Refuse kinds of evaluation that there are not, before anything is trained."""
+    from surefoot.evaluate.study import kinds_of
+
+    kinds_of(study.evaluate)
+
+
+def evaluate_runs(study: StudyConfig, runs: list[StudyRun], threads: int, console: Console) -> None:
+    """Make every evaluation of every finished run that is not there yet."""
+    from surefoot.evaluate.study import KINDS, evaluate, kept, kinds_of
+    from surefoot.world.sim_world import SimWorld
+
+    kinds = kinds_of(study.evaluate)
+    finished = [run for run in runs if run.state == "finished"]
+    todo = [(run, kind) for run in finished for kind in kinds if kept(run.policy, kind) is None]
+    for number, (run, kind) in enumerate(todo, start=1):
+        start = time.perf_counter()
+        with console.status(f"evaluating {run.name}: {kind} ({number} of {len(todo)})"):
+            result = evaluate(run.policy, kind, SimWorld, threads)
+        figures = ", ".join(f"{one.title} {one.read(result):.{one.digits}f} {one.unit}" for one in KINDS[kind].figures)
+        seconds = time.perf_counter() - start
+        console.print(
+            f"{number:>3} of {len(todo)}  {run.group:<20} seed {run.config.seed:<3} {figures}  ({seconds:.0f} s)"
+        )
+
+
+def report(study: StudyConfig, root: Path, out: Path, command: str, console: Console) -> None:
+    """Write tables, figures and README of all runs that are finished and evaluated, whichever were asked for now."""
+    import_module("matplotlib")
+    from surefoot.evaluate.comparison import write_tables
+    from surefoot.evaluate.sensitivity import write_csv
+    from surefoot.report.study_report import write_report
+
+    comparison = collect(study, root)
+    out.mkdir(parents=True, exist_ok=True)
+    write_tables(comparison, out)
+    tested = [one for group in comparison.groups for one in group.sensitivities]
+    if tested:
+        write_csv(out / "sensitivity.csv", tested)
+    readme = write_report(comparison, out, command)
+    if comparison.missing:
+        console.print(f"Not in the report: {', '.join(comparison.missing)}")
+    console.print(f"Report: {readme}")
+
+
+def collect(study: StudyConfig, root: Path) -> Comparison:
+    """All runs of a study that are finished and have every evaluation.
+
+    Raises:
+        SurefootError: there is none.
+    """
+    from surefoot.evaluate.comparison import Comparison, GroupResult
+    from surefoot.evaluate.study import kinds_of
+
+    kinds = kinds_of(study.evaluate)
+    found: dict[str, list[SeedResult]] = {name: [] for name in study.groups}
+    missing = []
+    for run in study_runs(study, root):
+        result = _result(run, kinds)
+        if result is None:
+            missing.append(run.name)
+        else:
+            found[run.group].append(result)
+    groups = tuple(GroupResult(name, study.label(name), tuple(seeds)) for name, seeds in found.items() if seeds)
+    if not groups:
+        raise SurefootError(f"{root}: no run of the study is finished and evaluated; there is nothing to report yet")
+    return Comparison(study.name, kinds, groups, study.pairs, tuple(missing))
+
+
+def _result(run: StudyRun, kinds: tuple[str, ...]) -> SeedResult | None:
+    """What is known of a run; None if it is not finished, not evaluated, or not what the study asks for."""
+    from surefoot.evaluate.comparison import Curve, SeedResult
+    from surefoot.evaluate.study import kept
+
+    if run.state != "finished":
+        return None
+    try:
+        run.check()
+    except SurefootError:
+        return None
+    results = {kind: result for kind in kinds if (result := kept(run.policy, kind)) is not None}
+    if len(results) < len(kinds):
+        return None
+    rows = run.rows()
+    return SeedResult(run.config.seed, rows[-1]["steps"], rows[-1]["seconds"], Curve.of_rows(rows), results)

@@ -1,0 +1,121 @@
+"""Means with confidence intervals, for a few numbers that vary by chance, such as one for each seed.
+
+The numbers are taken as drawn independently from normal distributions.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from surefoot.errors import SurefootError
+
+CONFIDENCE = 0.95
+
+
+@dataclass(frozen=True)
+class Interval:
+    """An estimate and the interval that covers the true value with some confidence."""
+
+    mean: float
+    """The estimate."""
+    low: float
+    """Lower end; NaN where there are too few numbers to tell."""
+    high: float
+    """Upper end; NaN where there are too few numbers to tell."""
+
+    @property
+    def known(self) -> bool:
+        """Whether there are enough numbers for an interval."""
+        return math.isfinite(self.low) and math.isfinite(self.high)
+
+    @property
+    def covers_zero(self) -> bool:
+        """Whether zero is within; true where there is no interval."""
+        return not self.known or self.low <= 0 <= self.high
+
+
+def t_interval(values: ArrayLike, confidence: float = CONFIDENCE) -> Interval:
+    """The mean of numbers with Student's t interval; from one number only, there is none.
+
+    Args:
+        values: the numbers (N,).
+        confidence: chance that the interval covers the true mean.
+
+    Raises:
+        SurefootError: no numbers, ones that are not finite, or a confidence not between 0 and 1.
+    """
+    array = _checked(values, confidence)
+    mean = float(array.mean())
+    if len(array) < 2:
+        return Interval(mean, math.nan, math.nan)
+    half = _quantile(confidence, len(array) - 1) * float(array.std(ddof=1)) / math.sqrt(len(array))
+    return Interval(mean, mean - half, mean + half)
+
+
+def welch_interval(values: ArrayLike, base: ArrayLike, confidence: float = CONFIDENCE) -> Interval:
+    """The mean of `values` less that of `base`, with Welch's interval: their variances need not be alike.
+
+    Degrees of freedom are those of Welch and Satterthwaite. With fewer than two numbers on either side there is no
+    interval.
+
+    Args:
+        values: the numbers (N,).
+        base: what they are compared with (M,).
+        confidence: chance that the interval covers the true difference.
+
+    Raises:
+        SurefootError: no numbers, ones that are not finite, or a confidence not between 0 and 1.
+    """
+    first, second = _checked(values, confidence), _checked(base, confidence)
+    difference = float(first.mean() - second.mean())
+    if len(first) < 2 or len(second) < 2:
+        return Interval(difference, math.nan, math.nan)
+    parts = [float(array.var(ddof=1)) / len(array) for array in (first, second)]
+    total = sum(parts)
+    if total == 0:
+        return Interval(difference, difference, difference)
+    # As shares of the whole, so that variances of any size square without running out of range.
+    freedom = 1 / sum(
+        (part / total) ** 2 / (len(array) - 1) for part, array in zip(parts, (first, second), strict=True)
+    )
+    half = _quantile(confidence, freedom) * math.sqrt(total)
+    return Interval(difference, difference - half, difference + half)
+
+
+def _quantile(confidence: float, freedom: float) -> float:
+    """How many standard errors the interval reaches to either side."""
+    from scipy.stats import t
+
+    return float(t.ppf(0.5 + confidence / 2, freedom))
+
+
+def _checked(values: ArrayLike, confidence: float) -> NDArray[np.float64]:
+    array = np.asarray(values, np.float64)
+    if array.ndim != 1 or not array.size or not np.isfinite(array).all():
+        raise SurefootError(f"numbers {array.tolist()}; a mean takes 1 or more in one row, all of them finite")
+    if not 0 < confidence < 1:
+        raise SurefootError(f"confidence is {confidence:g}; it must be over 0 and below 1")
+    return array
+
+
+def plain(interval: Interval, digits: int = 2, sign: bool = False) -> str:
+    """An interval as text, such as `1.20 [1.05, 1.35]`; without ends where they are not known.
+
+    Args:
+        interval: what is told.
+        digits: behind the point.
+        sign: write + before what is above zero.
+    """
+
+    def text(number: float) -> str:
+        # What rounds to zero has no sign.
+        rounded = round(number, digits) + 0.0
+        return f"{rounded:{'+' if sign and rounded else ''}.{digits}f}"
+
+    if not interval.known:
+        return text(interval.mean)
+    return f"{text(interval.mean)} [{text(interval.low)}, {text(interval.high)}]"
