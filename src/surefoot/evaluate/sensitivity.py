@@ -333,7 +333,8 @@ def find_breaks(sensitivity: Sensitivity) -> list[Break]:
                     broken_beyond=int(bad[first + 1 :].sum()),
                 )
             )
-    return sorted(found, key=lambda item: item.fraction)
+    # Equal fractions differ in their last digits; rounded, they keep the order of the table.
+    return sorted(found, key=lambda item: round(item.fraction, 9))
 
 
 def plain_words(sensitivity: Sensitivity) -> str:
