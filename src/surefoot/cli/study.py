@@ -42,6 +42,8 @@ class StudyCommand:
     """Groups to train and evaluate; all if not given. The report covers whatever is there."""
     train_only: bool = False
     """Stop after training: no evaluation, no report."""
+    extend: bool = False
+    """Go on with runs that were trained for fewer steps than the file now asks for, in place of refusing them."""
     report_only: bool = False
     """Train nothing: evaluate the runs that are finished, and report what is there."""
 
@@ -62,7 +64,9 @@ def main(argv: list[str]) -> int:
     root = command.runs or Path("runs") / study.name
     runs = study_runs(study, root, command.only)
     for run in runs:
-        run.check()
+        run.check(extend=command.extend)
+    for run in runs if command.extend else []:
+        run.extend()
     workers = command.workers or os.cpu_count() or 1
     console = Console(highlight=False, soft_wrap=True)
     failed: dict[str, str] = {}
@@ -119,23 +123,26 @@ class _Stops:
     """Counts Ctrl-C and requests to terminate."""
 
     def __init__(self, console: Console) -> None:
-        self._console, self._asked = console, 0
+        self._console, self._asked, self._told = console, 0, False
         self._before: dict[int, Any] = {}
 
     def __enter__(self) -> _Stops:
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-            self._before[number] = signal.signal(number, self._on_signal)
+            # What `nohup` made to be ignored stays so.
+            if number != signal.SIGHUP or signal.getsignal(number) != signal.SIG_IGN:
+                self._before[number] = signal.signal(number, self._on_signal)
         return self
 
     def __exit__(self, *_: object) -> None:
         for number, handler in self._before.items():
             signal.signal(number, handler)
 
-    def _on_signal(self, number: int, _: object) -> None:
+    def _on_signal(self, *_: object) -> None:
         self._asked += 1
-        if self._asked == 1:
-            self._console.print("Stopping after the updates under way; once more stops at once.")
 
     def count(self) -> int:
-        """How often a stop was asked for."""
+        """How often a stop was asked for; says so the first time."""
+        if self._asked and not self._told:
+            self._told = True
+            self._console.print("Stopping after the updates under way; once more stops at once.")
         return self._asked

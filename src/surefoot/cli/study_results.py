@@ -46,15 +46,11 @@ def report(study: StudyConfig, root: Path, out: Path, command: str, console: Con
     """Write tables, figures and README of all runs that are finished and evaluated, whichever were asked for now."""
     import_module("matplotlib")
     from surefoot.evaluate.comparison import write_tables
-    from surefoot.evaluate.sensitivity import write_csv
     from surefoot.report.study_report import write_report
 
     comparison = collect(study, root)
     out.mkdir(parents=True, exist_ok=True)
     write_tables(comparison, out)
-    tested = [one for group in comparison.groups for one in group.sensitivities]
-    if tested:
-        write_csv(out / "sensitivity.csv", tested)
     readme = write_report(comparison, out, command)
     if comparison.missing:
         console.print(f"Not in the report: {', '.join(comparison.missing)}")

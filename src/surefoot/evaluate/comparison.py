@@ -15,12 +15,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from surefoot.errors import SurefootError
-from surefoot.evaluate.sensitivity import Sensitivity
+from surefoot.evaluate.sensitivity import Sensitivity, write_csv, write_episodes_csv
 from surefoot.evaluate.statistics import CONFIDENCE, Interval, t_interval, welch_interval
 from surefoot.evaluate.study import KINDS, Figure, Result, sensitivity_of
 from surefoot.files import whole_file
 
 Array = NDArray[np.float64]
+_WORLDS = {"sensitivity.csv": write_csv, "sensitivity_episodes.csv": write_episodes_csv}
 
 
 @dataclass(frozen=True)
@@ -156,7 +157,11 @@ def difference(base: GroupResult, other: GroupResult, figure: str) -> Interval:
 
 
 def write_tables(comparison: Comparison, folder: Path) -> list[Path]:
-    """Write runs.csv, groups.csv, differences.csv, episodes.csv and summary.json; returns the paths."""
+    """Write runs.csv, groups.csv, differences.csv, episodes.csv, summary.json and what the test worlds came to.
+
+    Returns:
+        the paths.
+    """
     figures = comparison.figures
     runs = [
         [group.name, seed.seed, seed.steps, f"{seed.seconds:.1f}", *(f"{seed.figures[f.name]:.6f}" for f in figures)]
@@ -184,7 +189,10 @@ def write_tables(comparison: Comparison, folder: Path) -> list[Path]:
         )
     ]
     names = [figure.name for figure in figures]
+    tested = [one for group in comparison.groups for one in group.sensitivities]
+    worlds = [write(folder / name, tested) for name, write in _WORLDS.items()] if tested else []
     return [
+        *worlds,
         _write_csv(folder / "runs.csv", ",".join(["group,seed,steps,training_seconds", *names]), runs),
         _write_csv(folder / "groups.csv", "group,label,figure,unit,seeds,mean,low,high", groups),
         _write_csv(folder / "differences.csv", "group,against,figure,unit,difference,low,high", differences),

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
-from surefoot.configuration import from_mapping, read_yaml
+from surefoot.configuration import from_mapping, read_yaml, write_yaml
 from surefoot.errors import SurefootError, choices
 from surefoot.learn.config import TrainConfig, load_train_config
 from surefoot.task.config import preset_names
@@ -116,26 +116,46 @@ class StudyRun:
                 break
         return rows
 
-    def check(self) -> None:
+    def check(self, extend: bool = False) -> None:
         """Refuse a folder whose run is another one than the study asks for.
+
+        Args:
+            extend: let fewer steps pass, which `extend` mends.
 
         Raises:
             SurefootError: with the folder, the first field that differs, and what to do.
         """
         if self.state == "new":
             return
-        try:
-            stored = from_mapping(TrainConfig, read_yaml(self.path / "config.yaml"))
-        except SurefootError as error:
-            raise SurefootError(f"{self.path}: {error}; move the folder away to train anew") from None
+        stored = self._stored()
         kept = {name: getattr(stored, name) for name in _SAME_RESULT}
+        if extend and stored.steps < self.config.steps:
+            kept["steps"] = stored.steps
         found = difference(stored, replace(self.config, **kept))
         if found is not None:
             name, was, now = found
+            more = "" if name != "steps" or now < was else "go on with it by --extend, "
             raise SurefootError(
-                f"{self.path}: was trained with {name} {was!r}, and the study asks for {now!r}; move the folder away "
-                "to train it anew, give another --runs, or change the study back"
+                f"{self.path}: was trained with {name} {was!r}, and the study asks for {now!r}; {more}move the folder "
+                "away to train it anew, give another --runs, or change the study back"
             )
+
+    def extend(self) -> None:
+        """Let a run that was made for fewer steps go on to as many as the study now asks for.
+
+        A run does the same in its first steps whatever their number, so it goes on as if it had been made for more.
+        """
+        if self.state == "new" or (stored := self._stored()).steps >= self.config.steps:
+            return
+        # In this order: killed in between, it is a run that is not finished, not one that claims more steps.
+        self.policy.unlink(missing_ok=True)
+        write_yaml(self.path / "config.yaml", replace(stored, steps=self.config.steps))
+
+    def _stored(self) -> TrainConfig:
+        try:
+            return from_mapping(TrainConfig, read_yaml(self.path / "config.yaml"))
+        except SurefootError as error:
+            raise SurefootError(f"{self.path}: {error}; move the folder away to train anew") from None
 
 
 def difference(one: Any, other: Any, way: str = "") -> tuple[str, Any, Any] | None:

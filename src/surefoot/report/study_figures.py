@@ -200,7 +200,7 @@ def _bar(ax: Axes, row: int, group: GroupResult, figure: str, color: str) -> Non
         half = [[interval.mean - interval.low], [interval.high - interval.mean]]
         ax.errorbar(interval.mean, row, xerr=half, fmt="|", color=color, capsize=4.0, markersize=9.0, linewidth=1.6)
     lane = np.full(len(values), row + 0.2)
-    ax.plot(values, lane, "o", color=color, markersize=4.5, markeredgecolor="white", markeredgewidth=0.6)
+    ax.plot(values, lane, "o", color=color, markersize=4.5, markeredgecolor="white", markeredgewidth=0.6, clip_on=False)
 
 
 def _titled(row: str) -> str:

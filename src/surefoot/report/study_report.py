@@ -194,6 +194,7 @@ def _files(comparison: Comparison) -> str:
     }
     if "sensitivity" in comparison.kinds:
         files["sensitivity.csv"] = "one line a policy and test world"
+        files["sensitivity_episodes.csv"] = "one line an episode in test worlds"
     return "\n".join(f"- [{name}]({name}): {what}" for name, what in files.items())
 
 

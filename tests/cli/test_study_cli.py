@@ -1,0 +1,166 @@
+"""`surefoot study` as a real process: stopped, killed, one worker killed, and finished by the same command."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+TINY = """
+name: tiny
+task: trot
+seeds: [0]
+train:
+  {steps: 10240, num_envs: 16, steps_per_update: 16, evaluate_every: 5000, evaluation_episodes: 2,
+   checkpoint_every: 512, task: {max_steps: 40}}
+groups:
+  plain: {label: 4-D, train: {task: {pushes: {enabled: false}, randomize: none}}}
+  drawn: {label: "4-D, randomized", train: {task: {randomize: table1}}}
+evaluate: [sensitivity, table1]
+"""
+COMMAND = [sys.executable, "-m", "surefoot", "study"]
+
+
+def surefoot(*words: str, cwd: Path) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([*COMMAND, *words], cwd=cwd, capture_output=True, text=True, timeout=280, check=False)
+
+
+def start(cwd: Path) -> subprocess.Popen[str]:
+    words = [*COMMAND, "tiny.yaml", "--workers", "2", "--train-only"]
+    return subprocess.Popen(words, cwd=cwd, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+
+def wait(what: Callable[[], bool], seconds: float = 120.0) -> None:
+    deadline = time.monotonic() + seconds
+    while not what():
+        assert time.monotonic() < deadline, "it did not come in time"
+        time.sleep(0.05)
+
+
+def updates(folder: Path, group: str) -> int:
+    log = folder / "runs" / "tiny" / group / "seed_0" / "figures.jsonl"
+    return len(log.read_text().splitlines()) if log.exists() else 0
+
+
+def worker(folder: Path, group: str) -> int:
+    return int((folder / "runs" / "tiny" / group / "seed_0" / "lock").read_text())
+
+
+@pytest.mark.slow
+def test_a_study_goes_on_after_whatever_stops_it(tmp_path: Path) -> None:
+    (tmp_path / "tiny.yaml").write_text(TINY)
+    groups = ("plain", "drawn")
+
+    process = start(tmp_path)
+    wait(lambda: all(updates(tmp_path, group) >= 3 for group in groups))
+    process.send_signal(signal.SIGINT)
+    shown, _ = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert "The same command goes on" in shown
+    done = {group: updates(tmp_path, group) for group in groups}
+    assert all((tmp_path / "runs/tiny" / g / "seed_0/checkpoints/latest.ckpt").exists() for g in groups)
+
+    process = start(tmp_path)
+    wait(lambda: all(updates(tmp_path, group) >= done[group] + 6 for group in groups))
+    for pid in (process.pid, *(worker(tmp_path, group) for group in groups)):
+        os.kill(pid, signal.SIGKILL)
+    process.communicate(timeout=60)
+    done = {group: updates(tmp_path, group) for group in groups}
+
+    process = start(tmp_path)
+    # Both are behind where they were killed, at the last checkpoint: they pass that place again.
+    wait(lambda: all(updates(tmp_path, group) >= done[group] + 2 for group in groups))
+    os.kill(worker(tmp_path, "drawn"), signal.SIGKILL)
+    shown, errors = process.communicate(timeout=200)
+    assert process.returncode == 1
+    assert re.search(r"^surefoot: error: drawn seed 0: .*killed by signal 9 \(SIGKILL\)\)?$", errors, re.MULTILINE)
+    assert re.search(r"plain +seed 0 +finished +10,240 of 10,240 steps", shown)
+    assert not (tmp_path / "results").exists()
+
+    # What is there can be reported while the rest is missing, and without training.
+    result = surefoot("tiny.yaml", "--report-only", cwd=tmp_path)
+    assert result.returncode == 0, result.stderr
+    assert "Not in the report: drawn seed 0" in result.stdout
+
+    result = surefoot("tiny.yaml", "--workers", "2", cwd=tmp_path)
+    assert result.returncode == 0, result.stderr
+    check_log(tmp_path)
+    check_results(tmp_path / "results" / "tiny")
+
+    before = (tmp_path / "results/tiny/runs.csv").read_text()
+    began = time.monotonic()
+    result = surefoot("tiny.yaml", cwd=tmp_path)
+    assert result.returncode == 0, result.stderr
+    assert "all 2 trainings are finished" in result.stdout
+    assert "evaluating" not in result.stdout
+    assert time.monotonic() - began < 40
+    assert (tmp_path / "results/tiny/runs.csv").read_text() == before
+
+    (tmp_path / "tiny.yaml").write_text(TINY.replace("max_steps: 40", "max_steps: 41"))
+    result = surefoot("tiny.yaml", cwd=tmp_path)
+    assert result.returncode == 2
+    assert result.stderr.strip().splitlines() == [
+        "surefoot: error: runs/tiny/plain/seed_0: was trained with task.max_steps 40, and the study asks for 41; move "
+        "the folder away to train it anew, give another --runs, or change the study back"
+    ]
+
+
+def check_log(folder: Path) -> None:
+    """Every update stands in the log once, whatever stopped the run."""
+    for group in ("plain", "drawn"):
+        log = (folder / "runs/tiny" / group / "seed_0" / "figures.jsonl").read_text().splitlines()
+        assert [json.loads(line)["steps"] for line in log] == [256 * (n + 1) for n in range(40)]
+
+
+def check_results(out: Path) -> None:
+    with (out / "runs.csv").open() as file:
+        runs = {row["group"]: row for row in csv.DictReader(file)}
+    assert set(runs) == {"plain", "drawn"}
+    for row in runs.values():
+        assert row["steps"] == "10240"
+        assert 0 <= float(row["table1_falls"]) <= 100
+        assert float(row["sensitivity_std"]) > 0
+    summary = json.loads((out / "summary.json").read_text())
+    assert summary["missing"] == []
+    assert summary["groups"]["drawn"]["figures"]["nominal_speed"]["low"] is None
+    report = (out / "README.md").read_text()
+    assert "surefoot study tiny.yaml --workers 2" in report
+    assert "**4-D, randomized**, against **4-D**" in report
+    for name in ("learning_curves.png", "groups.png", "parameters.png", "parameters/latency.png", "sensitivity.csv"):
+        assert (out / name).stat().st_size > 1000, name
+
+
+BAD = [
+    (["tiny.yaml", "--workers", "-1"], "workers is -1; it must be 0"),
+    (["tiny.yaml", "--only", "fast"], "group 'fast' is not in the study; groups: plain, drawn"),
+    (["tiny.yaml", "--seeds", "1", "1"], "seeds is .1, 1.; it takes 1 or more, none below 0 and none twice"),
+    (["tiny.yaml", "--train-only", "--report-only"], "--train-only and --report-only leave nothing to do"),
+    (["tiny.yaml", "--report-only"], "runs/tiny: no run of the study is finished and evaluated"),
+    (["none.yaml"], "none.yaml: can't be read"),
+    (["kind.yaml"], "evaluate: 'luck' is no kind of evaluation; choices: nominal, table1, sensitivity"),
+    (["robot.yaml"], "group a: observation 'smell' does not exist"),
+    ([], "FILE"),
+]
+
+
+@pytest.mark.parametrize(("words", "message"), BAD, ids=[" ".join(words) for words, _ in BAD])
+def test_bad_input_gets_one_line_and_exit_code_2(words: list[str], message: str, tmp_path: Path) -> None:
+    (tmp_path / "tiny.yaml").write_text(TINY)
+    (tmp_path / "kind.yaml").write_text("{groups: {a: {}}, evaluate: [luck]}")
+    (tmp_path / "robot.yaml").write_text("groups: {a: {train: {task: {observations: [smell]}}}}")
+    result = surefoot(*words, cwd=tmp_path)
+    assert result.returncode == 2, result.stderr
+    lines = result.stderr.strip().splitlines()
+    assert len(lines) == 1, result.stderr
+    assert re.search(message, lines[0]), lines[0]
+    assert not (tmp_path / "runs").exists()
+    assert not (tmp_path / "results").exists()

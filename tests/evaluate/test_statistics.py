@@ -1,0 +1,95 @@
+"""Confidence intervals: known answers, scipy's own, and how often they cover the truth."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+pytest.importorskip("scipy")
+from scipy import stats
+
+from surefoot.errors import SurefootError
+from surefoot.evaluate.statistics import Interval, plain, t_interval, welch_interval
+
+
+def test_t_interval_of_three_numbers_by_hand() -> None:
+    # Mean 2, standard deviation 1, standard error 1 / sqrt 3, and t(0.975, 2) = 4.302653.
+    interval = t_interval([1.0, 2.0, 3.0])
+    assert interval.mean == 2
+    assert interval.high - 2 == pytest.approx(4.302653 / math.sqrt(3), rel=1e-6)
+    assert 2 - interval.low == pytest.approx(4.302653 / math.sqrt(3), rel=1e-6)
+
+
+def test_welch_interval_of_alike_spreads_by_hand() -> None:
+    # Standard error sqrt(1/3 + 1/3), 4 degrees of freedom, t(0.975, 4) = 2.776445.
+    interval = welch_interval([2.0, 3.0, 4.0], [1.0, 2.0, 3.0])
+    assert interval.mean == 1
+    assert interval.high - 1 == pytest.approx(2.776445 * math.sqrt(2 / 3), rel=1e-6)
+
+
+@pytest.mark.parametrize("scale", [1e-9, 1.0, 1e9])
+def test_welch_interval_is_scipys_for_unlike_spreads_and_counts(scale: float) -> None:
+    random = np.random.default_rng(3)
+    a, b = scale * random.normal(1.0, 0.2, 4), scale * random.normal(0.5, 2.0, 7)
+    interval = welch_interval(a, b)
+    known = stats.ttest_ind(a, b, equal_var=False).confidence_interval(0.95)
+    assert (interval.low, interval.high) == pytest.approx((known.low, known.high), rel=1e-9)
+
+
+def test_welch_turned_round_is_the_negative() -> None:
+    a, b = [1.0, 2.5, 2.0], [0.3, 0.1, 0.9, 0.4]
+    one, other = welch_interval(a, b), welch_interval(b, a)
+    assert (one.mean, one.low, one.high) == pytest.approx((-other.mean, -other.high, -other.low))
+
+
+def test_intervals_cover_the_truth_as_often_as_they_say() -> None:
+    random = np.random.default_rng(1)
+    rounds, inside, between = 3000, 0, 0
+    for _ in range(rounds):
+        a, b = random.normal(2.0, 1.0, 3), random.normal(1.0, 0.3, 4)
+        inside += (found := t_interval(a)).low <= 2 <= found.high
+        between += (found := welch_interval(a, b)).low <= 1 <= found.high
+    assert inside / rounds == pytest.approx(0.95, abs=0.015)
+    assert between / rounds == pytest.approx(0.95, abs=0.02)
+
+
+def test_more_confidence_is_wider() -> None:
+    narrow, wide = t_interval([1.0, 2.0, 4.0], 0.5), t_interval([1.0, 2.0, 4.0], 0.99)
+    assert wide.low < narrow.low < narrow.mean < narrow.high < wide.high
+
+
+def test_one_number_has_no_interval() -> None:
+    for interval in (t_interval([1.5]), welch_interval([2.0], [0.5]), welch_interval([2.0, 2.0], [0.5])):
+        assert interval.mean == 1.5
+        assert not interval.known
+        assert interval.covers_zero
+
+
+def test_numbers_that_do_not_vary_give_a_point() -> None:
+    assert t_interval([0.0, 0.0, 0.0]) == Interval(0.0, 0.0, 0.0)
+    assert welch_interval([2.0, 2.0], [1.0, 1.0]) == Interval(1.0, 1.0, 1.0)
+    one_side = welch_interval([2.0, 2.0, 2.0], [1.0, 2.0, 3.0])
+    assert one_side.high - one_side.mean == pytest.approx(4.302653 / math.sqrt(3), rel=1e-6)
+
+
+def test_covers_zero() -> None:
+    assert Interval(1.0, -0.1, 2.1).covers_zero
+    assert not Interval(1.0, 0.1, 1.9).covers_zero
+    assert not Interval(-1.0, -1.9, -0.1).covers_zero
+
+
+@pytest.mark.parametrize(
+    ("values", "confidence"), [([], 0.95), ([1.0, math.nan], 0.95), ([[1.0, 2.0]], 0.95), ([1.0, 2.0], 1.0)]
+)
+def test_what_has_no_mean_is_refused(values: list[float], confidence: float) -> None:
+    with pytest.raises(SurefootError, match=r"finite|confidence"):
+        t_interval(values, confidence)
+
+
+def test_plain_text() -> None:
+    assert plain(Interval(1.234, 1.0, 1.5)) == "1.23 [1.00, 1.50]"
+    assert plain(Interval(-0.301, -0.5, 0.1), 1, sign=True) == "-0.3 [-0.5, +0.1]"
+    assert plain(Interval(-0.001, -0.004, 0.003), 2, sign=True) == "0.00 [0.00, 0.00]"
+    assert plain(t_interval([2.0])) == "2.00"
