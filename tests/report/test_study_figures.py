@@ -13,8 +13,9 @@ pytest.importorskip("matplotlib")
 from PIL import Image
 
 from surefoot.errors import SurefootError
-from surefoot.evaluate.comparison import Comparison, Curve, GroupResult, SeedResult, write_tables
+from surefoot.evaluate.comparison import Comparison, Curve, GroupResult, SeedResult
 from surefoot.evaluate.sensitivity import make_test_worlds
+from surefoot.evaluate.tables import write_tables
 from surefoot.report.study_figures import (
     group_figure,
     learning_curves,
@@ -52,6 +53,7 @@ def seed_result(seed: int, level: float, droop: float, steps: int, kinds: tuple[
         level * progress + 0.12 * random.standard_normal(len(at)) + 0.1 * seed,
         0.5 * progress + 0.02 * random.standard_normal(len(at)),
         60 * (1 - progress) + 3 * random.uniform(size=len(at)),
+        np.full(len(at), 8.0),
     )
     episodes = {"returns": [level + 0.1 * seed] * 5, "speed": [0.5 + 0.01 * seed] * 5, "fell": [False] * 5}
     drawn = {**episodes, "fell": [number < seed for number in range(5)]}
@@ -105,7 +107,8 @@ def test_figures_are_written_for_one_seed_too(tmp_path: Path) -> None:
 def test_a_group_that_is_not_far_yet_is_drawn_beside_the_others(tmp_path: Path, study: Comparison) -> None:
     one = study.groups[0].seeds[0]
     first = slice(0, 1)
-    curve = Curve(one.curve.steps[first], np.array([np.nan]), np.array([np.nan]), np.array([np.nan]))
+    nothing = np.array([np.nan])
+    curve = Curve(one.curve.steps[first], nothing, nothing, nothing, np.zeros(1))
     young = replace(study.groups[0], seeds=(replace(one, curve=curve),))
     assert is_picture(learning_curves(replace(study, groups=(young, *study.groups[1:])), tmp_path / "a.png"), 1000)
     assert "too few episodes ended" in report_text(replace(study, groups=(young,)), "command")
@@ -127,15 +130,13 @@ def test_a_comparison_of_nothing_is_refused(study: Comparison) -> None:
             replace(study, groups=groups)
 
 
-def test_bins_are_means_of_what_lies_in_them() -> None:
-    nan = float("nan")
-    curve = Curve(
-        np.array([10.0, 20.0, 30.0, 40.0, 50.0]), np.array([1.0, 3.0, nan, 5.0, 7.0]), np.zeros(5), np.zeros(5)
-    )
+def test_bins_are_means_over_the_episodes_that_end_in_them() -> None:
+    steps, returns = np.array([10.0, 20.0, 30.0, 40.0, 50.0]), np.array([1.0, 3.0, np.nan, 5.0, 7.0])
+    curve = Curve(steps, returns, np.zeros(5), np.zeros(5), np.array([3.0, 1.0, 0.0, 2.0, 2.0]))
     # An update belongs to the bin that its steps end in, at its upper end too.
-    np.testing.assert_array_equal(curve.binned("returns", [0, 20, 30, 50]), [2.0, nan, 6.0])
+    np.testing.assert_array_equal(curve.binned("returns", [0, 20, 30, 50]), [1.5, np.nan, 6.0])
     assert curve.late_gain == 7.0 - 5.0
-    assert np.isnan(Curve(*[np.zeros(0)] * 4).late_gain)
+    assert np.isnan(Curve(*[np.zeros(0)] * 5).late_gain)
 
 
 def test_curve_of_a_log_counts_falls_over_episodes() -> None:
@@ -146,6 +147,7 @@ def test_curve_of_a_log_counts_falls_over_episodes() -> None:
     curve = Curve.of_rows(rows)
     np.testing.assert_array_equal(curve.falls, [np.nan, 25.0])
     np.testing.assert_array_equal(curve.returns, [np.nan, 1.5])
+    np.testing.assert_array_equal(curve.episodes, [0, 4])
 
 
 def test_tables_hold_the_numbers_of_the_groups(tmp_path: Path, study: Comparison) -> None:

@@ -45,7 +45,7 @@ def evaluate_runs(study: StudyConfig, runs: list[StudyRun], threads: int, consol
 def report(study: StudyConfig, root: Path, out: Path, command: str, console: Console) -> None:
     """Write tables, figures and README of all runs that are finished and evaluated, whichever were asked for now."""
     import_module("matplotlib")
-    from surefoot.evaluate.comparison import write_tables
+    from surefoot.evaluate.tables import write_tables
     from surefoot.report.study_report import write_report
 
     comparison = collect(study, root)

@@ -1,27 +1,21 @@
-"""Groups of trained policies side by side: their figures with intervals over seeds, their differences, as tables."""
+"""Groups of trained policies side by side: their figures with intervals over seeds, and their differences."""
 
 from __future__ import annotations
 
-import csv
-import io
-import json
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from surefoot.errors import SurefootError
-from surefoot.evaluate.sensitivity import Sensitivity, write_csv, write_episodes_csv
-from surefoot.evaluate.statistics import CONFIDENCE, Interval, t_interval, welch_interval
+from surefoot.evaluate.sensitivity import Sensitivity
+from surefoot.evaluate.statistics import Interval, t_interval, welch_interval
 from surefoot.evaluate.study import KINDS, Figure, Result, sensitivity_of
-from surefoot.files import whole_file
 
 Array = NDArray[np.float64]
-_WORLDS = {"sensitivity.csv": write_csv, "sensitivity_episodes.csv": write_episodes_csv}
 
 
 @dataclass(frozen=True)
@@ -36,6 +30,8 @@ class Curve:
     """Their mean speed (U,) [m/s]; NaN where none did."""
     falls: Array
     """How many of them ended before their time (U,) [%]; NaN where none did."""
+    episodes: Array
+    """How many ended (U,)."""
 
     @classmethod
     def of_rows(cls, rows: Sequence[dict[str, Any]]) -> Curve:
@@ -46,16 +42,20 @@ class Curve:
 
         episodes = column("episodes")
         falls = np.divide(100 * column("falls"), episodes, out=np.full(len(rows), math.nan), where=episodes > 0)
-        return cls(column("steps"), column("return_mean"), column("speed_mean"), falls)
+        return cls(column("steps"), column("return_mean"), column("speed_mean"), falls, episodes)
 
     def binned(self, name: str, edges: ArrayLike) -> Array:
-        """Means of one quantity between steps `edges` (B + 1,), each with its upper end; NaN where nothing is known."""
+        """Means over episodes between steps `edges` (B + 1,), each with its upper end; NaN where none ended.
+
+        Each update counts by its episodes: in most updates only the falls end, and all the others end together.
+        """
         values, bounds = getattr(self, name), np.asarray(edges, np.float64)
-        known = np.isfinite(values)
+        known = np.isfinite(values) & (self.episodes > 0)
         place = np.searchsorted(bounds, self.steps[known], side="left")
-        count = np.bincount(place, minlength=len(bounds) + 1)[1 : len(bounds)]
-        total = np.bincount(place, values[known], minlength=len(bounds) + 1)[1 : len(bounds)]
-        return np.divide(total, count, out=np.full(len(count), math.nan), where=count > 0)
+        inner, count = slice(1, len(bounds)), len(bounds) + 1
+        weight = np.bincount(place, self.episodes[known], count)[inner]
+        total = np.bincount(place, (values * self.episodes)[known], count)[inner]
+        return np.divide(total, weight, out=np.full(len(weight), math.nan), where=weight > 0)
 
     @property
     def late_gain(self) -> float:
@@ -154,103 +154,3 @@ class Comparison:
 def difference(base: GroupResult, other: GroupResult, figure: str) -> Interval:
     """A figure's mean over the seeds of `other` less that of `base`, with Welch's interval."""
     return welch_interval(other.values(figure), base.values(figure))
-
-
-def write_tables(comparison: Comparison, folder: Path) -> list[Path]:
-    """Write runs.csv, groups.csv, differences.csv, episodes.csv, summary.json and what the test worlds came to.
-
-    Returns:
-        the paths.
-    """
-    figures = comparison.figures
-    runs = [
-        [group.name, seed.seed, seed.steps, f"{seed.seconds:.1f}", *(f"{seed.figures[f.name]:.6f}" for f in figures)]
-        for group in comparison.groups
-        for seed in group.seeds
-    ]
-    groups = [
-        [group.name, group.label, figure.name, figure.unit, len(group.seeds), *_ends(group.interval(figure.name))]
-        for group in comparison.groups
-        for figure in figures
-    ]
-    differences = [
-        [other.name, base.name, figure.name, figure.unit, *_ends(difference(base, other, figure.name))]
-        for base, other in comparison.present_pairs()
-        for figure in figures
-    ]
-    episodes = [
-        [group.name, seed.seed, kind, number, f"{gained:.6f}", f"{speed:.6f}", int(fell)]
-        for group in comparison.groups
-        for seed in group.seeds
-        for kind, result in seed.results.items()
-        if kind != "sensitivity"
-        for number, (gained, speed, fell) in enumerate(
-            zip(result["returns"], result["speed"], result["fell"], strict=True)
-        )
-    ]
-    names = [figure.name for figure in figures]
-    tested = [one for group in comparison.groups for one in group.sensitivities]
-    worlds = [write(folder / name, tested) for name, write in _WORLDS.items()] if tested else []
-    return [
-        *worlds,
-        _write_csv(folder / "runs.csv", ",".join(["group,seed,steps,training_seconds", *names]), runs),
-        _write_csv(folder / "groups.csv", "group,label,figure,unit,seeds,mean,low,high", groups),
-        _write_csv(folder / "differences.csv", "group,against,figure,unit,difference,low,high", differences),
-        _write_csv(folder / "episodes.csv", "group,seed,kind,episode,return,speed,fell", episodes),
-        _write(folder / "summary.json", json.dumps(_summary(comparison), indent=2, allow_nan=False) + "\n"),
-    ]
-
-
-def _summary(comparison: Comparison) -> dict[str, Any]:
-    """Everything that the report tells, for programs."""
-    return {
-        "study": comparison.name,
-        "confidence": CONFIDENCE,
-        "evaluations": {
-            kind: {"what": KINDS[kind].what, "settings": KINDS[kind].settings} for kind in comparison.kinds
-        },
-        "groups": {
-            group.name: {
-                "label": group.label,
-                "seeds": [seed.seed for seed in group.seeds],
-                "steps": [seed.steps for seed in group.seeds],
-                "training_seconds": [round(seed.seconds, 1) for seed in group.seeds],
-                "figures": {f.name: _table(group.interval(f.name)) | {"unit": f.unit} for f in comparison.figures},
-            }
-            for group in comparison.groups
-        },
-        "differences": [
-            {
-                "group": other.name,
-                "against": base.name,
-                "figures": {f.name: _table(difference(base, other, f.name)) for f in comparison.figures},
-            }
-            for base, other in comparison.present_pairs()
-        ],
-        "missing": list(comparison.missing),
-    }
-
-
-def _table(interval: Interval) -> dict[str, Any]:
-    ends = [value if math.isfinite(value) else None for value in (interval.low, interval.high)]
-    return {"mean": interval.mean, "low": ends[0], "high": ends[1]}
-
-
-def _ends(interval: Interval) -> list[str]:
-    numbers = (interval.mean, interval.low, interval.high)
-    return [f"{number:.6f}" if math.isfinite(number) else "" for number in numbers]
-
-
-def _write_csv(path: Path, header: str, lines: Sequence[Sequence[object]]) -> Path:
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(header.split(","))
-    writer.writerows(lines)
-    return _write(path, text.getvalue())
-
-
-def _write(path: Path, text: str) -> Path:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with whole_file(path) as file:
-        file.write(text.encode())
-    return path

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 COLORS = (BLUE, ORANGE, GREEN, "#7a4fa3", "#a8324a", "#1d8a99", "#5a6b1f", "#8a6d3b")
 """One a group, in order; more groups begin anew."""
 _MARKERS = "osD^vPX*"
-_BINS = 60
+_BINS = 40
 
 
 def learning_curves(comparison: Comparison, path: str | Path) -> Path:
