@@ -24,7 +24,7 @@ KEYS = {
 }
 EXTRAS = {
     *("cost_of_transport_mean", "stance", "faults", "seed", "pushes", "set", "robot", "policy_file"),
-    "config_hash",
+    *("config_hash", "randomize"),
 }
 LEGS = {"front_left", "back_left", "front_right", "back_right"}
 
@@ -101,6 +101,7 @@ def test_json_is_one_object_with_the_keys_promised(policy: Path):
     assert (result["episodes"], result["world"], result["policy"]) == (3, "mujoco", "untrained")
     assert set(result["duty_factor"]) == set(result["phases"]) == LEGS
     assert (result["seed"], result["pushes"], result["set"]) == (4, False, {})
+    assert result["randomize"] == {}
     assert surefoot("evaluate", policy, "--episodes", "3", "--json", "--seed", "4").stdout == done.stdout
 
 

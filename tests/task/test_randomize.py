@@ -701,7 +701,7 @@ def test_row_values_are_the_rows_parameters():
         ({"mass": [80, 120]}, ["randomize.mass is [80, 120]", "minitaur allows base_mass_ratio from 0.2 to 5"]),
         ({"voltage": [14.0, 168.0]}, ["randomize.voltage is [14, 168]", "voltage from 5 to 30 (unit: V)"]),
         ({"imu_noise": [-0.05, 0.05]}, ["randomize.imu_noise", "imu_noise from 0 to 0.5 (unit: rad)"]),
-        ({"voltage": [14.0, float("inf")]}, ["randomize.voltage is [14, inf]", "from 5 to 30 (unit: V)"]),
+        ({"voltage": [14.0, float("inf")]}, ["randomize.voltage is [14, inf]", "finite"]),
         ({"voltage": [float("nan"), 16.0]}, ["randomize.voltage is [nan, 16]"]),
         ({"voltage": [14.0, float("nan")]}, ["randomize.voltage is [14, nan]"]),
         ({"mass": [0.8]}, ["randomize.mass is [0.8]", "2 values, each a number"]),

@@ -44,8 +44,8 @@ def take_ranges(words: list[str], base: RandomizeConfig) -> tuple[list[str], Ran
             row = name.removeprefix("--randomize.").replace("-", "_")
             if row not in ROWS:
                 raise SurefootError(f"{name} is no row that can be drawn; rows: {choices(ROWS)}")
-            given = [value] if equals else []
-            while queue and not queue[0].startswith("--") and len(given) < 2 and given[:1] not in (["none"], ["None"]):
+            given = [value] if value else []
+            while queue and not queue[0].startswith("--") and len(given) < 2 and not _drops(given):
                 given.append(queue.pop(0))
             rows[row] = _range(name, given)
         else:
@@ -53,8 +53,12 @@ def take_ranges(words: list[str], base: RandomizeConfig) -> tuple[list[str], Ran
     return rest, replace(base, **rows)
 
 
+def _drops(given: list[str]) -> bool:
+    return len(given) == 1 and given[0].lower() == "none"
+
+
 def _range(option: str, given: list[str]) -> tuple[float, float] | None:
-    if len(given) == 1 and given[0].lower() == "none":
+    if _drops(given):
         return None
     try:
         low, high = (float(word) for word in given)

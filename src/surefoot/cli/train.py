@@ -46,6 +46,7 @@ def main(argv: list[str]) -> int:
     if argv[0].startswith("-"):
         raise SurefootError(f"'{argv[0]}' is no task; choices: {choices(preset_names())}, or the path of a YAML file")
     config, root = _parse(argv)
+    _check(config)
     return _train(config, root)
 
 
@@ -81,7 +82,6 @@ def _train(config: TrainConfig | None, path: Path) -> int:
         folder, config = RunFolder.open(path)
         run = TrainingRun(config, folder, SimWorld, resume=True)
     else:
-        _check(config)
         folder = RunFolder.create(config, path)
         run = TrainingRun(config, folder, SimWorld)
     console.print(f"{'Going on with' if resume else 'Training'} {config.task.name} in {folder.path}", soft_wrap=True)

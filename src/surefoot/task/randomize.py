@@ -6,6 +6,7 @@ and the greatest value; a row without a range keeps its nominal value.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -84,9 +85,11 @@ class RandomizeConfig:
     """Age of what the servo sees [s]; not in the paper's table."""
 
     def __post_init__(self) -> None:
-        """Refuse reversed ranges."""
+        """Refuse reversed ranges and bounds that are no finite numbers."""
         for name, (low, high) in self.ranges.items():
-            if not low <= high:
+            if not (math.isfinite(low) and math.isfinite(high)):
+                raise SurefootError(f"randomize.{name} is [{low:g}, {high:g}]; both bounds must be finite numbers")
+            if low > high:
                 raise SurefootError(f"randomize.{name} is [{low:g}, {high:g}]; the lower bound must come first")
 
     @property
@@ -101,13 +104,13 @@ def range_names() -> list[str]:
     return sorted(path.stem for path in _RANGES.glob("*.yaml"))
 
 
-def load_ranges(name: str) -> RandomizeConfig:
-    """Read a table of ranges by name or by the path of a YAML file.
+def load_ranges(name: str, folder: Path = Path()) -> RandomizeConfig:
+    """Read a table of ranges by name, or by the path of a YAML file as seen from a folder.
 
     Raises:
         SurefootError: no such table, or a file that does not fit.
     """
-    path = _RANGES / f"{name}.yaml" if name in range_names() else Path(name)
+    path = _RANGES / f"{name}.yaml" if name in range_names() else folder / name
     if not path.is_file():
         raise SurefootError(
             f"randomize '{name}' does not exist; choices: {choices(range_names())}, or the path of a YAML file"
@@ -221,5 +224,4 @@ def with_ranges(data: dict[str, Any], folder: Path = Path()) -> dict[str, Any]:
     given = data.get("randomize")
     if not isinstance(given, str):
         return data
-    name = given if given in range_names() else str(folder / given)
-    return {**data, "randomize": vars(load_ranges(name))}
+    return {**data, "randomize": vars(load_ranges(given, folder))}

@@ -154,6 +154,8 @@ def _advance(
     velocity, force = np.zeros(3), np.zeros(3)
     model = native.model[worker]
     for i in range(first, last):
+        if servo_steps[i] == 0:
+            continue
         _load_masses(native, worker, i)
         drive.energy[i] = 0.0
         drive.contact_ticks[i] = 0.0

@@ -261,6 +261,7 @@ class SimWorld:
             "control_steps": self._control_steps.copy(),
             "noise": self._noise.copy(),
             "streams": [stream.bit_generator.state for stream in self._imu_streams + self._start_streams],
+            "diverged": self._diverged.copy(),
             "divergences": self.divergences,
         }
 
@@ -275,4 +276,5 @@ class SimWorld:
         self._noise[:] = state["noise"]
         for stream, saved in zip(self._imu_streams + self._start_streams, state["streams"], strict=True):
             stream.bit_generator.state = saved
+        self._diverged[:] = state["diverged"]
         self.divergences = state["divergences"]
