@@ -17,20 +17,18 @@ pytest.importorskip("mujoco")
 pytest.importorskip("gymnasium")
 
 from surefoot.errors import SurefootError
+from surefoot.evaluate.breaks import find_breaks, plain_words
 from surefoot.evaluate.metrics import episode_metrics
 from surefoot.evaluate.rollout import run_episodes
 from surefoot.evaluate.sensitivity import (
     Nominal,
     Sensitivity,
     TestWorld,
-    find_breaks,
     make_test_worlds,
-    plain_words,
     row_unit,
     run_sensitivity,
-    write_csv,
-    write_episodes_csv,
 )
+from surefoot.evaluate.sensitivity_tables import write_csv, write_episodes_csv
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.task.config import TaskConfig, load_task
 from surefoot.task.randomize import RandomizeConfig, load_ranges

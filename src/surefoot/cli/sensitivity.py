@@ -180,7 +180,7 @@ def write_files(
     folder: Path, results: list[Sensitivity], trained: dict[str, dict[str, tuple[float, float]]]
 ) -> list[Path]:
     """Write both tables, a figure for each row and one for all; returns the files."""
-    from surefoot.evaluate.sensitivity import write_csv, write_episodes_csv
+    from surefoot.evaluate.sensitivity_tables import write_csv, write_episodes_csv
     from surefoot.report.sensitivity_figures import aggregate_figure, parameter_figure
 
     files = [write_csv(folder / "sensitivity.csv", results), write_episodes_csv(folder / "episodes.csv", results)]
@@ -192,7 +192,7 @@ def write_files(
 
 def summary(result: Sensitivity) -> dict[str, Any]:
     """What a program wants to know of one policy, as JSON holds it."""
-    from surefoot.evaluate.sensitivity import find_breaks, plain_words
+    from surefoot.evaluate.breaks import find_breaks, plain_words
 
     return {
         "policy": result.policy,
@@ -212,7 +212,8 @@ def print_tables(results: list[Sensitivity], files: list[Path]) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    from surefoot.evaluate.sensitivity import plain_words, row_unit
+    from surefoot.evaluate.breaks import plain_words
+    from surefoot.evaluate.sensitivity import row_unit
 
     console = Console()
     for result in results:

@@ -7,19 +7,15 @@ policy is.
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.errors import SurefootError
 from surefoot.evaluate.rollout import Policy
-from surefoot.files import whole_file
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.task.config import TaskConfig
 from surefoot.task.env import LocomotionEnv
@@ -272,166 +268,3 @@ def _run(
             progress(int(np.where(env.over, steps, env.steps).sum()), total)
     speed = np.divide(position - start, time, out=np.zeros_like(time), where=time > 0)
     return env.returns.copy(), fell, speed
-
-
-@dataclass(frozen=True)
-class Break:
-    """Where a gait stops to hold, going from a row's nominal value to one end of its range.
-
-    A gait breaks in a world in which it falls in half of the episodes or more, or in which its mean return is below
-    half of the nominal one (if that is over 0).
-    """
-
-    row: str
-    """Row of the table."""
-    value: float
-    """Value nearest to the nominal one in whose world the gait breaks."""
-    above: bool
-    """Whether the value is over the nominal one."""
-    fraction: float
-    """How far from the nominal value, over 0, to the end of the range on this side, 1."""
-    falls: int
-    """Episodes in which the robot falls there."""
-    mean_return: float
-    """Mean return there [m]."""
-    beyond: int
-    """Values that were tried beyond."""
-    broken_beyond: int
-    """At how many of these the gait breaks too."""
-
-
-def find_breaks(sensitivity: Sensitivity) -> list[Break]:
-    """Where the gait breaks, up to two a row (below and above its nominal value), the nearest to nominal first."""
-    means, nominal = sensitivity.mean_return, sensitivity.nominal.mean_return
-    broken = sensitivity.fell.mean(axis=1) >= 0.5
-    if nominal > 0:
-        broken |= means < 0.5 * nominal
-    found = []
-    for row in sensitivity.rows:
-        rows = sensitivity.of_row(row)
-        values = np.array([sensitivity.worlds[i].value for i in rows])
-        centre = sensitivity.nominal.values.get(row, float(values.mean()))
-        for above in (True, False):
-            distance = values - centre if above else centre - values
-            # A value that is the nominal one but for rounding belongs to neither side.
-            side = np.flatnonzero(distance > 1e-9 * max(np.ptp(values), abs(centre)))
-            side = side[np.argsort(distance[side])]
-            bad = broken[rows[side]]
-            if not bad.any():
-                continue
-            first = int(np.argmax(bad))
-            world = rows[side[first]]
-            found.append(
-                Break(
-                    row=row,
-                    value=float(values[side[first]]),
-                    above=above,
-                    fraction=float(distance[side[first]] / distance[side[-1]]),
-                    falls=int(sensitivity.fell[world].sum()),
-                    mean_return=float(means[world]),
-                    beyond=len(side) - first - 1,
-                    broken_beyond=int(bad[first + 1 :].sum()),
-                )
-            )
-    # Equal fractions differ in their last digits; rounded, they keep the order of the table.
-    return sorted(found, key=lambda item: round(item.fraction, 9))
-
-
-def plain_words(sensitivity: Sensitivity) -> str:
-    """One line on which parameters break the gait, the nearest to its nominal value first (see `Break`)."""
-    name, nominal = sensitivity.policy or "policy", sensitivity.nominal
-    if nominal.fell.size and nominal.fell.mean() >= 0.5:
-        standing = int((sensitivity.fell.mean(axis=1) < 0.5).sum())
-        return (
-            f"{name}: falls in the nominal world already ({nominal.fell.sum()} of {nominal.fell.size} fall); "
-            f"stays up in {standing} of {len(sensitivity.worlds)} test worlds"
-        )
-    parts = []
-    if nominal.mean_return <= 0:
-        parts.append(
-            f"goes nowhere in the nominal world (return {nominal.mean_return:.2f} m), so that only falls count"
-        )
-    breaks = find_breaks(sensitivity)
-    if breaks:
-        told = list(dict.fromkeys(_break_words(item, breaks, sensitivity) for item in breaks))
-        parts.append("breaks first at " + ", then ".join([told[0], ", ".join(told[1:])] if told[1:] else told))
-    names = {item.row for item in breaks}
-    holding = [row for row in sensitivity.rows if row not in names]
-    if holding:
-        whole = "" if breaks else "every row: "
-        parts.append(f"holds over the whole range of {whole}{', '.join(holding)}")
-    return f"{name}: {'; '.join(parts)}"
-
-
-def _break_words(item: Break, breaks: Sequence[Break], sensitivity: Sensitivity) -> str:
-    """Tell of a break, such as `latency 0.0356 s and above (5 of 8 fall)`; of both of a row that holds nowhere."""
-    unit, episodes = row_unit(item.row), sensitivity.episodes
-    nominal = sensitivity.nominal.values.get(item.row, math.nan)
-    same = [other for other in breaks if other.row == item.row]
-    others = [i for i in sensitivity.of_row(item.row) if not math.isclose(sensitivity.worlds[i].value, nominal)]
-    if len(same) == 2 and sum(1 + other.broken_beyond for other in same) == len(others):
-        falls = int(sensitivity.fell[others].sum())
-        what = f"{item.row} other than {nominal:.3g} {unit}".rstrip()
-        return f"{what} ({falls} of {len(others) * episodes} fall)"
-    what = f"{item.row} {item.value:.3g} {unit}".rstrip()
-    direction = "above" if item.above else "below"
-    if item.beyond and item.broken_beyond == item.beyond:
-        what += f" and {direction}"
-    elif item.broken_beyond:
-        what += f" and {item.broken_beyond} of {item.beyond} values {direction}"
-    elif item.beyond:
-        what += f" but not {direction}"
-    why = [f"{item.falls} of {episodes} fall"] if item.falls else []
-    if 2 * item.falls < episodes:
-        why.append(f"return {item.mean_return:.2f} m instead of {sensitivity.nominal.mean_return:.2f} m")
-    return f"{what} ({', '.join(why)})"
-
-
-def write_csv(path: str | Path, results: Sequence[Sensitivity]) -> Path:
-    """Write one line for each test world and policy; returns the path.
-
-    Columns: policy, row, unit, value, episodes, return_mean [m], return_standard_error [m] (empty for one episode),
-    return_std [m] (of the population), speed_mean [m/s], falls.
-    """
-    header = "policy,row,unit,value,episodes,return_mean,return_standard_error,return_std,speed_mean,falls"
-    lines = []
-    for result in results:
-        errors = result.standard_error
-        for i, world in enumerate(result.worlds):
-            numbers = (result.mean_return[i], errors[i], result.returns[i].std(), result.speed[i].mean())
-            texts = ["" if math.isnan(number) else f"{number:.6f}" for number in numbers]
-            falls = int(result.fell[i].sum())
-            start = [result.policy, world.row, row_unit(world.row), f"{world.value:.9g}", result.episodes]
-            lines.append([*start, *texts, falls])
-    return _write(Path(path), header, lines)
-
-
-def write_episodes_csv(path: str | Path, results: Sequence[Sensitivity]) -> Path:
-    """Write one line for each episode; returns the path.
-
-    Columns: policy, row (`nominal` for the nominal world), unit, value (empty for the nominal world), episode,
-    return [m], speed [m/s], fell (0 or 1).
-    """
-    lines: list[list[object]] = []
-    for result in results:
-        nominal = result.nominal
-        whole = [("nominal", "", "", nominal.returns, nominal.speed, nominal.fell)]
-        whole += [
-            (world.row, row_unit(world.row), f"{world.value:.9g}", *parts)
-            for world, *parts in zip(result.worlds, result.returns, result.speed, result.fell, strict=True)
-        ]
-        for row, unit, value, *parts in whole:
-            for episode, (gained, speed, fell) in enumerate(zip(*parts, strict=True)):
-                lines.append([result.policy, row, unit, value, episode, f"{gained:.6f}", f"{speed:.6f}", int(fell)])
-    return _write(Path(path), "policy,row,unit,value,episode,return,speed,fell", lines)
-
-
-def _write(path: Path, header: str, lines: Sequence[Sequence[object]]) -> Path:
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(header.split(","))
-    writer.writerows(lines)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with whole_file(path) as file:
-        file.write(text.getvalue().encode())
-    return path

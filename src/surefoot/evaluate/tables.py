@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 import math
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from surefoot.evaluate.comparison import Comparison, difference
-from surefoot.evaluate.sensitivity import write_csv, write_episodes_csv
+from surefoot.evaluate.sensitivity_tables import write_csv, write_episodes_csv
 from surefoot.evaluate.statistics import CONFIDENCE, Interval
 from surefoot.evaluate.study import KINDS
-from surefoot.files import whole_file
+from surefoot.files import whole_file, write_table
 
 _WORLDS = {"sensitivity.csv": write_csv, "sensitivity_episodes.csv": write_episodes_csv}
 
@@ -56,10 +53,10 @@ def write_tables(comparison: Comparison, folder: Path) -> list[Path]:
     worlds = [write(folder / name, tested) for name, write in _WORLDS.items()] if tested else []
     return [
         *worlds,
-        _write_csv(folder / "runs.csv", ",".join(["group,seed,steps,training_seconds", *names]), runs),
-        _write_csv(folder / "groups.csv", "group,label,figure,unit,seeds,mean,low,high", groups),
-        _write_csv(folder / "differences.csv", "group,against,figure,unit,difference,low,high", differences),
-        _write_csv(folder / "episodes.csv", "group,seed,kind,episode,return,speed,fell", episodes),
+        write_table(folder / "runs.csv", ",".join(["group,seed,steps,training_seconds", *names]), runs),
+        write_table(folder / "groups.csv", "group,label,figure,unit,seeds,mean,low,high", groups),
+        write_table(folder / "differences.csv", "group,against,figure,unit,difference,low,high", differences),
+        write_table(folder / "episodes.csv", "group,seed,kind,episode,return,speed,fell", episodes),
         _write(folder / "summary.json", json.dumps(_summary(comparison), indent=2, allow_nan=False) + "\n"),
     ]
 
@@ -102,14 +99,6 @@ def _table(interval: Interval) -> dict[str, Any]:
 def _ends(interval: Interval) -> list[str]:
     numbers = (interval.mean, interval.low, interval.high)
     return [f"{number:.6f}" if math.isfinite(number) else "" for number in numbers]
-
-
-def _write_csv(path: Path, header: str, lines: Sequence[Sequence[object]]) -> Path:
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(header.split(","))
-    writer.writerows(lines)
-    return _write(path, text.getvalue())
 
 
 def _write(path: Path, text: str) -> Path:
