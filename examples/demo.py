@@ -1,12 +1,29 @@
-"""The demonstration: learn the trot, evaluate it, draw it. Some three minutes on two cores.
+"""The demonstration: learn a gallop from nothing, then see how far two trots hold. Some three minutes on two cores.
 
-Arguments are passed on to `surefoot train trot`, so `--steps 200000` makes a shorter one.
+1. `surefoot train gallop`: a short training, with its evaluation, figures and video in runs/.
+2. `surefoot evaluate trot-robust --randomize table1`: the robust trot on robots that are not the one simulated.
+3. `surefoot sensitivity trot trot-robust`: what breaks a trot that was trained without randomization, and one that
+   was trained with it.
+
+Arguments are passed on to the training, so `--steps 200000` makes a shorter one.
 """
 
 import sys
 
 from surefoot.cli.main import main
 
+OUT = "out/demo"
+COMMANDS = (
+    # One learning thread: the same gallop on any number of cores.
+    ["train", "gallop", "--name", "demo", "--learning-threads", "1", "--steps", "500000", *sys.argv[1:]],
+    ["evaluate", "trot-robust", "--randomize", "table1", "--episodes", "20", "--out", f"{OUT}/trot-robust"],
+    ["sensitivity", "trot", "trot-robust", "--episodes", "4", "--out", f"{OUT}/sensitivity"],
+    ["play", "trot-robust", "--out", f"{OUT}/trot-robust.mp4"],
+)
+
 if __name__ == "__main__":
-    # One learning thread: the same trot on any number of cores, the one that ships.
-    raise SystemExit(main(["train", "trot", "--name", "demo", "--learning-threads", "1", *sys.argv[1:]]))
+    for command in COMMANDS:
+        print(f"\n$ surefoot {' '.join(command)}", flush=True)
+        code = main(command)
+        if code:
+            raise SystemExit(code)

@@ -22,7 +22,7 @@ from surefoot.errors import SurefootError
 from surefoot.files import whole_file
 from surefoot.learn.config import TrainConfig
 
-FORMAT = 1
+FORMAT = 2
 _MAGIC = b"surefoot checkpoint 1\n"
 _PACKAGES = ("mujoco", "numpy", "numba", "torch", "rsl-rl-lib", "gymnasium", "onnx", "onnxruntime")
 
