@@ -38,7 +38,7 @@ def surefoot(*words: str, cwd: Path) -> subprocess.CompletedProcess[str]:
 
 
 BAD = [
-    (["train", "walk"], "task 'walk' does not exist; choices: gallop, trot"),
+    (["train", "walk"], "task 'walk' does not exist; choices: gallop, gallop-robust, trot"),
     (["train", "gallop", "--num-envs", "0"], "num_envs is 0; it must be 1 or more"),
     (["train", "gallop", "--num-envs", "few"], "invalid.*few"),
     (["train", "gallop", "--nun-envs", "8"], "nun-envs"),

@@ -105,7 +105,7 @@ def test_runs_go_seed_by_seed_into_fixed_folders(tmp_path: Path) -> None:
         ("groups: {a: {train: {steps: 0}}}", "steps is 0; it must be 1 or more"),
         ("groups: {a: {train: {task: {randomize: table9}}}}", "table9' does not exist"),
         ("{groups: {a: {}}, train: {task: {pushes: {probability: 2}}}}", "probability is 2"),
-        ("{groups: {a: {}}, task: walk}", "walk' does not exist; choices: gallop, trot"),
+        ("{groups: {a: {}}, task: walk}", "walk' does not exist; choices: gallop, gallop-robust, trot"),
         ("{groups: {a: {}}, compare: [[a, b]]}", "compare: 'b' is no group of the study; groups: a"),
     ],
 )

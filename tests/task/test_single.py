@@ -83,7 +83,7 @@ def test_without_a_seed_robots_differ():
 
 
 def test_every_preset_has_an_id():
-    assert {"surefoot/Gallop-v0", "surefoot/Trot-v0"} <= set(surefoot.cli.envs.IDS)
+    assert {"surefoot/Gallop-v0", "surefoot/Trot-v0", "surefoot/TrotRobust-v0"} <= set(surefoot.cli.envs.IDS)
     assert env_id("slow_trot") == "surefoot/SlowTrot-v0"
 
 

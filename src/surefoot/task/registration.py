@@ -8,8 +8,8 @@ from surefoot.task.config import preset_names
 
 
 def env_id(task: str) -> str:
-    """Gymnasium id of a preset."""
-    return f"surefoot/{''.join(word.capitalize() for word in task.split('_'))}-v0"
+    """Gymnasium id of a preset: `trot-robust` is `surefoot/TrotRobust-v0`."""
+    return f"surefoot/{''.join(word.capitalize() for word in task.split('-'))}-v0"
 
 
 def register_envs(single: str, vector: str) -> list[str]:
