@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import gymnasium
 
 from surefoot.task.config import preset_names
@@ -9,7 +11,7 @@ from surefoot.task.config import preset_names
 
 def env_id(task: str) -> str:
     """Gymnasium id of a preset: `trot-robust` is `surefoot/TrotRobust-v0`."""
-    return f"surefoot/{''.join(word.capitalize() for word in task.split('-'))}-v0"
+    return f"surefoot/{''.join(word.capitalize() for word in re.split('[-_]', task))}-v0"
 
 
 def register_envs(single: str, vector: str) -> list[str]:
