@@ -48,6 +48,9 @@ class PPOConfig:
     """Weight of the entropy bonus."""
     max_grad_norm: float = 1.0
     """Gradients are clipped to this norm."""
+    fall_cost: float = 0.0
+    """Return [m] that a fall takes away in learning, besides what could have come after it; the paper's is 0. Figures
+    are reported without it."""
     reward_scale: float = 50.0
     """Rewards are multiplied by this for learning; figures are reported unscaled."""
 

@@ -146,6 +146,7 @@ class Trainer:
             for _ in range(config.steps_per_update):
                 actions = algorithm.act(self.observation)
                 observation, reward, terminated, truncated, info = env.step(actions.numpy())
+                gain = config.ppo.reward_scale * (reward - config.ppo.fall_cost * terminated)
                 self.observation = self._tensors(observation)
                 rewards += float(reward.mean())
                 if "figures" in info:
@@ -155,7 +156,7 @@ class Trainer:
                     )
                 algorithm.process_env_step(
                     self.observation,
-                    torch.from_numpy((reward * config.ppo.reward_scale).astype(np.float32)),
+                    torch.from_numpy(gain.astype(np.float32)),
                     torch.from_numpy(terminated | truncated),
                     {"time_outs": torch.from_numpy(truncated.astype(np.float32))},
                 )
