@@ -16,6 +16,7 @@ from surefoot.errors import SurefootError
 from surefoot.learn.config import TrainConfig, load_train_config
 from surefoot.learn.run import TrainingRun
 from surefoot.learn.run_folder import RunFolder, read_checkpoint, write_checkpoint
+from surefoot.task.randomize import load_ranges
 from surefoot.world.sim_world import SimWorld
 
 # Noise, pushes, ends of episodes and an evaluation all fall into these few updates.
@@ -83,6 +84,39 @@ def test_an_interrupted_run_ends_as_one_that_was_not(whole: TrainingRun, tmp_pat
     timings = {"rollout_seconds", "learn_seconds", "seconds"}
     rows = [[{k: v for k, v in row.items() if k not in timings} for row in r.folder.rows()] for r in (whole, again)]
     assert rows[0] == rows[1]
+
+
+def test_a_run_with_drawn_parameters_and_symmetry_resumes_exactly(tmp_path: Path) -> None:
+    task = {**TINY["task"], "params": {}, "randomize": vars(load_ranges("table1"))}
+    config = tiny_config(task=task, ppo={"symmetry": True, "fall_cost": 1.0})
+    through = train(tmp_path / "through", config)
+    stopped = train(tmp_path / "stopped", config, stop_after=2)
+    resumed = resume(stopped.folder.path)
+    resumed.run(lambda *_: None)
+    assert same_weights(resumed, through)
+
+
+def test_a_run_starts_with_anothers_networks_and_goes_its_own_way(whole: TrainingRun, tmp_path: Path) -> None:
+    config = tiny_config(start_from=str(whole.folder.path), seed=5)
+    run = TrainingRun(config, RunFolder.create(config, tmp_path), SimWorld)
+    last = whole.folder.load()["trainer"]["algorithm"]["actor_state_dict"]
+    first = run.trainer.policy.state_dict()
+    assert all(torch.equal(first[key], last[key]) for key in last)
+    assert run.trainer.steps == 0
+    run.run(lambda *_: None)
+    assert not same_weights(run, whole)
+    # Resumed, it goes on from its own state, also when the other run is gone.
+    again = resume(run.folder.path)
+    assert same_weights(again, run)
+
+
+def test_networks_that_do_not_fit_are_refused(whole: TrainingRun, tmp_path: Path) -> None:
+    config = tiny_config(start_from=str(whole.folder.path), ppo={"policy_hidden": [16]})
+    with pytest.raises(SurefootError, match=r"start_from: the other run's networks do not fit"):
+        TrainingRun(config, RunFolder.create(config, tmp_path), SimWorld)
+    config = tiny_config(start_from=str(tmp_path / "nowhere"))
+    with pytest.raises(SurefootError, match=r"nowhere: is no run folder"):
+        TrainingRun(config, RunFolder.create(config, tmp_path), SimWorld)
 
 
 def test_folder_holds_what_the_run_was_made_with(whole: TrainingRun) -> None:

@@ -128,6 +128,10 @@ def _check(config: TrainConfig) -> None:
     from surefoot.world.sim_world import SimWorld
 
     LocomotionEnv(config.task, 1, SimWorld, threads=1)
+    if config.start_from is not None:
+        from surefoot.learn.run_folder import RunFolder
+
+        RunFolder.open(Path(config.start_from))
 
 
 def finish(run: TrainingRun, folder: RunFolder, console: Console) -> dict[str, Any]:

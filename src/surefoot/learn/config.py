@@ -82,6 +82,9 @@ class TrainConfig:
     learning_threads: int = 0
     """Threads of the learning; 0 means one a core. Sums are rounded in an order that depends on it: with a number,
     machines with more or fewer cores learn the same."""
+    start_from: str | None = None
+    """Folder of another run, whose networks as it left them are this run's first ones: the same layers,
+    observations and legs; everything else may differ."""
     ppo: PPOConfig = field(default_factory=PPOConfig)
     """The learning algorithm."""
 

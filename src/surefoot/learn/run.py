@@ -6,6 +6,7 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -103,6 +104,8 @@ class TrainingRun:
     ) -> None:
         self.config, self.folder, self._make_world = config, folder, make_world
         self.trainer = Trainer(config, make_world)
+        if config.start_from is not None and not resume:
+            self.trainer.start_with(RunFolder.open(Path(config.start_from))[0].load()["trainer"]["algorithm"])
         self.best: Evaluation | None = None
         self.best_actor: dict[str, Any] = {}
         self.seconds = 0.0

@@ -16,6 +16,7 @@ from rsl_rl.models import MLPModel
 from rsl_rl.storage import RolloutStorage
 from tensordict import TensorDict
 
+from surefoot.errors import SurefootError
 from surefoot.learn.config import TrainConfig
 from surefoot.learn.symmetry import MirrorSamples
 from surefoot.task.env import LocomotionEnv, SimulationFactory
@@ -191,6 +192,18 @@ class Trainer:
                 TensorDict({"policy": torch.from_numpy(observation)}, batch_size=[len(observation)])
             ).numpy()
         return mean
+
+    def start_with(self, algorithm: dict[str, Any]) -> None:
+        """Take the networks of another run's state, and nothing else of it.
+
+        Raises:
+            SurefootError: networks of other layers, observations or actions.
+        """
+        try:
+            self.algorithm.load(algorithm, {"actor": True, "critic": True}, strict=True)
+        except RuntimeError as error:
+            reason = " ".join(str(error).split("\n", 2)[1].split())
+            raise SurefootError(f"start_from: the other run's networks do not fit this run: {reason}") from None
 
     def get_state(self) -> dict[str, Any]:
         """Everything that decides how the run goes on, for an exact resume."""
