@@ -240,7 +240,8 @@ def _stance_bars(ax: Axes, feet: Footfalls, seconds: float) -> None:
         spans = [(max(a, start), min(b, end)) for a, b in feet.intervals[leg] if b > start and a < end]
         bars = [(a, b - a) for a, b in spans]
         ax.broken_barh(bars, (row - 0.34, 0.68), facecolors=LEG_COLORS.get(leg, BLUE), linewidth=0)
-    ax.set_yticks(range(len(legs)), [_spoken(leg) for leg in reversed(legs)])
+    labels = [f"{_spoken(leg)} ({feet.duty_factor[leg]:.2f})" for leg in reversed(legs)]
+    ax.set_yticks(range(len(legs)), labels)
     ax.set_ylim(-0.6, len(legs) - 0.4)
     ax.set_xlim(start, end)
     ax.grid(visible=False, axis="y")
@@ -248,11 +249,10 @@ def _stance_bars(ax: Axes, feet: Footfalls, seconds: float) -> None:
 
 
 def _stride_text(feet: Footfalls) -> str:
-    """Tell pattern, stride and duty factors in one line."""
-    duty = ", ".join(f"{_spoken(leg)} {value:.2f}" for leg, value in feet.duty_factor.items())
-    stride = f"stride {feet.stride_period:.2f} s, " if math.isfinite(feet.stride_period) else ""
+    """Tell pattern and stride in one line, which fits over the diagram."""
+    stride = f", stride {feet.stride_period:.2f} s" if math.isfinite(feet.stride_period) else ""
     what = feet.reason if feet.gait == "other" else feet.pattern
-    return f"{what}, {stride}duty factors: {duty}"
+    return f"{what}{stride}; in brackets: duty factors"
 
 
 def _curve(
