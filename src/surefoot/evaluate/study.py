@@ -145,8 +145,8 @@ KINDS: dict[str, Kind] = {
         ),
     ),
     "sensitivity": Kind(
-        "test worlds: one parameter of table I at a time takes 10 values, all else nominal; 8 episodes in each",
-        {"values": 10, "episodes": 8, "seed": SEED, "ranges": "table1"},
+        "test worlds: one parameter of table I at a time takes 10 values, all else nominal; 4 episodes in each",
+        {"values": 10, "episodes": 4, "seed": SEED, "ranges": "table1"},
         _sensitivity,
         (
             Figure("sensitivity_mean", "mean return over test worlds", "m", 2, lambda r: sensitivity_of(r, "").mean),
