@@ -13,9 +13,10 @@ import sys
 from surefoot.cli.main import main
 
 OUT = "out/demo"
+GALLOP = ("--seed", "1", "--steps", "1000000", "--evaluate-every", "100000")
 COMMANDS = (
     # One learning thread: the same gallop on any number of cores.
-    ["train", "gallop", "--name", "demo", "--learning-threads", "1", "--steps", "500000", *sys.argv[1:]],
+    ["train", "gallop", "--name", "demo", "--learning-threads", "1", *GALLOP, *sys.argv[1:]],
     ["evaluate", "trot-robust", "--randomize", "table1", "--episodes", "20", "--out", f"{OUT}/trot-robust"],
     ["sensitivity", "trot", "trot-robust", "--episodes", "4", "--out", f"{OUT}/sensitivity"],
     ["play", "trot-robust", "--out", f"{OUT}/trot-robust.mp4"],
