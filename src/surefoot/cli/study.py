@@ -110,11 +110,10 @@ def train(study: StudyConfig, runs: list[StudyRun], workers: int, console: Conso
 
 def _check_task(run: StudyRun) -> None:
     """Refuse a task that does not fit before anything is trained."""
-    from surefoot.task.env import LocomotionEnv
-    from surefoot.world.sim_world import SimWorld
+    from surefoot.cli.train import check_config
 
     try:
-        LocomotionEnv(run.config.task, 1, SimWorld, threads=1)
+        check_config(run.config)
     except SurefootError as error:
         raise SurefootError(f"group {run.group}: {error}") from None
 

@@ -25,7 +25,7 @@ from surefoot.learn.study import StudyRun
 from surefoot.learn.workers import orphaned
 
 if TYPE_CHECKING:
-    from surefoot.learn.run import Evaluation, TrainingRun
+    from surefoot.learn.run import Evaluation
     from surefoot.learn.trainer import UpdateFigures
 
 STOPPED = 130
@@ -57,6 +57,7 @@ def main() -> int:
 
 def _train(run: StudyRun, should_stop: Any) -> bool:
     """Train a run from wherever it is until it is exported, or told to stop; returns whether it is."""
+    from surefoot.learn.export import export_run
     from surefoot.learn.run import TrainingRun
     from surefoot.learn.run_folder import RunFolder
     from surefoot.world.sim_world import SimWorld
@@ -73,7 +74,8 @@ def _train(run: StudyRun, should_stop: Any) -> bool:
     training.run(_tell, should_stop)
     if not training.finished:
         return False
-    _export(training, folder.policy)
+    # The policy's file is what makes a run finished.
+    export_run(training, folder.policy)
     return True
 
 
@@ -85,20 +87,6 @@ def _tell(figures: UpdateFigures, evaluation: Evaluation | None) -> None:
     if evaluation is not None:
         event["evaluation"] = asdict(evaluation)
     print(json.dumps(event), flush=True)
-
-
-def _export(training: TrainingRun, path: Path) -> None:
-    """Write the best evaluated policy; its file is what makes a run finished."""
-    from surefoot.learn.export import export_trainer
-
-    training.use_best()
-    figures = {
-        "training": asdict(training.best) if training.best else {},
-        "seconds": round(training.seconds, 1),
-        "seed": training.config.seed,
-        "steps": training.trainer.steps,
-    }
-    export_trainer(training.trainer, path, figures, created=time.strftime("%Y-%m-%dT%H:%M:%S%z"))
 
 
 @contextmanager

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import signal
-import time
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -46,7 +45,7 @@ def main(argv: list[str]) -> int:
     if argv[0].startswith("-"):
         raise SurefootError(f"'{argv[0]}' is no task; choices: {choices(preset_names())}, or the path of a YAML file")
     config, root = _parse(argv)
-    _check(config)
+    check_config(config)
     return _train(config, root)
 
 
@@ -122,8 +121,8 @@ class _Stop:
         return self._asked
 
 
-def _check(config: TrainConfig) -> None:
-    """Refuse a task that does not fit before a folder is made for it."""
+def check_config(config: TrainConfig) -> None:
+    """Refuse a run whose task does not fit, or that starts from no run, before a folder is made for it."""
     from surefoot.task.env import LocomotionEnv
     from surefoot.world.sim_world import SimWorld
 
@@ -137,15 +136,7 @@ def _check(config: TrainConfig) -> None:
 def finish(run: TrainingRun, folder: RunFolder, console: Console) -> dict[str, Any]:
     """Export the best policy, evaluate it, and leave figures, video and table in the run folder."""
     from surefoot.cli.results import report_run
-    from surefoot.learn.export import export_trainer
+    from surefoot.learn.export import export_run
 
-    run.use_best()
-    figures = {
-        "training": asdict(run.best) if run.best else {},
-        "seconds": round(run.seconds, 1),
-        "seed": run.config.seed,
-        "steps": run.trainer.steps,
-    }
-    created = time.strftime("%Y-%m-%dT%H:%M:%S%z")
-    export_trainer(run.trainer, folder.policy, figures, created=created)
+    export_run(run, folder.policy)
     return report_run(folder.path, folder.policy, run.config.task, folder.rows(), console)

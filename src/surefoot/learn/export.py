@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from surefoot import __version__
 from surefoot.configuration import to_mapping
+from surefoot.learn.run import TrainingRun
 from surefoot.learn.trainer import Trainer
 from surefoot.policy.contract import Contract, ObservationPart, config_hash
 from surefoot.policy.export import export_policy
@@ -73,3 +76,15 @@ def export_trainer(
     config = trainer.config
     contract = make_contract(trainer.env, figures, name=name or config.name, config=to_mapping(config), created=created)
     return export_policy(trainer.policy, config.ppo.activation, contract, path)
+
+
+def export_run(run: TrainingRun, path: str | Path) -> Path:
+    """Write the best policy that a run has found, with the figures of its training."""
+    run.use_best()
+    figures = {
+        "training": asdict(run.best) if run.best else {},
+        "seconds": round(run.seconds, 1),
+        "seed": run.config.seed,
+        "steps": run.trainer.steps,
+    }
+    return export_trainer(run.trainer, path, figures, created=time.strftime("%Y-%m-%dT%H:%M:%S%z"))

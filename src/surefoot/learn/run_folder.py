@@ -19,7 +19,7 @@ import torch
 from surefoot import __version__
 from surefoot.configuration import from_mapping, read_yaml, write_yaml
 from surefoot.errors import SurefootError
-from surefoot.files import whole_file
+from surefoot.files import read_json_lines, whole_file
 from surefoot.learn.config import TrainConfig
 
 FORMAT = 2
@@ -212,14 +212,7 @@ class RunFolder:
 
     def rows(self) -> list[dict[str, Any]]:
         """All rows of figures; a last line that was cut off is left out."""
-        rows = []
-        if self.figures_log.exists():
-            for line in self.figures_log.read_text(encoding="utf-8").splitlines():
-                try:
-                    rows.append(json.loads(line))
-                except ValueError:
-                    break
-        return rows
+        return read_json_lines(self.figures_log)
 
     def drop_rows_after(self, steps: int) -> None:
         """Forget rows later than `steps`, which a resumed run will write again."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import json
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, is_dataclass, replace
@@ -12,6 +11,7 @@ from typing import Any, Literal
 
 from surefoot.configuration import from_mapping, read_yaml, write_yaml
 from surefoot.errors import SurefootError, choices
+from surefoot.files import read_json_lines
 from surefoot.learn.config import TrainConfig, load_train_config
 from surefoot.task.config import preset_names
 from surefoot.task.randomize import with_ranges
@@ -108,13 +108,7 @@ class StudyRun:
 
     def rows(self) -> list[dict[str, Any]]:
         """The figures of its updates; a last line that was cut off is left out."""
-        log, rows = self.path / "figures.jsonl", []
-        for line in log.read_text(encoding="utf-8").splitlines() if log.exists() else []:
-            try:
-                rows.append(json.loads(line))
-            except ValueError:
-                break
-        return rows
+        return read_json_lines(self.path / "figures.jsonl")
 
     def check(self, extend: bool = False) -> None:
         """Refuse a folder whose run is another one than the study asks for.

@@ -7,6 +7,7 @@ inertias into its model, which so stays in the processor's cache whatever the ro
 
 from __future__ import annotations
 
+import copy
 import os
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -213,10 +214,10 @@ class MujocoEngine:
         mujoco.set_mjcb_time(None)
         num_envs = len(drive.ticks)
         self._nominal = build_model(robot)
-        self._scratch_model = build_model(robot)
+        self._scratch_model = copy.copy(self._nominal)
         self._scratch = mujoco.MjData(self._scratch_model)
         self.threads = min(threads or os.cpu_count() or 1, -(-num_envs // _CHUNK))
-        self.models = [build_model(robot) for _ in range(self.threads)]
+        self.models = [copy.copy(self._nominal) for _ in range(self.threads)]
         self.datas = [mujoco.MjData(self._nominal) for _ in range(num_envs)]
         self._base = self._nominal.body(robot.base).id
         self._legs = np.array([body for body in range(1, self._nominal.nbody) if body != self._base])
