@@ -178,7 +178,7 @@ def same_state(one: dict[str, Any], other: dict[str, Any], rows: list[int], with
         equal.append(np.array_equal(one[part][rows], other[part][rows]))
     for part in ("drive", "params"):
         for name, array in one[part].items():
-            shared = name in ("table_current", "table_torque", "limits")
+            shared = name in ("table_current", "table_torque", "limits", "constraint")
             if name not in without:
                 place = slice(None) if shared else rows
                 equal.append(np.array_equal(array[place], other[part][name][place]))

@@ -108,6 +108,8 @@ class TaskConfig:
     """Ranges that every episode draws its physical parameters from; in a file also the name of a table of ranges."""
     params: dict[str, float] = field(default_factory=dict)
     """Physical parameters that differ from the robot's description, by name."""
+    actuator: Literal["dc", "constraint"] = "dc"
+    """dc: servo and DC motor; constraint: the position motor of physics engines, the paper's baseline."""
     thermal_protection: bool = False
     """Switch off motors that overheat."""
     start_linear_speed: float = 0.05

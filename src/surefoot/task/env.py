@@ -77,6 +77,7 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
         task = self.task
         config = WorldConfig(
             rest=task.rest or self.gait.rest,
+            actuator=task.actuator,
             thermal_protection=task.thermal_protection,
             start_linear_speed=task.start_linear_speed,
             start_angular_speed=task.start_angular_speed,

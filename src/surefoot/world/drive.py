@@ -22,6 +22,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from surefoot.actuator.constraint import constraint_speed_kernel
 from surefoot.actuator.delay import push_kernel, read_kernel
 from surefoot.actuator.motor import (
     coulomb_friction_kernel,
@@ -30,7 +31,8 @@ from surefoot.actuator.motor import (
     overheat_kernel,
 )
 from surefoot.actuator.servo import servo_duty_kernel
-from surefoot.robot import PhysicalParams, RobotDescription
+from surefoot.robot import ConstraintMotor, PhysicalParams, RobotDescription
+from surefoot.world.interface import WorldConfig
 
 Array = NDArray[np.float64]
 
@@ -52,6 +54,7 @@ class Drive(NamedTuple):
     table_current: Array  # (points,) A, all robots
     table_torque: Array  # (points,) N m, all robots
     limits: Array  # (4,) all robots: voltage clip V, overheat torque N m and time s (inf: off), servo step s
+    constraint: Array  # (3,) all robots: k_p, k_d and greatest torque N m of constraint motors; torque 0: DC motors
     ticks: NDArray[np.int64]  # (N,) servo steps since reset
     times: Array  # (N, H) s, of the history
     history: Array  # (N, H, 2 M + 6)
@@ -59,6 +62,7 @@ class Drive(NamedTuple):
     seen: Array  # (N, 2 M) what the servo sees
     target: Array  # (N, M) rad
     torque: Array  # (N, M) N m on the motor shaft, friction included
+    end_speed: Array  # (N, M) rad/s that constraint motors seek at the step's end
     motor_torque: Array  # (N, M) N m of the motor itself
     energy: Array  # (N,) J, integral of |tau . qdot| since it was set to zero
     hot_time: Array  # (N, M) s
@@ -66,13 +70,15 @@ class Drive(NamedTuple):
     contact_ticks: Array  # (N, L) servo steps with the foot on the ground since it was set to zero
 
 
-def new_drive(robot: RobotDescription, num_envs: int, history: int, thermal_protection: bool) -> Drive:
+def new_drive(robot: RobotDescription, num_envs: int, history: int, config: WorldConfig | None = None) -> Drive:
     """Arrays for `num_envs` robots with nominal parameters and an empty history of that many samples."""
+    config = config or WorldConfig()
     motors, legs = robot.num_motors, len(robot.legs)
     width = 2 * motors + IMU_WIDTH
     data = robot.actuator
     current, torque = robot.torque_table
-    overheat_time = data.overheat_time if thermal_protection else math.inf
+    overheat_time = data.overheat_time if config.thermal_protection else math.inf
+    motor = robot.constraint_motor if config.actuator == "constraint" else ConstraintMotor(0.0, 0.0, 0.0)
 
     def zeros(*shape: int) -> Array:
         return np.zeros((num_envs, *shape))
@@ -89,6 +95,7 @@ def new_drive(robot: RobotDescription, num_envs: int, history: int, thermal_prot
         table_current=current,
         table_torque=torque,
         limits=np.array([data.voltage_clip, data.overheat_torque, overheat_time, robot.timing.servo_step]),
+        constraint=np.array([motor.kp, motor.kd, motor.max_torque]),
         ticks=np.zeros(num_envs, np.int64),
         times=zeros(history),
         history=zeros(history, width),
@@ -96,6 +103,7 @@ def new_drive(robot: RobotDescription, num_envs: int, history: int, thermal_prot
         seen=zeros(2 * motors),
         target=zeros(motors),
         torque=zeros(motors),
+        end_speed=zeros(motors),
         motor_torque=zeros(motors),
         energy=zeros(),
         hot_time=zeros(motors),
@@ -135,8 +143,19 @@ def record(drive: Drive, i: int) -> None:
 
 @njit(cache=True, forceinline=True)
 def servo_tick(drive: Drive, i: int) -> None:
-    """Servo and motor of robot `i` answer the state of now, which is in the history, with `drive.torque`."""
+    """Servo and motor of robot `i` answer the state of now, which is in the history, with `drive.torque`.
+
+    Constraint motors answer with the speed that they seek, `drive.end_speed`; their torque is the engine's to find,
+    at most `drive.constraint[2]` times the motor's strength, and `constraint_tick` takes it after the step.
+    """
     motors = drive.target.shape[1]
+    if drive.constraint[2] > 0.0:
+        kp, kd, _ = drive.constraint
+        for m in range(motors):
+            angle, speed = drive.now[i, m], drive.now[i, motors + m]
+            drive.end_speed[i, m] = constraint_speed_kernel(drive.target[i, m], angle, speed, kp, kd, drive.limits[3])
+            drive.torque[i, m] = coulomb_friction_kernel(speed, drive.friction[i, m])
+        return
     voltage_clip, hot_torque, hot_limit, dt = drive.limits
     time = drive.ticks[i] * dt
     read_at = time - drive.servo_latency[i]
@@ -162,6 +181,20 @@ def servo_tick(drive: Drive, i: int) -> None:
         drive.motor_torque[i, m] = torque
         drive.torque[i, m] = torque + coulomb_friction_kernel(speed, drive.friction[i, m])
     drive.energy[i] += dt * abs(power)
+
+
+@njit(cache=True, forceinline=True)
+def constraint_tick(drive: Drive, i: int) -> None:
+    """Count the work of robot `i`'s constraint motors over the step that just ended.
+
+    The engine has set their torques, `drive.motor_torque`, and `drive.now`, whose speeds are those of the step's end:
+    positions move by them, so that torque times speed times step is the work done.
+    """
+    motors = drive.target.shape[1]
+    power = 0.0
+    for m in range(motors):
+        power += drive.motor_torque[i, m] * drive.now[i, motors + m]
+    drive.energy[i] += drive.limits[3] * abs(power)
 
 
 @njit(cache=True)

@@ -8,13 +8,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Literal, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from surefoot.errors import SurefootError, choices
 from surefoot.robot import PhysicalParams, RobotDescription
 
+ACTUATORS = ("dc", "constraint")
 Array = NDArray[np.float64]
 
 
@@ -66,6 +68,10 @@ class WorldConfig:
 
     rest: tuple[float, float] | None = None
     """Swing and extension [rad] in which robots settle before an episode; the description's, if not given."""
+    actuator: Literal["dc", "constraint"] = "dc"
+    """dc: servo and DC motor; constraint: the position motor of physics engines, see `actuator.constraint`."""
+    rack: bool = False
+    """Hold the base still in the air, level and out of reach of the ground."""
     thermal_protection: bool = False
     """Switch off motors that stay over their thermal torque limit, until the next reset."""
     start_linear_speed: float = 0.0
@@ -73,7 +79,14 @@ class WorldConfig:
     start_angular_speed: float = 0.0
     """A reset gives the base a random angular velocity, each component up to this [rad/s]."""
     threads: int = 0
-    """Threads to step on; 0 means one a core."""
+    """Threads, or processes, to step on; 0 means one a core."""
+
+    def __post_init__(self) -> None:
+        """Refuse what goes together in no world."""
+        if self.actuator not in ACTUATORS:
+            raise SurefootError(f"actuator is '{self.actuator}'; choices: {choices(ACTUATORS)}")
+        if self.actuator == "constraint" and self.thermal_protection:
+            raise SurefootError("thermal_protection is of DC motors; it goes with actuator dc only")
 
 
 class World(Protocol):

@@ -11,7 +11,7 @@ import copy
 import os
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
@@ -20,9 +20,10 @@ from numpy.typing import NDArray
 
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.world.contact import foot_force_kernel
-from surefoot.world.drive import Drive, record, roll_pitch_yaw, servo_tick
-from surefoot.world.mujoco_model import build_model, foot_geoms, resting_qpos
-from surefoot.world.native import call_step, doubles, function_address
+from surefoot.world.drive import Drive, constraint_tick, record, roll_pitch_yaw, servo_tick
+from surefoot.world.interface import WorldConfig
+from surefoot.world.mujoco_model import RACK_HEIGHT, build_model, foot_geoms, resting_qpos
+from surefoot.world.native import call_step, doubles, function_address, pointers, struct_offset
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -57,6 +58,10 @@ class _Native(NamedTuple):
     motor_qpos: Index
     motor_dof: Index
     motor_sign: Array
+    motor_row: Index  # of the solver's rows, where motors are constraints
+    aref: int  # places in MuJoCo's data of pointers to arrays of the solver's rows
+    frictionloss: int
+    force_row: int
     base_qpos: int
     base_dof: int
     base_body: int
@@ -95,6 +100,9 @@ def _observe(native: _Native, drive: Drive, i: int) -> bool:
     for m in range(motors):
         now[m] = native.motor_sign[m] * qpos[native.motor_qpos[m]]
         now[motors + m] = native.motor_sign[m] * qvel[native.motor_dof[m]]
+    if native.base_qpos < 0:  # on a rack
+        now[2 * motors :] = 0.0
+        return True
     b, v = native.base_qpos + 3, native.base_dof + 3
     roll, pitch, yaw = roll_pitch_yaw(qpos[b], qpos[b + 1], qpos[b + 2], qpos[b + 3])
     now[2 * motors], now[2 * motors + 1], now[2 * motors + 2] = roll, pitch, yaw
@@ -147,6 +155,23 @@ def _feet_on_ground(native: _Native, drive: Drive, i: int, velocity: Array, forc
         applied[6 * b + 5] = x * force[1] - y * force[0]
 
 
+@njit(cache=True, forceinline=True)
+def _seek_speeds(native: _Native, drive: Drive, i: int) -> None:
+    """Make the friction that MuJoCo has just set up for robot `i`'s motor joints seek `drive.end_speed`.
+
+    Bounded joint friction is a constraint on the joint's acceleration, which for speed 0 at the step's end is
+    -qdot / dt; another acceleration gives another speed.
+    """
+    aref = doubles(pointers(native.data[i] + native.aref)[0])
+    limit = doubles(pointers(native.data[i] + native.frictionloss)[0])
+    qvel = doubles(native.qvel[i])
+    for m in range(len(native.motor_dof)):
+        row = native.motor_row[m]
+        end_speed = native.motor_sign[m] * drive.end_speed[i, m]
+        aref[row] = (end_speed - qvel[native.motor_dof[m]]) / drive.limits[3]
+        limit[row] = drive.constraint[2] * drive.strength[i, m]
+
+
 @njit(cache=True, nogil=True)
 def _advance(
     native: _Native, drive: Drive, servo_steps: Index, diverged: NDArray[np.bool_], worker: int, first: int, last: int
@@ -174,11 +199,18 @@ def _advance(
                 break
             call_step(native.step1, model, native.data[i])
             _feet_on_ground(native, drive, i, velocity, force)
+            if drive.constraint[2] > 0.0:
+                _seek_speeds(native, drive, i)
             call_step(native.step2, model, native.data[i])
             drive.ticks[i] += 1
             if not _observe(native, drive, i):
                 diverged[i] = True
                 break
+            if drive.constraint[2] > 0.0:
+                forces = doubles(pointers(native.data[i] + native.force_row)[0])
+                for m in range(len(native.motor_dof)):
+                    drive.motor_torque[i, m] = native.motor_sign[m] * forces[native.motor_row[m]]
+                constraint_tick(drive, i)
             record(drive, i)
 
 
@@ -203,24 +235,26 @@ class MujocoEngine:
     Args:
         robot: what to simulate.
         drive: shared servo, motor and sensor arrays; its first axis is the number of robots.
-        threads: threads to step on (0: one a core).
+        config: actuator, rack, and threads to step on.
     """
 
     name = "mujoco"
 
-    def __init__(self, robot: RobotDescription, drive: Drive, threads: int = 0) -> None:
-        self.robot, self.drive = robot, drive
+    def __init__(self, robot: RobotDescription, drive: Drive, config: WorldConfig | None = None) -> None:
+        self.robot, self.drive, config = robot, drive, config or WorldConfig()
         # The Python package times MuJoCo's stages with a clock call each, some 3 % of a step; nobody reads the times.
         mujoco.set_mjcb_time(None)
         num_envs = len(drive.ticks)
-        self._nominal = build_model(robot)
+        self._nominal = build_model(robot, config)
         self._scratch_model = copy.copy(self._nominal)
         self._scratch = mujoco.MjData(self._scratch_model)
-        self.threads = min(threads or os.cpu_count() or 1, -(-num_envs // _CHUNK))
+        self.threads = min(config.threads or os.cpu_count() or 1, -(-num_envs // _CHUNK))
         self.models = [copy.copy(self._nominal) for _ in range(self.threads)]
         self.datas = [mujoco.MjData(self._nominal) for _ in range(num_envs)]
         self._base = self._nominal.body(robot.base).id
-        self._legs = np.array([body for body in range(1, self._nominal.nbody) if body != self._base])
+        still = robot.urdf.fixed_to(robot.base)
+        bodies = range(1, self._nominal.nbody)
+        self._legs = np.array([body for body in bodies if self._nominal.body(body).name not in still])
         self._feet = foot_geoms(robot, self._nominal)
         self._native = self._layout()
         self._pool = ThreadPoolExecutor(self.threads - 1) if self.threads > 1 else None
@@ -231,7 +265,8 @@ class MujocoEngine:
     def _layout(self) -> _Native:
         model, robot = self._nominal, self.robot
         joints = [model.joint(name) for name in robot.motor_names]
-        free = model.body(robot.base).jntadr[0]
+        free = model.body(robot.base).jntadr[0] if model.body(robot.base).jntnum[0] else -1
+        motor_dof = np.array([joint.dofadr[0] for joint in joints], np.int64)
 
         def addresses(field: str) -> Index:
             return np.array([getattr(data, field).ctypes.data for data in self.datas], np.int64)
@@ -255,10 +290,11 @@ class MujocoEngine:
             body_cvel=addresses("cvel"),
             subtree_com=addresses("subtree_com"),
             motor_qpos=np.array([joint.qposadr[0] for joint in joints], np.int64),
-            motor_dof=np.array([joint.dofadr[0] for joint in joints], np.int64),
+            motor_dof=motor_dof,
             motor_sign=robot.motor_sign.astype(np.float64),
-            base_qpos=int(model.jnt_qposadr[free]),
-            base_dof=int(model.jnt_dofadr[free]),
+            **self._motor_rows(motor_dof),
+            base_qpos=int(model.jnt_qposadr[free]) if free >= 0 else -1,
+            base_dof=int(model.jnt_dofadr[free]) if free >= 0 else -1,
             base_body=int(self._base),
             foot_geom=self._feet,
             foot_body=model.geom_bodyid[self._feet].astype(np.int64),
@@ -269,6 +305,17 @@ class MujocoEngine:
             num_qpos=model.nq,
             num_qvel=model.nv,
         )
+
+    def _motor_rows(self, motor_dof: Index) -> dict[str, Any]:
+        """Where constraint motors are among the solver's rows; rows of joint friction follow those of closed loops."""
+        model, data = self._nominal, self._scratch
+        mujoco.mj_step1(model, data)
+        friction_dofs = np.flatnonzero(model.dof_frictionloss > 0)
+        if not len(friction_dofs):
+            return {"motor_row": motor_dof, "aref": 0, "frictionloss": 0, "force_row": 0}
+        arrays = {"aref": data.efc_aref, "frictionloss": data.efc_frictionloss, "force_row": data.efc_force}
+        places = {name: struct_offset(data._address, array.ctypes.data) for name, array in arrays.items()}
+        return {"motor_row": data.ne + np.searchsorted(friction_dofs, motor_dof), **places}
 
     def _resting_state(self) -> Array:
         mujoco.mj_resetData(self._nominal, self._scratch)
@@ -314,6 +361,8 @@ class MujocoEngine:
 
     def set_base_velocity(self, i: int, linear_world: Array, angular_base: Array) -> None:
         """Set the base's velocity [m/s] in the world and angular velocity [rad/s] in the base frame."""
+        if self._native.base_dof < 0:
+            return
         velocity = self.datas[i].qvel
         velocity[self._native.base_dof :][:3] = linear_world
         velocity[self._native.base_dof + 3 :][:3] = angular_base
@@ -347,6 +396,8 @@ class MujocoEngine:
 
     def base(self) -> Array:
         """Base position [m], quaternion (w x y z) and velocity [m/s], all in the world frame, (N, 10)."""
+        if self._native.base_qpos < 0:
+            return np.tile([0.0, 0.0, RACK_HEIGHT, 1.0, *[0.0] * 6], (len(self.datas), 1))
         rows = np.empty((len(self.datas), 10))
         _gather_base(self._native, rows)
         return rows

@@ -8,13 +8,20 @@ from numpy.typing import NDArray
 
 from surefoot.errors import SurefootError
 from surefoot.robot import RobotDescription
+from surefoot.world.interface import WorldConfig
 
 LOOP_SOLREF = (0.004, 1.0)
 LOOP_SOLIMP = (0.99, 0.99, 0.001, 0.5, 2.0)
+MOTOR_SOLIMP = (0.9999, 0.9999, 0.001, 0.5, 2.0)
+"""Constraint motors are as hard as MuJoCo makes a constraint."""
+MOTOR_ITERATIONS = 50
+"""Torque limits that are reached and left take the solver more iterations than closed loops alone."""
+RACK_HEIGHT = 1.0
+"""Height [m] of the base on a rack."""
 
 
-def build_spec(robot: RobotDescription) -> mujoco.MjSpec:
-    """The robot with a free base over a ground plane at z = 0, ready to compile; gravity 9.81 m/s2.
+def build_spec(robot: RobotDescription, config: WorldConfig | None = None) -> mujoco.MjSpec:
+    """The robot over a ground plane at z = 0, its base free or on a rack, ready to compile; gravity 9.81 m/s2.
 
     Feet meet the ground by the law in `surefoot.world.contact`, so their geoms collide with nothing here; the
     other collision shapes of the URDF meet the ground, and not each other, by MuJoCo's own contacts.
@@ -24,8 +31,14 @@ def build_spec(robot: RobotDescription) -> mujoco.MjSpec:
     except ValueError as error:
         raise SurefootError(f"{robot.urdf.path}: MuJoCo refuses it: {error}") from error
     spec.compiler.discardvisual = True
-    spec.compiler.fusestatic = True
-    spec.body(robot.base).add_freejoint()
+    config = config or WorldConfig()
+    base = spec.body(robot.base)
+    # A base that is still would be fused with the ground.
+    spec.compiler.fusestatic = not config.rack
+    if config.rack:
+        base.pos = (0.0, 0.0, RACK_HEIGHT)
+    else:
+        base.add_freejoint()
     option = spec.option
     option.timestep = robot.timing.servo_step
     option.iterations = 4
@@ -41,6 +54,13 @@ def build_spec(robot: RobotDescription) -> mujoco.MjSpec:
                 geom.name = f"{feet[body.name]}_foot"
                 # Bit 2 meets nothing; with no bit at all MuJoCo would drop the geom as merely visual.
                 geom.conaffinity = 2
+    if config.actuator == "constraint":
+        # MuJoCo's bounded friction of a joint, made to seek a speed that is not zero by `MujocoEngine`.
+        option.iterations = MOTOR_ITERATIONS
+        for name in robot.motor_names:
+            joint = spec.joint(name)
+            joint.frictionloss = robot.constraint_motor.max_torque
+            joint.solimp_friction = MOTOR_SOLIMP
     for loop in robot.loops:
         equality = spec.add_equality(
             type=mujoco.mjtEq.mjEQ_CONNECT,
@@ -56,9 +76,9 @@ def build_spec(robot: RobotDescription) -> mujoco.MjSpec:
     return spec
 
 
-def build_model(robot: RobotDescription) -> mujoco.MjModel:
+def build_model(robot: RobotDescription, config: WorldConfig | None = None) -> mujoco.MjModel:
     """The compiled model."""
-    return build_spec(robot).compile()
+    return build_spec(robot, config).compile()
 
 
 def foot_geoms(robot: RobotDescription, model: mujoco.MjModel) -> NDArray[np.int64]:
@@ -67,7 +87,7 @@ def foot_geoms(robot: RobotDescription, model: mujoco.MjModel) -> NDArray[np.int
 
 
 def resting_qpos(robot: RobotDescription, model: mujoco.MjModel) -> NDArray[np.float64]:
-    """Generalized coordinates of the robot in its resting pose, loops closed, lowest foot on the ground."""
+    """Generalized coordinates of the robot in its resting pose, loops closed, lowest foot on the ground (no rack)."""
     qpos = model.qpos0.copy()
     angles = robot.resting_angles
     data = mujoco.MjData(model)
@@ -77,6 +97,8 @@ def resting_qpos(robot: RobotDescription, model: mujoco.MjModel) -> NDArray[np.f
         theta = [angles[robot.motor_names.index(name)] for name in leg.motors]
         for name, knee in zip(leg.knees, robot.leg_geometry.knee_angles(*theta), strict=True):
             qpos[model.joint(name).qposadr[0]] = knee
+    if not model.body(robot.base).jntnum[0]:
+        return qpos
     data.qpos[:] = qpos
     mujoco.mj_kinematics(model, data)
     feet = foot_geoms(robot, model)

@@ -16,6 +16,8 @@ from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
+_LARGEST_STRUCT = 1 << 20
+
 
 def function_address(name: str) -> int:
     """Address of a C function of the MuJoCo library that the `mujoco` package has loaded."""
@@ -39,6 +41,33 @@ def call_step(typing_context: Any, function: Any, model: Any, data: Any) -> Any:
         callee = builder.inttoptr(args[0], ir.PointerType(kind))
         builder.call(callee, [builder.inttoptr(arg, cgutils.voidptr_t) for arg in args[1:]])
         return context.get_dummy_value()
+
+    return signature, codegen
+
+
+def struct_offset(struct: int, pointer: int) -> int:
+    """Place [bytes] of a pointer in a C struct that is known to hold it.
+
+    Args:
+        struct: address of the struct.
+        pointer: the pointer's value.
+
+    Raises:
+        OSError: it is not there.
+    """
+    for offset in range(0, _LARGEST_STRUCT, 8):
+        if ctypes.c_uint64.from_address(struct + offset).value == pointer:
+            return offset
+    raise OSError("MuJoCo's data does not hold the array where it is looked for")
+
+
+@intrinsic
+def pointers(typing_context: Any, address: Any) -> Any:
+    """The array of C pointers that starts at an address, as integers."""
+    signature = types.CPointer(types.int64)(types.int64)
+
+    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        return builder.inttoptr(args[0], context.get_value_type(signature.return_type))
 
     return signature, codegen
 

@@ -58,14 +58,14 @@ class Engine(Protocol):
         """Foot centres in the world, (N, L, 3)."""
 
 
-EngineFactory = Callable[[RobotDescription, Drive, int], Engine]
+EngineFactory = Callable[[RobotDescription, Drive, WorldConfig], Engine]
 
 
-def mujoco_engine(robot: RobotDescription, drive: Drive, threads: int) -> Engine:
+def mujoco_engine(robot: RobotDescription, drive: Drive, config: WorldConfig) -> Engine:
     """The MuJoCo engine, imported when first asked for."""
     from surefoot.world.mujoco_engine import MujocoEngine
 
-    return MujocoEngine(robot, drive, threads)
+    return MujocoEngine(robot, drive, config)
 
 
 class SimWorld:
@@ -78,6 +78,8 @@ class SimWorld:
         seed: seeds sensor noise and starting velocities, one stream a robot.
         config: see `WorldConfig`.
         engine: makes the physics; MuJoCo by default.
+        first: number of the first robot, for one of several worlds that share a batch: robot k draws what it would
+            draw as robot `first` + k of a single world.
 
     Raises:
         SurefootError: no robots, or parameters for another number of robots or outside the allowed bounds.
@@ -91,21 +93,22 @@ class SimWorld:
         seed: int = 0,
         config: WorldConfig | None = None,
         engine: EngineFactory = mujoco_engine,
+        first: int = 0,
     ) -> None:
         if num_envs < 1:
             raise SurefootError(f"num_envs is {num_envs}; a world needs 1 robot or more")
         self.robot, self.num_envs, self.config = robot, num_envs, config or WorldConfig()
         longest = max(robot.allowed["control_latency"][1], robot.allowed["servo_latency"][1])
         self._history = int(np.ceil(longest / robot.timing.servo_step)) + 2
-        self.drive = new_drive(robot, num_envs, self._history, self.config.thermal_protection)
-        self.engine = engine(robot, self.drive, self.config.threads)
+        self.drive = new_drive(robot, num_envs, self._history, self.config)
+        self.engine = engine(robot, self.drive, self.config)
         self.params = PhysicalParams.nominal(robot, num_envs)
         legs = len(robot.legs)
         swing, extension = self.config.rest or robot.rest
         self.resting_angles = robot.leg_to_motor_angles(np.full(legs, swing), np.full(legs, extension))
         self._settled = self._settle(engine)
-        self._imu_streams = generators(seed, "imu noise", num_envs)
-        self._start_streams = generators(seed, "start", num_envs)
+        self._imu_streams = generators(seed, "imu noise", first + num_envs)[first:]
+        self._start_streams = generators(seed, "start", first + num_envs)[first:]
         self._noise = np.zeros((num_envs, _NOISE_BLOCK, 2))
         self._control_steps = np.zeros(num_envs, np.int64)
         self._diverged = np.zeros(num_envs, np.bool_)
@@ -118,8 +121,9 @@ class SimWorld:
 
     def _settle(self, engine: EngineFactory) -> Array:
         """State of one nominal robot after it has settled; resets start from it, whatever the parameters."""
-        drive = new_drive(self.robot, 1, self._history, thermal_protection=False)
-        single = engine(self.robot, drive, 1)
+        config = replace(self.config, thermal_protection=False, threads=1)
+        drive = new_drive(self.robot, 1, self._history, config)
+        single = engine(self.robot, drive, config)
         drive.target[:] = self.resting_angles
         single.set_state(0, single.initial_state)
         single.observe(0)
