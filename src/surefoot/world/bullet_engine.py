@@ -1,0 +1,396 @@
+"""A batch of robots in Bullet, each in a physics client of its own.
+
+Servo, motors, delays and sensors are the same compiled functions as in every other world; Bullet has only the bodies,
+the loops and the contacts. Feet meet the ground by Bullet's own contact with the stiffness and damping of the data
+sheet, which its solver takes implicitly: force = K d + B d' at the end of the step, not at its start.
+
+A robot's state is one row of numbers, in Bullet's own frames: for Bullet, the base is where its centre of mass is,
+turned like its principal axes. After every control step the row is written back to Bullet, whose quaternion of the
+base would otherwise differ from it in the last bit: so a state that is taken and given back goes on exactly.
+"""
+
+from __future__ import annotations
+
+import weakref
+from types import ModuleType
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from surefoot.errors import SurefootError
+from surefoot.robot import PhysicalParams, RobotDescription
+from surefoot.world.bullet_model import RACK_HEIGHT, BulletModel, check_masses, import_pybullet, open_client
+from surefoot.world.drive import Drive, constraint_tick, record, roll_pitch_yaw, servo_tick
+from surefoot.world.interface import WorldConfig
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+MAX_ROBOTS = 1000
+"""Robots in one process; PyBullet has room for 1024 clients."""
+_SPEED_LIMIT = 1e5
+"""A generalized speed beyond this [m/s, rad/s] counts as diverged."""
+_VELOCITY, _OMEGA, _JOINTS = 7, 10, 13
+"""A row: base position (3), quaternion x y z w (4), velocity (3), angular velocity (3), joint angles, joint speeds."""
+
+
+class _Layout(NamedTuple):
+    """What the compiled functions need of a `BulletModel`."""
+
+    motors: Index
+    sign: Array
+    base_quat: Array
+    num_joints: int
+    rack: bool
+
+
+@njit(cache=True)
+def _observe(layout: _Layout, drive: Drive, i: int, row: Array) -> bool:
+    """Write a row of robot `i` to `drive.now`; false, and nothing written, if it is not finite."""
+    joints = layout.num_joints
+    speeds = _JOINTS + joints
+    for k in range(speeds + joints):
+        if not np.isfinite(row[k]):
+            return False
+        if (_VELOCITY <= k < _JOINTS or k >= speeds) and not abs(row[k]) < _SPEED_LIMIT:
+            return False
+    now, motors = drive.now[i], len(layout.motors)
+    for m in range(motors):
+        now[m] = layout.sign[m] * row[_JOINTS + layout.motors[m]]
+        now[motors + m] = layout.sign[m] * row[speeds + layout.motors[m]]
+    if layout.rack:
+        now[2 * motors :] = 0.0
+        return True
+    # Base link = Bullet's base turned back by the inertial frame's orientation in the link.
+    ax, ay, az, aw = row[3], row[4], row[5], row[6]
+    bw, bx, by, bz = layout.base_quat[0], -layout.base_quat[1], -layout.base_quat[2], -layout.base_quat[3]
+    w = aw * bw - ax * bx - ay * by - az * bz
+    x = aw * bx + ax * bw + ay * bz - az * by
+    y = aw * by - ax * bz + ay * bw + az * bx
+    z = aw * bz + ax * by - ay * bx + az * bw
+    now[2 * motors], now[2 * motors + 1], now[2 * motors + 2] = roll_pitch_yaw(w, x, y, z)
+    ox, oy, oz = row[_OMEGA], row[_OMEGA + 1], row[_OMEGA + 2]
+    # World to base: v + 2 u x (u x v + w v) with the conjugate, u = -(x, y, z).
+    cx, cy, cz = -(y * oz - z * oy) + w * ox, -(z * ox - x * oz) + w * oy, -(x * oy - y * ox) + w * oz
+    now[2 * motors + 3] = ox - 2 * (y * cz - z * cy)
+    now[2 * motors + 4] = oy - 2 * (z * cx - x * cz)
+    now[2 * motors + 5] = oz - 2 * (x * cy - y * cx)
+    return True
+
+
+@njit(cache=True)
+def _between(
+    layout: _Layout, drive: Drive, i: int, row: Array, pull: Array, applied: Array, after: bool, before: bool
+) -> bool:
+    """What robot `i` does between two steps of Bullet, in one call: the end of one, the start of the next.
+
+    Args:
+        layout: see there.
+        drive: servo, motors and sensors.
+        i: robot.
+        row: its state after the step.
+        pull: torques (M,) [N m] of Bullet's own joint motors over the step, where motors are constraints.
+        applied: output, joint torques (M,) [N m] for the next step.
+        after: a step has just ended.
+        before: another one follows.
+
+    Returns:
+        False if the robot has diverged.
+    """
+    motors = len(layout.motors)
+    if after:
+        drive.ticks[i] += 1
+        if not _observe(layout, drive, i, row):
+            return False
+        if drive.constraint[2] > 0.0:
+            for m in range(motors):
+                # A motor without strength is left out of the solver, and keeps the torque that it had before.
+                limit = drive.constraint[2] * drive.strength[i, m]
+                drive.motor_torque[i, m] = min(max(layout.sign[m] * pull[m], -limit), limit)
+            constraint_tick(drive, i)
+        record(drive, i)
+    if before:
+        servo_tick(drive, i)
+        for m in range(motors):
+            applied[m] = layout.sign[m] * drive.torque[i, m]
+            if not np.isfinite(applied[m]):
+                return False
+    return True
+
+
+def _turn(quats_xyzw: Array) -> Array:
+    """Rotations (..., 3, 3) of unit quaternions (..., 4), x y z w."""
+    x, y, z, w = np.moveaxis(quats_xyzw, -1, 0)
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.moveaxis(np.array(rows), (0, 1), (-2, -1))
+
+
+def _disconnect(p: ModuleType, clients: list[int]) -> None:
+    for client in clients:
+        p.disconnect(client)
+
+
+class BulletEngine:
+    """Bullet behind the engine interface: observe, advance, parameters, forces and snapshots of single robots.
+
+    Args:
+        robot: what to simulate.
+        drive: shared servo, motor and sensor arrays; its first axis is the number of robots.
+        config: actuator and rack. An engine steps its robots one after another: see `process_world` for several cores.
+
+    Raises:
+        SurefootError: more robots than a process can hold, or a robot that Bullet reads otherwise than it is.
+        ModuleNotFoundError: PyBullet is not installed.
+    """
+
+    name = "bullet"
+
+    def __init__(self, robot: RobotDescription, drive: Drive, config: WorldConfig | None = None) -> None:
+        self.robot, self.drive, config = robot, drive, config or WorldConfig()
+        num_envs = len(drive.ticks)
+        if num_envs > MAX_ROBOTS:
+            raise SurefootError(f"num_envs is {num_envs}; one process holds up to {MAX_ROBOTS} robots in Bullet")
+        self._p = import_pybullet()
+        self._clients: list[int] = []
+        weakref.finalize(self, _disconnect, self._p, self._clients)
+        for _ in range(num_envs):
+            client, self.model = open_client(robot, config)
+            self._clients.append(client)
+        model = self.model
+        self._joints = list(range(model.num_joints))
+        self._ratios: list[tuple[float, ...]] = [(1.0, 1.0, 1.0, 1.0)] * num_envs
+        self._friction = [robot.contact.friction] * num_envs
+        sign = robot.motor_sign.astype(np.float64)
+        self._layout = _Layout(np.array(model.motors), sign, model.base_quat, model.num_joints, model.rack)
+        self._from_link = _turn(model.base_quat[[1, 2, 3, 0]])
+        self._feet = {link: leg for leg, link in enumerate(model.feet)}
+        self._applied, self._pull = np.zeros(len(sign)), np.zeros(len(sign))
+        self.diverged = np.zeros(num_envs, np.bool_)
+        self._force = np.zeros((num_envs, 3))
+        self._rows = np.zeros((num_envs, _JOINTS + 2 * model.num_joints))
+        for i in range(num_envs):
+            self._rows[i] = self._read(i)
+        self.initial_state = self._resting_state()
+
+    def _resting_state(self) -> Array:
+        """Resting pose, loops closed by the knees, lowest foot on the ground unless on a rack."""
+        robot, model = self.robot, self.model
+        angles = robot.resting_angles
+        row = np.zeros(self._rows.shape[1])
+        for motor, joint in enumerate(model.motors):
+            row[_JOINTS + joint] = robot.motor_sign[motor] * angles[motor]
+        for leg in robot.legs:
+            theta = [angles[robot.motor_names.index(name)] for name in leg.motors]
+            for name, knee in zip(leg.knees, robot.leg_geometry.knee_angles(*theta), strict=True):
+                row[_JOINTS + model.joints[name]] = knee
+        row[:3] = [*model.base_centre[:2], RACK_HEIGHT + model.base_centre[2]]
+        row[3:7] = model.base_quat[[1, 2, 3, 0]]
+        state = np.concatenate([row, np.zeros(3)])
+        if not model.rack:
+            before = self.get_state(0)
+            self.set_state(0, state)
+            state[2] -= float(np.min(self._foot_positions(0)[:, 2] - model.foot_radius))
+            self.set_state(0, before)
+        return state
+
+    def _read(self, i: int) -> Array:
+        """Robot `i`'s row, from Bullet."""
+        p, body, client = self._p, self.model.body, self._clients[i]
+        position, quat = p.getBasePositionAndOrientation(body, client)
+        velocity, omega = p.getBaseVelocity(body, client)
+        joints = p.getJointStates(body, self._joints, client)
+        return np.array(
+            [*position, *quat, *velocity, *omega, *[joint[0] for joint in joints], *[joint[1] for joint in joints]]
+        )
+
+    def _write_base(self, i: int) -> None:
+        p, body, client, row = self._p, self.model.body, self._clients[i], self._rows[i].tolist()
+        p.resetBasePositionAndOrientation(body, row[:3], row[3:7], client)
+        p.resetBaseVelocity(body, row[_VELOCITY:_OMEGA], row[_OMEGA:_JOINTS], client)
+
+    def advance(self, servo_steps: Index) -> None:
+        """Run every robot for its number of servo steps (N,); those that diverge stop and are marked."""
+        for i in np.flatnonzero(servo_steps).tolist():
+            self.drive.energy[i] = 0.0
+            self.drive.contact_ticks[i] = 0.0
+            if not self.diverged[i]:
+                self.diverged[i] = not self._advance(i, int(servo_steps[i]))
+
+    def _advance(self, i: int, steps: int) -> bool:
+        """Run robot `i`; false if it diverged."""
+        p, model, client, drive = self._p, self.model, self._clients[i], self.drive
+        body, motors, layout = model.body, model.motors, self._layout
+        row, pull, applied = self._rows[i], self._pull, self._applied
+        force = self._force[i].tolist() if self._force[i].any() else None
+        constraint = drive.constraint[2] > 0.0
+        turned = not constraint or drive.friction[i].any()
+        if constraint:
+            self._set_constraint_motors(i)
+        sound = _between(layout, drive, i, row, pull, applied, False, True)
+        for step in range(steps):
+            if not sound:
+                return False
+            if turned:
+                p.setJointMotorControlArray(
+                    body, motors, p.TORQUE_CONTROL, forces=applied.tolist(), physicsClientId=client
+                )
+            if force is not None:  # Bullet forgets it after a step, and when torques are set
+                p.applyExternalForce(body, -1, force, row[:3].tolist(), p.WORLD_FRAME, client)
+            p.stepSimulation(client)
+            row = self._read(i)
+            if constraint:
+                pull[:] = [state[3] for state in p.getJointStates(body, motors, client)]
+            self._count_contacts(i, client)
+            sound = _between(layout, drive, i, row, pull, applied, True, step + 1 < steps)
+        self._rows[i] = row
+        if sound and not model.rack:
+            self._write_base(i)
+        return sound
+
+    def _set_constraint_motors(self, i: int) -> None:
+        """Bullet's joint motors hold their targets and limits until they get others."""
+        p, drive, model = self._p, self.drive, self.model
+        kp, kd, limit = drive.constraint.tolist()
+        count = len(model.motors)
+        p.setJointMotorControlArray(
+            model.body,
+            model.motors,
+            p.POSITION_CONTROL,
+            targetPositions=(self._layout.sign * drive.target[i]).tolist(),
+            targetVelocities=[0.0] * count,
+            positionGains=[kp] * count,
+            velocityGains=[kd] * count,
+            forces=(limit * drive.strength[i]).tolist(),
+            physicsClientId=self._clients[i],
+        )
+
+    def _count_contacts(self, i: int, client: int) -> None:
+        p, feet = self._p, self._feet
+        points = p.getContactPoints(self.model.body, self.model.ground, physicsClientId=client)
+        for leg in {feet[point[3]] for point in points if point[9] > 0.0 and point[3] in feet}:
+            self.drive.contact_ticks[i, leg] += 1.0
+
+    def observe(self, i: int) -> None:
+        """Write the state of robot `i` to `drive.now`."""
+        _observe(self._layout, self.drive, i, self._rows[i])
+
+    def get_state(self, i: int) -> Array:
+        """Everything that decides robot `i`'s further motion in the engine: its row and the force on its base.
+
+        Contacts that Bullet remembers are forgotten here and when the state is set, so that both go on alike.
+        """
+        self._forget_contacts(i)
+        return np.concatenate([self._rows[i], self._force[i]])
+
+    def set_state(self, i: int, state: Array) -> None:
+        """Put robot `i` into a state from `get_state`."""
+        p, body, client = self._p, self.model.body, self._clients[i]
+        row = self._rows[i]
+        row[:], self._force[i] = state[:-3], state[-3:]
+        if not self.model.rack:
+            self._write_base(i)
+        joints = self.model.num_joints
+        angles, speeds = row[_JOINTS : _JOINTS + joints].tolist(), row[_JOINTS + joints :].tolist()
+        for joint in self._joints:
+            p.resetJointState(body, joint, angles[joint], speeds[joint], client)
+        self._forget_contacts(i)
+        self.diverged[i] = False
+
+    def _forget_contacts(self, i: int) -> None:
+        # A link that gets its collision filter again is taken out of Bullet's pairs, and put back.
+        for link in (-1, *self.model.feet):
+            self._p.setCollisionFilterGroupMask(self.model.body, link, 1, -1, self._clients[i])
+
+    def set_base_velocity(self, i: int, linear_world: Array, angular_base: Array) -> None:
+        """Set the base's velocity [m/s] in the world and angular velocity [rad/s] in the base frame."""
+        if self.model.rack:
+            return
+        row = self._rows[i]
+        turn = _turn(row[3:7]) @ self._from_link.T
+        omega = turn @ angular_base
+        row[_OMEGA:_JOINTS] = omega
+        row[_VELOCITY:_OMEGA] = linear_world + np.cross(omega, turn @ self.model.base_centre)
+        self._write_base(i)
+
+    def set_force(self, i: int, force_world: Array) -> None:
+        """Set the force [N] on the base's centre of mass, in the world frame."""
+        self._force[i] = force_world
+
+    def set_params(self, i: int, params: PhysicalParams, row: int) -> None:
+        """Apply masses, inertias and contact friction of `params[row]` to robot `i`."""
+        p, model, client = self._p, self.model, self._clients[i]
+        friction = float(params.contact_friction[row])
+        if self._friction[i] != friction:
+            for link in model.feet:
+                p.changeDynamics(model.body, link, lateralFriction=friction, physicsClientId=client)
+            self._friction[i] = friction
+        ratios = (
+            params.base_mass_ratio[row],
+            params.leg_mass_ratio[row],
+            params.base_inertia_ratio[row],
+            params.leg_inertia_ratio[row],
+        )
+        if self._ratios[i] != ratios:
+            self._scale_masses(client, *ratios)
+            self._ratios[i] = ratios
+
+    def _scale_masses(
+        self, client: int, base_mass: float, leg_mass: float, base_inertia: float, leg_inertia: float
+    ) -> None:
+        p, model = self._p, self.model
+        scaled = {}
+        for name, (mass, moments) in model.mass.items():
+            link = model.links[name]
+            if link < 0 and model.rack:
+                continue
+            at_base = link < 0
+            mass = mass * (base_mass if at_base else leg_mass)
+            moments = moments * (base_inertia if at_base else leg_inertia)
+            # Given a mass alone, Bullet would take the inertia of the collision shape.
+            p.changeDynamics(model.body, link, mass=mass, localInertiaDiagonal=moments.tolist(), physicsClientId=client)
+            scaled[name] = (mass, moments)
+        check_masses(p, client, model, scaled)
+
+    def base(self) -> Array:
+        """Base position [m], quaternion (w x y z) and velocity [m/s], all in the world frame, (N, 10)."""
+        if self.model.rack:
+            return np.tile([0.0, 0.0, RACK_HEIGHT, 1.0, *[0.0] * 6], (len(self._clients), 1))
+        rows = self._rows
+        x, y, z, w = rows[:, 3:7].T
+        bw, bx, by, bz = self.model.base_quat * [1, -1, -1, -1]
+        quat = np.stack(
+            [
+                w * bw - x * bx - y * by - z * bz,
+                w * bx + x * bw + y * bz - z * by,
+                w * by - x * bz + y * bw + z * bx,
+                w * bz + x * by - y * bx + z * bw,
+            ],
+            axis=1,
+        )
+        arm = _turn(quat[:, [1, 2, 3, 0]]) @ self.model.base_centre
+        velocity = rows[:, _VELOCITY:_OMEGA] - np.cross(rows[:, _OMEGA:_JOINTS], arm)
+        return np.concatenate([rows[:, :3] - arm, quat, velocity], axis=1)
+
+    def foot_positions(self) -> Array:
+        """Centres of the feet in the world frame [m], (N, L, 3)."""
+        return np.array([self._foot_positions(i) for i in range(len(self._clients))])
+
+    def _foot_positions(self, i: int) -> Array:
+        states = self._p.getLinkStates(
+            self.model.body, self.model.feet, computeForwardKinematics=1, physicsClientId=self._clients[i]
+        )
+        turns = _turn(np.array([state[1] for state in states]))
+        places = np.array([state[0] for state in states])
+        feet: Array = places + np.einsum("lij,lj->li", turns, self.model.foot_centre)
+        return feet
+
+
+def bullet_engine(robot: RobotDescription, drive: Drive, config: WorldConfig) -> BulletEngine:
+    """The Bullet engine, as a world takes it."""
+    return BulletEngine(robot, drive, config)

@@ -1,0 +1,210 @@
+"""A URDF in which links that are joined by fixed joints are one link, for engines that would keep them apart.
+
+A rotor and the link bolted to it move as one rigid body. For bodies k with mass m_k, centre of mass c_k and inertia
+I_k about it, all in the frame of the fused link,
+
+    m = sum m_k        c = sum m_k c_k / m
+    I = sum (I_k + m_k (|d_k|^2 1 - d_k d_k^T)),   d_k = c_k - c                (parallel axes)
+
+The fused link is written with its principal moments, in an inertial frame along its principal axes: readers of URDF
+differ in what they make of products of inertia.
+"""
+
+from __future__ import annotations
+
+import math
+import xml.etree.ElementTree as ElementTree
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surefoot.robot.urdf import Urdf
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class RigidBody:
+    """One fused link: mass [kg], and centre of mass [m] (3,) and inertia about it [kg m2] (3, 3) in its frame."""
+
+    mass: float
+    centre: Array
+    inertia: Array
+
+    def principal(self) -> tuple[Array, Array]:
+        """Principal moments [kg m2] (3,) and axes (3, 3), a rotation whose columns are in the link's frame.
+
+        Of the axes that fit, those nearest to the link's own: a link along its frame keeps its frame.
+        """
+        diagonal = np.diag(np.diag(self.inertia))
+        if np.abs(self.inertia - diagonal).max() <= 1e-9 * np.trace(self.inertia):
+            return np.diag(self.inertia).copy(), np.eye(3)
+        moments, axes = np.linalg.eigh(self.inertia)
+        order = np.argsort(np.argmax(np.abs(axes), axis=0))
+        moments, axes = moments[order], axes[:, order]
+        axes = axes * np.where(np.diag(axes) < 0, -1.0, 1.0)
+        if np.linalg.det(axes) < 0:
+            axes[:, 2] *= -1
+        return moments, axes
+
+
+@dataclass(frozen=True)
+class FusedUrdf:
+    """The fused links by name, where each link of the file went, and the new URDF."""
+
+    bodies: dict[str, RigidBody]
+    place: dict[str, tuple[str, Array]]
+    """For each link of the file: the fused link, and the link's frame (4, 4) in the fused link's."""
+    text: str
+
+
+def rotation(roll: float, pitch: float, yaw: float) -> Array:
+    """Rotation (3, 3) by roll about x, then pitch about y, then yaw about z, axes fixed [rad]."""
+    (cr, sr), (cp, sp), (cy, sy) = ((math.cos(angle), math.sin(angle)) for angle in (roll, pitch, yaw))
+    return np.array(
+        [
+            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+            [-sp, cp * sr, cp * cr],
+        ]
+    )
+
+
+def roll_pitch_yaw_of(turn: Array) -> Array:
+    """Roll, pitch and yaw (3,) [rad] of a rotation (3, 3); with pitch at a quarter turn, yaw is 0."""
+    pitch = math.atan2(-turn[2, 0], math.hypot(turn[0, 0], turn[1, 0]))
+    if math.hypot(turn[0, 0], turn[1, 0]) < 1e-9:
+        return np.array([math.atan2(math.copysign(1.0, pitch) * turn[0, 1], turn[1, 1]), pitch, 0.0])
+    return np.array([math.atan2(turn[2, 1], turn[2, 2]), pitch, math.atan2(turn[1, 0], turn[0, 0])])
+
+
+def _vector(element: ElementTree.Element | None, key: str) -> Array:
+    text = "0 0 0" if element is None else element.get(key, "0 0 0")
+    return np.array([float(word) for word in text.split()])
+
+
+def _frame(element: ElementTree.Element | None) -> Array:
+    """The (4, 4) frame of an <origin>, or of none."""
+    frame = np.eye(4)
+    frame[:3, :3] = rotation(*_vector(element, "rpy"))
+    frame[:3, 3] = _vector(element, "xyz")
+    return frame
+
+
+def _origin(frame: Array) -> ElementTree.Element:
+    """The <origin> of a frame (4, 4), to the last bit that a reader of decimal numbers can get."""
+
+    def words(values: Array) -> str:
+        return " ".join(repr(float(value)) for value in values)
+
+    return ElementTree.Element("origin", xyz=words(frame[:3, 3]), rpy=words(roll_pitch_yaw_of(frame[:3, :3])))
+
+
+def _rigid_body(link: ElementTree.Element) -> RigidBody:
+    """Mass, centre and inertia of a link of the file, in the link's own frame."""
+    frame = _frame(link.find("inertial/origin"))
+    inertia_element, mass_element = link.find("inertial/inertia"), link.find("inertial/mass")
+    assert inertia_element is not None and mass_element is not None  # `read_urdf` has refused links without
+    xx, xy, xz, yy, yz, zz = (
+        float(inertia_element.get(key, "0")) for key in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+    )
+    inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    turn = frame[:3, :3]
+    return RigidBody(float(mass_element.get("value", "")), frame[:3, 3], turn @ inertia @ turn.T)
+
+
+def fuse(parts: list[tuple[RigidBody, Array]]) -> RigidBody:
+    """One body of several, each with its frame (4, 4) in the frame of the whole."""
+    mass = sum(body.mass for body, _ in parts)
+    centres = [frame[:3, :3] @ body.centre + frame[:3, 3] for body, frame in parts]
+    centre = np.sum([body.mass * at for (body, _), at in zip(parts, centres, strict=True)], axis=0) / mass
+    inertia = np.zeros((3, 3))
+    for (body, frame), at in zip(parts, centres, strict=True):
+        turn, away = frame[:3, :3], at - centre
+        inertia += turn @ body.inertia @ turn.T + body.mass * (away @ away * np.eye(3) - np.outer(away, away))
+    return RigidBody(mass, centre, inertia)
+
+
+def _places(joints: list[ElementTree.Element], root: str) -> dict[str, tuple[str, Array]]:
+    """For each link: the link at the top of its group of fixed links, and its frame there."""
+    children: dict[str, list[ElementTree.Element]] = {}
+    for joint in joints:
+        children.setdefault(joint.find("parent").get("link", ""), []).append(joint)  # type: ignore[union-attr]
+    place, waiting = {root: (root, np.eye(4))}, [root]
+    while waiting:
+        parent = waiting.pop()
+        for joint in children.get(parent, []):
+            child = joint.find("child").get("link", "")  # type: ignore[union-attr]
+            top, frame = place[parent]
+            fixed = joint.get("type") == "fixed"
+            place[child] = (top, frame @ _frame(joint.find("origin"))) if fixed else (child, np.eye(4))
+            waiting.append(child)
+    return place
+
+
+def fuse_urdf(urdf: Urdf, visuals: bool = True) -> FusedUrdf:
+    """Fuse the links of a URDF that fixed joints join; a group takes the name and frame of its topmost link.
+
+    Args:
+        urdf: the file, read and checked.
+        visuals: keep what is only to be looked at.
+    """
+    robot = ElementTree.parse(urdf.path).getroot()
+    links = {link.get("name", ""): link for link in robot.findall("link")}
+    joints = robot.findall("joint")
+    place = _places(joints, urdf.root)
+    fused = ElementTree.Element("robot", name=robot.get("name", ""))
+    fused.extend(robot.findall("material"))
+    groups: dict[str, list[str]] = {}
+    for name, (top, _) in place.items():
+        groups.setdefault(top, []).append(name)
+    bodies = {}
+    for top, names in groups.items():
+        bodies[top] = fuse([(_rigid_body(links[name]), place[name][1]) for name in names])
+        link = ElementTree.SubElement(fused, "link", name=top)
+        link.append(_inertial(bodies[top]))
+        for name in names:
+            for kind in ("visual", "collision") if visuals else ("collision",):
+                for shape in links[name].findall(kind):
+                    _move(shape, place[name][1])
+                    link.append(shape)
+    for joint in joints:
+        if joint.get("type") != "fixed":
+            parent = joint.find("parent")
+            assert parent is not None
+            top, frame = place[parent.get("link", "")]
+            parent.set("link", top)
+            _move(joint, frame)
+            fused.append(joint)
+    return FusedUrdf(bodies, place, ElementTree.tostring(fused, encoding="unicode"))
+
+
+def _inertial(body: RigidBody) -> ElementTree.Element:
+    moments, axes = body.principal()
+    frame = np.eye(4)
+    frame[:3, :3], frame[:3, 3] = axes, body.centre
+    inertial = ElementTree.Element("inertial")
+    inertial.append(_origin(frame))
+    ElementTree.SubElement(inertial, "mass", value=repr(float(body.mass)))
+    values = {key: "0" for key in ("ixy", "ixz", "iyz")}
+    values |= {key: repr(float(moment)) for key, moment in zip(("ixx", "iyy", "izz"), moments, strict=True)}
+    ElementTree.SubElement(inertial, "inertia", values)
+    return inertial
+
+
+def _move(element: ElementTree.Element, frame: Array) -> None:
+    """Put an element with an <origin> from its link's frame into another, in which the link's is `frame`."""
+    origin = element.find("origin")
+    moved = frame @ _frame(origin)
+    if origin is not None:
+        element.remove(origin)
+    element.insert(0, _origin(moved))
+
+
+def write_fused(text: str, folder: Path) -> Path:
+    """Write the new URDF into a folder; its path."""
+    path = folder / "fused.urdf"
+    path.write_text(text, encoding="utf-8")
+    return path
