@@ -8,7 +8,7 @@ from surefoot.actuator.cache import drop_stale_caches
 
 drop_stale_caches()
 
-from surefoot.actuator.constraint import constraint_speed  # noqa: E402
+from surefoot.actuator.constraint import constraint_speed, constraint_torque  # noqa: E402
 from surefoot.actuator.delay import DelayLine  # noqa: E402
 from surefoot.actuator.motor import coulomb_friction, motor_current, motor_torque, overheat  # noqa: E402
 from surefoot.actuator.servo import servo_duty  # noqa: E402
@@ -16,6 +16,7 @@ from surefoot.actuator.servo import servo_duty  # noqa: E402
 __all__ = [
     "DelayLine",
     "constraint_speed",
+    "constraint_torque",
     "coulomb_friction",
     "motor_current",
     "motor_torque",

@@ -1,4 +1,4 @@
-"""The position motor that physics engines bring along: a constraint on the motor's speed at the end of the step."""
+"""The position motor that physics engines bring along: a constraint on the motor's state at the end of the step."""
 
 from __future__ import annotations
 
@@ -6,30 +6,51 @@ from numba import njit, vectorize
 
 
 @njit(cache=True, inline="always")
-def constraint_speed_kernel(target: float, angle: float, speed: float, kp: float, kd: float, dt: float) -> float:
+def constraint_speed_kernel(target: float, angle: float, kp: float, kd: float, dt: float) -> float:
     """Scalar form of `constraint_speed`."""
-    return speed + kp * (target - angle) / dt - kd * speed
+    return kp * (target - angle) / (kp * dt + kd) if kp > 0.0 else 0.0
 
 
 @vectorize(cache=True)
-def constraint_speed(target, angle, speed, kp, kd, dt):  # type: ignore[no-untyped-def]
-    """Speed [rad/s] at the end of a step that a constraint motor seeks, with target speed 0.
+def constraint_speed(target, angle, kp, kd, dt):  # type: ignore[no-untyped-def]
+    """Speed [rad/s] at the end of a step for which a constraint motor's error is zero.
 
-        qdot_{n+1} = qdot_n + k_p (q_target - q_n) / dt - k_d qdot_n
+        e_{n+1} = k_p (q_target - q_{n+1}) - k_d qdot_{n+1} = 0,    q_{n+1} = q_n + dt qdot_{n+1}
 
-    An engine finds the torque, up to a limit, for which this holds together with all its other constraints. With
-    k_p = k_d = 1 and enough torque the motor is at its target one step later, q_n + dt qdot_{n+1} = q_target: no
-    servo, however stiff, could follow so without swinging, and none that is late at all.
+    An engine finds the torque, up to `constraint_torque`, for which this holds together with all its other
+    constraints. With the servo's own gains the motor closes in on its target with the time constant k_d / k_p + dt,
+    whatever it has to move, and never swings: where the servo asks for a voltage, this motor gets its way.
 
-    Source: the row that Bullet's joint motor for articulated bodies gives to its solver, the constraint of Tan et al.
-    2018, eq. 3 ("the error at the end of the current time step"), with the error linear in the motor's present state.
+    Source: Tan et al. 2018, eq. 2, with target speed 0. Bullet's motor for the joints of articulated bodies meets it
+    with position gain k_p dt / (k_p dt + k_d) and velocity gain 1.
 
     Args:
         target: motor angle asked for [rad].
-        angle: motor angle q_n [rad], true and of now: the engine's motor knows no latency.
-        speed: motor speed qdot_n [rad/s], likewise.
-        kp: proportional gain k_p, share of the angle error taken away in a step.
-        kd: derivative gain k_d, share of the speed taken away in a step.
+        angle: motor angle q_n, true and of now: the engine's motor knows no latency [rad].
+        kp: the servo's proportional gain [1/rad].
+        kd: the servo's derivative gain [s/rad].
         dt: step [s].
     """
-    return constraint_speed_kernel(target, angle, speed, kp, kd, dt)
+    return constraint_speed_kernel(target, angle, kp, kd, dt)
+
+
+@njit(cache=True, inline="always")
+def constraint_torque_kernel(voltage: float, torque_constant: float, resistance: float, strength: float) -> float:
+    """Scalar form of `constraint_torque`."""
+    return strength * torque_constant * voltage / resistance
+
+
+@vectorize(cache=True)
+def constraint_torque(voltage, torque_constant, resistance, strength):  # type: ignore[no-untyped-def]
+    """Greatest torque [N m] of a constraint motor: strength K_t V / R, at any speed.
+
+    This is what an ideal DC motor stalls at: neither saturation nor back-EMF is known to a simulator that has no model
+    of the motor. Tan et al. 2018 do not tell their limit.
+
+    Args:
+        voltage: battery voltage V [V].
+        torque_constant: K_t [N m/A].
+        resistance: armature resistance R [Ohm].
+        strength: ratio to the nominal motor.
+    """
+    return constraint_torque_kernel(voltage, torque_constant, resistance, strength)

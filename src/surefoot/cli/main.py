@@ -15,6 +15,7 @@ COMMANDS = {
     "evaluate": ("surefoot.cli.evaluate", "run a policy in simulation and measure it"),
     "play": ("surefoot.cli.play", "watch a policy, in a window or as a video"),
     "study": ("surefoot.cli.study", "train several groups with several seeds, compare them"),
+    "identify": ("surefoot.cli.identify", "experiments on a robot, and how well the simulator repeats them"),
     "sensitivity": ("surefoot.cli.sensitivity", "find which physical parameters break a policy"),
 }
 _EXTRAS = {

@@ -1,11 +1,10 @@
 """What the machine is: URDF, data sheet, leg space and the physical parameters that reality may dispute."""
 
-from surefoot.robot.description import ConstraintMotor, RobotDescription
+from surefoot.robot.description import RobotDescription
 from surefoot.robot.leg import FiveBar, leg_to_motor, motor_to_leg
 from surefoot.robot.params import PhysicalParams, parse_settings
 
 __all__ = [
-    "ConstraintMotor",
     "FiveBar",
     "PhysicalParams",
     "RobotDescription",

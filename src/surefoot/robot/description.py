@@ -58,15 +58,6 @@ class ActuatorData:
 
 
 @dataclass(frozen=True)
-class ConstraintMotor:
-    """Gains of a physics engine's own position motor, shares of the error taken away in a step, and its limit [N m]."""
-
-    kp: float
-    kd: float
-    max_torque: float
-
-
-@dataclass(frozen=True)
 class Timing:
     """Servo step, control step and both latencies [s], nominal."""
 
@@ -104,7 +95,6 @@ class RobotDescription:
     extension_range: tuple[float, float]
     rest: tuple[float, float]
     actuator: ActuatorData
-    constraint_motor: ConstraintMotor
     timing: Timing
     contact: ContactData
     allowed: dict[str, tuple[float, float]]
@@ -139,7 +129,7 @@ class RobotDescription:
     def _from_sheet(cls, sheet: Sheet, folder: Path) -> RobotDescription:
         sheet.allow_only(
             *("name", "urdf", "base", "body_length", "motors", "legs", "leg_geometry", "loops"),
-            *("leg_space", "actuator", "constraint_motor", "timing", "contact", "allowed"),
+            *("leg_space", "actuator", "timing", "contact", "allowed"),
         )
         urdf = read_urdf(folder / sheet.text("urdf"))
         links, joints = list(urdf.links), list(urdf.joints)
@@ -206,7 +196,6 @@ class RobotDescription:
             extension_range=space.range("extension"),
             rest=(rest[0], rest[1]),
             actuator=_read_actuator(sheet),
-            constraint_motor=sheet.table("constraint_motor").dataclass(ConstraintMotor, positive=("max_torque",)),
             timing=sheet.table("timing").dataclass(Timing, positive=("servo_step", "control_step")),
             contact=sheet.table("contact").dataclass(ContactData, positive=("friction", "stiffness", "damping")),
             allowed={name: allowed.range(name) for name in PhysicalParams.names()},

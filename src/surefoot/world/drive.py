@@ -22,7 +22,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from surefoot.actuator.constraint import constraint_speed_kernel
+from surefoot.actuator.constraint import constraint_speed_kernel, constraint_torque_kernel
 from surefoot.actuator.delay import push_kernel, read_kernel
 from surefoot.actuator.motor import (
     coulomb_friction_kernel,
@@ -31,7 +31,7 @@ from surefoot.actuator.motor import (
     overheat_kernel,
 )
 from surefoot.actuator.servo import servo_duty_kernel
-from surefoot.robot import ConstraintMotor, PhysicalParams, RobotDescription
+from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.world.interface import WorldConfig
 
 Array = NDArray[np.float64]
@@ -54,7 +54,7 @@ class Drive(NamedTuple):
     table_current: Array  # (points,) A, all robots
     table_torque: Array  # (points,) N m, all robots
     limits: Array  # (4,) all robots: voltage clip V, overheat torque N m and time s (inf: off), servo step s
-    constraint: Array  # (3,) all robots: k_p, k_d and greatest torque N m of constraint motors; torque 0: DC motors
+    constraint: NDArray[np.bool_]  # (1,) all robots: whether motors are constraints instead of DC motors
     ticks: NDArray[np.int64]  # (N,) servo steps since reset
     times: Array  # (N, H) s, of the history
     history: Array  # (N, H, 2 M + 6)
@@ -63,6 +63,7 @@ class Drive(NamedTuple):
     target: Array  # (N, M) rad
     torque: Array  # (N, M) N m on the motor shaft, friction included
     end_speed: Array  # (N, M) rad/s that constraint motors seek at the step's end
+    torque_limit: Array  # (N, M) N m at most, of constraint motors
     motor_torque: Array  # (N, M) N m of the motor itself
     energy: Array  # (N,) J, integral of |tau . qdot| since it was set to zero
     hot_time: Array  # (N, M) s
@@ -78,7 +79,6 @@ def new_drive(robot: RobotDescription, num_envs: int, history: int, config: Worl
     data = robot.actuator
     current, torque = robot.torque_table
     overheat_time = data.overheat_time if config.thermal_protection else math.inf
-    motor = robot.constraint_motor if config.actuator == "constraint" else ConstraintMotor(0.0, 0.0, 0.0)
 
     def zeros(*shape: int) -> Array:
         return np.zeros((num_envs, *shape))
@@ -95,7 +95,7 @@ def new_drive(robot: RobotDescription, num_envs: int, history: int, config: Worl
         table_current=current,
         table_torque=torque,
         limits=np.array([data.voltage_clip, data.overheat_torque, overheat_time, robot.timing.servo_step]),
-        constraint=np.array([motor.kp, motor.kd, motor.max_torque]),
+        constraint=np.array([config.actuator == "constraint"]),
         ticks=np.zeros(num_envs, np.int64),
         times=zeros(history),
         history=zeros(history, width),
@@ -104,6 +104,7 @@ def new_drive(robot: RobotDescription, num_envs: int, history: int, config: Worl
         target=zeros(motors),
         torque=zeros(motors),
         end_speed=zeros(motors),
+        torque_limit=zeros(motors),
         motor_torque=zeros(motors),
         energy=zeros(),
         hot_time=zeros(motors),
@@ -146,15 +147,18 @@ def servo_tick(drive: Drive, i: int) -> None:
     """Servo and motor of robot `i` answer the state of now, which is in the history, with `drive.torque`.
 
     Constraint motors answer with the speed that they seek, `drive.end_speed`; their torque is the engine's to find,
-    at most `drive.constraint[2]` times the motor's strength, and `constraint_tick` takes it after the step.
+    at most `drive.torque_limit`, and `constraint_tick` takes it after the step.
     """
     motors = drive.target.shape[1]
-    if drive.constraint[2] > 0.0:
-        kp, kd, _ = drive.constraint
+    if drive.constraint[0]:
         for m in range(motors):
-            angle, speed = drive.now[i, m], drive.now[i, motors + m]
-            drive.end_speed[i, m] = constraint_speed_kernel(drive.target[i, m], angle, speed, kp, kd, drive.limits[3])
-            drive.torque[i, m] = coulomb_friction_kernel(speed, drive.friction[i, m])
+            drive.end_speed[i, m] = constraint_speed_kernel(
+                drive.target[i, m], drive.now[i, m], drive.kp[i], drive.kd[i], drive.limits[3]
+            )
+            drive.torque_limit[i, m] = constraint_torque_kernel(
+                drive.voltage[i], drive.torque_constant[i], drive.resistance[i], drive.strength[i, m]
+            )
+            drive.torque[i, m] = coulomb_friction_kernel(drive.now[i, motors + m], drive.friction[i, m])
         return
     voltage_clip, hot_torque, hot_limit, dt = drive.limits
     time = drive.ticks[i] * dt

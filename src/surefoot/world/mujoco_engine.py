@@ -169,7 +169,7 @@ def _seek_speeds(native: _Native, drive: Drive, i: int) -> None:
         row = native.motor_row[m]
         end_speed = native.motor_sign[m] * drive.end_speed[i, m]
         aref[row] = (end_speed - qvel[native.motor_dof[m]]) / drive.limits[3]
-        limit[row] = drive.constraint[2] * drive.strength[i, m]
+        limit[row] = drive.torque_limit[i, m]
 
 
 @njit(cache=True, nogil=True)
@@ -199,14 +199,14 @@ def _advance(
                 break
             call_step(native.step1, model, native.data[i])
             _feet_on_ground(native, drive, i, velocity, force)
-            if drive.constraint[2] > 0.0:
+            if drive.constraint[0]:
                 _seek_speeds(native, drive, i)
             call_step(native.step2, model, native.data[i])
             drive.ticks[i] += 1
             if not _observe(native, drive, i):
                 diverged[i] = True
                 break
-            if drive.constraint[2] > 0.0:
+            if drive.constraint[0]:
                 forces = doubles(pointers(native.data[i] + native.force_row)[0])
                 for m in range(len(native.motor_dof)):
                     drive.motor_torque[i, m] = native.motor_sign[m] * forces[native.motor_row[m]]

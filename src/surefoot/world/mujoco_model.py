@@ -59,7 +59,8 @@ def build_spec(robot: RobotDescription, config: WorldConfig | None = None) -> mu
         option.iterations = MOTOR_ITERATIONS
         for name in robot.motor_names:
             joint = spec.joint(name)
-            joint.frictionloss = robot.constraint_motor.max_torque
+            # Over 0, so that it is a constraint; the engine sets the limit.
+            joint.frictionloss = 1.0
             joint.solimp_friction = MOTOR_SOLIMP
     for loop in robot.loops:
         equality = spec.add_equality(

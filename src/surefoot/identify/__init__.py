@@ -1,0 +1,1 @@
+"""Experiments on a robot, and how well a simulator repeats them."""
