@@ -58,7 +58,7 @@ def main(argv: list[str]) -> int:
     from surefoot.cli.study_results import check_kinds, evaluate_runs, report
 
     study = load_study(command.file)
-    check_kinds(study)
+    check_kinds(study, worlds=not command.train_only)
     if command.seeds:
         study = replace(study, seeds=command.seeds)
     root = command.runs or Path("runs") / study.name

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from rich.console import Console
 
+from surefoot.cli.policies import find_world
 from surefoot.errors import SurefootError
 from surefoot.learn.study import StudyConfig, StudyRun, study_runs
 
@@ -16,17 +17,29 @@ if TYPE_CHECKING:
     from surefoot.evaluate.comparison import Comparison, SeedResult
 
 
-def check_kinds(study: StudyConfig) -> None:
-    """Refuse kinds of evaluation that there are not, before anything is trained."""
-    from surefoot.evaluate.study import kinds_of
+def check_kinds(study: StudyConfig, worlds: bool = False) -> None:
+    """Refuse evaluations that can't be made, before anything is trained.
 
-    kinds_of(study.evaluate)
+    Args:
+        study: the study.
+        worlds: refuse worlds that there are not, too.
+
+    Raises:
+        SurefootError: with what can't be made.
+    """
+    from surefoot.evaluate.kinds import KINDS, kinds_of
+
+    kinds = kinds_of(study.evaluate)
+    if study.bars and "gap" not in kinds:
+        raise SurefootError("bars: they show the reality gap; evaluate must name 'gap' for them")
+    for world in {name: None for kind in kinds for name in KINDS[kind].world_names} if worlds else ():
+        find_world(world)
 
 
 def evaluate_runs(study: StudyConfig, runs: list[StudyRun], threads: int, console: Console) -> None:
     """Make every evaluation of every finished run that is not there yet."""
-    from surefoot.evaluate.study import KINDS, evaluate, kept, kinds_of
-    from surefoot.world.sim_world import SimWorld
+    from surefoot.evaluate.kinds import KINDS, kinds_of
+    from surefoot.evaluate.study import evaluate, kept
 
     kinds = kinds_of(study.evaluate)
     finished = [run for run in runs if run.state == "finished"]
@@ -34,7 +47,7 @@ def evaluate_runs(study: StudyConfig, runs: list[StudyRun], threads: int, consol
     for number, (run, kind) in enumerate(todo, start=1):
         start = time.perf_counter()
         with console.status(f"evaluating {run.name}: {kind} ({number} of {len(todo)})"):
-            result = evaluate(run.policy, kind, SimWorld, threads)
+            result = evaluate(run.policy, kind, find_world, threads)
         figures = ", ".join(f"{one.title} {one.read(result):.{one.digits}f} {one.unit}" for one in KINDS[kind].figures)
         seconds = time.perf_counter() - start
         console.print(
@@ -64,7 +77,7 @@ def collect(study: StudyConfig, root: Path) -> Comparison:
         SurefootError: there is none.
     """
     from surefoot.evaluate.comparison import Comparison, GroupResult
-    from surefoot.evaluate.study import kinds_of
+    from surefoot.evaluate.kinds import kinds_of
 
     kinds = kinds_of(study.evaluate)
     found: dict[str, list[SeedResult]] = {name: [] for name in study.groups}
@@ -78,7 +91,16 @@ def collect(study: StudyConfig, root: Path) -> Comparison:
     groups = tuple(GroupResult(name, study.label(name), tuple(seeds)) for name, seeds in found.items() if seeds)
     if not groups:
         raise SurefootError(f"{root}: no run of the study is finished and evaluated; there is nothing to report yet")
-    return Comparison(study.name, kinds, groups, study.pairs, tuple(missing))
+    return Comparison(
+        study.name,
+        kinds,
+        groups,
+        study.pairs,
+        tuple(missing),
+        study.top,
+        study.bars,
+        tuple((frozenset(finding.groups), finding.text) for finding in study.findings),
+    )
 
 
 def _result(run: StudyRun, kinds: tuple[str, ...]) -> SeedResult | None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from surefoot.errors import SurefootError
+from surefoot.evaluate.kinds import KINDS, Figure, Result, sensitivity_of
 from surefoot.evaluate.sensitivity import Sensitivity
 from surefoot.evaluate.statistics import Interval, t_interval, welch_interval
-from surefoot.evaluate.study import KINDS, Figure, Result, sensitivity_of
 
 Array = NDArray[np.float64]
 
@@ -134,6 +134,12 @@ class Comparison:
     """Names of groups whose difference is told, the second against the first."""
     missing: tuple[str, ...] = field(default=())
     """Runs of the study that are not in it."""
+    top: int = 3
+    """How many policies of a group, those with the highest return in their own simulator, tell its reality gap."""
+    bars: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    """Names of groups whose reality gaps stand side by side, by the name of the set."""
+    findings: tuple[tuple[frozenset[str], str], ...] = ()
+    """Names of groups, and what others found of the groups that these stand for."""
 
     def __post_init__(self) -> None:
         """Refuse what can't be compared."""
@@ -149,6 +155,10 @@ class Comparison:
         """Pairs of which both groups have policies."""
         by_name = {group.name: group for group in self.groups}
         return [(by_name[a], by_name[b]) for a, b in self.pairs if a in by_name and b in by_name]
+
+    def finding(self, names: Iterable[str]) -> str:
+        """What others found of the same groups; empty, if nothing is told."""
+        return " ".join(text for groups, text in self.findings if groups == set(names))
 
 
 def difference(base: GroupResult, other: GroupResult, figure: str) -> Interval:

@@ -8,16 +8,19 @@ from pathlib import Path
 from typing import Any
 
 from surefoot.evaluate.comparison import Comparison, difference
+from surefoot.evaluate.gap_group_tables import gap_summary, write_gap_tables
+from surefoot.evaluate.kinds import KINDS
 from surefoot.evaluate.sensitivity_tables import write_csv, write_episodes_csv
 from surefoot.evaluate.statistics import CONFIDENCE, Interval
-from surefoot.evaluate.study import KINDS
 from surefoot.files import whole_file, write_table
 
+_OWN_TABLES = ("sensitivity", "gap")
+"""Kinds of evaluation whose episodes are in tables of their own."""
 _WORLDS = {"sensitivity.csv": write_csv, "sensitivity_episodes.csv": write_episodes_csv}
 
 
 def write_tables(comparison: Comparison, folder: Path) -> list[Path]:
-    """Write runs.csv, groups.csv, differences.csv, episodes.csv, summary.json and what the test worlds came to.
+    """Write runs.csv, groups.csv, differences.csv, episodes.csv, summary.json, and what test worlds and gaps came to.
 
     Returns:
         the paths.
@@ -43,7 +46,7 @@ def write_tables(comparison: Comparison, folder: Path) -> list[Path]:
         for group in comparison.groups
         for seed in group.seeds
         for kind, result in seed.results.items()
-        if kind != "sensitivity"
+        if kind not in _OWN_TABLES
         for number, (gained, speed, fell) in enumerate(
             zip(result["returns"], result["speed"], result["fell"], strict=True)
         )
@@ -51,8 +54,10 @@ def write_tables(comparison: Comparison, folder: Path) -> list[Path]:
     names = [figure.name for figure in figures]
     tested = [one for group in comparison.groups for one in group.sensitivities]
     worlds = [write(folder / name, tested) for name, write in _WORLDS.items()] if tested else []
+    gaps = write_gap_tables(comparison, folder) if "gap" in comparison.kinds else []
     return [
         *worlds,
+        *gaps,
         write_table(folder / "runs.csv", ",".join(["group,seed,steps,training_seconds", *names]), runs),
         write_table(folder / "groups.csv", "group,label,figure,unit,seeds,mean,low,high", groups),
         write_table(folder / "differences.csv", "group,against,figure,unit,difference,low,high", differences),
@@ -87,6 +92,7 @@ def _summary(comparison: Comparison) -> dict[str, Any]:
             }
             for base, other in comparison.present_pairs()
         ],
+        **({"gap": gap_summary(comparison)} if "gap" in comparison.kinds else {}),
         "missing": list(comparison.missing),
     }
 

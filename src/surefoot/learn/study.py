@@ -35,6 +35,16 @@ class GroupConfig:
 
 
 @dataclass(frozen=True)
+class Finding:
+    """What others found where a study looks again."""
+
+    groups: tuple[str, ...]
+    """The groups that stand for theirs: those of a set of `bars`, or of a pair of `compare`."""
+    text: str
+    """What they found."""
+
+
+@dataclass(frozen=True)
 class StudyConfig:
     """Groups of trainings, several seeds each, and how they are evaluated."""
 
@@ -52,19 +62,46 @@ class StudyConfig:
     """Kinds of evaluation of every trained policy."""
     compare: tuple[tuple[str, str], ...] = ()
     """Pairs of groups whose difference is reported, the second against the first; every pair, if empty."""
+    top: int = 3
+    """How many policies of a group, those with the highest return in their own simulator, tell its reality gap."""
+    bars: dict[str, tuple[str, ...]] = field(default_factory=dict)
+    """Groups whose reality gaps are drawn side by side, by the name of the figure."""
+    findings: tuple[Finding, ...] = ()
+    """What others found, told beside the same groups of this study."""
 
     def __post_init__(self) -> None:
         """Refuse what no study can be."""
         if not self.groups:
             raise SurefootError("groups is empty; a study has 1 group or more")
-        for what in (self.name, *self.groups):
+        for what in (self.name, *self.groups, *self.bars):
             if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_.-]*", what):
-                raise SurefootError(f"name '{what}': letters, digits, _ - and . only, since a folder is called so")
+                raise SurefootError(
+                    f"name '{what}': letters, digits, _ - and . only, since a file or folder is so called"
+                )
         if not self.seeds or min(self.seeds) < 0 or len(set(self.seeds)) < len(self.seeds):
             raise SurefootError(f"seeds is {list(self.seeds)}; it takes 1 or more, none below 0 and none twice")
         for name in (name for pair in self.compare for name in pair):
             if name not in self.groups:
                 raise SurefootError(f"compare: '{name}' is no group of the study; groups: {choices(self.groups)}")
+        if self.top < 1:
+            raise SurefootError(f"top is {self.top}; it must be 1 policy or more")
+        for name, groups in self.bars.items():
+            self._check_set(f"bars.{name}", groups)
+        told = [set(groups) for groups in (*self.bars.values(), *self.pairs)]
+        for number, finding in enumerate(self.findings):
+            self._check_set(f"findings[{number}]", finding.groups)
+            if set(finding.groups) not in told:
+                raise SurefootError(
+                    f"findings[{number}]: {choices(finding.groups)} are together in no set of bars and in no pair of "
+                    "compare, so it would be told nowhere"
+                )
+
+    def _check_set(self, where: str, groups: tuple[str, ...]) -> None:
+        if not groups or len(set(groups)) < len(groups):
+            raise SurefootError(f"{where} is {list(groups)}; it takes 1 group or more, none twice")
+        for name in groups:
+            if name not in self.groups:
+                raise SurefootError(f"{where}: '{name}' is no group of the study; groups: {choices(self.groups)}")
 
     @property
     def pairs(self) -> tuple[tuple[str, str], ...]:

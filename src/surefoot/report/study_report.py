@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from surefoot.evaluate.comparison import Comparison, GroupResult, difference
+from surefoot.evaluate.kinds import KINDS, Figure
 from surefoot.evaluate.statistics import CONFIDENCE, Interval, plain, t_interval
-from surefoot.evaluate.study import KINDS, Figure
 from surefoot.files import whole_file
 from surefoot.report.study_figures import (
     group_figure,
