@@ -13,16 +13,25 @@ from __future__ import annotations
 
 import weakref
 from types import ModuleType
-from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from surefoot.errors import SurefootError
 from surefoot.robot import PhysicalParams, RobotDescription
-from surefoot.world.bullet_model import RACK_HEIGHT, BulletModel, check_masses, import_pybullet, open_client
-from surefoot.world.drive import Drive, constraint_tick, record, roll_pitch_yaw, servo_tick
+from surefoot.world.bullet_model import RACK_HEIGHT, check_masses, import_pybullet, open_client
+from surefoot.world.bullet_tick import (
+    JOINTS,
+    OMEGA,
+    SPEED_LIMIT,
+    VELOCITY,
+    Layout,
+    base_links,
+    between,
+    observe,
+    rotations,
+)
+from surefoot.world.drive import Drive
 from surefoot.world.interface import WorldConfig
 
 Array = NDArray[np.float64]
@@ -30,105 +39,6 @@ Index = NDArray[np.int64]
 
 MAX_ROBOTS = 1000
 """Robots in one process; PyBullet has room for 1024 clients."""
-_SPEED_LIMIT = 1e5
-"""A generalized speed beyond this [m/s, rad/s] counts as diverged."""
-_VELOCITY, _OMEGA, _JOINTS = 7, 10, 13
-"""A row: base position (3), quaternion x y z w (4), velocity (3), angular velocity (3), joint angles, joint speeds."""
-
-
-class _Layout(NamedTuple):
-    """What the compiled functions need of a `BulletModel`."""
-
-    motors: Index
-    sign: Array
-    base_quat: Array
-    num_joints: int
-    rack: bool
-
-
-@njit(cache=True)
-def _observe(layout: _Layout, drive: Drive, i: int, row: Array) -> bool:
-    """Write a row of robot `i` to `drive.now`; false, and nothing written, if it is not finite."""
-    joints = layout.num_joints
-    speeds = _JOINTS + joints
-    for k in range(speeds + joints):
-        if not np.isfinite(row[k]):
-            return False
-        if (_VELOCITY <= k < _JOINTS or k >= speeds) and not abs(row[k]) < _SPEED_LIMIT:
-            return False
-    now, motors = drive.now[i], len(layout.motors)
-    for m in range(motors):
-        now[m] = layout.sign[m] * row[_JOINTS + layout.motors[m]]
-        now[motors + m] = layout.sign[m] * row[speeds + layout.motors[m]]
-    if layout.rack:
-        now[2 * motors :] = 0.0
-        return True
-    # Base link = Bullet's base turned back by the inertial frame's orientation in the link.
-    ax, ay, az, aw = row[3], row[4], row[5], row[6]
-    bw, bx, by, bz = layout.base_quat[0], -layout.base_quat[1], -layout.base_quat[2], -layout.base_quat[3]
-    w = aw * bw - ax * bx - ay * by - az * bz
-    x = aw * bx + ax * bw + ay * bz - az * by
-    y = aw * by - ax * bz + ay * bw + az * bx
-    z = aw * bz + ax * by - ay * bx + az * bw
-    now[2 * motors], now[2 * motors + 1], now[2 * motors + 2] = roll_pitch_yaw(w, x, y, z)
-    ox, oy, oz = row[_OMEGA], row[_OMEGA + 1], row[_OMEGA + 2]
-    # World to base: v + 2 u x (u x v + w v) with the conjugate, u = -(x, y, z).
-    cx, cy, cz = -(y * oz - z * oy) + w * ox, -(z * ox - x * oz) + w * oy, -(x * oy - y * ox) + w * oz
-    now[2 * motors + 3] = ox - 2 * (y * cz - z * cy)
-    now[2 * motors + 4] = oy - 2 * (z * cx - x * cz)
-    now[2 * motors + 5] = oz - 2 * (x * cy - y * cx)
-    return True
-
-
-@njit(cache=True)
-def _between(
-    layout: _Layout, drive: Drive, i: int, row: Array, pull: Array, applied: Array, after: bool, before: bool
-) -> bool:
-    """What robot `i` does between two steps of Bullet, in one call: the end of one, the start of the next.
-
-    Args:
-        layout: see there.
-        drive: servo, motors and sensors.
-        i: robot.
-        row: its state after the step.
-        pull: torques (M,) [N m] of Bullet's own joint motors over the step, where motors are constraints.
-        applied: output, joint torques (M,) [N m] for the next step.
-        after: a step has just ended.
-        before: another one follows.
-
-    Returns:
-        False if the robot has diverged.
-    """
-    motors = len(layout.motors)
-    if after:
-        drive.ticks[i] += 1
-        if not _observe(layout, drive, i, row):
-            return False
-        if drive.constraint[2] > 0.0:
-            for m in range(motors):
-                # A motor without strength is left out of the solver, and keeps the torque that it had before.
-                limit = drive.constraint[2] * drive.strength[i, m]
-                drive.motor_torque[i, m] = min(max(layout.sign[m] * pull[m], -limit), limit)
-            constraint_tick(drive, i)
-        record(drive, i)
-    if before:
-        servo_tick(drive, i)
-        for m in range(motors):
-            applied[m] = layout.sign[m] * drive.torque[i, m]
-            if not np.isfinite(applied[m]):
-                return False
-    return True
-
-
-def _turn(quats_xyzw: Array) -> Array:
-    """Rotations (..., 3, 3) of unit quaternions (..., 4), x y z w."""
-    x, y, z, w = np.moveaxis(quats_xyzw, -1, 0)
-    rows = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ]
-    return np.moveaxis(np.array(rows), (0, 1), (-2, -1))
 
 
 def _disconnect(p: ModuleType, clients: list[int]) -> None:
@@ -167,15 +77,15 @@ class BulletEngine:
         self._ratios: list[tuple[float, ...]] = [(1.0, 1.0, 1.0, 1.0)] * num_envs
         self._friction = [robot.contact.friction] * num_envs
         sign = robot.motor_sign.astype(np.float64)
-        self._layout = _Layout(np.array(model.motors), sign, model.base_quat, model.num_joints, model.rack)
-        self._from_link = _turn(model.base_quat[[1, 2, 3, 0]])
+        self._layout = Layout(sign, model.base_quat, model.rack)
+        self._from_link = rotations(model.base_quat[[1, 2, 3, 0]])
         self._feet = {link: leg for leg, link in enumerate(model.feet)}
-        self._applied, self._pull = np.zeros(len(sign)), np.zeros(len(sign))
+        self._applied = np.zeros(len(sign))
         self.diverged = np.zeros(num_envs, np.bool_)
         self._force = np.zeros((num_envs, 3))
-        self._rows = np.zeros((num_envs, _JOINTS + 2 * model.num_joints))
+        self._rows = np.zeros((num_envs, JOINTS + 2 * model.num_joints))
         for i in range(num_envs):
-            self._rows[i] = self._read(i)
+            self._rows[i] = self._read(i, self._joints)[: self._rows.shape[1]]
         self.initial_state = self._resting_state()
 
     def _resting_state(self) -> Array:
@@ -184,11 +94,11 @@ class BulletEngine:
         angles = robot.resting_angles
         row = np.zeros(self._rows.shape[1])
         for motor, joint in enumerate(model.motors):
-            row[_JOINTS + joint] = robot.motor_sign[motor] * angles[motor]
+            row[JOINTS + joint] = robot.motor_sign[motor] * angles[motor]
         for leg in robot.legs:
             theta = [angles[robot.motor_names.index(name)] for name in leg.motors]
             for name, knee in zip(leg.knees, robot.leg_geometry.knee_angles(*theta), strict=True):
-                row[_JOINTS + model.joints[name]] = knee
+                row[JOINTS + model.joints[name]] = knee
         row[:3] = [*model.base_centre[:2], RACK_HEIGHT + model.base_centre[2]]
         row[3:7] = model.base_quat[[1, 2, 3, 0]]
         state = np.concatenate([row, np.zeros(3)])
@@ -199,20 +109,19 @@ class BulletEngine:
             self.set_state(0, before)
         return state
 
-    def _read(self, i: int) -> Array:
-        """Robot `i`'s row, from Bullet."""
+    def _read(self, i: int, joints: list[int]) -> list[float]:
+        """Robot `i`'s base, then angles, speeds and motor torques of some of its joints, from Bullet."""
         p, body, client = self._p, self.model.body, self._clients[i]
         position, quat = p.getBasePositionAndOrientation(body, client)
         velocity, omega = p.getBaseVelocity(body, client)
-        joints = p.getJointStates(body, self._joints, client)
-        return np.array(
-            [*position, *quat, *velocity, *omega, *[joint[0] for joint in joints], *[joint[1] for joint in joints]]
-        )
+        states = p.getJointStates(body, joints, client)
+        angles, speeds, _, torques = zip(*states, strict=True)
+        return [*position, *quat, *velocity, *omega, *angles, *speeds, *torques]
 
     def _write_base(self, i: int) -> None:
         p, body, client, row = self._p, self.model.body, self._clients[i], self._rows[i].tolist()
         p.resetBasePositionAndOrientation(body, row[:3], row[3:7], client)
-        p.resetBaseVelocity(body, row[_VELOCITY:_OMEGA], row[_OMEGA:_JOINTS], client)
+        p.resetBaseVelocity(body, row[VELOCITY:OMEGA], row[OMEGA:JOINTS], client)
 
     def advance(self, servo_steps: Index) -> None:
         """Run every robot for its number of servo steps (N,); those that diverge stop and are marked."""
@@ -225,15 +134,14 @@ class BulletEngine:
     def _advance(self, i: int, steps: int) -> bool:
         """Run robot `i`; false if it diverged."""
         p, model, client, drive = self._p, self.model, self._clients[i], self.drive
-        body, motors, layout = model.body, model.motors, self._layout
-        row, pull, applied = self._rows[i], self._pull, self._applied
-        force = self._force[i].tolist() if self._force[i].any() else None
-        constraint = drive.constraint[2] > 0.0
+        body, motors, layout, applied = model.body, model.motors, self._layout, self._applied
+        at, force = self._rows[i, :3].tolist(), self._force[i].tolist() if self._force[i].any() else None
+        constraint = bool(drive.constraint[0])
         turned = not constraint or drive.friction[i].any()
+        sound = between(layout, drive, i, self._seen(i), applied, False, True)
         if constraint:
             self._set_constraint_motors(i)
-        sound = _between(layout, drive, i, row, pull, applied, False, True)
-        for step in range(steps):
+        for step in range(1, steps + 1):
             if not sound:
                 return False
             if turned:
@@ -241,32 +149,42 @@ class BulletEngine:
                     body, motors, p.TORQUE_CONTROL, forces=applied.tolist(), physicsClientId=client
                 )
             if force is not None:  # Bullet forgets it after a step, and when torques are set
-                p.applyExternalForce(body, -1, force, row[:3].tolist(), p.WORLD_FRAME, client)
+                p.applyExternalForce(body, -1, force, at, p.WORLD_FRAME, client)
             p.stepSimulation(client)
-            row = self._read(i)
-            if constraint:
-                pull[:] = [state[3] for state in p.getJointStates(body, motors, client)]
+            seen = self._read(i, motors)
+            at = seen[:3]
             self._count_contacts(i, client)
-            sound = _between(layout, drive, i, row, pull, applied, True, step + 1 < steps)
-        self._rows[i] = row
+            sound = between(layout, drive, i, np.array(seen), applied, True, step < steps)
+        row = self._rows[i]
+        row[:] = self._read(i, self._joints)[: len(row)]
+        # Knees are looked at here only: what is wrong with one shows at its motor, too, a step later.
+        sound = sound and bool(np.abs(row).max() < SPEED_LIMIT)
         if sound and not model.rack:
             self._write_base(i)
         return sound
 
+    def _seen(self, i: int) -> Array:
+        """What `observe` takes, from robot `i`'s row."""
+        row, motors = self._rows[i], np.array(self.model.motors)
+        return np.concatenate([row[:JOINTS], row[JOINTS + motors], row[JOINTS + self.model.num_joints + motors]])
+
     def _set_constraint_motors(self, i: int) -> None:
-        """Bullet's joint motors hold their targets and limits until they get others."""
-        p, drive, model = self._p, self.drive, self.model
-        kp, kd, limit = drive.constraint.tolist()
-        count = len(model.motors)
+        """Give Bullet's joint motors their targets, gains and limits, which they keep until they get others.
+
+        At the end of a step they turn at k (q_target - q) / dt; for k = k_p dt / (k_p dt + k_d) that is
+        `actuator.constraint_speed`.
+        """
+        p, drive, motors = self._p, self.drive, self.model.motors
+        kp, kd, dt = drive.kp[i], drive.kd[i], drive.limits[3]
         p.setJointMotorControlArray(
-            model.body,
-            model.motors,
+            self.model.body,
+            motors,
             p.POSITION_CONTROL,
             targetPositions=(self._layout.sign * drive.target[i]).tolist(),
-            targetVelocities=[0.0] * count,
-            positionGains=[kp] * count,
-            velocityGains=[kd] * count,
-            forces=(limit * drive.strength[i]).tolist(),
+            targetVelocities=[0.0] * len(motors),
+            positionGains=[float(kp * dt / (kp * dt + kd)) if kp > 0 else 0.0] * len(motors),
+            velocityGains=[1.0] * len(motors),
+            forces=drive.torque_limit[i].tolist(),
             physicsClientId=self._clients[i],
         )
 
@@ -278,7 +196,7 @@ class BulletEngine:
 
     def observe(self, i: int) -> None:
         """Write the state of robot `i` to `drive.now`."""
-        _observe(self._layout, self.drive, i, self._rows[i])
+        observe(self._layout, self.drive, i, self._seen(i))
 
     def get_state(self, i: int) -> Array:
         """Everything that decides robot `i`'s further motion in the engine: its row and the force on its base.
@@ -296,7 +214,7 @@ class BulletEngine:
         if not self.model.rack:
             self._write_base(i)
         joints = self.model.num_joints
-        angles, speeds = row[_JOINTS : _JOINTS + joints].tolist(), row[_JOINTS + joints :].tolist()
+        angles, speeds = row[JOINTS : JOINTS + joints].tolist(), row[JOINTS + joints :].tolist()
         for joint in self._joints:
             p.resetJointState(body, joint, angles[joint], speeds[joint], client)
         self._forget_contacts(i)
@@ -312,10 +230,10 @@ class BulletEngine:
         if self.model.rack:
             return
         row = self._rows[i]
-        turn = _turn(row[3:7]) @ self._from_link.T
+        turn = rotations(row[3:7]) @ self._from_link.T
         omega = turn @ angular_base
-        row[_OMEGA:_JOINTS] = omega
-        row[_VELOCITY:_OMEGA] = linear_world + np.cross(omega, turn @ self.model.base_centre)
+        row[OMEGA:JOINTS] = omega
+        row[VELOCITY:OMEGA] = linear_world + np.cross(omega, turn @ self.model.base_centre)
         self._write_base(i)
 
     def set_force(self, i: int, force_world: Array) -> None:
@@ -361,21 +279,7 @@ class BulletEngine:
         """Base position [m], quaternion (w x y z) and velocity [m/s], all in the world frame, (N, 10)."""
         if self.model.rack:
             return np.tile([0.0, 0.0, RACK_HEIGHT, 1.0, *[0.0] * 6], (len(self._clients), 1))
-        rows = self._rows
-        x, y, z, w = rows[:, 3:7].T
-        bw, bx, by, bz = self.model.base_quat * [1, -1, -1, -1]
-        quat = np.stack(
-            [
-                w * bw - x * bx - y * by - z * bz,
-                w * bx + x * bw + y * bz - z * by,
-                w * by - x * bz + y * bw + z * bx,
-                w * bz + x * by - y * bx + z * bw,
-            ],
-            axis=1,
-        )
-        arm = _turn(quat[:, [1, 2, 3, 0]]) @ self.model.base_centre
-        velocity = rows[:, _VELOCITY:_OMEGA] - np.cross(rows[:, _OMEGA:_JOINTS], arm)
-        return np.concatenate([rows[:, :3] - arm, quat, velocity], axis=1)
+        return base_links(self._rows, self.model.base_quat, self.model.base_centre)
 
     def foot_positions(self) -> Array:
         """Centres of the feet in the world frame [m], (N, L, 3)."""
@@ -385,7 +289,7 @@ class BulletEngine:
         states = self._p.getLinkStates(
             self.model.body, self.model.feet, computeForwardKinematics=1, physicsClientId=self._clients[i]
         )
-        turns = _turn(np.array([state[1] for state in states]))
+        turns = rotations(np.array([state[1] for state in states]))
         places = np.array([state[0] for state in states])
         feet: Array = places + np.einsum("lij,lj->li", turns, self.model.foot_centre)
         return feet

@@ -106,7 +106,9 @@ def _rigid_body(link: ElementTree.Element) -> RigidBody:
     """Mass, centre and inertia of a link of the file, in the link's own frame."""
     frame = _frame(link.find("inertial/origin"))
     inertia_element, mass_element = link.find("inertial/inertia"), link.find("inertial/mass")
-    assert inertia_element is not None and mass_element is not None  # `read_urdf` has refused links without
+    # `read_urdf` has refused links without.
+    assert inertia_element is not None
+    assert mass_element is not None
     xx, xy, xz, yy, yz, zz = (
         float(inertia_element.get(key, "0")) for key in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
     )

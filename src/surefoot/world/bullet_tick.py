@@ -1,0 +1,139 @@
+"""What is compiled of the Bullet engine: all that a robot does between two of Bullet's steps, and its frames.
+
+A robot's row of numbers in Bullet's own frames, where the base is at its centre of mass and turned like its principal
+axes: base position (3), quaternion x y z w (4), velocity (3) and angular velocity (3) in the world, then angles and
+then speeds of its joints.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from surefoot.world.drive import Drive, constraint_tick, record, roll_pitch_yaw, servo_tick
+
+Array = NDArray[np.float64]
+
+SPEED_LIMIT = 1e5
+"""A generalized speed beyond this [m/s, rad/s] counts as diverged."""
+VELOCITY, OMEGA, JOINTS = 7, 10, 13
+"""Where in a row these begin."""
+
+
+class Layout(NamedTuple):
+    """What the compiled functions need of a `BulletModel`."""
+
+    sign: Array
+    base_quat: Array
+    rack: bool
+
+
+@njit(cache=True)
+def observe(layout: Layout, drive: Drive, i: int, seen: Array) -> bool:
+    """Write what is seen of robot `i` to `drive.now`; false, and nothing written, if it is not finite.
+
+    Seen are the first 13 numbers of its row, then angles and speeds of its motors' joints.
+    """
+    motors = len(layout.sign)
+    for k in range(JOINTS + 2 * motors):
+        if not np.isfinite(seen[k]):
+            return False
+        if (VELOCITY <= k < JOINTS or k >= JOINTS + motors) and not abs(seen[k]) < SPEED_LIMIT:
+            return False
+    now = drive.now[i]
+    for m in range(2 * motors):
+        now[m] = layout.sign[m % motors] * seen[JOINTS + m]
+    if layout.rack:
+        now[2 * motors :] = 0.0
+        return True
+    # Base link = Bullet's base turned back by the inertial frame's orientation in the link.
+    ax, ay, az, aw = seen[3], seen[4], seen[5], seen[6]
+    bw, bx, by, bz = layout.base_quat[0], -layout.base_quat[1], -layout.base_quat[2], -layout.base_quat[3]
+    w = aw * bw - ax * bx - ay * by - az * bz
+    x = aw * bx + ax * bw + ay * bz - az * by
+    y = aw * by - ax * bz + ay * bw + az * bx
+    z = aw * bz + ax * by - ay * bx + az * bw
+    now[2 * motors], now[2 * motors + 1], now[2 * motors + 2] = roll_pitch_yaw(w, x, y, z)
+    # World to base, by the conjugate q* = (w, -u): omega - 2 u x (w omega - u x omega).
+    ox, oy, oz = seen[OMEGA], seen[OMEGA + 1], seen[OMEGA + 2]
+    cx, cy, cz = w * ox - (y * oz - z * oy), w * oy - (z * ox - x * oz), w * oz - (x * oy - y * ox)
+    now[2 * motors + 3] = ox - 2 * (y * cz - z * cy)
+    now[2 * motors + 4] = oy - 2 * (z * cx - x * cz)
+    now[2 * motors + 5] = oz - 2 * (x * cy - y * cx)
+    return True
+
+
+@njit(cache=True)
+def between(layout: Layout, drive: Drive, i: int, seen: Array, applied: Array, after: bool, before: bool) -> bool:
+    """What robot `i` does between two steps of Bullet, in one call: the end of one, the start of the next.
+
+    Args:
+        layout: see there.
+        drive: servo, motors and sensors.
+        i: robot.
+        seen: its state after the step, see `observe`, then the torques (M,) [N m] of Bullet's own joint motors.
+        applied: output, joint torques (M,) [N m] for the next step.
+        after: a step has just ended.
+        before: another one follows.
+
+    Returns:
+        False if the robot has diverged.
+    """
+    motors = len(layout.sign)
+    if after:
+        drive.ticks[i] += 1
+        if not observe(layout, drive, i, seen):
+            return False
+        if drive.constraint[0]:
+            for m in range(motors):
+                # A motor without strength is left out of the solver, and keeps the torque that it had before.
+                limit = drive.torque_limit[i, m]
+                torque = layout.sign[m] * seen[JOINTS + 2 * motors + m]
+                drive.motor_torque[i, m] = min(max(torque, -limit), limit)
+            constraint_tick(drive, i)
+        record(drive, i)
+    if before:
+        servo_tick(drive, i)
+        for m in range(motors):
+            applied[m] = layout.sign[m] * drive.torque[i, m]
+            if not np.isfinite(applied[m]):
+                return False
+    return True
+
+
+def rotations(quats_xyzw: Array) -> Array:
+    """Rotations (..., 3, 3) of unit quaternions (..., 4), x y z w."""
+    x, y, z, w = np.moveaxis(quats_xyzw, -1, 0)
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.moveaxis(np.array(rows), (0, 1), (-2, -1))
+
+
+def base_links(rows: Array, base_quat: Array, base_centre: Array) -> Array:
+    """Base links of robots (N, 10): position [m], quaternion w x y z and velocity [m/s] in the world.
+
+    Args:
+        rows: see above, (N, ...).
+        base_quat: orientation of Bullet's base in the base link (4,), w x y z.
+        base_centre: centre of mass in the base link (3,) [m].
+    """
+    x, y, z, w = rows[:, 3:7].T
+    bw, bx, by, bz = base_quat * [1, -1, -1, -1]
+    quats = np.stack(
+        [
+            w * bw - x * bx - y * by - z * bz,
+            w * bx + x * bw + y * bz - z * by,
+            w * by - x * bz + y * bw + z * bx,
+            w * bz + x * by - y * bx + z * bw,
+        ],
+        axis=1,
+    )
+    arm = rotations(quats[:, [1, 2, 3, 0]]) @ base_centre
+    velocity = rows[:, VELOCITY:OMEGA] - np.cross(rows[:, OMEGA:JOINTS], arm)
+    return np.concatenate([rows[:, :3] - arm, quats, velocity], axis=1)

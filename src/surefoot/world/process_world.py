@@ -1,0 +1,226 @@
+"""A batch of robots spread over processes, for an engine that steps its robots one after another.
+
+Every process has a `SimWorld` of consecutive robots that draw the random numbers of their place in the whole batch,
+so results do not depend on the number of processes, to the last bit.
+"""
+
+from __future__ import annotations
+
+import itertools
+import os
+from collections.abc import Sequence
+from dataclasses import fields, replace
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from surefoot.errors import SurefootError
+from surefoot.robot import PhysicalParams, RobotDescription
+from surefoot.world.interface import Readings, Simulation, Truth, WorldConfig
+from surefoot.world.process_pool import ProcessPool
+from surefoot.world.sim_world import EngineFactory, SimWorld
+
+Array = NDArray[np.float64]
+Rows = TypeVar("Rows", Readings, Truth)
+
+OF_ALL_ROBOTS = ("table_current", "table_torque", "limits", "constraint")
+"""Arrays of `Drive` that have no row for each robot."""
+
+
+def _join(parts: Sequence[Rows]) -> Rows:
+    """Readings or truths of consecutive robots as one."""
+    columns = {item.name: np.concatenate([getattr(part, item.name) for part in parts]) for item in fields(parts[0])}
+    return type(parts[0])(**columns)
+
+
+class ProcessWorld:
+    """A `Simulation` whose robots are stepped by several processes; see `SimWorld` for what each does.
+
+    Args:
+        robot: what to simulate.
+        num_envs: number of robots.
+        params: their physical parameters; nominal, if none are given.
+        seed: seeds sensor noise and starting velocities, one stream a robot.
+        config: see `WorldConfig`; `threads` is the number of processes.
+        engine: makes the physics, a function at the top of a module.
+
+    Raises:
+        SurefootError: as `SimWorld`, and whenever one of the processes is gone.
+    """
+
+    def __init__(
+        self,
+        robot: RobotDescription,
+        num_envs: int,
+        params: PhysicalParams | None,
+        seed: int,
+        config: WorldConfig,
+        engine: EngineFactory,
+    ) -> None:
+        if num_envs < 1:
+            raise SurefootError(f"num_envs is {num_envs}; a world needs 1 robot or more")
+        self.robot, self.num_envs, self.config = robot, num_envs, config
+        self.params = PhysicalParams.nominal(robot, num_envs) if params is None else params.rows(np.arange(num_envs))
+        if params is not None and params.num_envs != num_envs:
+            raise SurefootError(f"params are for {params.num_envs} robots; the world has {num_envs}")
+        count = processes_for(num_envs, config)
+        bounds = [num_envs * k // count for k in range(count + 1)]
+        self._shares = [slice(first, last) for first, last in itertools.pairwise(bounds)]
+        self._truths: list[Truth] | None = None
+        self.divergences = 0
+        self._pool = ProcessPool(count)
+        shared = {"robot": robot, "seed": seed, "config": replace(config, threads=1), "engine": engine}
+        try:
+            self._pool.ask(
+                "make",
+                [
+                    {
+                        **shared,
+                        "num_envs": share.stop - share.start,
+                        "params": self.params.rows(np.arange(share.start, share.stop)),
+                        "first": share.start,
+                    }
+                    for share in self._shares
+                ],
+            )
+        except BaseException:
+            self.close()
+            raise
+
+    def close(self) -> None:
+        """End the processes; the world can't be used any more."""
+        self._pool.close()
+
+    def _each(self, *arguments: Any) -> list[tuple[Any, ...]]:
+        """The same arguments for every process, arrays with a row for each robot cut to its share."""
+        return [tuple(None if item is None else item[share] for item in arguments) for share in self._shares]
+
+    def _moved(self, replies: list[tuple[Readings, Truth, int]]) -> Readings:
+        readings, truths, divergences = zip(*replies, strict=True)
+        self._truths, self.divergences = list(truths), sum(divergences)
+        return _join(readings)
+
+    def _split(self, index: ArrayLike | None) -> list[tuple[NDArray[np.int64], NDArray[np.int64]]]:
+        """For each process, places in `index` that name its robots, and their numbers there."""
+        rows = np.arange(self.num_envs) if index is None else np.atleast_1d(np.asarray(index, np.int64))
+        rows = np.where(rows < 0, rows + self.num_envs, rows)
+        if np.any((rows < 0) | (rows >= self.num_envs)):
+            raise IndexError(f"the world has {self.num_envs} robots; index is {rows.tolist()}")
+        split = []
+        for share in self._shares:
+            places = np.flatnonzero((rows >= share.start) & (rows < share.stop))
+            split.append((places, rows[places] - share.start))
+        return split
+
+    def reset(self, index: ArrayLike | None = None) -> Readings:
+        """Bring the robots at `index` (all, if none is given) to the resting pose; readings of all robots."""
+        return self._moved(self._pool.ask("reset", [(rows,) for _, rows in self._split(index)]))
+
+    def step(self, target: ArrayLike, active: NDArray[np.bool_] | None = None) -> Readings:
+        """Hold motor angles (N, M) [rad] for one control step of each (active) robot; readings at its end."""
+        angles = np.broadcast_to(np.asarray(target, float), (self.num_envs, self.robot.num_motors))
+        return self._moved(self._pool.ask("step", self._each(angles, active)))
+
+    def readings(self) -> Readings:
+        """The readings of now, again."""
+        return _join(self._pool.ask("readings", self._each()))
+
+    def truth(self) -> Truth:
+        """The true state of now; the arrays are the caller's to keep."""
+        if self._truths is None:
+            self._truths = self._pool.ask("truth", self._each())
+        return _join(self._truths)
+
+    def foot_positions(self) -> Array:
+        """Centres of the rounded feet in the world frame [m], (N, L, 3)."""
+        return np.concatenate(self._pool.ask("foot_positions", self._each()))
+
+    def set_params(self, index: ArrayLike, params: PhysicalParams) -> None:
+        """Give the robots at `index` other physical parameters, one row each; best followed by their reset.
+
+        Raises:
+            SurefootError: a value outside what the robot's description allows; then no robot has changed.
+        """
+        rows = np.atleast_1d(np.asarray(index, np.int64))
+        for name in PhysicalParams.names():
+            self.robot.check_allowed(name, getattr(params, name))
+        for name in PhysicalParams.names():
+            getattr(self.params, name)[rows] = getattr(params, name)
+        self._truths = None
+        self._pool.ask("set_params", [(own, params.rows(places)) for places, own in self._split(index)])
+
+    def push(self, force_world: ArrayLike) -> None:
+        """Set the force (N, 3) [N] on each base's centre of mass from now on, in the world frame."""
+        self._pool.ask("push", self._each(np.asarray(force_world, float)))
+
+    def get_state(self) -> dict[str, Any]:
+        """Everything that decides how the world goes on, laid out as a single `SimWorld`'s."""
+        states = self._pool.ask("get_state", self._each())
+        first = states[0]
+        own = [share.stop - share.start for share in self._shares]
+
+        def joined(key: str, name: str | None = None) -> Array:
+            return np.concatenate([state[key] if name is None else state[key][name] for state in states])
+
+        # Each part has the streams of its robots' sensors, then those of their starts.
+        sensors = [stream for state, n in zip(states, own, strict=True) for stream in state["streams"][:n]]
+        starts = [stream for state, n in zip(states, own, strict=True) for stream in state["streams"][n:]]
+        return {
+            "engine": joined("engine"),
+            "drive": {
+                name: array if name in OF_ALL_ROBOTS else joined("drive", name)
+                for name, array in first["drive"].items()
+            },
+            "params": {name: joined("params", name) for name in first["params"]},
+            **{key: joined(key) for key in ("control_steps", "noise", "diverged")},
+            "streams": sensors + starts,
+            "divergences": sum(state["divergences"] for state in states),
+        }
+
+    def set_state(self, state: dict[str, Any]) -> None:
+        """Go on from `get_state`, exactly; the state may come from any number of processes, or from a `SimWorld`."""
+        for name in PhysicalParams.names():
+            getattr(self.params, name)[:] = state["params"][name]
+        count, parts = self.num_envs, []
+        for number, share in enumerate(self._shares):
+            sensors, starts = state["streams"][:count][share], state["streams"][count:][share]
+            part = {
+                "engine": state["engine"][share],
+                "drive": {
+                    name: array if name in OF_ALL_ROBOTS else array[share] for name, array in state["drive"].items()
+                },
+                "params": {name: array[share] for name, array in state["params"].items()},
+                **{key: state[key][share] for key in ("control_steps", "noise", "diverged")},
+                "streams": [*sensors, *starts],
+                "divergences": state["divergences"] if number == 0 else 0,
+            }
+            parts.append((part,))
+        self._truths = None
+        self.divergences = sum(self._pool.ask("set_state", parts))
+
+
+def processes_for(num_envs: int, config: WorldConfig) -> int:
+    """Number of processes for so many robots: as asked for, one a core if 0, never more than robots."""
+    return max(1, min(config.threads or os.cpu_count() or 1, num_envs))
+
+
+def bullet_world(
+    robot: RobotDescription,
+    num_envs: int,
+    params: PhysicalParams | None = None,
+    seed: int = 0,
+    config: WorldConfig | None = None,
+) -> Simulation:
+    """Simulated robots in Bullet: in this process if one is enough, else on `config.threads` processes.
+
+    Raises:
+        SurefootError: as `SimWorld`, or more robots than so many processes can hold.
+        ModuleNotFoundError: PyBullet is not installed.
+    """
+    from surefoot.world.bullet_engine import bullet_engine
+
+    config = config or WorldConfig()
+    if processes_for(num_envs, config) == 1:
+        return SimWorld(robot, num_envs, params, seed, config, bullet_engine)
+    return ProcessWorld(robot, num_envs, params, seed, config, bullet_engine)
