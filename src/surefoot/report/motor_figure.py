@@ -39,7 +39,7 @@ def motor_figure(
     told = "measured" if known.any() else "target"
     reference = reference if known.any() else np.asarray(target, float)
     figure, (above, below) = plt.subplots(
-        2, 1, figsize=(8, 5.4), sharex=True, height_ratios=(2.2, 1), layout="constrained"
+        2, 1, figsize=(8, 5.8), sharex=True, height_ratios=(2.2, 1), layout="constrained"
     )
     above.step(time, target, where="post", color="0.75", label="target")
     if known.any():
@@ -50,7 +50,7 @@ def motor_figure(
         below.plot(time, 1000 * (np.asarray(angle) - reference), color=color, linewidth=1.2)
     above.set_ylabel("motor angle [rad]")
     above.set_title(title)
-    above.legend(loc="upper right", fontsize=8, framealpha=0.9)
+    figure.legend(*above.get_legend_handles_labels(), loc="outside upper center", ncols=2, fontsize=8, frameon=False)
     below.axhline(0, color="0.6", linewidth=0.8)
     below.set_ylabel(f"less {told} [mrad]")
     below.set_xlabel("time [s]")

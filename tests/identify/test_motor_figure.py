@@ -1,0 +1,100 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from surefoot.errors import SurefootError
+from surefoot.identify.motor_figure import MotorLog, run_motor_experiment
+from surefoot.robot import RobotDescription
+from surefoot.world.sim_world import SimWorld
+
+MOTOR = "front_left_1_motor"
+
+
+@pytest.fixture(scope="module")
+def robot() -> RobotDescription:
+    return RobotDescription.load("minitaur")
+
+
+def step_log(robot: RobotDescription, size: float, duration: float = 0.3) -> MotorLog:
+    """A target that is `size` [rad] from the resting pose from the start, sampled every servo step."""
+    time = np.arange(round(duration / 0.001) + 1) * 0.001
+    rest = float(robot.resting_angles[robot.motor_names.index(MOTOR)])
+    return MotorLog("step", time, np.full(len(time), rest + size), np.full(len(time), np.nan))
+
+
+def test_a_sine_by_hand() -> None:
+    log = MotorLog.sine(2.0, 0.3, 2.5, 0.4, 0.1)
+    np.testing.assert_allclose(log.time, [0.0, 0.1, 0.2, 0.3, 0.4])
+    np.testing.assert_allclose(log.target, [2.0, 2.3, 2.0, 1.7, 2.0])
+    assert np.isnan(log.angle).all()
+
+
+def test_errors_by_hand(robot: RobotDescription) -> None:
+    experiment = run_motor_experiment(robot, SimWorld, step_log(robot, 0.1, 0.01), MOTOR)
+    angle = experiment.angle["dc"]
+    # Without a measurement the target is what is missed.
+    assert experiment.error("dc") == pytest.approx(np.sqrt(np.mean((angle - experiment.log.target) ** 2)))
+    # With one, only where there is one.
+    measured = np.where(np.arange(len(angle)) < 3, angle + 0.03, np.nan)
+    log = MotorLog("log", experiment.log.time, experiment.log.target, measured)
+    assert type(experiment)(MOTOR, log, experiment.angle).error("dc") == pytest.approx(0.03)
+
+
+def test_a_constraint_motor_closes_in_with_its_time_constant(robot: RobotDescription) -> None:
+    # k_d / k_p + dt = 16 ms: after n steps (15 / 16)^n of a small error is left; the constraint knows no inertia.
+    size = 0.02
+    experiment = run_motor_experiment(robot, SimWorld, step_log(robot, size, 0.05), MOTOR)
+    angle = experiment.angle["constraint"]
+    steps = np.arange(len(angle))
+    # The first target is held while the motor comes to rest, so the first angle is the target already ...
+    np.testing.assert_allclose(angle, experiment.log.target, atol=1e-4)
+    # ... and what comes later starts from there.
+    time = experiment.log.time
+    target = np.where(steps < 1, experiment.log.target[0], experiment.log.target[0] + size)
+    log = MotorLog("late step", time, target, np.full(len(time), np.nan))
+    angle = run_motor_experiment(robot, SimWorld, log, MOTOR).angle["constraint"]
+    left = (15 / 16) ** np.maximum(steps - 1, 0)
+    np.testing.assert_allclose(target[-1] - angle, size * left, atol=3e-4)
+
+
+def test_physical_parameters_reach_the_models(robot: RobotDescription) -> None:
+    log = MotorLog.sine(2.0, 0.3, 3.0, 0.4, 0.006)
+    free = run_motor_experiment(robot, SimWorld, log, MOTOR).angle["dc"]
+    slowed = run_motor_experiment(robot, SimWorld, log, MOTOR, {"motor_friction": 0.3}).angle["dc"]
+    assert np.ptp(slowed) < 0.95 * np.ptp(free)
+
+
+def test_a_log_is_written_and_read(tmp_path: Path) -> None:
+    log = MotorLog("x", np.array([0.0, 0.01]), np.array([1.0, 2.0]), np.array([1.5, 1.75]))
+    again = MotorLog.read(log.write(tmp_path / "logs" / "motor.csv"))
+    for name in ("time", "target", "angle"):
+        np.testing.assert_allclose(getattr(again, name), getattr(log, name), atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("", "takes time, target, angle"),
+        ("time,angle\n0,1\n", "takes time, target, angle"),
+        ("time,target,angle\n0,1,1\n0.1,x,1\n", "line 3: target 'x' is no number"),
+        ("time,target,angle\n0,1\n0.1,1,1\n", "line 2: angle 'None' is no number"),
+        ("time,target,angle\n0,1,1\n", "has 1 rows"),
+        ("time,target,angle\n0,1,1\n0,1,1\n", "times must rise"),
+        ("time,target,angle\n0,nan,1\n1,1,1\n", "must be finite"),
+    ],
+)
+def test_what_is_no_log_is_refused(tmp_path: Path, text: str, told: str) -> None:
+    path = tmp_path / "log.csv"
+    path.write_text(text)
+    with pytest.raises(SurefootError, match=told):
+        MotorLog.read(path)
+
+
+def test_a_missing_log_and_motor_are_refused(tmp_path: Path, robot: RobotDescription) -> None:
+    with pytest.raises(SurefootError, match="can't be read"):
+        MotorLog.read(tmp_path / "none.csv")
+    with pytest.raises(SurefootError, match="motor 'tail' does not exist; motors: front_left_2_motor"):
+        run_motor_experiment(robot, SimWorld, MotorLog.sine(2.0, 0.1, 1.0, 0.1, 0.01), "tail")
