@@ -24,7 +24,7 @@ KEYS = {
 }
 EXTRAS = {
     *("cost_of_transport_mean", "stance", "faults", "seed", "pushes", "set", "robot", "policy_file"),
-    *("config_hash", "randomize"),
+    *("config_hash", "randomize", "actuator"),
 }
 LEGS = {"front_left", "back_left", "front_right", "back_right"}
 

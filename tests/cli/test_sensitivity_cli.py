@@ -15,8 +15,7 @@ import pytest
 pytest.importorskip("mujoco")
 pytest.importorskip("matplotlib")
 
-from surefoot.cli.policies import find_policy
-from surefoot.cli.sensitivity import distinct_names
+from surefoot.cli.policies import distinct_names, find_policy
 
 SHORT = ("--values", "2", "--episodes", "1", "--duration", "0.12", "--threads", "1")
 ROWS = ["mass", "motor_friction", "inertia", "motor_strength", "control_step", "latency", "voltage"]

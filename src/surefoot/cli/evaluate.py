@@ -12,6 +12,7 @@ import tyro
 
 from surefoot.cli.parsing import parse
 from surefoot.cli.ranges import take_ranges
+from surefoot.cli.simulator import Simulator, SimulatorOptions
 from surefoot.errors import SurefootError
 from surefoot.task.randomize import RandomizeConfig
 
@@ -47,7 +48,9 @@ class EvaluateCommand:
     json: bool = False
     """Print one JSON object instead of a table."""
     world: str = "mujoco"
-    """Where to run: mujoco."""
+    """Where to run: mujoco or bullet."""
+    simulator: SimulatorOptions = Simulator()
+    """Another simulator than the policy's own."""
     thermal_protection: bool = False
     """Switch off motors that overheat."""
     robot: str | None = None
@@ -71,7 +74,9 @@ def main(argv: list[str]) -> int:
     path = find_policy(command.policy)
     make_world = find_world(command.world)
     policy, robot, task = load_policy(path, command.robot)
-    task = adjust_task(task, robot, command.settings, command.pushes, command.thermal_protection, ranges)
+    task = adjust_task(
+        task, robot, command.settings, command.pushes, command.thermal_protection, ranges, command.simulator
+    )
     if command.out is not None:
         import_module("matplotlib")
         command.out.mkdir(parents=True, exist_ok=True)
@@ -93,7 +98,9 @@ def main(argv: list[str]) -> int:
         "seed": command.seed,
         "pushes": command.pushes,
         "randomize": {row: list(given) for row, given in ranges.ranges.items()},
-        "set": {name: task.params[name] for group in command.settings for name in (w.split("=")[0] for w in group)},
+        "set": command.simulator.params
+        | {name: task.params[name] for group in command.settings for name in (w.split("=")[0] for w in group)},
+        "actuator": task.actuator,
         "robot": robot.name,
         "policy_file": str(path),
         "config_hash": policy.contract.config_hash,

@@ -12,6 +12,7 @@ import tyro
 
 from surefoot.cli.evaluate import Settings
 from surefoot.cli.parsing import parse
+from surefoot.cli.simulator import Simulator, SimulatorOptions
 from surefoot.errors import SurefootError
 
 if TYPE_CHECKING:
@@ -35,7 +36,9 @@ class PlayCommand:
     seed: int = 1
     """The one seed."""
     world: str = "mujoco"
-    """Where to run: mujoco."""
+    """Where to run: mujoco or bullet."""
+    simulator: SimulatorOptions = Simulator()
+    """Another simulator than the policy's own."""
     robot: str | None = None
     """Name or folder of the robot; the one of the policy's task, if not given."""
 
@@ -53,7 +56,7 @@ def main(argv: list[str]) -> int:
     path = find_policy(command.policy)
     make_world = find_world(command.world)
     policy, robot, task = load_policy(path, command.robot)
-    task = adjust_task(task, robot, command.settings, command.pushes)
+    task = adjust_task(task, robot, command.settings, command.pushes, simulator=command.simulator)
     control_step = task.params.get("control_step", robot.timing.control_step)
     task = replace(task, max_steps=max(round(command.seconds / control_step), 1))
     window = command.out is None and has_display()

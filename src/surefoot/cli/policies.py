@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from importlib.util import find_spec
 from pathlib import Path
 
+from surefoot.cli.simulator import Simulator, check_params
 from surefoot.errors import SurefootError, choices
 from surefoot.policy.contract import check_robot
 from surefoot.policy.runtime import PolicyRuntime
-from surefoot.robot import PhysicalParams, RobotDescription, parse_settings
+from surefoot.robot import RobotDescription, parse_settings
 from surefoot.task.config import TaskConfig
 from surefoot.task.randomize import RandomizeConfig, check_ranges
 from surefoot.world.interface import SimulationFactory
@@ -17,7 +20,7 @@ from surefoot.world.interface import SimulationFactory
 PACKAGE = Path(__file__).resolve().parents[1]
 SHELVES = (PACKAGE / "policies", PACKAGE.parents[1] / "policies")
 """Where policies that ship lie: in an installed package, and in the repository."""
-WORLDS = ("mujoco",)
+WORLDS = ("mujoco", "bullet")
 
 
 def shipped_policies() -> dict[str, Path]:
@@ -45,9 +48,17 @@ def find_world(name: str) -> SimulationFactory:
 
     Raises:
         SurefootError: no such world.
+        ModuleNotFoundError: one whose physics engine is not installed.
     """
     if name not in WORLDS:
         raise SurefootError(f"world '{name}' does not exist; choices: {choices(WORLDS)}")
+    if name == "bullet":
+        # Its processes import it when the world is made; that would be too late for a plain word.
+        if find_spec("pybullet") is None:
+            raise ModuleNotFoundError("No module named 'pybullet'", name="pybullet")
+        from surefoot.world.process_world import bullet_world
+
+        return bullet_world
     from surefoot.world.sim_world import SimWorld
 
     return SimWorld
@@ -74,6 +85,62 @@ def load_policy(path: Path, robot: str | None) -> tuple[PolicyRuntime, RobotDesc
     return policy, description, task
 
 
+@dataclass(frozen=True)
+class Candidate:
+    """A policy that is compared with others."""
+
+    name: str
+    """Name that tells it from the others."""
+    path: Path
+    """Its file."""
+    policy: PolicyRuntime
+    """What runs it."""
+    task: TaskConfig
+    """The task that it was made for."""
+
+
+def load_policies(paths: Sequence[Path]) -> tuple[list[Candidate], RobotDescription]:
+    """Policies that are compared, and the robot that all of them are for.
+
+    Args:
+        paths: one policy file or more.
+
+    Raises:
+        SurefootError: a file that is no policy, or policies for different robots.
+    """
+    loaded = [load_policy(path, None) for path in paths]
+    names = distinct_names([policy.contract.name for policy, _, _ in loaded], [path.stem for path in paths])
+    robot = loaded[0][1]
+    for name, (_, other, _) in zip(names, loaded, strict=True):
+        if other.name != robot.name:
+            raise SurefootError(
+                f"policy '{name}' is for robot '{other.name}' and '{names[0]}' for '{robot.name}'; "
+                "policies that are compared must be for the same robot"
+            )
+    found = zip(names, paths, loaded, strict=True)
+    return [Candidate(name, path, policy, task) for name, path, (policy, _, task) in found], robot
+
+
+def distinct_names(names: Sequence[str], stems: Sequence[str]) -> list[str]:
+    """Names that tell policies apart: a name given twice becomes the file's, and then gets a number.
+
+    Args:
+        names: the policies' own names.
+        stems: the names of their files.
+    """
+    often = Counter(names)
+    chosen = [name if often[name] == 1 else stem for name, stem in zip(names, stems, strict=True)]
+    often, taken = Counter(chosen), set(chosen)
+    for i, name in enumerate(chosen):
+        if often[name] > 1:
+            number = 1
+            while f"{name}-{number}" in taken:
+                number += 1
+            chosen[i] = f"{name}-{number}"
+            taken.add(chosen[i])
+    return chosen
+
+
 def adjust_task(
     task: TaskConfig,
     robot: RobotDescription,
@@ -81,8 +148,9 @@ def adjust_task(
     pushes: bool,
     thermal_protection: bool = False,
     randomize: RandomizeConfig | None = None,
+    simulator: Simulator | None = None,
 ) -> TaskConfig:
-    """The task with other physical parameters, with pushes or without, with parameters drawn or without.
+    """The task in another simulator, with other parameters, with pushes or without, with parameters drawn or without.
 
     Args:
         task: as the policy was trained.
@@ -91,18 +159,19 @@ def adjust_task(
         pushes: whether the base is pushed, as hard and often as the task says; every push that is due is given.
         thermal_protection: switch off motors that overheat, whatever the task says.
         randomize: ranges that every episode draws from, whatever the task says; none, if not given.
+        simulator: actuator and latencies; the task's, if not given.
 
     Raises:
-        SurefootError: no such parameter, or a value that the robot does not allow.
+        SurefootError: no such parameter, a value that the robot does not allow, or what does not go together.
     """
     given = parse_settings([word for group in settings for word in group])
-    PhysicalParams.nominal(robot).with_values(robot, **given)
+    task = replace(task, thermal_protection=task.thermal_protection or thermal_protection)
+    task = (simulator or Simulator()).of(task, given)
+    check_params(task, robot)
     ranges = randomize or RandomizeConfig()
     check_ranges(ranges, robot)
     return replace(
         task,
-        params={**task.params, **given},
         randomize=ranges,
         pushes=replace(task.pushes, enabled=pushes, probability=1.0),
-        thermal_protection=task.thermal_protection or thermal_protection,
     )

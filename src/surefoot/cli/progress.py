@@ -21,8 +21,9 @@ def run_with_progress(
     *,
     world_name: str = "mujoco",
     policy_name: str = "",
+    what: str = "",
 ) -> list[EpisodeTrace]:
-    """`run_episodes` with a bar that shows control steps and the robots still going."""
+    """`run_episodes` with a bar that shows control steps and the robots still going; `what` stands before it."""
     columns = (
         TextColumn("{task.description}"),
         BarColumn(),
@@ -31,11 +32,12 @@ def run_with_progress(
     )
     console = Console(stderr=True)
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
-        row = bar.add_task(f"{episodes} running", total=task.max_steps)
+        before = f"{what}: " if what else ""
+        row = bar.add_task(f"{before}{episodes} running", total=task.max_steps)
 
         def show(step: int, going: int) -> None:
             if step % 20 == 0 or not going:
-                bar.update(row, completed=step, description=f"{going} running")
+                bar.update(row, completed=step, description=f"{before}{going} running")
 
         return run_episodes(
             policy,

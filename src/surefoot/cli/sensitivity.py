@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections import Counter
-from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
@@ -13,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 
 from surefoot.cli.parsing import parse
+from surefoot.cli.simulator import Simulator, SimulatorOptions, check_params
 from surefoot.errors import SurefootError
 
 if TYPE_CHECKING:
@@ -50,7 +49,9 @@ class SensitivityCommand:
     json: bool = False
     """Print one JSON object instead of tables."""
     world: str = "mujoco"
-    """Where to run: mujoco."""
+    """Where to run: mujoco or bullet."""
+    simulator: SimulatorOptions = Simulator()
+    """Another simulator than the policies' own, as the nominal world."""
     threads: int = 0
     """Threads of the simulation; 0 means one a core."""
 
@@ -65,39 +66,34 @@ def main(argv: list[str]) -> int:
         raise SurefootError("no policy is given; give one or more .onnx files, or names of policies that ship")
     if command.duration is not None and not command.duration > 0:
         raise SurefootError(f"duration is {command.duration:g} s; it must be over 0")
-    from surefoot.cli.policies import find_policy, find_world, load_policy
+    from surefoot.cli.policies import find_policy, find_world, load_policies
     from surefoot.task.randomize import check_ranges, load_ranges
 
     paths = [find_policy(policy) for policy in command.policies]
     make_world = find_world(command.world)
     ranges = load_ranges(command.ranges)
-    loaded = [load_policy(path, None) for path in paths]
-    names = distinct_names([policy.contract.name for policy, _, _ in loaded], [path.stem for path in paths])
-    robot = loaded[0][1]
-    for name, (_, other, _) in zip(names, loaded, strict=True):
-        if other.name != robot.name:
-            raise SurefootError(
-                f"policy '{name}' is for robot '{other.name}' and '{names[0]}' for '{robot.name}'; "
-                "policies that are compared must be for the same robot"
-            )
+    loaded, robot = load_policies(paths)
     check_ranges(ranges, robot)
+    tasks = [command.simulator.of(one.task) for one in loaded]
+    for task in tasks:
+        check_params(task, robot)
     import_module("matplotlib")
     command.out.mkdir(parents=True, exist_ok=True)
     from rich.console import Console
 
     from surefoot.evaluate.sensitivity import episode_duration, run_sensitivity
 
-    duration = command.duration or max(episode_duration(task) for _, _, task in loaded)
+    duration = command.duration or max(episode_duration(task) for task in tasks)
     console = Console(stderr=True)
     results = []
-    for name, (policy, _, task) in zip(names, loaded, strict=True):
-        with _Bar(console, name) as progress:
+    for one, task in zip(loaded, tasks, strict=True):
+        with _Bar(console, one.name) as progress:
             results.append(
                 run_sensitivity(
-                    policy,
+                    one.policy,
                     task,
                     make_world,
-                    policy_name=name,
+                    policy_name=one.name,
                     ranges=ranges,
                     values=command.values,
                     episodes=command.episodes,
@@ -108,7 +104,7 @@ def main(argv: list[str]) -> int:
                     progress=progress,
                 )
             )
-    trained = {name: task.randomize.ranges for name, (_, _, task) in zip(names, loaded, strict=True)}
+    trained = {one.name: one.task.randomize.ranges for one in loaded}
     files = write_files(command.out, results, trained)
     if command.json:
         whole = {
@@ -121,8 +117,14 @@ def main(argv: list[str]) -> int:
             "pushes": command.pushes,
             "seed": command.seed,
             "policies": [
-                summary(result) | {"policy_file": str(path), "config_hash": policy.contract.config_hash}
-                for result, path, (policy, _, _) in zip(results, paths, loaded, strict=True)
+                summary(result)
+                | {
+                    "policy_file": str(one.path),
+                    "config_hash": one.policy.contract.config_hash,
+                    "actuator": task.actuator,
+                    "params": task.params,
+                }
+                for result, one, task in zip(results, loaded, tasks, strict=True)
             ],
             "files": [str(file) for file in files],
         }
@@ -130,26 +132,6 @@ def main(argv: list[str]) -> int:
     else:
         print_tables(results, files)
     return 0
-
-
-def distinct_names(names: Sequence[str], stems: Sequence[str]) -> list[str]:
-    """Names that tell policies apart: a name given twice becomes the file's, and then gets a number.
-
-    Args:
-        names: the policies' own names.
-        stems: the names of their files.
-    """
-    often = Counter(names)
-    chosen = [name if often[name] == 1 else stem for name, stem in zip(names, stems, strict=True)]
-    often, taken = Counter(chosen), set(chosen)
-    for i, name in enumerate(chosen):
-        if often[name] > 1:
-            number = 1
-            while f"{name}-{number}" in taken:
-                number += 1
-            chosen[i] = f"{name}-{number}"
-            taken.add(chosen[i])
-    return chosen
 
 
 class _Bar:

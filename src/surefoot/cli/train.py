@@ -24,6 +24,7 @@ TASK is {tasks}, or the path of a YAML file.
 
 Besides every field of the configuration:
   --pushes                   push the robot at random, as the task says how hard and how often
+{simulator}
 {ranges}"""
 
 
@@ -33,8 +34,9 @@ def main(argv: list[str]) -> int:
 
     if not argv or argv[0] in ("-h", "--help"):
         from surefoot.cli.ranges import ranges_help
+        from surefoot.cli.simulator import simulator_help
 
-        print(_USAGE.format(tasks=choices(preset_names()), ranges=ranges_help()))
+        print(_USAGE.format(tasks=choices(preset_names()), simulator=simulator_help(), ranges=ranges_help()))
         return 0 if argv else 2
     if argv[0] == "--resume":
         if len(argv) != 2:
@@ -52,6 +54,7 @@ def main(argv: list[str]) -> int:
 def _parse(argv: list[str]) -> tuple[TrainConfig, Path]:
     from surefoot.cli.parsing import parse
     from surefoot.cli.ranges import take_ranges
+    from surefoot.cli.simulator import take_simulator
     from surefoot.learn.config import TrainConfig, load_train_config
 
     preset, rest, root = load_train_config(argv[0]), argv[1:], Path("runs")
@@ -62,9 +65,10 @@ def _parse(argv: list[str]) -> tuple[TrainConfig, Path]:
         root = Path(rest[place + 1])
         del rest[place : place + 2]
     rest, ranges = take_ranges(rest, preset.task.randomize)
+    rest, simulator = take_simulator(rest, f"surefoot train {argv[0]}")
     pushes = replace(preset.task.pushes, enabled=preset.task.pushes.enabled or "--pushes" in rest)
     rest = [word for word in rest if word != "--pushes"]
-    preset = replace(preset, task=replace(preset.task, randomize=ranges, pushes=pushes))
+    preset = replace(preset, task=replace(simulator.of(preset.task), randomize=ranges, pushes=pushes))
     config = parse(TrainConfig, rest, f"surefoot train {argv[0]}", default=preset)
     return config, root
 

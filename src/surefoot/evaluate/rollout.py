@@ -147,6 +147,7 @@ def run_episodes(
     meta = {
         "robot": env.robot.name,
         "world": world_name,
+        "actuator": task.actuator,
         "policy": policy_name,
         "seed": seed,
         "leg_names": list(env.robot.leg_names),

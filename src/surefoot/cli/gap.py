@@ -1,0 +1,261 @@
+"""`surefoot gap`: what policies lose in another world than the one that they learned in."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import tyro
+
+from surefoot.cli.evaluate import Settings
+from surefoot.cli.gap_sides import Side, check_heeded, check_sides, folder_name, labels
+from surefoot.cli.parsing import parse
+from surefoot.cli.simulator import Simulator
+from surefoot.errors import SurefootError
+
+if TYPE_CHECKING:
+    from surefoot.cli.policies import Candidate
+    from surefoot.evaluate.gap import PolicyGap, Runs
+    from surefoot.evaluate.recorded import Recorded
+    from surefoot.robot import RobotDescription
+    from surefoot.task.config import TaskConfig
+    from surefoot.world.interface import SimulationFactory
+
+
+@dataclass(frozen=True)
+class GapCommand:
+    """Run policies at home and in other worlds, and tell how much of their return is lost there: the reality gap.
+
+    At home is the simulator that a policy was trained in, with its actuator and latencies. In the worlds of --to the
+    robot is as its data sheet says. `--to trace FOLDER` takes recorded runs instead, such as a robot's. Written to
+    --out: the runs' traces, gap.csv with one line a policy and world, runs.csv with one line a run, gap.png.
+    """
+
+    policies: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="POLICY [POLICY ...]")]
+    """Paths of policy files (.onnx), or names of policies that ship with surefoot."""
+    home: Annotated[tuple[str, ...], tyro.conf.arg(name="from", metavar="WORLD | trace FOLDER")] = ("mujoco",)
+    """Home: mujoco or bullet, or recorded traces."""
+    away: Annotated[
+        tuple[tuple[str, ...], ...],
+        tyro.conf.UseAppendAction,
+        tyro.conf.arg(name="to", metavar="WORLD | trace FOLDER"),
+    ] = ()
+    """Another world: mujoco or bullet, or recorded traces; as often as you like."""
+    runs: int = 3
+    """Runs of each policy in each world."""
+    settings: Settings = ()
+    """Physical parameters in all worlds, such as contact_friction=0.8."""
+    from_settings: Annotated[
+        tuple[tuple[str, ...], ...],
+        tyro.conf.UseAppendAction,
+        tyro.conf.arg(name="from-set", metavar="NAME=VALUE [...]"),
+    ] = ()
+    """Physical parameters at home, over those of --set."""
+    to_settings: Annotated[
+        tuple[tuple[str, ...], ...],
+        tyro.conf.UseAppendAction,
+        tyro.conf.arg(name="to-set", metavar="NAME=VALUE [...]"),
+    ] = ()
+    """Physical parameters in the worlds of --to, over those of --set."""
+    to_actuator: Literal["dc", "constraint"] = "dc"
+    """Actuator in the worlds of --to; dc: servo and DC motor; constraint: the position motor of physics engines."""
+    pushes: bool = False
+    """Push the robot at random in all worlds, as its task says how; without this nothing pushes."""
+    seed: int = 1
+    """The one seed: run i starts alike in every world."""
+    out: Path = Path("gap")
+    """Folder for traces (.npz), tables (.csv) and the figure (.png)."""
+    json: bool = False
+    """Print one JSON object instead of a table."""
+    threads: int = 0
+    """Threads, or processes, of a simulation; 0 means one a core."""
+
+
+def main(argv: list[str]) -> int:
+    """Run the command with the words after its name; returns the exit code."""
+    command = parse(GapCommand, argv, "surefoot gap", config=(tyro.conf.FlagCreatePairsOff,))
+    for name, number, least in (("runs", command.runs, 1), ("seed", command.seed, 0)):
+        if number < least:
+            raise SurefootError(f"{name} is {number}; it must be {least} or more")
+    if not command.policies:
+        raise SurefootError("no policy is given; give one or more .onnx files, or names of policies that ship")
+    home, away = Side.of_words("--from", command.home), [Side.of_words("--to", words) for words in command.away]
+    check_sides(command.out, home, away)
+    for option, given, sides in (
+        ("--set", command.settings, [home, *away]),
+        ("--from-set", command.from_settings, [home]),
+        ("--to-set", command.to_settings, away),
+        ("--to-actuator", command.to_actuator != "dc", away),
+        ("--pushes", command.pushes, [home, *away]),
+    ):
+        if given:
+            check_heeded(option, sides)
+    from surefoot.cli.policies import distinct_names, find_policy, find_world, load_policies
+    from surefoot.evaluate.recorded import by_policy, find_traces, world_of
+
+    paths = [find_policy(policy) for policy in command.policies]
+    makers = {side: find_world(side.world) for side in (home, *away) if side.world}
+    candidates, robot = load_policies(paths)
+    tasks = [_tasks(command, one.task, robot) for one in candidates]
+    names = [one.name for one in candidates]
+    found = {side: find_traces(side.folder) for side in (home, *away) if side.folder is not None}
+    recorded = {side: by_policy(traces, names, robot.name) for side, traces in found.items()}
+    worlds = [world_of(found[side]) if side in found else side.world for side in (home, *away)]
+    named = labels(worlds, (home, *away))
+    import_module("matplotlib")
+    command.out.mkdir(parents=True, exist_ok=True)
+    folders = distinct_names(cleaned := [folder_name(name) for name in names], cleaned)
+    runs: dict[tuple[str, str], Recorded] = {}
+    for one, folder, (at_home, elsewhere) in zip(candidates, folders, tasks, strict=True):
+        for number, (side, label) in enumerate(zip((home, *away), named, strict=True)):
+            if side in recorded:
+                runs[one.name, label] = recorded[side][one.name]
+            else:
+                task = elsewhere if number else at_home
+                place = command.out / folder / label
+                runs[one.name, label] = _run(command, one, task, side.world, makers[side], place)
+    return _tell(command, candidates, tasks, robot.name, (home, *away), named, runs)
+
+
+def _tasks(command: GapCommand, task: TaskConfig, robot: RobotDescription) -> tuple[TaskConfig, TaskConfig]:
+    """The task of a policy at home, and in the other worlds."""
+    from surefoot.cli.policies import adjust_task
+    from surefoot.evaluate.gap import away_task, home_task
+
+    at_home = adjust_task(home_task(task), robot, (*command.settings, *command.from_settings), command.pushes)
+    elsewhere = adjust_task(
+        away_task(task),
+        robot,
+        (*command.settings, *command.to_settings),
+        command.pushes,
+        simulator=Simulator(actuator=command.to_actuator),
+    )
+    return at_home, elsewhere
+
+
+def _run(
+    command: GapCommand, one: Candidate, task: TaskConfig, world: str, make_world: SimulationFactory, folder: Path
+) -> Recorded:
+    """Run a policy in a world and keep the traces in a folder."""
+    from surefoot.cli.progress import run_with_progress
+
+    traces = run_with_progress(
+        one.policy,
+        task,
+        command.runs,
+        make_world,
+        command.seed,
+        command.threads,
+        world_name=world,
+        policy_name=one.name,
+        what=f"{one.name} in {folder.name}",
+    )
+    for stale in folder.glob("run_*.npz"):
+        # An earlier call's, which `--to trace` would take for this one's.
+        stale.unlink()
+    return [(trace.save(folder / f"run_{i:03d}.npz"), trace) for i, trace in enumerate(traces)]
+
+
+def _tell(
+    command: GapCommand,
+    candidates: list[Candidate],
+    tasks: list[tuple[TaskConfig, TaskConfig]],
+    robot: str,
+    sides: tuple[Side, ...],
+    named: list[str],
+    runs: dict[tuple[str, str], Recorded],
+) -> int:
+    """Measure the runs; write tables and figure, and print what came out."""
+    from surefoot.evaluate.gap import PolicyGap, Runs
+    from surefoot.evaluate.gap_tables import summary, write_csv, write_runs_csv
+    from surefoot.report.gap_figures import gap_figure
+
+    gaps = []
+    for one in candidates:
+        parts = [Runs.of_traces([trace for _, trace in runs[one.name, label]], label) for label in named]
+        gaps.append(PolicyGap(one.name, parts[0], tuple(parts[1:])))
+    pooled = PolicyGap.pooled("all policies", gaps) if len(gaps) > 1 else None
+    whole = [*gaps, *([pooled] if pooled is not None else [])]
+    places = {key: [path for path, _ in found] for key, found in runs.items()}
+    files = [
+        write_csv(command.out / "gap.csv", whole),
+        write_runs_csv(command.out / "runs.csv", gaps, places),
+        gap_figure(gaps, command.out / "gap.png", pooled),
+    ]
+    if not command.json:
+        print_table(whole, named[0], files)
+        return 0
+    rows = {gap.name: [summary(gap, part) for part in (gap.home, *gap.away)] for gap in whole}
+    print(
+        json.dumps(
+            {
+                "robot": robot,
+                "from": str(sides[0]),
+                "to": [str(side) for side in sides[1:]],
+                "runs": command.runs,
+                "seed": command.seed,
+                "pushes": command.pushes,
+                "policies": [
+                    {
+                        "policy": one.name,
+                        "policy_file": str(one.path),
+                        "config_hash": one.policy.contract.config_hash,
+                        "home": {"actuator": at_home.actuator, "params": at_home.params},
+                        "away": {"actuator": elsewhere.actuator, "params": elsewhere.params},
+                        "worlds": rows[one.name],
+                    }
+                    for one, (at_home, elsewhere) in zip(candidates, tasks, strict=True)
+                ],
+                "pooled": rows[pooled.name] if pooled is not None else None,
+                "files": [str(file) for file in files],
+            },
+            allow_nan=False,
+        )
+    )
+    return 0
+
+
+def print_table(policies: list[PolicyGap], home: str, files: list[Path]) -> None:
+    """Print a line for each policy and world, then the files."""
+    from rich import box
+    from rich.console import Console
+    from rich.measure import Measurement
+    from rich.table import Table
+
+    from surefoot.evaluate.gap import Estimate
+    from surefoot.evaluate.gap_tables import plain
+
+    def mean(runs: Runs, name: str, digits: int) -> str:
+        return plain(Estimate(runs.estimate(name).mean, math.nan), digits)
+
+    console = Console()
+    title = f"Reality gap: return in {home} less return elsewhere, ± one standard error"
+    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False, collapse_padding=True)
+    for column in ("policy", "world"):
+        table.add_column(column, overflow="fold")
+    for column in ("return\n(m)", "gap\n(m)", "speed\n(m/s)", "power\n(W)", "falls", "success"):
+        table.add_column(column, justify="right", no_wrap=True)
+    for policy in policies:
+        for runs in (policy.home, *policy.away):
+            at_home = runs is policy.home
+            table.add_row(
+                policy.name if at_home else "",
+                runs.world,
+                plain(runs.estimate("returns")),
+                "" if at_home else plain(policy.gap(runs.world), sign=True),
+                mean(runs, "speed", 2),
+                mean(runs, "power", 1),
+                f"{runs.fell.sum()} of {len(runs)}",
+                f"{100 * runs.success_rate:.0f} %",
+                end_section=runs is policy.away[-1],
+            )
+    if not console.is_terminal:
+        # A file is as wide as it takes.
+        console.width = max(console.width, Measurement.get(console, console.options.update(width=1000), table).maximum)
+    console.print(table)
+    told = f"wrote {files[0].parent}: {', '.join(file.name for file in files)}, and the runs' traces"
+    console.print(told, highlight=False, markup=False, soft_wrap=True)

@@ -1,0 +1,74 @@
+"""Traces that were recorded before, by a robot or by a simulation, found in a folder and given to their policies."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from surefoot.errors import SurefootError, choices
+from surefoot.task.trace import EpisodeTrace
+
+Recorded = list[tuple[Path, EpisodeTrace]]
+
+
+def find_traces(folder: Path) -> Recorded:
+    """All traces in a folder and the folders in it, by path; or the one of a file.
+
+    Args:
+        folder: where to look for .npz files.
+
+    Raises:
+        SurefootError: no such folder, no traces in it, or a file that is none or is damaged.
+    """
+    if folder.is_file():
+        return [(folder, EpisodeTrace.load(folder))]
+    if not folder.is_dir():
+        raise SurefootError(f"trace folder {folder} does not exist; give a folder with traces (.npz)")
+    paths = sorted(path for path in folder.rglob("*.npz") if path.is_file())
+    if not paths:
+        raise SurefootError(f"trace folder {folder} holds no traces (.npz), nor do the folders in it")
+    return [(path, EpisodeTrace.load(path)) for path in paths]
+
+
+def world_of(found: Recorded) -> str:
+    """Name of the world that traces were recorded in.
+
+    Raises:
+        SurefootError: they come from several.
+    """
+    names = sorted({str(trace.meta["world"]) for _, trace in found})
+    if len(names) > 1:
+        raise SurefootError(
+            f"traces beside {found[0][0]} come from several worlds: {choices(names)}; give one folder for each"
+        )
+    return names[0]
+
+
+def by_policy(found: Recorded, policies: Sequence[str], robot: str) -> dict[str, Recorded]:
+    """Give traces to the policies that they name.
+
+    Args:
+        found: traces with their files.
+        policies: names of the policies. One alone also gets the traces that name no policy.
+        robot: name of the robot that the policies are for.
+
+    Returns:
+        one or more traces for each policy, in the order of `policies`.
+
+    Raises:
+        SurefootError: a trace of another robot or policy, or a policy without traces.
+    """
+    given: dict[str, Recorded] = {name: [] for name in policies}
+    for path, trace in found:
+        if trace.meta["robot"] != robot:
+            said = f"is of robot '{trace.meta['robot']}'"
+            raise SurefootError(f"trace file {path}: {said}; the policies are for '{robot}'")
+        name = str(trace.meta["policy"]) or (policies[0] if len(policies) == 1 else "")
+        if name not in given:
+            said = f"is of policy '{name}'" if name else "names no policy"
+            raise SurefootError(f"trace file {path}: {said}; policies: {choices(policies)}")
+        given[name].append((path, trace))
+    for name, traces in given.items():
+        if not traces:
+            raise SurefootError(f"no trace beside {found[0][0]} is of policy '{name}'; each policy needs 1 or more")
+    return given
