@@ -156,6 +156,14 @@ class Comparison:
         by_name = {group.name: group for group in self.groups}
         return [(by_name[a], by_name[b]) for a, b in self.pairs if a in by_name and b in by_name]
 
+    def sets(self) -> list[tuple[str, tuple[GroupResult, ...]]]:
+        """The groups of each set of bars that there are, and those in no set as `others`; all as one without sets."""
+        by_name = {group.name: group for group in self.groups}
+        rest = tuple(group for group in self.groups if not any(group.name in names for names in self.bars.values()))
+        found = [(one, tuple(by_name[name] for name in names if name in by_name)) for one, names in self.bars.items()]
+        found.append(("others" if self.bars else "groups", rest))
+        return [(name, groups) for name, groups in found if groups]
+
     def finding(self, names: Iterable[str]) -> str:
         """What others found of the same groups; empty, if nothing is told."""
         return " ".join(text for groups, text in self.findings if groups == set(names))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,8 @@ from surefoot.evaluate.comparison import Comparison, GroupResult, difference
 from surefoot.evaluate.kinds import KINDS, Figure
 from surefoot.evaluate.statistics import CONFIDENCE, Interval, plain, t_interval
 from surefoot.files import whole_file
+from surefoot.report.gap_report import GAP_FILES, draw_gaps, gap_text
+from surefoot.report.markdown import table
 from surefoot.report.study_figures import (
     group_figure,
     learning_curves,
@@ -19,7 +22,9 @@ from surefoot.report.study_figures import (
     parameters_figure,
 )
 
-_BARS = ("nominal_speed", "table1_falls", "sensitivity_mean", "sensitivity_std")
+_BARS = ("nominal_speed", "table1_falls", "sensitivity_mean", "sensitivity_std", "gap", "gap_balanced")
+_MANY = 5
+"""With more groups than this they stand below each other in tables, not side by side."""
 
 
 def write_report(comparison: Comparison, folder: Path, command: str) -> Path:
@@ -30,11 +35,12 @@ def write_report(comparison: Comparison, folder: Path, command: str) -> Path:
         folder: where tables and figures are.
         command: what makes the report.
     """
-    figures = [("learning_curves.png", "Learning curves")]
-    learning_curves(comparison, folder / "learning_curves.png")
+    curves = _curves(comparison, folder)
     bars = tuple(name for name in _BARS if name in {figure.name for figure in comparison.figures})
     group_figure(comparison, folder / "groups.png", bars)
-    figures.append(("groups.png", "Groups side by side"))
+    figures = [("groups.png", "Groups side by side")]
+    if "gap" in comparison.kinds:
+        draw_gaps(comparison, folder)
     rows: tuple[str, ...] = ()
     if "sensitivity" in comparison.kinds:
         rows = parameter_rows(comparison)
@@ -42,7 +48,7 @@ def write_report(comparison: Comparison, folder: Path, command: str) -> Path:
         figures.append(("parameters.png", "Return against each parameter"))
         for row in rows:
             parameter_figure(comparison, row, folder / "parameters" / f"{row}.png")
-    text = report_text(comparison, command, figures, rows)
+    text = report_text(comparison, command, figures, rows, curves)
     with whole_file(folder / "README.md") as file:
         file.write(text.encode())
     return folder / "README.md"
@@ -53,6 +59,7 @@ def report_text(
     command: str,
     figures: Sequence[tuple[str, str]] = (),
     rows: Sequence[str] = (),
+    curves: Sequence[tuple[str, str]] = (),
 ) -> str:
     """The report's text.
 
@@ -61,6 +68,7 @@ def report_text(
         command: what makes the report.
         figures: files and titles of figures, in order.
         rows: parameters that have a figure of their own.
+        curves: files and titles of learning curves.
     """
     parts = [
         f"# Study: {comparison.name}",
@@ -72,14 +80,15 @@ def report_text(
         _trainings(comparison),
         "Every policy is the one that did best in the evaluations during its training. It is then evaluated in:",
         "\n".join(f"- **{kind}**: {KINDS[kind].what}." for kind in comparison.kinds),
-        _how_to_read(),
+        *(gap_text(comparison) if "gap" in comparison.kinds else []),
         "## Results",
-        _results(comparison),
-        *[f"![{title}]({file})" for file, title in figures[1:2]],
+        _how_to_read(),
+        *_results(comparison),
+        *[f"![{title}]({file})" for file, title in figures[:1]],
         "## Differences",
         *_differences(comparison),
         "## Training",
-        *[f"![{title}]({file})" for file, title in figures[:1]],
+        *[f"![{title}]({file})" for file, title in curves],
         "Returns during training are those of the training's own task (with noise on the actions, and with pushes and "
         "drawn parameters where a group has them), so they tell how a group goes on, not which group is better.",
         "\n".join(_late_gain(group) for group in comparison.groups),
@@ -89,11 +98,24 @@ def report_text(
     if rows:
         parts += [
             "## One parameter at a time",
-            *[f"![{title}]({file})" for file, title in figures[2:]],
+            *[f"![{title}]({file})" for file, title in figures[1:]],
             "With falls, one figure each: " + ", ".join(f"[{r.replace('_', ' ')}](parameters/{r}.png)" for r in rows),
         ]
     parts += ["## Files", _files(comparison)]
     return "\n\n".join(parts) + "\n"
+
+
+def _curves(comparison: Comparison, folder: Path) -> list[tuple[str, str]]:
+    """Draw the learning curves, a figure for each set of groups; returns files and titles."""
+    if not comparison.bars:
+        learning_curves(comparison, folder / "learning_curves.png")
+        return [("learning_curves.png", "Learning curves")]
+    drawn = []
+    for name, groups in comparison.sets():
+        file = f"learning_curves_{name}.png"
+        learning_curves(replace(comparison, groups=groups), folder / file)
+        drawn.append((file, f"Learning curves: {name}"))
+    return drawn
 
 
 def _missing(comparison: Comparison) -> list[str]:
@@ -112,9 +134,9 @@ def _trainings(comparison: Comparison) -> str:
         lines.append([group.label, f"`{group.name}`", seeds, count, ", ".join(minutes)])
     whole = sum(seed.seconds for group in comparison.groups for seed in group.seeds)
     total = sum(seed.steps for group in comparison.groups for seed in group.seeds)
-    table = _table(["group", "name", "seeds", "control steps, each", "training, min, each"], lines)
+    runs = table(["group", "name", "seeds", "control steps, each", "training, min, each"], lines)
     return (
-        f"{table}\n\nTogether {total:,} control steps and {whole / 3600:.2f} hours of training, "
+        f"{runs}\n\nTogether {total:,} control steps and {whole / 3600:.2f} hours of training, "
         "one thread each. A training's time is its own, while others may have run beside it."
     )
 
@@ -129,24 +151,40 @@ def _how_to_read() -> str:
     )
 
 
-def _results(comparison: Comparison) -> str:
-    header = ["", *(group.label for group in comparison.groups)]
-    lines = [
-        [
-            f"{figure.title} ({figure.unit})",
-            *(plain(group.interval(figure.name), figure.digits) for group in comparison.groups),
-        ]
-        for figure in comparison.figures
-    ]
-    return _table(header, [["seeds", *(str(len(group.seeds)) for group in comparison.groups)], *lines])
+def _results(comparison: Comparison) -> list[str]:
+    groups, figures = comparison.groups, comparison.figures
+    cells = [[plain(group.interval(figure.name), figure.digits) for group in groups] for figure in figures]
+    titles = [f"{figure.title} ({figure.unit})" for figure in figures]
+    if len(groups) > _MANY:
+        parts = [[group.label, str(len(group.seeds)), *(row[i] for row in cells)] for i, group in enumerate(groups)]
+        return [table(["group", "seeds", *titles], parts)]
+    lines = [["seeds", *(str(len(group.seeds)) for group in groups)]]
+    lines += [[title, *row] for title, row in zip(titles, cells, strict=True)]
+    return [table(["", *(group.label for group in groups)], lines)]
 
 
 def _differences(comparison: Comparison) -> list[str]:
-    parts = []
-    for base, other in comparison.present_pairs():
-        lines = [_sentence(figure, difference(base, other, figure.name)) for figure in comparison.figures]
-        parts.append(f"**{other.label}**, against **{base.label}**:\n\n" + "\n".join(lines))
-    return parts or ["There are no two groups to compare."]
+    pairs, figures = comparison.present_pairs(), comparison.figures
+    if not pairs:
+        return ["There are no two groups to compare."]
+    changes = [[difference(base, other, figure.name) for figure in figures] for base, other in pairs]
+    if len(comparison.groups) > _MANY:
+        header = ["group", "against", *(f"{figure.title} ({figure.unit})" for figure in figures)]
+        lines = [
+            [other.label, base.label, *(_cell(figure, one) for figure, one in zip(figures, row, strict=True))]
+            for (base, other), row in zip(pairs, changes, strict=True)
+        ]
+        return ["Differences whose interval does not include zero are bold.", table(header, lines)]
+    return [
+        f"**{other.label}**, against **{base.label}**:\n\n"
+        + "\n".join(_sentence(figure, one) for figure, one in zip(figures, row, strict=True))
+        for (base, other), row in zip(pairs, changes, strict=True)
+    ]
+
+
+def _cell(figure: Figure, change: Interval) -> str:
+    text = plain(change, figure.digits, sign=True)
+    return text if change.covers_zero else f"**{text}**"
 
 
 def _sentence(figure: Figure, change: Interval) -> str:
@@ -181,7 +219,7 @@ def _seeds(comparison: Comparison) -> str:
         for group in comparison.groups
         for seed in group.seeds
     ]
-    return _table(header, lines)
+    return table(header, lines)
 
 
 def _files(comparison: Comparison) -> str:
@@ -195,10 +233,6 @@ def _files(comparison: Comparison) -> str:
     if "sensitivity" in comparison.kinds:
         files["sensitivity.csv"] = "one line a policy and test world"
         files["sensitivity_episodes.csv"] = "one line an episode in test worlds"
+    if "gap" in comparison.kinds:
+        files |= GAP_FILES
     return "\n".join(f"- [{name}]({name}): {what}" for name, what in files.items())
-
-
-def _table(header: Sequence[str], lines: Sequence[Sequence[str]]) -> str:
-    """A Markdown table; all columns but the first are aligned to the right."""
-    rule = ["---", *["---:"] * (len(header) - 1)]
-    return "\n".join("| " + " | ".join(cells) + " |" for cells in (header, rule, *lines))
