@@ -62,7 +62,7 @@ class BulletEngine:
     name = "bullet"
 
     def __init__(self, robot: RobotDescription, drive: Drive, config: WorldConfig | None = None) -> None:
-        self.robot, self.drive, config = robot, drive, config or WorldConfig()
+        self.robot, self.drive, self._config = robot, drive, config or WorldConfig()
         num_envs = len(drive.ticks)
         if num_envs > MAX_ROBOTS:
             raise SurefootError(f"num_envs is {num_envs}; one process holds up to {MAX_ROBOTS} robots in Bullet")
@@ -70,12 +70,13 @@ class BulletEngine:
         self._clients: list[int] = []
         weakref.finalize(self, _disconnect, self._p, self._clients)
         for _ in range(num_envs):
-            client, self.model = open_client(robot, config)
+            client, self.model = open_client(robot, self._config)
             self._clients.append(client)
         model = self.model
         self._joints = list(range(model.num_joints))
-        self._ratios: list[tuple[float, ...]] = [(1.0, 1.0, 1.0, 1.0)] * num_envs
+        self._ratios = [(1.0, 1.0, 1.0, 1.0)] * num_envs
         self._friction = [robot.contact.friction] * num_envs
+        self._spoilt = np.zeros(num_envs, np.bool_)
         sign = robot.motor_sign.astype(np.float64)
         self._layout = Layout(sign, model.base_quat, model.rack)
         self._from_link = rotations(model.base_quat[[1, 2, 3, 0]])
@@ -129,7 +130,7 @@ class BulletEngine:
             self.drive.energy[i] = 0.0
             self.drive.contact_ticks[i] = 0.0
             if not self.diverged[i]:
-                self.diverged[i] = not self._advance(i, int(servo_steps[i]))
+                self.diverged[i] = self._spoilt[i] = not self._advance(i, int(servo_steps[i]))
 
     def _advance(self, i: int, steps: int) -> bool:
         """Run robot `i`; false if it diverged."""
@@ -208,6 +209,8 @@ class BulletEngine:
 
     def set_state(self, i: int, state: Array) -> None:
         """Put robot `i` into a state from `get_state`."""
+        if self._spoilt[i]:
+            self._replace_client(i)
         p, body, client = self._p, self.model.body, self._clients[i]
         row = self._rows[i]
         row[:], self._force[i] = state[:-3], state[-3:]
@@ -219,6 +222,15 @@ class BulletEngine:
             p.resetJointState(body, joint, angles[joint], speeds[joint], client)
         self._forget_contacts(i)
         self.diverged[i] = False
+
+    def _replace_client(self, i: int) -> None:
+        """Bullet's search for contacts does not recover from positions that are no numbers."""
+        self._p.disconnect(self._clients[i])
+        self._clients[i], _ = open_client(self.robot, self._config)
+        self._spoilt[i] = False
+        friction, ratios = self._friction[i], self._ratios[i]
+        self._friction[i], self._ratios[i] = self.robot.contact.friction, (1.0, 1.0, 1.0, 1.0)
+        self._apply(i, friction, ratios)
 
     def _forget_contacts(self, i: int) -> None:
         # A link that gets its collision filter again is taken out of Bullet's pairs, and put back.
@@ -242,18 +254,20 @@ class BulletEngine:
 
     def set_params(self, i: int, params: PhysicalParams, row: int) -> None:
         """Apply masses, inertias and contact friction of `params[row]` to robot `i`."""
+        ratios = (
+            float(params.base_mass_ratio[row]),
+            float(params.leg_mass_ratio[row]),
+            float(params.base_inertia_ratio[row]),
+            float(params.leg_inertia_ratio[row]),
+        )
+        self._apply(i, float(params.contact_friction[row]), ratios)
+
+    def _apply(self, i: int, friction: float, ratios: tuple[float, float, float, float]) -> None:
         p, model, client = self._p, self.model, self._clients[i]
-        friction = float(params.contact_friction[row])
         if self._friction[i] != friction:
             for link in model.feet:
                 p.changeDynamics(model.body, link, lateralFriction=friction, physicsClientId=client)
             self._friction[i] = friction
-        ratios = (
-            params.base_mass_ratio[row],
-            params.leg_mass_ratio[row],
-            params.base_inertia_ratio[row],
-            params.leg_inertia_ratio[row],
-        )
         if self._ratios[i] != ratios:
             self._scale_masses(client, *ratios)
             self._ratios[i] = ratios

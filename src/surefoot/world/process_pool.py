@@ -90,11 +90,12 @@ class ProcessPool:
                 assert process.stdout is not None
                 replies.append(pickle.load(process.stdout))
         except (BrokenPipeError, EOFError, pickle.UnpicklingError) as error:
-            ended = [code for process in self._processes if (code := process.poll()) is not None]
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                process.wait(_WAIT)
             self.close()
-            codes = ", ".join(str(code) for code in ended) or "unknown"
             raise SurefootError(
-                f"a process of the simulated world ended on its own (exit code {codes}); it may have run out of memory"
+                f"a process of the simulated world ended on its own (exit code {process.returncode}); "
+                "it may have run out of memory"
             ) from error
         except BaseException:
             self.close()  # answers that were not read would be taken for those to the next question

@@ -1,0 +1,256 @@
+"""The same robot in MuJoCo and in Bullet: what must agree, and how far apart the rest may be."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import mujoco
+import numpy as np
+import pytest
+
+from surefoot.robot import PhysicalParams, RobotDescription
+from surefoot.world.bullet_engine import BulletEngine, bullet_engine
+from surefoot.world.bullet_tick import rotations
+from surefoot.world.interface import WorldConfig
+from surefoot.world.mujoco_engine import MujocoEngine
+from surefoot.world.sim_world import SimWorld, mujoco_engine
+
+pytest.importorskip("pybullet")
+
+WEIGHT = 7.473 * 9.81
+ENGINES = {"mujoco": mujoco_engine, "bullet": bullet_engine}
+
+
+def both(
+    robot: RobotDescription, num_envs: int = 1, config: WorldConfig | None = None, **values: object
+) -> list[SimWorld]:
+    """The same robots in MuJoCo and in Bullet."""
+    params = PhysicalParams.nominal(robot, num_envs).with_values(robot, **values)
+    return [SimWorld(robot, num_envs, params, config=config, engine=engine) for engine in ENGINES.values()]
+
+
+def follow(world: SimWorld, path: Callable[[int], np.ndarray], steps: int) -> np.ndarray:
+    """True motor angles (steps, N, M) while the world follows a path of motor angles."""
+    angles = []
+    for k in range(steps):
+        world.step(path(k))
+        angles.append(world.truth().motor_angle)
+    return np.array(angles)
+
+
+def rms(difference: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(difference**2)))
+
+
+def lift(world: SimWorld, height: float) -> None:
+    """Put all robots so much higher."""
+    for i in range(world.num_envs):
+        state = world.engine.get_state(i)
+        if isinstance(world.engine, MujocoEngine):
+            world.engine.datas[i].qpos[2] += height
+        else:
+            state[2] += height
+            world.engine.set_state(i, state)
+        world.engine.observe(i)
+
+
+def bullet_mass_matrix(engine: BulletEngine) -> tuple[float, np.ndarray, np.ndarray]:
+    """Mass, centre of mass in the world and inertia about it (3, 3) of the whole first robot."""
+    p, model, client = engine._p, engine.model, engine._clients[0]
+    parts = []
+    for link in model.links.values():
+        info = p.getDynamicsInfo(model.body, link, physicsClientId=client)
+        if link < 0:
+            place, quat = p.getBasePositionAndOrientation(model.body, client)
+        else:
+            place, quat = p.getLinkState(model.body, link, computeForwardKinematics=1, physicsClientId=client)[:2]
+        turn = rotations(np.array(quat))
+        parts.append((info[0], np.array(place), turn @ np.diag(info[2]) @ turn.T))
+    return whole(parts)
+
+
+def mujoco_mass_matrix(engine: MujocoEngine) -> tuple[float, np.ndarray, np.ndarray]:
+    model, data = engine.models[0], engine.datas[0]
+    mujoco.mj_forward(model, data)
+    parts = []
+    for body in range(1, model.nbody):
+        turn = data.ximat[body].reshape(3, 3)
+        parts.append(
+            (model.body_mass[body], data.xipos[body].copy(), turn @ np.diag(model.body_inertia[body]) @ turn.T)
+        )
+    return whole(parts)
+
+
+def whole(parts: list[tuple[float, np.ndarray, np.ndarray]]) -> tuple[float, np.ndarray, np.ndarray]:
+    mass = sum(part[0] for part in parts)
+    centre = sum(m * at for m, at, _ in parts) / mass
+    away = [at - centre for _, at, _ in parts]
+    inertia = sum(i + m * (d @ d * np.eye(3) - np.outer(d, d)) for (m, _, i), d in zip(parts, away, strict=True))
+    return mass, centre, inertia
+
+
+def test_masses_and_the_whole_robots_inertia_agree(robot: RobotDescription):
+    mujoco_world, bullet_world = both(robot)
+    for world in (mujoco_world, bullet_world):
+        world.engine.set_state(0, world.engine.initial_state)
+    one, other = mujoco_mass_matrix(mujoco_world.engine), bullet_mass_matrix(bullet_world.engine)
+    assert one[0] == pytest.approx(7.473, abs=1e-9)
+    assert other[0] == pytest.approx(one[0], rel=1e-12)
+    np.testing.assert_allclose(other[1], one[1], atol=1e-7)
+    np.testing.assert_allclose(other[2], one[2], atol=1e-7)
+
+
+def test_resting_poses_agree(robot: RobotDescription):
+    worlds = both(robot)
+    for world in worlds:
+        world.engine.set_state(0, world.engine.initial_state)
+    bases, feet = zip(*((world.engine.base()[0], world.foot_positions()[0]) for world in worlds), strict=True)
+    np.testing.assert_allclose(*bases, atol=1e-7)
+    np.testing.assert_allclose(*feet, atol=1e-7)
+
+
+def test_standing_heights_agree(robot: RobotDescription):
+    heights, compression = [], []
+    for world in both(robot):
+        for _ in range(150):
+            world.step(world.resting_angles)
+        heights.append(world.truth().base_position_world[0, 2])
+        compression.append((robot.leg_geometry.foot_radius - world.foot_positions()[0, :, 2]).sum())
+    assert heights[1] == pytest.approx(heights[0], abs=1e-4)
+    # Four feet on 3000 N/m carry the weight, in either world.
+    np.testing.assert_allclose(compression, WEIGHT / 3000, rtol=0.01)
+
+
+def test_a_robot_in_the_air_answers_a_push_alike(robot: RobotDescription):
+    # No contact: masses, inertias, loops, motors and the frames of base, force and rates, all at once.
+    found = []
+    for world in both(robot, control_latency=0.0):
+        lift(world, 1.0)
+        world.push([[60.0, 130.0, -40.0]])
+        for _ in range(10):
+            world.step(world.resting_angles)
+        world.push([[0.0, 0.0, 0.0]])
+        for _ in range(10):
+            readings = world.step(world.resting_angles)
+        found.append((world.truth(), readings))
+    (one, seen_one), (other, seen_other) = found
+    assert np.abs(one.base_velocity_world).max() > 0.9
+    assert np.abs(seen_one.angular_velocity_base).max() > 0.5
+    np.testing.assert_allclose(other.base_velocity_world, one.base_velocity_world, atol=0.01)
+    np.testing.assert_allclose(other.base_position_world, one.base_position_world, atol=0.001)
+    np.testing.assert_allclose(seen_other.roll_pitch_yaw, seen_one.roll_pitch_yaw, atol=0.002)
+    np.testing.assert_allclose(seen_other.angular_velocity_base, seen_one.angular_velocity_base, atol=0.02)
+
+
+# --- legs on the rack -------------------------------------------------------------------------------------
+
+
+def sines(robot: RobotDescription) -> Callable[[int], np.ndarray]:
+    """Each leg through a sine of its own, in swing and extension."""
+
+    def path(k: int) -> np.ndarray:
+        phase = 2 * np.pi * np.array([1.0, 2.0, 3.0, 4.0]) * 0.006 * k
+        return robot.leg_to_motor_angles(0.3 * np.sin(phase), 2.0 + 0.3 * np.sin(0.7 * phase))
+
+    return path
+
+
+def steps(robot: RobotDescription) -> Callable[[int], np.ndarray]:
+    """Each leg through steps of its own, after 20 control steps and after 60."""
+
+    def path(k: int) -> np.ndarray:
+        size = np.array([0.1, 0.2, 0.3, 0.4]) * ((k >= 20) - 2.0 * (k >= 60))
+        return robot.leg_to_motor_angles(size, 2.0 - 0.3 * size)
+
+    return path
+
+
+@pytest.mark.parametrize("path", [sines, steps])
+@pytest.mark.parametrize("actuator", ["dc", "constraint"])
+def test_legs_on_the_rack_go_alike(robot: RobotDescription, path, actuator):
+    config = WorldConfig(rack=True, actuator=actuator, threads=1)
+    one, other = (follow(world, path(robot), 100) for world in both(robot, config=config))
+    assert np.ptp(one, axis=0).min() > 0.1
+    assert rms(other - one) < 0.02
+
+
+CHANGED = {
+    "leg_mass_ratio": 3.0,
+    "leg_inertia_ratio": 4.0,
+    "motor_strength": 0.3,
+    "motor_friction": 0.4,
+    "torque_constant": 0.14,
+    "resistance": 0.6,
+    "voltage": 8.0,
+    "servo_kp": 0.3,
+    "servo_kd": 0.05,
+    "servo_latency": 0.010,
+    "control_step": 0.008,
+}
+
+
+def test_each_parameter_of_legs_and_motors_acts_alike(robot: RobotDescription):
+    # Robot 0 is nominal, robot k has one parameter changed.
+    count = len(CHANGED) + 1
+    values = {name: np.full(count, robot.nominal_params()[name]) for name in CHANGED}
+    for k, (name, value) in enumerate(CHANGED.items(), start=1):
+        values[name][k] = value
+    config = WorldConfig(rack=True, threads=1)
+    one, other = (follow(world, steps(robot), 100) for world in both(robot, count, config, **values))
+    for k, name in enumerate(CHANGED, start=1):
+        effect, apart = rms(other[:, k] - other[:, 0]), rms(other[:, k] - one[:, k])
+        assert effect > 0.004, name
+        assert apart < max(0.3 * effect, 0.002), name
+
+
+# --- feet -------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("friction", [0.1, 0.2])
+def test_a_robot_slides_alike(robot: RobotDescription, friction):
+    # Twice the friction bound: it slides, with what is left of the push.
+    slid = []
+    for world in both(robot, contact_friction=friction):
+        for _ in range(40):
+            world.step(world.resting_angles)
+        start = world.foot_positions()[0, :, 0].mean()
+        world.push([[2 * friction * WEIGHT, 0.0, 0.0]])
+        for _ in range(50):
+            world.step(world.resting_angles)
+        slid.append(world.foot_positions()[0, :, 0].mean() - start)
+    # mu g t^2 / 2 with t = .3 s: 44 mm at mu .1.
+    assert slid[0] == pytest.approx(friction * 9.81 * 0.3**2 / 2, rel=0.2)
+    assert slid[1] == pytest.approx(slid[0], rel=0.1)
+
+
+@pytest.mark.parametrize(("name", "value"), [("base_mass_ratio", 1.5), ("base_inertia_ratio", 3.0)])
+def test_the_base_gets_heavier_alike(robot: RobotDescription, name, value):
+    # A push from the side, in the air: mass shows in the speed, inertia in the rates.
+    found = []
+    for world in both(robot, 2, control_latency=0.0, **{name: [1.0, value]}):
+        lift(world, 1.0)
+        world.push(np.tile([60.0, 130.0, 0.0], (2, 1)))
+        for _ in range(10):
+            readings = world.step(world.resting_angles)
+        found.append(np.hstack([world.truth().base_velocity_world, readings.angular_velocity_base]))
+    (one_nominal, one), (other_nominal, other) = found
+    effect = np.abs(one - one_nominal).max()
+    assert effect > 0.05
+    assert np.abs((other - other_nominal) - (one - one_nominal)).max() < 0.1 * effect
+
+
+def test_a_dropped_robot_lands_alike(robot: RobotDescription):
+    # The law of contact is a spring and a damper: an explicit step and an implicit one of 1 ms both follow it.
+    heights, depths = [], []
+    for world in both(robot, control_step=0.001):
+        lift(world, 0.3)
+        path = []
+        for _ in range(400):
+            world.step(world.resting_angles)
+            base = world.truth().base_position_world[0, 2]
+            path.append([base, *(robot.leg_geometry.foot_radius - world.foot_positions()[0, :, 2])])
+        heights.append(np.array(path)[:, 0])
+        depths.append(np.max(np.array(path)[:, 1:], axis=0))
+    assert np.min(depths) > 0.02
+    np.testing.assert_allclose(depths[1], depths[0], rtol=0.05)
+    assert rms(heights[1] - heights[0]) < 0.003

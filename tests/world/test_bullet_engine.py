@@ -1,0 +1,344 @@
+"""`SimWorld` on Bullet: the model that Bullet has, exactness, and what only this engine must take care of."""
+
+from __future__ import annotations
+
+import gc
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from surefoot.errors import SurefootError
+from surefoot.robot import PhysicalParams, RobotDescription
+from surefoot.world import bullet_engine as module
+from surefoot.world.bullet_engine import bullet_engine
+from surefoot.world.bullet_model import check_masses, open_client
+from surefoot.world.bullet_tick import rotations
+from surefoot.world.interface import WorldConfig
+from surefoot.world.sim_world import SimWorld
+
+pybullet = pytest.importorskip("pybullet")
+
+MakeWorld = Callable[..., SimWorld]
+
+
+@pytest.fixture
+def make_world(robot: RobotDescription) -> MakeWorld:
+    def make(num_envs: int = 1, *, seed: int = 0, config: dict[str, Any] | None = None, **values: Any) -> SimWorld:
+        params = PhysicalParams.nominal(robot, num_envs).with_values(robot, **values)
+        return SimWorld(robot, num_envs, params, seed, WorldConfig(**(config or {})), bullet_engine)
+
+    return make
+
+
+def varied(num_envs: int) -> dict[str, np.ndarray]:
+    draw = np.random.default_rng(7)
+    return {
+        "base_mass_ratio": draw.uniform(0.8, 1.2, num_envs),
+        "leg_inertia_ratio": draw.uniform(0.5, 1.5, num_envs),
+        "motor_strength": draw.uniform(0.8, 1.2, (num_envs, 8)),
+        "contact_friction": draw.uniform(0.5, 1.25, num_envs),
+        "control_step": draw.uniform(0.003, 0.012, num_envs),
+        "control_latency": draw.uniform(0, 0.04, num_envs),
+        "servo_latency": draw.uniform(0, 0.01, num_envs),
+        "imu_noise": draw.uniform(0, 0.05, num_envs),
+    }
+
+
+def loop_gap(world: SimWorld) -> float:
+    """How far apart the two ends of a loop's pin are at most [m]."""
+    engine, worst = world.engine, 0.0
+    for loop in world.robot.loops:
+        ends = []
+        for link, point in zip(loop.links, loop.points, strict=True):
+            state = pybullet.getLinkState(
+                engine.model.body,
+                engine.model.links[link],
+                computeForwardKinematics=1,
+                physicsClientId=engine._clients[0],
+            )
+            ends.append(rotations(np.array(state[5])) @ point + state[4])
+        worst = max(worst, float(np.linalg.norm(ends[0] - ends[1])))
+    return worst
+
+
+# --- the model --------------------------------------------------------------------------------------------
+
+
+def test_bullet_has_the_files_masses_and_moments_whatever_the_ratios(make_world, robot):
+    ratios = {"base_mass_ratio": 1.3, "leg_mass_ratio": 0.7, "base_inertia_ratio": 0.6, "leg_inertia_ratio": 1.9}
+    engine = make_world(**ratios).engine
+    for name, body in engine.model.fused.bodies.items():
+        base = name == "base"
+        mass, moments = body.mass * (1.3 if base else 0.7), body.principal()[0] * (0.6 if base else 1.9)
+        info = pybullet.getDynamicsInfo(engine.model.body, engine.model.links[name], engine._clients[0])
+        assert info[0] == pytest.approx(mass, rel=1e-12)
+        np.testing.assert_allclose(info[2], moments, rtol=1e-9)
+
+
+def test_other_masses_than_the_files_are_refused(robot):
+    client, model = open_client(robot, WorldConfig())
+    try:
+        link = model.links["front_left_2_lower"]
+        # What a mass alone does: Bullet takes the inertia of the foot's little sphere.
+        pybullet.changeDynamics(model.body, link, mass=model.mass["front_left_2_lower"][0], physicsClientId=client)
+        with pytest.raises(SurefootError, match=r"link 'front_left_2_lower': Bullet has mass 0\.086 kg and moments"):
+            check_masses(pybullet, client, model, model.mass)
+    finally:
+        pybullet.disconnect(client)
+
+
+def test_feet_have_the_sheets_contact_and_nothing_is_damped(make_world, robot):
+    engine = make_world(contact_friction=0.7).engine
+    for link in engine.model.links.values():
+        info = pybullet.getDynamicsInfo(engine.model.body, link, engine._clients[0])
+        foot = link in engine.model.feet
+        touches = bool(pybullet.getCollisionShapeData(engine.model.body, link, engine._clients[0]))
+        assert touches == (foot or link == -1)
+        if touches:
+            assert info[1] == (0.7 if foot else 1.0)
+        assert info[5] == 0.0
+        if foot:
+            assert info[6:10] == (0.0, robot.contact.spinning_friction, 100.0, 3000.0)
+    assert pybullet.getDynamicsInfo(engine.model.ground, -1, engine._clients[0])[1] == 1.0
+
+
+def test_a_loop_stays_closed_while_the_robot_trots(make_world, trot):
+    world, worst = make_world(), 0.0
+    for k in range(120):
+        world.step(trot(k))
+        worst = max(worst, loop_gap(world))
+    assert worst < 1e-4
+
+
+def test_a_motor_may_turn_faster_than_bullet_lets_joints_turn(make_world):
+    world = make_world(config={"rack": True}, voltage=30.0, servo_kp=10.0, servo_kd=0.0, leg_mass_ratio=0.2)
+    fastest = 0.0
+    for k in range(60):
+        world.step(world.resting_angles + (1.0 if k % 20 < 10 else -0.5))
+        fastest = max(fastest, float(np.abs(world.truth().motor_velocity).max()))
+    assert fastest > 100.0
+
+
+# --- frames -----------------------------------------------------------------------------------------------
+
+
+def test_base_velocity_is_that_of_the_links_origin_in_a_turned_robot(make_world, trot):
+    world = make_world(config={"start_angular_speed": 3.0}, control_step=0.001, control_latency=0.0)
+    for k in range(60):
+        world.step(trot(k))
+    engine = world.engine
+    linear, angular = np.array([0.3, -0.2, 0.5]), np.array([1.0, -2.0, 3.0])
+    engine.set_base_velocity(0, linear, angular)
+    engine.observe(0)
+    np.testing.assert_allclose(world.drive.now[0, -3:], angular, atol=1e-12)
+    before = world.truth()
+    assert np.abs(before.roll_pitch_yaw).max() > 0.01
+    np.testing.assert_allclose(before.base_velocity_world[0], linear, atol=1e-12)
+    world.step(trot(60))
+    after = world.truth()
+    # Positions move by the velocities of a step's end.
+    moved = after.base_position_world - before.base_position_world
+    np.testing.assert_allclose(moved, 0.001 * after.base_velocity_world, atol=2e-6)
+
+
+def test_roll_pitch_yaw_and_rates_belong_together(make_world, trot):
+    world = make_world(control_step=0.001, control_latency=0.0)
+    last = world.readings()
+    for k in range(80):
+        now = world.step(trot(k // 6))
+        roll, pitch, _ = now.roll_pitch_yaw[0]
+        d_roll, d_pitch, d_yaw = (now.roll_pitch_yaw - last.roll_pitch_yaw)[0] / 0.001
+        expected = [
+            d_roll - np.sin(pitch) * d_yaw,
+            np.cos(roll) * d_pitch + np.sin(roll) * np.cos(pitch) * d_yaw,
+            -np.sin(roll) * d_pitch + np.cos(roll) * np.cos(pitch) * d_yaw,
+        ]
+        np.testing.assert_allclose(now.angular_velocity_base[0], expected, atol=0.02)
+        last = now
+
+
+def test_on_the_rack_the_base_is_still_and_its_readings_zero(make_world, trot):
+    world = make_world(config={"rack": True})
+    for k in range(20):
+        readings = world.step(trot(k))
+    truth = world.truth()
+    assert not readings.roll_pitch_yaw.any()
+    assert not readings.angular_velocity_base.any()
+    assert truth.base_position_world.tolist() == [[0.0, 0.0, 1.0]]
+    assert truth.base_quat_world.tolist() == [[1.0, 0.0, 0.0, 0.0]]
+    assert not truth.foot_contact.any()
+    assert np.abs(truth.motor_velocity).max() > 0.5
+
+
+# --- parameters, forces -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("base_mass_ratio", 1.2),
+        ("leg_mass_ratio", 0.8),
+        ("base_inertia_ratio", 1.5),
+        ("leg_inertia_ratio", 1.5),
+        ("motor_strength", 0.8),
+        ("motor_friction", 0.05),
+        ("voltage", 14.0),
+        ("servo_latency", 0.0),
+        ("contact_friction", 0.2),
+    ],
+)
+def test_the_parameter_changes_the_motion(make_world, trot, robot, name, value):
+    world = make_world(2, **{name: [robot.nominal_params()[name], value]})
+    for k in range(30):
+        world.step(trot(k))
+    angles = world.truth().motor_angle
+    assert np.abs(angles[0] - angles[1]).max() > 1e-6
+
+
+def test_a_push_stays_until_another_is_set(make_world):
+    world = make_world()
+    speeds = []
+    for force in (40.0, None, 0.0):
+        if force is not None:
+            world.push([[0.0, 0.0, force + 7.473 * 9.81 if force else 0.0]])
+        for _ in range(6):
+            world.step(world.resting_angles)
+        speeds.append(world.truth().base_velocity_world[0, 2])
+    assert speeds[1] > speeds[0] + 0.1  # it still acts
+    assert speeds[2] < speeds[1] - 0.2
+
+
+def test_a_constraint_motor_carries_its_friction_too(make_world, trot):
+    # Both follow their targets; the second one's torque is larger by the friction, against the motion.
+    world = make_world(2, config={"actuator": "constraint", "rack": True}, motor_friction=[0.0, 0.3])
+    for k in range(40):
+        world.step(trot(k))
+    truth = world.truth()
+    np.testing.assert_allclose(truth.motor_angle[0], truth.motor_angle[1], atol=1e-3)
+    moving = np.abs(truth.motor_velocity[0]) > 1.0
+    more = (truth.motor_torque[1] - truth.motor_torque[0])[moving]
+    assert moving.sum() >= 4
+    np.testing.assert_allclose(more, 0.3 * np.sign(truth.motor_velocity[0, moving]), atol=0.01)
+
+
+def test_a_constraint_motor_without_strength_gives_no_torque(make_world, trot):
+    world = make_world(config={"actuator": "constraint"})
+    for k in range(10):
+        world.step(trot(k))
+    assert np.abs(world.truth().motor_torque).max() > 0.1
+    world.set_params([0], world.params.with_values(world.robot, motor_strength=0.0))
+    world.step(trot(10))
+    assert not world.truth().motor_torque.any()
+
+
+# --- exactness --------------------------------------------------------------------------------------------
+
+
+def test_a_robot_moves_alike_alone_and_in_a_batch(make_world, trot, assert_same):
+    values = varied(4)
+    crowd = make_world(4, **values)
+    alone = make_world(1, **{name: value[:1] for name, value in values.items()})
+    for k in range(40):
+        assert_same(crowd.step(trot(k)), alone.step(trot(k)), slice(0, 1))
+    assert_same(crowd.truth(), alone.truth(), slice(0, 1))
+
+
+def test_the_same_seed_gives_the_same_world(make_world, trot, assert_same):
+    config = {"start_linear_speed": 0.05, "start_angular_speed": 0.1}
+    paths = []
+    for _ in range(2):
+        world = make_world(2, seed=4, config=config, imu_noise=0.05)
+        path = [world.step(trot(k)) for k in range(40)]
+        paths.append([*path, world.reset(), *(world.step(trot(k)) for k in range(20)), world.truth()])
+    for one, other in zip(*paths, strict=True):
+        assert_same(one, other)
+
+
+def test_a_state_goes_on_exactly_in_a_world_with_another_past(make_world, trot, assert_same):
+    world, other = make_world(2, seed=1, **varied(2)), make_world(2, seed=2)
+    for k in range(33):
+        world.step(trot(k))
+        other.step(trot(3 * k))
+    world.push(np.tile([0, 50.0, 0], (2, 1)))
+    state = world.get_state()
+    paths = []
+    for again in (world, other):
+        if again is other:
+            again.set_state(state)
+        path = [again.step(trot(k)) for k in range(33, 100)]
+        paths.append([*path, again.reset([1]), again.step(trot(0)), again.truth()])
+    for one, another in zip(*paths, strict=True):
+        assert_same(one, another)
+    np.testing.assert_array_equal(world.get_state()["engine"], other.get_state()["engine"])
+
+
+@pytest.mark.parametrize("force", [1e12, np.nan])
+def test_a_robot_that_diverges_is_put_back_and_sound_again(make_world, trot, assert_same, force):
+    values = {"base_mass_ratio": [1.0, 1.2], "contact_friction": [1.0, 0.6]}
+    world, other = make_world(2, **values), make_world(2, **values)
+    world.push([[0.0, 0.0, 0.0], [force, 0.0, force]])
+    world.step(trot(0))
+    assert world.divergences == 1
+    assert world.truth().diverged.tolist() == [False, True]
+    world.push(np.zeros((2, 3)))
+    world.reset()
+    for k in range(30):
+        assert_same(world.step(trot(k)), other.step(trot(k)))
+    assert_same(world.truth(), other.truth())
+
+
+# --- clients and output -----------------------------------------------------------------------------------
+
+
+def test_clients_end_with_the_world(make_world):
+    world = make_world(2)
+    clients = list(world.engine._clients)
+    assert all(pybullet.isConnected(client) for client in clients)
+    del world
+    gc.collect()
+    assert not any(pybullet.isConnected(client) for client in clients)
+
+
+def test_more_robots_than_a_process_holds_are_refused(robot, monkeypatch):
+    monkeypatch.setattr(module, "MAX_ROBOTS", 2)
+    with pytest.raises(SurefootError, match="num_envs is 3; one process holds up to 2 robots in Bullet"):
+        SimWorld(robot, 3, engine=bullet_engine)
+
+
+def test_no_room_for_another_client_is_told(robot, monkeypatch):
+    def full(_mode: int) -> int:
+        raise pybullet.error("Can not connect")
+
+    monkeypatch.setattr(pybullet, "connect", full)
+    with pytest.raises(SurefootError, match="Bullet has no room for another robot in this process"):
+        open_client(robot, WorldConfig())
+
+
+def test_a_robot_whose_feet_are_no_spheres_is_refused(robot, tmp_path):
+    text = robot.urdf.path.read_text().replace(
+        '<collision><origin xyz="0 0 0.2315" rpy="0 0 0"/><geometry><sphere radius="0.0085"/></geometry></collision>',
+        "",
+    )
+    (tmp_path / "feetless.urdf").write_text(text)
+    with pytest.raises(SurefootError, match="a foot has 0 spheres to stand on; Bullet needs one"):
+        open_client(replace(robot, urdf=replace(robot.urdf, path=tmp_path / "feetless.urdf")), WorldConfig())
+
+
+def test_nothing_is_printed_but_what_the_user_prints():
+    script = """
+from surefoot.robot import RobotDescription
+from surefoot.world.bullet_engine import bullet_engine
+from surefoot.world.sim_world import SimWorld
+SimWorld(RobotDescription.load("minitaur"), 1, engine=bullet_engine)
+print("mine")
+"""
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=250, env=os.environ)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout == "mine\n"
+    assert "pybullet build time" not in done.stderr

@@ -1,0 +1,231 @@
+"""Worlds in several processes: the same numbers as one, and no process that outlives its owner."""
+
+from __future__ import annotations
+
+import gc
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from surefoot.errors import SurefootError
+from surefoot.robot import PhysicalParams, RobotDescription
+from surefoot.world.drive import new_drive
+from surefoot.world.interface import WorldConfig
+from surefoot.world.process_world import OF_ALL_ROBOTS, ProcessWorld, bullet_world, processes_for
+from surefoot.world.sim_world import SimWorld, mujoco_engine
+
+# Most tests are of the processes, whatever they simulate: MuJoCo starts and steps faster.
+NUM = 5
+
+
+def values(robot: RobotDescription) -> PhysicalParams:
+    draw = np.random.default_rng(7)
+    return PhysicalParams.nominal(robot, NUM).with_values(
+        robot,
+        base_mass_ratio=draw.uniform(0.8, 1.2, NUM),
+        voltage=draw.uniform(14, 16.8, NUM),
+        control_step=draw.uniform(0.003, 0.012, NUM),
+        imu_noise=draw.uniform(0.01, 0.05, NUM),
+    )
+
+
+CONFIG = {"start_linear_speed": 0.05, "start_angular_speed": 0.1}
+
+
+@pytest.fixture(scope="module")
+def spread(robot: RobotDescription) -> Any:
+    """Five robots in three processes; every test resets what it needs."""
+    config = WorldConfig(threads=3, **CONFIG)
+    world = ProcessWorld(robot, NUM, values(robot), 3, config, mujoco_engine)
+    yield world
+    world.close()
+
+
+def single(robot: RobotDescription) -> SimWorld:
+    return SimWorld(robot, NUM, values(robot), 3, WorldConfig(threads=1, **CONFIG))
+
+
+def gone(process_id: int, within: float = 20.0) -> bool:
+    """Whether a process ends in so many seconds; one that nobody has waited for counts as ended."""
+    end = time.monotonic() + within
+    while time.monotonic() < end:
+        try:
+            if Path(f"/proc/{process_id}/stat").read_text().rpartition(")")[2].split()[0] == "Z":
+                return True
+            os.kill(process_id, 0)
+        except (ProcessLookupError, FileNotFoundError):
+            return True
+        time.sleep(0.05)
+    return False
+
+
+def play(world: Any, trot: Any) -> list[Any]:
+    """All that a simulation can do, and what it says."""
+    said = [world.readings(), world.truth()]
+    active = np.array([True, False, True, True, False])
+    for k in range(20):
+        said.append(world.step(trot(k), active if k % 3 == 0 else None))
+        said.append(world.truth())
+    params = world.params.rows([4, 0]).with_values(world.robot, leg_mass_ratio=1.4, contact_friction=0.5)
+    world.set_params([4, 0], params)
+    said.append(world.reset([4, 0, -2]))
+    world.push(np.arange(3 * NUM).reshape(NUM, 3))
+    target = np.tile(trot(3), (NUM, 1))
+    target[3, 2] = np.nan
+    said += [world.step(target), world.truth(), world.readings(), world.reset(), world.truth()]
+    return said
+
+
+def test_processes_and_one_world_say_the_same(robot, trot, assert_same, spread):
+    one = single(robot)
+    state = spread.get_state()
+    for a, b in zip(play(one, trot), play(spread, trot), strict=True):
+        assert_same(a, b)
+    np.testing.assert_array_equal(one.foot_positions(), spread.foot_positions())
+    assert one.divergences == spread.divergences == 1
+    for name in PhysicalParams.names():
+        np.testing.assert_array_equal(getattr(one.params, name), getattr(spread.params, name))
+    spread.set_state(state)
+    assert spread.divergences == 0
+
+
+def test_a_state_is_that_of_one_world_and_goes_on_in_any(robot, trot, assert_same, spread):
+    one = single(robot)
+    spread.set_state(one.get_state())
+    for k in range(7):
+        spread.step(trot(k))
+        one.step(trot(k))
+    theirs, ours = one.get_state(), spread.get_state()
+    assert theirs["streams"] == ours["streams"]
+    assert theirs.keys() == ours.keys()
+    for key in ("engine", "control_steps", "noise", "diverged", "divergences"):
+        np.testing.assert_array_equal(theirs[key], ours[key])
+    for part in ("drive", "params"):
+        assert theirs[part].keys() == ours[part].keys()
+        for name in theirs[part]:
+            np.testing.assert_array_equal(theirs[part][name], ours[part][name], err_msg=name)
+    for k in range(30):
+        spread.step(trot(k))
+    for world in (spread, one):
+        world.set_state(ours)
+    for k in range(7, 20):
+        assert_same(spread.step(trot(k)), one.step(trot(k)))
+    assert_same(spread.truth(), one.truth())
+
+
+def test_arrays_of_all_robots_are_known(robot):
+    # A row each for 3 and for 7 robots, or the same whatever the number.
+    three, seven = new_drive(robot, 3, 5)._asdict(), new_drive(robot, 7, 5)._asdict()
+    for name in three:
+        assert (len(three[name]), len(seven[name])) == (3, 7) or name in OF_ALL_ROBOTS, name
+    for name in OF_ALL_ROBOTS:
+        np.testing.assert_array_equal(three[name], seven[name])
+
+
+def test_truth_is_the_callers_to_keep(spread, trot):
+    spread.reset()
+    spread.step(trot(0))
+    truth = spread.truth()
+    truth.motor_angle[:] = 0.0
+    assert spread.truth().motor_angle.all()
+
+
+def test_an_error_in_a_process_is_raised_here_and_the_world_goes_on(robot, spread, trot):
+    bad = PhysicalParams.nominal(robot, NUM)
+    bad.voltage[4] = 100.0
+    with pytest.raises(SurefootError, match="voltage is 100; minitaur allows 5 to 30"):
+        spread.set_params(np.arange(NUM), bad)
+    assert spread.params.voltage.max() < 17
+    with pytest.raises(ValueError, match="broadcast") as caught:
+        spread._pool.ask("push", [(np.zeros((7, 2)),)] * 3)
+    assert "in a process of the world" in caught.value.__notes__[0]
+    assert spread.step(trot(0)).motor_angle.shape == (NUM, 8)
+    with pytest.raises(IndexError, match="the world has 5 robots"):
+        spread.reset([5])
+
+
+@pytest.mark.parametrize("num_envs", [0, 2])
+def test_a_world_of_no_or_of_other_robots_is_refused(robot, num_envs):
+    with pytest.raises(SurefootError, match=r"num_envs is 0|params are for 5 robots; the world has 2"):
+        ProcessWorld(robot, num_envs, values(robot), 0, WorldConfig(), mujoco_engine)
+
+
+def test_an_error_while_it_is_made_is_raised_and_ends_all_processes(robot):
+    before = set(Path("/proc").glob("[0-9]*"))
+    with pytest.raises(SurefootError, match="does not settle at its resting pose"):
+        ProcessWorld(robot, 2, None, 0, WorldConfig(threads=2, rest=(0.0, float("nan"))), mujoco_engine)
+    ours = f"PPid:\t{os.getpid()}\n"
+    for process in set(Path("/proc").glob("[0-9]*")) - before:
+        assert ours not in (process / "status").read_text()
+
+
+def test_a_process_that_dies_is_one_clear_error(robot, trot):
+    world = ProcessWorld(robot, 2, None, 0, WorldConfig(threads=2), mujoco_engine)
+    ids = world._pool.process_ids
+    os.kill(ids[1], signal.SIGKILL)
+    with pytest.raises(SurefootError, match=r"a process of the simulated world ended on its own \(exit code -9\)"):
+        world.step(trot(0))
+    assert all(gone(process_id) for process_id in ids)
+    with pytest.raises(SurefootError, match="this world is closed, or one of its processes is gone"):
+        world.step(trot(0))
+
+
+def test_processes_end_with_the_world(robot):
+    world = ProcessWorld(robot, 2, None, 0, WorldConfig(threads=2), mujoco_engine)
+    ids = world._pool.process_ids
+    assert not any(gone(process_id, 0.1) for process_id in ids)
+    del world
+    gc.collect()
+    assert all(gone(process_id) for process_id in ids)
+
+
+OWNER = """
+import sys, time
+import numpy as np
+from surefoot.robot import RobotDescription
+from surefoot.world.interface import WorldConfig
+from surefoot.world.process_world import ProcessWorld
+from surefoot.world.sim_world import mujoco_engine
+world = ProcessWorld(RobotDescription.load("minitaur"), 2, None, 0, WorldConfig(threads=2), mujoco_engine)
+print(*world._pool.process_ids, flush=True)
+while True:
+    world.step(np.full(8, 2.0))
+"""
+
+
+def test_no_process_outlives_an_owner_that_is_killed():
+    # No guard for __main__, and no chance to clean up.
+    owner = subprocess.Popen([sys.executable, "-c", OWNER], stdout=subprocess.PIPE, text=True)
+    assert owner.stdout is not None
+    ids = [int(word) for word in owner.stdout.readline().split()]
+    assert len(ids) == 2
+    owner.kill()
+    owner.wait()
+    owner.stdout.close()
+    assert all(gone(process_id) for process_id in ids)
+
+
+@pytest.mark.parametrize(("threads", "num_envs", "expected"), [(3, 5, 3), (8, 5, 5), (1, 5, 1), (0, 1, 1)])
+def test_never_more_processes_than_robots(threads, num_envs, expected):
+    assert processes_for(num_envs, WorldConfig(threads=threads)) == expected
+    assert processes_for(1000, WorldConfig()) == os.cpu_count()
+
+
+def test_bullet_in_processes_is_bullet_in_one(robot, trot, assert_same):
+    pytest.importorskip("pybullet")
+    one, two = (bullet_world(robot, 3, None, 1, WorldConfig(threads=threads, **CONFIG)) for threads in (1, 2))
+    assert isinstance(one, SimWorld)
+    assert isinstance(two, ProcessWorld)
+    for k in range(15):
+        assert_same(one.step(trot(k)), two.step(trot(k)))
+    assert_same(one.truth(), two.truth())
+    two.set_state(one.get_state())
+    assert_same(one.step(trot(15)), two.step(trot(15)))
+    two.close()
