@@ -1,0 +1,349 @@
+"""`surefoot gap` as a user runs it, with a policy of short episodes."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("mujoco")
+pytest.importorskip("matplotlib")
+
+from surefoot.cli.gap_sides import Side, folder_name, labels
+from surefoot.cli.main import main
+from surefoot.cli.policies import find_policy
+from surefoot.errors import SurefootError
+from surefoot.policy.contract import METADATA_KEY
+from surefoot.robot import RobotDescription
+from surefoot.task.trace import EpisodeTrace
+
+onnx = pytest.importorskip("onnx")
+
+ONE = ("--threads", "1")
+RUNS = ["run_000.npz", "run_001.npz", "run_002.npz"]
+
+
+def rewrite(policy: str, path: Path, change: Callable[[dict[str, Any]], None]) -> Path:
+    """A policy that ships with another contract."""
+    model = onnx.load(find_policy(policy))
+    for entry in model.metadata_props:
+        if entry.key == METADATA_KEY:
+            contract = json.loads(entry.value)
+            change(contract)
+            entry.value = json.dumps(contract)
+    onnx.save(model, path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def policies(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder with trot.onnx and gallop.onnx, whose episodes last 60 control steps; the trot has constraint motors."""
+    folder = tmp_path_factory.mktemp("policies")
+    rewrite("gallop", folder / "gallop.onnx", lambda contract: contract["task"].update(max_steps=60))
+    ideal = {"max_steps": 60, "actuator": "constraint", "params": {"control_latency": 0.0, "servo_latency": 0.0}}
+    rewrite("trot", folder / "trot.onnx", lambda contract: contract["task"].update(ideal))
+    return folder
+
+
+@pytest.fixture
+def here(tmp_path: Path, policies: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A working folder with the policies in it."""
+    for file in policies.iterdir():
+        shutil.copy(file, tmp_path)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "100")
+    return tmp_path
+
+
+def result(words: list[str], capsys: pytest.CaptureFixture[str]) -> dict[str, Any]:
+    code = main(["gap", *words, *ONE, "--json"])
+    said = capsys.readouterr()
+    assert code == 0, said.err
+    assert said.out.count("\n") == 1
+    found: dict[str, Any] = json.loads(said.out)
+    return found
+
+
+def read(path: Path) -> list[dict[str, str]]:
+    with path.open() as file:
+        return list(csv.DictReader(file))
+
+
+def refused(words: list[str], capsys: pytest.CaptureFixture[str], *parts: str) -> None:
+    """Exit code 2, nothing on stdout, one line on stderr that has all parts, and no folder for results."""
+    assert main(["gap", *words, *ONE]) == 2
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert said.err.startswith("surefoot: error: ")
+    assert said.err.count("\n") == 1
+    for part in parts:
+        assert part in said.err
+    assert not Path("gap").exists()
+
+
+def test_tables_figure_and_traces(here: Path, capsys: pytest.CaptureFixture[str]):
+    assert main(["gap", "trot.onnx", "gallop.onnx", "--to", "mujoco", "--to-set", "motor_strength=0.7", *ONE]) == 0
+    said = capsys.readouterr()
+    assert said.err == ""
+    for part in ("trot", "gallop", "all policies", "mujoco-away", "0 of 6", "100 %"):
+        assert part in said.out
+    assert "wrote gap: gap.csv, runs.csv, gap.png, and the runs' traces" in said.out
+    assert sorted(path.name for path in Path("gap").iterdir()) == ["gallop", "gap.csv", "gap.png", "runs.csv", "trot"]
+    lines, runs = read(Path("gap/gap.csv")), read(Path("gap/runs.csv"))
+    names = ("trot", "gallop", "all policies")
+    assert [(line["policy"], line["world"]) for line in lines] == [
+        (name, world) for name in names for world in ("mujoco", "mujoco-away")
+    ]
+    assert len(runs) == 2 * 2 * 3
+    for line in lines[:4]:
+        folder = Path("gap") / line["policy"] / line["world"]
+        assert sorted(path.name for path in folder.iterdir()) == RUNS
+        gained = [
+            float(run["return"]) for run in runs if (run["policy"], run["world"]) == (line["policy"], line["world"])
+        ]
+        assert float(line["return_mean"]) == pytest.approx(np.mean(gained), abs=2e-6)
+        assert float(line["return_error"]) == pytest.approx(np.std(gained, ddof=1) / np.sqrt(3), abs=2e-6)
+    for home, away in zip(lines[::2], lines[1::2], strict=True):
+        assert float(away["gap"]) == pytest.approx(float(home["return_mean"]) - float(away["return_mean"]), abs=2e-6)
+
+
+def test_worlds_are_the_policy_s_own_and_the_robot_s(here: Path, capsys: pytest.CaptureFixture[str]):
+    words = ["trot.onnx", "--to", "mujoco", "--runs", "2", "--set", "voltage=15", "--from-set", "base_mass_ratio=1.1"]
+    found = result([*words, "--to-set", "base_mass_ratio=0.9", "voltage=14"], capsys)
+    (policy,) = found["policies"]
+    at_home = {"control_latency": 0.0, "servo_latency": 0.0, "voltage": 15.0, "base_mass_ratio": 1.1}
+    assert policy["home"] == {"actuator": "constraint", "params": at_home}
+    assert policy["away"] == {"actuator": "dc", "params": {"voltage": 14.0, "base_mass_ratio": 0.9}}
+    assert (found["robot"], found["from"], found["to"], found["runs"]) == ("minitaur", "mujoco", ["mujoco"], 2)
+    assert found["pooled"] is None
+    home, away = (EpisodeTrace.load(here / "gap/trot" / world / "run_001.npz") for world in ("mujoco", "mujoco-away"))
+    nominal = RobotDescription.load("minitaur").nominal_params()
+    for name, value in at_home.items():
+        assert home.meta["params"][name] == pytest.approx(value)
+    assert away.meta["params"]["control_latency"] == nominal["control_latency"]
+    assert away.meta["params"]["servo_latency"] == nominal["servo_latency"]
+    assert (home.meta["actuator"], away.meta["actuator"]) == ("constraint", "dc")
+    assert home.meta["world"] == away.meta["world"] == "mujoco"
+
+
+def test_the_same_worlds_have_no_gap_and_the_seed_counts(here: Path, capsys: pytest.CaptureFixture[str]):
+    first = result(["gallop.onnx", "--to", "mujoco"], capsys)
+    home, away = first["policies"][0]["worlds"]
+    # Runs start alike on both sides, and the gallop was trained in the world of the data sheet.
+    assert away["gap"] == 0
+    assert home["return_mean"] == away["return_mean"]
+    other = result(["gallop.onnx", "--to", "mujoco", "--seed", "2"], capsys)
+    assert other["policies"][0]["worlds"][0]["return_mean"] != home["return_mean"]
+    assert result(["gallop.onnx", "--to", "mujoco"], capsys) == first
+    # A weaker motor and the ideal one are not the same robot.
+    ideal = result(["gallop.onnx", "--to", "mujoco", "--to-actuator", "constraint"], capsys)
+    assert ideal["policies"][0]["away"]["actuator"] == "constraint"
+    assert ideal["policies"][0]["worlds"][1]["gap"] != 0
+
+
+def test_fewer_runs_leave_none_of_the_old_ones(here: Path, capsys: pytest.CaptureFixture[str]):
+    result(["gallop.onnx", "--to", "mujoco", "--runs", "3"], capsys)
+    found = result(["gallop.onnx", "--to", "mujoco", "--runs", "1"], capsys)
+    assert [path.name for path in (here / "gap/gallop/mujoco").iterdir()] == RUNS[:1]
+    home, away = found["policies"][0]["worlds"]
+    assert (home["return_error"], away["gap_error"]) == (None, None)
+
+
+def test_recorded_runs_give_the_same_report(here: Path, capsys: pytest.CaptureFixture[str]):
+    words = ["trot.onnx", "gallop.onnx", "--runs", "2"]
+    simulated = result([*words, "--to", "mujoco", "--to-set", "voltage=13"], capsys)
+    shutil.copytree("gap/trot/mujoco-away", "robot/monday/trot")
+    shutil.copytree("gap/gallop/mujoco-away", "robot/tuesday")
+    for path in Path("robot").rglob("*.npz"):
+        trace = EpisodeTrace.load(path)
+        trace.meta["world"] = "lab"
+        trace.save(path)
+    recorded = result([*words, "--to", "trace", "robot", "--out", "told"], capsys)
+    for one, other in zip(simulated["policies"], recorded["policies"], strict=True):
+        assert other["worlds"][0] == one["worlds"][0]
+        assert other["worlds"][1] == one["worlds"][1] | {"world": "lab"}
+    assert not Path("told/trot/lab").exists()
+    assert {run["trace"] for run in read(Path("told/runs.csv")) if run["world"] == "lab"} == set(
+        map(str, Path("robot").rglob("*.npz"))
+    )
+    turned = result([*words, "--from", "trace", "robot", "--to", "mujoco", "--out", "turned"], capsys)
+    assert turned["from"] == "trace robot"
+    assert [row["world"] for row in turned["pooled"]] == ["lab", "mujoco"]
+    assert turned["pooled"][0]["return_mean"] == recorded["pooled"][1]["return_mean"]
+
+
+def test_a_robot_without_motion_capture(here: Path, capsys: pytest.CaptureFixture[str]):
+    result(["gallop.onnx", "--to", "mujoco", "--runs", "2"], capsys)
+    for path in Path("gap/gallop/mujoco").iterdir():
+        trace = EpisodeTrace.load(path)
+        arrays = {name: getattr(trace, name) for name in EpisodeTrace.__dataclass_fields__}
+        arrays["base_position_world"] = np.full_like(trace.base_position_world, np.nan)
+        arrays["meta"] = {**trace.meta, "world": "robot", "policy": ""}
+        EpisodeTrace(**arrays).save(Path("robot") / path.name)
+    words = ["gallop.onnx", "--to", "trace", "robot", "--out", "told", "--runs", "2"]
+    found = result(words, capsys)
+    home, away = found["policies"][0]["worlds"]
+    assert [away[key] for key in ("return_mean", "speed_mean", "distance_mean", "gap")] == [None] * 4
+    assert (away["power_mean"], away["falls"], away["success_rate"]) == (pytest.approx(home["power_mean"]), 0, 1.0)
+    assert main(["gap", *words, *ONE]) == 0
+    (line,) = [line for line in capsys.readouterr().out.splitlines() if " robot " in line]
+    assert re.fullmatch(r" +robot +- +- +- +[\d.]+ +0 of 2 +100 % *", line)
+
+
+@pytest.mark.parametrize(
+    ("line", "parts"),
+    [
+        ("--to mujoco", ("no policy is given",)),
+        ("gallop.onnx", ("no --to is given; it takes the name of a world, or trace FOLDER",)),
+        ("gallop.onnx --to moon", ("world 'moon' does not exist; choices: mujoco, bullet",)),
+        ("gallop.onnx --to trace", ("--to is 'trace'; it takes the name of a world, or trace FOLDER",)),
+        ("gallop.onnx --to mujoco bullet", ("--to is 'mujoco bullet'; it takes",)),
+        ("gallop.onnx --to mujoco --to mujoco", ("--to mujoco is given twice",)),
+        ("gallop.onnx --from moon --to mujoco", ("world 'moon' does not exist",)),
+        ("gallop.onnx --to mujoco --runs 0", ("runs is 0; it must be 1 or more",)),
+        ("gallop.onnx --to mujoco --seed -1", ("seed is -1; it must be 0 or more",)),
+        ("gallop.onnx nowhere --to mujoco", ("policy 'nowhere' does not exist",)),
+        ("gallop.onnx --to mujoco --to-set strength=1", ("'strength' is no physical parameter",)),
+        ("gallop.onnx --to mujoco --from-set motor_strength=9", ("motor_strength is 9; minitaur allows 0 to 2",)),
+        ("gallop.onnx --to mujoco --to-actuator servo", ("servo",)),
+        ("gallop.onnx --to mujoco --out /dev/null/gap", ("/dev/null",)),
+        ("gallop.onnx --to trace nowhere", ("trace folder nowhere does not exist",)),
+        ("gallop.onnx --to trace empty", ("trace folder empty holds no traces",)),
+        ("gallop.onnx --to trace cut", ("cut.npz", "cut off or damaged")),
+        ("gallop.onnx --to trace other", ("is of robot 'maxitaur'; the policies are for 'minitaur'",)),
+        ("trot.onnx --to trace mine", ("is of policy 'gallop'; policies: trot",)),
+        ("gallop.onnx trot.onnx --to trace mine", ("is of policy 'trot'; each policy needs 1 or more",)),
+        ("gallop.onnx --to trace mine --to-set voltage=15", ("--to-set is given, but nothing is simulated",)),
+        ("gallop.onnx --to trace mine --to-actuator constraint", ("--to-actuator is given, but nothing",)),
+        ("gallop.onnx --from trace mine --to mujoco --from-set voltage=15", ("--from-set is given, but nothing",)),
+        ("gallop.onnx --to trace mine --out mine/gap", ("lie one in the other",)),
+        ("gallop.onnx --to trace .", ("lie one in the other",)),
+    ],
+)
+def test_what_does_not_fit_is_refused(
+    line: str, parts: tuple[str, ...], here: Path, capsys: pytest.CaptureFixture[str]
+):
+    if "trace" in line:
+        for folder in ("empty", "cut", "other", "mine"):
+            (here / folder).mkdir()
+        from surefoot.cli.policies import load_policy
+        from surefoot.evaluate.rollout import run_episodes
+        from surefoot.world.sim_world import SimWorld
+
+        policy, _, task = load_policy(here / "gallop.onnx", None)
+        (trace,) = run_episodes(policy, task, 1, SimWorld, threads=1, policy_name="gallop")
+        whole = trace.save(here / "mine" / "run.npz").read_bytes()
+        (here / "cut" / "cut.npz").write_bytes(whole[: len(whole) // 2])
+        trace.meta["robot"] = "maxitaur"
+        trace.save(here / "other" / "run.npz")
+    refused(line.split(), capsys, *parts)
+
+
+def test_policies_for_different_robots_are_refused(here: Path, capsys: pytest.CaptureFixture[str]):
+    robot = here / "maxitaur"
+    robot.mkdir()
+    for file in RobotDescription.load("minitaur").folder.iterdir():
+        if file.is_file():
+            (robot / file.name).write_bytes(file.read_bytes())
+    sheet = robot / "robot.toml"
+    sheet.write_text(sheet.read_text().replace('name = "minitaur"', 'name = "maxitaur"'))
+
+    def other(contract: dict[str, Any]) -> None:
+        contract["robot"], contract["task"]["robot"] = "maxitaur", str(robot)
+
+    rewrite("trot", here / "other.onnx", other)
+    refused(["gallop.onnx", "other.onnx", "--to", "mujoco"], capsys, "policy 'trot' is for robot 'maxitaur'")
+
+    def confused(contract: dict[str, Any]) -> None:
+        contract["motor_signs"] = [-sign for sign in contract["motor_signs"]]
+
+    rewrite("trot", here / "confused.onnx", confused)
+    refused(["confused.onnx", "--to", "mujoco"], capsys, "policy 'trot' has sign")
+
+
+def test_motors_that_overheat_go_with_dc_motors_only(here: Path, capsys: pytest.CaptureFixture[str]):
+    rewrite("trot", here / "hot.onnx", lambda contract: contract["task"].update(thermal_protection=True))
+    words = ["hot.onnx", "--to", "mujoco", "--to-actuator", "constraint"]
+    refused(words, capsys, "thermal_protection is of DC motors; it goes with actuator dc only")
+
+
+def test_sides_have_names_of_their_own():
+    worlds, folder = [Side("mujoco"), Side("mujoco")], Side(folder=Path("a/robot"))
+    assert labels(["mujoco", "mujoco"], worlds) == ["mujoco", "mujoco-away"]
+    assert labels(["mujoco", "mujoco", "lab"], [*worlds, folder]) == ["mujoco", "mujoco-away", "lab"]
+    assert labels(["lab", "lab", "lab"], [folder, folder, Side(folder=Path("b/robot"))]) == [
+        *("lab", "lab-robot", "lab-robot-2")
+    ]
+    assert Side.of_words("--to", ("trace", "x y")) == Side(folder=Path("x y"))
+    with pytest.raises(SurefootError, match="--to is 'nothing'"):
+        Side.of_words("--to", ())
+
+
+@pytest.mark.parametrize(("name", "folder"), [("trot", "trot"), ("a/b c", "a-b-c"), ("..", "policy"), ("v1.2", "v1.2")])
+def test_folders_of_policies_stay_in_the_folder(name: str, folder: str):
+    assert folder_name(name) == folder
+
+
+def hidden(module: str, *words: str, cwd: Path) -> subprocess.CompletedProcess[str]:
+    """Run the command line in a process where a module can't be found."""
+    script = (
+        f"import sys; sys.modules[{module!r}] = None\nfrom surefoot.cli.main import main\nsys.exit(main(sys.argv[1:]))"
+    )
+    env = os.environ | {"PYTHONPATH": str(Path(__file__).resolve().parents[2] / "src")}
+    command = [sys.executable, "-c", script, *words]
+    return subprocess.run(command, capture_output=True, text=True, timeout=120, env=env, cwd=cwd)
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "gap gallop.onnx --to bullet",
+        "gap gallop.onnx --from bullet --to mujoco",
+        "evaluate gallop.onnx --world bullet --out out",
+        "play gallop.onnx --world bullet",
+        "sensitivity gallop.onnx --world bullet",
+    ],
+)
+def test_without_bullet_one_line_tells_how_to_get_it(line: str, here: Path):
+    before = sorted(here.iterdir())
+    done = hidden("pybullet", *line.split(), cwd=here)
+    assert done.returncode == 2
+    assert done.stdout == ""
+    told = "surefoot: error: this needs pybullet, which is not installed: pip install 'surefoot[bullet]'\n"
+    assert done.stderr == told
+    assert sorted(here.iterdir()) == before
+
+
+def test_what_is_wrong_is_told_before_anything_heavy_is_loaded():
+    script = (
+        "import sys; from surefoot.cli.main import main; main(['gap', 'no.onnx', '--to', 'bullet', '--runs', '0']);"
+        "print([m for m in ('torch', 'mujoco', 'numba', 'matplotlib', 'pybullet') if m in sys.modules])"
+    )
+    env = os.environ | {"PYTHONPATH": str(Path(__file__).resolve().parents[2] / "src")}
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, env=env)
+    assert done.stdout.strip() == "[]"
+
+
+def test_bullet_is_another_world(here: Path, capsys: pytest.CaptureFixture[str]):
+    pytest.importorskip("pybullet")
+    found = result(["gallop.onnx", "--to", "bullet", "--runs", "2"], capsys)
+    home, away = found["policies"][0]["worlds"]
+    assert (home["world"], away["world"]) == ("mujoco", "bullet")
+    assert away["gap"] != 0
+    trace = EpisodeTrace.load(here / "gap/gallop/bullet/run_001.npz")
+    assert trace.meta["world"] == "bullet"
+    assert main(["evaluate", "gallop.onnx", "--world", "bullet", "--episodes", "2", "--json", *ONE]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["world"] == "bullet"
+    # The same two episodes: the gallop was trained on the robot of the data sheet.
+    assert told["return_mean"] == away["return_mean"]

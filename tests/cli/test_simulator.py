@@ -1,0 +1,158 @@
+"""`--actuator`, `--control-latency` and `--servo-latency`: as words, and as a user gives them."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from surefoot.cli.main import main
+from surefoot.cli.simulator import Simulator, simulator_help, take_simulator
+from surefoot.errors import SurefootError
+from surefoot.task.config import TaskConfig
+
+pytest.importorskip("mujoco")
+pytest.importorskip("matplotlib")
+
+TASK = TaskConfig(params={"voltage": 15.0, "control_latency": 0.02})
+
+
+@pytest.fixture(autouse=True)
+def _elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+
+
+def refused(words: list[str], capsys: pytest.CaptureFixture[str], *parts: str) -> None:
+    """Exit code 2, nothing on stdout, one line on stderr that has all parts, no file."""
+    assert main(words) == 2
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert said.err.startswith("surefoot: error: ")
+    assert said.err.count("\n") == 1
+    for part in parts:
+        assert part in said.err
+    assert list(Path().iterdir()) == []
+
+
+# --- words ------------------------------------------------------------------------------------------------
+
+
+def test_without_options_the_task_stays():
+    assert take_simulator(["--seed", "3"], "p") == (["--seed", "3"], Simulator())
+    assert Simulator().of(TASK) == TASK
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "--steps 9 --actuator constraint --control-latency 0 --servo-latency 0.003 --pushes",
+        "--actuator=constraint --steps 9 --control-latency=0 --servo-latency=3e-3 --pushes",
+        "--servo_latency 0.003 --steps 9 --control_latency 0.0 --pushes --actuator constraint",
+    ],
+)
+def test_options_are_taken_out_of_the_words(line: str):
+    rest, simulator = take_simulator(line.split(), "p")
+    assert rest == ["--steps", "9", "--pushes"]
+    assert simulator == Simulator("constraint", 0.0, 0.003)
+    task = simulator.of(TASK)
+    assert task == replace(
+        TASK, actuator="constraint", params={"voltage": 15.0, "control_latency": 0.0, "servo_latency": 0.003}
+    )
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        ("--actuator", "--actuator has no value; it takes dc, constraint"),
+        ("--actuator --pushes", "--actuator has no value"),
+        ("--control-latency", "--control-latency has no value; it takes a time in seconds"),
+        ("--actuator servo", "servo"),
+        ("--servo-latency soon", "soon"),
+    ],
+)
+def test_words_that_do_not_fit_are_refused(line: str, message: str):
+    with pytest.raises(SurefootError, match=message):
+        take_simulator(line.split(), "p")
+
+
+def test_settings_go_over_the_task_and_not_over_the_options():
+    assert Simulator().of(TASK, {"control_latency": 0.01}).params["control_latency"] == 0.01
+    with pytest.raises(SurefootError, match="control_latency is given twice, by --control-latency and by --set"):
+        Simulator(control_latency=0.0).of(TASK, {"control_latency": 0.01})
+
+
+def test_help_names_every_option():
+    for option in ("--actuator dc|constraint", "--control-latency SECONDS", "--servo-latency SECONDS"):
+        assert f"  {option}" in simulator_help()
+
+
+# --- commands ---------------------------------------------------------------------------------------------
+
+
+def test_an_evaluation_in_another_simulator(capsys: pytest.CaptureFixture[str]):
+    results = []
+    for words in ([], ["--actuator", "constraint", "--control-latency", "0", "--servo-latency", "0"]):
+        assert main(["evaluate", "trot", "--episodes", "1", "--threads", "1", "--json", *words]) == 0
+        results.append(json.loads(capsys.readouterr().out))
+    own, ideal = results
+    assert (own["actuator"], own["set"]) == ("dc", {})
+    assert (ideal["actuator"], ideal["set"]) == ("constraint", {"control_latency": 0.0, "servo_latency": 0.0})
+    assert own["distance_mean"] != ideal["distance_mean"]
+
+
+def test_a_sensitivity_study_in_another_simulator(capsys: pytest.CaptureFixture[str]):
+    Path("ranges.yaml").write_text("mass: [0.9, 1.1]\n")
+    words = ["--values", "2", "--episodes", "1", "--duration", "0.12", "--threads", "1", "--ranges", "ranges.yaml"]
+    results = []
+    for more in ([], ["--actuator", "constraint", "--control-latency", "0"]):
+        assert main(["sensitivity", "trot", *words, "--json", *more]) == 0
+        (policy,) = json.loads(capsys.readouterr().out)["policies"]
+        results.append(policy)
+    own, ideal = results
+    assert (own["actuator"], own["params"]) == ("dc", {})
+    assert (ideal["actuator"], ideal["params"]) == ("constraint", {"control_latency": 0.0})
+    assert own["nominal_return"] != ideal["nominal_return"]
+
+
+def test_train_help_shows_the_options(capsys: pytest.CaptureFixture[str]):
+    assert main(["train", "--help"]) == 0
+    assert simulator_help() in capsys.readouterr().out
+
+
+def test_a_training_takes_the_options():
+    pytest.importorskip("torch")
+    from surefoot.cli.train import _parse
+
+    words = ["trot", "--actuator", "constraint", "--control-latency", "0", "--task.max-steps", "60", "--pushes"]
+    config, _ = _parse(words)
+    assert (config.task.actuator, config.task.params) == ("constraint", {"control_latency": 0.0})
+    assert (config.task.max_steps, config.task.pushes.enabled) == (60, True)
+    assert _parse(["trot"])[0].task.actuator == "dc"
+
+
+@pytest.mark.parametrize(
+    ("line", "parts"),
+    [
+        ("evaluate trot --actuator servo", ("servo",)),
+        ("evaluate trot --control-latency 1 --out o", ("control_latency is 1; minitaur allows 0 to 0.1",)),
+        ("evaluate trot --servo-latency -0.001 --out o", ("servo_latency is -0.001; minitaur allows",)),
+        (
+            "evaluate trot --actuator constraint --thermal-protection --out o",
+            ("thermal_protection is of DC motors; it goes with actuator dc only",),
+        ),
+        ("play trot --control-latency 1", ("control_latency is 1; minitaur allows 0 to 0.1",)),
+        ("sensitivity trot --control-latency 1", ("control_latency is 1; minitaur allows 0 to 0.1",)),
+        ("sensitivity trot --actuator servo", ("servo",)),
+        ("train trot --control-latency 1", ("control_latency is 1; minitaur allows 0 to 0.1",)),
+        ("train trot --actuator servo", ("servo",)),
+        ("train trot --actuator constraint --task.thermal-protection", ("thermal_protection is of DC motors",)),
+    ],
+)
+def test_what_does_not_fit_is_refused_before_anything_is_done(
+    line: str, parts: tuple[str, ...], capsys: pytest.CaptureFixture[str]
+):
+    if line.startswith("train"):
+        pytest.importorskip("torch")
+    refused(line.split(), capsys, *parts)

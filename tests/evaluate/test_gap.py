@@ -1,0 +1,166 @@
+"""The reality gap against numbers worked by hand."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from surefoot.errors import SurefootError
+from surefoot.evaluate.gap import Estimate, PolicyGap, Runs, away_task, home_task, top
+from surefoot.task.config import TaskConfig
+from surefoot.task.randomize import RandomizeConfig
+from surefoot.task.trace import EpisodeTrace
+
+MakeRun = Callable[..., EpisodeTrace]
+
+
+def runs_of(*returns: float, world: str = "mujoco", fell: bool = False) -> Runs:
+    """Runs with these returns, each 1 m/s at 10 W."""
+    numbers = np.array(returns)
+    ones, flags = np.ones(len(numbers)), np.full(len(numbers), fell)
+    return Runs(world, numbers, numbers + 1, ones, 10 * ones, 100 * ones, flags, ~flags)
+
+
+def test_an_estimate_is_the_mean_and_its_standard_error():
+    # Deviations -1, 0, 1: variance 1, of the mean 1/3.
+    estimate = Estimate.of([1.0, 2.0, 3.0])
+    assert estimate.mean == 2.0
+    assert estimate.error == pytest.approx(1 / math.sqrt(3))
+
+
+def test_what_is_not_known_is_left_out_of_an_estimate():
+    assert Estimate.of([math.nan, 1.0, 3.0]) == Estimate(2.0, 1.0)
+    alone = Estimate.of([math.nan, 4.0])
+    assert alone.mean == 4.0
+    assert math.isnan(alone.error)
+    for nothing in ([], [math.nan, math.nan]):
+        estimate = Estimate.of(nothing)
+        assert math.isnan(estimate.mean)
+        assert math.isnan(estimate.error)
+
+
+def test_errors_of_a_difference_add_in_squares():
+    assert Estimate(5.0, 0.3) - Estimate(3.0, 0.4) == Estimate(2.0, pytest.approx(0.5))
+
+
+def test_runs_are_measured_from_traces(make_run: MakeRun):
+    traces = [
+        make_run(distance=3.0, energy=100.0, steps=200),
+        make_run(distance=1.0, energy=50.0, steps=100, ended="fall"),
+        make_run(distance=2.0, energy=0.0, steps=50, ended="stopped"),
+    ]
+    runs = Runs.of_traces(traces)
+    assert (runs.world, len(runs)) == ("mujoco", 3)
+    np.testing.assert_allclose(runs.returns, [3.0 - 0.8, 1.0 - 0.4, 2.0])
+    np.testing.assert_allclose(runs.distance, [3.0, 1.0, 2.0])
+    np.testing.assert_allclose(runs.speed, [1.5, 1.0, 4.0])
+    np.testing.assert_allclose(runs.power, [50.0, 50.0, 0.0])
+    assert runs.steps.tolist() == [200, 100, 50]
+    assert runs.fell.tolist() == [False, True, False]
+    # Stopped by hand is no fall, and no success either.
+    assert runs.balanced.tolist() == [True, False, False]
+    assert runs.success_rate == pytest.approx(1 / 3)
+
+
+def test_a_robot_that_is_not_seen_tells_its_power(make_run: MakeRun):
+    runs = Runs.of_traces([make_run(distance=math.nan, energy=100.0, steps=100, world="robot") for _ in range(2)])
+    assert np.isnan(runs.returns).all()
+    assert np.isnan(runs.speed).all()
+    assert runs.estimate("power") == Estimate(pytest.approx(100.0), pytest.approx(0.0))
+    assert runs.success_rate == 1.0
+    gap = PolicyGap("p", runs_of(1.0, 2.0), (runs,)).gap("robot")
+    assert math.isnan(gap.mean)
+    assert math.isnan(gap.error)
+
+
+def test_one_unknown_run_of_several_does_not_spoil_the_others(make_run: MakeRun):
+    runs = Runs.of_traces([make_run(3.0, 0.0), make_run(math.nan, 0.0), make_run(1.0, 0.0)])
+    assert runs.estimate("returns") == Estimate(2.0, 1.0)
+
+
+def test_worlds_are_not_mixed(make_run: MakeRun):
+    traces = [make_run(world="mujoco"), make_run(world="bullet")]
+    with pytest.raises(SurefootError, match="several worlds: bullet, mujoco"):
+        Runs.of_traces(traces)
+    assert Runs.of_traces(traces, "both").world == "both"
+    with pytest.raises(SurefootError, match="no runs"):
+        Runs.of_traces([])
+
+
+def test_the_gap_is_home_less_away():
+    policy = PolicyGap("p", runs_of(4.0, 6.0), (runs_of(1.0, 3.0, world="bullet"), runs_of(6.0, world="robot")))
+    assert policy.gap("bullet") == Estimate(3.0, pytest.approx(math.sqrt(2)))
+    assert policy.gap("robot").mean == -1.0
+    assert math.isnan(policy.gap("robot").error)
+    with pytest.raises(SurefootError, match="no runs in 'moon'; worlds: bullet, robot"):
+        policy.gap("moon")
+
+
+def test_pooled_policies_are_all_their_runs():
+    first = PolicyGap("a", runs_of(4.0, 6.0), (runs_of(1.0, world="bullet", fell=True),))
+    second = PolicyGap("b", runs_of(8.0), (runs_of(3.0, 5.0, world="bullet"),))
+    pooled = PolicyGap.pooled("both", [first, second])
+    assert pooled.home.returns.tolist() == [4.0, 6.0, 8.0]
+    assert pooled.away[0].returns.tolist() == [1.0, 3.0, 5.0]
+    assert pooled.away[0].success_rate == pytest.approx(2 / 3)
+    assert pooled.gap("bullet").mean == 3.0
+    assert pooled.gap("bullet").error == pytest.approx(math.hypot(2 / math.sqrt(3), 2 / math.sqrt(3)))
+    with pytest.raises(SurefootError, match="different worlds"):
+        PolicyGap.pooled("both", [first, PolicyGap("c", runs_of(1.0), (runs_of(1.0, world="robot"),))])
+
+
+def test_worlds_are_pooled_by_name_and_not_by_place():
+    with pytest.raises(SurefootError, match="different worlds"):
+        PolicyGap.pooled(
+            "both",
+            [
+                PolicyGap("a", runs_of(1.0), (runs_of(1.0, world="x"), runs_of(2.0, world="y"))),
+                PolicyGap("b", runs_of(1.0), (runs_of(2.0, world="y"), runs_of(1.0, world="x"))),
+            ],
+        )
+
+
+def test_runs_come_back_from_json(make_run: MakeRun):
+    runs = Runs.of_traces([make_run(3.0, ended="fall"), make_run(math.nan)])
+    text = json.dumps(runs.to_mapping(), allow_nan=False)
+    again = Runs.from_mapping(json.loads(text))
+    assert again.world == runs.world
+    for name in ("returns", "distance", "speed", "power", "steps", "fell", "balanced"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(runs, name))
+        assert getattr(again, name).dtype == getattr(runs, name).dtype
+
+
+def test_the_policies_that_are_best_at_home_come_first():
+    returns = {"a": 2.0, "b": 3.0, "c": 1.0}
+    policies = [PolicyGap(name, runs_of(value), (runs_of(9 - value),)) for name, value in returns.items()]
+    assert [policy.name for policy in top(policies, 2)] == ["b", "a"]
+    worst = top(policies, 1, by=lambda policy: -policy.home.estimate("returns").mean)
+    assert [policy.name for policy in worst] == ["c"]
+
+
+TRAINED = TaskConfig(
+    actuator="constraint",
+    params={"control_latency": 0.0, "servo_latency": 0.0},
+    randomize=RandomizeConfig(mass=(0.8, 1.2)),
+)
+
+
+def test_at_home_nothing_is_drawn_and_nothing_pushed():
+    pushed = replace(TRAINED, pushes=replace(TRAINED.pushes, enabled=True))
+    home = home_task(pushed)
+    assert (home.actuator, home.params) == ("constraint", {"control_latency": 0.0, "servo_latency": 0.0})
+    assert not home.randomize.ranges
+    assert not home.pushes.enabled
+    assert home.pushes == replace(TRAINED.pushes, enabled=False)
+    assert replace(home, randomize=pushed.randomize, pushes=pushed.pushes) == pushed
+
+
+def test_away_the_robot_is_as_its_data_sheet_says():
+    away = away_task(TRAINED)
+    assert (away.actuator, away.params) == ("dc", {})
+    assert replace(away, actuator="constraint", params=TRAINED.params) == home_task(TRAINED)
