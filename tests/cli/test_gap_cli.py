@@ -159,6 +159,21 @@ def test_fewer_runs_leave_none_of_the_old_ones(here: Path, capsys: pytest.Captur
     assert (home["return_error"], away["gap_error"]) == (None, None)
 
 
+def test_runs_last_as_long_in_every_world(here: Path, capsys: pytest.CaptureFixture[str]):
+    words = ["gallop.onnx", "--to", "mujoco", "--runs", "1", "--to-set", "control_step=0.012"]
+    result(words, capsys)
+    steps = [int(run["steps"]) for run in read(Path("gap/runs.csv"))]
+    assert steps == [60, 30]
+    result([*words, "--duration", "0.12"], capsys)
+    assert [int(run["steps"]) for run in read(Path("gap/runs.csv"))] == [20, 10]
+    assert main(["gap", "gallop.onnx", "--to", "trace", "gap/gallop/mujoco", "--out", "told", *ONE]) == 2
+    told = "its run was to last 0.12 s, the others last 0.36 s; give --duration 0.12 to compare"
+    assert told in capsys.readouterr().err
+    assert not Path("told").exists()
+    found = result(["gallop.onnx", "--to", "trace", "gap/gallop/mujoco", "--out", "told", "--duration", "0.12"], capsys)
+    assert found["policies"][0]["worlds"][1]["runs"] == 1
+
+
 def test_recorded_runs_give_the_same_report(here: Path, capsys: pytest.CaptureFixture[str]):
     words = ["trot.onnx", "gallop.onnx", "--runs", "2"]
     simulated = result([*words, "--to", "mujoco", "--to-set", "voltage=13"], capsys)
@@ -211,6 +226,7 @@ def test_a_robot_without_motion_capture(here: Path, capsys: pytest.CaptureFixtur
         ("gallop.onnx --to mujoco --to mujoco", ("--to mujoco is given twice",)),
         ("gallop.onnx --from moon --to mujoco", ("world 'moon' does not exist",)),
         ("gallop.onnx --to mujoco --runs 0", ("runs is 0; it must be 1 or more",)),
+        ("gallop.onnx --to mujoco --duration 0", ("duration is 0 s; it must be over 0",)),
         ("gallop.onnx --to mujoco --seed -1", ("seed is -1; it must be 0 or more",)),
         ("gallop.onnx nowhere --to mujoco", ("policy 'nowhere' does not exist",)),
         ("gallop.onnx --to mujoco --to-set strength=1", ("'strength' is no physical parameter",)),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from surefoot.cli.evaluate import Settings
-from surefoot.cli.gap_sides import Side, check_heeded, check_sides, folder_name, labels
+from surefoot.cli.gap_sides import Side, check_heeded, check_lengths, check_sides, folder_name, labels
 from surefoot.cli.parsing import parse
 from surefoot.cli.simulator import Simulator
 from surefoot.errors import SurefootError
@@ -47,6 +47,8 @@ class GapCommand:
     """Another world: mujoco or bullet, or recorded traces; as often as you like."""
     runs: int = 3
     """Runs of each policy in each world."""
+    duration: float | None = None
+    """Length of a run [s], the same in all worlds; that of the policy's task, if not given."""
     settings: Settings = ()
     """Physical parameters in all worlds, such as contact_friction=0.8."""
     from_settings: Annotated[
@@ -81,6 +83,8 @@ def main(argv: list[str]) -> int:
     for name, number, least in (("runs", command.runs, 1), ("seed", command.seed, 0)):
         if number < least:
             raise SurefootError(f"{name} is {number}; it must be {least} or more")
+    if command.duration is not None and not 0 < command.duration < math.inf:
+        raise SurefootError(f"duration is {command.duration:g} s; it must be over 0")
     if not command.policies:
         raise SurefootError("no policy is given; give one or more .onnx files, or names of policies that ship")
     home, away = Side.of_words("--from", command.home), [Side.of_words("--to", words) for words in command.away]
@@ -96,6 +100,7 @@ def main(argv: list[str]) -> int:
             check_heeded(option, sides)
     from surefoot.cli.policies import distinct_names, find_policy, find_world, load_policies
     from surefoot.evaluate.recorded import by_policy, find_traces, world_of
+    from surefoot.evaluate.sensitivity import episode_duration
 
     paths = [find_policy(policy) for policy in command.policies]
     makers = {side: find_world(side.world) for side in (home, *away) if side.world}
@@ -106,6 +111,8 @@ def main(argv: list[str]) -> int:
     recorded = {side: by_policy(traces, names, robot.name) for side, traces in found.items()}
     worlds = [world_of(found[side]) if side in found else side.world for side in (home, *away)]
     named = labels(worlds, (home, *away))
+    for one, (at_home, _) in zip(candidates, tasks, strict=True):
+        check_lengths([trace for given in recorded.values() for trace in given[one.name]], episode_duration(at_home))
     import_module("matplotlib")
     command.out.mkdir(parents=True, exist_ok=True)
     folders = distinct_names(cleaned := [folder_name(name) for name in names], cleaned)
@@ -122,10 +129,12 @@ def main(argv: list[str]) -> int:
 
 
 def _tasks(command: GapCommand, task: TaskConfig, robot: RobotDescription) -> tuple[TaskConfig, TaskConfig]:
-    """The task of a policy at home, and in the other worlds."""
+    """The task of a policy at home, and in the other worlds, lasting as long."""
     from surefoot.cli.policies import adjust_task
     from surefoot.evaluate.gap import away_task, home_task
+    from surefoot.evaluate.sensitivity import episode_duration
 
+    duration = command.duration or episode_duration(task)
     at_home = adjust_task(home_task(task), robot, (*command.settings, *command.from_settings), command.pushes)
     elsewhere = adjust_task(
         away_task(task),
@@ -133,6 +142,11 @@ def _tasks(command: GapCommand, task: TaskConfig, robot: RobotDescription) -> tu
         (*command.settings, *command.to_settings),
         command.pushes,
         simulator=Simulator(actuator=command.to_actuator),
+    )
+    # Returns over different times could not be compared, whatever the control step of each world.
+    steps = [duration / one.params.get("control_step", robot.timing.control_step) for one in (at_home, elsewhere)]
+    at_home, elsewhere = (
+        replace(one, max_steps=max(round(count), 1)) for one, count in zip((at_home, elsewhere), steps, strict=True)
     )
     return at_home, elsewhere
 

@@ -6,10 +6,16 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from surefoot.errors import SurefootError
 
+if TYPE_CHECKING:
+    from surefoot.task.trace import EpisodeTrace
+
 TRACE = "trace"
+_SAME = 0.01
+"""Share of a length by which lengths may differ: whole control steps rarely make it exactly."""
 
 
 @dataclass(frozen=True)
@@ -67,6 +73,25 @@ def check_sides(out: Path, home: Side, away: Sequence[Side]) -> None:
                 raise SurefootError(
                     f"--out {out} and the traces of {side.folder} lie one in the other; give --out a folder of its own"
                 )
+
+
+def check_lengths(found: Sequence[tuple[Path, EpisodeTrace]], duration: float) -> None:
+    """Refuse traces of runs that were to last longer or shorter than those that they are compared with.
+
+    Args:
+        found: traces with their files.
+        duration: length of a run [s].
+
+    Raises:
+        SurefootError: one whose return is of another length of time.
+    """
+    for path, trace in found:
+        length = trace.meta["max_steps"] * trace.meta["control_step"]
+        if abs(length - duration) > _SAME * duration:
+            raise SurefootError(
+                f"trace file {path}: its run was to last {length:.3g} s, the others last {duration:.3g} s; "
+                f"give --duration {length:.3g} to compare with runs as long"
+            )
 
 
 def labels(worlds: Sequence[str], sides: Sequence[Side]) -> list[str]:
