@@ -171,7 +171,8 @@ def test_legs_on_the_rack_go_alike(robot: RobotDescription, path, actuator):
     config = WorldConfig(rack=True, actuator=actuator, threads=1)
     one, other = (follow(world, path(robot), 100) for world in both(robot, config=config))
     assert np.ptp(one, axis=0).min() > 0.1
-    assert rms(other - one) < 0.02
+    # .02 rad would do; without contact the two agree far better.
+    assert rms(other - one) < 0.001
 
 
 CHANGED = {

@@ -229,3 +229,8 @@ def test_bullet_in_processes_is_bullet_in_one(robot, trot, assert_same):
     two.set_state(one.get_state())
     assert_same(one.step(trot(15)), two.step(trot(15)))
     two.close()
+
+
+def test_more_robots_than_the_processes_hold_are_refused_at_once(robot):
+    with pytest.raises(SurefootError, match="num_envs is 2001; Bullet holds up to 1000 robots in each of 2 processes"):
+        bullet_world(robot, 2001, config=WorldConfig(threads=2))

@@ -25,10 +25,11 @@ Array = NDArray[np.float64]
 RACK_HEIGHT = 1.0
 """Height [m] of the base on a rack."""
 SOLVER_ITERATIONS = 50
-"""At most; the solver stops earlier when nothing changes any more, and it does: a step costs the same from 20 on.
+"""At most; the solver stops earlier when nothing changes any more.
 
-Loops of a trotting robot stay closed within .02 mm; with 10 iterations within .12 mm, with 5 within .5 mm, but then
-forces along the ground are some percent off.
+Measured on a trot, against 1000 iterations: 50 keep the loops closed within .02 mm (.09 mm with constraint motors) and
+the base within .6 mm over a second. With 10 a step costs 17 % less, but constraint motors open the loops by 1.2 mm and
+end elsewhere.
 """
 LOOP_ERP = 0.2
 """Share of a loop's gap that is closed in a step."""

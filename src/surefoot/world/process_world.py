@@ -218,9 +218,14 @@ def bullet_world(
         SurefootError: as `SimWorld`, or more robots than so many processes can hold.
         ModuleNotFoundError: PyBullet is not installed.
     """
-    from surefoot.world.bullet_engine import bullet_engine
+    from surefoot.world.bullet_engine import MAX_ROBOTS, bullet_engine
 
     config = config or WorldConfig()
-    if processes_for(num_envs, config) == 1:
+    processes = processes_for(num_envs, config)
+    if num_envs > MAX_ROBOTS * processes:
+        raise SurefootError(
+            f"num_envs is {num_envs}; Bullet holds up to {MAX_ROBOTS} robots in each of {processes} processes"
+        )
+    if processes == 1:
         return SimWorld(robot, num_envs, params, seed, config, bullet_engine)
     return ProcessWorld(robot, num_envs, params, seed, config, bullet_engine)

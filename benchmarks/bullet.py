@@ -1,0 +1,158 @@
+"""Control steps per second of the Bullet world, as ratios to Bullet's bare steps and to the MuJoCo world, in one run.
+
+    bare      `stepSimulation` alone, replaying the torques recorded from `one`: the same robots, the same motion
+    one       the Bullet world in one process: servo, motor, delays, sensors and contacts counted around every step
+    all       the Bullet world on all cores
+    mujoco 1  the MuJoCo world on one thread, galloping with the same policy
+    mujoco    the MuJoCo world on all cores
+
+Each is timed in turns, several rounds; the median is reported. A control step here is that of one robot, 6 physics
+steps. `one` is compared with `bare` on one core, `all` with `one`, and each Bullet world with the MuJoCo world on as
+many cores.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import statistics
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from surefoot.cli.policies import find_policy
+from surefoot.evaluate.rollout import task_from_contract
+from surefoot.policy.runtime import PolicyRuntime
+from surefoot.robot import PhysicalParams
+from surefoot.task.env import LocomotionEnv
+from surefoot.world.bullet_model import import_pybullet
+from surefoot.world.interface import Simulation, SimulationFactory, WorldConfig
+from surefoot.world.process_world import bullet_world
+from surefoot.world.sim_world import SimWorld
+
+
+class Bench:
+    """The worlds, set up once, each with a method that runs it and returns (control steps, seconds)."""
+
+    def __init__(self, num_envs: int, steps: int, processes: int) -> None:
+        self.num_envs, self.steps = num_envs, steps
+        self.policy = PolicyRuntime.load(find_policy("gallop"))
+        self.bullet_targets = self._targets(bullet_world)
+        self.mujoco_targets = self._targets(SimWorld)
+        self.one_world = self._make(bullet_world, 1)
+        self.all_world = self._make(bullet_world, processes)
+        self.mujoco_one = self._make(SimWorld, 1)
+        self.mujoco_all = self._make(SimWorld, processes)
+        self.servo_steps = round(self.policy.contract.control_step / self.robot.timing.servo_step)
+        self.torques, self.final = self._record_torques()
+        self.bare_world = self._make(bullet_world, 1)
+
+    def _targets(self, make_world: SimulationFactory) -> np.ndarray:
+        """Motor angles (steps, N, M) that the policy commands in a world."""
+        task = task_from_contract(self.policy.contract)
+        env = LocomotionEnv(task, self.num_envs, make_world, seed=1, threads=1)
+        self.robot = env.robot
+        observation, _ = env.reset(seed=1)
+        targets = []
+        for _ in range(self.steps):
+            observation, *_ = env.step(env.gait.action(self.policy.feedback(observation)))
+            targets.append(env.world.drive.target.copy())
+        return np.array(targets)
+
+    def _make(self, make_world: SimulationFactory, threads: int) -> Simulation:
+        params = PhysicalParams.nominal(self.robot, self.num_envs)
+        return make_world(self.robot, self.num_envs, params, 1, WorldConfig(threads=threads))
+
+    def _record_torques(self) -> tuple[np.ndarray, np.ndarray]:
+        """Joint torques (control steps x servo steps, N, M) of the Bullet world, and where its robots end."""
+        world: Any = self._make(bullet_world, 1)
+        world.params.control_step[:] = self.robot.timing.servo_step
+        torques = []
+        for target in self.bullet_targets:
+            for _ in range(self.servo_steps):
+                world.step(target)
+                torques.append(world.drive.torque * self.robot.motor_sign)
+        return np.array(torques), world.truth().base_position_world
+
+    def bare(self) -> tuple[int, float]:
+        """Only the time in `stepSimulation` counts."""
+        p, world = import_pybullet(), self.bare_world
+        world.reset()
+        engine: Any = world.engine  # type: ignore[attr-defined]
+        motors, body, seconds = engine.model.motors, engine.model.body, 0.0
+        for torques in self.torques:
+            for client, torque in zip(engine._clients, torques.tolist(), strict=True):
+                p.setJointMotorControlArray(body, motors, p.TORQUE_CONTROL, forces=torque, physicsClientId=client)
+                start = time.perf_counter()
+                p.stepSimulation(client)
+                seconds += time.perf_counter() - start
+        for i in range(self.num_envs):
+            engine._rows[i] = engine._read(i, engine._joints)[: engine._rows.shape[1]]
+        self.replay_error = float(np.abs(world.truth().base_position_world - self.final).max())
+        return self.num_envs * self.steps, seconds
+
+    def _run(self, world: Simulation, targets: np.ndarray) -> tuple[int, float]:
+        world.reset()
+        start = time.perf_counter()
+        for target in targets:
+            world.step(target)
+        return self.num_envs * len(targets), time.perf_counter() - start
+
+    def one(self) -> tuple[int, float]:
+        return self._run(self.one_world, self.bullet_targets)
+
+    def all(self) -> tuple[int, float]:
+        return self._run(self.all_world, self.bullet_targets)
+
+    def mujoco_1(self) -> tuple[int, float]:
+        return self._run(self.mujoco_one, self.mujoco_targets)
+
+    def mujoco(self) -> tuple[int, float]:
+        return self._run(self.mujoco_all, self.mujoco_targets)
+
+
+def main() -> int:
+    """Run all and print rates and ratios."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    parser.add_argument("--num-envs", type=int, default=16)
+    parser.add_argument("--steps", type=int, default=100, help="control steps of each robot")
+    parser.add_argument("--rounds", type=int, default=5)
+    parser.add_argument("--processes", type=int, default=os.cpu_count() or 1)
+    options = parser.parse_args()
+    bench = Bench(options.num_envs, options.steps, options.processes)
+    layers: dict[str, Callable[[], tuple[int, float]]] = {
+        "bare": bench.bare,
+        "one": bench.one,
+        "all": bench.all,
+        "mujoco 1": bench.mujoco_1,
+        "mujoco": bench.mujoco,
+    }
+    rates: dict[str, list[float]] = {name: [] for name in layers}
+    for _ in range(options.rounds):
+        for name, layer in layers.items():
+            steps, seconds = layer()
+            rates[name].append(steps / seconds)
+    result: dict[str, Any] = {name: statistics.median(values) for name, values in rates.items()}
+    pairs = [("one", "bare"), ("all", "one"), ("one", "mujoco 1"), ("all", "mujoco")]
+    for name, base in pairs:
+        ratios = [rate / other for rate, other in zip(rates[name], rates[base], strict=True)]
+        result[f"{name} of {base}"] = statistics.median(ratios)
+    result["replay_error_m"] = bench.replay_error
+    if options.json:
+        print(json.dumps(result))
+        return 0
+    print(f"{options.num_envs} robots, {options.processes} processes, median of {options.rounds} rounds")
+    for name in layers:
+        ratio = ", ".join(f"{result[f'{a} of {b}']:.3g} of {b}" for a, b in pairs if a == name)
+        spread = f"({min(rates[name]):,.0f} to {max(rates[name]):,.0f})"
+        print(f"  {name:9} {result[name]:>9,.0f} control steps/s {spread:22} {ratio}")
+    print(f"  the bare engine's replay ends within {result['replay_error_m']:.1e} m of the world's motion")
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

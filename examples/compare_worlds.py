@@ -1,0 +1,269 @@
+"""The same robot in MuJoCo and in Bullet: one figure for each question, and the numbers in lines.
+
+python examples/compare_worlds.py [--out out/worlds]
+
+masses    do both have the same mass and inertia of the whole robot?
+standing  how high does it stand once it has settled?
+drop      how does it land from .3 m, and how far is each world from what a step of .1 ms gives?
+sines     do legs on a rack follow the same sines?
+steps     do they answer the same steps?
+squat     does the robot squat alike on its own feet?
+trot      how far does an open loop trot go, and what does spinning friction do to it?
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import matplotlib
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt
+import mujoco
+import numpy as np
+
+from surefoot.robot import PhysicalParams, RobotDescription
+from surefoot.world.bullet_engine import bullet_engine
+from surefoot.world.bullet_model import import_pybullet
+from surefoot.world.bullet_tick import rotations
+from surefoot.world.interface import WorldConfig
+from surefoot.world.sim_world import EngineFactory, SimWorld, mujoco_engine
+
+ENGINES: dict[str, EngineFactory] = {"MuJoCo": mujoco_engine, "Bullet": bullet_engine}
+COLOURS = {"MuJoCo": "#1f6f8b", "Bullet": "#d1495b", "asked": "#555555"}
+MotorPath = Callable[[float], np.ndarray]
+
+
+def rms(values: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+class Comparison:
+    """Runs both worlds, draws and prints."""
+
+    def __init__(self, folder: Path) -> None:
+        self.robot = RobotDescription.load("minitaur")
+        self.folder = folder
+        folder.mkdir(parents=True, exist_ok=True)
+
+    def worlds(self, robot: RobotDescription | None = None, rack: bool = False) -> dict[str, SimWorld]:
+        robot = robot or self.robot
+        params = PhysicalParams.nominal(robot).with_values(robot, control_step=0.001)
+        config = WorldConfig(rack=rack, threads=1)
+        return {name: SimWorld(robot, 1, params, config=config, engine=engine) for name, engine in ENGINES.items()}
+
+    def run(self, world: SimWorld, path: MotorPath, seconds: float) -> dict[str, np.ndarray]:
+        """Time, base position, roll and pitch, motor angles and depth of the feet, every millisecond."""
+        rows = []
+        for k in range(round(seconds / 0.001)):
+            world.step(path(0.001 * k))
+            truth = world.truth()
+            depth = self.robot.leg_geometry.foot_radius - world.foot_positions()[0, :, 2]
+            rows.append(np.concatenate([[0.001 * (k + 1)], truth.base_position_world[0], truth.motor_angle[0], depth]))
+        table = np.array(rows)
+        return {"time": table[:, 0], "base": table[:, 1:4], "angles": table[:, 4:12], "depth": table[:, 12:]}
+
+    def rest(self, _time: float) -> np.ndarray:
+        return self.robot.resting_angles
+
+    def figure(self, name: str, title: str, rows: int = 1) -> tuple[plt.Figure, np.ndarray]:
+        figure, axes = plt.subplots(rows, 1, figsize=(8, 2.2 + 1.6 * rows), sharex=True, squeeze=False)
+        axes[0, 0].set_title(title, loc="left")
+        axes[-1, 0].set_xlabel("time [s]")
+        figure.set_label(name)
+        return figure, axes[:, 0]
+
+    def save(self, figure: plt.Figure) -> None:
+        for axes in figure.axes:
+            axes.grid(alpha=0.3)
+        figure.axes[0].legend(loc="upper right", fontsize=8)
+        figure.tight_layout()
+        figure.savefig(self.folder / f"{figure.get_label()}.png", dpi=120)
+        plt.close(figure)
+
+    def masses(self) -> None:
+        found = {}
+        for name, world in self.worlds().items():
+            engine = world.engine
+            engine.set_state(0, engine.initial_state)
+            found[name] = composite(mujoco_parts(engine) if name == "MuJoCo" else bullet_parts(engine))
+        (mass, centre, inertia), (other_mass, other_centre, other_inertia) = found.values()
+        print(f"masses    {mass:.6f} kg, Bullet {other_mass - mass:+.1e}; centres of mass", end=" ")
+        print(f"{np.abs(other_centre - centre).max():.1e} m apart; inertia of the whole robot, resting pose,", end=" ")
+        print(f"{np.round(np.diag(inertia), 6).tolist()} kg m2, apart by {np.abs(other_inertia - inertia).max():.1e}")
+        figure, axes = plt.subplots(figsize=(6, 3))
+        for k, (name, (_, _, tensor)) in enumerate(found.items()):
+            axes.bar(np.arange(3) + 0.4 * k - 0.2, np.diag(tensor), 0.38, color=COLOURS[name], label=name)
+        axes.set_xticks(range(3), ["roll (xx)", "pitch (yy)", "yaw (zz)"])
+        axes.set_ylabel("inertia [kg m$^2$]")
+        axes.set_title("Inertia of the whole robot in its resting pose", loc="left")
+        figure.set_label("masses")
+        self.save(figure)
+
+    def standing(self) -> None:
+        figure, axes = self.figure("standing", "Height of the base while the robot settles on its feet")
+        heights = {}
+        for name, world in self.worlds().items():
+            run = self.run(world, self.rest, 1.0)
+            axes[0].plot(run["time"], 1e3 * run["base"][:, 2], color=COLOURS[name], label=name)
+            heights[name] = 1e3 * run["base"][-1, 2]
+            print(f"standing  {name}: {heights[name]:.3f} mm high, feet {1e3 * run['depth'][-1].mean():.2f} mm deep")
+        axes[0].set_ylabel("height [mm]")
+        self.save(figure)
+
+    def drop(self) -> None:
+        """Both follow the sheet's spring and damper into the ground; a step of .1 ms shows each world's own law."""
+        fine = replace(self.robot, timing=replace(self.robot.timing, servo_step=1e-4))
+        figure, axes = self.figure("drop", "A drop from .3 m; dashed: the same with a step of .1 ms", 2)
+        for name in ENGINES:
+            runs = []
+            for robot, style in ((self.robot, "-"), (fine, "--")):
+                world = self.worlds(robot)[name]
+                lift(world, 0.3)
+                run = self.run(world, self.rest, 0.6)
+                runs.append(run)
+                label = name if style == "-" else None
+                axes[0].plot(run["time"], 1e3 * run["base"][:, 2], style, color=COLOURS[name], label=label)
+                axes[1].plot(run["time"], 1e3 * run["depth"][:, 0], style, color=COLOURS[name])
+            (front, back), (fine_front, fine_back) = (1e3 * run["depth"][:, :2].max(axis=0) for run in runs)
+            err = 1e3 * rms(runs[0]["base"][:, 2] - runs[1]["base"][:, 2])
+            print(
+                f"drop      {name}: front feet {front:.2f} mm deep, back {back:.2f}; with a step of .1 ms "
+                f"{fine_front:.2f} and {fine_back:.2f}, base {err:.2f} mm RMS apart"
+            )
+        axes[0].set_ylabel("base [mm]")
+        axes[1].set_ylabel("front foot's depth [mm]")
+        axes[1].set_ylim(-5, None)
+        self.save(figure)
+
+    def compare_angles(self, name: str, title: str, path: MotorPath, rack: bool, seconds: float = 1.2) -> None:
+        runs = {key: self.run(world, path, seconds) for key, world in self.worlds(rack=rack).items()}
+        figure, axes = self.figure(name, title, len(self.robot.legs))
+        for leg, axis in enumerate(axes):
+            motor = self.robot.leg_motor_index[leg, 0]
+            time = runs["MuJoCo"]["time"]
+            axis.plot(time, [path(t)[motor] for t in time], color=COLOURS["asked"], lw=0.8, ls=":", label="asked for")
+            for key, run in runs.items():
+                axis.plot(time, run["angles"][:, motor], color=COLOURS[key], label=key)
+            axis.set_ylabel(f"{self.robot.leg_names[leg]}\nmotor 1 [rad]", fontsize=7)
+        self.save(figure)
+        apart = runs["Bullet"]["angles"] - runs["MuJoCo"]["angles"]
+        asked = rms(runs["MuJoCo"]["angles"] - [path(t) for t in runs["MuJoCo"]["time"]])
+        print(
+            f"{name:9} motor angles {rms(apart):.5f} rad RMS apart, {np.abs(apart).max():.5f} at most, "
+            f"each motor {np.sqrt(np.mean(apart**2, axis=0)).round(5).tolist()}; from what is asked {asked:.3f} rad RMS"
+        )
+
+    def sines(self) -> None:
+        def path(time: float) -> np.ndarray:
+            phase = 2 * np.pi * np.array([1.0, 2.0, 3.0, 4.0]) * time
+            return self.robot.leg_to_motor_angles(0.3 * np.sin(phase), 2.0 + 0.3 * np.sin(0.7 * phase))
+
+        self.compare_angles("sines", "Legs on a rack follow sines", path, rack=True)
+
+    def steps(self) -> None:
+        def path(time: float) -> np.ndarray:
+            size = np.array([0.1, 0.2, 0.3, 0.4]) * ((time >= 0.2) - 2.0 * (time >= 0.7))
+            return self.robot.leg_to_motor_angles(size, 2.0 - 0.3 * size)
+
+        self.compare_angles("steps", "Legs on a rack answer steps", path, rack=True)
+
+    def squat(self) -> None:
+        def path(time: float) -> np.ndarray:
+            return self.robot.leg_to_motor_angles(np.zeros(4), np.full(4, 2.0 + 0.3 * np.sin(2 * np.pi * 2 * time)))
+
+        self.compare_angles("squat", "The robot squats on its own feet", path, rack=False)
+
+    def trot(self) -> None:
+        def path(time: float) -> np.ndarray:
+            phase = 2 * np.pi * 2.0 * time + np.array([0, np.pi, np.pi, 0])
+            return self.robot.leg_to_motor_angles(0.3 * np.sin(phase), 2.0 + 0.35 * np.sin(phase))
+
+        sheet = self.robot.contact
+        free = replace(self.robot, contact=replace(sheet, spinning_friction=0.0))
+        spin = sheet.spinning_friction
+        cases = {
+            "MuJoCo": self.worlds()["MuJoCo"],
+            f"Bullet, spinning friction {spin:g}": self.worlds()["Bullet"],
+            "Bullet, spinning friction 0": self.worlds(free)["Bullet"],
+        }
+        figure, axes = self.figure("trot", "An open loop trot", 2)
+        for (name, world), style in zip(cases.items(), ("-", "-", "--"), strict=True):
+            run = self.run(world, path, 3.0)
+            colour = COLOURS[name.split(",")[0]]
+            axes[0].plot(run["time"], run["base"][:, 0], style, color=colour, label=name)
+            axes[1].plot(run["time"], 1e3 * run["base"][:, 2], style, color=colour)
+            print(
+                f"trot      {name}: {run['base'][-1, 0]:.3f} m in 3 s, {1e3 * run['base'][500:, 2].mean():.1f} mm high"
+            )
+        axes[0].set_ylabel("forward [m]")
+        axes[1].set_ylabel("height [mm]")
+        self.save(figure)
+
+
+def lift(world: SimWorld, height: float) -> None:
+    """Put the robot so much higher, and let its history begin there."""
+    if world.engine.name == "mujoco":
+        world.engine.datas[0].qpos[2] += height  # type: ignore[attr-defined]
+        return
+    state = world.engine.get_state(0)
+    state[2] += height
+    world.engine.set_state(0, state)
+
+
+Parts = list[tuple[float, np.ndarray, np.ndarray]]
+
+
+def mujoco_parts(engine: object) -> Parts:
+    """Mass, centre and inertia in the world of every body."""
+    model, data = engine.models[0], engine.datas[0]  # type: ignore[attr-defined]
+    mujoco.mj_forward(model, data)
+    turns = data.ximat.reshape(-1, 3, 3)
+    return [
+        (model.body_mass[b], data.xipos[b].copy(), turns[b] @ np.diag(model.body_inertia[b]) @ turns[b].T)
+        for b in range(1, model.nbody)
+    ]
+
+
+def bullet_parts(engine: object) -> Parts:
+    """Mass, centre and inertia in the world of every link."""
+    p, model, client = import_pybullet(), engine.model, engine._clients[0]  # type: ignore[attr-defined]
+    parts = []
+    for link in model.links.values():
+        info = p.getDynamicsInfo(model.body, link, client)
+        place, quat = (
+            p.getBasePositionAndOrientation(model.body, client)
+            if link < 0
+            else p.getLinkState(model.body, link, computeForwardKinematics=1, physicsClientId=client)[:2]
+        )
+        turn = rotations(np.array(quat))
+        parts.append((info[0], np.array(place), turn @ np.diag(info[2]) @ turn.T))
+    return parts
+
+
+def composite(parts: Parts) -> tuple[float, np.ndarray, np.ndarray]:
+    """Mass, centre and inertia about it of all parts together."""
+    mass = sum(part[0] for part in parts)
+    centre = sum(m * at for m, at, _ in parts) / mass
+    away = [at - centre for _, at, _ in parts]
+    inertia = sum(i + m * (d @ d * np.eye(3) - np.outer(d, d)) for (m, _, i), d in zip(parts, away, strict=True))
+    return mass, centre, inertia
+
+
+def main() -> int:
+    """Answer all questions."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--out", type=Path, default=Path("out/worlds"), help="folder for the figures")
+    comparison = Comparison(parser.parse_args().out)
+    questions = ("masses", "standing", "drop", "sines", "steps", "squat", "trot")
+    for question in questions:
+        getattr(comparison, question)()
+    print(f"figures in {comparison.folder}")
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
