@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
 from hypothesis import settings
+
+if TYPE_CHECKING:
+    from surefoot.evaluate.comparison import Comparison
 
 os.environ.setdefault("MPLBACKEND", "Agg")
 
@@ -26,3 +31,51 @@ def rng() -> np.random.Generator:
 def repository() -> Path:
     """Return the root of the repository."""
     return Path(__file__).resolve().parents[1]
+
+
+@pytest.fixture
+def gap_comparison() -> Callable[..., Comparison]:
+    """Make three groups with runs at home and away, so that the right answers are known.
+
+    Gaps of group a's policies are 1 m, 1.1 m, ...; b's policies have none and go three metres; c's fall at home.
+    """
+    pytest.importorskip("gymnasium")
+    from surefoot.evaluate.comparison import Comparison, Curve, GroupResult, SeedResult
+    from surefoot.evaluate.gap import Runs
+
+    steady, at = (True, True, True), np.arange(1, 11) * 1e5
+    curve = Curve(at, at * 1e-6, at * 1e-7, np.zeros(10), np.ones(10))
+
+    def runs(world: str, level: float, spread: float, balanced: tuple[bool, ...]) -> dict[str, Any]:
+        """Three runs whose distance is their return and half a metre; those that fall do so after 250 steps."""
+        returns, stood = level + spread * np.array([-1.0, 0.0, 1.0]), np.array(balanced)
+        steps = np.where(stood, 1000.0, 250.0)
+        distance = returns + 0.5
+        speed = distance / (0.006 * steps)
+        return Runs(world, returns, distance, speed, np.full(3, 10.0), steps, ~stood, stood).to_mapping()
+
+    def policy(
+        seed: int, level: float, gap: float, away: tuple[bool, ...] = steady, home: tuple[bool, ...] = steady
+    ) -> SeedResult:
+        nominal = {"returns": [level] * 20, "speed": [level / 6] * 20, "fell": [False] * 20}
+        both = {"home": runs("mujoco", level, 0.1, home), "away": runs("bullet", level - gap, 0.3, away)}
+        return SeedResult(seed, 1_000_000, 120.0, curve, {"nominal": nominal, "gap": both})
+
+    def make(seeds: int = 5) -> Comparison:
+        a = tuple(policy(s, 2.0 + 0.2 * s, 1.0 + 0.1 * s, (True, s > 2, False)) for s in range(seeds))
+        b = tuple(policy(s, 3.0 + 0.1 * s, 0.0) for s in range(seeds))
+        c = tuple(policy(s, 0.1, 0.0, home=(False, False, True)) for s in range(seeds))
+        return Comparison(
+            "gaps",
+            ("nominal", "gap"),
+            (GroupResult("a", "first", a), GroupResult("b", "second", b), GroupResult("c", "third", c)),
+            (("a", "b"), ("a", "c")),
+            top=3,
+            bars={"both": ("a", "b", "absent")},
+            findings=(
+                (frozenset(("a", "b")), "the second did better."),
+                (frozenset(("a", "b", "absent")), "all was well."),
+            ),
+        )
+
+    return make

@@ -15,6 +15,9 @@ from pathlib import Path
 
 import pytest
 
+from surefoot.policy.runtime import PolicyRuntime
+from surefoot.task.trace import EpisodeTrace
+
 TINY = """
 name: tiny
 task: trot
@@ -139,6 +142,97 @@ def check_results(out: Path) -> None:
         assert (out / name).stat().st_size > 1000, name
 
 
+GAP = """
+name: gaps
+task: trot
+seeds: [0]
+train:
+  {steps: 1024, num_envs: 8, steps_per_update: 16, evaluate_every: 512, evaluation_episodes: 2,
+   task: {max_steps: 30, pushes: {enabled: false}}}
+groups:
+  baseline: {train: {task: {actuator: constraint, params: {control_latency: 0.0, servo_latency: 0.0}}}}
+  improved: {label: "improved, at last"}
+evaluate: [gap]
+top: 1
+bars: {simulators: [baseline, improved]}
+findings: [{groups: [improved, baseline], text: the baseline had the larger gap.}]
+"""
+
+
+@pytest.mark.slow
+def test_a_study_of_the_reality_gap(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Training, runs in two worlds and the report; MuJoCo stands in for the other world."""
+    from surefoot.cli import study_results
+    from surefoot.cli.main import main
+    from surefoot.world.sim_world import SimWorld
+
+    (tmp_path / "gaps.yaml").write_text(GAP)
+    monkeypatch.chdir(tmp_path)
+    asked: list[str] = []
+
+    def find_world(name: str) -> type[SimWorld]:
+        asked.append(name)
+        return SimWorld
+
+    monkeypatch.setattr(study_results, "find_world", find_world)
+    assert main(["study", "gaps.yaml", "--workers", "2"]) == 0, capsys.readouterr().err
+    assert set(asked) == {"mujoco", "bullet"}
+    for group, actuator, latency in (("baseline", "constraint", 0.0), ("improved", "dc", None)):
+        folder = tmp_path / "runs/gaps" / group / "seed_0/evaluations/gap"
+        home, away = ([EpisodeTrace.load(f) for f in sorted((folder / w).iterdir())] for w in ("mujoco", "bullet"))
+        assert len(home) == len(away) == 3
+        assert {trace.meta["world"] for trace in away} == {"bullet"}
+        # At home the policy's own motors and delays, away those of the data sheet.
+        params = [trace.meta["params"] for trace in (home[0], away[0])]
+        assert params[1]["control_latency"] > 0
+        assert params[0]["control_latency"] == (params[1]["control_latency"] if latency is None else latency)
+        task = PolicyRuntime.load(folder.parents[1] / "policy.onnx").contract.task
+        assert task["actuator"] == actuator
+    out = tmp_path / "results/gaps"
+    report = (out / "README.md").read_text()
+    assert "In the paper, the baseline had the larger gap." in report
+    assert "**improved, at last**, against **baseline**: the gap is" in report
+    assert sorted(path.name for path in out.iterdir()) == sorted(
+        [
+            *("README.md", "summary.json", "runs.csv", "groups.csv", "differences.csv", "episodes.csv"),
+            *("gap_groups.csv", "gap_differences.csv", "gap_runs.csv"),
+            *("groups.png", "gap_simulators.png", "learning_curves_simulators.png"),
+        ]
+    )
+    with (out / "gap_runs.csv").open() as file:
+        assert len(list(csv.DictReader(file))) == 2 * 2 * 3
+
+    capsys.readouterr()
+    asked.clear()
+    before = (out / "gap_runs.csv").read_text()
+    assert main(["study", "gaps.yaml"]) == 0
+    shown = capsys.readouterr().out
+    assert "all 2 trainings are finished" in shown
+    assert "return at home" not in shown
+    assert (out / "gap_runs.csv").read_text() == before
+
+
+def test_a_world_that_there_is_not_is_refused_before_training(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from surefoot.cli import study_results
+    from surefoot.cli.main import main
+
+    def find_world(name: str) -> object:
+        if name == "bullet":
+            raise ModuleNotFoundError("No module named 'pybullet'", name="pybullet")
+        return None
+
+    (tmp_path / "gaps.yaml").write_text(GAP)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(study_results, "find_world", find_world)
+    assert main(["study", "gaps.yaml"]) == 2
+    assert "pip install 'surefoot[bullet]'" in capsys.readouterr().err
+    assert not (tmp_path / "runs").exists()
+
+
 BAD = [
     (["tiny.yaml", "--workers", "-1"], "workers is -1; it must be 0"),
     (["tiny.yaml", "--only", "fast"], "group 'fast' is not in the study; groups: plain, drawn"),
@@ -146,7 +240,8 @@ BAD = [
     (["tiny.yaml", "--train-only", "--report-only"], "--train-only and --report-only leave nothing to do"),
     (["tiny.yaml", "--report-only"], "runs/tiny: no run of the study is finished and evaluated"),
     (["none.yaml"], "none.yaml: can't be read"),
-    (["kind.yaml"], "evaluate: 'luck' is no kind of evaluation; choices: nominal, table1, sensitivity"),
+    (["kind.yaml"], "evaluate: 'luck' is no kind of evaluation; choices: nominal, table1, sensitivity, gap"),
+    (["bars.yaml"], "bars: they show the reality gap; evaluate must name 'gap' for them"),
     (["robot.yaml"], "group a: observation 'smell' does not exist"),
     ([], "FILE"),
 ]
@@ -156,6 +251,7 @@ BAD = [
 def test_bad_input_gets_one_line_and_exit_code_2(words: list[str], message: str, tmp_path: Path) -> None:
     (tmp_path / "tiny.yaml").write_text(TINY)
     (tmp_path / "kind.yaml").write_text("{groups: {a: {}}, evaluate: [luck]}")
+    (tmp_path / "bars.yaml").write_text("{groups: {a: {}}, bars: {all: [a]}}")
     (tmp_path / "robot.yaml").write_text("groups: {a: {train: {task: {observations: [smell]}}}}")
     result = surefoot(*words, cwd=tmp_path)
     assert result.returncode == 2, result.stderr

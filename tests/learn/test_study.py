@@ -107,6 +107,16 @@ def test_runs_go_seed_by_seed_into_fixed_folders(tmp_path: Path) -> None:
         ("{groups: {a: {}}, train: {task: {pushes: {probability: 2}}}}", "probability is 2"),
         ("{groups: {a: {}}, task: walk}", "walk' does not exist; choices: gallop, gallop-robust, trot"),
         ("{groups: {a: {}}, compare: [[a, b]]}", "compare: 'b' is no group of the study; groups: a"),
+        ("{groups: {a: {}}, top: 0}", "top is 0; it must be 1 policy or more"),
+        ("{groups: {a: {}}, top: [1]}", "top is .1.; it must be a whole number"),
+        ("{groups: {a: {}}, bars: {x: [b]}}", "bars.x: 'b' is no group of the study; groups: a"),
+        ("{groups: {a: {}}, bars: {x: [a, a]}}", "bars.x is .'a', 'a'.; it takes 1 group or more, none twice"),
+        ("{groups: {a: {}}, bars: {x: []}}", "bars.x is ..; it takes 1 group or more"),
+        ("{groups: {a: {}}, bars: {../x: [a]}}", "name '../x': letters"),
+        ("{groups: {a: {}}, bars: [a]}", "bars is .'a'.; it must be a table"),
+        ("{groups: {a: {}}, findings: [{groups: [b], text: x}]}", "findings.0.: 'b' is no group of the study"),
+        ("{groups: {a: {}}, findings: [{groups: [a]}]}", "findings.0..text is missing"),
+        ("{groups: {a: {}}, findings: [{groups: [a], text: x}]}", "findings.0.: a are together in no set of bars"),
     ],
 )
 def test_what_is_no_study_is_refused(text: str, message: str, tmp_path: Path) -> None:
@@ -209,3 +219,22 @@ def test_the_robustness_study_is_what_it_says() -> None:
     assert large.task.pushes.probability == load_train_config("trot").task.pushes.probability
     assert large.task.randomize == load_ranges("table1")
     assert len(study.seeds) >= 3
+
+
+def test_the_reality_gap_study_is_what_it_says() -> None:
+    study = load_study(Path(__file__).parents[2] / "studies" / "reality-gap.yaml")
+    assert study.evaluate == ("gap",)
+    assert study.top == 3
+    assert len(study.seeds) >= study.top
+    assert set(study.bars) == {"simulators", "halves", "observations"}
+    assert set().union(*study.bars.values()) == set(study.groups)
+    # The paper's first two groups have neither its motors nor its delays, the third has both.
+    no_delay = {"control_latency": 0.0, "servo_latency": 0.0}
+    one, two, three = (group_config(study, name).task for name in study.bars["simulators"])
+    assert (one.actuator, two.actuator, three.actuator) == ("constraint", "constraint", "dc")
+    assert (one.params, two.params, three.params) == (no_delay, no_delay, {})
+    assert (one.pushes.enabled, two.pushes.enabled, three.pushes.enabled) == (False, True, True)
+    half, other = group_config(study, "actuator_only").task, group_config(study, "latency_only").task
+    assert (half.actuator, half.params) == ("dc", no_delay)
+    assert (other.actuator, other.params) == ("constraint", {})
+    assert len({group_config(study, name).task.energy_weight for name in study.groups}) == 1

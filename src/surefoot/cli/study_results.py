@@ -39,6 +39,7 @@ def check_kinds(study: StudyConfig, worlds: bool = False) -> None:
 def evaluate_runs(study: StudyConfig, runs: list[StudyRun], threads: int, console: Console) -> None:
     """Make every evaluation of every finished run that is not there yet."""
     from surefoot.evaluate.kinds import KINDS, kinds_of
+    from surefoot.evaluate.statistics import decimal
     from surefoot.evaluate.study import evaluate, kept
 
     kinds = kinds_of(study.evaluate)
@@ -48,7 +49,9 @@ def evaluate_runs(study: StudyConfig, runs: list[StudyRun], threads: int, consol
         start = time.perf_counter()
         with console.status(f"evaluating {run.name}: {kind} ({number} of {len(todo)})"):
             result = evaluate(run.policy, kind, find_world, threads)
-        figures = ", ".join(f"{one.title} {one.read(result):.{one.digits}f} {one.unit}" for one in KINDS[kind].figures)
+        figures = ", ".join(
+            f"{one.title} {decimal(one.read(result), one.digits)} {one.unit}" for one in KINDS[kind].figures
+        )
         seconds = time.perf_counter() - start
         console.print(
             f"{number:>3} of {len(todo)}  {run.group:<20} seed {run.config.seed:<3} {figures}  ({seconds:.0f} s)"

@@ -102,6 +102,18 @@ def _checked(values: ArrayLike, confidence: float) -> NDArray[np.float64]:
     return array
 
 
+def decimal(number: float, digits: int = 2, sign: bool = False) -> str:
+    """A number as text, rounded; what rounds to zero has no sign.
+
+    Args:
+        number: what is told.
+        digits: behind the point.
+        sign: write + before what is above zero.
+    """
+    rounded = round(number, digits) + 0.0
+    return f"{rounded:{'+' if sign and rounded else ''}.{digits}f}"
+
+
 def plain(interval: Interval, digits: int = 2, sign: bool = False) -> str:
     """An interval as text, such as `1.20 [1.05, 1.35]`; without ends where they are not known.
 
@@ -110,12 +122,5 @@ def plain(interval: Interval, digits: int = 2, sign: bool = False) -> str:
         digits: behind the point.
         sign: write + before what is above zero.
     """
-
-    def text(number: float) -> str:
-        # What rounds to zero has no sign.
-        rounded = round(number, digits) + 0.0
-        return f"{rounded:{'+' if sign and rounded else ''}.{digits}f}"
-
-    if not interval.known:
-        return text(interval.mean)
-    return f"{text(interval.mean)} [{text(interval.low)}, {text(interval.high)}]"
+    mean, low, high = (decimal(number, digits, sign) for number in (interval.mean, interval.low, interval.high))
+    return f"{mean} [{low}, {high}]" if interval.known else mean

@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 
 from surefoot.evaluate.gap import Estimate
+from surefoot.evaluate.statistics import decimal
 
 
 def table(header: Sequence[str], lines: Sequence[Sequence[str]]) -> str:
@@ -22,7 +23,5 @@ def plus_minus(estimate: Estimate, digits: int = 2, sign: bool = False) -> str:
         digits: behind the point.
         sign: write + before what is above zero.
     """
-    # What rounds to zero has no sign.
-    mean = round(estimate.mean, digits) + 0.0
-    text = f"{mean:{'+' if sign and mean else ''}.{digits}f}"
-    return f"{text} ± {estimate.error:.{digits}f}" if math.isfinite(estimate.error) else text
+    mean = decimal(estimate.mean, digits, sign)
+    return f"{mean} ± {decimal(estimate.error, digits)}" if math.isfinite(estimate.error) else mean

@@ -10,7 +10,7 @@ import numpy as np
 
 from surefoot.evaluate.comparison import Comparison, GroupResult, difference
 from surefoot.evaluate.kinds import KINDS, Figure
-from surefoot.evaluate.statistics import CONFIDENCE, Interval, plain, t_interval
+from surefoot.evaluate.statistics import CONFIDENCE, Interval, decimal, plain, t_interval
 from surefoot.files import whole_file
 from surefoot.report.gap_report import GAP_FILES, draw_gaps, gap_text
 from surefoot.report.markdown import table
@@ -215,7 +215,7 @@ def _seeds(comparison: Comparison) -> str:
     figures = comparison.figures
     header = ["group", "seed", *(f"{figure.title} ({figure.unit})" for figure in figures)]
     lines = [
-        [group.label, str(seed.seed), *(f"{seed.figures[f.name]:.{f.digits}f}" for f in figures)]
+        [group.label, str(seed.seed), *(decimal(seed.figures[f.name], f.digits) for f in figures)]
         for group in comparison.groups
         for seed in group.seeds
     ]

@@ -1,0 +1,192 @@
+"""Evaluations of a study's policies: where each kind runs them, what is kept, and what it belongs to."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("gymnasium")
+
+from surefoot.errors import SurefootError
+from surefoot.evaluate import kinds, study
+from surefoot.evaluate.gap import Runs
+from surefoot.evaluate.kinds import KINDS, gap_of, kinds_of
+from surefoot.task.config import TaskConfig, load_task
+from surefoot.task.randomize import load_ranges
+from surefoot.task.trace import EpisodeTrace
+
+POLICY: Any = SimpleNamespace(contract=SimpleNamespace(name="walker"))
+LEGS = ("front_left", "back_left", "front_right", "back_right")
+
+
+def trace(world: str, distance: float = 3.5, steps: int = 100, ended: str = "time") -> EpisodeTrace:
+    """A robot that slides forward, 2 J a control step."""
+    position = np.zeros((steps + 1, 3))
+    position[:, 0] = np.linspace(0.0, distance, steps + 1)
+    motors, legs = np.zeros((steps, 8)), np.zeros((steps, 4))
+    meta = {
+        "robot": "minitaur",
+        "world": world,
+        "control_step": 0.006,
+        "leg_names": list(LEGS),
+        "motor_names": [f"m{i}" for i in range(8)],
+        "observation_names": ["roll"],
+        "energy_weight": 0.008,
+        "ended": ended,
+        "max_steps": 100,
+    }
+    return EpisodeTrace(
+        time=0.006 * np.arange(1, steps + 1),
+        base_position_world=position,
+        base_quat_world=np.tile([1.0, 0.0, 0.0, 0.0], (steps + 1, 1)),
+        roll_pitch_yaw=np.zeros((steps, 3)),
+        angular_velocity_base=np.zeros((steps, 3)),
+        motor_angle=motors,
+        motor_velocity=motors,
+        motor_torque=motors,
+        observation=np.zeros((steps, 1)),
+        feedback=motors,
+        target=motors,
+        energy=np.full(steps, 2.0),
+        foot_contact=legs,
+        meta=meta,
+    )
+
+
+class Rollouts:
+    """Takes the place of simulations: remembers what is asked for, and gives slides forward."""
+
+    def __init__(self) -> None:
+        self.asked: list[dict[str, Any]] = []
+
+    def __call__(
+        self, policy: Any, task: TaskConfig, episodes: int, make: Any, seed: int, threads: int, **names: str
+    ) -> list[EpisodeTrace]:
+        self.asked.append({"task": task, "episodes": episodes, "make": make, "seed": seed, "threads": threads, **names})
+        far = {"mujoco": 3.5, "bullet": 1.5}[names["world_name"]]
+        fell = names["world_name"] == "bullet"
+        made = [trace(names["world_name"], far + 0.1 * i) for i in range(episodes - 1)]
+        return [*made, trace(names["world_name"], 0.5, 60, "fall" if fell else "time")]
+
+
+@pytest.fixture
+def rollouts(monkeypatch: pytest.MonkeyPatch) -> Rollouts:
+    made = Rollouts()
+    monkeypatch.setattr(kinds, "run_episodes", made)
+    return made
+
+
+def find_world(name: str) -> Any:
+    return f"makes {name}"
+
+
+def baseline() -> TaskConfig:
+    """A task in the baseline simulator, pushed and drawn."""
+    task, _ = load_task("trot")
+    return replace(
+        task,
+        actuator="constraint",
+        params={"control_latency": 0.0, "servo_latency": 0.0},
+        pushes=replace(task.pushes, enabled=True),
+        randomize=load_ranges("table1"),
+    )
+
+
+def test_nominal_episodes_run_in_the_policys_own_simulator(rollouts: Rollouts) -> None:
+    task = baseline()
+    KINDS["nominal"].run(POLICY, task, find_world, KINDS["nominal"].settings, 1)
+    (asked,) = rollouts.asked
+    assert (asked["make"], asked["world_name"], asked["episodes"]) == ("makes mujoco", "mujoco", 20)
+    assert asked["task"].actuator == "constraint"
+    assert asked["task"].params == task.params
+    assert not asked["task"].pushes.enabled
+    assert not asked["task"].randomize.ranges
+
+
+def test_gap_runs_are_at_home_and_on_the_robot_of_the_data_sheet(rollouts: Rollouts) -> None:
+    found = KINDS["gap"].run(POLICY, baseline(), find_world, KINDS["gap"].settings, 2)
+    home, away = rollouts.asked
+    assert (home["make"], home["world_name"]) == ("makes mujoco", "mujoco")
+    assert (away["make"], away["world_name"]) == ("makes bullet", "bullet")
+    assert (home["task"].actuator, home["task"].params) == ("constraint", baseline().params)
+    assert (away["task"].actuator, away["task"].params) == ("dc", {})
+    for asked in rollouts.asked:
+        assert (asked["episodes"], asked["threads"], asked["policy_name"]) == (3, 2, "walker")
+        assert not asked["task"].pushes.enabled
+        assert not asked["task"].randomize.ranges
+        # Not the episodes that policies are chosen by.
+        assert asked["seed"] != KINDS["nominal"].settings["seed"]
+    assert {world: len(traces) for world, traces in found.traces.items()} == {"mujoco": 3, "bullet": 3}
+    assert Runs.from_mapping(found.result["away"]).to_mapping() == Runs.of_traces(found.traces["bullet"]).to_mapping()
+    json.dumps(found.result, allow_nan=False)
+
+
+def test_figures_of_a_gap_are_means_over_its_runs(rollouts: Rollouts) -> None:
+    result = KINDS["gap"].run(POLICY, baseline(), find_world, KINDS["gap"].settings, 1).result
+    figures = {one.name: one.read(result) for one in KINDS["gap"].figures}
+    # Distances 3.5, 3.6 and .5 m at home and 1.5, 1.6 and .5 m away; 100, 100 and 60 steps of 2 J at .008 m/J.
+    spent = 0.008 * 2 * (100 + 100 + 60) / 3
+    assert figures["gap_home"] == pytest.approx(7.6 / 3 - spent)
+    assert figures["gap_away"] == pytest.approx(3.6 / 3 - spent)
+    assert figures["gap"] == pytest.approx(4.0 / 3)
+    assert figures["gap_balanced"] == pytest.approx(200 / 3)
+    assert figures["gap_distance"] == pytest.approx(3.6 / 3)
+    assert figures["gap_speed"] == pytest.approx((1.5 / 0.6 + 1.6 / 0.6 + 0.5 / 0.36) / 3)
+    assert figures["gap_power"] == pytest.approx(2 / 0.006)
+    assert gap_of(result, "walker").gap("bullet").mean == pytest.approx(4.0 / 3)
+
+
+def test_every_kind_names_worlds_that_its_settings_have() -> None:
+    assert {name: kind.world_names for name, kind in KINDS.items()} == {
+        "nominal": ("mujoco",),
+        "table1": ("mujoco",),
+        "sensitivity": ("mujoco",),
+        "gap": ("mujoco", "bullet"),
+    }
+    with pytest.raises(SurefootError, match="'luck' is no kind of evaluation; choices: nominal, table1"):
+        kinds_of(("luck",))
+
+
+@pytest.fixture
+def policy(tmp_path: Path, repository: Path) -> Path:
+    """A policy in a folder of its own."""
+    shutil.copy(repository / "policies" / "trot.onnx", tmp_path / "policy.onnx")
+    return tmp_path / "policy.onnx"
+
+
+def test_a_gap_is_measured_once_and_its_runs_are_kept(policy: Path, rollouts: Rollouts) -> None:
+    folder = policy.parent / "evaluations" / "gap"
+    (folder / "bullet").mkdir(parents=True)
+    (folder / "bullet" / "run_007.npz").write_bytes(b"of an evaluation before")
+    assert study.kept(policy, "gap") is None
+    result = study.evaluate(policy, "gap", find_world)
+    names = [f"{world}/run_{number:03d}.npz" for world in ("bullet", "mujoco") for number in range(3)]
+    assert sorted(str(path.relative_to(folder)) for path in folder.rglob("*.npz")) == names
+    back = Runs.of_traces([EpisodeTrace.load(path) for path in sorted((folder / "bullet").iterdir())])
+    assert back.to_mapping() == result["away"]
+    assert study.evaluate(policy, "gap", find_world) == study.kept(policy, "gap") == result
+    assert len(rollouts.asked) == 2
+
+
+@pytest.mark.parametrize(("kind", "key"), [("gap", "away"), ("gap", "home"), ("nominal", "world")])
+def test_a_result_belongs_to_its_world(
+    kind: str, key: str, policy: Path, rollouts: Rollouts, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    study.evaluate(policy, kind, find_world)
+    assert study.kept(policy, kind) is not None
+    other = replace(KINDS[kind], settings={**KINDS[kind].settings, key: "elsewhere"})
+    monkeypatch.setitem(KINDS, kind, other)
+    assert study.kept(policy, kind) is None
+
+
+def test_a_result_belongs_to_its_policy(policy: Path, rollouts: Rollouts, repository: Path) -> None:
+    study.evaluate(policy, "gap", find_world)
+    shutil.copy(repository / "policies" / "trot-robust.onnx", policy)
+    assert study.kept(policy, "gap") is None
