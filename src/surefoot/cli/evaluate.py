@@ -66,8 +66,9 @@ def main(argv: list[str]) -> int:
     config = (tyro.conf.FlagCreatePairsOff,)
     words, ranges = take_ranges(argv, RandomizeConfig())
     command = parse(EvaluateCommand, words, "surefoot evaluate", config=config)
-    if command.episodes < 1:
-        raise SurefootError(f"episodes is {command.episodes}; it must be 1 or more")
+    for name, number, least in (("episodes", command.episodes, 1), ("threads", command.threads, 0)):
+        if number < least:
+            raise SurefootError(f"{name} is {number}; it must be {least} or more")
     from surefoot.cli.policies import adjust_task, find_policy, find_world, load_policy
     from surefoot.evaluate.metrics import summarize
 

@@ -80,7 +80,7 @@ class GapCommand:
 def main(argv: list[str]) -> int:
     """Run the command with the words after its name; returns the exit code."""
     command = parse(GapCommand, argv, "surefoot gap", config=(tyro.conf.FlagCreatePairsOff,))
-    for name, number, least in (("runs", command.runs, 1), ("seed", command.seed, 0)):
+    for name, number, least in (("runs", command.runs, 1), ("seed", command.seed, 0), ("threads", command.threads, 0)):
         if number < least:
             raise SurefootError(f"{name} is {number}; it must be {least} or more")
     if command.duration is not None and not 0 < command.duration < math.inf:

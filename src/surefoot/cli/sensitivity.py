@@ -59,7 +59,11 @@ class SensitivityCommand:
 def main(argv: list[str]) -> int:
     """Run the command with the words after its name; returns the exit code."""
     command = parse(SensitivityCommand, argv, "surefoot sensitivity", config=(tyro.conf.FlagCreatePairsOff,))
-    for name, number, least in (("episodes", command.episodes, 1), ("values", command.values, 2)):
+    for name, number, least in (
+        ("episodes", command.episodes, 1),
+        ("values", command.values, 2),
+        ("threads", command.threads, 0),
+    ):
         if number < least:
             raise SurefootError(f"{name} is {number}; it must be {least} or more")
     if not command.policies:
