@@ -28,7 +28,7 @@ from surefoot.evaluate.rollout import task_from_contract
 from surefoot.policy.runtime import PolicyRuntime
 from surefoot.robot import PhysicalParams
 from surefoot.task.env import LocomotionEnv
-from surefoot.world.bullet_model import import_pybullet
+from surefoot.world.bullet_import import import_pybullet
 from surefoot.world.interface import Simulation, SimulationFactory, WorldConfig
 from surefoot.world.process_world import bullet_world
 from surefoot.world.sim_world import SimWorld

@@ -27,7 +27,7 @@ import numpy as np
 
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.world.bullet_engine import bullet_engine
-from surefoot.world.bullet_model import import_pybullet
+from surefoot.world.bullet_import import import_pybullet
 from surefoot.world.bullet_tick import rotations
 from surefoot.world.interface import WorldConfig
 from surefoot.world.sim_world import EngineFactory, SimWorld, mujoco_engine

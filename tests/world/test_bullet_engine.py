@@ -260,8 +260,10 @@ def test_the_same_seed_gives_the_same_world(make_world, trot, assert_same):
         assert_same(one, other)
 
 
-def test_a_state_goes_on_exactly_in_a_world_with_another_past(make_world, trot, assert_same):
-    world, other = make_world(2, seed=1, **varied(2)), make_world(2, seed=2)
+@pytest.mark.parametrize("actuator", ["dc", "constraint"])
+def test_a_state_goes_on_exactly_in_a_world_with_another_past(make_world, trot, assert_same, actuator):
+    config = {"actuator": actuator}
+    world, other = make_world(2, seed=1, config=config, **varied(2)), make_world(2, seed=2, config=config)
     for k in range(33):
         world.step(trot(k))
         other.step(trot(3 * k))

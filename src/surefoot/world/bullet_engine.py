@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 
 from surefoot.errors import SurefootError
 from surefoot.robot import PhysicalParams, RobotDescription
-from surefoot.world.bullet_model import RACK_HEIGHT, check_masses, import_pybullet, open_client
+from surefoot.world.bullet_import import import_pybullet
+from surefoot.world.bullet_model import RACK_HEIGHT, open_client, scale_masses
 from surefoot.world.bullet_tick import (
     JOINTS,
     OMEGA,
@@ -38,7 +39,7 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 MAX_ROBOTS = 1000
-"""Robots in one process; PyBullet has room for 1024 clients."""
+"""Robots in one process; PyBullet has room for 1024 clients. Each takes some 33 MB of memory."""
 
 
 def _disconnect(p: ModuleType, clients: list[int]) -> None:
@@ -80,8 +81,11 @@ class BulletEngine:
         sign = robot.motor_sign.astype(np.float64)
         self._layout = Layout(sign, model.base_quat, model.rack)
         self._from_link = rotations(model.base_quat[[1, 2, 3, 0]])
+        columns = JOINTS + np.array(model.motors)
+        self._motor_columns = np.concatenate([columns, columns + model.num_joints])
         self._feet = {link: leg for leg, link in enumerate(model.feet)}
-        self._applied = np.zeros(len(sign))
+        self._applied = np.zeros((num_envs, len(sign)))
+        self._seen = np.zeros((num_envs, JOINTS + 3 * len(sign)))
         self.diverged = np.zeros(num_envs, np.bool_)
         self._force = np.zeros((num_envs, 3))
         self._rows = np.zeros((num_envs, JOINTS + 2 * model.num_joints))
@@ -125,49 +129,62 @@ class BulletEngine:
         p.resetBaseVelocity(body, row[VELOCITY:OMEGA], row[OMEGA:JOINTS], client)
 
     def advance(self, servo_steps: Index) -> None:
-        """Run every robot for its number of servo steps (N,); those that diverge stop and are marked."""
-        for i in np.flatnonzero(servo_steps).tolist():
-            self.drive.energy[i] = 0.0
-            self.drive.contact_ticks[i] = 0.0
-            if not self.diverged[i]:
-                self.diverged[i] = self._spoilt[i] = not self._advance(i, int(servo_steps[i]))
+        """Run every robot for its number of servo steps (N,); those that diverge stop and are marked.
 
-    def _advance(self, i: int, steps: int) -> bool:
-        """Run robot `i`; false if it diverged."""
-        p, model, client, drive = self._p, self.model, self._clients[i], self.drive
-        body, motors, layout, applied = model.body, model.motors, self._layout, self._applied
-        at, force = self._rows[i, :3].tolist(), self._force[i].tolist() if self._force[i].any() else None
+        All take a step before any takes the next, so that what is compiled is called once for all of them.
+        """
+        drive, seen, applied, layout = self.drive, self._seen, self._applied, self._layout
+        drive.energy[servo_steps > 0] = 0.0
+        drive.contact_ticks[servo_steps > 0] = 0.0
+        left = np.where(self.diverged, 0, servo_steps)
+        rows = np.flatnonzero(left).tolist()
         constraint = bool(drive.constraint[0])
-        turned = not constraint or drive.friction[i].any()
-        sound = between(layout, drive, i, self._seen(i), applied, False, True)
-        if constraint:
-            self._set_constraint_motors(i)
-        for step in range(1, steps + 1):
-            if not sound:
-                return False
-            if turned:
-                p.setJointMotorControlArray(
-                    body, motors, p.TORQUE_CONTROL, forces=applied.tolist(), physicsClientId=client
-                )
-            if force is not None:  # Bullet forgets it after a step, and when torques are set
-                p.applyExternalForce(body, -1, force, at, p.WORLD_FRAME, client)
-            p.stepSimulation(client)
-            seen = self._read(i, motors)
-            at = seen[:3]
-            self._count_contacts(i, client)
-            sound = between(layout, drive, i, np.array(seen), applied, True, step < steps)
+        between(layout, drive, seen, applied, left, self.diverged, False)
+        for i in rows:
+            self._look(i)
+            if constraint:
+                self._set_constraint_motors(i)
+        turned = np.asarray(drive.friction.any(axis=1) | (not constraint))
+        pushed = np.asarray(self._force.any(axis=1))
+        while going := np.flatnonzero(left).tolist():
+            torques = applied.tolist()
+            for i in going:
+                self._step(i, torques[i] if turned[i] else None, pushed[i])
+            between(layout, drive, seen, applied, left, self.diverged, True)
+        for i in rows:
+            self._end(i)
+
+    def _step(self, i: int, torques: list[float] | None, pushed: np.bool_) -> None:
+        """One step of robot `i`, with joint torques and the force on its base if there are any."""
+        p, model, client = self._p, self.model, self._clients[i]
+        body, motors, seen = model.body, model.motors, self._seen[i]
+        if torques is not None:
+            p.setJointMotorControlArray(body, motors, p.TORQUE_CONTROL, forces=torques, physicsClientId=client)
+        if pushed:  # Bullet forgets a force after a step, and when torques are set
+            p.applyExternalForce(body, -1, self._force[i].tolist(), seen[:3].tolist(), p.WORLD_FRAME, client)
+        p.stepSimulation(client)
+        seen[:] = self._read(i, motors)
+        points = p.getContactPoints(body, model.ground, physicsClientId=client)
+        for leg in {self._feet[point[3]] for point in points if point[9] > 0.0 and point[3] in self._feet}:
+            self.drive.contact_ticks[i, leg] += 1.0
+
+    def _end(self, i: int) -> None:
+        """Take robot `i`'s whole state from Bullet, and give it back."""
         row = self._rows[i]
         row[:] = self._read(i, self._joints)[: len(row)]
         # Knees are looked at here only: what is wrong with one shows at its motor, too, a step later.
-        sound = sound and bool(np.abs(row).max() < SPEED_LIMIT)
-        if sound and not model.rack:
+        self.diverged[i] |= not np.abs(row).max() < SPEED_LIMIT
+        self._spoilt[i] = self.diverged[i]
+        if not self.diverged[i] and not self.model.rack:
             self._write_base(i)
-        return sound
 
-    def _seen(self, i: int) -> Array:
+    def _look(self, i: int) -> Array:
         """What `observe` takes, from robot `i`'s row."""
-        row, motors = self._rows[i], np.array(self.model.motors)
-        return np.concatenate([row[:JOINTS], row[JOINTS + motors], row[JOINTS + self.model.num_joints + motors]])
+        row, motors = self._rows[i], self.model.motors
+        seen: Array = self._seen[i]
+        seen[:JOINTS] = row[:JOINTS]
+        seen[JOINTS : JOINTS + 2 * len(motors)] = row[self._motor_columns]
+        return seen
 
     def _set_constraint_motors(self, i: int) -> None:
         """Give Bullet's joint motors their targets, gains and limits, which they keep until they get others.
@@ -189,15 +206,9 @@ class BulletEngine:
             physicsClientId=self._clients[i],
         )
 
-    def _count_contacts(self, i: int, client: int) -> None:
-        p, feet = self._p, self._feet
-        points = p.getContactPoints(self.model.body, self.model.ground, physicsClientId=client)
-        for leg in {feet[point[3]] for point in points if point[9] > 0.0 and point[3] in feet}:
-            self.drive.contact_ticks[i, leg] += 1.0
-
     def observe(self, i: int) -> None:
         """Write the state of robot `i` to `drive.now`."""
-        observe(self._layout, self.drive, i, self._seen(i))
+        observe(self._layout, self.drive, i, self._look(i))
 
     def get_state(self, i: int) -> Array:
         """Everything that decides robot `i`'s further motion in the engine: its row and the force on its base.
@@ -269,25 +280,8 @@ class BulletEngine:
                 p.changeDynamics(model.body, link, lateralFriction=friction, physicsClientId=client)
             self._friction[i] = friction
         if self._ratios[i] != ratios:
-            self._scale_masses(client, *ratios)
+            scale_masses(p, client, model, *ratios)
             self._ratios[i] = ratios
-
-    def _scale_masses(
-        self, client: int, base_mass: float, leg_mass: float, base_inertia: float, leg_inertia: float
-    ) -> None:
-        p, model = self._p, self.model
-        scaled = {}
-        for name, (mass, moments) in model.mass.items():
-            link = model.links[name]
-            if link < 0 and model.rack:
-                continue
-            at_base = link < 0
-            mass = mass * (base_mass if at_base else leg_mass)
-            moments = moments * (base_inertia if at_base else leg_inertia)
-            # Given a mass alone, Bullet would take the inertia of the collision shape.
-            p.changeDynamics(model.body, link, mass=mass, localInertiaDiagonal=moments.tolist(), physicsClientId=client)
-            scaled[name] = (mass, moments)
-        check_masses(p, client, model, scaled)
 
     def base(self) -> Array:
         """Base position [m], quaternion (w x y z) and velocity [m/s], all in the world frame, (N, 10)."""

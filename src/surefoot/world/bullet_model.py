@@ -2,12 +2,7 @@
 
 from __future__ import annotations
 
-import ctypes
-import os
-import sys
 import tempfile
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
@@ -17,6 +12,7 @@ from numpy.typing import NDArray
 
 from surefoot.errors import SurefootError
 from surefoot.robot import RobotDescription
+from surefoot.world.bullet_import import import_pybullet, quiet
 from surefoot.world.fused_urdf import FusedUrdf, fuse_urdf, write_fused
 from surefoot.world.interface import WorldConfig
 
@@ -35,40 +31,6 @@ LOOP_ERP = 0.2
 """Share of a loop's gap that is closed in a step."""
 _SPEED_LIMIT = 1e6
 """Bullet cuts all generalized speeds at this [m/s, rad/s]; its own 100 would stop motors, and hide a divergence."""
-
-
-@contextmanager
-def _quiet() -> Iterator[None]:
-    """Nothing that C code prints reaches the user's stdout or stderr."""
-    for stream in (sys.stdout, sys.stderr):
-        if stream is not None:
-            stream.flush()
-    saved = [os.dup(descriptor) for descriptor in (1, 2)]
-    nowhere = os.open(os.devnull, os.O_WRONLY)
-    try:
-        for descriptor in (1, 2):
-            os.dup2(nowhere, descriptor)
-        yield
-    finally:
-        ctypes.CDLL(None).fflush(None)  # C keeps what it prints to a pipe until later
-        for descriptor, was in zip((1, 2), saved, strict=True):
-            os.dup2(was, descriptor)
-            os.close(was)
-        os.close(nowhere)
-
-
-def import_pybullet() -> ModuleType:
-    """PyBullet, without its greeting.
-
-    Raises:
-        ModuleNotFoundError: it is not installed.
-    """
-    if "pybullet" in sys.modules:
-        return sys.modules["pybullet"]
-    with _quiet():
-        import pybullet
-    module: ModuleType = pybullet
-    return module
 
 
 @dataclass(frozen=True)
@@ -113,7 +75,7 @@ def open_client(robot: RobotDescription, config: WorldConfig) -> tuple[int, Bull
         SurefootError: Bullet has no room for another client, or reads other masses than the file has.
     """
     p = import_pybullet()
-    with _quiet():
+    with quiet():
         try:
             client = p.connect(p.DIRECT)
         except p.error:
@@ -254,6 +216,29 @@ def check_masses(p: ModuleType, client: int, model: BulletModel, mass: dict[str,
                 f"{model.robot.urdf.path}: link '{name}': Bullet has mass {info[0]:g} kg and moments {info[2]}; "
                 f"they must be {value:g} kg and {tuple(moments.tolist())}"
             )
+
+
+def scale_masses(
+    p: ModuleType,
+    client: int,
+    model: BulletModel,
+    base_mass: float,
+    leg_mass: float,
+    base_inertia: float,
+    leg_inertia: float,
+) -> None:
+    """Multiply the nominal masses and moments of the base and of all other links, and check that Bullet has them."""
+    scaled = {}
+    for name, (mass, moments) in model.mass.items():
+        link = model.links[name]
+        if link < 0 and model.rack:
+            continue
+        mass = mass * (base_mass if link < 0 else leg_mass)
+        moments = moments * (base_inertia if link < 0 else leg_inertia)
+        # Given a mass alone, Bullet would take the inertia of the collision shape.
+        p.changeDynamics(model.body, link, mass=mass, localInertiaDiagonal=moments.tolist(), physicsClientId=client)
+        scaled[name] = (mass, moments)
+    check_masses(p, client, model, scaled)
 
 
 def quaternion(turn: Array) -> Array:

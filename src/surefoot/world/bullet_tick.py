@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from surefoot.world.drive import Drive, constraint_tick, record, roll_pitch_yaw, servo_tick
 
 Array = NDArray[np.float64]
+Index = NDArray[np.int64]
 
 SPEED_LIMIT = 1e5
 """A generalized speed beyond this [m/s, rad/s] counts as diverged."""
@@ -67,41 +68,50 @@ def observe(layout: Layout, drive: Drive, i: int, seen: Array) -> bool:
 
 
 @njit(cache=True)
-def between(layout: Layout, drive: Drive, i: int, seen: Array, applied: Array, after: bool, before: bool) -> bool:
-    """What robot `i` does between two steps of Bullet, in one call: the end of one, the start of the next.
+def between(
+    layout: Layout,
+    drive: Drive,
+    seen: Array,
+    applied: Array,
+    left: Index,
+    diverged: NDArray[np.bool_],
+    ended: bool,
+) -> None:
+    """What robots do between two steps of Bullet, all in one call: the end of one, the start of the next.
 
     Args:
         layout: see there.
-        drive: servo, motors and sensors.
-        i: robot.
-        seen: its state after the step, see `observe`, then the torques (M,) [N m] of Bullet's own joint motors.
-        applied: output, joint torques (M,) [N m] for the next step.
-        after: a step has just ended.
-        before: another one follows.
-
-    Returns:
-        False if the robot has diverged.
+        drive: servos, motors and sensors of N robots.
+        seen: their states after the step, see `observe`, then the torques of Bullet's own joint motors [N m], (N, ...).
+        applied: output, joint torques (N, M) [N m] for the next step.
+        left: steps that each has to go, the one that has ended included (N,); updated, 0 where a robot diverges.
+        diverged: set where a robot diverges (N,).
+        ended: a step has ended; if not, the first is about to start.
     """
     motors = len(layout.sign)
-    if after:
-        drive.ticks[i] += 1
-        if not observe(layout, drive, i, seen):
-            return False
-        if drive.constraint[0]:
+    for i in range(len(left)):
+        if left[i] == 0:
+            continue
+        if ended:
+            drive.ticks[i] += 1
+            if not observe(layout, drive, i, seen[i]):
+                diverged[i], left[i] = True, 0
+                continue
+            if drive.constraint[0]:
+                for m in range(motors):
+                    # A motor without strength is left out of the solver, and keeps the torque that it had before.
+                    limit = drive.torque_limit[i, m]
+                    torque = layout.sign[m] * seen[i, JOINTS + 2 * motors + m]
+                    drive.motor_torque[i, m] = min(max(torque, -limit), limit)
+                constraint_tick(drive, i)
+            record(drive, i)
+            left[i] -= 1
+        if left[i] > 0:
+            servo_tick(drive, i)
             for m in range(motors):
-                # A motor without strength is left out of the solver, and keeps the torque that it had before.
-                limit = drive.torque_limit[i, m]
-                torque = layout.sign[m] * seen[JOINTS + 2 * motors + m]
-                drive.motor_torque[i, m] = min(max(torque, -limit), limit)
-            constraint_tick(drive, i)
-        record(drive, i)
-    if before:
-        servo_tick(drive, i)
-        for m in range(motors):
-            applied[m] = layout.sign[m] * drive.torque[i, m]
-            if not np.isfinite(applied[m]):
-                return False
-    return True
+                applied[i, m] = layout.sign[m] * drive.torque[i, m]
+                if not np.isfinite(applied[i, m]):
+                    diverged[i], left[i] = True, 0
 
 
 def rotations(quats_xyzw: Array) -> Array:
