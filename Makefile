@@ -32,6 +32,9 @@ $(READY): pyproject.toml constraints.txt
 	fi
 	@rm -f $(READY)
 	@$(BIN)/python -m pip install -c constraints.txt -e ".[train,report,dev]"
+	@# PyBullet has no wheels for some Pythons, and is long to compile: without it the tests of its world are skipped.
+	@$(BIN)/python -m pip install -c constraints.txt --only-binary pybullet -e ".[bullet]" || \
+	  echo "surefoot: no PyBullet for this Python; the Bullet world and its tests are left out"
 	@echo "$(CURDIR)" > $(READY)
 	@echo "surefoot: $(VENV) is ready"
 

@@ -103,13 +103,13 @@ def test_the_gap_is_home_less_away():
 
 def test_pooled_policies_are_all_their_runs():
     first = PolicyGap("a", runs_of(4.0, 6.0), (runs_of(1.0, world="bullet", fell=True),))
-    second = PolicyGap("b", runs_of(8.0), (runs_of(3.0, 5.0, world="bullet"),))
+    second = PolicyGap("b", runs_of(10.0), (runs_of(3.0, 5.0, world="bullet"),))
     pooled = PolicyGap.pooled("both", [first, second])
-    assert pooled.home.returns.tolist() == [4.0, 6.0, 8.0]
+    assert pooled.home.returns.tolist() == [4.0, 6.0, 10.0]
     assert pooled.away[0].returns.tolist() == [1.0, 3.0, 5.0]
     assert pooled.away[0].success_rate == pytest.approx(2 / 3)
-    assert pooled.gap("bullet").mean == 3.0
-    assert pooled.gap("bullet").error == pytest.approx(math.hypot(2 / math.sqrt(3), 2 / math.sqrt(3)))
+    # The policies' own gaps are 5 - 1 and 10 - 4.
+    assert pooled.gap("bullet") == Estimate(5.0, pytest.approx(1.0))
     with pytest.raises(SurefootError, match="different worlds"):
         PolicyGap.pooled("both", [first, PolicyGap("c", runs_of(1.0), (runs_of(1.0, world="robot"),))])
 

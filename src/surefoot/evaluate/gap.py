@@ -149,13 +149,20 @@ class PolicyGap:
     """Runs in the world that it was trained in."""
     away: tuple[Runs, ...]
     """Runs in the other worlds, one entry each."""
+    parts: tuple[PolicyGap, ...] = ()
+    """The policies that these runs are of, if they are of several."""
 
     def gap(self, world: str) -> Estimate:
         """Return at home less return away [m]: above zero where the policy does worse than its simulation says.
 
+        Of several policies it is the mean of their gaps, with its standard error over policies: how far policies
+        differ from each other, gallops from trots, says nothing about how far any of them is from its simulation.
+
         Raises:
             SurefootError: no such world.
         """
+        if self.parts:
+            return Estimate.of([part.gap(world).mean for part in self.parts])
         return self.home.estimate("returns") - self.of(world).estimate("returns")
 
     def of(self, world: str) -> Runs:
@@ -180,7 +187,7 @@ class PolicyGap:
         if len(set(worlds)) != 1:
             raise SurefootError("policies were run in different worlds; a gap of several takes the same for all")
         away = tuple(Runs.pooled([policy.of(world) for policy in policies]) for world in worlds[0])
-        return cls(name, Runs.pooled([policy.home for policy in policies]), away)
+        return cls(name, Runs.pooled([policy.home for policy in policies]), away, tuple(policies))
 
 
 def home_task(task: TaskConfig) -> TaskConfig:
@@ -189,8 +196,12 @@ def home_task(task: TaskConfig) -> TaskConfig:
 
 
 def away_task(task: TaskConfig) -> TaskConfig:
-    """The task on the robot as its data sheet describes it, whatever it was trained with: a stand-in for reality."""
-    return replace(home_task(task), actuator="dc", params={})
+    """The task on the robot as its data sheet describes it, whatever it was trained with: a stand-in for reality.
+
+    The control step stays: it is the policy's, and a robot would keep it.
+    """
+    kept = {name: value for name, value in task.params.items() if name == "control_step"}
+    return replace(home_task(task), actuator="dc", params=kept)
 
 
 def top(policies: Sequence[PolicyGap], count: int, by: Callable[[PolicyGap], float] | None = None) -> list[PolicyGap]:
