@@ -64,7 +64,7 @@ def test_the_report_tells_gaps_and_what_others_found(tmp_path: Path, gap_compari
 
 def test_a_group_that_falls_at_home_is_marked(gap_comparison: MakeComparison) -> None:
     text = "\n".join(gap_text(gap_comparison()))
-    assert "**third** keeps its balance at home in three of nine runs" in text
+    assert "**third** keeps its balance at home in only three of nine runs" in text
     assert "**second** keeps" not in text
 
 

@@ -110,6 +110,7 @@ def _result(run: StudyRun, kinds: tuple[str, ...]) -> SeedResult | None:
     """What is known of a run; None if it is not finished, not evaluated, or not what the study asks for."""
     from surefoot.evaluate.comparison import Curve, SeedResult
     from surefoot.evaluate.study import kept
+    from surefoot.policy.runtime import PolicyRuntime
 
     if run.state != "finished":
         return None
@@ -121,4 +122,5 @@ def _result(run: StudyRun, kinds: tuple[str, ...]) -> SeedResult | None:
     if len(results) < len(kinds):
         return None
     rows = run.rows()
-    return SeedResult(run.config.seed, rows[-1]["steps"], rows[-1]["seconds"], Curve.of_rows(rows), results)
+    best = PolicyRuntime.load(run.policy).contract.figures.get("training", {}).get("steps")
+    return SeedResult(run.config.seed, rows[-1]["steps"], rows[-1]["seconds"], Curve.of_rows(rows), results, best)

@@ -80,6 +80,8 @@ class SeedResult:
     """How its training went."""
     results: dict[str, Result]
     """Result of each kind of evaluation."""
+    best: int | None = None
+    """Control steps after which the policy was what is evaluated: the best of its training; None if not known."""
 
     @property
     def figures(self) -> dict[str, float]:

@@ -27,7 +27,8 @@ def write_tables(comparison: Comparison, folder: Path) -> list[Path]:
     """
     figures = comparison.figures
     runs = [
-        [group.name, seed.seed, seed.steps, f"{seed.seconds:.1f}", *(f"{seed.figures[f.name]:.6f}" for f in figures)]
+        [group.name, seed.seed, seed.steps, f"{seed.seconds:.1f}", "" if seed.best is None else seed.best]
+        + [f"{seed.figures[f.name]:.6f}" for f in figures]
         for group in comparison.groups
         for seed in group.seeds
     ]
@@ -58,7 +59,7 @@ def write_tables(comparison: Comparison, folder: Path) -> list[Path]:
     return [
         *worlds,
         *gaps,
-        write_table(folder / "runs.csv", ",".join(["group,seed,steps,training_seconds", *names]), runs),
+        write_table(folder / "runs.csv", ",".join(["group,seed,steps,training_seconds,best_steps", *names]), runs),
         write_table(folder / "groups.csv", "group,label,figure,unit,seeds,mean,low,high", groups),
         write_table(folder / "differences.csv", "group,against,figure,unit,difference,low,high", differences),
         write_table(folder / "episodes.csv", "group,seed,kind,episode,return,speed,fell", episodes),

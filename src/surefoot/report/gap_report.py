@@ -107,9 +107,9 @@ def _meaning(comparison: Comparison, sections: Sequence[_Section]) -> list[str]:
         f"taken, those with the highest return in their own simulator, and each is run {_count(settings['episodes'])} "
         f"times in each world. They are chosen by {nominal['episodes']} other episodes, so that the runs at home owe "
         "nothing to the choice. Numbers with ± are means over all these runs with one standard error. Runs of one "
-        "policy are not independent of each other, so that this error is too small to tell of other policies; numbers "
-        f"with brackets take the policies as units, one mean gap each, with an interval of {CONFIDENCE:.0%} confidence "
-        "(Student's t for a group, Welch's for a difference).",
+        "policy are not independent of each other, nor are a policy's runs at home and away, so that this error is the "
+        "paper's, but tells little of other policies; numbers with brackets take the policies as units, one mean gap "
+        f"each, with an interval of {CONFIDENCE:.0%} confidence (Student's t for a group, Welch's for a difference).",
     ]
     if few[0] < comparison.top:
         parts.append(f"**Some groups have fewer than {_count(comparison.top)} evaluated policies yet.**")
@@ -156,11 +156,10 @@ def _ending(run: ShortRun) -> str:
 
 
 def _weak(groups: Sequence[GroupGap]) -> list[str]:
-    """Groups whose gap says little, since they have little to lose."""
+    """Groups whose gap says little, since they do badly at home already."""
     return [
-        f"**{group.label}** keeps its balance at home in {_part(int(group.home.balanced.sum()))} of "
-        f"{_count(len(group.home))} runs: what does not walk there has little to lose away, so its gap says "
-        "little."
+        f"**{group.label}** keeps its balance at home in only {_part(int(group.home.balanced.sum()))} of "
+        f"{_count(len(group.home))} runs: part of what a gap could show is lost at home already."
         for group in groups
         if group.home.success_rate < 0.5
     ]

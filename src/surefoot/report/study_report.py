@@ -131,10 +131,13 @@ def _trainings(comparison: Comparison) -> str:
         minutes = [f"{seed.seconds / 60:.1f}" for seed in group.seeds]
         count = f"{steps[0]:,}" if len(set(steps)) == 1 else f"{min(steps):,} to {max(steps):,}"
         seeds = ", ".join(str(seed.seed) for seed in group.seeds)
-        lines.append([group.label, f"`{group.name}`", seeds, count, ", ".join(minutes)])
+        best = ["?" if seed.best is None else f"{seed.best / 1e6:.2f}" for seed in group.seeds]
+        lines.append([group.label, f"`{group.name}`", seeds, count, ", ".join(best), ", ".join(minutes)])
     whole = sum(seed.seconds for group in comparison.groups for seed in group.seeds)
     total = sum(seed.steps for group in comparison.groups for seed in group.seeds)
-    runs = table(["group", "name", "seeds", "control steps, each", "training, min, each"], lines)
+    runs = table(
+        ["group", "name", "seeds", "control steps, each", "best after, millions", "training, min, each"], lines
+    )
     return (
         f"{runs}\n\nTogether {total:,} control steps and {whole / 3600:.2f} hours of training, "
         "one thread each. A training's time is its own, while others may have run beside it."
