@@ -241,6 +241,24 @@ def test_an_episode_is_the_one_that_evaluate_runs(pushes: bool, max_steps: int):
     assert len(np.unique(result.returns.round(9))) == result.returns.size
 
 
+def test_robots_side_by_side_change_nothing_but_the_memory():
+    ranges = RandomizeConfig(motor_strength=(0.8, 1.1), control_step=(0.003, 0.02))
+    seen: list[tuple[int, int]] = []
+    options: dict[str, Any] = {"ranges": ranges, "values": 3, "episodes": 2, "seed": 7, "threads": 1}
+    whole = run_sensitivity(Reactive(), trot(30), SimWorld, **options)
+    for robots in (1, 6):  # a world at a time, two at a time
+        parts = run_sensitivity(
+            Reactive(), trot(30), SimWorld, robots=robots, progress=lambda *now: seen.append(now), **options
+        )
+        assert parts.worlds == whole.worlds
+        for name in ("returns", "fell", "speed"):
+            np.testing.assert_array_equal(getattr(parts, name), getattr(whole, name))
+            np.testing.assert_array_equal(getattr(parts.nominal, name), getattr(whole.nominal, name))
+        assert seen[-1] == (10_000, 10_000)
+        assert seen == sorted(seen)
+        seen.clear()
+
+
 def test_progress_counts_to_the_end():
     seen: list[tuple[int, int]] = []
     ranges = RandomizeConfig(control_step=(0.003, 0.020))

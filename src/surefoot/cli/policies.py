@@ -21,6 +21,8 @@ PACKAGE = Path(__file__).resolve().parents[1]
 SHELVES = (PACKAGE / "policies", PACKAGE.parents[1] / "policies")
 """Where policies that ship lie: in an installed package, and in the repository."""
 WORLDS = ("mujoco", "bullet")
+SIDE_BY_SIDE = {"mujoco": 0, "bullet": 128}
+"""Robots that many episodes are best run with at a time, 0 for all: Bullet takes some 33 MB for each."""
 
 
 def shipped_policies() -> dict[str, Path]:

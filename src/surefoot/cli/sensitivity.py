@@ -70,7 +70,7 @@ def main(argv: list[str]) -> int:
         raise SurefootError("no policy is given; give one or more .onnx files, or names of policies that ship")
     if command.duration is not None and not command.duration > 0:
         raise SurefootError(f"duration is {command.duration:g} s; it must be over 0")
-    from surefoot.cli.policies import find_policy, find_world, load_policies
+    from surefoot.cli.policies import SIDE_BY_SIDE, find_policy, find_world, load_policies
     from surefoot.task.randomize import check_ranges, load_ranges
 
     paths = [find_policy(policy) for policy in command.policies]
@@ -105,6 +105,7 @@ def main(argv: list[str]) -> int:
                     seed=command.seed,
                     threads=command.threads,
                     pushes=command.pushes,
+                    robots=SIDE_BY_SIDE[command.world],
                     progress=progress,
                 )
             )

@@ -163,9 +163,10 @@ def run_sensitivity(
     seed: int = 1,
     threads: int = 0,
     pushes: bool = False,
+    robots: int = 0,
     progress: Progress | None = None,
 ) -> Sensitivity:
-    """Run a policy in every test world, and in the nominal one, all of them in one batch.
+    """Run a policy in every test world, and in the nominal one, side by side.
 
     Episodes last the same time in all worlds, not the same number of control steps: else the returns of the row
     `control_step` would tell how long episodes are. Each ends with the whole number of control steps that is nearest
@@ -184,8 +185,10 @@ def run_sensitivity(
         seed: the one seed.
         threads: threads of the simulation; 0 means one a core.
         pushes: whether the base is pushed, as the task says how, every push in full.
+        robots: most robots side by side, for engines that take much memory for each; 0 means all. The result does not
+            depend on it.
         progress: called after every control step with the control steps done and those of all episodes together;
-            an episode that ends early is done.
+            an episode that ends early is done. Where not all run side by side, both are in ten-thousandths.
 
     Raises:
         SurefootError: a number that does not fit, or ranges outside what the robot allows.
@@ -206,17 +209,36 @@ def run_sensitivity(
         # Every robot ends by its own number of control steps, which the environment knows nothing about.
         max_steps=np.iinfo(np.int64).max,
     )
-    env = LocomotionEnv(
-        task, (1 + len(worlds)) * episodes, _in_worlds(make_world, worlds, episodes), seed, False, threads
-    )
-    _share_streams(env, episodes)
-    steps = np.maximum(np.round(duration / env.world.params.control_step), 1).astype(np.int64)
-    returns, fell, speed = _run(policy, env, steps, progress)
-    shape = (-1, episodes)
-    returns, fell, speed = returns.reshape(shape), fell.reshape(shape), speed.reshape(shape)
+    batch = max(robots // episodes - 1, 1) if robots else len(worlds)
+    parts: list[tuple[Array, Flags, Array]] = []
+    for first in range(0, len(worlds), batch):
+        chosen = worlds[first : first + batch]
+        env = LocomotionEnv(
+            task, (1 + len(chosen)) * episodes, _in_worlds(make_world, chosen, episodes), seed, False, threads
+        )
+        _share_streams(env, episodes)
+        steps = np.maximum(np.round(duration / env.world.params.control_step), 1).astype(np.int64)
+        if first:
+            steps[:episodes] = 0  # the nominal world has been run
+        told = progress
+        if progress is not None and batch < len(worlds):
+            told = _share_of(progress, first / len(worlds), len(chosen) / len(worlds))
+        parts.append(_run(policy, env, steps, told))
+    columns = [np.concatenate([part[k][episodes if n else 0 :] for n, part in enumerate(parts)]) for k in range(3)]
+    returns, fell, speed = (column.reshape(-1, episodes) for column in columns)
     rows = {row: float(np.mean(getattr(env.nominal, ROWS[row].params[0])[0])) for row in ranges.ranges}
     nominal = Nominal(rows, returns[0], fell[0], speed[0])
     return Sensitivity(policy_name, worlds, returns[1:], fell[1:], speed[1:], nominal)
+
+
+def _share_of(progress: Progress, before: float, share: float) -> Progress:
+    """The progress of a batch that has a share of the work, after others, in ten-thousandths of the whole."""
+    whole = 10_000
+
+    def told(done: int, total: int) -> None:
+        progress(round(whole * (before + share * done / total)), whole)
+
+    return told
 
 
 def _in_worlds(make_world: SimulationFactory, worlds: Sequence[TestWorld], episodes: int) -> SimulationFactory:
@@ -252,6 +274,7 @@ def _run(
 ) -> tuple[Array, Flags, Array]:
     """Run every robot for its own number of control steps; return, fall and speed of each, (N,)."""
     observation, _ = env.reset()
+    env.over |= steps == 0
     fell = np.zeros(env.num_envs, np.bool_)
     position, time = env.truth.base_position_world[:, 0].copy(), env.readings.time.copy()
     start, feedback, total = position.copy(), env.feedback.copy(), int(steps.sum())

@@ -38,7 +38,7 @@ from surefoot.world.interface import WorldConfig
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-MAX_ROBOTS = 1000
+MAX_ROBOTS = 256
 """Robots in one process; PyBullet has room for 1024 clients. Each takes some 33 MB of memory."""
 
 
