@@ -47,8 +47,8 @@ class MotorLog:
     @classmethod
     def sine(cls, middle: float, amplitude: float, frequency: float, duration: float, step: float) -> MotorLog:
         """A target without a measurement: `middle` + `amplitude` sin(2 pi `frequency` t), renewed every `step` [s]."""
-        time = np.arange(round(duration / step) + 1) * step
-        target = middle + amplitude * np.sin(2 * np.pi * frequency * time)
+        time: Array = step * np.arange(round(duration / step) + 1, dtype=np.float64)
+        target: Array = middle + amplitude * np.sin(2 * np.pi * frequency * time)
         return cls("sine", time, target, np.full(len(time), np.nan))
 
     @classmethod

@@ -85,6 +85,8 @@ class WorldConfig:
         """Refuse what goes together in no world."""
         if self.actuator not in ACTUATORS:
             raise SurefootError(f"actuator is '{self.actuator}'; choices: {choices(ACTUATORS)}")
+        if self.threads < 0:
+            raise SurefootError(f"threads is {self.threads}; it must be 0 (one a core) or more")
         if self.actuator == "constraint" and self.thermal_protection:
             raise SurefootError("thermal_protection is of DC motors; it goes with actuator dc only")
 

@@ -33,6 +33,8 @@ def _start() -> subprocess.Popen[bytes]:
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         env=environment,
+        # Ctrl-C on the terminal is for the process that was started by hand; it ends these.
+        process_group=0,
     )
 
 
