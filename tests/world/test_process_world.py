@@ -232,5 +232,5 @@ def test_bullet_in_processes_is_bullet_in_one(robot, trot, assert_same):
 
 
 def test_more_robots_than_the_processes_hold_are_refused_at_once(robot):
-    with pytest.raises(SurefootError, match="num_envs is 2001; Bullet holds up to 1000 robots in each of 2 processes"):
-        bullet_world(robot, 2001, config=WorldConfig(threads=2))
+    with pytest.raises(SurefootError, match="num_envs is 513; Bullet holds up to 256 robots in each of 2 processes"):
+        bullet_world(robot, 513, config=WorldConfig(threads=2))
