@@ -1,0 +1,210 @@
+"""The compiled loop that steps robots in MuJoCo: servo, motors, physics, feet on the ground and sensors.
+
+It calls MuJoCo's C functions and reads its arrays by address, so that no Python runs between two servo steps.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from surefoot.world.contact import foot_force_kernel
+from surefoot.world.drive import Drive, constraint_tick, record, roll_pitch_yaw, servo_tick
+from surefoot.world.native import call_step, doubles, pointers
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+SPEED_LIMIT = 1e5
+"""A generalized speed beyond this [m/s, rad/s] counts as diverged, before MuJoCo itself would complain."""
+
+
+class Native(NamedTuple):
+    """Addresses and layout that the compiled loop works on."""
+
+    step1: int
+    step2: int
+    model: Index
+    mass_fields: Index
+    mass_sizes: Index
+    mass: Array
+    data: Index
+    qpos: Index
+    qvel: Index
+    applied: Index
+    force: Index
+    geom_xpos: Index
+    body_xipos: Index
+    body_cvel: Index
+    subtree_com: Index
+    motor_qpos: Index
+    motor_dof: Index
+    motor_sign: Array
+    motor_row: Index  # of the solver's rows, where motors are constraints
+    aref: int  # places in MuJoCo's data of pointers to arrays of the solver's rows
+    frictionloss: int
+    force_row: int
+    base_qpos: int
+    base_dof: int
+    base_body: int
+    foot_geom: Index
+    foot_body: Index
+    foot_radius: Array
+    friction: Array
+    stretch: Array
+    contact: Array
+    num_qpos: int
+    num_qvel: int
+
+
+@njit(cache=True, forceinline=True)
+def _load_masses(native: Native, worker: int, i: int) -> None:
+    """Give the model of a thread the masses and inertias of robot `i`."""
+    at = 0
+    for field in range(len(native.mass_sizes)):
+        values = doubles(native.mass_fields[worker, field])
+        for k in range(native.mass_sizes[field]):
+            values[k] = native.mass[i, at + k]
+        at += native.mass_sizes[field]
+
+
+@njit(cache=True, forceinline=True)
+def observe(native: Native, drive: Drive, i: int) -> bool:
+    """Write robot `i`'s state to `drive.now`; false, and nothing written, if it is not finite."""
+    qpos, qvel = doubles(native.qpos[i]), doubles(native.qvel[i])
+    for k in range(native.num_qvel):
+        if not abs(qvel[k]) < SPEED_LIMIT:
+            return False
+    for k in range(native.num_qpos):
+        if not np.isfinite(qpos[k]):
+            return False
+    now, motors = drive.now[i], len(native.motor_qpos)
+    for m in range(motors):
+        now[m] = native.motor_sign[m] * qpos[native.motor_qpos[m]]
+        now[motors + m] = native.motor_sign[m] * qvel[native.motor_dof[m]]
+    if native.base_qpos < 0:  # on a rack
+        now[2 * motors :] = 0.0
+        return True
+    b, v = native.base_qpos + 3, native.base_dof + 3
+    roll, pitch, yaw = roll_pitch_yaw(qpos[b], qpos[b + 1], qpos[b + 2], qpos[b + 3])
+    now[2 * motors], now[2 * motors + 1], now[2 * motors + 2] = roll, pitch, yaw
+    for k in range(3):
+        now[2 * motors + 3 + k] = qvel[v + k]
+    return True
+
+
+@njit(cache=True, forceinline=True)
+def _feet_on_ground(native: Native, drive: Drive, i: int, velocity: Array, force: Array) -> None:
+    """Apply the ground's forces on robot `i`'s feet, for positions and velocities that MuJoCo has just computed."""
+    xpos, xipos = doubles(native.geom_xpos[i]), doubles(native.body_xipos[i])
+    cvel, com = doubles(native.body_cvel[i]), doubles(native.subtree_com[i])
+    applied = doubles(native.force[i])
+    stiffness, damping = native.contact
+    root = 3 * native.base_body
+    for leg in range(len(native.foot_geom)):
+        g, b = 3 * native.foot_geom[leg], native.foot_body[leg]
+        radius = native.foot_radius[leg]
+        depth = radius - xpos[g + 2]
+        if depth > 0.0:
+            # MuJoCo's cvel is the velocity of the body where the whole robot's centre of mass is.
+            x, y, z = xpos[g] - com[root], xpos[g + 1] - com[root + 1], xpos[g + 2] - radius - com[root + 2]
+            wx, wy, wz = cvel[6 * b], cvel[6 * b + 1], cvel[6 * b + 2]
+            velocity[0] = cvel[6 * b + 3] + wy * z - wz * y
+            velocity[1] = cvel[6 * b + 4] + wz * x - wx * z
+            velocity[2] = cvel[6 * b + 5] + wx * y - wy * x
+        foot_force_kernel(
+            depth,
+            velocity,
+            native.stretch[i, leg],
+            native.friction[i],
+            stiffness,
+            damping,
+            drive.limits[3],
+            force,
+        )
+        if force[2] > 0.0:
+            drive.contact_ticks[i, leg] += 1.0
+        # MuJoCo takes a force at the body's centre of mass and a torque.
+        x, y, z = (
+            xpos[g] - xipos[3 * b],
+            xpos[g + 1] - xipos[3 * b + 1],
+            xpos[g + 2] - radius - xipos[3 * b + 2],
+        )
+        for k in range(3):
+            applied[6 * b + k] = force[k]
+        applied[6 * b + 3] = y * force[2] - z * force[1]
+        applied[6 * b + 4] = z * force[0] - x * force[2]
+        applied[6 * b + 5] = x * force[1] - y * force[0]
+
+
+@njit(cache=True, forceinline=True)
+def _seek_speeds(native: Native, drive: Drive, i: int) -> None:
+    """Make the friction that MuJoCo has just set up for robot `i`'s motor joints seek `drive.end_speed`.
+
+    Bounded joint friction is a constraint on the joint's acceleration, which for speed 0 at the step's end is
+    -qdot / dt; another acceleration gives another speed.
+    """
+    aref = doubles(pointers(native.data[i] + native.aref)[0])
+    limit = doubles(pointers(native.data[i] + native.frictionloss)[0])
+    qvel = doubles(native.qvel[i])
+    for m in range(len(native.motor_dof)):
+        row = native.motor_row[m]
+        end_speed = native.motor_sign[m] * drive.end_speed[i, m]
+        aref[row] = (end_speed - qvel[native.motor_dof[m]]) / drive.limits[3]
+        limit[row] = drive.torque_limit[i, m]
+
+
+@njit(cache=True, nogil=True)
+def advance(
+    native: Native, drive: Drive, servo_steps: Index, diverged: NDArray[np.bool_], worker: int, first: int, last: int
+) -> None:
+    """Run robots first to last (not included) for their number of servo steps, on a thread's model."""
+    velocity, force = np.zeros(3), np.zeros(3)
+    model = native.model[worker]
+    for i in range(first, last):
+        if servo_steps[i] == 0:
+            continue
+        _load_masses(native, worker, i)
+        drive.energy[i] = 0.0
+        drive.contact_ticks[i] = 0.0
+        applied = doubles(native.applied[i])
+        for _ in range(servo_steps[i]):
+            if diverged[i]:
+                break
+            servo_tick(drive, i)
+            for m in range(len(native.motor_dof)):
+                torque = drive.torque[i, m]
+                if not np.isfinite(torque):
+                    diverged[i] = True
+                applied[native.motor_dof[m]] = native.motor_sign[m] * torque
+            if diverged[i]:
+                break
+            call_step(native.step1, model, native.data[i])
+            _feet_on_ground(native, drive, i, velocity, force)
+            if drive.constraint[0]:
+                _seek_speeds(native, drive, i)
+            call_step(native.step2, model, native.data[i])
+            drive.ticks[i] += 1
+            if not observe(native, drive, i):
+                diverged[i] = True
+                break
+            if drive.constraint[0]:
+                forces = doubles(pointers(native.data[i] + native.force_row)[0])
+                for m in range(len(native.motor_dof)):
+                    drive.motor_torque[i, m] = native.motor_sign[m] * forces[native.motor_row[m]]
+                constraint_tick(drive, i)
+            record(drive, i)
+
+
+@njit(cache=True)
+def gather_base(native: Native, rows: Array) -> None:
+    """Write base position, quaternion and velocity of every robot to `rows` (N, 10)."""
+    for i in range(len(rows)):
+        qpos, qvel = doubles(native.qpos[i]), doubles(native.qvel[i])
+        for k in range(7):
+            rows[i, k] = qpos[native.base_qpos + k]
+        for k in range(3):
+            rows[i, 7 + k] = qvel[native.base_dof + k]
