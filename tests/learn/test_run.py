@@ -151,7 +151,7 @@ def test_folder_of_another_version_is_refused(whole: TrainingRun, tmp_path: Path
     folder = RunFolder.create(whole.config, tmp_path)
     about = json.loads((folder.path / "run.json").read_text())
     (folder.path / "run.json").write_text(json.dumps({**about, "format": 99, "surefoot": "9.0"}))
-    with pytest.raises(SurefootError, match=r"format 99, by surefoot 9\.0.*reads format 2"):
+    with pytest.raises(SurefootError, match=r"format 99, by surefoot 9\.0.*reads format 3"):
         RunFolder.open(folder.path)
 
 

@@ -22,7 +22,7 @@ from surefoot.errors import SurefootError
 from surefoot.files import read_json_lines, whole_file
 from surefoot.learn.config import TrainConfig
 
-FORMAT = 2
+FORMAT = 3
 _MAGIC = b"surefoot checkpoint 1\n"
 _PACKAGES = ("mujoco", "numpy", "numba", "torch", "rsl-rl-lib", "gymnasium", "onnx", "onnxruntime")
 
