@@ -59,6 +59,7 @@ def gap_comparison() -> Callable[..., Comparison]:
     ) -> SeedResult:
         nominal = {"returns": [level] * 20, "speed": [level / 6] * 20, "fell": [False] * 20}
         both = {"home": runs("mujoco", level, 0.1, home), "away": runs("bullet", level - gap, 0.3, away)}
+        both["described"] = runs("mujoco-described", level - gap / 2, 0.2, away)
         return SeedResult(seed, 1_000_000, 120.0, curve, {"nominal": nominal, "gap": both})
 
     def make(seeds: int = 5) -> Comparison:

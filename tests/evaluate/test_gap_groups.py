@@ -43,6 +43,8 @@ def test_a_gap_has_an_error_over_runs_and_an_interval_over_policies(
     assert group.interval.high - 1.3 == pytest.approx(4.302653 * 0.1 / math.sqrt(3), rel=1e-6)
     home = [level + d for level in (2.8, 2.6, 2.4) for d in (-0.1, 0.0, 0.1)]
     away = [level + d for level in (1.4, 1.3, 1.2) for d in (-0.3, 0.0, 0.3)]
+    # With the robot as described, half of that is lost already.
+    assert group.described.estimate("returns").mean == pytest.approx(2.6 - 0.65)
     assert group.gap.mean == pytest.approx(1.3)
     assert group.gap.error == pytest.approx(math.sqrt(np.var(home, ddof=1) / 9 + np.var(away, ddof=1) / 9))
 

@@ -112,7 +112,8 @@ def test_nominal_episodes_run_in_the_policys_own_simulator(rollouts: Rollouts) -
 
 def test_gap_runs_are_at_home_and_on_the_robot_of_the_data_sheet(rollouts: Rollouts) -> None:
     found = KINDS["gap"].run(POLICY, baseline(), find_world, KINDS["gap"].settings, 2)
-    home, away = rollouts.asked
+    home, described, away = rollouts.asked
+    assert (described["make"], described["task"]) == (home["make"], away["task"])
     assert (home["make"], home["world_name"]) == ("makes mujoco", "mujoco")
     assert (away["make"], away["world_name"]) == ("makes bullet", "bullet")
     assert (home["task"].actuator, home["task"].params) == ("constraint", baseline().params)
@@ -123,7 +124,11 @@ def test_gap_runs_are_at_home_and_on_the_robot_of_the_data_sheet(rollouts: Rollo
         assert not asked["task"].randomize.ranges
         # Not the episodes that policies are chosen by.
         assert asked["seed"] != KINDS["nominal"].settings["seed"]
-    assert {world: len(traces) for world, traces in found.traces.items()} == {"mujoco": 3, "bullet": 3}
+    assert {world: len(traces) for world, traces in found.traces.items()} == {
+        "mujoco": 3,
+        "mujoco-described": 3,
+        "bullet": 3,
+    }
     assert Runs.from_mapping(found.result["away"]).to_mapping() == Runs.of_traces(found.traces["bullet"]).to_mapping()
     json.dumps(found.result, allow_nan=False)
 
@@ -167,12 +172,14 @@ def test_a_gap_is_measured_once_and_its_runs_are_kept(policy: Path, rollouts: Ro
     (folder / "bullet" / "run_007.npz").write_bytes(b"of an evaluation before")
     assert study.kept(policy, "gap") is None
     result = study.evaluate(policy, "gap", find_world)
-    names = [f"{world}/run_{number:03d}.npz" for world in ("bullet", "mujoco") for number in range(3)]
+    names = [
+        f"{world}/run_{number:03d}.npz" for world in ("bullet", "mujoco-described", "mujoco") for number in range(3)
+    ]
     assert sorted(str(path.relative_to(folder)) for path in folder.rglob("*.npz")) == names
     back = Runs.of_traces([EpisodeTrace.load(path) for path in sorted((folder / "bullet").iterdir())])
     assert back.to_mapping() == result["away"]
     assert study.evaluate(policy, "gap", find_world) == study.kept(policy, "gap") == result
-    assert len(rollouts.asked) == 2
+    assert len(rollouts.asked) == 3
 
 
 @pytest.mark.parametrize(("kind", "key"), [("gap", "away"), ("gap", "home"), ("nominal", "world")])

@@ -66,6 +66,11 @@ class GroupGap:
         return Runs.pooled([policy.away[0] for policy in self.policies])
 
     @property
+    def described(self) -> Runs:
+        """All runs in the engine of home, with the motors and delays of the robot's data sheet."""
+        return Runs.pooled([policy.away[1] for policy in self.policies])
+
+    @property
     def gap(self) -> Estimate:
         """Return at home less return away [m], with the standard error over all runs."""
         return self.home.estimate("returns") - self.away.estimate("returns")
@@ -139,6 +144,7 @@ def gap_mapping(group: GroupGap) -> dict[str, Any]:
         "runs": len(away),
         "home": {name: estimate_mapping(home.estimate(name)) for name in MEASURES},
         "away": {name: estimate_mapping(away.estimate(name)) for name in MEASURES},
+        "described": {name: estimate_mapping(group.described.estimate(name)) for name in MEASURES},
         "gap": estimate_mapping(group.gap),
         "gap_over_policies": interval_mapping(group.interval),
         "balanced_home": int(home.balanced.sum()),

@@ -101,7 +101,9 @@ def _meaning(comparison: Comparison, sections: Sequence[_Section]) -> list[str]:
     parts = [
         f"At home is the simulator that a policy was trained in: {_engine(home)} with the motors and delays of its own "
         f"task. Away is {_engine(away)} with the motors and delays of the robot's data sheet, whatever the policy was "
-        "trained with: it stands where the paper has its robot. A gap is the mean return at home less the mean return "
+        "trained with: it stands where the paper has its robot. Between the two stands that robot, as described, in "
+        f"{_engine(home)}: what is lost from home to there is the motors' and delays' doing, and what is lost from "
+        "there to away that of the other engine. A gap is the mean return at home less the mean return "
         "away: above zero where a policy does worse than its own simulator says. Nothing is pushed and nothing drawn.",
         f"As in the paper (Tan et al. 2018, section VI-C), the top {_count(comparison.top)} policies of each group are "
         f"taken, those with the highest return in their own simulator, and each is run {_count(settings['episodes'])} "
@@ -123,19 +125,20 @@ def _top_head(comparison: Comparison, section: _Section) -> str:
 
 
 def _group_table(groups: Sequence[GroupGap]) -> str:
-    header = ["group", "seeds", "return at home (m)", "return away (m)", "gap (m)", "gap, over policies (m)"]
+    header = ["group", "seeds", "return at home (m)", "as described (m)", "return away (m)"]
+    header += ["gap (m)", "gap, over policies (m)"]
     header += ["speed at home, away (m/s)", "distance away, least (m)", "power away (W)"]
-    header += ["balanced at home, away", f"over {FAR:g} m away"]
+    header += ["balanced at home, as described, away", f"over {FAR:g} m away"]
     lines = []
     for group in groups:
         home, away = group.home, group.away
         line = [group.label, ", ".join(map(str, group.seeds))]
-        line += [plus_minus(runs.estimate("returns")) for runs in (home, away)]
+        line += [plus_minus(runs.estimate("returns")) for runs in (home, group.described, away)]
         line += [plus_minus(group.gap), plain(group.interval)]
         line.append(", ".join(plus_minus(runs.estimate("speed")) for runs in (home, away)))
         line.append(f"{plus_minus(away.estimate('distance'))}, {away.distance.min():.2f}")
         line.append(plus_minus(away.estimate("power"), 1))
-        line.append(", ".join(f"{int(runs.balanced.sum())} of {len(runs)}" for runs in (home, away)))
+        line.append(", ".join(f"{int(runs.balanced.sum())} of {len(runs)}" for runs in (home, group.described, away)))
         lines.append([*line, f"{group.far} of {len(away)}"])
     return table(header, lines)
 
