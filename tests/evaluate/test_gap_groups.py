@@ -86,7 +86,8 @@ def test_tables_hold_groups_pairs_and_every_run(tmp_path: Path, gap_comparison: 
     assert (groups[0]["home_balanced"], groups[0]["away_balanced"], groups[0]["away_far"]) == ("9", "5", "0")
     assert float(groups[0]["away_least_distance"]) == pytest.approx(1.4)
     made = rows("gap_runs.csv")
-    assert len(made) == 3 * 5 * 2 * 3
+    # Three groups, five policies, three parts, three runs.
+    assert len(made) == 3 * 5 * 3 * 3
     last = next(row for row in made if (row["group"], row["seed"], row["part"], row["run"]) == ("a", "0", "away", "2"))
     assert (last["top"], last["world"], last["steps"], last["balanced"], last["far"]) == (
         "0",

@@ -21,6 +21,8 @@ from surefoot.evaluate.gap_groups import (
 from surefoot.files import write_table
 
 _RUN = ("returns", "distance", "speed", "power")
+_PARTS = ("home", "described", "away")
+"""At home, there with the robot as its data sheet describes it, and in the other world."""
 
 
 def write_gap_tables(comparison: Comparison, folder: Path) -> list[Path]:
@@ -33,9 +35,9 @@ def write_gap_tables(comparison: Comparison, folder: Path) -> list[Path]:
         the paths.
     """
     best, every = _parts(comparison).values()
-    measured = [f"{world}_{name}{end}" for world in ("home", "away") for name in MEASURES for end in ("", "_error")]
+    measured = [f"{world}_{name}{end}" for world in _PARTS for name in MEASURES for end in ("", "_error")]
     header = ["group", "label", "policies", "seeds", "runs", *measured, "gap", "gap_error"]
-    header += ["policies_gap", "policies_low", "policies_high", "home_balanced", "away_balanced", "away_far"]
+    header += ["policies_gap", "policies_low", "policies_high", *(f"{part}_balanced" for part in _PARTS), "away_far"]
     header += ["away_least_distance"]
     groups = [_group_row(which, group) for name in best for which, group in (("top", best[name]), ("all", every[name]))]
     differences = [
@@ -51,7 +53,7 @@ def write_gap_tables(comparison: Comparison, folder: Path) -> list[Path]:
         + [int(world.steps[run]), int(world.balanced[run]), int(world.distance[run] > FAR)]
         for group in every.values()
         for seed, policy in zip(group.seeds, group.policies, strict=True)
-        for part, world in (("home", policy.home), ("away", policy.away[0]))
+        for part, world in (("home", policy.home), ("described", policy.away[1]), ("away", policy.away[0]))
         for run in range(len(world))
     ]
     changed = "policies,group,against,difference,error,policies_difference,policies_low,policies_high"
@@ -90,11 +92,11 @@ def _parts(comparison: Comparison) -> dict[str, dict[str, GroupGap]]:
 def _group_row(which: str, group: GroupGap) -> list[object]:
     home, away = group.home, group.away
     row: list[object] = [group.name, group.label, which, " ".join(map(str, group.seeds)), len(away)]
-    for runs in (home, away):
+    for runs in (home, group.described, away):
         for name in MEASURES:
             row += _numbers(runs.estimate(name))
     row += [*_numbers(group.gap), *map(_text, vars(group.interval).values())]
-    row += [int(home.balanced.sum()), int(away.balanced.sum()), group.far]
+    row += [*(int(runs.balanced.sum()) for runs in (home, group.described, away)), group.far]
     return [*row, _text(away.distance.min())]
 
 
