@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import os
+import pty
+import re
 import signal
 import subprocess
 import sys
@@ -218,12 +220,23 @@ def test_what_is_not_installed_is_told_with_the_command_that_installs_it(policy:
 
 def test_an_interrupt_ends_with_130():
     # A gait that keeps its balance runs to the end of its episodes: this takes far longer than anyone waits.
-    command = [sys.executable, "-m", "surefoot", "evaluate", "trot", "--episodes", "1500"]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=environment())
-    time.sleep(4)
-    process.send_signal(signal.SIGINT)
-    _, errors = process.communicate(timeout=60)
-    assert process.returncode == 130
+    command = [sys.executable, "-m", "surefoot", "evaluate", "trot", "--episodes", "600"]
+    terminal, other_end = pty.openpty()
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=other_end, env=environment() | {"TERM": "xterm"})
+    os.close(other_end)
+    errors, interrupted = b"", False
+    while True:
+        try:
+            read = os.read(terminal, 4096)
+        except OSError:  # the other end is closed
+            break
+        errors += read
+        if not interrupted and re.search(rb"[1-9]\d*/1000 control steps", errors):
+            interrupted = True
+            process.send_signal(signal.SIGINT)
+    os.close(terminal)
+    assert process.wait(60) == 130
+    assert interrupted
     assert b"Traceback" not in errors
 
 
