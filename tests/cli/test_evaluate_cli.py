@@ -222,7 +222,14 @@ def test_an_interrupt_ends_with_130():
     # A gait that keeps its balance runs to the end of its episodes: this takes far longer than anyone waits.
     command = [sys.executable, "-m", "surefoot", "evaluate", "trot", "--episodes", "600"]
     terminal, other_end = pty.openpty()
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=other_end, env=environment() | {"TERM": "xterm"})
+    process = subprocess.Popen(
+        command,
+        stdout=subprocess.PIPE,
+        stderr=other_end,
+        env=environment() | {"TERM": "xterm"},
+        # A shell that runs the tests in the background lets all that it starts ignore interrupts.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+    )
     os.close(other_end)
     errors, interrupted = b"", False
     while True:

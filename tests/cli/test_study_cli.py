@@ -202,7 +202,7 @@ def test_a_study_of_the_reality_gap(
         ]
     )
     with (out / "gap_runs.csv").open() as file:
-        assert len(list(csv.DictReader(file))) == 2 * 2 * 3
+        assert len(list(csv.DictReader(file))) == 2 * 3 * 3
     with (out / "runs.csv").open() as file:
         assert all(row["best_steps"] in ("512", "1024") for row in csv.DictReader(file))
 
