@@ -4,11 +4,4 @@ from surefoot.robot.description import RobotDescription
 from surefoot.robot.leg import FiveBar, leg_to_motor, motor_to_leg
 from surefoot.robot.params import PhysicalParams, parse_settings
 
-__all__ = [
-    "FiveBar",
-    "PhysicalParams",
-    "RobotDescription",
-    "leg_to_motor",
-    "motor_to_leg",
-    "parse_settings",
-]
+__all__ = ["FiveBar", "PhysicalParams", "RobotDescription", "leg_to_motor", "motor_to_leg", "parse_settings"]

@@ -260,6 +260,16 @@ class RobotDescription:
         legs = len(self.legs)
         return self.leg_to_motor_angles(np.full(legs, self.rest[0]), np.full(legs, self.rest[1]))
 
+    @property
+    def resting_joint_angles(self) -> dict[str, float]:
+        """Angles [rad] of motor and knee joints in the resting pose, as the URDF has them, by name; loops closed."""
+        angles = self.resting_angles
+        joints = dict(zip(self.motor_names, (self.motor_sign * angles).tolist(), strict=True))
+        for leg in self.legs:
+            theta = [angles[self.motor_names.index(name)] for name in leg.motors]
+            joints |= zip(leg.knees, map(float, self.leg_geometry.knee_angles(*theta)), strict=True)
+        return joints
+
     def nominal_params(self) -> dict[str, float]:
         """Nominal value of every physical parameter, by name."""
         data, timing = self.actuator, self.timing

@@ -20,11 +20,10 @@ from numpy.typing import NDArray
 from surefoot.errors import SurefootError
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.world.bullet_import import import_pybullet
-from surefoot.world.bullet_model import RACK_HEIGHT, open_client, scale_masses
+from surefoot.world.bullet_model import open_client, scale_masses
 from surefoot.world.bullet_tick import (
     JOINTS,
     OMEGA,
-    SPEED_LIMIT,
     VELOCITY,
     Layout,
     base_links,
@@ -32,7 +31,7 @@ from surefoot.world.bullet_tick import (
     observe,
     rotations,
 )
-from surefoot.world.drive import Drive
+from surefoot.world.drive import RACK_HEIGHT, SPEED_LIMIT, Drive, racked_bases
 from surefoot.world.interface import WorldConfig
 
 Array = NDArray[np.float64]
@@ -95,15 +94,10 @@ class BulletEngine:
 
     def _resting_state(self) -> Array:
         """Resting pose, loops closed by the knees, lowest foot on the ground unless on a rack."""
-        robot, model = self.robot, self.model
-        angles = robot.resting_angles
+        model = self.model
         row = np.zeros(self._rows.shape[1])
-        for motor, joint in enumerate(model.motors):
-            row[JOINTS + joint] = robot.motor_sign[motor] * angles[motor]
-        for leg in robot.legs:
-            theta = [angles[robot.motor_names.index(name)] for name in leg.motors]
-            for name, knee in zip(leg.knees, robot.leg_geometry.knee_angles(*theta), strict=True):
-                row[JOINTS + model.joints[name]] = knee
+        for name, angle in self.robot.resting_joint_angles.items():
+            row[JOINTS + model.joints[name]] = angle
         row[:3] = [*model.base_centre[:2], RACK_HEIGHT + model.base_centre[2]]
         row[3:7] = model.base_quat[[1, 2, 3, 0]]
         state = np.concatenate([row, np.zeros(3)])
@@ -286,7 +280,7 @@ class BulletEngine:
     def base(self) -> Array:
         """Base position [m], quaternion (w x y z) and velocity [m/s], all in the world frame, (N, 10)."""
         if self.model.rack:
-            return np.tile([0.0, 0.0, RACK_HEIGHT, 1.0, *[0.0] * 6], (len(self._clients), 1))
+            return racked_bases(len(self._clients))
         return base_links(self._rows, self.model.base_quat, self.model.base_centre)
 
     def foot_positions(self) -> Array:

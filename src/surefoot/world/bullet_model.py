@@ -13,13 +13,12 @@ from numpy.typing import NDArray
 from surefoot.errors import SurefootError
 from surefoot.robot import RobotDescription
 from surefoot.world.bullet_import import import_pybullet, quiet
+from surefoot.world.drive import RACK_HEIGHT
 from surefoot.world.fused_urdf import FusedUrdf, fuse_urdf, write_fused
 from surefoot.world.interface import WorldConfig
 
 Array = NDArray[np.float64]
 
-RACK_HEIGHT = 1.0
-"""Height [m] of the base on a rack."""
 SOLVER_ITERATIONS = 50
 """At most; the solver stops earlier when nothing changes any more.
 
@@ -29,7 +28,7 @@ the loops by 1.2 mm, and the robot ends elsewhere.
 """
 LOOP_ERP = 0.2
 """Share of a loop's gap that is closed in a step."""
-_SPEED_LIMIT = 1e6
+_SPEED_CUT = 1e6
 """Bullet cuts all generalized speeds at this [m/s, rad/s]; its own 100 would stop motors, and hide a divergence."""
 
 
@@ -175,7 +174,7 @@ def _set_up_dynamics(p: ModuleType, client: int, model: BulletModel) -> None:
             lateralFriction=1.0,
             spinningFriction=0.0,
             rollingFriction=0.0,
-            maxJointVelocity=_SPEED_LIMIT,
+            maxJointVelocity=_SPEED_CUT,
             physicsClientId=client,
         )
     count = model.num_joints

@@ -7,19 +7,17 @@ then speeds of its joints.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from surefoot.world.drive import Drive, constraint_tick, record, roll_pitch_yaw, servo_tick
+from surefoot.world.drive import SPEED_LIMIT, Drive, constraint_tick, record, roll_pitch_yaw, servo_tick
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-SPEED_LIMIT = 1e5
-"""A generalized speed beyond this [m/s, rad/s] counts as diverged."""
 VELOCITY, OMEGA, JOINTS = 7, 10, 13
 """Where in a row these begin."""
 
@@ -30,6 +28,26 @@ class Layout(NamedTuple):
     sign: Array
     base_quat: Array
     rack: bool
+
+
+@njit(cache=True, inline="always")
+def link_quat(base_quat: Array, x: Any, y: Any, z: Any, w: Any) -> tuple[Any, Any, Any, Any]:
+    """Orientation w x y z of a base link: that of Bullet's base, turned back by the inertial frame's in the link.
+
+    Args:
+        base_quat: orientation of Bullet's base in the base link (4,), w x y z.
+        x: of the quaternion of Bullet's base in the world, and so on; numbers, or arrays in Python.
+        y: see x.
+        z: see x.
+        w: see x.
+    """
+    bw, bx, by, bz = base_quat[0], -base_quat[1], -base_quat[2], -base_quat[3]
+    return (
+        w * bw - x * bx - y * by - z * bz,
+        w * bx + x * bw + y * bz - z * by,
+        w * by - x * bz + y * bw + z * bx,
+        w * bz + x * by - y * bx + z * bw,
+    )
 
 
 @njit(cache=True)
@@ -50,13 +68,7 @@ def observe(layout: Layout, drive: Drive, i: int, seen: Array) -> bool:
     if layout.rack:
         now[2 * motors :] = 0.0
         return True
-    # Base link = Bullet's base turned back by the inertial frame's orientation in the link.
-    ax, ay, az, aw = seen[3], seen[4], seen[5], seen[6]
-    bw, bx, by, bz = layout.base_quat[0], -layout.base_quat[1], -layout.base_quat[2], -layout.base_quat[3]
-    w = aw * bw - ax * bx - ay * by - az * bz
-    x = aw * bx + ax * bw + ay * bz - az * by
-    y = aw * by - ax * bz + ay * bw + az * bx
-    z = aw * bz + ax * by - ay * bx + az * bw
+    w, x, y, z = link_quat(layout.base_quat, seen[3], seen[4], seen[5], seen[6])
     now[2 * motors], now[2 * motors + 1], now[2 * motors + 2] = roll_pitch_yaw(w, x, y, z)
     # World to base, by the conjugate q* = (w, -u): omega - 2 u x (w omega - u x omega).
     ox, oy, oz = seen[OMEGA], seen[OMEGA + 1], seen[OMEGA + 2]
@@ -133,17 +145,7 @@ def base_links(rows: Array, base_quat: Array, base_centre: Array) -> Array:
         base_quat: orientation of Bullet's base in the base link (4,), w x y z.
         base_centre: centre of mass in the base link (3,) [m].
     """
-    x, y, z, w = rows[:, 3:7].T
-    bw, bx, by, bz = base_quat * [1, -1, -1, -1]
-    quats = np.stack(
-        [
-            w * bw - x * bx - y * by - z * bz,
-            w * bx + x * bw + y * bz - z * by,
-            w * by - x * bz + y * bw + z * bx,
-            w * bz + x * by - y * bx + z * bw,
-        ],
-        axis=1,
-    )
+    quats = np.stack(link_quat.py_func(base_quat, *rows[:, 3:7].T), axis=1)
     arm = rotations(quats[:, [1, 2, 3, 0]]) @ base_centre
     velocity = rows[:, VELOCITY:OMEGA] - np.cross(rows[:, OMEGA:JOINTS], arm)
     return np.concatenate([rows[:, :3] - arm, quats, velocity], axis=1)

@@ -36,6 +36,12 @@ from surefoot.world.interface import WorldConfig
 
 Array = NDArray[np.float64]
 
+RACK_HEIGHT = 1.0
+"""Height [m] of the base on a rack."""
+SPEED_LIMIT = 1e5
+"""A generalized speed beyond this [m/s, rad/s] counts as diverged, before an engine itself would complain."""
+OF_ALL_ROBOTS = ("table_current", "table_torque", "limits", "constraint")
+"""Arrays of `Drive` that have no row for each robot."""
 IMU_WIDTH = 6
 """Numbers of the IMU in a reading: roll, pitch, yaw [rad], and angular velocity in the base frame [rad/s]."""
 
@@ -125,6 +131,11 @@ def set_drive_params(drive: Drive, index: NDArray[np.int64], params: PhysicalPar
     drive.kp[index] = params.servo_kp
     drive.kd[index] = params.servo_kd
     drive.servo_latency[index] = params.servo_latency
+
+
+def racked_bases(num_envs: int) -> Array:
+    """What an engine's `base` tells of robots on a rack, (N, 10): level, `RACK_HEIGHT` up, and still."""
+    return np.tile([0.0, 0.0, RACK_HEIGHT, 1.0, *[0.0] * 6], (num_envs, 1))
 
 
 @njit(cache=True, forceinline=True)

@@ -18,10 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.robot import PhysicalParams, RobotDescription
-from surefoot.world.drive import Drive
+from surefoot.world.drive import Drive, racked_bases
 from surefoot.world.interface import WorldConfig
 from surefoot.world.mujoco_loop import Native, advance, gather_base, observe
-from surefoot.world.mujoco_model import RACK_HEIGHT, build_model, foot_geoms, resting_qpos
+from surefoot.world.mujoco_model import build_model, foot_geoms, resting_qpos
 from surefoot.world.native import function_address, struct_offset
 
 Array = NDArray[np.float64]
@@ -119,10 +119,10 @@ class MujocoEngine:
     def _motor_rows(self, motor_dof: Index) -> dict[str, Any]:
         """Where constraint motors are among the solver's rows; rows of joint friction follow those of closed loops."""
         model, data = self._nominal, self._scratch
-        mujoco.mj_step1(model, data)
         friction_dofs = np.flatnonzero(model.dof_frictionloss > 0)
         if not len(friction_dofs):
             return {"motor_row": motor_dof, "aref": 0, "frictionloss": 0, "force_row": 0}
+        mujoco.mj_step1(model, data)
         arrays = {"aref": data.efc_aref, "frictionloss": data.efc_frictionloss, "force_row": data.efc_force}
         places = {name: struct_offset(data._address, array.ctypes.data) for name, array in arrays.items()}
         return {"motor_row": data.ne + np.searchsorted(friction_dofs, motor_dof), **places}
@@ -207,7 +207,7 @@ class MujocoEngine:
     def base(self) -> Array:
         """Base position [m], quaternion (w x y z) and velocity [m/s], all in the world frame, (N, 10)."""
         if self._native.base_qpos < 0:
-            return np.tile([0.0, 0.0, RACK_HEIGHT, 1.0, *[0.0] * 6], (len(self.datas), 1))
+            return racked_bases(len(self.datas))
         rows = np.empty((len(self.datas), 10))
         gather_base(self._native, rows)
         return rows

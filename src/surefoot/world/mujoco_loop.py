@@ -12,14 +12,11 @@ from numba import njit
 from numpy.typing import NDArray
 
 from surefoot.world.contact import foot_force_kernel
-from surefoot.world.drive import Drive, constraint_tick, record, roll_pitch_yaw, servo_tick
+from surefoot.world.drive import SPEED_LIMIT, Drive, constraint_tick, record, roll_pitch_yaw, servo_tick
 from surefoot.world.native import call_step, doubles, pointers
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
-
-SPEED_LIMIT = 1e5
-"""A generalized speed beyond this [m/s, rad/s] counts as diverged, before MuJoCo itself would complain."""
 
 
 class Native(NamedTuple):

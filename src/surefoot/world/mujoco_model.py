@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from surefoot.errors import SurefootError
 from surefoot.robot import RobotDescription
+from surefoot.world.drive import RACK_HEIGHT
 from surefoot.world.interface import WorldConfig
 
 LOOP_SOLREF = (0.004, 1.0)
@@ -16,8 +17,6 @@ MOTOR_SOLIMP = (0.9999, 0.9999, 0.001, 0.5, 2.0)
 """Constraint motors are as hard as MuJoCo makes a constraint."""
 MOTOR_ITERATIONS = 50
 """Torque limits that are reached and left take the solver more iterations than closed loops alone."""
-RACK_HEIGHT = 1.0
-"""Height [m] of the base on a rack."""
 
 
 def build_spec(robot: RobotDescription, config: WorldConfig | None = None) -> mujoco.MjSpec:
@@ -90,16 +89,11 @@ def foot_geoms(robot: RobotDescription, model: mujoco.MjModel) -> NDArray[np.int
 def resting_qpos(robot: RobotDescription, model: mujoco.MjModel) -> NDArray[np.float64]:
     """Generalized coordinates of the robot in its resting pose, loops closed, lowest foot on the ground (no rack)."""
     qpos = model.qpos0.copy()
-    angles = robot.resting_angles
-    data = mujoco.MjData(model)
-    for motor, name in enumerate(robot.motor_names):
-        qpos[model.joint(name).qposadr[0]] = robot.motor_sign[motor] * angles[motor]
-    for leg in robot.legs:
-        theta = [angles[robot.motor_names.index(name)] for name in leg.motors]
-        for name, knee in zip(leg.knees, robot.leg_geometry.knee_angles(*theta), strict=True):
-            qpos[model.joint(name).qposadr[0]] = knee
+    for name, angle in robot.resting_joint_angles.items():
+        qpos[model.joint(name).qposadr[0]] = angle
     if not model.body(robot.base).jntnum[0]:
         return qpos
+    data = mujoco.MjData(model)
     data.qpos[:] = qpos
     mujoco.mj_kinematics(model, data)
     feet = foot_geoms(robot, model)

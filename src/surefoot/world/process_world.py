@@ -17,15 +17,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from surefoot.errors import SurefootError
 from surefoot.robot import PhysicalParams, RobotDescription
+from surefoot.world.drive import OF_ALL_ROBOTS
 from surefoot.world.interface import Readings, Simulation, Truth, WorldConfig
 from surefoot.world.process_pool import ProcessPool
-from surefoot.world.sim_world import EngineFactory, SimWorld
+from surefoot.world.sim_world import EngineFactory, SimWorld, check_batch
 
 Array = NDArray[np.float64]
 Rows = TypeVar("Rows", Readings, Truth)
-
-OF_ALL_ROBOTS = ("table_current", "table_torque", "limits", "constraint")
-"""Arrays of `Drive` that have no row for each robot."""
 
 
 def _join(parts: Sequence[Rows]) -> Rows:
@@ -58,12 +56,9 @@ class ProcessWorld:
         config: WorldConfig,
         engine: EngineFactory,
     ) -> None:
-        if num_envs < 1:
-            raise SurefootError(f"num_envs is {num_envs}; a world needs 1 robot or more")
+        check_batch(num_envs, params)
         self.robot, self.num_envs, self.config = robot, num_envs, config
         self.params = PhysicalParams.nominal(robot, num_envs) if params is None else params.rows(np.arange(num_envs))
-        if params is not None and params.num_envs != num_envs:
-            raise SurefootError(f"params are for {params.num_envs} robots; the world has {num_envs}")
         count = processes_for(num_envs, config)
         bounds = [num_envs * k // count for k in range(count + 1)]
         self._shares = [slice(first, last) for first, last in itertools.pairwise(bounds)]

@@ -68,6 +68,18 @@ def mujoco_engine(robot: RobotDescription, drive: Drive, config: WorldConfig) ->
     return MujocoEngine(robot, drive, config)
 
 
+def check_batch(num_envs: int, params: PhysicalParams | None) -> None:
+    """Refuse a world without robots, or parameters for another number of them.
+
+    Raises:
+        SurefootError: with the number.
+    """
+    if num_envs < 1:
+        raise SurefootError(f"num_envs is {num_envs}; a world needs 1 robot or more")
+    if params is not None and params.num_envs != num_envs:
+        raise SurefootError(f"params are for {params.num_envs} robots; the world has {num_envs}")
+
+
 class SimWorld:
     """A batch of simulated robots, each with physical parameters, clock and control step of its own.
 
@@ -95,8 +107,7 @@ class SimWorld:
         engine: EngineFactory = mujoco_engine,
         first: int = 0,
     ) -> None:
-        if num_envs < 1:
-            raise SurefootError(f"num_envs is {num_envs}; a world needs 1 robot or more")
+        check_batch(num_envs, params)
         self.robot, self.num_envs, self.config = robot, num_envs, config or WorldConfig()
         longest = max(robot.allowed["control_latency"][1], robot.allowed["servo_latency"][1])
         self._history = int(np.ceil(longest / robot.timing.servo_step)) + 2
@@ -114,8 +125,6 @@ class SimWorld:
         self._diverged = np.zeros(num_envs, np.bool_)
         self.divergences = 0
         if params is not None:
-            if params.num_envs != num_envs:
-                raise SurefootError(f"params are for {params.num_envs} robots; the world has {num_envs}")
             self.set_params(np.arange(num_envs), params)
         self.reset()
 
