@@ -18,10 +18,10 @@ import json
 import os
 import statistics
 import time
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+from rounds import measure, median_ratio
 
 from surefoot.cli.policies import find_policy
 from surefoot.evaluate.rollout import task_from_contract
@@ -124,23 +124,18 @@ def main() -> int:
     parser.add_argument("--processes", type=int, default=os.cpu_count() or 1)
     options = parser.parse_args()
     bench = Bench(options.num_envs, options.steps, options.processes)
-    layers: dict[str, Callable[[], tuple[int, float]]] = {
+    layers = {
         "bare": bench.bare,
         "one": bench.one,
         "all": bench.all,
         "mujoco 1": bench.mujoco_1,
         "mujoco": bench.mujoco,
     }
-    rates: dict[str, list[float]] = {name: [] for name in layers}
-    for _ in range(options.rounds):
-        for name, layer in layers.items():
-            steps, seconds = layer()
-            rates[name].append(steps / seconds)
+    rates = measure(layers, options.rounds)
     result: dict[str, Any] = {name: statistics.median(values) for name, values in rates.items()}
     pairs = [("one", "bare"), ("all", "one"), ("one", "mujoco 1"), ("all", "mujoco")]
     for name, base in pairs:
-        ratios = [rate / other for rate, other in zip(rates[name], rates[base], strict=True)]
-        result[f"{name} of {base}"] = statistics.median(ratios)
+        result[f"{name} of {base}"] = median_ratio(rates, name, base)
     result["replay_error_m"] = bench.replay_error
     if options.json:
         print(json.dumps(result))

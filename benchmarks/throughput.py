@@ -29,6 +29,7 @@ from typing import Any
 import mujoco
 import mujoco.rollout
 import numpy as np
+from rounds import measure, median_ratio
 
 from surefoot.cli.policies import find_policy
 from surefoot.evaluate.rollout import task_from_contract
@@ -220,17 +221,12 @@ def main() -> int:
         "train": bench.train,
         "train+": bench.train_drawn,
     }
-    rates: dict[str, list[float]] = {name: [] for name in layers}
-    for _ in range(options.rounds):
-        for name, layer in layers.items():
-            steps, seconds = layer()
-            rates[name].append(steps / seconds)
+    rates = measure(layers, options.rounds)
     result: dict[str, Any] = {name: statistics.median(values) for name, values in rates.items()}
     pairs = [(name, "bare") for name in ("world", "env", "train")]
     pairs += [("drawn", "env"), ("unequal", "env"), ("train+", "train")]
     for name, base in pairs:
-        ratios = [layer / other for layer, other in zip(rates[name], rates[base], strict=True)]
-        result[f"{name}_ratio"] = statistics.median(ratios)
+        result[f"{name}_ratio"] = median_ratio(rates, name, base)
     result["redraw_share"] = bench.redraw_share
     result["replay_error_m"] = bench.replay_error
     result["authors"] = authors_rate()

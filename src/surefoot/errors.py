@@ -12,6 +12,16 @@ class SurefootError(ValueError):
     """
 
 
+def at_least(name: str, number: float, least: int) -> None:
+    """Refuse a number that is too small.
+
+    Raises:
+        SurefootError: with name, number and rule.
+    """
+    if number < least:
+        raise SurefootError(f"{name} is {number}; it must be {least} or more")
+
+
 def choices(names: Iterable[str]) -> str:
     """Return names as one readable list, for the end of an error message."""
     return ", ".join(str(name) for name in names)

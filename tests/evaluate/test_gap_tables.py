@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from surefoot.evaluate.gap import Estimate, PolicyGap, Runs
-from surefoot.evaluate.gap_tables import plain, summary, write_csv, write_runs_csv
+from surefoot.evaluate.gap import Estimate, PolicyGap, Runs, plus_minus
+from surefoot.evaluate.gap_tables import summary, write_csv, write_runs_csv
 
 NAN = math.nan
 
@@ -79,4 +79,4 @@ def test_a_summary_holds_no_nan():
     ],
 )
 def test_estimates_as_text(estimate: Estimate, options: dict, text: str):
-    assert plain(estimate, **options) == text
+    assert plus_minus(estimate, **options) == text

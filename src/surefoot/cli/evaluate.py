@@ -13,7 +13,7 @@ import tyro
 from surefoot.cli.parsing import parse
 from surefoot.cli.ranges import take_ranges
 from surefoot.cli.simulator import Simulator, SimulatorOptions
-from surefoot.errors import SurefootError
+from surefoot.errors import at_least
 from surefoot.task.randomize import RandomizeConfig
 
 if TYPE_CHECKING:
@@ -67,8 +67,7 @@ def main(argv: list[str]) -> int:
     words, ranges = take_ranges(argv, RandomizeConfig())
     command = parse(EvaluateCommand, words, "surefoot evaluate", config=config)
     for name, number, least in (("episodes", command.episodes, 1), ("threads", command.threads, 0)):
-        if number < least:
-            raise SurefootError(f"{name} is {number}; it must be {least} or more")
+        at_least(name, number, least)
     from surefoot.cli.policies import adjust_task, find_policy, find_world, load_policy
     from surefoot.evaluate.metrics import summarize
 

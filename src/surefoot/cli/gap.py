@@ -15,7 +15,7 @@ from surefoot.cli.evaluate import Settings
 from surefoot.cli.gap_sides import Side, check_heeded, check_lengths, check_sides, folder_name, labels
 from surefoot.cli.parsing import parse
 from surefoot.cli.simulator import Simulator
-from surefoot.errors import SurefootError
+from surefoot.errors import SurefootError, at_least
 
 if TYPE_CHECKING:
     from surefoot.cli.policies import Candidate
@@ -81,8 +81,7 @@ def main(argv: list[str]) -> int:
     """Run the command with the words after its name; returns the exit code."""
     command = parse(GapCommand, argv, "surefoot gap", config=(tyro.conf.FlagCreatePairsOff,))
     for name, number, least in (("runs", command.runs, 1), ("seed", command.seed, 0), ("threads", command.threads, 0)):
-        if number < least:
-            raise SurefootError(f"{name} is {number}; it must be {least} or more")
+        at_least(name, number, least)
     if command.duration is not None and not 0 < command.duration < math.inf:
         raise SurefootError(f"duration is {command.duration:g} s; it must be over 0")
     if not command.policies:
@@ -240,11 +239,10 @@ def print_table(policies: list[PolicyGap], home: str, files: list[Path]) -> None
     from rich.measure import Measurement
     from rich.table import Table
 
-    from surefoot.evaluate.gap import Estimate
-    from surefoot.evaluate.gap_tables import plain
+    from surefoot.evaluate.gap import Estimate, plus_minus
 
     def mean(runs: Runs, name: str, digits: int) -> str:
-        return plain(Estimate(runs.estimate(name).mean, math.nan), digits)
+        return plus_minus(Estimate(runs.estimate(name).mean, math.nan), digits)
 
     console = Console()
     title = f"Reality gap: return in {home} less return elsewhere, ± one standard error"
@@ -259,8 +257,8 @@ def print_table(policies: list[PolicyGap], home: str, files: list[Path]) -> None
             table.add_row(
                 policy.name if at_home else "",
                 runs.world,
-                plain(runs.estimate("returns")),
-                "" if at_home else plain(policy.gap(runs.world), sign=True),
+                plus_minus(runs.estimate("returns")),
+                "" if at_home else plus_minus(policy.gap(runs.world), sign=True),
                 mean(runs, "speed", 2),
                 mean(runs, "power", 1),
                 f"{runs.fell.sum()} of {len(runs)}",

@@ -7,10 +7,10 @@ import sys
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
-from typing import Annotated
 
 import tyro
 
+from surefoot.cli.evaluate import Settings
 from surefoot.cli.parsing import parse
 from surefoot.errors import SurefootError, choices
 
@@ -45,9 +45,7 @@ class MotorFigureCommand:
     """Length of the sine [s], if no log is given."""
     record: Path | None = None
     """Write what the DC motor did as a log (.csv), for a model of it somewhere else."""
-    settings: Annotated[
-        tuple[tuple[str, ...], ...], tyro.conf.UseAppendAction, tyro.conf.arg(name="set", metavar="NAME=VALUE [...]")
-    ] = ()
+    settings: Settings = ()
     """Physical parameters that differ from the robot's, such as resistance=0.2."""
     robot: str = "minitaur"
     """Name or folder of the robot."""
@@ -80,16 +78,14 @@ def _motor_figure(command: MotorFigureCommand) -> int:
             raise SurefootError(f"{name} is {getattr(command, name):g}; it must be over 0")
     import_module("matplotlib")
     from surefoot.cli.policies import find_world
-    from surefoot.identify.motor_figure import MotorLog, run_motor_experiment
+    from surefoot.identify.motor_figure import MotorLog, motor_index, run_motor_experiment
     from surefoot.report.motor_figure import STYLES, motor_figure
     from surefoot.robot import RobotDescription, parse_settings
 
     robot = RobotDescription.load(command.robot)
     make_world = find_world(command.world)
     motor = command.motor or robot.motor_names[0]
-    if motor not in robot.motor_names:
-        raise SurefootError(f"motor '{motor}' does not exist; motors: {choices(robot.motor_names)}")
-    middle = float(robot.resting_angles[robot.motor_names.index(motor)])
+    middle = float(robot.resting_angles[motor_index(robot, motor)])
     if command.log is not None:
         log = MotorLog.read(command.log)
     else:

@@ -12,7 +12,7 @@ import tyro
 
 from surefoot.cli.parsing import parse
 from surefoot.cli.simulator import Simulator, SimulatorOptions, check_params
-from surefoot.errors import SurefootError
+from surefoot.errors import SurefootError, at_least
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -64,8 +64,7 @@ def main(argv: list[str]) -> int:
         ("values", command.values, 2),
         ("threads", command.threads, 0),
     ):
-        if number < least:
-            raise SurefootError(f"{name} is {number}; it must be {least} or more")
+        at_least(name, number, least)
     if not command.policies:
         raise SurefootError("no policy is given; give one or more .onnx files, or names of policies that ship")
     if command.duration is not None and not command.duration > 0:

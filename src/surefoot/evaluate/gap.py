@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from surefoot.errors import SurefootError, choices
 from surefoot.evaluate.metrics import episode_metrics
+from surefoot.evaluate.statistics import decimal
 from surefoot.task.config import TaskConfig
 from surefoot.task.randomize import RandomizeConfig
 from surefoot.task.trace import EpisodeTrace
@@ -46,6 +47,25 @@ class Estimate:
     def __sub__(self, other: Estimate) -> Estimate:
         """The difference of two estimates from different runs."""
         return Estimate(self.mean - other.mean, math.hypot(self.error, other.error))
+
+
+def plus_minus(estimate: Estimate, digits: int = 2, sign: bool = False) -> str:
+    """An estimate as text, such as `1.20 ± 0.05`; `-` where it is not known, no error where that is not.
+
+    Args:
+        estimate: what is told.
+        digits: behind the point.
+        sign: write + before what is above zero.
+    """
+    if not math.isfinite(estimate.mean):
+        return "-"
+    mean = decimal(estimate.mean, digits, sign)
+    return f"{mean} ± {decimal(estimate.error, digits)}" if math.isfinite(estimate.error) else mean
+
+
+def known(value: float) -> float | None:
+    """A number as JSON holds it: None where it is none."""
+    return value if math.isfinite(value) else None
 
 
 @dataclass(frozen=True)

@@ -16,8 +16,8 @@ from surefoot.evaluate.gap_groups import (
     gap_groups,
     gap_mapping,
     interval_mapping,
-    known,
 )
+from surefoot.evaluate.gap_tables import text
 from surefoot.files import write_table
 
 _RUN = ("returns", "distance", "speed", "power")
@@ -41,7 +41,7 @@ def write_gap_tables(comparison: Comparison, folder: Path) -> list[Path]:
     header += ["away_least_distance"]
     groups = [_group_row(which, group) for name in best for which, group in (("top", best[name]), ("all", every[name]))]
     differences = [
-        [which, other.name, base.name, *_numbers(change.runs), *map(_text, vars(change.policies).values())]
+        [which, other.name, base.name, *_numbers(change.runs), *map(text, vars(change.policies).values())]
         for which, found in (("top", best), ("all", every))
         for one, two in comparison.present_pairs()
         for base, other in [(found[one.name], found[two.name])]
@@ -49,7 +49,7 @@ def write_gap_tables(comparison: Comparison, folder: Path) -> list[Path]:
     ]
     runs = [
         [group.name, seed, int(seed in best[group.name].seeds), part, world.world, run]
-        + [_text(getattr(world, name)[run]) for name in _RUN]
+        + [text(getattr(world, name)[run]) for name in _RUN]
         + [int(world.steps[run]), int(world.balanced[run]), int(world.distance[run] > FAR)]
         for group in every.values()
         for seed, policy in zip(group.seeds, group.policies, strict=True)
@@ -95,14 +95,10 @@ def _group_row(which: str, group: GroupGap) -> list[object]:
     for runs in (home, group.described, away):
         for name in MEASURES:
             row += _numbers(runs.estimate(name))
-    row += [*_numbers(group.gap), *map(_text, vars(group.interval).values())]
+    row += [*_numbers(group.gap), *map(text, vars(group.interval).values())]
     row += [*(int(runs.balanced.sum()) for runs in (home, group.described, away)), group.far]
-    return [*row, _text(away.distance.min())]
+    return [*row, text(away.distance.min())]
 
 
 def _numbers(estimate: Estimate) -> list[str]:
-    return [_text(estimate.mean), _text(estimate.error)]
-
-
-def _text(value: float) -> str:
-    return "" if known(float(value)) is None else f"{value:.6f}"
+    return [text(estimate.mean), text(estimate.error)]

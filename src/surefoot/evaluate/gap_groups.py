@@ -7,7 +7,6 @@ three times. So the policies' own gaps, one number each, stand beside it.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.evaluate.comparison import Comparison, GroupResult
-from surefoot.evaluate.gap import Estimate, PolicyGap, Runs
+from surefoot.evaluate.gap import Estimate, PolicyGap, Runs, known
 from surefoot.evaluate.kinds import gap_of
 from surefoot.evaluate.statistics import Interval, t_interval, welch_interval
 
@@ -162,8 +161,3 @@ def estimate_mapping(estimate: Estimate) -> dict[str, float | None]:
 def interval_mapping(interval: Interval) -> dict[str, float | None]:
     """Mean and interval, as JSON holds them."""
     return {"mean": known(interval.mean), "low": known(interval.low), "high": known(interval.high)}
-
-
-def known(value: float) -> float | None:
-    """A number, or None where it is none."""
-    return value if math.isfinite(value) else None

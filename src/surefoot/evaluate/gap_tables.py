@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from surefoot.evaluate.gap import Estimate, PolicyGap, Runs
+from surefoot.evaluate.gap import PolicyGap, Runs, known
 from surefoot.files import write_table
 
 
@@ -29,9 +29,9 @@ def write_csv(path: str | Path, policies: Sequence[PolicyGap]) -> Path:
             lines.append(
                 [
                     *(policy.name, runs.world, row["side"], row["runs"]),
-                    *map(_text, numbers),
-                    *(row["falls"], _text(row["success_rate"])),
-                    *map(_text, gap),
+                    *map(text, numbers),
+                    *(row["falls"], text(row["success_rate"])),
+                    *map(text, gap),
                 ]
             )
     return write_table(path, f"{header},gap,gap_error", lines)
@@ -56,7 +56,7 @@ def write_runs_csv(
             for i, file in enumerate(files[policy.name, runs.world]):
                 numbers = (runs.returns[i], runs.speed[i], runs.power[i], runs.distance[i])
                 flags = (int(runs.fell[i]), int(runs.balanced[i]))
-                lines.append([policy.name, runs.world, i, *map(_text, numbers), int(runs.steps[i]), *flags, file])
+                lines.append([policy.name, runs.world, i, *map(text, numbers), int(runs.steps[i]), *flags, file])
     return write_table(path, "policy,world,run,return,speed,power,distance,steps,fell,balanced,trace", lines)
 
 
@@ -72,39 +72,20 @@ def summary(policy: PolicyGap, runs: Runs) -> dict[str, Any]:
         "world": runs.world,
         "side": "home" if runs is policy.home else "away",
         "runs": len(runs),
-        "return_mean": _known(gained.mean),
-        "return_error": _known(gained.error),
-        "speed_mean": _known(runs.estimate("speed").mean),
-        "power_mean": _known(runs.estimate("power").mean),
-        "distance_mean": _known(runs.estimate("distance").mean),
+        "return_mean": known(gained.mean),
+        "return_error": known(gained.error),
+        "speed_mean": known(runs.estimate("speed").mean),
+        "power_mean": known(runs.estimate("power").mean),
+        "distance_mean": known(runs.estimate("distance").mean),
         "falls": int(runs.fell.sum()),
         "success_rate": runs.success_rate,
     }
     if runs is policy.home:
         return row
     gap = policy.gap(runs.world)
-    return row | {"gap": _known(gap.mean), "gap_error": _known(gap.error)}
+    return row | {"gap": known(gap.mean), "gap_error": known(gap.error)}
 
 
-def plain(estimate: Estimate, digits: int = 2, sign: bool = False) -> str:
-    """An estimate as text, such as `1.20 ± 0.05`; `-` where it is not known, no error where that is not.
-
-    Args:
-        estimate: what is told.
-        digits: behind the point.
-        sign: write + before what is above zero.
-    """
-    if not math.isfinite(estimate.mean):
-        return "-"
-    # What rounds to zero has no sign.
-    mean = round(estimate.mean, digits) + 0.0
-    text = f"{mean:{'+' if sign and mean else ''}.{digits}f}"
-    return f"{text} ± {estimate.error:.{digits}f}" if math.isfinite(estimate.error) else text
-
-
-def _known(value: float) -> float | None:
-    return value if math.isfinite(value) else None
-
-
-def _text(value: float | None) -> str:
+def text(value: float | None) -> str:
+    """A number for a table; empty where it is not known."""
     return "" if value is None or not math.isfinite(value) else f"{value:.6f}"

@@ -84,7 +84,7 @@ def _episodes(
     trained in.
     """
     ranges, world = load_ranges(settings["ranges"]), settings["world"]
-    task = replace(task, randomize=ranges, pushes=replace(task.pushes, enabled=False))
+    task = replace(home_task(task), randomize=ranges)
     traces = _run(policy, task, find_world, world, settings, threads)
     metrics = [episode_metrics(trace) for trace in traces]
     return Evaluated(

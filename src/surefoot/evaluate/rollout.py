@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from surefoot.configuration import from_mapping
-from surefoot.errors import SurefootError
+from surefoot.errors import SurefootError, at_least
 from surefoot.policy.contract import Contract
 from surefoot.task.config import TaskConfig
 from surefoot.task.env import LocomotionEnv
@@ -118,8 +118,7 @@ def run_episodes(
     Raises:
         SurefootError: no episodes, or a task that does not fit.
     """
-    if episodes < 1:
-        raise SurefootError(f"episodes is {episodes}; it must be 1 or more")
+    at_least("episodes", episodes, 1)
     if seed < 0:
         raise SurefootError(f"seed is {seed}; it must not be below 0")
     env = LocomotionEnv(task, episodes, make_world, seed, autoreset=False, threads=threads)

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.errors import SurefootError
+from surefoot.errors import SurefootError, at_least
 from surefoot.evaluate.rollout import Policy
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.task.config import TaskConfig
@@ -194,8 +194,7 @@ def run_sensitivity(
         SurefootError: a number that does not fit, or ranges outside what the robot allows.
     """
     for name, number, least in (("episodes", episodes, 1), ("seed", seed, 0)):
-        if number < least:
-            raise SurefootError(f"{name} is {number}; it must be {least} or more")
+        at_least(name, number, least)
     duration = episode_duration(task) if duration is None else duration
     if not 0 < duration < math.inf:
         raise SurefootError(f"duration is {duration:g} s; it must be over 0")

@@ -108,6 +108,17 @@ class MotorExperiment:
         return float(np.sqrt(np.mean(np.square(self.angle[actuator][rows] - reference[rows]))))
 
 
+def motor_index(robot: RobotDescription, motor: str) -> int:
+    """Place of a motor in the robot's order.
+
+    Raises:
+        SurefootError: no such motor.
+    """
+    if motor not in robot.motor_names:
+        raise SurefootError(f"motor '{motor}' does not exist; motors: {choices(robot.motor_names)}")
+    return robot.motor_names.index(motor)
+
+
 def run_motor_experiment(
     robot: RobotDescription,
     make_world: SimulationFactory,
@@ -127,9 +138,8 @@ def run_motor_experiment(
     Raises:
         SurefootError: no such motor, or parameters that the robot does not allow.
     """
-    if motor not in robot.motor_names:
-        raise SurefootError(f"motor '{motor}' does not exist; motors: {choices(robot.motor_names)}")
-    angle = {actuator: _follow(robot, make_world, log, motor, params or {}, actuator) for actuator in ACTUATORS}
+    index = motor_index(robot, motor)
+    angle = {actuator: _follow(robot, make_world, log, index, params or {}, actuator) for actuator in ACTUATORS}
     return MotorExperiment(motor, log, angle)
 
 
@@ -137,17 +147,17 @@ def _follow(
     robot: RobotDescription,
     make_world: SimulationFactory,
     log: MotorLog,
-    motor: str,
+    index: int,
     params: Mapping[str, float],
     actuator: str,
 ) -> Array:
-    """The true motor angle (T,) [rad] at the log's times."""
+    """The true angle (T,) [rad] of the motor at a place in the robot's order, at the log's times."""
     step = robot.timing.servo_step
     # A command for every servo step: the targets come with the log's own timing.
     given = {**params, "control_step": step}
     nominal = PhysicalParams.nominal(robot).with_values(robot, **given)
     world = make_world(robot, 1, nominal, 0, WorldConfig(actuator=actuator, rack=True, threads=1))  # type: ignore[arg-type]
-    index, command = robot.motor_names.index(motor), robot.resting_angles.copy()
+    command = robot.resting_angles.copy()
     clock = log.time - log.time[0]
     lead_in, ticks = round(LEAD_IN / step), math.ceil(clock[-1] / step) + 1
     # The newest target at each servo step; a hair's breadth against rounding.

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from surefoot.configuration import from_mapping
-from surefoot.errors import SurefootError
+from surefoot.errors import SurefootError, at_least
 from surefoot.task.config import TaskConfig, load_task
 
 
@@ -98,8 +98,7 @@ class TrainConfig:
             "evaluation_episodes",
             "checkpoint_every",
         ):
-            if getattr(self, key) < 1:
-                raise SurefootError(f"{key} is {getattr(self, key)}; it must be 1 or more")
+            at_least(key, getattr(self, key), 1)
         if self.seed < 0:
             raise SurefootError(f"seed is {self.seed}; it must not be below 0")
         if self.samples_per_update < self.ppo.minibatches:

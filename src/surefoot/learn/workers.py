@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from surefoot.errors import SurefootError
+from surefoot.errors import SurefootError, at_least
 
 PARENT = "SUREFOOT_PARENT"
 """Environment variable with the number of the process that started a worker, which ends when that one is gone."""
@@ -69,8 +69,7 @@ def run_jobs(
     Raises:
         SurefootError: no workers, or a log that can't be written.
     """
-    if workers < 1:
-        raise SurefootError(f"workers is {workers}; it must be 1 or more")
+    at_least("workers", workers, 1)
     outcome, waiting, running = Outcome(), list(jobs), dict[int, _Worker]()
     told: queue.Queue[tuple[_Worker, dict[str, Any] | None]] = queue.Queue()
     asked = 0

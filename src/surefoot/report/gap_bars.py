@@ -8,10 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from surefoot.errors import SurefootError
-from surefoot.evaluate.gap import Runs
+from surefoot.evaluate.gap import Runs, plus_minus
 from surefoot.evaluate.gap_groups import GroupGap
 from surefoot.report.figures import BLUE, INK, ORANGE, QUIET, _figure
-from surefoot.report.markdown import plus_minus
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

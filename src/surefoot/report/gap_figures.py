@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from surefoot.errors import SurefootError
-from surefoot.evaluate.gap import PolicyGap, Runs
-from surefoot.evaluate.gap_tables import plain
+from surefoot.evaluate.gap import PolicyGap, Runs, plus_minus
 from surefoot.report.figures import BLUE, GREEN, INK, ORANGE, QUIET, _figure
 
 if TYPE_CHECKING:
@@ -110,4 +109,4 @@ def _label(group: PolicyGap) -> str:
 
 def _gap(group: PolicyGap, runs: Runs) -> str:
     gap = group.gap(runs.world)
-    return plain(gap, sign=True) + (" m" if math.isfinite(gap.mean) else "")
+    return plus_minus(gap, sign=True) + (" m" if math.isfinite(gap.mean) else "")

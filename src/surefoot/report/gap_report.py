@@ -7,12 +7,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from surefoot.evaluate.comparison import Comparison, GroupResult
-from surefoot.evaluate.gap import Estimate
+from surefoot.evaluate.gap import Estimate, plus_minus
 from surefoot.evaluate.gap_groups import FAR, GapDifference, GroupGap, ShortRun, gap_difference, gap_groups
 from surefoot.evaluate.kinds import KINDS
 from surefoot.evaluate.statistics import CONFIDENCE, Interval, plain
 from surefoot.report.gap_bars import gap_bars
-from surefoot.report.markdown import plus_minus, table
+from surefoot.report.markdown import table
 
 GAP_FILES = {
     "gap_groups.csv": "one line a group: its runs at home and away, of the top policies and of all",
