@@ -1,0 +1,130 @@
+"""Frames on a serial line: header and payload with a CRC-32, stuffed by COBS, between two zero bytes.
+
+    00 | COBS( header (18) | payload | CRC-32 of both (4) ) | 00
+
+A zero byte stands nowhere else, so a receiver that starts anywhere finds the next frame. The zero in front keeps what
+was lost or invented between two frames away from the second one.
+"""
+
+from __future__ import annotations
+
+import zlib
+from dataclasses import dataclass
+
+from cobs import cobs
+
+from surefoot.deploy.wire import HEADER, VERSION, Codec, Message
+
+MAX_FRAME = 1024
+"""Bytes between two zeros beyond which nothing can be a frame."""
+CRC_BYTES = 4
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One message as it came."""
+
+    message: Message
+    sequence: int
+    """Number of the frame; each sender counts its own from 1."""
+    time: float
+    """When it was sent, on the sender's clock [s]."""
+
+
+@dataclass
+class Counts:
+    """What a receiver has seen since it was made."""
+
+    frames: int = 0
+    """Frames that were whole and known."""
+    damaged: int = 0
+    """Pieces between zeros that were no whole frame."""
+    foreign: int = 0
+    """Whole frames of another version or schema."""
+    unknown: int = 0
+    """Whole frames of a kind, or of a length, that this schema does not have."""
+    received: int = 0
+    """Bytes."""
+
+
+def encode_frame(codec: Codec, message: Message, sequence: int, time: float) -> bytes:
+    """A frame, with its zeros.
+
+    Args:
+        codec: of the robot.
+        message: what to send.
+        sequence: number of the frame, 1 to 2^32 - 1.
+        time: now, on the sender's clock [s], from 0.
+    """
+    body = HEADER.pack(VERSION, message.CODE, codec.schema, sequence, round(time * 1e6)) + codec.pack(message)
+    stuffed = cobs.encode(body + zlib.crc32(body).to_bytes(CRC_BYTES, "little"))
+    return b"\0" + stuffed + b"\0"
+
+
+class Decoder:
+    """Finds whole frames in whatever bytes come. Keeps `MAX_FRAME` bytes at most, and never raises.
+
+    Args:
+        codec: of the robot.
+    """
+
+    def __init__(self, codec: Codec) -> None:
+        self.codec = codec
+        self.counts = Counts()
+        self.foreign: tuple[int, int] | None = None
+        """Version and schema of the last whole frame that was of others."""
+        self._held = bytearray()
+        self._overlong = False
+
+    def feed(self, data: bytes) -> list[Frame]:
+        """Take bytes, give the frames that they complete, in order."""
+        self.counts.received += len(data)
+        found: list[Frame] = []
+        *ended, rest = bytes(data).split(b"\0")
+        for piece in ended:
+            self._hold(piece)
+            frame = self._take()
+            if frame is not None:
+                found.append(frame)
+        self._hold(rest)
+        return found
+
+    def _hold(self, piece: bytes) -> None:
+        if len(self._held) + len(piece) > MAX_FRAME:
+            self._overlong = True
+            self._held.clear()
+        elif not self._overlong:
+            self._held += piece
+
+    def _take(self) -> Frame | None:
+        """The frame that a zero has just ended, if it is one."""
+        stuffed, overlong = bytes(self._held), self._overlong
+        self._held.clear()
+        self._overlong = False
+        if not stuffed and not overlong:
+            return None
+        body = b"" if overlong else _unstuffed(stuffed)
+        if len(body) < HEADER.size:
+            self.counts.damaged += 1
+            return None
+        version, code, schema, sequence, time = HEADER.unpack_from(body)
+        if version != VERSION or schema != self.codec.schema:
+            self.counts.foreign += 1
+            self.foreign = version, schema
+            return None
+        message = self.codec.unpack(code, body[HEADER.size :])
+        if message is None:
+            self.counts.unknown += 1
+            return None
+        self.counts.frames += 1
+        return Frame(message, sequence, time * 1e-6)
+
+
+def _unstuffed(stuffed: bytes) -> bytes:
+    """Header and payload, or nothing if the frame is damaged."""
+    try:
+        whole = cobs.decode(stuffed)
+    except cobs.DecodeError:
+        return b""
+    body, crc = whole[:-CRC_BYTES], whole[-CRC_BYTES:]
+    return body if zlib.crc32(body).to_bytes(CRC_BYTES, "little") == crc else b""
