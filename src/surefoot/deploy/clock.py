@@ -1,0 +1,81 @@
+"""The control computer's clock: the real one, or in lockstep one that the robot follows."""
+
+from __future__ import annotations
+
+import time
+from typing import TYPE_CHECKING, Protocol
+
+from surefoot.errors import SurefootError
+
+if TYPE_CHECKING:
+    from surefoot.deploy.link import Link
+
+SPIN = 150e-6
+"""A wait's last part [s] is spent looking at the clock: a sleeping process is woken too late by up to so much."""
+_PATIENCE, _ATTEMPTS = 1.0, 5
+
+
+class Clock(Protocol):
+    """Time in seconds from 0, and a way to let it pass."""
+
+    def now(self) -> float:
+        """The time [s]."""
+        ...
+
+    def wait_until(self, moment: float) -> None:
+        """Return when it is `moment` [s], at once if that has passed."""
+        ...
+
+
+class MonotonicClock:
+    """The computer's monotonic clock."""
+
+    def __init__(self) -> None:
+        self._start = time.monotonic()
+
+    def now(self) -> float:
+        """Time since the clock was made [s]."""
+        return time.monotonic() - self._start
+
+    def wait_until(self, moment: float) -> None:
+        """Sleep most of the time, then look at the clock."""
+        left = moment - self.now()
+        if left > SPIN:
+            time.sleep(left - SPIN)
+        while self.now() < moment:
+            pass
+
+
+class LockstepClock:
+    """Time that passes only while the program waits; the robot is told, and runs as far.
+
+    For emulated robots in lockstep: nothing depends on how fast the computer is.
+    """
+
+    def __init__(self) -> None:
+        self._now = 0.0
+        self._link: Link | None = None
+
+    def attach(self, link: Link) -> None:
+        """Take the link whose other end follows this clock."""
+        self._link = link
+
+    def now(self) -> float:
+        """The time [s]."""
+        return self._now
+
+    def wait_until(self, moment: float) -> None:
+        """Let time go to `moment` [s], and take all that the robot says until then.
+
+        Raises:
+            SurefootError: the robot does not follow.
+        """
+        if moment <= self._now:
+            return
+        self._now = moment
+        if self._link is None:
+            return
+        for _ in range(_ATTEMPTS):
+            if self._link.ping_through(_PATIENCE):
+                return
+        raise SurefootError("the robot does not answer; a clock in lockstep needs an emulator run with --lockstep")

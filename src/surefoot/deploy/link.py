@@ -1,0 +1,221 @@
+"""The link: messages out and in over a port that never blocks, with everything counted."""
+
+from __future__ import annotations
+
+import os
+import select
+import time
+from collections import deque
+from dataclasses import dataclass
+from typing import Protocol
+
+import serial
+
+from surefoot.deploy.clock import Clock
+from surefoot.deploy.frames import Decoder, Frame, encode_frame
+from surefoot.deploy.wire import Codec, Handshake, Message, Ping, Pong
+from surefoot.errors import SurefootError
+
+BAUD = 921_600
+_CHUNK = 65_536
+
+
+class LinkLostError(RuntimeError):
+    """The port is gone: unplugged, or its other end has closed."""
+
+
+class Port(Protocol):
+    """A line to the robot."""
+
+    def read(self) -> bytes:
+        """What has come since, maybe nothing; never waits."""
+        ...
+
+    def write(self, data: bytes) -> int:
+        """Hand over bytes, never wait; returns how many the line took."""
+        ...
+
+    def wait(self, timeout: float) -> None:
+        """Wait until something can be read, at most `timeout` [s]."""
+        ...
+
+    def close(self) -> None:
+        """Give the line back."""
+        ...
+
+
+class SerialPort:
+    """A serial port, or a pseudo-terminal, that no one else may open meanwhile.
+
+    Args:
+        path: such as /dev/ttyUSB0.
+        baud: bits a second; 10 make a byte.
+
+    Raises:
+        SurefootError: no such port, no right to it, or another program has it.
+    """
+
+    def __init__(self, path: str, baud: int = BAUD) -> None:
+        self.path = path
+        try:
+            self._serial = serial.Serial(path, baud, timeout=0, write_timeout=0, exclusive=True)
+        except (serial.SerialException, OSError, ValueError) as error:
+            if getattr(error, "errno", None) == 11 or "exclusively lock" in str(error):
+                raise SurefootError(f"port {path}: another program has it; one operator at a time") from error
+            reason = os.strerror(error.errno) if getattr(error, "errno", None) else str(error)
+            raise SurefootError(f"port {path}: can't be opened: {reason}") from error
+        self._file = self._serial.fileno()
+        os.set_blocking(self._file, False)
+        try:
+            # USB adapters otherwise hold bytes back for up to 16 ms.
+            self._serial.set_low_latency_mode(True)
+        except (OSError, ValueError, NotImplementedError):
+            pass  # a pseudo-terminal, or an adapter that has no such mode
+
+    def read(self) -> bytes:
+        """What has come since."""
+        parts = []
+        try:
+            while part := os.read(self._file, _CHUNK):
+                parts.append(part)
+                if len(part) < _CHUNK:
+                    break
+            else:
+                if self._gone():
+                    raise LinkLostError(f"port {self.path} is gone")
+        except BlockingIOError:
+            pass
+        except OSError as error:
+            raise LinkLostError(f"port {self.path} is gone: {error.strerror}") from error
+        return b"".join(parts)
+
+    def _gone(self) -> bool:
+        """Whether a read that gave nothing means that the other end has closed."""
+        poll = select.poll()
+        poll.register(self._file, select.POLLIN)
+        return any(event & (select.POLLHUP | select.POLLERR | select.POLLNVAL) for _, event in poll.poll(0))
+
+    def write(self, data: bytes) -> int:
+        """Hand over bytes; returns how many were taken."""
+        try:
+            return os.write(self._file, data)
+        except BlockingIOError:
+            return 0
+        except OSError as error:
+            raise LinkLostError(f"port {self.path} is gone: {error.strerror}") from error
+
+    def wait(self, timeout: float) -> None:
+        """Wait until something can be read."""
+        poll = select.poll()
+        poll.register(self._file, select.POLLIN)
+        poll.poll(max(timeout, 0.0) * 1e3)
+
+    def close(self) -> None:
+        """Give the port back."""
+        self._serial.close()
+
+
+@dataclass(frozen=True)
+class Arrival:
+    """A frame, and when it was read [s], on this computer's clock."""
+
+    frame: Frame
+    time: float
+
+
+@dataclass
+class LinkCounts:
+    """What went over the link, frames damaged on the way aside: `Link.decoder.counts` has those."""
+
+    sent: int = 0
+    """Frames sent."""
+    unsent: int = 0
+    """Frames that the port did not take."""
+    repeated: int = 0
+    """Frames dropped because their number was not above the last one's."""
+    missing: int = 0
+    """Numbers left out between frames that came."""
+
+
+class Link:
+    """Messages over a port. Frames whose numbers go backward or repeat are dropped and counted.
+
+    Args:
+        port: the line.
+        codec: of the robot.
+        clock: stamps what is sent and received.
+    """
+
+    def __init__(self, port: Port, codec: Codec, clock: Clock) -> None:
+        self.port, self.codec, self.clock = port, codec, clock
+        self.decoder = Decoder(codec)
+        self.counts = LinkCounts()
+        self._sequence = 0
+        self._last = 0
+        self._inbox: deque[Arrival] = deque()
+        self._tokens = 0
+
+    def send(self, message: Message) -> int:
+        """Send a message; returns the number of its frame."""
+        self._sequence += 1
+        data = encode_frame(self.codec, message, self._sequence, self.clock.now())
+        taken = self.port.write(data)
+        self.counts.sent += 1
+        if taken < len(data):
+            # Half a frame is no frame; the zero in front of the next one ends it.
+            self.counts.unsent += 1
+        return self._sequence
+
+    def receive(self) -> list[Arrival]:
+        """All frames that have come since, in order; never waits."""
+        self._gather()
+        arrivals = list(self._inbox)
+        self._inbox.clear()
+        return arrivals
+
+    def _gather(self) -> list[Arrival]:
+        found = []
+        data = self.port.read()
+        if data:
+            now = self.clock.now()
+            for frame in self.decoder.feed(data):
+                if self._is_next(frame):
+                    found.append(Arrival(frame, now))
+        self._inbox.extend(found)
+        return found
+
+    def _is_next(self, frame: Frame) -> bool:
+        # A robot that greets may have been switched on anew, and counts from one again.
+        if frame.sequence <= self._last and not isinstance(frame.message, Handshake):
+            self.counts.repeated += 1
+            return False
+        if frame.sequence > self._last + 1 and self._last:
+            self.counts.missing += frame.sequence - self._last - 1
+        self._last = frame.sequence
+        return True
+
+    def ping(self) -> int:
+        """Send a ping; returns its token."""
+        self._tokens += 1
+        self.send(Ping(self._tokens))
+        return self._tokens
+
+    def ping_through(self, patience: float) -> bool:
+        """Send a ping and wait for its pong, whatever else comes before it is kept.
+
+        Args:
+            patience: seconds of real time to wait.
+        """
+        token = self.ping()
+        end = time.monotonic() + patience
+        while (left := end - time.monotonic()) > 0:
+            self.port.wait(left)
+            for arrival in self._gather():
+                message = arrival.frame.message
+                if isinstance(message, Pong) and message.token == token:
+                    return True
+        return False
+
+    def close(self) -> None:
+        """Give the port back."""
+        self.port.close()

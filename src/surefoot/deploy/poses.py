@@ -1,0 +1,34 @@
+"""Poses between gaits, and the way from one to the other."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from surefoot.robot import RobotDescription
+
+SIT_EXTENSION = 0.9
+"""Extension [rad] of all legs when the robot sits: low enough to fall from unharmed when its motors are let go."""
+
+
+def pose(robot: RobotDescription, swing: float, extension: float) -> NDArray[np.float64]:
+    """Motor angles (M,) [rad] of all legs alike."""
+    legs = len(robot.legs)
+    return robot.leg_to_motor_angles(np.full(legs, swing), np.full(legs, extension))
+
+
+def sitting(robot: RobotDescription) -> NDArray[np.float64]:
+    """Motor angles (M,) [rad] of the robot when it sits; its extension is kept within what its legs allow."""
+    low, high = robot.extension_range
+    return pose(robot, 0.0, float(np.clip(SIT_EXTENSION, low, high)))
+
+
+def between(start: ArrayLike, end: ArrayLike, share: float) -> NDArray[np.float64]:
+    """A pose on the way from `start` to `end`, at a share of the time from 0 to 1.
+
+    The fifth-order polynomial of least jerk: speed and acceleration are 0 at both ends (Flash and Hogan 1985).
+    """
+    s = min(max(share, 0.0), 1.0)
+    first, last = np.asarray(start, float), np.asarray(end, float)
+    blend: NDArray[np.float64] = first + (last - first) * (s**3 * (10.0 - 15.0 * s + 6.0 * s * s))
+    return blend
