@@ -90,7 +90,7 @@ class RobotConnection:
                 raise SurefootError(f"the robot refuses: {self._refusal()}")
             self._check_protocol()
         raise SurefootError(
-            f"no robot answers within {timeout:g} s; check the port, the cable, the baud rate and that it is switched on"
+            f"no robot answers within {timeout:g} s; check port, cable and baud rate, and that it is switched on"
         )
 
     def _refusal(self) -> str | None:

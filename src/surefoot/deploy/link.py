@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import errno
 import os
 import select
 import time
@@ -60,17 +62,16 @@ class SerialPort:
         try:
             self._serial = serial.Serial(path, baud, timeout=0, write_timeout=0, exclusive=True)
         except (serial.SerialException, OSError, ValueError) as error:
-            if getattr(error, "errno", None) == 11 or "exclusively lock" in str(error):
+            number = getattr(error, "errno", None)
+            if number == errno.EAGAIN or "exclusively lock" in str(error):
                 raise SurefootError(f"port {path}: another program has it; one operator at a time") from error
-            reason = os.strerror(error.errno) if getattr(error, "errno", None) else str(error)
+            reason = os.strerror(number) if number else str(error)
             raise SurefootError(f"port {path}: can't be opened: {reason}") from error
         self._file = self._serial.fileno()
         os.set_blocking(self._file, False)
-        try:
-            # USB adapters otherwise hold bytes back for up to 16 ms.
+        # USB adapters otherwise hold bytes back for up to 16 ms; pseudo-terminals and some adapters have no such mode.
+        with contextlib.suppress(OSError, ValueError, NotImplementedError):
             self._serial.set_low_latency_mode(True)
-        except (OSError, ValueError, NotImplementedError):
-            pass  # a pseudo-terminal, or an adapter that has no such mode
 
     def read(self) -> bytes:
         """What has come since."""
