@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import math
 import struct
 from dataclasses import dataclass, field, fields
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 MOTORS = -1
 """Count of a field that has one entry a motor."""
-_CODES = {"u8": "B", "i8": "b", "u16": "H", "i16": "h", "u32": "I", "u64": "Q", "f32": "f"}
-_LIMITS = {"u8": (0, 2**8 - 1), "i8": (-(2**7), 2**7 - 1), "u16": (0, 2**16 - 1), "i16": (-(2**15), 2**15 - 1)}
+CODES = {"u8": "B", "i8": "b", "u16": "H", "i16": "h", "u32": "I", "f32": "f"}
+"""Kinds of numbers, and how `struct` names them."""
+_LIMITS = {"u8": (0, 2**8 - 1), "i16": (-(2**15), 2**15 - 1), "u16": (0, 2**16 - 1), "u32": (0, 2**32 - 1)}
+_TOO_LARGE = (2 - 2**-24) * 2.0**127
+"""Least number that an f32 rounds to infinity."""
 
 
 @dataclass(frozen=True)
@@ -20,7 +23,7 @@ class Wire:
     """How a field stands in a frame."""
 
     kind: str
-    """u8, i8, u16, i16, u32, u64, f32 (IEEE 754), or text (UTF-8, padded with zeros)."""
+    """One of `CODES` (f32 is IEEE 754), or text (UTF-8, ends at the first zero byte or at its full length)."""
     unit: str
     """Unit of the value in Python, SI."""
     meaning: str
@@ -28,9 +31,11 @@ class Wire:
     count: int = 1
     """How many; `MOTORS` for one a motor."""
     scale: float = 0.0
-    """Value = scale * number on the wire; 0: the number itself. What does not fit is clipped."""
+    """Value = scale * number on the wire; 0: the number itself. One over a whole number."""
     length: int = 0
     """Bytes of a text."""
+    cut: bool = False
+    """A text that is too long loses its end; otherwise it is refused."""
 
     def entries(self, motors: int) -> int:
         """How many entries a robot of that many motors has."""
@@ -40,7 +45,7 @@ class Wire:
         """As `struct` writes it."""
         if self.kind == "text":
             return f"{self.length}s" * self.entries(motors)
-        return f"{self.entries(motors)}{_CODES[self.kind]}"
+        return f"{self.entries(motors)}{CODES[self.kind]}"
 
 
 def wire(kind: str, unit: str, meaning: str, **more: Any) -> Any:
@@ -53,59 +58,93 @@ def wires(message: type) -> dict[str, Wire]:
     return {item.name: item.metadata["wire"] for item in fields(message)}
 
 
-def pack_values(packer: struct.Struct, layout: dict[str, Wire], message: Any, motors: int) -> bytes:
-    """The bytes of a message's fields.
+class Layout:
+    """The fields of one kind of message as bytes and back, for robots of a number of motors.
 
-    Raises:
-        ValueError: an array of another length, a text too long, or a whole number that does not fit.
+    No float of a scaled field or of an f32 is refused, so that a control loop never stops for one. Scaled numbers are
+    rounded to the nearest, those that do not fit are clipped, and NaN becomes the least. In an f32, NaN and infinities
+    go as they are, and what is too large becomes infinite.
+
+    Args:
+        message: the dataclass, all of its fields made by `wire`.
+        motors: number of motors.
     """
-    flat: list[Any] = []
-    for name, spec in layout.items():
-        value, entries = getattr(message, name), spec.entries(motors)
-        listed = [value] if spec.count == 1 else list(value)
-        if len(listed) != entries:
-            raise ValueError(f"{name} has {len(listed)} entries; it must have {entries}")
-        flat += [_to_wire(name, spec, one) for one in listed]
-    try:
-        return packer.pack(*flat)
-    except struct.error as error:
-        raise ValueError(f"{type(message).__name__}: {error}") from error
+
+    def __init__(self, message: type, motors: int) -> None:
+        self.fields = wires(message)
+        self.struct = struct.Struct("<" + "".join(spec.format(motors) for spec in self.fields.values()))
+        self._message = message
+        self._plan: list[tuple[str, Wire, int, int, int]] = []
+        at = 0
+        for name, spec in self.fields.items():
+            end = at + spec.entries(motors)
+            self._plan.append((name, spec, at, end, round(1 / spec.scale) if spec.scale else 0))
+            at = end
+
+    def pack(self, message: Any) -> bytes:
+        """The bytes of a message's fields.
+
+        Raises:
+            ValueError: an array of another length, a text too long, or a whole number that does not fit.
+        """
+        flat: list[Any] = []
+        try:
+            for name, spec, at, end, per in self._plan:
+                value = getattr(message, name)
+                if spec.kind == "text":
+                    flat += _texts(name, spec, [value] if spec.count == 1 else value)
+                else:
+                    flat += _numbers(spec.kind, per, [value] if spec.count == 1 else np.asarray(value).tolist())
+                if len(flat) != end:
+                    raise ValueError(f"{name} has {len(flat) - at} entries; it must have {end - at}")
+            return self._packed(flat)
+        except (struct.error, TypeError, OverflowError) as error:
+            raise ValueError(f"{type(message).__name__}: {error}") from error
+
+    def unpack(self, payload: bytes) -> Any:
+        """The message of these bytes; arrays are float64, texts of several entries tuples.
+
+        Raises:
+            ValueError: another number of bytes, or bytes that are no text.
+        """
+        if len(payload) != self.struct.size:
+            raise ValueError(f"{self._message.__name__} has {len(payload)} bytes; it must have {self.struct.size}")
+        flat = self.struct.unpack(payload)
+        values: list[Any] = []
+        for _, spec, at, end, per in self._plan:
+            if spec.kind == "text":
+                texts = tuple(raw.partition(b"\0")[0].decode() for raw in flat[at:end])
+                values.append(texts[0] if spec.count == 1 else texts)
+            elif spec.count == 1:
+                values.append(flat[at] / per if per else flat[at])
+            else:
+                array = np.array(flat[at:end], np.float64)
+                values.append(array / per if per else array)
+        return self._message(*values)
+
+    def _packed(self, flat: list[Any]) -> bytes:
+        try:
+            return self.struct.pack(*flat)
+        except OverflowError:
+            return self.struct.pack(
+                *(math.copysign(math.inf, x) if isinstance(x, float) and abs(x) >= _TOO_LARGE else x for x in flat)
+            )
 
 
-def unpack_values(packer: struct.Struct, layout: dict[str, Wire], payload: bytes, motors: int) -> dict[str, Any]:
-    """The values of a message's fields, by name; arrays are float64, texts of several entries tuples.
-
-    Raises:
-        ValueError: bytes that are no text.
-    """
-    flat = packer.unpack(payload)
-    values: dict[str, Any] = {}
-    at = 0
-    for name, spec in layout.items():
-        entries = spec.entries(motors)
-        part = flat[at : at + entries]
-        at += entries
-        if spec.kind == "text":
-            texts = tuple(raw.rstrip(b"\0").decode() for raw in part)
-            values[name] = texts[0] if spec.count == 1 else texts
-        elif spec.count == 1:
-            values[name] = part[0] * spec.scale if spec.scale else part[0]
-        else:
-            array: NDArray[np.float64] = np.array(part, np.float64)
-            values[name] = array * spec.scale if spec.scale else array
-    return values
+def _numbers(kind: str, per: int, values: list[Any]) -> list[Any]:
+    """Values as `struct` takes them; `per`: how many units on the wire make one of the value, 0 without a scale."""
+    if per:
+        low, high = _LIMITS[kind]
+        scaled = [value * per for value in values]
+        return [low if not x > low else high if x > high else round(x) for x in scaled]
+    return values if kind == "f32" else [int(value) for value in values]
 
 
-def _to_wire(name: str, spec: Wire, value: Any) -> Any:
-    if spec.kind == "text":
+def _texts(name: str, spec: Wire, values: Any) -> list[bytes]:
+    found = []
+    for value in values:
         raw = str(value).encode()
-        if len(raw) > spec.length:
+        if len(raw) > spec.length and not spec.cut:
             raise ValueError(f"{name} is '{value}'; it may have {spec.length} bytes")
-        return raw
-    if spec.kind == "f32":
-        return float(value)
-    if spec.scale:
-        low, high = _LIMITS[spec.kind]
-        number = float(value) / spec.scale
-        return low if not number > low else high if number > high else round(number)
-    return int(value)
+        found.append(raw[: spec.length].decode(errors="ignore").encode())
+    return found

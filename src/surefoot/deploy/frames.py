@@ -8,6 +8,7 @@ was lost or invented between two frames away from the second one.
 
 from __future__ import annotations
 
+import math
 import zlib
 from dataclasses import dataclass
 
@@ -16,7 +17,7 @@ from cobs import cobs
 from surefoot.deploy.wire import HEADER, VERSION, Codec, Message
 
 MAX_FRAME = 1024
-"""Bytes between two zeros beyond which nothing can be a frame."""
+"""Bytes between two zeros beyond which nothing can be a frame: `MAX_PAYLOAD`, header, CRC-32, and what COBS adds."""
 CRC_BYTES = 4
 
 
@@ -42,7 +43,7 @@ class Counts:
     foreign: int = 0
     """Whole frames of another version or schema."""
     unknown: int = 0
-    """Whole frames of a kind, or of a length, that this schema does not have."""
+    """Whole frames of a kind or a length that this schema does not have, or with a text that is not UTF-8."""
     received: int = 0
     """Bytes."""
 
@@ -54,9 +55,17 @@ def encode_frame(codec: Codec, message: Message, sequence: int, time: float) -> 
         codec: of the robot.
         message: what to send.
         sequence: number of the frame, 1 to 2^32 - 1.
-        time: now, on the sender's clock [s], from 0.
+        time: now, on the sender's clock [s]; before 0 counts as 0.
+
+    Raises:
+        ValueError: numbers have run out, a time that is not finite, or a message that does not fit; see `Layout.pack`.
     """
-    body = HEADER.pack(VERSION, message.CODE, codec.schema, sequence, round(time * 1e6)) + codec.pack(message)
+    if not 1 <= sequence < 2**32:
+        raise ValueError(f"the number of a frame is {sequence}; it must be 1 to {2**32 - 1}")
+    if not math.isfinite(time):
+        raise ValueError(f"the time of a frame is {time}; it must be finite")
+    microseconds = min(max(round(time * 1e6), 0), 2**64 - 1)
+    body = HEADER.pack(VERSION, message.CODE, codec.schema, sequence, microseconds) + codec.pack(message)
     stuffed = cobs.encode(body + zlib.crc32(body).to_bytes(CRC_BYTES, "little"))
     return b"\0" + stuffed + b"\0"
 
@@ -117,7 +126,7 @@ class Decoder:
             self.counts.unknown += 1
             return None
         self.counts.frames += 1
-        return Frame(message, sequence, time * 1e-6)
+        return Frame(message, sequence, time / 1_000_000)
 
 
 def _unstuffed(stuffed: bytes) -> bytes:

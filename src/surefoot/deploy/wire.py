@@ -16,7 +16,8 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.deploy.fields import MOTORS, pack_values, unpack_values, wire, wires
+from surefoot.deploy.fields import MOTORS, Layout, wire
+from surefoot.errors import SurefootError
 
 Array = NDArray[np.float64]
 
@@ -24,6 +25,8 @@ VERSION = 1
 """Version of the framing and the header."""
 HEADER = struct.Struct("<BBIIQ")
 """Version, type, schema hash, sequence number, time [us]."""
+MAX_PAYLOAD = 997
+"""Bytes of a message that still fit a frame; see `frames.MAX_FRAME`."""
 
 
 class Mode(IntEnum):
@@ -208,7 +211,7 @@ class Fault(Message):
     CODE = 68
     session: int = wire("u16", "1", "operator that it is meant for; 0: whoever listens")
     reason: int = wire("u8", "1", "see Reason")
-    text: str = wire("text", "", "in plain words", length=80)
+    text: str = wire("text", "", "in plain words", length=80, cut=True)
 
 
 MESSAGES: tuple[type[Message], ...] = (
@@ -223,16 +226,18 @@ class Codec:
 
     Args:
         motors: number of motors.
+
+    Raises:
+        SurefootError: none, or more than fit a frame.
     """
 
     def __init__(self, motors: int) -> None:
         self.motors = motors
         self.kinds = {kind.CODE: kind for kind in MESSAGES}
-        self._layouts = {kind: wires(kind) for kind in MESSAGES}
-        self._structs = {
-            kind: struct.Struct("<" + "".join(spec.format(motors) for spec in layout.values()))
-            for kind, layout in self._layouts.items()
-        }
+        self.layouts = {kind: Layout(kind, max(motors, 1)) for kind in MESSAGES}
+        largest = max(map(self.size, MESSAGES))
+        if motors < 1 or largest > MAX_PAYLOAD:
+            raise SurefootError(f"motors is {motors}; it must be 1 or more, and messages at most {MAX_PAYLOAD} bytes")
         digest = hashlib.sha256(self.describe().encode()).digest()
         self.schema = int.from_bytes(digest[:4], "little")
         """First four bytes of the SHA-256 of `describe`, little-endian."""
@@ -240,17 +245,17 @@ class Codec:
     def describe(self) -> str:
         """All messages in canonical form: a line for each message, and one for each of its fields."""
         lines = [f"surefoot {VERSION} motors {self.motors}"]
-        for kind, layout in self._layouts.items():
+        for kind, layout in self.layouts.items():
             lines.append(f"{kind.CODE} {kind.__name__}")
             lines += [
                 f"{name} {spec.kind} {spec.entries(self.motors)} {spec.length} {spec.scale:g} {spec.unit or '-'}"
-                for name, spec in layout.items()
+                for name, spec in layout.fields.items()
             ]
         return "\n".join(lines) + "\n"
 
     def size(self, kind: type[Message]) -> int:
         """Bytes of a message's payload."""
-        return self._structs[kind].size
+        return self.layouts[kind].struct.size
 
     def pack(self, message: Message) -> bytes:
         """The payload of a message.
@@ -258,16 +263,15 @@ class Codec:
         Raises:
             ValueError: an array of another length, a text too long, or a whole number that does not fit.
         """
-        kind = type(message)
-        return pack_values(self._structs[kind], self._layouts[kind], message, self.motors)
+        return self.layouts[type(message)].pack(message)
 
     def unpack(self, code: int, payload: bytes) -> Message | None:
         """The message of a payload; None for an unknown kind, another length, or bytes that are no text."""
         kind = self.kinds.get(code)
-        if kind is None or len(payload) != self._structs[kind].size:
+        if kind is None:
             return None
         try:
-            values = unpack_values(self._structs[kind], self._layouts[kind], payload, self.motors)
+            message: Message = self.layouts[kind].unpack(payload)
         except ValueError:
             return None
-        return kind(**values)
+        return message
