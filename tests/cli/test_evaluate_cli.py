@@ -255,3 +255,54 @@ def test_a_policy_that_ships_is_found_by_name(policy: Path, tmp_path: Path, monk
     assert policies.find_policy("untrained") == policy
     with pytest.raises(ValueError, match=r"policy 'trot' .*shipped policies: untrained"):
         policies.find_policy("trot")
+
+
+@pytest.fixture(scope="module")
+def recorded(policy: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, object]]:
+    """A folder with the traces of three runs, and what `evaluate` said of them when it ran them."""
+    folder = tmp_path_factory.mktemp("recorded")
+    done = surefoot("evaluate", policy, "--episodes", "3", "--out", folder, "--json")
+    assert done.returncode == 0, done.stderr
+    return folder, json.loads(done.stdout)
+
+
+def test_recorded_runs_are_measured_by_the_same_ruler(recorded: tuple[Path, dict[str, object]]):
+    folder, ran = recorded
+    done = surefoot("evaluate", "--trace", folder, "--json")
+    assert done.returncode == 0, done.stderr
+    measured = json.loads(done.stdout)
+    assert {key: measured[key] for key in KEYS} == {key: ran[key] for key in KEYS}
+    assert len(measured["traces"]) == 3
+    files = sorted(folder.glob("*.npz"))
+    two = json.loads(surefoot("evaluate", "--trace", files[0], files[1], "--json").stdout)
+    assert two["episodes"] == 2
+
+
+def test_a_robot_that_nobody_sees_still_tells_its_power(recorded: tuple[Path, dict[str, object]], tmp_path: Path):
+    from surefoot.task.trace import EpisodeTrace
+
+    trace = EpisodeTrace.load(sorted(recorded[0].glob("*.npz"))[0])
+    blind = ("base_position_world", "base_quat_world", "foot_contact", "foot_position_world", "true_motor_angle")
+    unseen = replace(trace, **{name: np.full_like(getattr(trace, name), np.nan) for name in blind})
+    unseen.save(tmp_path / "runs" / "run.npz")
+    done = surefoot("evaluate", "--trace", tmp_path / "runs", "--out", tmp_path / "out")
+    assert done.returncode == 0, done.stderr
+    rows = dict(re.findall(r"│ (\S[^│]*?) +│ (\S[^│]*?) +│", done.stdout))
+    assert rows["speed"] == rows["return"] == rows["gait"] == "-"
+    assert rows["power"] == f"{trace.energy.sum() / trace.duration:.3f} W"
+    assert [path.name for path in (tmp_path / "out").iterdir()] == ["episode.png"]
+
+
+@pytest.mark.parametrize(
+    ("words", "parts"),
+    [
+        ((), ("no policy and no --trace is given",)),
+        (("trot", "--trace", "run.npz"), ("--trace and a policy are given",)),
+        (("--trace", "run.npz", "--seed", "3"), ("--trace and --seed are given",)),
+        (("--trace", "run.npz", "--set", "voltage=15"), ("--trace and --set are given",)),
+        (("--trace", "run.npz", "--randomize", "table1"), ("--trace and --randomize are given",)),
+        (("--trace", "run.npz"), ("trace folder run.npz does not exist",)),
+    ],
+)
+def test_recorded_runs_are_not_run(words: tuple[str, ...], parts: tuple[str, ...], tmp_path: Path):
+    refused(surefoot("evaluate", *words, cwd=tmp_path), *parts)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -13,7 +13,7 @@ import tyro
 from surefoot.cli.parsing import parse
 from surefoot.cli.ranges import take_ranges
 from surefoot.cli.simulator import Simulator, SimulatorOptions
-from surefoot.errors import at_least
+from surefoot.errors import SurefootError, at_least
 from surefoot.task.randomize import RandomizeConfig
 
 if TYPE_CHECKING:
@@ -29,14 +29,17 @@ Settings = Annotated[
 
 @dataclass(frozen=True)
 class EvaluateCommand:
-    """Run a policy for some episodes and print speed, power, return and gait.
+    """Run a policy for some episodes and print speed, power, return and gait; or measure runs that were recorded.
 
     With --randomize NAME (table1, none, or a YAML file) every episode draws its physical parameters;
     --randomize.ROW LOW HIGH sets or changes one row, such as --randomize.latency 0.010 0.030.
+    --trace FILE measures what a robot or a simulation recorded, by the same functions, and simulates nothing.
     """
 
-    policy: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="POLICY")]
+    policy: Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="POLICY")] = None
     """Path of a policy file (.onnx), or the name of a policy that ships with surefoot."""
+    trace: tuple[Path, ...] = ()
+    """Recorded runs instead of a policy: trace files (.npz), or folders of them."""
     episodes: int = 20
     """Episodes to run, side by side."""
     pushes: bool = False
@@ -66,6 +69,10 @@ def main(argv: list[str]) -> int:
     config = (tyro.conf.FlagCreatePairsOff,)
     words, ranges = take_ranges(argv, RandomizeConfig())
     command = parse(EvaluateCommand, words, "surefoot evaluate", config=config)
+    if command.trace:
+        return _recorded(command, bool(ranges.ranges))
+    if command.policy is None:
+        raise SurefootError("no policy and no --trace is given; give one of them")
     for name, number, least in (("episodes", command.episodes, 1), ("threads", command.threads, 0)):
         at_least(name, number, least)
     from surefoot.cli.policies import adjust_task, find_policy, find_world, load_policy
@@ -106,25 +113,68 @@ def main(argv: list[str]) -> int:
         "config_hash": policy.contract.config_hash,
     }
     if command.out is not None:
-        summary["files"] = [str(file) for file in write_files(command.out, traces, robot)]
-    if command.json:
+        files = [trace.save(command.out / f"episode_{i:03d}.npz") for i, trace in enumerate(traces)]
+        summary["files"] = [str(file) for file in [*files, *_figures(command.out, traces, robot)]]
+    return _tell(summary, command.json)
+
+
+def _recorded(command: EvaluateCommand, drawn: bool) -> int:
+    """Measure runs that were recorded, by a robot or by a simulation."""
+    heeded = ("trace", "robot", "out", "json")
+    given = [
+        item.name for item in fields(command) if item.name not in heeded and getattr(command, item.name) != item.default
+    ]
+    if given or drawn:
+        odd = given[0] if given else "randomize"
+        named = "a policy" if odd == "policy" else f"--{dict(settings='set').get(odd, odd).replace('_', '-')}"
+        raise SurefootError(f"--trace and {named} are given; recorded runs are measured as they are, nothing is run")
+    from surefoot.evaluate.metrics import summarize
+    from surefoot.evaluate.recorded import find_traces
+    from surefoot.robot import RobotDescription
+
+    found = [one for path in command.trace for one in find_traces(path)]
+    robot = RobotDescription.load(command.robot or str(found[0][1].meta["robot"]))
+    for path, trace in found:
+        if trace.meta["robot"] != robot.name:
+            raise SurefootError(
+                f"trace file {path}: is of robot '{trace.meta['robot']}', not of '{robot.name}'; "
+                "runs that are measured together must be of one robot"
+            )
+    traces = [trace for _, trace in found]
+    summary = summarize(traces, robot.urdf.total_mass)
+    summary |= {
+        "faults": sum(trace.meta["ended"] == "fault" for trace in traces),
+        "stopped": sum(trace.meta["ended"] == "stopped" for trace in traces),
+        "robot": robot.name,
+        "traces": [str(path) for path, _ in found],
+    }
+    if command.out is not None:
+        import_module("matplotlib")
+        command.out.mkdir(parents=True, exist_ok=True)
+        summary["files"] = [str(file) for file in _figures(command.out, traces, robot)]
+    return _tell(summary, command.json)
+
+
+def _tell(summary: dict[str, Any], as_json: bool) -> int:
+    if as_json:
         print(json.dumps(summary, allow_nan=False))
     else:
         print_table(summary)
     return 0
 
 
-def write_files(folder: Path, traces: list[EpisodeTrace], robot: RobotDescription) -> list[Path]:
-    """Write each trace, a footfall diagram and a plot of the first episode; returns the files."""
+def _figures(folder: Path, traces: list[EpisodeTrace], robot: RobotDescription) -> list[Path]:
+    """Draw a footfall diagram and a plot of the first episode; returns the files."""
     import numpy as np
 
     from surefoot.report.figures import episode_plot, footfall_diagram
 
-    files = [trace.save(folder / f"episode_{i:03d}.npz") for i, trace in enumerate(traces)]
     leg_angle = np.concatenate(robot.motor_to_leg_pose(traces[0].motor_angle), axis=-1)
-    files.append(footfall_diagram(traces[0], folder / "footfalls.png"))
-    files.append(episode_plot(traces[0], folder / "episode.png", leg_angle=leg_angle))
-    return files
+    plot = episode_plot(traces[0], folder / "episode.png", leg_angle=leg_angle)
+    # Who has no switches in the feet knows of no footfalls.
+    if np.isnan(traces[0].foot_contact).any():
+        return [plot]
+    return [footfall_diagram(traces[0], folder / "footfalls.png"), plot]
 
 
 def print_table(summary: dict[str, Any]) -> None:
@@ -139,8 +189,12 @@ def print_table(summary: dict[str, Any]) -> None:
         return f"{value:.3f}" + (f" ± {summary[spread]:.3f}" if spread else "") + f" {unit}".rstrip()
 
     falls = f"{summary['falls']} of {summary['episodes']}"
+    faults = "faults" if "traces" in summary else "diverged"
+    for name, word in (("faults", faults), ("stopped", "stopped")):
+        if summary.get(name):
+            falls += f", {summary[name]} {word}"
     rows = [
-        ("falls", falls + (f", {summary['faults']} diverged" if summary.get("faults") else "")),
+        ("falls", falls),
         ("steps", f"{summary['steps_mean']:.1f}"),
         ("speed", text("speed_mean", "m/s", "speed_std")),
         ("power", text("power_mean", "W")),
@@ -148,14 +202,16 @@ def print_table(summary: dict[str, Any]) -> None:
         ("distance", text("distance_mean", "m")),
         ("drift", text("drift_mean", "m")),
         ("cost of transport", text("cost_of_transport_mean", "")),
-        ("gait", summary["gait"]),
     ]
     duty, phases = summary["duty_factor"], summary["phases"]
+    # Without any duty factor nothing is known of the feet.
+    rows.append(("gait", summary["gait"] if any(value is not None for value in duty.values()) else "-"))
     for leg in duty:
         numbers = ["-" if value is None else f"{value:.2f}" for value in (duty[leg], phases[leg])]
         rows.append((leg.replace("_", " "), f"duty factor {numbers[0]}, phase {numbers[1]}"))
     rows += [("wrote", file) for file in summary.get("files", [])[-2:]]
-    table = Table(title=f"{summary['policy']} in {summary['world']}, {summary['episodes']} episodes", show_header=False)
+    runs = "recorded runs" if "traces" in summary else "episodes"
+    table = Table(title=f"{summary['policy']} in {summary['world']}, {summary['episodes']} {runs}", show_header=False)
     for row in rows:
         table.add_row(*row)
     Console().print(table)
