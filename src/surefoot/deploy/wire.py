@@ -11,7 +11,7 @@ import hashlib
 import struct
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import ClassVar
+from typing import ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,48 +29,43 @@ MAX_PAYLOAD = 997
 """Bytes of a message that still fit a frame; see `frames.MAX_FRAME`."""
 
 
-class Mode(IntEnum):
+class Told(IntEnum):
+    """Numbers with a meaning in plain words."""
+
+    meaning: str
+
+    def __new__(cls, number: int, meaning: str) -> Self:
+        """Make a member; `cls(number)` finds it."""
+        member = int.__new__(cls, number)
+        member._value_, member.meaning = number, meaning
+        return member
+
+
+class Mode(Told):
     """What the robot does with its motors."""
 
-    DISARMED = 0
-    """Motors are damped; commands are refused."""
-    POSITION = 1
-    """Servos follow position commands."""
-    PWM = 2
-    """Motors get the duty that is sent, for identification."""
-    FAULT = 3
-    """Motors are damped because something went wrong, and stay so until armed anew."""
+    DISARMED = 0, "Motors are damped; commands are refused."
+    POSITION = 1, "Servos follow position commands."
+    PWM = 2, "Motors get the duty that is sent, for identification."
+    FAULT = 3, "Motors are damped because something went wrong, and stay so until armed anew."
 
 
-class Reason(IntEnum):
+class Reason(Told):
     """Why a robot refuses something, or has damped its motors."""
 
-    NONE = 0
-    """Nothing is wrong."""
-    HOST = 1
-    """The operator asked for it."""
-    TIMEOUT = 2
-    """No command came for too long."""
-    STALE = 3
-    """Too many commands in a row were old, repeated or out of order."""
-    COMMAND = 4
-    """A command was not finite or outside the limits."""
-    TILT = 5
-    """Roll or pitch passed the robot's limit."""
-    BATTERY = 6
-    """The battery is empty."""
-    TEMPERATURE = 7
-    """A motor is too hot."""
-    BUSY = 8
-    """Another operator has the robot."""
-    SESSION = 9
-    """The message names a session that the robot does not know."""
-    NOT_CLEAN = 10
-    """The link has not been clean for long enough to arm."""
-    SCHEMA = 11
-    """The message is of another version or schema of this protocol."""
-    MODE = 12
-    """The message does not go with the robot's mode."""
+    NONE = 0, "Nothing is wrong."
+    HOST = 1, "The operator asked for it."
+    TIMEOUT = 2, "No command came for too long."
+    STALE = 3, "Too many commands in a row were old, repeated or out of order."
+    COMMAND = 4, "A command was not finite or outside the limits."
+    TILT = 5, "Roll or pitch passed the robot's limit."
+    BATTERY = 6, "The battery is empty."
+    TEMPERATURE = 7, "A motor is too hot."
+    BUSY = 8, "Another operator has the robot."
+    SESSION = 9, "The message names a session that the robot does not know."
+    NOT_CLEAN = 10, "The link has not been clean for long enough to arm."
+    SCHEMA = 11, "The message is of another version or schema of this protocol."
+    MODE = 12, "The message does not go with the robot's mode."
 
 
 class Message:
