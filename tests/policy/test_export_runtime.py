@@ -178,6 +178,9 @@ def test_feedback_that_is_not_finite_is_refused(policy_file: Path, tmp_path: Pat
         for tensor in model.graph.initializer:  # type: ignore[attr-defined]
             if tensor.name == "middle":
                 tensor.CopyFrom(onnx.numpy_helper.from_array(np.full((1, 8), np.nan, np.float32), "middle"))
+        # Without its digest, as an older export; with it the file would be refused sooner.
+        (prop,) = (p for p in model.metadata_props if p.key == METADATA_KEY)  # type: ignore[attr-defined]
+        onnx.helper.set_model_props(model, {prop.key: prop.value})
 
     runtime = PolicyRuntime.load(change(policy_file, tmp_path / "p.onnx", edit))
     with pytest.raises(SurefootError, match="not finite"):

@@ -1,4 +1,4 @@
-"""A trained actor as one ONNX file: normalizer, network, squashing, bounds and contract in it."""
+"""A trained actor as one ONNX file: normalizer, network, squashing, bounds, contract and digest in it."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from onnx import TensorProto, helper, numpy_helper
 from surefoot.errors import SurefootError, choices
 from surefoot.files import whole_file
 from surefoot.policy.contract import METADATA_KEY, Contract
+from surefoot.policy.digest import stamped
 
 OPSET = 17
 IR_VERSION = 8
@@ -136,7 +137,7 @@ def export_policy(actor: Any, activation: str, contract: Contract, path: str | P
     model = build_model(layers, mean, scale, activation, contract)
     path.parent.mkdir(parents=True, exist_ok=True)
     with whole_file(path) as file:
-        file.write(model.SerializeToString())
+        file.write(stamped(model.SerializeToString()))
     return path
 
 

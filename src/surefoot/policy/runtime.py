@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from surefoot.errors import SurefootError
 from surefoot.policy.contract import METADATA_KEY, Contract
+from surefoot.policy.digest import check_digest
 
 
 class PolicyRuntime:
@@ -19,8 +20,10 @@ class PolicyRuntime:
     Make it with `load`.
     """
 
-    def __init__(self, session: onnxruntime.InferenceSession, contract: Contract) -> None:
+    def __init__(self, session: onnxruntime.InferenceSession, contract: Contract, digest: str | None = None) -> None:
         self._session, self.contract = session, contract
+        self.digest = digest
+        """What shows that network and contract belong together; None for files written before there was one."""
         self._low, self._high = np.array(contract.low), np.array(contract.high)
 
     @classmethod
@@ -28,8 +31,8 @@ class PolicyRuntime:
         """Load a policy file.
 
         Raises:
-            SurefootError: the file is missing, damaged, no policy, of another schema, or not what its
-                contract says.
+            SurefootError: the file is missing, damaged, no policy, of another schema, not what its
+                contract says, or changed since it was exported.
         """
         path = Path(path)
         try:
@@ -55,7 +58,11 @@ class PolicyRuntime:
             ("output", session.get_outputs(), "feedback", len(contract.action_names)),
         ):
             _check_end(path, what, found, name, width)
-        return cls(session, contract)
+        try:
+            digest = check_digest(data)
+        except SurefootError as error:
+            raise SurefootError(f"policy file {path}: {error}") from error
+        return cls(session, contract, digest)
 
     def feedback(self, observation: ArrayLike) -> NDArray[np.float64]:
         """Feedback (N, 2 L) [rad] within the contract's bounds for observations (N, O * history) in SI.
