@@ -48,6 +48,12 @@ class Counts:
     """Bytes."""
 
 
+def frame_bytes(codec: Codec, kind: type[Message]) -> int:
+    """Most bytes of a message's frame on the line, with its zeros."""
+    body = HEADER.size + codec.size(kind) + CRC_BYTES
+    return body + math.ceil(body / 254) + 2
+
+
 def encode_frame(codec: Codec, message: Message, sequence: int, time: float) -> bytes:
     """A frame, with its zeros.
 
