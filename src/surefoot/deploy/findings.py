@@ -1,0 +1,34 @@
+"""What checks find, and what follows from it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from surefoot.errors import choices
+
+
+@dataclass(frozen=True)
+class Finding:
+    """What a check has found."""
+
+    name: str
+    """What was looked at."""
+    passed: bool | None
+    """Whether it is as it must be; None: the check was not done."""
+    why: str
+    """What was found, and the rule."""
+    what_to_do: str = ""
+    """How to mend it, or how to have it done; empty if it passed."""
+    value: float | str | None = None
+    """What was measured, if there is one number or word for it; SI units."""
+
+
+def refusal(findings: Sequence[Finding]) -> str | None:
+    """Why a policy must not run, in one line; None if nothing failed."""
+    failed = [finding for finding in findings if finding.passed is False]
+    if not failed:
+        return None
+    first, others = failed[0], [finding.name for finding in failed[1:]]
+    more = f" ({choices(others)} also failed; surefoot doctor tells all)" if others else ""
+    return f"{first.name}: {first.why}; {first.what_to_do}{more}"

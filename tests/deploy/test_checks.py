@@ -1,0 +1,248 @@
+"""Contract against handshake and data sheet: what ships passes, and each thing that differs is named."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from surefoot.cli.policies import find_policy
+from surefoot.deploy.checks import Finding, check_contract, refusal
+from surefoot.deploy.poses import pose
+from surefoot.deploy.wire import Handshake
+from surefoot.policy.contract import Contract
+from surefoot.policy.runtime import PolicyRuntime
+from surefoot.robot import RobotDescription
+
+ROBOT = RobotDescription.load("minitaur")
+CHECKS = [
+    *("policy file", "robot", "motors", "motor signs", "legs", "observation", "contract"),
+    *("servo gains", "servo period", "control step", "watchdog", "angle limits"),
+]
+
+
+def handshake_of(robot: RobotDescription) -> Handshake:
+    """What a robot says that is as its data sheet: a leg may swing 1 rad at extensions of 0.6 to 2.7."""
+    return Handshake(
+        session=1,
+        robot=robot.name,
+        firmware="test 1.0",
+        motor_names=robot.motor_names,
+        motor_signs=robot.motor_sign,
+        servo_period=0.001,
+        servo_kp=1.0,
+        servo_kd=0.015,
+        command_period_min=0.002,
+        command_period_max=0.02,
+        angle_low=np.full(8, -0.4),
+        angle_high=np.full(8, 3.7),
+        tilt_limit=1.0,
+        voltage_min=12.5,
+        temperature_max=90.0,
+        command_timeout=0.05,
+        rearm_after=0.5,
+    )
+
+
+HANDSHAKE = handshake_of(ROBOT)
+
+
+def contract_of(policy: str = "trot") -> Contract:
+    return PolicyRuntime.load(find_policy(policy)).contract
+
+
+def failures(contract: Contract, handshake: Handshake = HANDSHAKE, digest: str | None = "abc") -> dict[str, Finding]:
+    findings = check_contract(contract, handshake, ROBOT, digest)
+    assert [finding.name for finding in findings] == CHECKS
+    for finding in findings:
+        # A line each; who has something to mend is told how.
+        assert finding.why
+        assert "\n" not in finding.why + finding.what_to_do
+        assert bool(finding.what_to_do) == (finding.passed is not True)
+    return {finding.name: finding for finding in findings if not finding.passed}
+
+
+@pytest.mark.parametrize("policy", ["trot", "trot-robust", "gallop", "gallop-robust"])
+def test_a_policy_that_ships_passes_on_its_robot(policy: str):
+    findings = check_contract(contract_of(policy), HANDSHAKE, ROBOT, "abc")
+    assert [finding.name for finding in findings if not finding.passed] == []
+    assert refusal(findings) is None
+
+
+def swapped(names: tuple[Any, ...], one: int, other: int) -> tuple[Any, ...]:
+    order = list(range(len(names)))
+    order[one], order[other] = other, one
+    return tuple(names[index] for index in order)
+
+
+@pytest.mark.parametrize(
+    ("change", "check", "why"),
+    [
+        ({"robot": "spot"}, "robot", "the policy is for 'minitaur', the robot says 'spot'"),
+        (
+            {"motor_names": swapped(ROBOT.motor_names, 0, 5)},
+            "motors",
+            "motor 0 is 'front_left_2_motor' (policy), 'front_right_2_motor' (robot), 'front_left_2_motor' (data",
+        ),
+        ({"motor_names": ROBOT.motor_names[:7]}, "motors", "policy: 8, robot: 7, data sheet: 8"),
+        (
+            {"motor_signs": np.array([-1.0, 1, -1, -1, 1, -1, 1, -1])},
+            "motor signs",
+            "back_left_1_motor has +1 (policy), -1 (robot), +1 (data sheet)",
+        ),
+        ({"servo_kp": 1.06}, "servo gains", "have kp 1.06 and kd 0.015; the policy was trained with kp 1 and kd 0.015"),
+        ({"servo_kd": 0.014}, "servo gains", "each must be within 5%"),
+        ({"servo_period": 0.002}, "servo period", "every 2 ms; the data sheet says 1 ms"),
+        ({"command_period_min": 0.007}, "control step", "6 ms; the robot takes commands every 7 to 20 ms"),
+        ({"command_period_max": 0.005}, "control step", "6 ms; the robot takes commands every 2 to 5 ms"),
+        ({"servo_period": 0.00105, "command_timeout": 1.0}, "control step", "5.71 servo periods of 1.05 ms"),
+        ({"command_timeout": 0.017}, "watchdog", "after 17 ms without a command; it must bear 3 control steps, 18 ms"),
+        # The trot swings 0.3 + 0.25 rad and extends to 2.0 + 0.35 + 0.25 rad: 3.15 rad at most, 0.85 at least.
+        ({"angle_high": np.full(8, 3.1)}, "angle limits", "can be sent to 0.850 to 3.150 rad; the robot takes -0.400"),
+        ({"angle_low": np.full(8, 0.9)}, "angle limits", "0.850 to 3.150 rad; the robot takes 0.900 to 3.700"),
+    ],
+)
+def test_a_robot_that_differs_is_found(change: dict[str, Any], check: str, why: str):
+    failed = failures(contract_of(), replace(HANDSHAKE, **change))
+    assert list(failed) == [check]
+    assert failed[check].passed is False
+    assert why in failed[check].why
+    assert refusal(list(failed.values())) == f"{check}: {failed[check].why}; {failed[check].what_to_do}"
+
+
+@pytest.mark.parametrize("change", [{"servo_kp": 1.049}, {"servo_period": 0.00101}, {"command_timeout": 0.018}])
+def test_what_is_close_enough_passes(change: dict[str, Any]):
+    assert failures(contract_of(), replace(HANDSHAKE, **change)) == {}
+
+
+def test_the_pose_that_it_stands_in_must_be_within_the_limits_too():
+    # Standing at 0.6 rad, below all that the trot asks for.
+    contract = replace(contract_of(), rest=(0.0, 0.6))
+    failed = failures(contract, replace(HANDSHAKE, angle_low=np.full(8, 0.8)))
+    assert "can be sent to 0.600 to 3.150 rad" in failed["angle limits"].why
+    assert failed["angle limits"].value == pytest.approx(-0.2)
+
+
+def test_one_leg_that_has_less_room_is_named():
+    high = np.full(8, 3.7)
+    high[3] = 3.0
+    failed = failures(contract_of(), replace(HANDSHAKE, angle_high=high))
+    assert failed["angle limits"].why.startswith("back_left_1_motor can be sent to")
+
+
+def edited(change: dict[str, Any], policy: str = "trot") -> Contract:
+    """A policy's contract after someone's edit, at any depth."""
+    data = json.loads(contract_of(policy).to_json())
+
+    def merge(table: dict[str, Any], changes: dict[str, Any]) -> None:
+        for key, value in changes.items():
+            if isinstance(value, dict) and isinstance(table.get(key), dict):
+                merge(table[key], value)
+            else:
+                table[key] = value
+
+    merge(data, change)
+    return Contract.from_json(json.dumps(data))
+
+
+@pytest.mark.parametrize(
+    ("change", "why"),
+    [
+        ({"control_step": 0.012}, "control_step is 0.012; the data sheet of minitaur says 0.006"),
+        ({"task": {"params": {"control_step": 0.012}}}, "control_step is 0.006; its task says 0.012"),
+        ({"task": {"params": {"servo_kp": 2.0}}}, "servo_kp is 1; its task says 2"),
+        ({"task": {"history": 4}}, "history is 1; its task says 4"),
+        (
+            {"task": {"observations": ["roll"]}},
+            "observations is ['roll', 'pitch', 'roll_rate', 'pitch_rate']; its",
+        ),
+        ({"low": [-0.5] * 8}, "low of swing is -0.5; its task says -0.25"),
+        ({"high": [0.25] * 7 + [0.3]}, "high of extension is 0.3; its task says 0.25"),
+        ({"reference": None}, "its reference is of kind none; its task says sine"),
+        ({"reference": {"swing": {"amplitude": {"front_left": 0.2}}}}, "is not the one of its task"),
+        ({"rest": [0.0, 3.0]}, "extension at rest is 3 rad; a leg of minitaur allows 0.6 to 2.7"),
+    ],
+)
+def test_a_contract_that_contradicts_itself_is_found(change: dict[str, Any], why: str):
+    failed = failures(edited(change))
+    assert why in failed["contract"].why
+
+
+def test_the_rate_may_differ_from_the_data_sheet_if_the_policy_was_trained_so():
+    assert failures(edited({"control_step": 0.008, "task": {"params": {"control_step": 0.008}}})) == {}
+
+
+def test_actions_in_another_order_are_found():
+    names = contract_of().action_names
+    failed = failures(replace(contract_of(), action_names=(*names[4:], *names[:4])))
+    assert "its actions are ['extension.front_left'" in failed["contract"].why
+
+
+def test_a_policy_with_two_motors_exchanged_is_refused():
+    contract = contract_of("gallop")
+    contract = replace(contract, motor_names=swapped(contract.motor_names, 2, 3))
+    failed = failures(contract)
+    assert "motor 2 is 'back_left_1_motor' (policy), 'back_left_2_motor' (robot)" in failed["motors"].why
+    assert "motors: motor 2 is" in (refusal(list(failed.values())) or "")
+
+
+def test_a_policy_that_sees_its_motors_in_another_order_is_refused():
+    contract = contract_of("gallop")
+    contract = replace(contract, columns=swapped(contract.columns, 5, 6))
+    failed = failures(contract)
+    assert "column 5 is 'angle.back_left_2_motor' in the policy and 'angle.front_left_1_motor'" in (
+        failed["observation"].why
+    )
+
+
+def test_a_policy_with_a_sign_flipped_is_refused():
+    contract = replace(contract_of(), motor_signs=(1.0, *contract_of().motor_signs[1:]))
+    assert "front_left_2_motor has +1 (policy), -1 (robot)" in failures(contract)["motor signs"].why
+
+
+def test_a_policy_with_other_legs_is_refused():
+    contract = replace(contract_of(), leg_names=swapped(ROBOT.leg_names, 0, 1))
+    failed = failures(contract)
+    assert "the policy's are back_left, front_left" in failed["legs"].why
+    assert failed["angle limits"].passed is None
+
+
+def test_an_observation_in_other_units_is_refused():
+    contract = contract_of()
+    part = replace(contract.observation[2], unit="deg/s")
+    contract = replace(contract, observation=(*contract.observation[:2], part, contract.observation[3]))
+    assert "'roll_rate' is in deg/s, base, about x for the policy and in rad/s" in failures(contract)["observation"].why
+
+
+def test_an_observation_that_this_surefoot_does_not_know_is_refused():
+    contract = contract_of()
+    part = replace(contract.observation[0], name="mood")
+    contract = replace(contract, observation=(part, *contract.observation[1:]))
+    assert "observation 'mood' does not exist; choices: roll, pitch" in failures(contract)["observation"].why
+
+
+def test_a_policy_without_a_digest_is_refused():
+    failed = failures(contract_of(), digest=None)
+    assert list(failed) == ["policy file"]
+    assert "python -m surefoot.policy.digest FILE" in failed["policy file"].what_to_do
+
+
+def test_a_refusal_of_several_is_one_line_that_names_them_all():
+    findings = check_contract(contract_of(), replace(HANDSHAKE, servo_kp=2.0, command_timeout=0.01), ROBOT, "abc")
+    said = refusal(findings)
+    assert said is not None
+    assert said.startswith("servo gains: the robot's servos have kp 2 and kd 0.015;")
+    assert said.endswith("(watchdog also failed; surefoot doctor tells all)")
+    assert "\n" not in said
+
+
+def test_corners_of_leg_space_are_the_extremes_of_motor_angles():
+    """Known answers: the gallop swings -0.5 to 0.5 and extends 1.0708 to 2.0708 rad, without a reference."""
+    finding = {one.name: one for one in check_contract(contract_of("gallop"), HANDSHAKE, ROBOT, "a")}["angle limits"]
+    assert "0.571 to 2.571 rad" in finding.why
+    poses = [pose(ROBOT, s, e) for s in (-0.5, 0.0, 0.5) for e in (1.0707963, 1.5, 2.0707963)]
+    assert np.min(poses) == pytest.approx(0.5707963)
+    assert np.max(poses) == pytest.approx(2.5707963)
