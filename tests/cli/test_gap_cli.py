@@ -96,7 +96,9 @@ def test_tables_figure_and_traces(here: Path, capsys: pytest.CaptureFixture[str]
     assert said.err == ""
     for part in ("trot", "gallop", "all policies", "mujoco-away", "0 of 6", "100 %"):
         assert part in said.out
-    assert "wrote gap: gap.csv, runs.csv, gap.png, and the runs' traces" in said.out
+    figures = "trot/runs.png, gallop/runs.png"
+    assert f"wrote gap: gap.csv, runs.csv, gap.png, {figures}, and the runs' traces" in " ".join(said.out.split())
+    assert Path("gap/trot/runs.png").read_bytes().startswith(b"\x89PNG")
     assert sorted(path.name for path in Path("gap").iterdir()) == ["gallop", "gap.csv", "gap.png", "runs.csv", "trot"]
     lines, runs = read(Path("gap/gap.csv")), read(Path("gap/runs.csv"))
     names = ("trot", "gallop", "all policies")

@@ -32,7 +32,8 @@ class GapCommand:
 
     At home is the simulator that a policy was trained in, with its actuator and latencies. In the worlds of --to the
     robot is as its data sheet says. `--to trace FOLDER` takes recorded runs instead, such as a robot's. Written to
-    --out: the runs' traces, gap.csv with one line a policy and world, runs.csv with one line a run, gap.png.
+    --out: the runs' traces, gap.csv with one line a policy and world, runs.csv with one line a run, gap.png, and for
+    each policy its runs over time in runs.png.
     """
 
     policies: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="POLICY [POLICY ...]")]
@@ -124,7 +125,7 @@ def main(argv: list[str]) -> int:
                 task = elsewhere if number else at_home
                 place = command.out / folder / label
                 runs[one.name, label] = _run(command, one, task, side.world, makers[side], place)
-    return _tell(command, candidates, tasks, robot.name, (home, *away), named, runs)
+    return _tell(command, candidates, tasks, robot.name, (home, *away), named, folders, runs)
 
 
 def _tasks(command: GapCommand, task: TaskConfig, robot: RobotDescription) -> tuple[TaskConfig, TaskConfig]:
@@ -180,12 +181,14 @@ def _tell(
     robot: str,
     sides: tuple[Side, ...],
     named: list[str],
+    folders: list[str],
     runs: dict[tuple[str, str], Recorded],
 ) -> int:
     """Measure the runs; write tables and figure, and print what came out."""
     from surefoot.evaluate.gap import PolicyGap, Runs
     from surefoot.evaluate.gap_tables import summary, write_csv, write_runs_csv
     from surefoot.report.gap_figures import gap_figure
+    from surefoot.report.side_by_side import side_by_side
 
     gaps = []
     for one in candidates:
@@ -199,6 +202,9 @@ def _tell(
         write_runs_csv(command.out / "runs.csv", gaps, places),
         gap_figure(gaps, command.out / "gap.png", pooled),
     ]
+    for one, folder in zip(candidates, folders, strict=True):
+        traces = {label: [trace for _, trace in runs[one.name, label]] for label in named}
+        files.append(side_by_side(traces, command.out / folder / "runs.png", one.name))
     if not command.json:
         print_table(whole, named[0], files)
         return 0
@@ -269,5 +275,6 @@ def print_table(policies: list[PolicyGap], home: str, files: list[Path]) -> None
         # A file is as wide as it takes.
         console.width = max(console.width, Measurement.get(console, console.options.update(width=1000), table).maximum)
     console.print(table)
-    told = f"wrote {files[0].parent}: {', '.join(file.name for file in files)}, and the runs' traces"
+    out = files[0].parent
+    told = f"wrote {out}: {', '.join(str(file.relative_to(out)) for file in files)}, and the runs' traces"
     console.print(told, highlight=False, markup=False, soft_wrap=True)
