@@ -171,7 +171,7 @@ typedef struct {
     float motor_angle[SUREFOOT_MOTORS];    /* [rad] motor angles, in motor order */
     float motor_velocity[SUREFOOT_MOTORS]; /* [rad/s] motor speeds */
     int16_t motor_torque[SUREFOOT_MOTORS]; /* [0.001 N m] motor torques, from the currents */
-    float roll_pitch_yaw[3];               /* [rad] base in world: by yaw about z, then pitch about y, then roll about x */
+    float roll_pitch_yaw[3];               /* [rad] base in world: yaw about z, then pitch about y, then roll about x */
     float angular_velocity_base[3];        /* [rad/s] in the base frame: x forward, y left, z up */
     float energy;                          /* [J] integral of |sum of torque times speed| since the session began */
     uint16_t voltage;                      /* [0.001 V] battery */

@@ -191,7 +191,7 @@ class State(Message):
     motor_velocity: Array = wire("f32", "rad/s", "motor speeds", count=MOTORS)
     motor_torque: Array = wire("i16", "N m", "motor torques, from the currents", count=MOTORS, scale=1e-3)
     roll_pitch_yaw: Array = wire(
-        "f32", "rad", "base in world: by yaw about z, then pitch about y, then roll about x", count=3
+        "f32", "rad", "base in world: yaw about z, then pitch about y, then roll about x", count=3
     )
     angular_velocity_base: Array = wire("f32", "rad/s", "in the base frame: x forward, y left, z up", count=3)
     energy: float = wire("f32", "J", "integral of |sum of torque times speed| since the session began")
