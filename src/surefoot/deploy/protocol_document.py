@@ -105,10 +105,12 @@ def _bandwidth(codec: Codec) -> str:
         sum_of_bytes = f"{HEADER.size} + {payload} + {CRC_BYTES} + {size - body - 2} + 2 = {size}"
         rows.append((name, sum_of_bytes, f"{size * BITS_PER_BYTE / BAUD * 1e3:.2f} ms"))
     both = sum(sizes.values())
+    each = [f"{size * BITS_PER_BYTE * RATE / BAUD * 100:.1f} %" for size in sizes.values()]
     return (
         _table(("frame", "header + payload + CRC-32 + COBS + zeros, in bytes", "time on the line"), rows)
         + f"\nTogether {both} bytes. At {RATE} Hz: {both} bytes × {BITS_PER_BYTE} bits × {RATE} Hz = "
-        f"{both * BITS_PER_BYTE * RATE:,} bits a second, **{link_share(codec):.1%}** of {BAUD:,} baud.\n"
+        f"{both * BITS_PER_BYTE * RATE:,} bits a second, **{link_share(codec) * 100:.1f} %** of {BAUD:,} baud. Each "
+        f"direction has a wire of its own: states take {each[0]} of the one, commands {each[1]} of the other.\n"
     )
 
 
