@@ -1,0 +1,381 @@
+"""Frames on a line: bytes worked by hand, and a decoder that finds every whole frame in whatever comes."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import sys
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from surefoot.deploy.frames import MAX_FRAME, Counts, Decoder, Frame, encode_frame, frame_bytes
+from surefoot.deploy.protocol_examples import EXAMPLES, Example
+from surefoot.deploy.wire import HEADER, MESSAGES, VERSION, Codec, Fault, Handshake, Ping, Pong, Position, Reason, State
+
+CODEC = Codec(8)
+PING = encode_frame(CODEC, Ping(1), 2, 0.001)
+PONG = encode_frame(CODEC, Pong(7), 3, 0.002)
+
+
+def crc32(data: bytes) -> bytes:
+    """As the document has it, a bit at a time."""
+    crc = 0xFFFFFFFF
+    for byte in data:
+        crc ^= byte
+        for _ in range(8):
+            crc = crc >> 1 ^ (0xEDB88320 if crc & 1 else 0)
+    return (crc ^ 0xFFFFFFFF).to_bytes(4, "little")
+
+
+def cobs(data: bytes) -> bytes:
+    """As the document has it, a piece at a time."""
+    out = b""
+    pieces = data.split(b"\0")
+    for number, piece in enumerate(pieces, 1):
+        full = len(piece) // 254
+        for at in range(full):
+            out += b"\xff" + piece[254 * at : 254 * (at + 1)]
+        rest = piece[254 * full :]
+        if rest or not full or number < len(pieces):
+            out += bytes([len(rest) + 1]) + rest
+    return out
+
+
+def frame_of(body: bytes) -> bytes:
+    return b"\0" + cobs(body + crc32(body)) + b"\0"
+
+
+def header(code: int, version: int = VERSION, schema: int = CODEC.schema) -> bytes:
+    return HEADER.pack(version, code, schema, 5, 6)
+
+
+def numbers(frames: list[Frame]) -> list[int]:
+    return [frame.sequence for frame in frames]
+
+
+def heard(data: bytes) -> tuple[list[int], Counts]:
+    """Numbers of the frames in a stream, and the counts."""
+    decoder = Decoder(CODEC)
+    return numbers(decoder.feed(data)), decoder.counts
+
+
+# Known bytes.
+
+
+def test_what_the_document_says_of_cobs_and_crc32():
+    assert crc32(b"123456789") == bytes.fromhex("26 39 F4 CB")
+    run = bytes([0x11]) * 254
+    for data, stuffed in [
+        (b"", "01"),
+        (b"\0", "01 01"),
+        (b"\x11\x22\0\x33", "03 11 22 02 33"),
+        (b"\x11\0\0\0", "02 11 01 01 01"),
+        (run, "FF" + run.hex()),
+        (run + b"\x11", "FF" + run.hex() + "02 11"),
+        (run + b"\0", "FF" + run.hex() + "01 01"),
+    ]:
+        assert cobs(data) == bytes.fromhex(stuffed)
+
+
+def test_a_ping_has_the_bytes_worked_by_hand():
+    body = bytes.fromhex(
+        "01"  # version
+        "02"  # Ping
+        "5B 1E 75 C9"  # schema
+        "02 00 00 00"  # number
+        "E8 03 00 00 00 00 00 00"  # 1000 microseconds
+        "01 00 00 00"  # token
+    )
+    assert crc32(body) == bytes.fromhex("F5 E7 3F 78")
+    on_the_line = (
+        "00"
+        "08 01 02 5B 1E 75 C9 02"  # seven bytes and a zero
+        "01 01"
+        "03 E8 03"
+        "01 01 01 01 01"
+        "02 01"
+        "01 01"
+        "05 F5 E7 3F 78"
+        "00"
+    )
+    assert bytes.fromhex(on_the_line) == PING
+    (frame,) = Decoder(CODEC).feed(PING)
+    assert frame == Frame(Ping(1), 2, 0.001)
+
+
+@pytest.mark.parametrize("example", EXAMPLES, ids=lambda example: type(example.message).__name__)
+def test_every_kind_of_frame_is_as_documented(example: Example):
+    message = example.message
+    body = HEADER.pack(VERSION, message.CODE, CODEC.schema, example.sequence, round(example.time * 1e6))
+    body += CODEC.pack(message)
+    assert example.frame() == frame_of(body)
+    (frame,) = Decoder(CODEC).feed(example.frame())
+    assert (frame.sequence, frame.time) == (example.sequence, example.time)
+    assert CODEC.pack(frame.message) == CODEC.pack(message)
+
+
+def test_a_frame_without_zeros_over_254_bytes():
+    names = tuple(letter * 24 for letter in "abcdefgh")
+    full = np.full(8, 1.2345678)
+    message = Handshake(0x1111, "r" * 24, "f" * 40, names, np.ones(8), *([0.1234567] * 5), full, full, *([1.2345] * 5))
+    body = header(Handshake.CODE) + CODEC.pack(message)
+    assert max(map(len, (body + crc32(body)).split(b"\0"))) > 254
+    data = encode_frame(CODEC, message, 5, 6e-6)
+    assert data == frame_of(body)
+    assert numbers(Decoder(CODEC).feed(data)) == [5]
+
+
+def test_the_sizes_of_the_two_frames_that_matter():
+    assert frame_bytes(CODEC, State) == 1 + 1 + 18 + 130 + 4 + 1 == 155
+    assert frame_bytes(CODEC, Position) == 1 + 1 + 18 + 34 + 4 + 1 == 59
+
+
+def test_the_largest_frame_of_the_largest_robot_still_fits():
+    codec = Codec(27)
+    assert frame_bytes(codec, Handshake) - 2 == MAX_FRAME
+    full = np.full(27, 1.2345678)
+    names = tuple("n" * 24 for _ in range(27))
+    message = Handshake(0x1111, "r" * 24, "f" * 40, names, np.ones(27), *([0.5] * 5), full, full, *([1.2345] * 5))
+    decoder = Decoder(codec)
+    assert len(decoder.feed(encode_frame(codec, message, 1, 0.0))) == 1
+
+
+@given(st.sampled_from(EXAMPLES), st.integers(1, 2**32 - 1), st.floats(0, 1e9))
+def test_number_and_time_arrive(example: Example, sequence: int, time: float):
+    data = encode_frame(CODEC, example.message, sequence, time)
+    assert len(data) <= frame_bytes(CODEC, type(example.message))
+    assert data[0] == data[-1] == 0
+    assert 0 not in data[1:-1]
+    (frame,) = Decoder(CODEC).feed(data)
+    assert frame.sequence == sequence
+    assert frame.time == pytest.approx(time, abs=0.5000001e-6)
+    assert encode_frame(CODEC, frame.message, frame.sequence, frame.time) == data
+
+
+# What can't be framed.
+
+
+@pytest.mark.parametrize("sequence", [0, -1, 2**32])
+def test_a_number_that_is_none_is_refused(sequence: int):
+    with pytest.raises(ValueError, match=f"the number of a frame is {sequence}; it must be 1 to 4294967295"):
+        encode_frame(CODEC, Ping(1), sequence, 0.0)
+
+
+@pytest.mark.parametrize("time", [math.nan, math.inf, -math.inf])
+def test_a_time_that_is_none_is_refused(time: float):
+    with pytest.raises(ValueError, match=f"the time of a frame is {time}; it must be finite"):
+        encode_frame(CODEC, Ping(1), 1, time)
+
+
+@pytest.mark.parametrize(
+    ("time", "arrives"), [(-1.0, 0.0), (-1e-9, 0.0), (1e-7, 0.0), (6e-7, 1e-6), (1e300, 2**64 / 1e6)]
+)
+def test_a_time_is_rounded_and_clipped(time: float, arrives: float):
+    (frame,) = Decoder(CODEC).feed(encode_frame(CODEC, Ping(1), 1, time))
+    assert frame.time == pytest.approx(arrives, rel=1e-15, abs=0)
+
+
+# Damage.
+
+
+def test_frames_may_stand_close_or_far_or_share_their_zeros():
+    for stream in (PING + PONG, PING + bytes(1000) + PONG, PING[:-1] + PONG, PING[1:] + PONG[:-1] + b"\0"):
+        assert heard(stream) == ([2, 3], Counts(frames=2, received=len(stream)))
+
+
+def test_zeros_and_nothing_are_no_frames():
+    assert heard(b"") == ([], Counts())
+    assert heard(bytes(5000)) == ([], Counts(received=5000))
+
+
+@pytest.mark.parametrize("cut", range(len(PING) + 1))
+def test_a_frame_cut_anywhere_leaves_the_next_one_alone(cut: int):
+    found, counts = heard(PING[:cut] + PONG)
+    whole = cut >= len(PING) - 1  # the next frame's zero ends it, too
+    assert found == ([2, 3] if whole else [3])
+    assert counts.damaged == (not whole and cut > 1)
+
+
+@pytest.mark.parametrize("start", range(len(PING) + 1))
+def test_who_listens_from_anywhere_finds_the_next_frame(start: int):
+    found, counts = heard(PING[start:] + PONG)
+    assert found == ([2, 3] if start <= 1 else [3])
+    assert counts.damaged == (1 < start < len(PING) - 1)
+
+
+@pytest.mark.parametrize("example", EXAMPLES, ids=lambda example: type(example.message).__name__)
+def test_no_flipped_bit_passes_and_none_reaches_the_neighbours(example: Example):
+    data = example.frame()
+    for at, bit in itertools.product(range(len(data)), range(8)):
+        flipped = bytearray(data)
+        flipped[at] ^= 1 << bit
+        found, counts = heard(PING + flipped + PONG)
+        assert found == [2, 3], f"byte {at}, bit {bit}"
+        assert counts.damaged >= 1
+
+
+def test_no_two_flipped_bits_pass():
+    data = encode_frame(CODEC, Ping(0x11223344), 0x55667788, 1.0)
+    decoder = Decoder(CODEC)
+    bits = range(8, 8 * len(data) - 8)
+    for one, other in itertools.combinations(bits, 2):
+        flipped = bytearray(data)
+        flipped[one // 8] ^= 1 << one % 8
+        flipped[other // 8] ^= 1 << other % 8
+        assert decoder.feed(flipped) == []
+
+
+def test_a_byte_lost_doubled_or_swapped_anywhere_does_not_pass():
+    for example in EXAMPLES:
+        data = example.frame()
+        for at in range(1, len(data) - 1):
+            lost = data[:at] + data[at + 1 :]
+            doubled = data[: at + 1] + data[at:]
+            swapped = data[:at] + data[at : at + 2][::-1] + data[at + 2 :]
+            for damaged in (lost, doubled, swapped):
+                found, _ = heard(damaged + PONG)
+                assert found == ([example.sequence, 3] if damaged == data else [3])
+
+
+def test_garbage_between_frames_is_counted_and_costs_no_frame():
+    found, counts = heard(PING + b"garbage" + PONG + b"\x01\0more" + PING)
+    assert found == [2, 3, 2]
+    assert counts == Counts(frames=3, damaged=3, received=2 * len(PING) + len(PONG) + 13)
+
+
+@pytest.mark.parametrize("body", [b"", b"\0" * 17, header(2)[:17]])
+def test_a_checksum_alone_makes_no_frame(body: bytes):
+    found, counts = heard(frame_of(body) + PONG)
+    assert found == [3]
+    assert counts.damaged == 1
+
+
+# Frames of others.
+
+
+@pytest.mark.parametrize(
+    ("version", "schema"), [(2, CODEC.schema), (0, CODEC.schema), (1, 0), (1, CODEC.schema ^ 1 << 31)]
+)
+def test_a_frame_of_another_version_or_schema_is_foreign(version: int, schema: int):
+    decoder = Decoder(CODEC)
+    assert decoder.foreign is None
+    stream = frame_of(header(Ping.CODE, version, schema) + b"whatever") + PONG
+    assert numbers(decoder.feed(stream)) == [3]
+    assert decoder.counts == Counts(frames=1, foreign=1, received=len(stream))
+    assert decoder.foreign == (version, schema)
+
+
+def test_a_robot_with_other_motors_is_foreign():
+    decoder = Decoder(CODEC)
+    other = Codec(12)
+    assert decoder.feed(encode_frame(other, Ping(1), 1, 0.0)) == []
+    assert decoder.foreign == (VERSION, other.schema)
+
+
+@pytest.mark.parametrize(
+    "body",
+    [
+        header(0),
+        header(9) + bytes(4),
+        header(255) + bytes(300),
+        header(Ping.CODE),
+        header(Ping.CODE) + bytes(3),
+        header(Ping.CODE) + bytes(5),
+        header(State.CODE) + bytes(129),
+        header(Fault.CODE) + b"\1\0\1" + b"\xff" * 80,
+    ],
+)
+def test_a_type_a_length_or_a_text_that_does_not_exist_is_unknown(body: bytes):
+    found, counts = heard(frame_of(body) + PONG)
+    assert found == [3]
+    assert (counts.unknown, counts.damaged, counts.foreign) == (1, 0, 0)
+
+
+# Memory.
+
+
+@pytest.mark.parametrize(("size", "held"), [(MAX_FRAME - 1, True), (MAX_FRAME, True), (MAX_FRAME + 1, False)])
+def test_a_piece_beyond_the_limit_is_not_kept(size: int, held: bool):
+    for step in (size, 1, 100):
+        decoder = Decoder(CODEC)
+        for at in range(0, size, step):
+            decoder.feed(b"x" * min(step, size - at))
+        assert len(decoder._held) == (size if held else 0)
+        assert numbers(decoder.feed(PONG)) == [3]
+        assert decoder.counts.damaged == 1
+
+
+def test_a_line_that_never_ends_is_one_damaged_piece_and_takes_no_memory():
+    decoder = Decoder(CODEC)
+    for size in (1, 100, 1000, 5_000_000, 7, 1024, 1025):
+        assert decoder.feed(b"\xaa" * size) == []
+        assert sys.getsizeof(decoder._held) < 2 * MAX_FRAME
+    assert decoder.counts.damaged == 0
+    assert numbers(decoder.feed(PING + PONG)) == [2, 3]
+    assert decoder.counts.damaged == 1
+
+
+def test_a_frame_behind_too_much_without_a_zero_is_lost_with_it():
+    found, counts = heard(b"\xaa" * 2000 + PING[1:] + PONG)
+    assert found == [3]
+    assert counts.damaged == 1
+
+
+@pytest.mark.parametrize("kind", [bytes, bytearray, memoryview])
+def test_bytes_may_come_in_any_form(kind: type):
+    assert numbers(Decoder(CODEC).feed(kind(PING))) == [2]
+
+
+# Anything at all.
+
+PIECES = st.one_of(
+    st.binary(max_size=60),
+    st.sampled_from([example.frame() for example in EXAMPLES]),
+    st.builds(lambda size, byte: bytes([byte]) * size, st.integers(0, 3000), st.integers(0, 255)),
+    st.sampled_from(MESSAGES).map(lambda kind: frame_of(header(kind.CODE) + bytes(CODEC.size(kind)))),
+    st.binary(max_size=40).map(lambda body: frame_of(header(1) + body)),
+    st.binary(max_size=40).map(frame_of),
+)
+
+
+@given(st.binary(max_size=4000))
+def test_no_bytes_raise_or_pass(data: bytes):
+    decoder = Decoder(CODEC)
+    decoder.feed(data)
+    assert len(decoder._held) <= MAX_FRAME
+    assert decoder.counts.received == len(data)
+
+
+@settings(deadline=None)
+@given(st.lists(PIECES, max_size=12), st.data())
+def test_how_a_stream_is_split_changes_nothing(pieces: list[bytes], data: st.DataObject):
+    stream = b"".join(pieces)
+    whole, parts, single = Decoder(CODEC), Decoder(CODEC), Decoder(CODEC)
+    expected = [(frame.sequence, frame.time, CODEC.pack(frame.message)) for frame in whole.feed(stream)]
+    cuts = sorted(data.draw(st.lists(st.integers(0, len(stream)), max_size=20)))
+    found, alone = [], []
+    for start, end in itertools.pairwise([0, *cuts, len(stream)]):
+        found += parts.feed(stream[start:end])
+        assert len(parts._held) <= MAX_FRAME
+    for byte in stream:
+        alone += single.feed(bytes([byte]))
+    for frames, decoder in ((found, parts), (alone, single)):
+        assert [(frame.sequence, frame.time, CODEC.pack(frame.message)) for frame in frames] == expected
+        assert decoder.counts == whole.counts
+        assert decoder.foreign == whole.foreign
+
+
+@given(st.lists(st.one_of(st.sampled_from(EXAMPLES), st.binary(max_size=50)), max_size=12))
+def test_every_whole_frame_between_any_garbage_is_found(pieces: list[Example | bytes]):
+    # Garbage makes no frame but with a chance of 2^-32.
+    stream = b"".join(piece if isinstance(piece, bytes) else piece.frame() for piece in pieces)
+    found, _ = heard(stream)
+    assert found == [piece.sequence for piece in pieces if isinstance(piece, Example)]
+
+
+def test_a_fault_names_its_reason_on_arrival():
+    (frame,) = Decoder(CODEC).feed(encode_frame(CODEC, Fault(1, Reason.TILT, "fell"), 1, 0.0))
+    assert Reason(frame.message.reason) is Reason.TILT

@@ -1,0 +1,317 @@
+"""Messages as payloads: bytes worked by hand, the schema hash, and that no float stops a control loop."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import math
+import struct
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from surefoot.deploy.fields import MOTORS, Wire, wires
+from surefoot.deploy.protocol_examples import EXAMPLES
+from surefoot.deploy.wire import (
+    COMMANDS,
+    HEADER,
+    MAX_PAYLOAD,
+    MESSAGES,
+    Arm,
+    Bye,
+    Codec,
+    Damp,
+    Disarm,
+    Fault,
+    Hello,
+    Message,
+    Mode,
+    Ping,
+    Pong,
+    Position,
+    Pwm,
+    Reason,
+    State,
+)
+from surefoot.errors import SurefootError
+
+CODEC = Codec(8)
+TWO = Codec(2)
+STATE = next(example.message for example in EXAMPLES if isinstance(example.message, State))
+
+
+def same(one: Message, other: Message) -> bool:
+    """Whether two messages are equal, arrays and NaN included."""
+    if type(one) is not type(other):
+        return False
+    pairs = [(getattr(one, item.name), getattr(other, item.name)) for item in dataclasses.fields(one)]
+    return all(np.array_equal(a, b, equal_nan=isinstance(a, float | np.ndarray)) for a, b in pairs)
+
+
+# Known bytes.
+
+
+@pytest.mark.parametrize(
+    ("message", "payload"),
+    [
+        (Hello(0x1234, 0.010), "34 12  10 27 00 00"),
+        (Ping(0xDEADBEEF), "EF BE AD DE"),
+        (Arm(1, Mode.PWM, 0.005, 0.002), "01 00  02  88 13 00 00  D0 07 00 00"),
+        (Position(0xFFFF, np.array([1.0, -0.5])), "FF FF  00 00 80 3F  00 00 00 BF"),
+        (Pwm(2, np.array([0.25, 0.0])), "02 00  00 00 80 3E  00 00 00 00"),
+        (Damp(3), "03 00"),
+        (Disarm(4), "04 00"),
+        (Bye(5), "05 00"),
+        (Pong(1), "01 00 00 00"),
+        (Fault(6, Reason.BUSY, "no"), "06 00  08  6E 6F" + " 00" * 78),
+        (
+            State(
+                session=0x0102,
+                mode=Mode.FAULT,
+                reason=Reason.TILT,
+                command=0x01020304,
+                command_age=0.5,
+                dropped=3,
+                motor_angle=np.array([1.0, 2.0]),
+                motor_velocity=np.array([-1.0, -2.0]),
+                motor_torque=np.array([3.5, -0.001]),
+                roll_pitch_yaw=np.array([0.5, 0.25, 0.125]),
+                angular_velocity_base=np.array([4.0, 8.0, 16.0]),
+                energy=32.0,
+                voltage=15.5,
+                temperature=np.array([25.4, 90.6]),
+            ),
+            "02 01  03  05  04 03 02 01  50 C3  03 00  00 00 80 3F  00 00 00 40  00 00 80 BF  00 00 00 C0"
+            "AC 0D  FF FF  00 00 00 3F  00 00 80 3E  00 00 00 3E  00 00 80 40  00 00 00 41  00 00 80 41"
+            "00 00 00 42  8C 3C  19  5B",
+        ),
+    ],
+    ids=lambda value: type(value).__name__ if isinstance(value, Message) else "",
+)
+def test_a_message_has_the_bytes_worked_by_hand(message: Message, payload: str):
+    assert TWO.pack(message) == bytes.fromhex(payload)
+    arrived = TWO.unpack(message.CODE, bytes.fromhex(payload))
+    assert arrived is not None
+    assert TWO.pack(arrived) == bytes.fromhex(payload)
+
+
+def test_sizes_are_those_worked_by_hand():
+    by_hand = {
+        **{"Hello": 2 + 4, "Ping": 4, "Arm": 2 + 1 + 4 + 4, "Position": 2 + 8 * 4, "Pwm": 2 + 8 * 4},
+        **{"Damp": 2, "Disarm": 2, "Bye": 2, "Pong": 4, "Fault": 2 + 1 + 80},
+        "Handshake": 2 + 24 + 40 + 8 * 24 + 8 + 4 + 4 + 4 + 4 + 4 + 2 * 8 * 4 + 3 * 4 + 4 + 4,
+        "State": 2 + 1 + 1 + 4 + 2 + 2 + 8 * 4 + 8 * 4 + 8 * 2 + 12 + 12 + 4 + 2 + 8,
+    }
+    assert {kind.__name__: CODEC.size(kind) for kind in MESSAGES} == by_hand
+    assert HEADER.size == 1 + 1 + 4 + 4 + 8
+
+
+# There and back.
+
+
+def test_examples_have_one_of_each_kind_and_arrive_as_they_were():
+    assert [type(example.message) for example in EXAMPLES] == list(MESSAGES)
+    for example in EXAMPLES:
+        arrived = CODEC.unpack(example.message.CODE, CODEC.pack(example.message))
+        assert arrived is not None
+        assert same(arrived, example.message), arrived
+
+
+def values_of(spec: Wire) -> st.SearchStrategy[Any]:
+    """What the numbers of a field can tell exactly."""
+    if spec.kind == "text":
+        letters = st.characters(exclude_characters="\0", exclude_categories=("Cs",))
+        return st.text(letters).map(lambda text: text.encode()[: spec.length].decode(errors="ignore"))
+    if spec.kind == "f32":
+        return st.floats(width=32)
+    signed, bits = spec.kind[0] == "i", int(spec.kind[1:])
+    numbers = st.integers(-(2 ** (bits - 1)), 2 ** (bits - 1) - 1) if signed else st.integers(0, 2**bits - 1)
+    per = round(1 / spec.scale) if spec.scale else 0
+    return numbers.map(lambda number: number / per) if per else numbers
+
+
+def messages(motors: int) -> st.SearchStrategy[Message]:
+    """Messages of every kind, with any content that the wire can tell."""
+
+    def field(spec: Wire) -> st.SearchStrategy[Any]:
+        one = values_of(spec)
+        if spec.count == 1:
+            return one
+        many = st.lists(one, min_size=spec.entries(motors), max_size=spec.entries(motors))
+        return many.map(tuple if spec.kind == "text" else lambda values: np.array(values, np.float64))
+
+    return st.one_of(
+        *(st.builds(kind, **{name: field(spec) for name, spec in wires(kind).items()}) for kind in MESSAGES)
+    )
+
+
+@given(messages(2))
+def test_encode_and_decode_are_the_identity(message: Message):
+    arrived = TWO.unpack(message.CODE, TWO.pack(message))
+    assert arrived is not None
+    assert same(arrived, message)
+
+
+@given(st.data())
+def test_decode_and_encode_are_the_identity_on_every_payload_without_texts(data: st.DataObject):
+    kind = data.draw(
+        st.sampled_from([kind for kind in MESSAGES if all(s.kind != "text" for s in wires(kind).values())])
+    )
+    payload = data.draw(st.binary(min_size=TWO.size(kind), max_size=TWO.size(kind)))
+    message = TWO.unpack(kind.CODE, payload)
+    assert message is not None
+    again = TWO.pack(message)
+    arrived = TWO.unpack(kind.CODE, again)
+    assert arrived is not None
+    assert same(arrived, message)
+    if not any(np.isnan(value).any() for value in vars(message).values()):  # a NaN may come in other bits
+        assert again == payload
+
+
+# No float stops a loop.
+
+REALS = [name for name, spec in wires(State).items() if spec.scale or spec.kind == "f32"]
+
+
+@given(st.sampled_from(REALS), st.floats())
+def test_no_float_stops_a_state(field: str, value: float):
+    spec = wires(State)[field]
+    entries = spec.entries(8)
+    message = dataclasses.replace(STATE, **{field: value if spec.count == 1 else np.full(entries, value)})
+    assert CODEC.unpack(State.CODE, CODEC.pack(message)) is not None
+
+
+@given(st.sampled_from(COMMANDS), st.lists(st.floats(), min_size=8, max_size=8))
+def test_no_float_stops_a_command_or_becomes_an_innocent_one(kind: type[Message], values: list[float]):
+    arrived = CODEC.unpack(kind.CODE, CODEC.pack(kind(9, np.array(values))))
+    assert arrived is not None
+    told = arrived.target if isinstance(arrived, Position) else arrived.duty
+    for value, arrives in zip(values, told, strict=True):
+        if math.isfinite(value) and abs(value) < 3e38:
+            assert arrives == np.float32(value)
+        else:
+            assert math.isnan(arrives) == math.isnan(value)
+            assert not abs(arrives) < 3e38
+
+
+def test_the_temperature_of_an_overheated_motor_saturates():
+    message = dataclasses.replace(STATE, temperature=np.array([300.0, -40.0, 89.5, 90.5, 0, 255, 255.4, math.inf]))
+    arrived = CODEC.unpack(State.CODE, CODEC.pack(message))
+    assert arrived.temperature.tolist() == [255, 0, 90, 90, 0, 255, 255, 255]  # halves go to the even number
+
+
+def test_a_silence_of_long_is_the_longest_that_can_be_told():
+    arrived = CODEC.unpack(State.CODE, CODEC.pack(dataclasses.replace(STATE, command_age=1e9)))
+    assert arrived.command_age == 0.65535
+
+
+def test_a_fault_is_never_lost_for_its_words():
+    arrived = CODEC.unpack(Fault.CODE, CODEC.pack(Fault(1, Reason.TILT, "ü" * 100)))
+    assert arrived.text == "ü" * 40
+
+
+# What can't be sent.
+
+
+@pytest.mark.parametrize(
+    ("message", "what"),
+    [
+        (Hello(65536, 0.01), "Hello"),
+        (Hello(-1, 0.01), "Hello"),
+        (Ping(2**32), "Ping"),
+        (Position(1, np.zeros(7)), "target has 7 entries; it must have 8"),
+        (Position(1, np.zeros(9)), "target has 9 entries; it must have 8"),
+        (Pwm(1, np.zeros((8, 1))), "Pwm"),
+        (dataclasses.replace(STATE, dropped=65536), "State"),
+        (dataclasses.replace(EXAMPLES[8].message, robot="a" * 25), "robot is 'a+'; it may have 24 bytes"),
+    ],
+)
+def test_what_does_not_fit_is_refused(message: Message, what: str):
+    with pytest.raises(ValueError, match=what):
+        CODEC.pack(message)
+
+
+# What is not understood.
+
+
+@pytest.mark.parametrize("kind", MESSAGES)
+def test_another_length_is_not_understood(kind: type[Message]):
+    payload = CODEC.pack(next(example.message for example in EXAMPLES if type(example.message) is kind))
+    for size in {*range(len(payload)), len(payload) + 1, len(payload) + 100}:
+        assert CODEC.unpack(kind.CODE, (payload + bytes(100))[:size]) is None
+
+
+def test_an_unknown_type_is_not_understood():
+    codes = {kind.CODE for kind in MESSAGES}
+    for code in set(range(256)) - codes:
+        assert all(CODEC.unpack(code, bytes(size)) is None for size in (0, 2, 4, 6, 34, 130))
+
+
+def test_a_text_that_is_not_utf8_is_not_understood():
+    payload = bytearray(CODEC.pack(Fault(1, Reason.TILT, "tilt")))
+    payload[3] = 0xFF
+    assert CODEC.unpack(Fault.CODE, bytes(payload)) is None
+
+
+# The schema.
+
+
+def test_types_are_distinct_and_tell_the_direction():
+    codes = [kind.CODE for kind in MESSAGES]
+    assert len(set(codes)) == len(codes)
+    to_robot = {Hello, Ping, Arm, Position, Pwm, Damp, Disarm, Bye}
+    assert all((kind.CODE < 64) == (kind in to_robot) for kind in MESSAGES)
+
+
+def test_every_field_has_a_meaning_and_a_whole_number_of_steps_in_its_unit():
+    for kind in MESSAGES:
+        for name, spec in wires(kind).items():
+            assert spec.meaning, f"{kind.__name__}.{name}"
+            if spec.scale:
+                assert round(1 / spec.scale) * spec.scale == pytest.approx(1.0, abs=1e-12)
+
+
+def test_the_schema_is_the_hash_of_the_canonical_text():
+    # Firmware that was built for this schema stops understanding the host when this number changes.
+    assert CODEC.schema == 0xC9751E5B
+    assert CODEC.schema == struct.unpack("<I", hashlib.sha256(CODEC.describe().encode()).digest()[:4])[0]
+
+
+def test_the_canonical_text_is_as_documented():
+    lines = CODEC.describe().split("\n")
+    assert lines[:4] == ["surefoot 1 motors 8", "1 Hello", "session u16 1 0 0 1", "state_period u32 1 0 1e-06 s"]
+    assert "motor_names text 8 24 0 -" in lines
+    assert "motor_torque i16 8 0 0.001 N m" in lines
+    assert lines[-1] == ""
+    assert len(lines) == 1 + len(MESSAGES) + sum(len(wires(kind)) for kind in MESSAGES) + 1
+
+
+def test_robots_of_other_numbers_of_motors_have_another_schema():
+    assert len({Codec(motors).schema for motors in range(1, 28)}) == 27
+
+
+@pytest.mark.parametrize("motors", [0, -1, 28, 1000])
+def test_a_number_of_motors_that_no_frame_holds_is_refused(motors: int):
+    with pytest.raises(SurefootError, match=f"motors is {motors}; it must be"):
+        Codec(motors)
+
+
+def test_the_largest_robot_fills_its_frames():
+    assert Codec(27).size(MESSAGES[8]) == 997 == MAX_PAYLOAD
+    assert sum(spec.count == MOTORS for spec in wires(MESSAGES[8]).values()) == 4
+
+
+# Numbers with a meaning.
+
+
+def test_modes_and_reasons_have_their_numbers_and_meanings():
+    assert [int(mode) for mode in Mode] == [0, 1, 2, 3]
+    assert [int(reason) for reason in Reason] == list(range(13))
+    assert Reason(5) is Reason.TILT
+    assert Reason.TILT == 5
+    assert all(one.meaning.endswith(".") for one in [*Mode, *Reason])
+    with pytest.raises(ValueError, match="13 is not a valid Reason"):
+        Reason(13)
