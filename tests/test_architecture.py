@@ -24,7 +24,11 @@ ARROWS: dict[str, set[str]] = {
     "policy": {"robot"},
     "evaluate": {"task", "policy", "world", "robot"},
     "identify": {"world", "deploy", "robot", "actuator"},
-    "deploy": {"robot", "policy", "task.reference", "task.observation", "task.trace"},
+    "deploy": {
+        *("robot", "policy", "world.interface"),
+        *("task.reference", "task.observation", "task.gait", "task.trace"),
+    },
+    "emulator": {"deploy", "world", "actuator", "robot"},
     "report": {"evaluate", "task", "robot"},
 }
 WIRING = "cli"  # the one room that may import anything, and that only `python -m surefoot` imports

@@ -16,6 +16,7 @@ COMMANDS = {
     "play": ("surefoot.cli.play", "watch a policy, in a window or as a video"),
     "study": ("surefoot.cli.study", "train several groups with several seeds, compare them"),
     "identify": ("surefoot.cli.identify", "experiments on a robot, and how well the simulator repeats them"),
+    "emulate": ("surefoot.cli.emulate", "be a robot: microcontroller and physics behind a pseudo-terminal"),
     "sensitivity": ("surefoot.cli.sensitivity", "find which physical parameters break a policy"),
     "gap": ("surefoot.cli.gap", "measure what policies lose in another world, or on a robot"),
 }

@@ -67,6 +67,7 @@ class Drive(NamedTuple):
     now: Array  # (N, 2 M + 6) angles, speeds, roll, pitch, yaw, angular velocity in the base frame
     seen: Array  # (N, 2 M) what the servo sees
     target: Array  # (N, M) rad
+    duty: Array  # (N, M) added to the servo's duty: 0 in simulations, what a PWM command asks of a robot
     torque: Array  # (N, M) N m on the motor shaft, friction included
     end_speed: Array  # (N, M) rad/s that constraint motors seek at the step's end
     torque_limit: Array  # (N, M) N m at most, of constraint motors
@@ -108,6 +109,7 @@ def new_drive(robot: RobotDescription, num_envs: int, history: int, config: Worl
         now=zeros(width),
         seen=zeros(2 * motors),
         target=zeros(motors),
+        duty=zeros(motors),
         torque=zeros(motors),
         end_speed=zeros(motors),
         torque_limit=zeros(motors),
@@ -181,6 +183,8 @@ def servo_tick(drive: Drive, i: int) -> None:
         duty = servo_duty_kernel(
             drive.target[i, m], drive.seen[i, m], drive.seen[i, motors + m], drive.kp[i], drive.kd[i]
         )
+        duty += drive.duty[i, m]
+        duty = 1.0 if duty > 1.0 else -1.0 if duty < -1.0 else duty
         current = motor_current_kernel(
             duty, speed, drive.voltage[i], drive.torque_constant[i], drive.resistance[i], voltage_clip
         )

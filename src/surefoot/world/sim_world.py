@@ -155,6 +155,7 @@ class SimWorld:
         drive, config = self.drive, self.config
         for array in (
             drive.ticks,
+            drive.duty,
             drive.torque,
             drive.motor_torque,
             drive.energy,
@@ -282,7 +283,8 @@ class SimWorld:
         """Go on from `get_state`, exactly."""
         self.set_params(np.arange(self.num_envs), replace(self.params, **state["params"]))
         for name, array in self.drive._asdict().items():
-            array[...] = state["drive"][name]
+            # A state that was saved when motors had no duty of their own goes on without.
+            array[...] = 0.0 if name == "duty" and name not in state["drive"] else state["drive"][name]
         for i in range(self.num_envs):
             self.engine.set_state(i, state["engine"][i])
         self._control_steps[:] = state["control_steps"]

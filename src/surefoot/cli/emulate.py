@@ -1,0 +1,214 @@
+"""`surefoot emulate`: a process that is the microcontroller and the robot, behind a pseudo-terminal."""
+
+from __future__ import annotations
+
+import gc
+import math
+import signal
+import sys
+from dataclasses import dataclass, replace
+from pathlib import Path
+from types import FrameType
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+
+from surefoot.cli.evaluate import Settings
+from surefoot.cli.parsing import parse
+from surefoot.errors import SurefootError
+
+if TYPE_CHECKING:
+    from surefoot.emulator.board import Board
+    from surefoot.emulator.faults import Fault
+    from surefoot.robot import PhysicalParams, RobotDescription
+
+FaultWords = Annotated[
+    tuple[tuple[str, ...], ...],
+    tyro.conf.UseAppendAction,
+    tyro.conf.arg(name="fault", metavar="NAME[=VALUE][@TIME] [...]"),
+]
+
+
+@dataclass(frozen=True)
+class EmulateCommand:
+    """Be a robot: open a pseudo-terminal, print its name, and speak the wire protocol there until interrupted.
+
+    The physics runs in real time; with --lockstep it follows the times in the frames that come instead. What went on
+    is summed up in one line at the end. --fault help lists the faults.
+    """
+
+    world: str = "mujoco"
+    """Physics engine: mujoco or bullet."""
+    robot: str = "minitaur"
+    """Name or folder of the robot."""
+    params: Path | None = None
+    """File of physical parameters (.toml); the robot's own, if not given."""
+    settings: Settings = ()
+    """Physical parameters that differ, such as motor_strength=0.8."""
+    hidden_seed: int | None = None
+    """Draw physical parameters that nobody is told."""
+    hidden_out: Path | None = None
+    """File (.toml) to write them to, for checking later."""
+    faults: FaultWords = ()
+    """What goes wrong, such as drop=0.01, or unplug=1.5 (s after the robot is first armed); help lists them."""
+    lockstep: bool = False
+    """Follow the times in the frames that come, instead of the computer's clock."""
+    rack: bool = False
+    """Hold the base in the air."""
+    ideal_sensors: bool = False
+    """Encoders and IMU without quantization, noise and drift, a battery that does not sag."""
+    seed: int = 0
+    """Seed of noise, and of faults at random."""
+    baud: float = 921600.0
+    """Bits a second of the serial line, in real time; 0: bytes take no time."""
+    link: Path | None = None
+    """Symbolic link to the pseudo-terminal, removed at the end."""
+    motion_capture: Path | None = None
+    """File (.csv) for what a motion capture system sees of the robot, 200 times a second."""
+    duration: float | None = None
+    """End after so much robot time [s]."""
+    viewer: bool = False
+    """Show the robot in a window."""
+
+
+def main(argv: list[str]) -> int:
+    """Run the command with the words after its name; returns the exit code."""
+    command = parse(EmulateCommand, argv, "surefoot emulate", config=(tyro.conf.FlagCreatePairsOff,))
+    words = [word for group in command.faults for word in group]
+    if "help" in words:
+        _print_faults()
+        return 0
+    _check(command)
+    from surefoot.cli.policies import find_world
+    from surefoot.robot import RobotDescription
+
+    robot = RobotDescription.load(command.robot)
+    from surefoot.emulator.faults import parse_faults
+
+    faults = parse_faults(words, command.lockstep, robot.num_motors)
+    if "tilt" in faults and command.rack:
+        raise SurefootError("fault tilt needs a robot that can fall; it does not go with --rack")
+    find_world(command.world)
+    board = _build(command, robot, faults)
+    return _run(command, board, faults)
+
+
+def _print_faults() -> None:
+    from surefoot.emulator.faults import describe
+
+    print("\n".join(describe()))
+
+
+def _check(command: EmulateCommand) -> None:
+    for name in ("duration", "baud"):
+        value = getattr(command, name)
+        if value is not None and not (math.isfinite(value) and (value > 0 or (name == "baud" and value == 0))):
+            raise SurefootError(f"{name} is {value:g}; it must be over 0")
+    if command.baud and command.baud < 9600:
+        raise SurefootError(f"baud is {command.baud:g}; it must be 9600 or more, or 0")
+    if command.hidden_out is not None and command.hidden_seed is None:
+        raise SurefootError("hidden_out needs hidden parameters; give --hidden-seed too")
+    if command.hidden_seed is not None and (command.params is not None or command.settings):
+        raise SurefootError("hidden_seed draws the parameters; it does not go with --params and --set")
+    for name in ("seed", "hidden_seed"):
+        value = getattr(command, name)
+        if value is not None and value < 0:
+            raise SurefootError(f"{name} is {value}; it must be 0 or more")
+    for name, suffix in (("hidden_out", ".toml"), ("motion_capture", ".csv")):
+        path = getattr(command, name)
+        if path is None:
+            continue
+        if path.suffix.lower() != suffix:
+            raise SurefootError(f"{name} {path}: the name must end in {suffix}")
+        if path.exists():
+            raise SurefootError(f"{name} {path} exists; give another name")
+
+
+def _params(command: EmulateCommand, robot: RobotDescription) -> PhysicalParams:
+    from surefoot.robot import PhysicalParams, parse_settings
+
+    params = PhysicalParams.nominal(robot)
+    if command.params is not None:
+        from surefoot.robot.params_file import read_params
+
+        params = read_params(command.params, robot).params
+    if command.hidden_seed is not None:
+        params = _hidden(command, robot, command.hidden_seed)
+    return params.with_values(robot, **parse_settings([word for group in command.settings for word in group]))
+
+
+def _hidden(command: EmulateCommand, robot: RobotDescription, seed: int) -> PhysicalParams:
+    from surefoot.emulator.hidden import draw_hidden
+    from surefoot.robot.params_file import write_params
+    from surefoot.task.randomize import load_ranges
+
+    params = draw_hidden(robot, load_ranges("table1").ranges, seed)
+    if command.hidden_out is not None:
+        write_params(command.hidden_out, robot, params, {"origin": {"hidden_seed": seed}})
+    return params
+
+
+def _build(command: EmulateCommand, robot: RobotDescription, faults: dict[str, Fault]) -> Board:
+    """The robot, warmed up."""
+    from surefoot import __version__
+    from surefoot.emulator.board import Board
+    from surefoot.emulator.hardware import PowerConfig, SensorConfig
+    from surefoot.emulator.limits import Limits, introduction
+    from surefoot.emulator.plant import Plant
+    from surefoot.world.sim_world import EngineFactory, mujoco_engine
+
+    engine: EngineFactory = mujoco_engine
+    if command.world == "bullet":
+        from surefoot.world.bullet_engine import bullet_engine
+
+        engine = bullet_engine
+    every = 1
+    if "slow-servo" in faults:
+        every = round(faults["slow-servo"].value / robot.timing.servo_step)
+        faults["slow-servo"] = replace(faults["slow-servo"], value=every * robot.timing.servo_step)
+    plant = Plant(
+        robot,
+        _params(command, robot),
+        command.seed,
+        SensorConfig.ideal() if command.ideal_sensors else None,
+        PowerConfig.ideal() if command.ideal_sensors else None,
+        command.rack,
+        engine,
+        servo_every=every,
+    )
+    limits = Limits()
+    said = introduction(robot, limits, f"surefoot emulator {__version__}", robot.timing.servo_step)
+    return Board(plant, said, limits, faults, 0.0 if command.lockstep else command.baud, command.seed)
+
+
+def _run(command: EmulateCommand, board: Board, faults: dict[str, Fault]) -> int:
+    from surefoot.emulator.motion_capture import MotionCapture
+    from surefoot.emulator.process import Lockstep, RealTime, Summary
+    from surefoot.emulator.pty_port import PtyPort
+
+    summary = Summary()
+
+    def end(number: int, frame: FrameType | None) -> None:
+        summary.stop = True
+
+    capture = None if command.motion_capture is None else MotionCapture(command.motion_capture, board.plant)
+    port = PtyPort(command.link)
+    before = {number: signal.signal(number, end) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        if capture is not None:
+            board.on_step = capture.see
+        load = faults["overload"].value if "overload" in faults else 0.0
+        loop = Lockstep(board, port, summary) if command.lockstep else RealTime(board, port, summary, load)
+        # What was made until now lives as long as the process: the collector need not look at it again.
+        gc.collect()
+        gc.freeze()
+        print(f"robot on {port.path}", flush=True)
+        loop.run(command.duration)
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+        port.close()
+        if capture is not None:
+            capture.close()
+    print(f"surefoot: {summary.text(board, port)}", file=sys.stderr)
+    return 0

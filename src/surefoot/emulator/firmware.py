@@ -1,0 +1,354 @@
+"""The microcontroller's program, without its hardware: messages and time in, orders for the motors and messages out.
+
+It knows neither physics nor ports. Somebody tells it what came (`receive`), asks once a servo step what the motors are
+to do (`tick`), lets it report when a state is due (`report`), and sends what it has to say (`take`). All times are
+whole microseconds on the robot's own clock.
+
+    mode       motors                            left by
+    DISARMED   damped                            Arm
+    POSITION   servos follow position commands   Disarm, Bye, or anything that goes wrong: FAULT
+    PWM        duty as commanded                 the same
+    FAULT      damped, the reason is kept        Arm, after the link has been clean for long enough
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surefoot.deploy.frames import Decoder, Frame
+from surefoot.deploy.wire import (
+    Arm,
+    Bye,
+    Codec,
+    Damp,
+    Disarm,
+    Fault,
+    Handshake,
+    Hello,
+    Message,
+    Mode,
+    Ping,
+    Pong,
+    Position,
+    Pwm,
+    Reason,
+    State,
+)
+from surefoot.emulator.limits import Limits
+from surefoot.emulator.link_watch import LinkWatch
+
+Array = NDArray[np.float64]
+ARMED = (Mode.POSITION, Mode.PWM)
+
+
+@dataclass(frozen=True)
+class Vitals:
+    """What the microcontroller looks at in every servo step."""
+
+    motor_angle: Array
+    """Motor angles (M,) [rad]."""
+    tilt: float
+    """The larger of |roll| and |pitch| [rad]."""
+    voltage: float
+    """Battery [V]."""
+    temperature: float
+    """The hottest motor [degC]."""
+
+
+@dataclass(frozen=True)
+class Sensors:
+    """What a state tells of the sensors; see `wire.State`."""
+
+    motor_angle: Array
+    motor_velocity: Array
+    motor_torque: Array
+    roll_pitch_yaw: Array
+    angular_velocity_base: Array
+    energy: float
+    voltage: float
+    temperature: Array
+
+
+@dataclass(frozen=True)
+class MotorOrder:
+    """What the motors are to do until the next order."""
+
+    mode: Mode
+    """POSITION: hold the target; PWM: duty; otherwise damped."""
+    values: Array
+    """Motor angles [rad] or duties (M,)."""
+
+
+def microseconds(seconds: float) -> int:
+    """Seconds as whole microseconds."""
+    return round(seconds * 1e6)
+
+
+class Firmware:
+    """The microcontroller's program.
+
+    Args:
+        codec: of the robot.
+        introduction: what the robot says of itself.
+        limits: when it damps itself.
+    """
+
+    def __init__(self, codec: Codec, introduction: Handshake, limits: Limits | None = None) -> None:
+        self.introduction, self.limits = introduction, limits or Limits()
+        self.decoder = Decoder(codec)
+        self.watch = LinkWatch(microseconds(self.limits.clean_gap))
+        self.mode, self.reason, self.owner = Mode.DISARMED, Reason.NONE, 0
+        self.period = self.lead = 0
+        self.next_state: int | None = None
+        """When the next state is due."""
+        self.stale = 0
+        """Commands dropped because they were too old."""
+        self._out: list[Frame] = []
+        self._sent = 0
+        self._order = self._damped = MotorOrder(Mode.DISARMED, np.zeros(codec.motors))
+        self._fresh = False
+        self._state_period = microseconds(self.limits.state_period[1])
+        self._report_after = 0
+        self._command = self._command_time = 0
+        self._dropped = self._dropped_in_a_row = 0
+        self._alive_until = 0
+        self._low_since: int | None = None
+        self._vitals: Vitals | None = None
+        self._energy_start: float | None = None
+        self._refused: dict[Reason, deque[int]] = {}
+
+    @property
+    def armed(self) -> bool:
+        """Whether motors follow commands."""
+        return self.mode in ARMED
+
+    def take(self) -> list[Frame]:
+        """What there is to send, oldest first; it is the caller's now."""
+        said, self._out = self._out, []
+        return said
+
+    def _say(self, now: int, message: Message) -> None:
+        self._sent += 1
+        self._out.append(Frame(message, self._sent, now / 1e6))
+
+    # What comes over the link.
+
+    def receive(self, now: int, data: bytes) -> None:
+        """Bytes came from the link."""
+        counts = self.decoder.counts
+        damaged, foreign = counts.damaged + counts.unknown, counts.foreign
+        frames = self.decoder.feed(data)
+        if counts.damaged + counts.unknown > damaged:
+            self.watch.damaged()
+        if counts.foreign > foreign:
+            self.watch.damaged()
+            self._refuse(now, 0, Reason.SCHEMA, f"schema is {self.decoder.codec.schema:#010x}")
+        for frame in frames:
+            self._handle(now, frame)
+
+    def _handle(self, now: int, frame: Frame) -> None:
+        message = frame.message
+        if isinstance(message, Ping):
+            # A ping names nobody, and changes nothing: it is answered whatever its number.
+            if self.owner:
+                self.watch.heard(now)
+            self._say(now, Pong(message.token))
+            return
+        session = getattr(message, "session", 0)
+        if isinstance(message, Hello) and session and session != self.owner:
+            self._greet_stranger(now, frame, message)
+            return
+        if not session or session != self.owner:
+            self._refuse(now, session, Reason.SESSION, f"session {session} is not known")
+            return
+        age = self.watch.age(now, microseconds(frame.time))
+        if not self.watch.takes(frame.sequence):
+            if isinstance(message, Position | Pwm):
+                self._drop(now, "commands came twice or out of order")
+            return
+        self.watch.heard(now)
+        if isinstance(message, Position | Pwm):
+            self._obey(now, frame.sequence, message, age)
+        elif isinstance(message, Hello):
+            self._greet(now, message)
+        elif isinstance(message, Arm):
+            self._arm(now, message)
+        elif isinstance(message, Damp):
+            self._fail(now, Reason.HOST, "the operator asked for it")
+        elif isinstance(message, Disarm):
+            if self.armed:
+                self._disarm(now)
+        elif isinstance(message, Bye):
+            self._disarm(now)
+            self.owner, self.next_state = 0, None
+
+    def _greet_stranger(self, now: int, frame: Frame, hello: Hello) -> None:
+        silent = now - self.watch.last_heard > microseconds(self.limits.owner_timeout)
+        if self.owner and (self.armed or not silent):
+            self._refuse(now, hello.session, Reason.BUSY, "another operator has the robot")
+            return
+        self._disarm(now)
+        self.owner = hello.session
+        self.watch.restart()
+        self.watch.takes(frame.sequence)
+        self.watch.heard(now)
+        self.watch.age(now, microseconds(frame.time))
+        self._command = self._command_time = self._dropped = 0
+        self._energy_start = None
+        self._greet(now, hello)
+
+    def _greet(self, now: int, hello: Hello) -> None:
+        shortest, longest = self.limits.state_period
+        self._state_period = microseconds(min(max(hello.state_period, shortest), longest))
+        self._say(now, replace(self.introduction, session=self.owner))
+        self._report_at(now + self._state_period)
+
+    def _report_at(self, time: int) -> None:
+        """A state is due then, or when one was due anyway, if that is sooner."""
+        self.next_state = time if self.next_state is None else min(self.next_state, time)
+
+    def _arm(self, now: int, arm: Arm) -> None:
+        shortest, longest = self.limits.command_period
+        if arm.mode not in ARMED or (self.armed and arm.mode != self.mode):
+            self._refuse(now, self.owner, Reason.MODE, f"mode {arm.mode} can't be armed while {self.mode.name}")
+        elif not (shortest <= arm.command_period <= longest and arm.report_after <= arm.command_period):
+            text = f"command period is {arm.command_period:g} s; it must be {shortest:g} to {longest:g}"
+            self._refuse(now, self.owner, Reason.COMMAND, text)
+        elif not self.armed and self.reason and not self._is_clean(now):
+            text = f"the link must be clean for {self.limits.rearm_after:g} s ({self.reason.name.lower()})"
+            self._refuse(now, self.owner, Reason.NOT_CLEAN, text)
+        elif (wrong := self._wrong(now)) is not None:
+            self._refuse(now, self.owner, *wrong)
+        else:
+            self.period = microseconds(arm.command_period)
+            self._report_after = microseconds(arm.report_after)
+            self.lead = self.period - self._report_after
+            if not self.armed:
+                self.mode, self.reason = Mode(arm.mode), Reason.NONE
+                self._command_time, self._dropped_in_a_row, self._fresh = now, 0, True
+            self.next_state = now + self._report_after
+
+    def _is_clean(self, now: int) -> bool:
+        return self.watch.clean_for(now) >= microseconds(self.limits.rearm_after)
+
+    # Commands.
+
+    def _obey(self, now: int, number: int, message: Position | Pwm, age: int) -> None:
+        position = isinstance(message, Position)
+        values = message.target if isinstance(message, Position) else message.duty
+        if self.mode != (Mode.POSITION if position else Mode.PWM):
+            self._dropped += 1
+            if self.mode != Mode.FAULT:  # a faulted robot has said why, and says it in every state
+                self._refuse(now, self.owner, Reason.MODE, f"a command came while {self.mode.name}")
+            return
+        if age > self.limits.stale_after * self.period:
+            self.stale += 1
+            self._drop(now, f"commands were late, the last by {age / 1e6:.3f} s")
+            return
+        low = self.introduction.angle_low if position else -self.limits.duty
+        high = self.introduction.angle_high if position else self.limits.duty
+        bad = np.flatnonzero(~((values >= low) & (values <= high)))
+        if bad.size:
+            self._dropped += 1
+            name = self.introduction.motor_names[bad[0]]
+            self._fail(now, Reason.COMMAND, f"{name} was to go to {values[bad[0]]:g}")
+            return
+        self._command, self._command_time, self._dropped_in_a_row, self._fresh = number, now, 0, False
+        self._order = MotorOrder(self.mode, values)
+        self.next_state = now + self._report_after
+
+    def _drop(self, now: int, text: str) -> None:
+        self._dropped += 1
+        self._dropped_in_a_row += 1
+        if self.armed and self._dropped_in_a_row >= self.limits.stale_drops:
+            self._fail(now, Reason.STALE, text)
+
+    # What the robot does by itself.
+
+    def tick(self, now: int, vitals: Vitals) -> MotorOrder:
+        """A servo step begins: what the motors are to do in it."""
+        self._vitals = vitals
+        low = vitals.voltage < self.limits.voltage
+        if not low:
+            self._low_since = None
+        elif self._low_since is None:
+            self._low_since = now
+        if self.armed:
+            if now - self._command_time >= microseconds(self.limits.command_timeout):
+                self._fail(now, Reason.TIMEOUT, f"no command for {self.limits.command_timeout:g} s")
+            elif (wrong := self._wrong(now)) is not None:
+                self._fail(now, *wrong)
+        if not self.armed:
+            return self._damped
+        if self._fresh:
+            # Nothing was commanded yet: servos hold what they find, motors get no duty.
+            self._fresh = False
+            held = vitals.motor_angle.copy() if self.mode == Mode.POSITION else np.zeros_like(vitals.motor_angle)
+            self._order = MotorOrder(self.mode, held)
+        return self._order
+
+    def _wrong(self, now: int) -> tuple[Reason, str] | None:
+        """What forbids motors to move, by the sensors of the last servo step."""
+        vitals, limits = self._vitals, self.limits
+        if vitals is None:
+            return None
+        if not vitals.tilt <= limits.tilt:
+            return Reason.TILT, f"tilt is {vitals.tilt:.2f} rad; the limit is {limits.tilt:g}"
+        if self._low_since is not None and now - self._low_since >= microseconds(limits.voltage_time):
+            return Reason.BATTERY, f"battery has {vitals.voltage:.2f} V; the limit is {limits.voltage:g}"
+        if not vitals.temperature <= limits.temperature:
+            return Reason.TEMPERATURE, f"a motor has {vitals.temperature:.0f} degC; the limit is {limits.temperature:g}"
+        return None
+
+    def _fail(self, now: int, reason: Reason, text: str) -> None:
+        if self.mode == Mode.FAULT:
+            return  # what went wrong first is what counts
+        self.mode, self.reason = Mode.FAULT, reason
+        self._say(now, Fault(self.owner, int(reason), text))
+        if self.owner:
+            self._report_at(now)
+
+    def _disarm(self, now: int) -> None:
+        self.mode = Mode.DISARMED
+        if self.owner:
+            self._report_at(now + self._state_period)
+
+    def _refuse(self, now: int, session: int, reason: Reason, text: str) -> None:
+        """Tell that a message has no effect, unless that was told too often in the last second."""
+        times = self._refused.setdefault(reason, deque(maxlen=self.limits.refusals))
+        if len(times) == self.limits.refusals and now - times[0] < 1_000_000:
+            return
+        times.append(now)
+        self._say(now, Fault(session, int(reason), text))
+
+    def report(self, now: int, read: Callable[[int], Sensors]) -> None:
+        """Send a state if one is due.
+
+        Args:
+            now: time.
+            read: reads the sensors, for an operator whose commands come so many microseconds after states.
+        """
+        if self.next_state is None or now < self.next_state:
+            return
+        sensors = read(self.lead if self.armed else 0)
+        if self._energy_start is None:
+            self._energy_start = sensors.energy
+        self._say(
+            now,
+            State(
+                session=self.owner,
+                mode=int(self.mode),
+                reason=int(self.reason),
+                command=self._command,
+                command_age=(now - self._command_time) / 1e6 if self._command else 1.0,
+                dropped=self._dropped % 2**16,
+                **{**vars(sensors), "energy": sensors.energy - self._energy_start},
+            ),
+        )
+        following = self.next_state + (self.period if self.armed else self._state_period)
+        self.next_state = following if following > now else now + 1000

@@ -1,0 +1,116 @@
+"""What an emulated robot's hardware is like beyond `PhysicalParams`: sensors, battery, heat. All numbers are assumed.
+
+None of them has been measured on a robot. They are of the size that data sheets of such parts give, and each says where
+it comes from; a robot of one's own will differ.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class SensorConfig:
+    """Encoders and IMU. Bias and noise of roll and pitch are physical parameters and stand there."""
+
+    encoder_step: float = 2 * math.pi / 2**14
+    """Resolution of the motor angles [rad]: 14 bits a turn, as magnetic encoders of the AS5047 kind have."""
+    speed_noise: float = 0.05
+    """Standard deviation of the motor speeds [rad/s]: differences of 14-bit angles over 1 ms have a step of .38 rad/s,
+    a microcontroller's filter leaves about an eighth of it."""
+    gyro_noise: float = 0.003
+    """Standard deviation of the angular velocity [rad/s]: .01 deg/s/sqrt(Hz) over a band of 300 Hz."""
+    gyro_bias: float = 0.005
+    """Standard deviation of the gyro's constant error [rad/s], drawn once: some .3 deg/s are left after calibration."""
+
+    @classmethod
+    def ideal(cls) -> SensorConfig:
+        """Sensors that tell the truth."""
+        return cls(0.0, 0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class PowerConfig:
+    """Battery and heat of the motors."""
+
+    battery_resistance: float = 0.015
+    """Internal resistance [Ohm]: four lithium cells of some 3.5 mOhm each, and their leads."""
+    battery_capacity: float = 10_800.0
+    """Charge [C] until it is empty: 3 Ah."""
+    battery_drop: float = 2.8
+    """Fall of the open-circuit voltage [V] until it is empty: four cells from 4.2 to 3.5 V, taken as linear."""
+    ambient: float = 25.0
+    """Temperature of the air, and of the motors at first [degC]."""
+    heat_capacity: float = 80.0
+    """Of one motor [J/K]: winding and stator, some 200 g of copper and iron at .4 J/(g K)."""
+    heat_resistance: float = 1.5
+    """From winding to air [K/W]; with the capacity a time constant of two minutes."""
+
+    @classmethod
+    def ideal(cls) -> PowerConfig:
+        """A battery that never sags and never empties; motors still grow warm."""
+        return cls(battery_resistance=0.0, battery_capacity=math.inf)
+
+
+@njit(cache=True)
+def power_tick(
+    torque: Array,
+    speed: Array,
+    strength: Array,
+    table_current: Array,
+    table_torque: Array,
+    torque_constant: float,
+    resistance: float,
+    voltage: float,
+    dt: float,
+    ambient: float,
+    heat_capacity: float,
+    heat_resistance: float,
+    temperature: Array,
+) -> float:
+    """Warm the motors for one step, and return the current that they draw from the battery [A].
+
+    A motor's current is found from its torque by the torque table turned round; with I and speed w it takes the power
+    I (R I + K_t w) from the battery, and turns R I^2 of it into heat:
+
+        C dT/dt = R I^2 - (T - T_air) / R_heat
+
+    Where the table is flat the least current that gives the torque is taken.
+
+    Args:
+        torque: of the motors, without friction (M,) [N m].
+        speed: of the motors (M,) [rad/s].
+        strength: ratio to the nominal motor (M,).
+        table_current: rising currents of the torque table [A].
+        table_torque: their torques [N m].
+        torque_constant: K_t [N m/A].
+        resistance: R [Ohm].
+        voltage: of the battery [V].
+        dt: step [s].
+        ambient: temperature of the air [degC].
+        heat_capacity: C [J/K].
+        heat_resistance: R_heat [K/W].
+        temperature: of the motors (M,) [degC]; updated.
+    """
+    power = 0.0
+    for m in range(len(torque)):
+        nominal = abs(torque[m]) / strength[m] if strength[m] > 0.0 else 0.0
+        current = table_current[-1]
+        for k in range(len(table_torque) - 1):
+            if nominal <= table_torque[k + 1]:
+                rise = table_torque[k + 1] - table_torque[k]
+                share = (nominal - table_torque[k]) / rise if rise > 0.0 else 0.0
+                current = table_current[k] + share * (table_current[k + 1] - table_current[k])
+                break
+        current = math.copysign(current, torque[m])
+        heat = resistance * current * current
+        power += heat + current * torque_constant * speed[m]
+        temperature[m] += dt / heat_capacity * (heat - (temperature[m] - ambient) / heat_resistance)
+    return power / voltage

@@ -1,0 +1,86 @@
+"""What a microcontroller allows, and what it says of itself when it is greeted."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from surefoot.deploy.wire import Handshake
+from surefoot.robot import RobotDescription
+
+ANGLE_ROOM = 1.0
+"""Room [rad] beyond the angles of leg space that a command may ask for. Legs of a damped robot that lies on its belly
+fold further than a gait may, and standing up begins with the angles that they have."""
+
+
+@dataclass(frozen=True)
+class Limits:
+    """When the microcontroller damps its motors by itself, and when it lets them go again. Times in s."""
+
+    command_timeout: float = 0.050
+    """Silence after which an armed robot damps itself."""
+    stale_after: float = 3.0
+    """Command periods after which a command is too old to be obeyed."""
+    stale_drops: int = 3
+    """Commands dropped in a row that damp the robot."""
+    rearm_after: float = 0.5
+    """Time that the link must be clean before a robot that damped itself arms."""
+    clean_gap: float = 0.1
+    """Longest silence of the operator on a clean link."""
+    owner_timeout: float = 1.0
+    """Silence after which another operator may take a robot that is not armed."""
+    command_period: tuple[float, float] = (0.002, 0.050)
+    """Shortest and longest time between two commands."""
+    state_period: tuple[float, float] = (0.001, 1.0)
+    """Shortest and longest time between two states; what is asked for beyond is clipped."""
+    tilt: float = 1.0
+    """Roll or pitch [rad] beyond which the robot damps itself."""
+    voltage: float = 12.5
+    """Battery voltage [V] below which the robot damps itself: four lithium cells are empty."""
+    voltage_time: float = 0.5
+    """How long the voltage must be low: starting motors pull it down for a moment."""
+    temperature: float = 90.0
+    """Motor temperature [degC] beyond which the robot damps itself."""
+    duty: float = 1.0
+    """Largest duty that a PWM command may ask for."""
+    damping: float = 0.015
+    """Gain [s/rad] with which motors are damped: duty = -damping * speed. The servo's own: with speeds that are 3 ms
+    old motors swing by themselves from .04 s/rad on, and with such that are 5 ms old from .025."""
+    refusals: int = 10
+    """Answers of one kind to messages that are refused, at most in a second."""
+
+
+def introduction(robot: RobotDescription, limits: Limits, firmware: str, servo_period: float) -> Handshake:
+    """What a robot says of itself, from its description; the session is filled in when it is greeted.
+
+    Motor angles of a leg are e + s and e - s for extension e and swing s (see `robot.leg`): the extremes of leg space,
+    with `ANGLE_ROOM`, are what a command may ask for.
+
+    Args:
+        robot: nominal gains come from its sheet, whatever the emulated motors truly do.
+        limits: what the microcontroller keeps to.
+        firmware: name and version.
+        servo_period: time between two servo steps [s].
+    """
+    swing = max(map(abs, robot.swing_range))
+    motors = robot.num_motors
+    return Handshake(
+        session=0,
+        robot=robot.name,
+        firmware=firmware,
+        motor_names=robot.motor_names,
+        motor_signs=robot.motor_sign.astype(np.float64),
+        servo_period=servo_period,
+        servo_kp=robot.actuator.kp,
+        servo_kd=robot.actuator.kd,
+        command_period_min=limits.command_period[0],
+        command_period_max=limits.command_period[1],
+        angle_low=np.full(motors, robot.extension_range[0] - swing - ANGLE_ROOM),
+        angle_high=np.full(motors, robot.extension_range[1] + swing + ANGLE_ROOM),
+        tilt_limit=limits.tilt,
+        voltage_min=limits.voltage,
+        temperature_max=limits.temperature,
+        command_timeout=limits.command_timeout,
+        rearm_after=limits.rearm_after,
+    )

@@ -1,0 +1,74 @@
+"""What a microcontroller knows of its link: which numbers came, how old a frame is, whether the link is clean."""
+
+from __future__ import annotations
+
+from collections import deque
+
+WINDOW = 10_000_000
+"""Time [us] over which the least difference of the two clocks is kept; quartz clocks part by less than 1 ms in it."""
+_BUCKET = 1_000_000
+
+
+class LinkWatch:
+    """One operator's frames, seen from the robot. All times are whole microseconds.
+
+    Args:
+        clean_gap: longest silence on a clean link.
+    """
+
+    def __init__(self, clean_gap: int) -> None:
+        self.clean_gap = clean_gap
+        self.last_number = 0
+        """Highest number of a frame that was taken."""
+        self.last_heard = 0
+        """When the operator was last heard, on the robot's clock."""
+        self.old_numbers = 0
+        """Frames dropped because their number was not above the last one taken."""
+        self._clean_since: int | None = None
+        self._least: deque[tuple[int, int]] = deque()
+
+    def restart(self) -> None:
+        """Another session: its numbers and its clock are new."""
+        self.last_number = 0
+        self._least.clear()
+        self._clean_since = None
+
+    def takes(self, number: int) -> bool:
+        """Whether a frame's number is above all before; if so, it is the last one now."""
+        if number <= self.last_number:
+            self.old_numbers += 1
+            return False
+        self.last_number = number
+        return True
+
+    def heard(self, now: int) -> None:
+        """The operator was heard."""
+        if self._clean_since is None or now - self.last_heard > self.clean_gap:
+            self._clean_since = now
+        self.last_heard = now
+
+    def damaged(self) -> None:
+        """A damaged frame came: the link is clean from the next good one on, at best."""
+        self._clean_since = None
+
+    def clean_for(self, now: int) -> int:
+        """How long the link has been clean."""
+        if self._clean_since is None or now - self.last_heard > self.clean_gap:
+            return 0
+        return now - self._clean_since
+
+    def age(self, now: int, sent: int) -> int:
+        """How old a frame is that was sent at `sent` on the operator's clock.
+
+        The two clocks start at different times: the least difference between arrival and sending that was seen in the
+        last ten seconds is taken for a frame that travelled in no time.
+        """
+        difference, bucket = now - sent, now // _BUCKET
+        least = self._least
+        while least and least[0][0] < bucket - WINDOW // _BUCKET:
+            least.popleft()
+        if least and least[-1][0] == bucket:
+            least[-1] = (bucket, min(least[-1][1], difference))
+        else:
+            least.append((bucket, difference))
+        return difference - min(item[1] for item in least)

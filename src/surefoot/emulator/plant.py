@@ -1,0 +1,239 @@
+"""The emulated robot's body: physics one servo step at a time, battery, heat, and what its sensors read."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from surefoot.actuator.delay import read_kernel
+from surefoot.actuator.servo import servo_duty
+from surefoot.deploy.poses import SIT_EXTENSION
+from surefoot.deploy.wire import Mode
+from surefoot.emulator.firmware import MotorOrder, Sensors, Vitals
+from surefoot.emulator.hardware import PowerConfig, SensorConfig, power_tick
+from surefoot.emulator.limits import Limits
+from surefoot.errors import SurefootError
+from surefoot.robot import PhysicalParams, RobotDescription
+from surefoot.seeding import generator
+from surefoot.world.interface import WorldConfig
+from surefoot.world.sim_world import EngineFactory, SimWorld, mujoco_engine
+
+Array = NDArray[np.float64]
+
+
+@njit(cache=True)
+def _read(times: Array, history: Array, count: int, at: float, out: Array) -> None:
+    read_kernel(times, history, count, at, len(out), out)
+
+
+@dataclass(frozen=True)
+class Capture:
+    """What a motion capture system sees, and what foot switches would."""
+
+    position: Array
+    """Origin of the base link in the world (3,) [m]."""
+    quat: Array
+    """Orientation of the base (4,), w x y z."""
+    contact_ticks: Array
+    """Servo steps in which each foot touched the ground since the robot was switched on (L,)."""
+
+
+class Plant:
+    """One robot, switched on sitting, with its motors damped. Steps are those of the robot's servo.
+
+    Args:
+        robot: what to emulate.
+        params: its physical parameters, one row; the control step is the host's and is not used.
+        seed: of all noise.
+        sensors: encoders and IMU.
+        power: battery and heat.
+        rack: hold the base in the air.
+        engine: makes the physics.
+        damping: gain of damped motors [s/rad].
+        servo_every: physics steps between two of the servo.
+
+    Raises:
+        SurefootError: parameters that the robot does not allow, or a robot that does not settle sitting.
+    """
+
+    def __init__(
+        self,
+        robot: RobotDescription,
+        params: PhysicalParams | None = None,
+        seed: int = 0,
+        sensors: SensorConfig | None = None,
+        power: PowerConfig | None = None,
+        rack: bool = False,
+        engine: EngineFactory = mujoco_engine,
+        damping: float = Limits.damping,
+        servo_every: int = 1,
+    ) -> None:
+        self.robot, self.params = robot, params or PhysicalParams.nominal(robot)
+        self.sensors, self.power, self.damping = sensors or SensorConfig(), power or PowerConfig(), damping
+        self.servo_every = servo_every
+        config = WorldConfig(rest=(0.0, SIT_EXTENSION), rack=rack, threads=1)
+        self.world = SimWorld(robot, 1, self.params, seed, config, engine)
+        self.extra_latency = 0.0
+        """Further age of all readings [s]."""
+        self.voltage_drop = 0.0
+        """Lack of open-circuit voltage [V] besides the charge that was used."""
+        motors = robot.num_motors
+        self._noise = generator(seed, "emulated sensors")
+        self._gyro_bias = self.sensors.gyro_bias * self._noise.standard_normal(3)
+        self._imu_bias, self._imu_noise = self.params.imu_bias[0], float(self.params.imu_noise[0])
+        self._table = robot.torque_table
+        self._voltage = float(self.params.voltage[0])
+        self._one = np.ones(1, np.int64)
+        self._row = np.empty(2 * motors + 6)
+        self._order: MotorOrder | None = None
+        self._held: Array | None = None
+        self.temperature = np.full(motors, self.power.ambient)
+        self.energy = self._used = 0.0
+        self._contact = np.zeros(len(robot.legs))
+        self._obey(MotorOrder(Mode.DISARMED, np.zeros(motors)))
+        # What is compiled is loaded now, not in the first step; physics has been run by the world.
+        self._look(0.0, 0.0)
+        self._draw_power(np.zeros(motors))
+
+    @property
+    def ticks(self) -> int:
+        """Servo steps since the robot was switched on."""
+        return int(self.world.drive.ticks[0])
+
+    @property
+    def voltage(self) -> float:
+        """Battery voltage under load [V]."""
+        return float(self.world.drive.voltage[0])
+
+    def step(self, order: MotorOrder) -> None:
+        """One servo step under an order.
+
+        Raises:
+            SurefootError: the physics broke down.
+        """
+        world, drive = self.world, self.world.drive
+        if order is not self._order:
+            self._obey(order)
+        if self.servo_every > 1 and order.mode != Mode.PWM and self.ticks % self.servo_every == 0:
+            drive.duty[0] = self._servo(order)
+        world.engine.advance(self._one)
+        if world.engine.diverged[0]:
+            raise SurefootError(f"the physics of the emulated robot broke down after {self.ticks} servo steps")
+        self.energy += float(drive.energy[0])
+        self._contact += drive.contact_ticks[0]
+        self._draw_power(self.temperature)
+
+    def _obey(self, order: MotorOrder) -> None:
+        drive, nominal = self.world.drive, self.params
+        self._order = order
+        drive.duty[0] = order.values if order.mode == Mode.PWM else 0.0
+        follows, damped = order.mode == Mode.POSITION, order.mode != Mode.PWM
+        slow = self.servo_every > 1
+        drive.kp[0] = nominal.servo_kp[0] if follows and not slow else 0.0
+        drive.kd[0] = 0.0 if slow or not damped else nominal.servo_kd[0] if follows else self.damping
+        drive.target[0] = order.values if follows else 0.0
+
+    def _servo(self, order: MotorOrder) -> Array:
+        """Duty (M,) of a servo that runs less often than the physics, and holds it in between."""
+        follows = order.mode == Mode.POSITION
+        kp = float(self.params.servo_kp[0]) if follows else 0.0
+        kd = float(self.params.servo_kd[0]) if follows else self.damping
+        self._look(0.0, float(self.params.servo_latency[0]))
+        motors = self.robot.num_motors
+        duty: Array = servo_duty(order.values, self._row[:motors], self._row[motors : 2 * motors], kp, kd)
+        return duty
+
+    def _draw_power(self, temperature: Array) -> None:
+        drive, power, dt = self.world.drive, self.power, self.robot.timing.servo_step
+        motors = self.robot.num_motors
+        current = power_tick(
+            drive.motor_torque[0],
+            drive.now[0, motors : 2 * motors],
+            drive.strength[0],
+            *self._table,
+            float(drive.torque_constant[0]),
+            float(drive.resistance[0]),
+            self.voltage,
+            dt,
+            power.ambient,
+            power.heat_capacity,
+            power.heat_resistance,
+            temperature,
+        )
+        self._used += current * dt
+        open_circuit = self._voltage - self.voltage_drop - power.battery_drop * self._used / power.battery_capacity
+        drive.voltage[0] = max(open_circuit - power.battery_resistance * current, 1.0)
+
+    # Sensors.
+
+    def _look(self, since_step: float, latency: float) -> Array:
+        """The state `latency` [s] before now, which is `since_step` [s] after the last servo step."""
+        drive = self.world.drive
+        ticks = drive.ticks[0]
+        at = ticks * drive.limits[3] + since_step - latency
+        _read(drive.times[0], drive.history[0], ticks + 1, at, self._row)
+        return self._row
+
+    def vitals(self) -> Vitals:
+        """What the microcontroller sees itself, of now."""
+        now, motors = self.world.drive.now[0], self.robot.num_motors
+        return Vitals(
+            motor_angle=now[:motors],
+            tilt=float(np.abs(now[2 * motors : 2 * motors + 2] + self._imu_bias).max()),
+            voltage=self.voltage,
+            temperature=float(self.temperature.max()),
+        )
+
+    def read(self, since_step: float, lead: float) -> Sensors:
+        """Readings as the control computer is told them.
+
+        They are older than now by the control latency, less the lead with which they are sent before they are used.
+
+        Args:
+            since_step: time since the last servo step [s].
+            lead: see there [s].
+        """
+        latency = max(float(self.params.control_latency[0]) + self.extra_latency - lead, 0.0)
+        row, motors, config, noise = (
+            self._look(since_step, latency).copy(),
+            self.robot.num_motors,
+            self.sensors,
+            self._noise,
+        )
+        angle, speed, tilt, rate = row[:motors], row[motors : 2 * motors], row[-6:-3], row[-3:]
+        if config.encoder_step:
+            angle = np.round(angle / config.encoder_step) * config.encoder_step
+        if config.speed_noise:
+            speed = speed + config.speed_noise * noise.standard_normal(motors)
+        tilt[:2] += self._imu_bias
+        if self._imu_noise:
+            tilt[:2] += self._imu_noise * noise.standard_normal(2)
+        rate = rate + self._gyro_bias
+        if config.gyro_noise:
+            rate = rate + config.gyro_noise * noise.standard_normal(3)
+        return Sensors(
+            motor_angle=angle,
+            motor_velocity=speed,
+            motor_torque=self.world.drive.motor_torque[0].copy(),
+            roll_pitch_yaw=tilt,
+            angular_velocity_base=rate,
+            energy=self.energy,
+            voltage=self.voltage,
+            temperature=self.temperature.copy(),
+        )
+
+    def capture(self) -> Capture:
+        """What a motion capture system sees now."""
+        base = self.world.engine.base()[0]
+        return Capture(base[:3].copy(), base[3:7].copy(), self._contact.copy())
+
+    def push(self, force_world: Array) -> None:
+        """Set the force (3,) [N] on the base's centre of mass from now on."""
+        self.world.push(force_world[None])
+
+
+PlantFactory = Callable[[], Plant]

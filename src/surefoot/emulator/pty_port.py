@@ -1,0 +1,69 @@
+"""The robot's end of a pseudo-terminal: hosts open the other one as they would a serial port."""
+
+from __future__ import annotations
+
+import os
+import select
+import tty
+from pathlib import Path
+
+from surefoot.errors import SurefootError
+
+_CHUNK = 65_536
+
+
+class PtyPort:
+    """A pseudo-terminal in raw mode; hosts come and go. Never blocks, unless asked to.
+
+    Args:
+        link: symbolic link to make, which is removed when the port is closed.
+
+    Raises:
+        SurefootError: something stands where the link is to be.
+    """
+
+    def __init__(self, link: Path | None = None) -> None:
+        self._master, self._slave = os.openpty()
+        # The slave's end stays open here, so that the master never reads an end of file when a host leaves.
+        tty.setraw(self._slave)
+        os.set_blocking(self._master, False)
+        self.path = os.ttyname(self._slave)
+        self.unread = 0
+        """Frames dropped because nobody read what came before them."""
+        self._link = link
+        if link is not None:
+            if link.is_symlink() and not link.exists():
+                link.unlink()  # left behind by an emulator that was killed
+            try:
+                link.symlink_to(self.path)
+            except FileExistsError:
+                raise SurefootError(f"link {link} exists; give another name") from None
+
+    def read(self) -> bytes:
+        """What hosts have written since."""
+        try:
+            return os.read(self._master, _CHUNK)
+        except BlockingIOError:
+            return b""
+
+    def wait(self, timeout: float) -> None:
+        """Wait until something can be read, at most so long [s]."""
+        if timeout > 0:
+            select.select([self._master], [], [], timeout)
+
+    def write(self, data: bytes, patience: float = 0.0) -> None:
+        """Say something; what hosts leave unread for longer than `patience` [s] is dropped."""
+        while data:
+            try:
+                data = data[os.write(self._master, data) :]
+            except BlockingIOError:
+                if patience <= 0 or not select.select([], [self._master], [], patience)[1]:
+                    self.unread += 1
+                    return
+
+    def close(self) -> None:
+        """Hang up, and remove the link."""
+        if self._link is not None:
+            self._link.unlink(missing_ok=True)
+        os.close(self._master)
+        os.close(self._slave)

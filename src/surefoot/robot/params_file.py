@@ -1,0 +1,120 @@
+"""Physical parameters of one robot in a TOML file, with whatever else belongs to them.
+
+    [params]
+    motor_strength = [0.94, 0.97, 0.91, 1.0, 0.99, 0.93, 0.96, 0.98]
+    voltage = 15.4
+
+Parameters that the file does not name are the robot's own. Other tables are kept as they are.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import tomllib
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from surefoot.errors import SurefootError
+from surefoot.files import whole_file
+from surefoot.robot.description import RobotDescription
+from surefoot.robot.params import PhysicalParams
+
+
+@dataclass(frozen=True)
+class ParamsFile:
+    """What a file of physical parameters has."""
+
+    params: PhysicalParams
+    """All parameters, one row; those that the file does not name are nominal."""
+    given: tuple[str, ...]
+    """Names of the parameters that the file names."""
+    tables: dict[str, Any] = field(default_factory=dict)
+    """Everything else in the file, by name."""
+
+
+def read_params(path: Path, robot: RobotDescription) -> ParamsFile:
+    """Read the physical parameters of a robot.
+
+    Raises:
+        SurefootError: no such file, no TOML, no table [params], or a parameter or value that the robot does not have.
+    """
+    try:
+        data = tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise SurefootError(f"parameters {path}: {error.strerror}") from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise SurefootError(f"parameters {path}: is not TOML: {error}") from error
+    table = data.pop("params", None)
+    if not isinstance(table, dict):
+        raise SurefootError(f"parameters {path}: has no table [params]; it holds NAME = number or list")
+    for name, value in table.items():
+        numbers = value if isinstance(value, list) else [value]
+        if not numbers or not all(isinstance(x, int | float) and not isinstance(x, bool) for x in numbers):
+            raise SurefootError(f"parameters {path}: params.{name} is {value!r}; it must be a number or a list of such")
+    try:
+        params = PhysicalParams.nominal(robot).with_values(robot, **table)
+    except SurefootError as error:
+        raise SurefootError(f"parameters {path}: {error}") from None
+    return ParamsFile(params, tuple(table), data)
+
+
+def write_params(
+    path: Path,
+    robot: RobotDescription,
+    params: PhysicalParams,
+    tables: dict[str, dict[str, Any]] | None = None,
+    names: tuple[str, ...] | None = None,
+) -> Path:
+    """Write the physical parameters of one robot, at full precision, whole or not at all.
+
+    Args:
+        path: the file.
+        robot: whose they are; its name is written too.
+        params: one row.
+        tables: further tables of numbers, texts and lists of them.
+        names: parameters to write; all, if not given.
+
+    Raises:
+        SurefootError: a folder that does not exist, or a value that TOML has no way to write.
+    """
+    lines = [f"robot = {_text(robot.name)}", "", "[params]"]
+    for name in names or PhysicalParams.names():
+        value = np.asarray(getattr(params, name)[0])
+        unit = PhysicalParams.__dataclass_fields__[name].metadata["unit"]
+        lines.append(f"{name} = {_toml(value.tolist())}  # {unit}")
+    for table, entries in (tables or {}).items():
+        lines += ["", f"[{_key(table)}]", *(f"{_key(key)} = {_toml(value)}" for key, value in entries.items())]
+    try:
+        with whole_file(path) as file:
+            file.write("\n".join([*lines, ""]).encode())
+    except OSError as error:
+        raise SurefootError(f"parameters {path}: {error.strerror}") from error
+    return path
+
+
+def _key(key: str) -> str:
+    return key if key.replace("_", "").replace("-", "").isalnum() and key.isascii() else _text(key)
+
+
+def _text(text: str) -> str:
+    # A JSON text is a TOML basic string, but for what JSON may leave as it is: DEL.
+    return json.dumps(text).replace("\x7f", "\\u007f")
+
+
+def _toml(value: Any) -> str:
+    """A number, a truth, a text or a list of them, as TOML writes it."""
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, int):
+        return str(value)
+    if isinstance(value, float):
+        return repr(value) if math.isfinite(value) else str(value)
+    if isinstance(value, str):
+        return _text(value)
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(map(_toml, value))}]"
+    raise SurefootError(f"a file of parameters can't hold {value!r}; numbers, texts, truths and lists can be written")
