@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import secrets
 from collections.abc import Callable
 
@@ -149,8 +150,13 @@ class RobotConnection:
             self.clock.wait_until(min(self.clock.now() + _POLL, end))
 
     def arm(self, mode: Mode, command_period: float, lead: float | None = None) -> None:
-        """Ask the robot to follow commands that come every `command_period` [s]."""
+        """Ask the robot to follow commands that come every `command_period` [s].
+
+        Times of sending are rounded to a microsecond: a state that is due so much before the next command, rounded
+        down, is never due after it.
+        """
         report_after = max(command_period - (self.lead if lead is None else lead), 0.0)
+        report_after = math.floor(1e6 * report_after + 1e-3) * 1e-6
         self.link.send(Arm(self.session, int(mode), command_period, report_after))
 
     def position(self, target: ArrayLike) -> int:

@@ -1,0 +1,205 @@
+"""`surefoot deploy POLICY --port P`: run a policy on a robot.
+
+Exit codes: 0 done, or stopped by the operator; 2 refused before anything moved; 3 ended by safety, the robot's or this
+computer's, or the run's trace was lost.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import math
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import tyro
+
+from surefoot.cli.parsing import parse
+from surefoot.errors import SurefootError, at_least
+
+if TYPE_CHECKING:
+    from surefoot.deploy.deployment import Deployment, Outcome
+    from surefoot.deploy.keeping import Kept
+    from surefoot.deploy.pacer import Timing
+
+SAFETY = 3
+"""Exit code of a run that safety ended."""
+
+
+@dataclass(frozen=True)
+class DeployCommand:
+    """Run a policy on a robot: check it, arm, stand up, run, sit down, disarm, and record what happened.
+
+    Ctrl-C lets the robot sit and disarms it; Ctrl-C once more damps its motors at once. Exit codes: 0 done or stopped
+    by the operator, 2 refused before anything moved, 3 ended by safety or the trace was lost.
+    """
+
+    policy: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="POLICY")]
+    """Path of a policy file (.onnx), or the name of a policy that ships with surefoot."""
+    port: str
+    """Serial port of the robot, such as /dev/ttyUSB0, or the emulator's pseudo-terminal."""
+    duration: float | None = None
+    """Time for which the policy runs [s]; its episode's, if not given."""
+    runs: int = 1
+    """How many runs, one after another; the robot sits in between."""
+    out: Path | None = None
+    """Folder for traces (run_000.npz and so on); `deploy`, if not given. A dry run keeps none if this is not given."""
+    dry_run: bool = False
+    """Do everything but arm the robot: states are read and commands computed, none is sent."""
+    json: bool = False
+    """Print one JSON object instead of lines."""
+    motion_capture: Path | None = None
+    """Motion capture of the run (.csv), with times on the robot's clock; read when a run is over."""
+    world_name: str = "robot"
+    """Name of the world, for the traces."""
+    lockstep: bool = False
+    """The port is an emulator's that was started with --lockstep."""
+    baud: int = 921_600
+    """Bits a second."""
+
+
+def main(argv: list[str]) -> int:
+    """Run the command with the words after its name; returns the exit code."""
+    command = parse(DeployCommand, argv, "surefoot deploy", config=(tyro.conf.FlagCreatePairsOff,))
+    at_least("runs", command.runs, 1)
+    if command.duration is not None and not 0 < command.duration < math.inf:
+        raise SurefootError(f"duration is {command.duration:g}; it must be a finite number over 0 s")
+    if command.out is not None and command.out.exists() and not command.out.is_dir():
+        raise SurefootError(f"out is {command.out}; it must be a folder")
+    from surefoot.cli.policies import find_policy
+    from surefoot.deploy.checks import check_contract, refusal
+    from surefoot.deploy.connection import open_connection
+    from surefoot.deploy.controller import Controller
+    from surefoot.deploy.deployment import Deployment
+    from surefoot.deploy.display import LiveDisplay, PlainLines
+    from surefoot.deploy.realtime import undisturbed
+    from surefoot.deploy.stop_signals import StopSignals
+    from surefoot.deploy.wire import Handshake
+    from surefoot.policy.runtime import PolicyRuntime
+    from surefoot.robot import RobotDescription
+
+    policy = PolicyRuntime.load(find_policy(command.policy))
+    contract = policy.contract
+    robot = RobotDescription.load(str(contract.task.get("robot", contract.robot)))
+
+    def check(handshake: Handshake) -> None:
+        why = refusal(check_contract(contract, handshake, robot, policy.digest))
+        if why is not None:
+            raise SurefootError(f"policy '{contract.name}' must not run on this robot: {why}")
+
+    with StopSignals() as stop, contextlib.ExitStack() as stack:
+        connection = open_connection(command.port, len(contract.motor_names), command.lockstep, command.baud)
+        title = f"{contract.name} on {robot.name}, {command.port}" + (", dry run" if command.dry_run else "")
+        watch = LiveDisplay(title) if sys.stderr.isatty() else PlainLines()
+        stack.callback(watch.close)
+        controller: Any = None
+        try:
+            controller = Controller(policy, robot)
+        finally:
+            if controller is None:
+                connection.close()
+        deployment = Deployment(connection, controller, stop, watch, dry_run=command.dry_run)
+        stack.callback(deployment.close)
+        deployment.greet(check)
+        stack.enter_context(undisturbed())
+        results, code = _runs(command, deployment)
+    return _tell(command, deployment, results, code)
+
+
+def _runs(command: DeployCommand, deployment: Deployment) -> tuple[list[dict[str, Any]], int]:
+    """Run after run, until one ends early; returns what is to be told of each, and the exit code."""
+    from surefoot.deploy.deployment import HOLD, RISE, SIT
+    from surefoot.deploy.keeping import Keeper
+    from surefoot.deploy.pacer import Timing
+    from surefoot.deploy.partial import next_free
+
+    contract = deployment.contract
+    step = contract.control_step
+    steps = int(contract.task.get("max_steps", 1000))
+    if command.duration is not None:
+        steps = max(round(command.duration / step), 1)
+    keeps = command.out is not None or not command.dry_run
+    results: list[dict[str, Any]] = []
+    code = 0
+    for run in range(command.runs):
+        path = next_free(command.out or Path("deploy")) if keeps else None
+        keeper = Keeper(deployment, path, steps, command.world_name, run)
+        timing = Timing(steps + round((RISE + HOLD + SIT) / step) + 16)
+        keeper.begin()
+        outcome = deployment.run(keeper.recorder, timing, keeper.keep, keeper.begun)
+        kept = keeper.finish(outcome, timing, command.motion_capture)
+        results.append(_result(outcome, timing, kept, keeper.recorder.steps))
+        if outcome.safe or kept.lost:
+            code = SAFETY
+        if outcome.ended != "time":
+            break
+    return results, code
+
+
+def _result(outcome: Outcome, timing: Timing, kept: Kept, steps: int) -> dict[str, Any]:
+    """What is told of a run."""
+    speed = distance = None
+    if kept.trace is not None:
+        moved = float(kept.trace.base_position_world[-1, 0] - kept.trace.base_position_world[0, 0])
+        if math.isfinite(moved):
+            distance, speed = moved, moved / kept.trace.duration
+    return {
+        "ended": outcome.ended,
+        "reason": outcome.reason,
+        "what": outcome.text,
+        "steps": steps,
+        "trace": str(kept.path) if kept.path is not None else None,
+        "distance": distance,
+        "speed": speed,
+        "notes": kept.notes,
+        "timing": timing.figures(),
+    }
+
+
+def _tell(command: DeployCommand, deployment: Deployment, results: list[dict[str, Any]], code: int) -> int:
+    """Print what happened; whether anybody reads it or not, the exit code says it too."""
+    link = deployment.connection.link
+    state = deployment.connection.state
+    told = {
+        "policy": deployment.contract.name,
+        "robot": deployment.robot.name,
+        "exit_code": code,
+        "runs": results,
+        "frames": {
+            "received": link.decoder.counts.frames,
+            "damaged": link.decoder.counts.damaged,
+            "missing": link.counts.missing,
+            "repeated": link.counts.repeated,
+            "unsent": link.counts.unsent,
+            "commands_refused": state.dropped if state is not None else None,
+        },
+    }
+    with contextlib.suppress(OSError):
+        if command.json:
+            print(json.dumps(told), flush=True)
+            return code
+        for result in results:
+            _print_result(result)
+    return code
+
+
+def _print_result(result: dict[str, Any]) -> None:
+    figures = result["timing"]
+    words = [
+        f"{result['ended']}: {result['what']}" if result["ended"] != "time" else "done",
+        f"{result['steps']} steps",
+    ]
+    if result["distance"] is not None:
+        words.append(f"{result['distance']:.2f} m at {result['speed']:.2f} m/s")
+    if figures["lateness_median_ms"] is not None:
+        late = "/".join(f"{figures[f'lateness_{key}_ms']:.2f}" for key in ("median", "p99_9", "max"))
+        words.append(f"lateness {late} ms (median/99.9 %/max)")
+    if figures["inference_median_ms"] is not None:
+        words.append(f"inference {figures['inference_median_ms']:.2f} ms")
+    words.append(f"{figures['missed']} missed")
+    words += result["notes"]
+    if result["trace"] is not None:
+        words.append(f"wrote {result['trace']}")
+    print("; ".join(words), flush=True)

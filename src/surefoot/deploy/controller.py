@@ -1,0 +1,117 @@
+"""The policy on a robot: from a state to motor angles, the same arithmetic as in training."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from surefoot.deploy.safety import check_finite
+from surefoot.deploy.wire import State
+from surefoot.errors import SurefootError, choices
+from surefoot.policy.contract import Contract
+from surefoot.robot import RobotDescription
+from surefoot.task.gait import HybridGait
+from surefoot.task.observation import Moment, Observer
+from surefoot.task.reference import make_reference
+from surefoot.world.interface import Readings
+
+Array = NDArray[np.float64]
+
+
+class Policy(Protocol):
+    """What gives leg-space feedback for observations, such as a `PolicyRuntime`."""
+
+    contract: Contract
+
+    def feedback(self, observation: ArrayLike) -> Array:
+        """Feedback (N, 2 L) [rad] for observations (N, O * history)."""
+        ...
+
+
+def readings_of(state: State, time: float) -> Readings:
+    """A state as the readings of a batch of one, at a time [s] of the policy's own clock."""
+    return Readings(
+        time=np.array([time]),
+        roll_pitch_yaw=state.roll_pitch_yaw[None],
+        angular_velocity_base=state.angular_velocity_base[None],
+        motor_angle=state.motor_angle[None],
+        motor_velocity=state.motor_velocity[None],
+    )
+
+
+class Controller:
+    """Observation, history, policy, reference: one control step after another.
+
+    Args:
+        policy: the policy.
+        robot: the robot that it is for.
+
+    Raises:
+        SurefootError: observations that this surefoot makes otherwise, or a gait that the robot does not allow.
+    """
+
+    def __init__(self, policy: Policy, robot: RobotDescription) -> None:
+        self.policy, self.robot, self.contract = policy, robot, policy.contract
+        contract, legs = self.contract, len(robot.legs)
+        self.observer = Observer(robot, tuple(part.name for part in contract.observation))
+        if tuple(self.observer.columns) != contract.columns:
+            raise SurefootError(
+                f"policy '{contract.name}' sees {choices(contract.columns)}; "
+                f"this surefoot would give it {choices(self.observer.columns)}"
+            )
+        self.gait = HybridGait(
+            robot,
+            make_reference(contract.reference, robot.leg_names),
+            (min(contract.low[:legs]), max(contract.high[:legs])),
+            (min(contract.low[legs:]), max(contract.high[legs:])),
+        )
+        self.observation = np.zeros(self.observer.width)
+        """What the policy saw last (O,), history left out."""
+        self.feedback = np.zeros(2 * legs)
+        """Its last feedback (2 L,) [rad]."""
+        self.target = robot.resting_angles
+        """Its last motor angles (M,) [rad]."""
+        self._history: NDArray[np.float32] | None = None
+
+    def reset(self) -> None:
+        """Start a new episode."""
+        self.feedback = np.zeros_like(self.feedback)
+        self._history = None
+
+    def observe(self, time: float, state: State, missed: int = 0) -> NDArray[np.float32]:
+        """What the policy is given (1, O * history), the newest observation first.
+
+        Args:
+            time: of the policy's own clock [s].
+            state: the newest state.
+            missed: control steps that were missed before; they count as having seen what the last one saw.
+
+        Raises:
+            NotFiniteError: a reading that is not finite.
+        """
+        moment = Moment(readings_of(state, time), self.gait.reference, self.feedback[None])
+        self.observation = self.observer.observe(moment)[0]
+        check_finite("observation", self.contract.columns, self.observation)
+        if self._history is None:
+            self._history = np.tile(self.observation, (self.contract.history, 1)).astype(np.float32)
+            return self._history.reshape(1, -1)
+        for _ in range(min(missed, self.contract.history - 1)):
+            self._history[1:] = self._history[:-1].copy()
+        if self.contract.history > 1:
+            self._history[1:] = self._history[:-1].copy()
+        self._history[0] = self.observation
+        return self._history.reshape(1, -1)
+
+    def command(self, time: float, observation: NDArray[np.float32]) -> Array:
+        """Motor angles (M,) [rad] for what the policy is given, at a time [s] of its own clock.
+
+        Raises:
+            NotFiniteError: feedback or target that is not finite.
+        """
+        self.feedback = np.asarray(self.policy.feedback(observation), float)[0]
+        check_finite("feedback", self.contract.action_names, self.feedback)
+        self.target = self.gait.motor_targets(np.array([time]), self.feedback[None])[0]
+        check_finite("target", self.robot.motor_names, self.target)
+        return self.target

@@ -1,0 +1,162 @@
+"""Keeps a run: rows on the disk while it goes, the whole trace when it is over."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from surefoot.deploy.deployment import Deployment, Outcome
+from surefoot.deploy.motion_capture import base_and_feet, read_capture
+from surefoot.deploy.pacer import Timing
+from surefoot.deploy.partial import SUFFIX, PartialFile
+from surefoot.deploy.recorder import Array, Layout, Recorder, trace_of
+from surefoot.errors import SurefootError
+from surefoot.task.trace import ENERGY_WEIGHT, EpisodeTrace
+
+
+@dataclass(frozen=True)
+class Kept:
+    """What is left of a run."""
+
+    trace: EpisodeTrace | None = None
+    """The trace, if any control step was done."""
+    path: Path | None = None
+    """Where it is."""
+    notes: list[str] = field(default_factory=list)
+    """What could not be kept, and why."""
+    lost: bool = False
+    """Whether the trace, or a part of it, is on no disk."""
+
+
+class Keeper:
+    """One run's record.
+
+    Args:
+        deployment: whose run it is; the robot has been greeted.
+        path: the trace's file (.npz); None keeps nothing on the disk.
+        max_steps: control steps at most.
+        world: name of the world, for the trace.
+        run: number of the run.
+    """
+
+    def __init__(
+        self,
+        deployment: Deployment,
+        path: Path | None,
+        max_steps: int,
+        world: str = "robot",
+        run: int = 0,
+    ) -> None:
+        contract, robot = deployment.contract, deployment.robot
+        self.path, self.connection, self._watch = path, deployment.connection, deployment.watch
+        layout = Layout(robot.num_motors, len(robot.legs), deployment.controller.observer.width)
+        self.recorder = Recorder(layout, contract.control_step, max_steps)
+        weight = contract.task.get("energy_weight", ENERGY_WEIGHT)
+        handshake = self.connection.handshake
+        self.meta: dict[str, Any] = {
+            "robot": robot.name,
+            "world": world,
+            "policy": contract.name,
+            "episode": run,
+            "control_step": contract.control_step,
+            "leg_names": list(contract.leg_names),
+            "motor_names": list(contract.motor_names),
+            "observation_names": list(contract.columns),
+            "params": {},
+            "energy_weight": weight,
+            "max_steps": max_steps,
+            "firmware": handshake.firmware if handshake is not None else "",
+            "config_hash": contract.config_hash,
+            "dry_run": deployment.dry_run,
+            "ended": "fault",
+            "reason": "cut off",
+        }
+        self._partial: PartialFile | None = None
+        self._told = False
+
+    @property
+    def stopped(self) -> str:
+        """Why nothing is written any more; empty while all goes well."""
+        return self._partial.stopped if self._partial is not None else ""
+
+    def begin(self) -> None:
+        """Open the file of rows."""
+        if self.path is not None:
+            self._partial = PartialFile(self.path.with_suffix(SUFFIX), self.recorder.layout, self.meta)
+            self._watch.recording(f"recording to {self.path}")
+
+    def keep(self, rows: Array) -> None:
+        """Take rows that have been closed."""
+        if self._partial is not None:
+            self._partial.add(rows)
+            if self._partial.stopped and not self._told:
+                self._told = True
+                self._watch.recording(f"recording stopped: {self._partial.stopped}; the robot goes on")
+
+    def begun(self, robot_time: float) -> None:
+        """Take the robot's time [s] at which the policy started."""
+        self.meta["robot_time_start"] = robot_time if np.isfinite(robot_time) else None
+
+    def finish(self, outcome: Outcome, timing: Timing, capture: Path | None) -> Kept:
+        """Make the trace and write it.
+
+        Args:
+            outcome: how the run ended.
+            timing: how late the loop was.
+            capture: a motion capture file, if there is one.
+        """
+        if self._partial is not None:
+            self._partial.close()
+        link = self.connection.link
+        figures = {
+            "missed_steps": self.recorder.missed,
+            "timing": timing.figures(),
+            "frames_missing": link.counts.missing,
+        }
+        meta = {**self.meta, "ended": outcome.ended, "reason": outcome.reason, "what": outcome.text, **figures}
+        notes = [f"recording stopped: {self.stopped}"] if self.stopped else []
+        if not self.recorder.steps:
+            if self._partial is not None:
+                self._partial.remove()
+            return Kept(notes=[*notes, "no control step was done, so there is no trace"])
+        truth: dict[str, Array] | None = None
+        if capture is not None:
+            try:
+                truth = self._truth(capture)
+            except SurefootError as error:
+                notes.append(f"{error}; the trace has no base motion")
+        try:
+            trace = trace_of(self.recorder.layout, self.recorder.rows, meta, truth)
+        except SurefootError as error:
+            notes.append(f"the rows make no trace: {error}")
+            return Kept(notes=notes, lost=True)
+        if self.path is None:
+            return Kept(trace, notes=notes)
+        try:
+            trace.save(self.path)
+        except OSError as error:
+            why = error.strerror or str(error)
+            notes.append(f"trace {self.path} can't be written: {why}; {self._what_is_left()}")
+            return Kept(trace, notes=notes, lost=True)
+        if self._partial is not None:
+            self._partial.remove()
+        return Kept(trace, self.path, notes)
+
+    def _truth(self, capture: Path) -> dict[str, Array]:
+        start = self.meta.get("robot_time_start")
+        if start is None:
+            raise SurefootError("the robot's time of the start is not known")
+        recorder = self.recorder
+        legs = tuple(self.meta["leg_names"])
+        return base_and_feet(read_capture(capture), start, recorder.control_step, recorder.steps, legs)
+
+    def _what_is_left(self) -> str:
+        partial = self._partial
+        return (
+            f"what could be written is in {partial.path}"
+            if partial is not None and partial.path.exists()
+            else "it is lost"
+        )

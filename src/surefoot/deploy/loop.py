@@ -1,0 +1,241 @@
+"""The control loop: one beat for all phases, from an armed robot to one that is disarmed or damped.
+
+A tick: wait until the step is due, take what the robot has said, judge, compute, send; everything else comes after.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surefoot.deploy.connection import RobotConnection
+from surefoot.deploy.link import LinkLostError
+from surefoot.deploy.pacer import Pacer, Timing
+from surefoot.deploy.safety import GO, Act, Guard, NotFiniteError, Seen, Verdict
+from surefoot.deploy.stop_signals import StopSignals
+from surefoot.deploy.wire import State
+from surefoot.errors import SurefootError
+
+Array = NDArray[np.float64]
+Compute = Callable[[int, State, int], Array]
+"""Motor angles for a step: its number in the phase, the newest state, steps missed before it."""
+After = Callable[[int, State, bool], None]
+"""Called when a step's command is on its way: its number, the state that it saw, whether a command was computed."""
+
+TOLD = 0.1
+"""Time [s] between two tellings of how the loop does."""
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """How the loop does, for whoever watches."""
+
+    phase: str
+    """What the robot is doing."""
+    left: float
+    """Time that the phase still takes [s]."""
+    rate: float
+    """Steps done a second since the last telling [Hz]."""
+    lateness: tuple[float, ...]
+    """How late the steps since then were [s]."""
+    inference: float
+    """How long the policy took, the longest since then [s]; NaN, if it was not asked."""
+    missed: int
+    """Steps missed so far in this run."""
+    state_age: float
+    """Age of the newest state [s]."""
+    state: State
+    """The newest state."""
+    dropped: int
+    """Frames lost or damaged so far."""
+
+
+class Watch(Protocol):
+    """Somebody who watches a run; nothing here may take time."""
+
+    def phase(self, name: str, duration: float) -> None:
+        """A phase of so many seconds starts."""
+        ...
+
+    def tick(self, snapshot: Snapshot) -> None:
+        """Several times a second."""
+        ...
+
+    def warn(self, text: str) -> None:
+        """Something that the operator should know."""
+        ...
+
+    def recording(self, text: str) -> None:
+        """How recording goes."""
+        ...
+
+
+class ControlLoop:
+    """Ticks of one run.
+
+    Args:
+        connection: to the robot.
+        control_step: time between two commands [s].
+        guard: judges each tick.
+        operator: may ask to stop.
+        watch: is told how it goes.
+        timing: keeps lateness.
+        dry_run: compute everything and send nothing.
+    """
+
+    def __init__(
+        self,
+        connection: RobotConnection,
+        control_step: float,
+        guard: Guard,
+        operator: StopSignals,
+        watch: Watch,
+        timing: Timing,
+        dry_run: bool = False,
+    ) -> None:
+        self.connection, self.guard, self.operator, self.watch = connection, guard, operator, watch
+        self.timing, self.dry_run, self.control_step = timing, dry_run, control_step
+        self.pacer = Pacer(connection.clock, control_step)
+        self.target: Array | None = None
+        """Motor angles (M,) [rad] that were sent last."""
+        self.inference = math.nan
+        """How long the policy took in this step [s]; whoever asks it says so here."""
+        self._phase, self._steps = "", 0
+        self._states = connection.states
+        self._told, self._told_steps, self._told_warnings, self._worst = -math.inf, 0, 0, math.nan
+
+    def steps_of(self, duration: float) -> int:
+        """Control steps in a time [s], at least one."""
+        return max(round(duration / self.control_step), 1)
+
+    def follow(
+        self,
+        phase: str,
+        steps: int,
+        compute: Compute,
+        after: After | None = None,
+        upright: bool = True,
+        sitting: bool = False,
+    ) -> Verdict:
+        """Do so many control steps, and one more that sees how the last one ended and holds its target.
+
+        Args:
+            phase: what the robot does meanwhile.
+            steps: how many.
+            compute: gives the motor angles of steps 0 to `steps` - 1.
+            after: is told of each step, and of the one more.
+            upright: whether a tilt is a fall.
+            sitting: the robot is about to be disarmed, so that nothing less than damping can come sooner.
+
+        Returns:
+            `GO`, or what ended the phase early; damping has been asked for already, where it is due.
+        """
+        self.watch.phase(phase, steps * self.control_step)
+        self._phase, self._steps = phase, steps
+        self.pacer.restart()
+        while True:
+            verdict, index = self._tick(steps, compute, after, upright, sitting)
+            if verdict.act is not Act.GO or index >= steps:
+                return verdict
+
+    def _tick(
+        self, steps: int, compute: Compute, after: After | None, upright: bool, sitting: bool
+    ) -> tuple[Verdict, int]:
+        connection, clock = self.connection, self.connection.clock
+        try:
+            tick = self.pacer.next()
+            connection.update()
+        except (LinkLostError, SurefootError) as error:
+            self.damp()
+            return Verdict(Act.GONE, "link", str(error)), steps
+        state = connection.state
+        if state is None:
+            return Verdict(Act.GONE, "link", "the robot has said nothing yet"), steps
+        self.inference = math.nan
+        computed = False
+        try:
+            seen = Seen(clock.now(), state, connection.state_age(), tick.missed, self.operator.stops)
+            verdict = self.guard.judge(seen, not self.dry_run, upright)
+            if sitting and verdict.act is Act.SIT:
+                verdict = GO
+            if verdict.act in (Act.DAMP, Act.FALL):
+                self.damp()
+            elif verdict.act is not Act.GONE:
+                if verdict.act is Act.GO and tick.index < steps:
+                    self.target, computed = compute(tick.index, state, tick.missed), True
+                self._send()
+        except Exception as error:  # Whatever went wrong, the motors come first.
+            self.damp()
+            verdict = _failure(error)
+        sent = clock.now() - tick.due
+        fresh = connection.states > self._states
+        self._states = connection.states
+        self.timing.add(tick.late, sent, self.inference, tick.missed, fresh)
+        if after is not None:
+            after(tick.index, state, computed and verdict.act is Act.GO)
+        self._tell(tick.index, state)
+        return verdict, tick.index
+
+    def _send(self) -> None:
+        if self.dry_run:
+            # Whoever says nothing for a second may lose the robot to another operator.
+            if self.timing.steps % 16 == 0:
+                self.connection.link.ping()
+        elif self.target is not None:
+            self.connection.position(self.target)
+
+    def damp(self) -> None:
+        """Ask for damped motors, if there is still somebody to ask."""
+        if not self.dry_run:
+            with contextlib.suppress(LinkLostError):
+                self.connection.damp()
+
+    def _tell(self, index: int, state: State) -> None:
+        if not math.isnan(self.inference):
+            self._worst = max(self.inference, self._worst) if not math.isnan(self._worst) else self.inference
+        now = self.connection.clock.now()
+        if now - self._told < TOLD:
+            return
+        for text in self.guard.warnings[self._told_warnings :]:
+            self.watch.warn(text)
+        self._told_warnings = len(self.guard.warnings)
+        done = self.timing.steps - self._told_steps
+        counts = self.connection.link.counts
+        self.watch.tick(
+            Snapshot(
+                phase=self._phase,
+                left=max(self._steps - index, 0) * self.control_step,
+                rate=done / (now - self._told),
+                lateness=tuple(self.timing.last(min(done, 100)).tolist()),
+                inference=self._worst,
+                missed=self.timing.missed,
+                state_age=self.connection.state_age(),
+                state=state,
+                dropped=counts.missing + self.connection.link.decoder.counts.damaged,
+            )
+        )
+        self._told, self._told_steps, self._worst = now, self.timing.steps, math.nan
+
+
+def timed(loop: ControlLoop, work: Callable[[], Array]) -> Array:
+    """Do the policy's work, and note how long it took."""
+    started = time.perf_counter()
+    done = work()
+    loop.inference = time.perf_counter() - started
+    return done
+
+
+def _failure(error: Exception) -> Verdict:
+    if isinstance(error, LinkLostError):
+        return Verdict(Act.GONE, "link", str(error))
+    text = " ".join(str(error).split())
+    if isinstance(error, NotFiniteError) or (isinstance(error, SurefootError) and "not finite" in text):
+        return Verdict(Act.DAMP, "not finite", text)
+    return Verdict(Act.DAMP, "exception", f"{type(error).__name__}: {text}")

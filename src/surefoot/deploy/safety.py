@@ -1,0 +1,273 @@
+"""The control computer's safety: limits with their reasons, and the guard that judges every control step.
+
+The guard only judges; `session` does what it says. It knows no clock and no link, so that all of it can be tried alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, fields
+from enum import Enum
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from surefoot.deploy.wire import Mode, Reason, State
+from surefoot.errors import SurefootError
+
+
+def limit(default: float, unit: str, what: str, follows: str, why: str) -> Any:
+    """A field of `SafetyLimits` that can be told as a row of a table."""
+    return field(default=default, metadata={"unit": unit, "what": what, "follows": follows, "why": why})
+
+
+@dataclass(frozen=True)
+class SafetyLimits:
+    """When a run ends early, and how. Each field says what it limits, what follows, and why it is so."""
+
+    state_age: float = limit(
+        *(3, "control steps", "age of the newest state", "damp"),
+        why="two states may be lost; the fastest motor of the trot turns by 0.15 rad in three steps of 6 ms",
+    )
+    missed_steps: int = limit(
+        *(2, "control steps", "control steps missed in a row", "held at first, damp beyond"),
+        why="as for the state's age, in the other direction",
+    )
+    tilt: float = limit(
+        *(0.5, "rad", "roll or pitch, if the policy's task has no `fall_angle`", "damp, then sit"),
+        why="where an episode of the paper ends; no trained gait comes back from there",
+    )
+    battery_warn: float = limit(
+        *(14.4, "V", "battery voltage", "warn once"),
+        why="the sheet's robot is used at 14.0 to 16.8 V",
+    )
+    battery_low: float = limit(
+        *(14.0, "V", "battery voltage, for as long as `battery_time`", "sit, disarm"),
+        why="lower end of what the sheet's robot is used at; 3.5 V a cell",
+    )
+    battery_time: float = limit(
+        *(1.0, "s", "how long the battery may be low", "sit, disarm"),
+        why="two strides: the voltage sags for a moment whenever all motors push",
+    )
+    temperature_warn: float = limit(
+        *(70.0, "degC", "hottest motor", "warn once"),
+        why="some minutes before the next limit at a walk",
+    )
+    temperature_high: float = limit(
+        *(80.0, "degC", "hottest motor", "sit, disarm"),
+        why="magnets and glue of small outrunner motors; the robot itself damps at 90",
+    )
+
+    def __post_init__(self) -> None:
+        """Refuse limits that no run could keep, or that come in the wrong order."""
+        for item in fields(self):
+            number = getattr(self, item.name)
+            if not 0 < number < float("inf"):
+                raise SurefootError(f"safety limit {item.name} is {number}; it must be a finite number over 0")
+        for soft, hard in (("battery_low", "battery_warn"), ("temperature_warn", "temperature_high")):
+            if getattr(self, soft) > getattr(self, hard):
+                raise SurefootError(
+                    f"safety limit {soft} is {getattr(self, soft):g}; it must not be above {hard} "
+                    f"({getattr(self, hard):g})"
+                )
+
+
+def limits_table(limits: SafetyLimits | None = None) -> list[tuple[str, str, str, str, str]]:
+    """Rows of name, limit with unit, what it limits, what follows, why; for the document."""
+    limits = limits or SafetyLimits()
+    return [
+        (
+            item.name,
+            f"{getattr(limits, item.name):g} {item.metadata['unit']}",
+            item.metadata["what"],
+            item.metadata["follows"],
+            item.metadata["why"],
+        )
+        for item in fields(limits)
+    ]
+
+
+class Act(Enum):
+    """What is to be done in a control step."""
+
+    GO = "go"
+    """Go on."""
+    SIT = "sit"
+    """Sit down and disarm."""
+    DAMP = "damp"
+    """Have the motors damped at once."""
+    FALL = "fall"
+    """Have the motors damped at once; sit when the robot is still."""
+    GONE = "gone"
+    """The robot has damped its motors itself."""
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What is to be done, and why."""
+
+    act: Act
+    reason: str = ""
+    """In one word or two, for traces."""
+    text: str = ""
+    """In plain words."""
+
+
+GO = Verdict(Act.GO)
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What a control step knows when it starts."""
+
+    time: float
+    """This computer's clock [s]."""
+    state: State
+    """The newest state."""
+    state_age: float
+    """How old it is [s]."""
+    missed: int = 0
+    """Control steps that passed since the last one that was done."""
+    stops: int = 0
+    """How often the operator has asked to stop."""
+
+
+class NotFiniteError(RuntimeError):
+    """A number that must be finite is not."""
+
+
+def check_finite(what: str, names: Sequence[str], values: ArrayLike) -> None:
+    """Refuse numbers that are not finite.
+
+    Raises:
+        NotFiniteError: names the first one.
+    """
+    array = np.asarray(values, float).ravel()
+    if not np.isfinite(array).all():
+        first = int(np.argmin(np.isfinite(array)))
+        raise NotFiniteError(f"{what} '{names[first % len(names)]}' is {array[first]:g}; it must be finite")
+
+
+def is_finite(state: State) -> bool:
+    """Whether all readings of a state are finite."""
+    readings = (
+        *(state.roll_pitch_yaw, state.angular_velocity_base),
+        *(state.motor_angle, state.motor_velocity, state.energy),
+    )
+    return all(np.isfinite(reading).all() for reading in readings)
+
+
+class Guard:
+    """Judges what each control step sees.
+
+    Args:
+        limits: the limits.
+        control_step: time between two control steps [s].
+        session: the operator's session.
+        tilt: roll or pitch [rad] that is a fall; the limits', if not given.
+    """
+
+    def __init__(self, limits: SafetyLimits, control_step: float, session: int, tilt: float | None = None) -> None:
+        self.limits, self.control_step, self.session = limits, control_step, session
+        self.tilt = limits.tilt if tilt is None else tilt
+        self.warnings: list[str] = []
+        """What the operator should know, each once, oldest first."""
+        self._low_since: float | None = None
+
+    def judge(self, seen: Seen, armed: bool = True, upright: bool = True) -> Verdict:
+        """What is to be done now.
+
+        Args:
+            seen: what the control step knows.
+            armed: whether the robot should be following commands.
+            upright: whether a robot that tilts too far has fallen; False while a fallen one sits.
+        """
+        state = seen.state
+        for verdict in (
+            self._operator(seen),
+            self._robot(state) if armed else GO,
+            self._lateness(seen),
+            self._readings(state),
+            self._tilt(state) if upright else GO,
+            self._battery(seen),
+            self._temperature(state),
+            Verdict(Act.SIT, "operator", "stopped by the operator") if seen.stops else GO,
+        ):
+            if verdict.act is not Act.GO:
+                return verdict
+        return GO
+
+    def _operator(self, seen: Seen) -> Verdict:
+        return Verdict(Act.DAMP, "operator", "stopped at once by the operator") if seen.stops > 1 else GO
+
+    def _robot(self, state: State) -> Verdict:
+        if state.session != self.session:
+            return Verdict(Act.DAMP, "session", "the robot has forgotten this operator; it was switched on anew")
+        if state.mode == Mode.FAULT:
+            reason = Reason(state.reason) if state.reason in {*Reason} else None
+            name = reason.name.lower() if reason is not None else str(state.reason)
+            return Verdict(Act.GONE, f"robot {name}", f"the robot has damped its motors ({name})")
+        if state.mode != Mode.POSITION:
+            return Verdict(Act.DAMP, "mode", f"the robot is in mode {state.mode}; it must be in {int(Mode.POSITION)}")
+        return GO
+
+    def _readings(self, state: State) -> Verdict:
+        return GO if is_finite(state) else Verdict(Act.DAMP, "not finite", "a reading of the robot is not finite")
+
+    def _lateness(self, seen: Seen) -> Verdict:
+        steps = seen.state_age / self.control_step
+        if not steps <= self.limits.state_age:
+            return Verdict(
+                Act.DAMP,
+                "stale state",
+                f"the newest state is {1e3 * seen.state_age:.0f} ms old, {steps:.1f} control steps; "
+                f"at most {self.limits.state_age:g}",
+            )
+        if seen.missed > self.limits.missed_steps:
+            return Verdict(
+                Act.DAMP,
+                "late",
+                f"{seen.missed} control steps in a row were missed; at most {self.limits.missed_steps}",
+            )
+        return GO
+
+    def _tilt(self, state: State) -> Verdict:
+        roll, pitch = state.roll_pitch_yaw[:2]
+        if abs(roll) <= self.tilt and abs(pitch) <= self.tilt:
+            return GO
+        return Verdict(
+            Act.FALL, "tilt", f"roll {roll:+.2f} and pitch {pitch:+.2f} rad; beyond {self.tilt:g} rad is a fall"
+        )
+
+    def _battery(self, seen: Seen) -> Verdict:
+        limits, voltage = self.limits, seen.state.voltage
+        if voltage < limits.battery_warn:
+            self.warn(f"battery below {limits.battery_warn:g} V; charge it soon")
+        if voltage >= limits.battery_low:
+            self._low_since = None
+            return GO
+        if self._low_since is None:
+            self._low_since = seen.time
+        if seen.time - self._low_since < limits.battery_time:
+            return GO
+        return Verdict(
+            Act.SIT,
+            "battery",
+            f"the battery has {voltage:.1f} V, below {limits.battery_low:g} V for {limits.battery_time:g} s",
+        )
+
+    def _temperature(self, state: State) -> Verdict:
+        hottest = float(np.max(state.temperature))
+        if hottest > self.limits.temperature_warn:
+            self.warn(f"a motor is hotter than {self.limits.temperature_warn:g} degC")
+        if hottest <= self.limits.temperature_high:
+            return GO
+        return Verdict(
+            Act.SIT, "temperature", f"a motor has {hottest:.0f} degC; at most {self.limits.temperature_high:g}"
+        )
+
+    def warn(self, text: str) -> None:
+        """Keep something that the operator should know, once."""
+        if text not in self.warnings:
+            self.warnings.append(text)
