@@ -8,7 +8,7 @@ import sys
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from surefoot.deploy.frames import MAX_FRAME, Counts, Decoder, Frame, encode_frame, frame_bytes
@@ -349,7 +349,6 @@ def test_no_bytes_raise_or_pass(data: bytes):
     assert decoder.counts.received == len(data)
 
 
-@settings(deadline=None)
 @given(st.lists(PIECES, max_size=12), st.data())
 def test_how_a_stream_is_split_changes_nothing(pieces: list[bytes], data: st.DataObject):
     stream = b"".join(pieces)

@@ -1,0 +1,282 @@
+"""A million frames over a line that flips, loses, doubles, delays, cuts and invents: what comes out at the other end.
+
+Frames go through a bad line, in pieces of random size, into the link as the host runs it. What must come out is known
+without it: a frame is whole if the bytes between two zeros of the line are those of a frame that was sent, and it is
+taken if its number is above the last one's. Anything else that comes out is wrong, anything that does not is lost;
+either makes the script end with 1. A frame that nothing happened to must come out whatever its neighbours suffer.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import random
+import time
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field
+
+import numpy as np
+
+from surefoot.deploy.clock import MonotonicClock
+from surefoot.deploy.frames import MAX_FRAME, Decoder, Frame, encode_frame
+from surefoot.deploy.link import Link
+from surefoot.deploy.protocol_examples import EXAMPLES
+from surefoot.deploy.wire import Arm, Codec, Damp, Message, Ping, Position, Pwm, State
+
+BLOCK = 1000
+"""Frames that are sent, carried and compared at a time."""
+CODEC = Codec(8)
+
+
+class BadLine:
+    """A line that does to every second frame one of the things that lines do, and puts garbage between some.
+
+    Args:
+        rng: what happens.
+    """
+
+    def __init__(self, rng: random.Random) -> None:
+        self.rng = rng
+        self.fates: Counter[str] = Counter()
+        """How many frames met what."""
+
+    def carry(self, frames: Sequence[bytes]) -> tuple[bytes, list[int]]:
+        """What arrives of some frames.
+
+        Returns:
+            the bytes, and indices of the frames that nothing happened to but what stands between them.
+        """
+        rng = self.rng
+        chunks: list[tuple[float, bytes]] = []  # with the place that they arrive at
+        untouched, at = [], 0
+        while at < len(frames):
+            data, place, last = frames[at], float(at), at
+            fate = rng.choices(*FATES)[0]
+            if fate == "flipped":
+                data = self._flipped(data, rng.randint(1, 8))
+            elif fate == "burst":
+                data = self._burst(data)
+            elif fate == "lost":
+                data = b""
+            elif fate == "doubled":
+                chunks.append((place + rng.choice((0.0, rng.randint(1, 5))), data))
+            elif fate == "late":
+                place += rng.randint(1, 5) + 0.5
+            elif fate == "cut":
+                data = self._cut(data)
+            elif fate == "byte added":
+                where = rng.randint(1, len(data) - 1)
+                data = data[:where] + rng.randbytes(1) + data[where:]
+            elif fate == "cable pulled":
+                last = min(at + rng.randint(1, 20), len(frames) - 1)
+                data = data[: rng.randrange(len(data))] + frames[last][rng.randrange(len(frames[last])) :]
+            else:
+                untouched.append(at)
+            self.fates[fate] += last - at + 1
+            chunks.append((place, data))
+            if rng.random() < 0.1:
+                self.fates["(garbage between)"] += 1
+                chunks.append((float(at), self._garbage(frames[: at + 1])))
+            at = last + 1
+        chunks.sort(key=lambda chunk: chunk[0])
+        return b"".join(data for _, data in chunks), untouched
+
+    def _flipped(self, data: bytes, bits: int) -> bytes:
+        changed = bytearray(data)
+        for bit in self.rng.sample(range(8 * len(data)), bits):
+            changed[bit // 8] ^= 1 << bit % 8
+        return bytes(changed)
+
+    def _burst(self, data: bytes) -> bytes:
+        start = self.rng.randrange(len(data))
+        length = self.rng.randint(1, 16)
+        return data[:start] + self.rng.randbytes(len(data[start : start + length])) + data[start + length :]
+
+    def _cut(self, data: bytes) -> bytes:
+        """Without its beginning, its middle or its end."""
+        start, end = sorted(self.rng.sample(range(len(data) + 1), 2))
+        return self.rng.choice((data[start:], data[:end], data[:start] + data[end:]))
+
+    def _garbage(self, frames: Sequence[bytes]) -> bytes:
+        """Noise, a part of a frame that was sent, zeros, or more bytes without a zero than any frame has."""
+        kind = self.rng.randrange(40)
+        if kind == 0:
+            return b"\x55" * (MAX_FRAME + self.rng.randint(-2, 200))
+        if kind < 4:
+            return bytes(self.rng.randint(1, 60))
+        if kind < 14:
+            return self._cut(self.rng.choice(frames))
+        return self.rng.randbytes(self.rng.randint(1, 60))
+
+
+FATES = (
+    ["untouched", "flipped", "burst", "lost", "doubled", "late", "cut", "byte added", "cable pulled"],
+    [50, 16, 4, 5, 7, 8, 6, 3, 1],
+)
+
+
+class Tape:
+    """A port that gives bytes in pieces of random size."""
+
+    def __init__(self, rng: random.Random) -> None:
+        self.rng, self.data = rng, b""
+
+    def read(self) -> bytes:
+        size = self.rng.randint(1, 400)
+        piece, self.data = self.data[:size], self.data[size:]
+        return piece
+
+    def write(self, data: bytes) -> int:
+        return len(data)
+
+    def wait(self, timeout: float) -> None:
+        pass
+
+    def close(self) -> None:
+        pass
+
+
+class Listener(Decoder):
+    """A decoder that remembers what it has found."""
+
+    def __init__(self) -> None:
+        super().__init__(CODEC)
+        self.heard: list[Frame] = []
+
+    def feed(self, data: bytes) -> list[Frame]:
+        found = super().feed(data)
+        self.heard += found
+        return found
+
+
+@dataclass
+class Result:
+    """What went over the line, and what came out."""
+
+    frames: int = 0
+    bytes_on_line: int = 0
+    fates: dict[str, int] = field(default_factory=dict)
+    whole: int = 0
+    """Frames on the line whose bytes are as they were sent; doubled ones count twice."""
+    found: int = 0
+    wrong: int = 0
+    """Frames that came out and are not as they were sent, or not at their place."""
+    lost: int = 0
+    """Whole frames that did not come out, and frames that nothing happened to but that were not whole on the line."""
+    taken: int = 0
+    """Of those found, in order of their numbers."""
+    repeated: int = 0
+    """Of those found, dropped because their number was not above the last one's."""
+    wrongly_taken: int = 0
+    wrongly_dropped: int = 0
+    damaged_pieces: int = 0
+    foreign_pieces: int = 0
+    unknown_pieces: int = 0
+    seconds: float = 0.0
+
+    @property
+    def good(self) -> bool:
+        return not (self.wrong or self.lost or self.wrongly_taken or self.wrongly_dropped)
+
+
+def traffic(rng: random.Random, count: int) -> list[Message]:
+    """Messages to choose from; most are commands, as on a true line."""
+    values = np.random.default_rng(rng.randrange(2**32))
+    state = next(example.message for example in EXAMPLES if isinstance(example.message, State))
+    made: list[Message] = []
+    for _ in range(count):
+        session, kind = rng.randint(1, 65535), rng.randrange(20)
+        if kind == 0:
+            made.append(state)
+        elif kind < 3:
+            made.append(Ping(rng.randrange(2**32)))
+        elif kind < 5:
+            made.append(rng.choice((Damp(session), Arm(session, 1, 0.006, 0.003))))
+        elif kind < 10:
+            made.append(Pwm(session, values.uniform(-1, 1, 8)))
+        else:
+            made.append(Position(session, values.uniform(-0.5, 3.8, 8)))
+    return made
+
+
+def soak(count: int, seed: int) -> Result:
+    """Send that many frames."""
+    rng, result, start = random.Random(seed), Result(), time.perf_counter()
+    pool = traffic(rng, 512)
+    payloads = [CODEC.pack(message) for message in pool]
+    line, tape, listener = BadLine(rng), Tape(rng), Listener()
+    link = Link(tape, CODEC, MonotonicClock())
+    link.decoder = listener
+    before: dict[bytes, int] = {}
+    rest, last = b"", 0
+    for first in range(1, count + 1, BLOCK):
+        numbers = range(first, min(first + BLOCK, count + 1))
+        frames = [encode_frame(CODEC, pool[number % len(pool)], number, number * 0.005) for number in numbers]
+        stream, untouched = line.carry(frames)
+        stream += b"\0"  # one that is not sent, so that the block's last frame does not wait for the next block
+        result.bytes_on_line += len(stream)
+        # What must come out.
+        sent = {frame[1:-1]: number for frame, number in zip(frames, numbers, strict=True)}
+        *pieces, rest = (rest + stream).split(b"\0")
+        whole = [number for piece in pieces if (number := sent.get(piece, before.get(piece))) is not None]
+        result.lost += len({numbers[index] for index in untouched} - set(whole))
+        taken = []
+        for number in whole:
+            if number > last:
+                taken.append(number)
+                last = number
+        # What does.
+        tape.data, arrivals = stream, []
+        while tape.data:
+            arrivals += link.receive()
+        heard = [
+            frame.sequence
+            if CODEC.pack(frame.message) == payloads[frame.sequence % len(pool)]
+            and frame.time == round(frame.sequence * 5000) / 1e6
+            else -1
+            for frame in listener.heard
+        ]
+        listener.heard.clear()
+        result.found += len(heard)
+        result.whole += len(whole)
+        if heard != whole:
+            extra, missing = Counter(heard) - Counter(whole), Counter(whole) - Counter(heard)
+            result.wrong += extra.total() if extra or missing else 1  # all there, but in another order
+            result.lost += missing.total()
+        numbers_taken = [arrival.frame.sequence for arrival in arrivals]
+        result.taken += len(numbers_taken)
+        result.wrongly_taken += (Counter(numbers_taken) - Counter(taken)).total()
+        result.wrongly_dropped += (Counter(taken) - Counter(numbers_taken)).total()
+        before = sent
+    result.frames, result.fates, result.repeated = count, dict(line.fates), link.counts.repeated
+    counts = listener.counts
+    result.damaged_pieces, result.foreign_pieces, result.unknown_pieces = counts.damaged, counts.foreign, counts.unknown
+    result.seconds = time.perf_counter() - start
+    return result
+
+
+def main() -> int:
+    """Run, print the counts, and end with 1 if anything went wrong."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--frames", type=int, default=1_000_000)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    options = parser.parse_args()
+    result = soak(options.frames, options.seed)
+    if options.json:
+        print(json.dumps(asdict(result)))
+        return 0 if result.good else 1
+    print(f"{result.frames:,} frames sent, {result.bytes_on_line:,} bytes on the line, {result.seconds:.1f} s")
+    for fate in [*FATES[0], "(garbage between)"]:
+        print(f"  {result.fates.get(fate, 0):>9,}  {fate}")
+    print(f"  {result.whole:>9,}  whole on the line, {result.found:,} found: {result.wrong} wrong, {result.lost} lost")
+    print(f"  {result.taken:>9,}  taken: {result.wrongly_taken} wrongly, {result.wrongly_dropped} wrongly dropped")
+    print(f"  {result.repeated:>9,}  dropped by their number, which was not above the last one's")
+    print(f"  {result.damaged_pieces:>9,}  damaged pieces between zeros")
+    print(f"  {result.foreign_pieces + result.unknown_pieces:>9,}  pieces taken for foreign or unknown frames")
+    return 0 if result.good else 1
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

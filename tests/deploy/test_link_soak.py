@@ -1,0 +1,82 @@
+"""Many frames over a bad line: no wrong one is taken, and no whole one is lost."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import subprocess
+import sys
+from pathlib import Path
+from types import ModuleType, SimpleNamespace
+from typing import Any
+
+import pytest
+
+import surefoot.deploy.frames
+from surefoot.deploy.wire import Codec
+
+SCRIPT = Path(__file__).resolve().parents[2] / "benchmarks" / "link_soak.py"
+
+
+@pytest.fixture(scope="module")
+def link_soak() -> ModuleType:
+    spec = importlib.util.spec_from_file_location("link_soak", SCRIPT)
+    assert spec is not None
+    assert spec.loader is not None
+    module = sys.modules["link_soak"] = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def run(frames: int, seed: int) -> dict[str, Any]:
+    command = [sys.executable, str(SCRIPT), "--frames", str(frames), "--seed", str(seed), "--json"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=240)
+    assert done.returncode == 0, done.stdout + done.stderr
+    found: dict[str, Any] = json.loads(done.stdout)
+    return found
+
+
+def test_no_wrong_frame_is_taken_and_no_whole_one_is_lost():
+    result = run(60_000, seed=1)
+    assert result["frames"] == 60_000
+    assert (result["wrong"], result["lost"], result["wrongly_taken"], result["wrongly_dropped"]) == (0, 0, 0, 0)
+    assert result["found"] == result["whole"]
+    assert result["found"] == result["taken"] + result["repeated"]
+    # Nothing above passes because nothing happened.
+    fates = result["fates"]
+    assert sum(fates.values()) - fates["(garbage between)"] == 60_000
+    assert min(fates.values()) > 1000
+    assert 25_000 < fates["untouched"] <= result["taken"] < result["whole"] < 60_000
+    assert result["repeated"] > 5000
+    assert result["damaged_pieces"] > 15_000
+
+
+def test_the_soak_notices_a_receiver_without_a_checksum(link_soak: ModuleType, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(surefoot.deploy.frames, "zlib", SimpleNamespace(crc32=lambda data: 0))
+    result = link_soak.soak(3000, seed=0)
+    assert result.wrong > 50
+    assert not result.good
+
+
+def test_the_soak_notices_a_receiver_that_loses_a_frame(link_soak: ModuleType, monkeypatch: pytest.MonkeyPatch):
+    whole = Codec.unpack
+    monkeypatch.setattr(Codec, "unpack", lambda self, code, payload: whole(self, code, payload) if code != 2 else None)
+    result = link_soak.soak(1000, seed=0)
+    assert result.lost > 20
+    assert not result.good
+
+
+def test_the_soak_notices_a_link_that_takes_repeated_frames(link_soak: ModuleType, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(link_soak.Link, "_is_next", lambda self, frame: True)
+    result = link_soak.soak(1000, seed=0)
+    assert result.wrongly_taken > 50
+    assert not result.good
+
+
+def test_an_untouched_frame_arrives_whatever_its_neighbours_suffer(link_soak: ModuleType):
+    rng = link_soak.random.Random(5)
+    frames = [bytes([0, *[number % 255 + 1] * 20, 0]) for number in range(2000)]
+    stream, untouched = link_soak.BadLine(rng).carry(frames)
+    pieces = set(stream.split(b"\0"))
+    assert 700 < len(untouched) < 1300
+    assert all(frames[index].strip(b"\0") in pieces for index in untouched)
