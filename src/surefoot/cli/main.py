@@ -17,6 +17,7 @@ COMMANDS = {
     "study": ("surefoot.cli.study", "train several groups with several seeds, compare them"),
     "identify": ("surefoot.cli.identify", "experiments on a robot, and how well the simulator repeats them"),
     "emulate": ("surefoot.cli.emulate", "be a robot: microcontroller and physics behind a pseudo-terminal"),
+    "doctor": ("surefoot.cli.doctor", "check a policy, a link and a robot before it runs"),
     "deploy": ("surefoot.cli.deploy", "run a policy on a robot, or on an emulated one"),
     "sensitivity": ("surefoot.cli.sensitivity", "find which physical parameters break a policy"),
     "gap": ("surefoot.cli.gap", "measure what policies lose in another world, or on a robot"),

@@ -1,0 +1,122 @@
+"""`surefoot doctor`: everything that can be wrong between a policy and a robot, found before the robot runs."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import sys
+from dataclasses import asdict, dataclass
+from typing import Annotated
+
+import tyro
+from rich.console import Console
+from rich.text import Text
+
+from surefoot.cli.parsing import parse
+from surefoot.cli.policies import find_policy
+from surefoot.deploy.connection import open_connection
+from surefoot.deploy.doctor import Examination, examine
+from surefoot.deploy.findings import Finding
+from surefoot.deploy.link import BAUD, LinkLostError
+from surefoot.errors import SurefootError, at_least
+from surefoot.policy.runtime import PolicyRuntime
+from surefoot.robot import RobotDescription
+
+FAILED = 3
+"""Exit code when a check failed."""
+_WORDS = {True: ("pass", "green"), False: ("FAIL", "bold red"), None: ("not done", "yellow")}
+
+
+@dataclass(frozen=True)
+class DoctorCommand:
+    """Check policy, link, robot and this computer, one line a check: pass, FAIL or not done, why, and what to do.
+
+    Nothing moves without --rack or --ground. Exit code 0: all that was done passed; 3: something failed; 2: it could
+    not begin, such as without a robot.
+    """
+
+    policy: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="POLICY")]
+    """Policy file, or the name of a policy that ships with surefoot."""
+    port: str
+    """Serial port or pseudo-terminal of the robot, such as /dev/ttyUSB0."""
+    rack: bool = False
+    """Also wiggle each motor by .05 rad: the robot hangs free, its legs in the air."""
+    ground: bool = False
+    """Also stand up and tilt with the legs: the robot sits on flat ground, with a metre of room."""
+    yes: bool = False
+    """Do not ask before motors move."""
+    lockstep: bool = False
+    """The robot is an emulator that runs with --lockstep."""
+    robot: str | None = None
+    """Name or folder of the robot's description; the policy's, if not given."""
+    baud: int = BAUD
+    """Bits a second of a serial port."""
+    pings: int = Examination.pings
+    """Pings that the link is measured with."""
+    steps: int = Examination.steps
+    """Control steps and inferences that this computer is measured with."""
+    json: bool = False
+    """Print one JSON object."""
+
+
+def main(argv: list[str]) -> int:
+    """Run the command with the words after its name; returns the exit code."""
+    command = parse(DoctorCommand, argv, "surefoot doctor", config=(tyro.conf.FlagCreatePairsOff,))
+    at_least("pings", command.pings, 10)
+    at_least("steps", command.steps, 10)
+    if command.rack and command.ground:
+        raise SurefootError("--rack and --ground don't go together; a robot hangs or sits: give one")
+    policy = PolicyRuntime.load(find_policy(command.policy))
+    contract = policy.contract
+    robot = RobotDescription.load(command.robot or str(contract.task.get("robot", contract.robot)))
+    _ask(command)
+    console = Console(highlight=False, soft_wrap=True, emoji=False)
+    if not command.json:
+        console.print(f"policy '{contract.name}' for {contract.robot}, port {command.port}", markup=False)
+    connection = open_connection(command.port, robot.num_motors, command.lockstep, command.baud)
+    what = Examination(command.rack, command.ground, command.pings, command.steps)
+    try:
+        tell = (lambda _: None) if command.json else (lambda finding: _print(console, finding))
+        findings = examine(connection, policy, robot, what, tell)
+    finally:
+        with contextlib.suppress(LinkLostError, OSError):
+            connection.close()
+    failed = [finding for finding in findings if finding.passed is False]
+    undone = [finding for finding in findings if finding.passed is None]
+    if command.json:
+        data = {
+            "policy": contract.name,
+            "robot": contract.robot,
+            "port": command.port,
+            "passed": not failed,
+            "findings": [asdict(finding) for finding in findings],
+        }
+        print(json.dumps(data))
+    else:
+        passed = len(findings) - len(failed) - len(undone)
+        console.print(f"{passed} passed, {len(failed)} failed, {len(undone)} not done", markup=False)
+    return FAILED if failed else 0
+
+
+def _ask(command: DoctorCommand) -> None:
+    """Ask before motors move.
+
+    Raises:
+        SurefootError: nobody can be asked, or the answer is not yes.
+    """
+    if command.yes or not (command.rack or command.ground):
+        return
+    place = "hang free, its legs in the air" if command.rack else "sit on flat ground with a metre of room"
+    if not sys.stdin.isatty():
+        raise SurefootError(f"motors will move and the robot must {place}; without a terminal, say so with --yes")
+    print(f"Motors will move. Does the robot {place}? [y/N] ", end="", file=sys.stderr, flush=True)
+    if sys.stdin.readline().strip().lower() not in ("y", "yes"):
+        raise SurefootError("not begun; nothing has moved")
+
+
+def _print(console: Console, finding: Finding) -> None:
+    word, style = _WORDS[finding.passed]
+    line = Text.assemble((f"{word:<8}", style), f"  {finding.name:<20}  {finding.why}")
+    console.print(line)
+    if finding.what_to_do:
+        console.print(Text(f"{'':<32}to do: {finding.what_to_do}", style="dim" if finding.passed is None else ""))

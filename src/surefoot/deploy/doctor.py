@@ -1,0 +1,123 @@
+"""The doctor: every check of a policy, a link and a robot, in the order in which they may be done."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from surefoot.deploy.checks import check_contract
+from surefoot.deploy.connection import RobotConnection
+from surefoot.deploy.doctor_computer import STEPS, check_computer, time_inference, time_loop
+from surefoot.deploy.doctor_ground import NAMES as GROUND
+from surefoot.deploy.doctor_ground import tilt_robot
+from surefoot.deploy.doctor_link import PINGS, check_link, measure_link
+from surefoot.deploy.doctor_rack import wiggle_motors
+from surefoot.deploy.doctor_rest import Sample, check_rest, watch
+from surefoot.deploy.findings import Finding
+from surefoot.deploy.link import LinkLostError
+from surefoot.deploy.safety import SafetyLimits
+from surefoot.deploy.stop_signals import StopSignals
+from surefoot.errors import SurefootError, choices
+from surefoot.policy.runtime import PolicyRuntime
+from surefoot.robot import RobotDescription
+
+RACK = ("motors, one by one", "control latency", "servo response")
+
+
+@dataclass(frozen=True)
+class Examination:
+    """What is to be looked at."""
+
+    rack: bool = False
+    """Wiggle the motors: the robot hangs free, its legs in the air."""
+    ground: bool = False
+    """Stand up and tilt: the robot sits on flat ground."""
+    pings: int = PINGS
+    """Pings of the link's check."""
+    steps: int = STEPS
+    """Steps of the control loop's check, and inferences."""
+
+
+def examine(
+    connection: RobotConnection,
+    policy: PolicyRuntime,
+    robot: RobotDescription,
+    what: Examination,
+    tell: Callable[[Finding], None],
+) -> list[Finding]:
+    """Do all checks; nothing moves unless everything before it passed.
+
+    Args:
+        connection: to the robot, not greeted yet.
+        policy: the policy.
+        robot: the data sheet that it is for.
+        what: which checks.
+        tell: called with each finding when it is there.
+
+    Raises:
+        SurefootError: no robot, or one that does not answer or arm.
+    """
+    found: list[Finding] = []
+
+    def add(findings: list[Finding]) -> None:
+        for finding in findings:
+            found.append(finding)
+            tell(finding)
+
+    try:
+        _look(connection, policy, robot, what, found, add)
+    except LinkLostError as error:
+        todo = "check plug and cable; the robot damps its motors by itself"
+        add([Finding("link", False, f"{error}; all further checks are left out", todo)])
+    return found
+
+
+def _look(
+    connection: RobotConnection,
+    policy: PolicyRuntime,
+    robot: RobotDescription,
+    what: Examination,
+    found: list[Finding],
+    add: Callable[[list[Finding]], None],
+) -> None:
+    contract, limits = policy.contract, SafetyLimits()
+    handshake = connection.connect()
+    add(check_contract(contract, handshake, robot, policy.digest))
+    figures = measure_link(connection, what.pings)
+    add(check_link(figures, connection.lead, contract.control_step, connection.lockstep))
+    samples = watch(connection)
+    add(check_rest(samples, robot, handshake, limits))
+    inference = time_inference(policy, what.steps)
+    late, missed = time_loop(policy, what.steps, connection)
+    add(check_computer(inference, late, missed, contract.control_step))
+    # The pings of the loop's check are answered by now, or never.
+    connection.wait_for(lambda: False, 0.05)
+    connection.pongs.clear()
+    connection.link.ping()
+    failed = [finding.name for finding in found if finding.passed is False]
+    for wanted, names, need in (
+        (what.rack, RACK, "hang the robot free, legs in the air, and run with --rack"),
+        (what.ground, GROUND, "put the robot on flat ground and run with --ground"),
+    ):
+        if not wanted:
+            add([Finding(name, None, "needs motors that move", need) for name in names])
+        elif failed:
+            why = f"nothing moves while a check fails ({choices(failed)})"
+            add([Finding(name, None, why, "mend that first") for name in names])
+        else:
+            with StopSignals() as operator:
+                try:
+                    if names is RACK:
+                        add(wiggle_motors(connection, contract, robot, operator))
+                    else:
+                        add(tilt_robot(connection, contract, robot, operator, gyro_bias(samples)))
+                except SurefootError as error:
+                    add([Finding(names[0], False, str(error), "switch the robot off and on, and run it again")])
+
+
+def gyro_bias(samples: list[Sample]) -> np.ndarray:
+    """Mean of the gyro (3,) [rad/s] over states of a robot at rest."""
+    bias: np.ndarray = np.mean([sample.state.angular_velocity_base for sample in samples], axis=0)
+    return bias

@@ -1,0 +1,101 @@
+"""The doctor's look at this computer: how long the policy takes, and how punctual the control loop is."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surefoot.deploy.clock import MonotonicClock
+from surefoot.deploy.connection import RobotConnection
+from surefoot.deploy.controller import Policy
+from surefoot.deploy.findings import Finding
+from surefoot.deploy.pacer import Pacer
+from surefoot.deploy.realtime import undisturbed
+
+Array = NDArray[np.float64]
+
+STEPS = 2000
+"""Control steps of the loop that is timed, and inferences."""
+SHARE = 0.5
+"""Share of a control step within which the 99.9th percentile of inference, and of lateness, must be."""
+MISSED = 0.001
+"""Share of control steps that may be missed."""
+_WARM_UP = 50
+
+
+def time_inference(policy: Policy, count: int = STEPS) -> Array:
+    """Times [s] that the policy takes for observations drawn at random, warmed up."""
+    width = policy.contract.width
+    observations = np.random.default_rng(0).normal(scale=0.3, size=(64, 1, width)).astype(np.float32)
+    taken = np.empty(count)
+    with undisturbed():
+        for index in range(-_WARM_UP, count):
+            start = time.perf_counter()
+            policy.feedback(observations[index % 64])
+            taken[index if index >= 0 else 0] = time.perf_counter() - start
+    return taken
+
+
+def time_loop(policy: Policy, steps: int = STEPS, connection: RobotConnection | None = None) -> tuple[Array, int]:
+    """Lateness [s] of the steps of a control loop in real time, and how many steps were missed.
+
+    The loop reads the port, runs the policy and sends a frame, as a deployment does; the frame is a ping.
+
+    Args:
+        policy: what is run; its control step is the loop's.
+        steps: how many.
+        connection: to the robot; without one, or in lockstep, nothing is read and sent.
+    """
+    step, width = policy.contract.control_step, policy.contract.width
+    observation = np.zeros((1, width), np.float32)
+    link = connection if connection is not None and not connection.lockstep else None
+    late, missed, done = np.zeros(steps), 0, 0
+    with undisturbed():
+        pacer = Pacer(MonotonicClock(), step)
+        while pacer.index < steps - 1:
+            tick = pacer.next()
+            if link is not None:
+                link.update()
+            policy.feedback(observation)
+            if link is not None:
+                link.link.ping()
+            late[done] = tick.late
+            missed += tick.missed
+            done += 1
+    return late[:done], missed
+
+
+def check_computer(inference: Array, late: Array, missed: int, control_step: float) -> list[Finding]:
+    """Judge the times of `time_inference` and `time_loop`."""
+    return [_inference(inference, control_step), _loop(late, missed, control_step)]
+
+
+def _inference(taken: Array, control_step: float) -> Finding:
+    median, slow = (float(np.percentile(taken, share)) for share in (50, 99.9))
+    step = f"a control step has {1e3 * control_step:g}"
+    told = f"median {1e3 * median:.3f} ms, 99.9th percentile {1e3 * slow:.3f} ms; {step}"
+    if slow <= SHARE * control_step:
+        return Finding("inference", True, told, value=median)
+    todo = "close other programs, take a faster computer, or train a smaller network"
+    return Finding("inference", False, f"{told}; at most {SHARE:.0%} of it", todo, median)
+
+
+def _loop(late: Array, missed: int, control_step: float) -> Finding:
+    median, worst = (float(np.percentile(late, share)) for share in (50, 99.9))
+    steps = len(late) + missed
+    told = (
+        f"lateness: median {1e3 * median:.3f} ms, 99.9th percentile {1e3 * worst:.3f} ms; "
+        f"{missed} of {steps} steps missed"
+    )
+    if worst <= SHARE * control_step and missed <= MISSED * steps:
+        return Finding("control loop", True, told, value=worst)
+    return Finding(
+        "control loop",
+        False,
+        f"{told}; at most {1e3 * SHARE * control_step:g} ms late and {MISSED:.1%} missed",
+        "close other programs, let the process run in real time (sudo setcap cap_sys_nice+ep on Python, or a limit "
+        "rtprio), and turn power saving off",
+        worst,
+    )

@@ -1,0 +1,156 @@
+"""The doctor's look at a robot on flat ground: it stands up and tilts itself with its legs, and the IMU must agree.
+
+Frames: x forward, y left, z up. Shorter front legs put the nose down, a turn about +y: pitch grows. Shorter left legs
+put the left side down, a turn about -x: roll falls.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surefoot.deploy.connection import RobotConnection
+from surefoot.deploy.doctor_move import MotionStoppedError, Mover
+from surefoot.deploy.doctor_rest import Sample
+from surefoot.deploy.findings import Finding
+from surefoot.deploy.poses import pose
+from surefoot.deploy.stop_signals import StopSignals
+from surefoot.policy.contract import Contract
+from surefoot.robot import RobotDescription
+
+Array = NDArray[np.float64]
+
+RISE, SETTLE, TILT_TIME = 1.5, 0.6, 0.8
+"""Time [s] to stand up, to settle, and to go into a tilt."""
+SHORTER, LONGER = 0.2, 0.1
+"""How much less, and more, the legs of either side are extended [rad]."""
+LEASH = 0.8
+"""How far [rad] a motor may be from where it was sent: legs that carry the robot give way by some .2 rad."""
+LEAST = 0.03
+"""Least tilt [rad] that must be seen; the legs of a minitaur give .07 in pitch and .17 in roll."""
+OTHER = 0.5
+"""How much of that the other axis may turn, as a share."""
+RATE_SHARE, RATE_LEAST = 0.3, 0.015
+"""How far the gyro's integral may be from the change of the angle: as a share, and [rad]."""
+_SETTLED = 25
+NAMES = ("IMU, nose down", "IMU, left side down", "IMU, rates")
+AXES = ("roll", "pitch")
+
+
+@dataclass(frozen=True)
+class Tilted:
+    """What the IMU said of one tilt."""
+
+    angles: Array
+    """Change of roll and pitch (2,) [rad]."""
+    turned: Array
+    """Integral of the rates about x and y, the gyro's bias taken off (2,) [rad]."""
+
+
+def tilt_robot(
+    connection: RobotConnection,
+    contract: Contract,
+    robot: RobotDescription,
+    operator: StopSignals,
+    gyro_bias: Array,
+) -> list[Finding]:
+    """Let a robot stand up and tilt itself to the front and to the left, sit down and disarm, and judge its IMU.
+
+    Args:
+        connection: to a robot that sits on flat ground.
+        contract: says how it stands.
+        robot: its data sheet.
+        operator: may ask to stop.
+        gyro_bias: mean of the gyro at rest (3,) [rad/s].
+
+    Raises:
+        SurefootError: the robot does not arm.
+        LinkLostError: the port is gone.
+    """
+    swing, extension = contract.rest
+    stand = pose(robot, swing, extension)
+    mover = Mover(connection, robot, contract.control_step, operator, LEASH, sits=True)
+    try:
+        with mover:
+            mover.go(stand, RISE)
+            tilts = []
+            for shorter in ("front", "left"):
+                mover.hold(stand, SETTLE)
+                first = len(mover.samples()) - _SETTLED
+                mover.go(_tilted(robot, swing, extension, shorter), TILT_TIME)
+                mover.hold(_tilted(robot, swing, extension, shorter), SETTLE)
+                tilts.append(tilted(mover.samples()[first:], gyro_bias))
+                mover.go(stand, TILT_TIME)
+    except MotionStoppedError as stopped:
+        if stopped.verdict.reason == "operator":
+            return [Finding(name, None, "stopped by the operator", "run it again") for name in NAMES]
+        first_finding = Finding(NAMES[0], False, stopped.verdict.text, "mend that, and run the doctor again")
+        others = [Finding(name, None, "the robot did not get so far", "mend that first") for name in NAMES[1:]]
+        return [first_finding, *others]
+    return check_tilts(*tilts)
+
+
+def _tilted(robot: RobotDescription, swing: float, extension: float, shorter: str) -> Array:
+    """Motor angles (M,) of a robot whose front or left legs are shorter and whose others are longer.
+
+    Where a leg stands is read from its name; all legs of a robot that has other names stay as they are.
+    """
+    low, high = robot.extension_range
+    side = np.array([shorter in leg for leg in robot.leg_names])
+    extensions = np.clip(np.where(side, extension - SHORTER, extension + LONGER), low, high)
+    return robot.leg_to_motor_angles(np.full(len(side), swing), extensions)
+
+
+def tilted(samples: Sequence[Sample], gyro_bias: Array) -> Tilted:
+    """What the IMU said from level to tilted; the first and the last samples are of a robot that is still."""
+    angles = np.array([sample.state.roll_pitch_yaw[:2] for sample in samples])
+    rates = np.array([sample.state.angular_velocity_base[:2] for sample in samples]) - gyro_bias[:2]
+    times = np.array([sample.time for sample in samples])
+    count = min(_SETTLED, len(samples) // 3 or 1)
+    turned = (np.diff(times)[:, None] * (rates[1:] + rates[:-1]) / 2).sum(axis=0)
+    return Tilted(angles[-count:].mean(axis=0) - angles[:count].mean(axis=0), turned)
+
+
+def check_tilts(front: Tilted, left: Tilted) -> list[Finding]:
+    """Judge what the IMU said when the nose, and when the left side, went down."""
+    return [
+        _tilt(NAMES[0], "front legs shorter", front.angles, 1, 1.0),
+        _tilt(NAMES[1], "left legs shorter", left.angles, 0, -1.0),
+        _rates(front, left),
+    ]
+
+
+def _tilt(name: str, what: str, angles: Array, axis: int, sign: float) -> Finding:
+    main, other = float(angles[axis]), float(angles[1 - axis])
+    told = f"{what}: {AXES[axis]} {main:+.3f}, {AXES[1 - axis]} {other:+.3f} rad"
+    way = "grow" if sign > 0 else "fall"
+    if sign * main >= LEAST and abs(other) <= OTHER * abs(main):
+        return Finding(name, True, told, value=main)
+    rule = f"{AXES[axis]} must {way} by {LEAST:g} rad or more, {AXES[1 - axis]} stay"
+    if abs(other) >= LEAST and abs(main) <= OTHER * abs(other):
+        todo = (
+            "the IMU's x and y are exchanged, or legs are: set its mounting in the firmware, and check the legs' cables"
+        )
+    elif sign * main <= -LEAST:
+        todo = f"the IMU's {AXES[axis]} is mirrored, or the legs of both sides are exchanged: check mounting and cables"
+    else:
+        todo = (
+            "the legs did not tilt the robot: check the ground, the legs' cables, and that the IMU is fixed to the body"
+        )
+    return Finding(name, False, f"{told}; {rule}", todo, main)
+
+
+def _rates(front: Tilted, left: Tilted) -> Finding:
+    """The gyro's integral against the change of the angles; for tilts this small both are the same to a few percent."""
+    name, told, wrong = NAMES[2], [], False
+    for axis, one in ((1, front), (0, left)):
+        angle, turned = float(one.angles[axis]), float(one.turned[axis])
+        told.append(f"{AXES[axis]} changed by {angle:+.3f} rad, its rate says {turned:+.3f}")
+        wrong |= abs(turned - angle) > max(RATE_SHARE * abs(angle), RATE_LEAST)
+    if not wrong:
+        return Finding(name, True, "; ".join(told))
+    why = f"{'; '.join(told)}; they must agree within {RATE_SHARE:.0%}"
+    return Finding(name, False, why, "check axes, signs and units (rad/s) of the gyro in the firmware")

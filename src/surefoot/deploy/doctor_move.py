@@ -1,0 +1,212 @@
+"""How the doctor moves a robot: the same loop and guard as a deployment, smooth ways, and a leash."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from types import TracebackType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surefoot.deploy.connection import RobotConnection
+from surefoot.deploy.doctor_rest import Sample
+from surefoot.deploy.loop import ControlLoop, Snapshot
+from surefoot.deploy.pacer import Timing
+from surefoot.deploy.poses import between, sitting
+from surefoot.deploy.safety import Act, Guard, SafetyLimits, Verdict
+from surefoot.deploy.stop_signals import StopSignals
+from surefoot.deploy.wire import Handshake, Mode, Reason, State
+from surefoot.errors import SurefootError
+from surefoot.robot import RobotDescription
+
+Array = NDArray[np.float64]
+
+SIT_TIME = 1.5
+"""Time to sit down [s]."""
+_ANSWER, _PING, _CLEAN_MARGIN = 0.3, 0.02, 0.1
+
+
+class MotionStoppedError(RuntimeError):
+    """A motion ended before its end; motors are damped, or it will sit."""
+
+    def __init__(self, verdict: Verdict) -> None:
+        super().__init__(verdict.text)
+        self.verdict = verdict
+
+
+class _Strayed(RuntimeError):
+    """A motor is not where it was sent."""
+
+
+class _Silent:
+    """Watches and says nothing."""
+
+    def phase(self, name: str, duration: float) -> None:
+        pass
+
+    def tick(self, snapshot: Snapshot) -> None:
+        pass
+
+    def warn(self, text: str) -> None:
+        pass
+
+    def recording(self, text: str) -> None:
+        pass
+
+
+@dataclass(frozen=True)
+class Moved:
+    """What was seen while a robot moved."""
+
+    samples: list[Sample]
+    """States that came."""
+    command: int
+    """Number of the frame that carried the first command."""
+
+
+class Mover:
+    """A robot that is armed while this is entered; afterwards it is disarmed, or damped if anything went wrong.
+
+    Args:
+        connection: to a robot that was greeted.
+        robot: its data sheet.
+        control_step: time between two commands [s].
+        operator: may ask to stop.
+        leash: how far [rad] a motor may be from where it was sent.
+        sits: whether it stands on the ground, and sits down before it is disarmed.
+        limits: of a deployment.
+
+    Raises:
+        SurefootError: on entering, if the robot does not arm; nothing has moved then.
+        MotionStoppedError: from any motion that safety or the operator ended.
+    """
+
+    def __init__(
+        self,
+        connection: RobotConnection,
+        robot: RobotDescription,
+        control_step: float,
+        operator: StopSignals,
+        leash: float,
+        sits: bool = False,
+        limits: SafetyLimits | None = None,
+    ) -> None:
+        if connection.handshake is None:
+            raise SurefootError("the robot was not greeted")
+        self.connection, self.robot, self.control_step, self.sits = connection, robot, control_step, sits
+        self.handshake: Handshake = connection.handshake
+        self.leash = leash
+        self.strayed: tuple[int, float] | None = None
+        """Motor that left its way, and by how much [rad]."""
+        guard = Guard(limits or SafetyLimits(), control_step, connection.session)
+        self._loop = ControlLoop(connection, control_step, guard, operator, _Silent(), Timing(0))
+        self._samples: list[Sample] = []
+
+    # Arming and its end.
+
+    def __enter__(self) -> Mover:
+        """Arm: the servos hold the angles that they find."""
+        self.connection.on_state = lambda state, sent, _: self._samples.append(Sample(sent, state))
+        try:
+            self._arm()
+        except BaseException:
+            self.connection.on_state = None
+            raise
+        return self
+
+    def _arm(self) -> None:
+        connection, state = self.connection, self._state()
+        if state.mode == Mode.FAULT or state.reason != Reason.NONE:
+            self._wait(lambda: False, self.handshake.rearm_after + _CLEAN_MARGIN)
+        asked = len(connection.faults)
+        connection.arm(Mode.POSITION, self.control_step)
+        connection.wait_for(lambda: self._state().mode == Mode.POSITION or len(connection.faults) > asked, _ANSWER)
+        if self._state().mode != Mode.POSITION:
+            why = connection.faults[-1].text if len(connection.faults) > asked else "no answer"
+            connection.disarm()
+            raise SurefootError(f"the robot does not arm: {why}")
+
+    def _wait(self, condition: Callable[[], bool], timeout: float) -> bool:
+        """Wait with pings, so that the link is seen to be clean."""
+        clock, last = self.connection.clock, [-1.0]
+
+        def ping() -> None:
+            if clock.now() - last[0] >= _PING:
+                last[0] = clock.now()
+                self.connection.link.ping()
+
+        return self.connection.wait_for(condition, timeout, ping)
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Sit down, if the robot stands, and disarm; damp if anything went wrong."""
+        try:
+            asked_to_sit = isinstance(error, MotionStoppedError) and error.verdict.act is Act.SIT
+            if error is not None and not asked_to_sit:
+                self._loop.damp()
+            elif self.sits:
+                self._follow(self._present(), sitting(self.robot), SIT_TIME, sitting_down=True)
+        finally:
+            self.connection.on_state = None
+            self._disarm()
+
+    def _disarm(self) -> None:
+        for _ in range(5):
+            if self._state().mode == Mode.FAULT:
+                return
+            self.connection.disarm()
+            if self._wait(lambda: self._state().mode in (Mode.DISARMED, Mode.FAULT), _ANSWER / 5):
+                return
+        self._loop.damp()
+
+    # Motions.
+
+    def _state(self) -> State:
+        state = self.connection.state
+        if state is None:
+            raise SurefootError("the robot tells nothing of its state")
+        return state
+
+    def _present(self) -> Array:
+        return self._loop.target if self._loop.target is not None else self._state().motor_angle
+
+    def hold(self, target: Array, duration: float) -> Moved:
+        """Send motor angles (M,) [rad] at once and hold them for a while [s]."""
+        return self._follow(target, target, duration)
+
+    def go(self, target: Array, duration: float) -> Moved:
+        """Go smoothly to motor angles (M,) [rad] within a time [s]."""
+        return self._follow(self._present(), target, duration)
+
+    def _follow(self, start: Array, end: Array, duration: float, sitting_down: bool = False) -> Moved:
+        first, steps = len(self._samples), self._loop.steps_of(duration)
+        number = 0
+        low, high = self.handshake.angle_low, self.handshake.angle_high
+
+        def target(k: int, state: State, missed: int) -> Array:
+            nonlocal number
+            if not number:
+                number = self.connection.link.counts.sent + 1
+            self._check_leash(state.motor_angle)
+            return np.clip(between(start, end, (k + 1) / steps), low, high)
+
+        verdict = self._loop.follow("doctor", steps, target, sitting=sitting_down)
+        if verdict.act is not Act.GO:
+            raise MotionStoppedError(verdict)
+        return Moved(self._samples[first:], number)
+
+    def _check_leash(self, angles: Array) -> None:
+        off = angles - self._present()
+        worst = int(np.argmax(np.abs(off)))
+        if abs(off[worst]) > self.leash:
+            self.strayed = worst, float(off[worst])
+            raise _Strayed(
+                f"{self.robot.motor_names[worst]} is {off[worst]:+.2f} rad from where it was sent; "
+                f"at most {self.leash:g}"
+            )
+
+    def samples(self) -> list[Sample]:
+        """All states since it was armed."""
+        return self._samples

@@ -1,0 +1,238 @@
+"""The doctor's look at a robot that hangs free: each motor alone, a step of .05 rad there and back.
+
+Which reading moves, and which way, shows order and signs; when it begins to move, the latency; how it goes on, the
+servo.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surefoot.deploy.connection import RobotConnection
+from surefoot.deploy.doctor_move import MotionStoppedError, Moved, Mover
+from surefoot.deploy.doctor_response import WINDOW, Response, fit_response
+from surefoot.deploy.doctor_rest import Sample
+from surefoot.deploy.findings import Finding
+from surefoot.deploy.stop_signals import StopSignals
+from surefoot.policy.contract import Contract
+from surefoot.robot import RobotDescription
+
+Array = NDArray[np.float64]
+
+STEP = 0.05
+"""How far each motor is asked to go [rad]: too little to hurt, a hundred times what an encoder tells apart."""
+LEASH = 0.15
+"""How far [rad] a motor may be from where it was sent before all are damped."""
+SETTLE, HOLD = 0.4, 0.35
+"""Time [s] that the robot is held before the first step, and after each."""
+AMOUNT = (0.6, 1.4)
+"""How far the motor that was asked must go, in shares of the step: gravity and friction take some."""
+OTHERS = 0.3
+"""How far any other motor may go, in shares of the step."""
+LATENCY_TOLERANCE = 0.006
+"""How far [s] the latency may be from the one that the policy was trained with: a control step of the paper, less than
+what a policy that was trained at one latency is known to bear; ranges that it was trained in count in full."""
+RISE = 0.08
+"""Longest time [s] for 63 % of a step: half a stride of the trot takes .25 s."""
+_SETTLED = 5
+"""Readings that are averaged once a motor has settled."""
+_FIT_ERROR = 0.15
+
+
+@dataclass(frozen=True)
+class Wiggle:
+    """What was seen when one motor was asked to go there and back."""
+
+    motor: int
+    """Which one."""
+    step: float
+    """How far it was asked to go [rad], with sign."""
+    moved: Array
+    """How far each motor had gone when it had settled (M,) [rad]."""
+    back: Array
+    """How far each motor was from where it began after the way back (M,) [rad]."""
+    response: Response | None
+    """Of the motor that was asked; None if the readings tell none."""
+
+
+def wiggle_motors(
+    connection: RobotConnection, contract: Contract, robot: RobotDescription, operator: StopSignals
+) -> list[Finding]:
+    """Arm a robot on its rack, wiggle each motor, disarm, and judge.
+
+    Raises:
+        SurefootError: the robot does not arm.
+        LinkLostError: the port is gone.
+    """
+    state, handshake = connection.state, connection.handshake
+    if state is None or handshake is None:
+        return [Finding("motors, one by one", False, "the robot tells nothing of its state", "switch it off and on")]
+    start = np.clip(state.motor_angle, handshake.angle_low, handshake.angle_high)
+    wiggles: list[Wiggle] = []
+    mover = Mover(connection, robot, contract.control_step, operator, LEASH)
+    asked: int | None = None
+    try:
+        with mover:
+            mover.hold(start, SETTLE)
+            for motor in range(robot.num_motors):
+                asked = motor
+                # Away from the nearer limit.
+                middle = (handshake.angle_low[motor] + handshake.angle_high[motor]) / 2
+                step = STEP if start[motor] <= middle else -STEP
+                wiggles.append(_wiggle(mover, start, motor, step))
+    except MotionStoppedError as stopped:
+        return [_stopped(stopped, mover, asked, robot), *_undone("the wiggle did not come to its end")]
+    return [check_motors(wiggles, robot), *check_response(wiggles, contract, handshake.servo_period, connection.lead)]
+
+
+def _wiggle(mover: Mover, start: Array, motor: int, step: float) -> Wiggle:
+    before = _settled(mover.samples())
+    target = start.copy()
+    target[motor] += step
+    there = mover.hold(target, HOLD)
+    back = mover.hold(start, HOLD)
+    moved, returned = _settled(there.samples) - before, _settled(back.samples) - before
+    points = [
+        *_points(there, before, motor, step, mover.control_step),
+        *_points(back, _settled(there.samples), motor, -step, mover.control_step),
+    ]
+    response = None
+    if len(points) >= 8 and abs(moved[motor]) > OTHERS * STEP:
+        age, share = np.array(points).T
+        response = fit_response(age, share)
+    return Wiggle(motor, step, moved, returned, response)
+
+
+def _settled(samples: Sequence[Sample]) -> Array:
+    """Motor angles (M,) of the last readings."""
+    return np.mean([sample.state.motor_angle for sample in samples[-_SETTLED:]], axis=0)
+
+
+def _points(moved: Moved, before: Array, motor: int, step: float, period: float) -> list[tuple[float, float]]:
+    """Time since the command arrived at the robot [s], and share of the step that was gone by then, of each reading."""
+    arrived = next(
+        (
+            sample.time - sample.state.command_age - (sample.state.command - moved.command) * period
+            for sample in moved.samples
+            if 0 <= sample.state.command - moved.command < 4
+        ),
+        None,
+    )
+    if arrived is None:
+        return []
+    points = [(s.time - arrived, (s.state.motor_angle[motor] - before[motor]) / step) for s in moved.samples]
+    return [point for point in points if 0 <= point[0] <= WINDOW]
+
+
+def check_motors(wiggles: Sequence[Wiggle], robot: RobotDescription) -> Finding:
+    """Whether each motor that was asked moved, by as much, and no other did."""
+    name, names, wrong = "motors, one by one", robot.motor_names, []
+    goes: dict[int, int] = {}
+    for wiggle in wiggles:
+        share = wiggle.moved / wiggle.step
+        others = [m for m in range(len(names)) if m != wiggle.motor and abs(share[m]) > OTHERS]
+        own, who = share[wiggle.motor], names[wiggle.motor]
+        if AMOUNT[0] <= own <= AMOUNT[1] and not others:
+            continue
+        asked = f"{who}, asked to go {wiggle.step:+.3f} rad,"
+        if others and abs(own) <= OTHERS:
+            first = max(others, key=lambda m: abs(share[m]))
+            goes[wiggle.motor] = first
+            wrong.append(f"{asked} stayed, and {names[first]} went {wiggle.moved[first]:+.3f}")
+        elif others:
+            told = ", ".join(names[m] for m in others)
+            wrong.append(f"{asked} went {wiggle.moved[wiggle.motor]:+.3f} and took along {told}")
+        else:
+            wrong.append(f"{asked} went {wiggle.moved[wiggle.motor]:+.3f}")
+    if not wrong:
+        least, most = (100 * f(w.moved[w.motor] / w.step for w in wiggles) for f in (min, max))
+        why = f"each went its own way, {least:.0f} to {most:.0f} % of the {STEP:g} rad asked for, no other with it"
+        return Finding(name, True, why, value=float(least) / 100)
+    pairs = [(a, b) for a, b in goes.items() if goes.get(b) == a and a < b]
+    if pairs:
+        told = ", ".join(f"{names[a]} with {names[b]}" for a, b in pairs)
+        todo = f"exchanged: {told}; exchange their cables, or their places in the firmware"
+    elif any(wiggle.moved[wiggle.motor] / wiggle.step < -OTHERS for wiggle in wiggles):
+        todo = "turn the sign of what goes the wrong way, of motor or encoder, in the firmware"
+    else:
+        todo = "check cables, servo gains and what blocks the leg"
+    more = f" (and {len(wrong) - 2} more)" if len(wrong) > 2 else ""
+    return Finding(name, False, "; ".join(wrong[:2]) + more, todo)
+
+
+def check_response(wiggles: Sequence[Wiggle], contract: Contract, servo_period: float, lead: float) -> list[Finding]:
+    """Judge when the motors began to move, and how fast they went.
+
+    The delay between a command's arrival and the first motion in readings, as they are sent, is the age of these
+    readings and what a command waits for the servo's next step, half a period on average. The policy uses a state
+    `lead` after it was sent: a state that travels for longer is a control step late, which round trips tell.
+
+    Args:
+        wiggles: of all motors.
+        contract: says what the policy was trained with.
+        servo_period: of the robot [s].
+        lead: how long before it is used a state is sent [s].
+    """
+    fits = [wiggle.response for wiggle in wiggles if wiggle.response and wiggle.response.error < _FIT_ERROR]
+    if len(fits) < max(len(wiggles) // 2, 1):
+        return _undone(f"only {len(fits)} of {len(wiggles)} motors answered clearly")
+    latency = float(np.median([fit.delay for fit in fits])) - servo_period / 2 + lead
+    return [_latency(latency, contract, lead), _servo(float(np.median([fit.rise for fit in fits])))]
+
+
+def trained_latencies(contract: Contract) -> tuple[float, float]:
+    """Least and greatest control latency [s] that a policy was trained with."""
+    ranges = contract.task.get("randomize") or {}
+    span = ranges.get("latency") if isinstance(ranges, dict) else None
+    low, high = span if span else (contract.control_latency, contract.control_latency)
+    return min(low, contract.control_latency), max(high, contract.control_latency)
+
+
+def _latency(latency: float, contract: Contract, lead: float) -> Finding:
+    low, high = trained_latencies(contract)
+    trained = f"{1e3 * low:g}" if low == high else f"{1e3 * low:g} to {1e3 * high:g}"
+    told = (
+        f"{1e3 * latency:.1f} ms (with {1e3 * lead:g} ms from sending to use); the policy was trained with {trained} ms"
+    )
+    if low - LATENCY_TOLERANCE <= latency <= high + LATENCY_TOLERANCE:
+        return Finding("control latency", True, told, value=latency)
+    return Finding(
+        "control latency",
+        False,
+        f"{told}, and it must be within {1e3 * LATENCY_TOLERANCE:g} ms of that",
+        f"find what delays the readings (filters, averaging, a slow bus), or train with control_latency {latency:.3f}",
+        latency,
+    )
+
+
+def _servo(rise: float) -> Finding:
+    told = f"63 % of a step in {1e3 * rise:.0f} ms"
+    if rise <= RISE:
+        return Finding("servo response", True, told, value=rise)
+    why = f"{told}; at most {1e3 * RISE:g} ms"
+    return Finding("servo response", False, why, "check servo gains, battery and friction in the legs", rise)
+
+
+def _stopped(stopped: MotionStoppedError, mover: Mover, asked: int | None, robot: RobotDescription) -> Finding:
+    name = "motors, one by one"
+    if stopped.verdict.reason == "operator":
+        return Finding(name, None, "stopped by the operator", "run it again")
+    if mover.strayed is None:
+        return Finding(name, False, stopped.verdict.text, "mend that, and run the doctor again")
+    motor, off = mover.strayed
+    when = "while all were asked to hold" if asked is None else f"while {robot.motor_names[asked]} was asked to move"
+    return Finding(
+        name,
+        False,
+        f"{robot.motor_names[motor]} went {off:+.2f} rad from where it was sent {when}; motors were damped",
+        "its sign, of motor or encoder, is flipped, or its commands belong to another motor: check cables and firmware",
+        robot.motor_names[motor],
+    )
+
+
+def _undone(why: str) -> list[Finding]:
+    return [Finding(name, None, why, "mend that first") for name in ("control latency", "servo response")]
