@@ -195,13 +195,13 @@ def main(argv: Sequence[str] | None = None) -> int:
     options = parser.parse_args(argv)
     try:
         text = c_header(options.motors)
-    except SurefootError as error:
+        if options.out is None:
+            print(text, end="")
+        else:
+            with whole_file(options.out) as file:
+                file.write(text.encode())
+    except (SurefootError, OSError) as error:
         parser.error(str(error))
-    if options.out is None:
-        print(text, end="")
-    else:
-        with whole_file(options.out) as file:
-            file.write(text.encode())
     return 0
 
 

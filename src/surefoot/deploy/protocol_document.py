@@ -157,10 +157,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     options = parser.parse_args(argv)
     try:
         text = renewed(options.file.read_text(encoding="utf-8"), sections())
+        with whole_file(options.file) as file:
+            file.write(text.encode())
     except (SurefootError, OSError) as error:
         parser.error(str(error))
-    with whole_file(options.file) as file:
-        file.write(text.encode())
     return 0
 
 

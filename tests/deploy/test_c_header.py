@@ -1,0 +1,354 @@
+"""The C header: compiled without a warning, and two implementations that say and hear the same."""
+
+from __future__ import annotations
+
+import importlib.util
+import random
+import shutil
+import struct
+import subprocess
+import sys
+import zlib
+from dataclasses import fields
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+from cobs import cobs
+
+from surefoot.deploy.c_header import c_header, main
+from surefoot.deploy.fields import wires
+from surefoot.deploy.frames import CRC_BYTES, MAX_FRAME, Decoder, encode_frame
+from surefoot.deploy.protocol_examples import EXAMPLES
+from surefoot.deploy.wire import HEADER, MESSAGES, VERSION, Codec, Fault, Handshake, Message
+from surefoot.errors import SurefootError
+
+HERE = Path(__file__).resolve().parent
+ROOT = HERE.parents[1]
+CODEC = Codec(8)
+CC = shutil.which("cc")
+needs_cc = pytest.mark.skipif(CC is None, reason="no C compiler on this machine")
+STRICT = ["-Wall", "-Wextra", "-Werror", "-pedantic", "-Wconversion", "-Wshadow", "-Wcast-qual", "-Wwrite-strings"]
+
+
+def numbers_on_the_line(kind: type[Message], name: str, value: Any) -> list[Any]:
+    """What a field's value is in C: numbers, or bytes of a text."""
+    spec = wires(kind)[name]
+    values = [value] if spec.count == 1 else list(value)
+    if spec.kind == "text":
+        return [text.encode() for text in values]
+    if spec.scale:
+        return [round(one / spec.scale) for one in values]
+    return [float(one) if spec.kind == "f32" else int(one) for one in values]
+
+
+def c_examples() -> str:
+    """C code that fills the structs of all examples field by field, and code that prints them field by field."""
+    fill, show = ["static void emit_examples(void)\n{"], []
+    for example in EXAMPLES:
+        message, kind = example.message, type(example.message)
+        name = kind.__name__
+        fill.append(f"    surefoot_{name.lower()} m_{name};")
+    for example in EXAMPLES:
+        message, kind = example.message, type(example.message)
+        name = kind.__name__
+        prints = []
+        fill.append(f"    memset(&m_{name}, 0, sizeof(m_{name}));")
+        for item in fields(message):  # type: ignore[arg-type]
+            spec = wires(kind)[item.name]
+            numbers = numbers_on_the_line(kind, item.name, getattr(message, item.name))
+            for at, number in enumerate(numbers):
+                place = f"{item.name}[{at}]" if spec.count != 1 else item.name
+                if spec.kind == "text":
+                    fill.append(f'    memcpy(m_{name}.{place}, "{number.decode()}", {len(number)});')
+                    prints.append(f'printf("{name} {place} %.*s\\n", (int)sizeof(m.{place}), m.{place});')
+                elif spec.kind == "f32":
+                    fill.append(f"    m_{name}.{place} = {number!r}f;")
+                    prints.append(f'printf("{name} {place} %.9g\\n", (double)m.{place});')
+                else:
+                    fill.append(f"    m_{name}.{place} = {number};")
+                    prints.append(f'printf("{name} {place} %ld\\n", (long)m.{place});')
+        time = round(example.time * 1e6)
+        fill.append(f"    emit(SUREFOOT_{name.upper()}, &m_{name}, {example.sequence}u, {time}u);")
+        body = "\n        ".join([f"surefoot_{name.lower()} m;", "memcpy(&m, payload, sizeof(m));", *prints])
+        show.append(f"    if (type == SUREFOOT_{name.upper()}) {{\n        {body}\n    }}")
+    shown = "\n".join(["static void print_fields(uint8_t type, const uint8_t *payload)\n{", *show, "}"])
+    return "\n".join([*fill, "}", "", shown, ""])
+
+
+def compile_program(folder: Path, *options: str) -> Path:
+    """The test's program, compiled; a warning is an error."""
+    (folder / "examples.h").write_text(c_examples(), encoding="utf-8")
+    program = folder / "wire_program"
+    command = [str(CC), *STRICT, *options, f"-I{ROOT / 'docs'}", f"-I{folder}", str(HERE / "wire_program.c")]
+    done = subprocess.run([*command, "-o", str(program)], capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0, done.stderr
+    return program
+
+
+@pytest.fixture(scope="module")
+def program(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Compiled with the compiler's watch over memory and undefined behaviour, where it has one."""
+    folder = tmp_path_factory.mktemp("c")
+    watch = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
+    (folder / "try.c").write_text("int main(void) { return 0; }\n")
+    tried = subprocess.run([str(CC), *watch, str(folder / "try.c"), "-o", str(folder / "try")], capture_output=True)
+    watched = tried.returncode == 0 and subprocess.run([folder / "try"], capture_output=True).returncode == 0
+    return compile_program(folder, "-std=c11", "-O1", *(watch if watched else []))
+
+
+def run(program: Path, mode: str, data: bytes = b"") -> tuple[bytes, str]:
+    done = subprocess.run([program, mode], input=data, capture_output=True, timeout=120)
+    assert done.returncode == 0, done.stderr.decode()
+    return done.stdout, done.stderr.decode()
+
+
+@pytest.fixture(scope="module")
+def link_soak() -> ModuleType:
+    spec = importlib.util.spec_from_file_location("link_soak", ROOT / "benchmarks" / "link_soak.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = sys.modules["link_soak"] = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+# The file.
+
+
+def test_the_header_in_docs_is_the_one_that_is_made():
+    committed = (ROOT / "docs" / "surefoot_wire.h").read_text(encoding="utf-8")
+    assert committed == c_header(8), "run: python -m surefoot.deploy.c_header --out docs/surefoot_wire.h"
+
+
+def test_the_command_prints_or_writes_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    assert main([]) == 0
+    assert capsys.readouterr().out == c_header(8)
+    assert main(["--motors", "12", "--out", str(tmp_path / "wire.h")]) == 0
+    assert (tmp_path / "wire.h").read_text(encoding="utf-8") == c_header(12)
+    assert "#define SUREFOOT_MOTORS 12\n" in c_header(12)
+    assert f"#define SUREFOOT_SCHEMA 0x{Codec(12).schema:08X}u\n" in c_header(12)
+
+
+@pytest.mark.parametrize("motors", [0, 28])
+def test_a_number_of_motors_that_no_frame_holds_is_refused(motors: int, capsys: pytest.CaptureFixture[str]):
+    with pytest.raises(SurefootError, match=f"motors is {motors}"):
+        c_header(motors)
+    with pytest.raises(SystemExit) as stop:
+        main(["--motors", str(motors)])
+    assert stop.value.code == 2
+    assert f"error: motors is {motors}; it must be" in capsys.readouterr().err
+
+
+def test_a_folder_that_does_not_exist_is_told_in_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    with pytest.raises(SystemExit) as stop:
+        main(["--out", str(tmp_path / "none" / "wire.h")])
+    assert stop.value.code == 2
+    assert "No such file or directory" in capsys.readouterr().err
+
+
+def test_lines_fit_a_screen_and_every_field_says_what_it_is():
+    text = c_header(8)
+    assert max(map(len, text.splitlines())) <= 120
+    for kind in MESSAGES:
+        for name, spec in wires(kind).items():
+            assert f" {name}" in text
+            assert spec.meaning in text
+    assert "int16_t motor_torque[SUREFOOT_MOTORS]; /* [0.001 N m] motor torques, from the currents */" in text
+    assert "uint32_t command_timeout;              /* [1e-6 s] silence after which" in text
+
+
+# The compiler.
+
+
+@needs_cc
+@pytest.mark.parametrize("standard", ["c99", "c11", "gnu11"])
+@pytest.mark.parametrize("optimization", ["-O0", "-O2"])
+def test_it_compiles_without_a_warning(tmp_path: Path, standard: str, optimization: str):
+    program = compile_program(tmp_path, f"-std={standard}", optimization)
+    assert run(program, "sizes")[0].split()[1] == b"8"
+
+
+@pytest.mark.parametrize("standard", ["c++98", "c++17"])
+def test_it_is_good_for_firmware_in_cpp(tmp_path: Path, standard: str):
+    compiler = shutil.which("c++")
+    if compiler is None:
+        pytest.skip("no C++ compiler on this machine")
+    source = tmp_path / "firmware.cpp"
+    source.write_text('#include "surefoot_wire.h"\nint main() { return 0; }\n')
+    command = [compiler, f"-std={standard}", *STRICT, f"-I{ROOT / 'docs'}", "-fsyntax-only", str(source)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0, done.stderr
+
+
+@needs_cc
+@pytest.mark.parametrize("motors", [1, 2, 12, 27])
+def test_sizes_hold_for_any_number_of_motors(tmp_path: Path, motors: int):
+    # The header's own static assertions are the test.
+    (tmp_path / "wire.c").write_text(c_header(motors) + "\nint main(void) { return 0; }\n", encoding="utf-8")
+    command = [str(CC), "-std=c11", *STRICT, "-fsyntax-only", str(tmp_path / "wire.c")]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0, done.stderr
+
+
+@needs_cc
+def test_a_wrong_size_does_not_compile(tmp_path: Path):
+    for standard in ("c99", "c11"):
+        text = c_header(8).replace("SUREFOOT_SIZE(surefoot_state, 130)", "SUREFOOT_SIZE(surefoot_state, 132)")
+        (tmp_path / "wire.c").write_text(text, encoding="utf-8")
+        command = [str(CC), f"-std={standard}", "-fsyntax-only", str(tmp_path / "wire.c")]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=120)
+        assert done.returncode != 0
+        assert "surefoot_state" in done.stderr
+
+
+# Both sides say the same.
+
+
+@needs_cc
+def test_structs_filled_in_c_give_the_frames_of_python(program: Path):
+    said, _ = run(program, "examples")
+    frames = [bytes(1) + piece + bytes(1) for piece in said.split(b"\0") if piece]
+    assert len(frames) == len(MESSAGES)
+    for example, frame in zip(EXAMPLES, frames, strict=True):
+        assert frame == example.frame(), type(example.message).__name__
+    assert said == b"".join(frames)
+
+
+@needs_cc
+def test_frames_of_python_give_the_fields_in_c(program: Path):
+    said, counts = run(program, "fields", b"".join(example.frame() for example in EXAMPLES))
+    expected = []
+    for example in EXAMPLES:
+        kind = type(example.message)
+        for item in fields(example.message):  # type: ignore[arg-type]
+            numbers = numbers_on_the_line(kind, item.name, getattr(example.message, item.name))
+            many = wires(kind)[item.name].count != 1
+            for at, number in enumerate(numbers):
+                shown = number.decode() if isinstance(number, bytes) else f"{number:.9g}"
+                shown = str(number) if isinstance(number, int) else shown
+                expected.append(f"{kind.__name__} {item.name}{f'[{at}]' if many else ''} {shown}")
+    assert said.decode().splitlines() == expected
+    assert counts.split() == [str(len(EXAMPLES)), "0", "0", "0"]
+
+
+def random_frames(count: int, seed: int) -> list[bytes]:
+    """Frames of every kind with random bits in their payloads, texts full and empty."""
+    rng = random.Random(seed)
+    frames = []
+    for _ in range(count):
+        kind = rng.choice(MESSAGES)
+        if kind is Fault:
+            message: Any = Fault(rng.randrange(65536), rng.randrange(256), "x" * rng.randrange(81))
+        elif kind is Handshake:
+            values, names = [rng.uniform(-9, 9) for _ in range(16)], tuple(rng.choice("ab") * 24 for _ in range(8))
+            angles = np.array(values[:8]), np.array(values[8:])
+            message = Handshake(
+                7, "r" * 24, "f" * rng.randrange(41), names, np.ones(8), *[0.3] * 5, *angles, *[0.7] * 5
+            )
+        else:
+            message = CODEC.unpack(kind.CODE, rng.randbytes(CODEC.size(kind)))
+        frames.append(encode_frame(CODEC, message, rng.randrange(1, 2**32), rng.uniform(0, 1e6)))
+    return frames
+
+
+@needs_cc
+def test_thousands_of_frames_go_through_c_and_come_back_the_same(program: Path):
+    stream = b"".join(random_frames(3000, seed=1))
+    again, counts = run(program, "again", stream)
+    assert again == stream
+    assert counts.split() == ["3000", "0", "0", "0"]
+
+
+def whole_frame(body: bytes) -> bytes:
+    return b"\0" + cobs.encode(body + zlib.crc32(body).to_bytes(CRC_BYTES, "little")) + b"\0"
+
+
+def odd_frames(rng: random.Random) -> list[bytes]:
+    """Whole frames that are none of ours: foreign, unknown, too short."""
+    schema = CODEC.schema
+    made = []
+    for version, foreign in [(VERSION, schema ^ 1), (2, schema), (0, 0)]:
+        made.append(whole_frame(HEADER.pack(version, 2, foreign, 1, 2) + rng.randbytes(rng.randrange(300))))
+    for code, size in [(0, 0), (2, 0), (2, 3), (2, 5), (67, 129), (67, 131), (200, 0), (200, 4)]:
+        made.append(whole_frame(HEADER.pack(VERSION, code, schema, 1, 2) + rng.randbytes(size)))
+    return [*made, *(whole_frame(rng.randbytes(size)) for size in (0, 1, 17))]
+
+
+@needs_cc
+@pytest.mark.parametrize("seed", range(3))
+def test_both_find_the_same_frames_in_a_damaged_stream(program: Path, link_soak: ModuleType, seed: int):
+    rng = random.Random(seed)
+    frames = random_frames(3000, seed)
+    for odd in odd_frames(rng) * 10:
+        frames.insert(rng.randrange(len(frames)), odd)
+    stream, _ = link_soak.BadLine(rng).carry(frames)
+    stream += b"".join(
+        bytes([byte]) * size for size in (MAX_FRAME - 1, MAX_FRAME, MAX_FRAME + 1, 9999) for byte in (5, 0)
+    )
+    decoder, expected = Decoder(CODEC), []
+    for at in range(len(stream)):
+        foreign = decoder.counts.foreign
+        for frame in decoder.feed(stream[at : at + 1]):
+            payload = CODEC.pack(frame.message)
+            expected.append((frame.message.CODE, frame.sequence, round(frame.time * 1e6), payload))
+        if decoder.counts.foreign > foreign:
+            expected.append(("foreign", *decoder.foreign))
+    said, counts = run(program, "list", stream)
+    found = []
+    for line in said.decode().splitlines():
+        first, *rest = line.split()
+        if first == "foreign":
+            found.append((first, *map(int, rest)))
+        else:
+            message = CODEC.unpack(int(first), bytes.fromhex(rest[2]))
+            found.append((int(first), int(rest[0]), int(rest[1]), CODEC.pack(message)))
+    assert found == expected
+    seen = decoder.counts
+    assert counts.split() == [str(count) for count in (seen.frames, seen.damaged, seen.foreign, seen.unknown)]
+    assert seen.frames > 1500
+    assert min(seen.damaged, seen.foreign, seen.unknown) > 15
+
+
+@needs_cc
+def test_cobs_and_crc32_are_those_of_the_libraries(program: Path):
+    rng = random.Random(3)
+    texts = [
+        b"",
+        b"\0",
+        b"123456789",
+        *(b"\1" * size for size in range(250, 260)),
+        *(b"\0" * size for size in (2, 300)),
+    ]
+    texts += [b"\1" * 254 + b"\0", b"\0" + b"\1" * 254, b"\1" * 508, b"\1" * 254 + b"\0" + b"\1" * 254]
+    texts += [
+        bytes(rng.choices(range(256), [rng.choice((0, 1, 50)), *[1] * 255], k=rng.randrange(900))) for _ in range(500)
+    ]
+    said, _ = run(program, "stuff", b"".join(struct.pack("<H", len(text)) + text for text in texts))
+    expected = [f"{zlib.crc32(text):08x} {cobs.encode(text).hex()}" for text in texts]
+    assert said.decode().splitlines() == expected
+    assert expected[2].startswith("cbf43926")
+
+
+def undone(data: bytes) -> bytes:
+    try:
+        return cobs.decode(data)
+    except cobs.DecodeError:
+        return b""
+
+
+@needs_cc
+def test_what_is_no_cobs_is_none_for_both(program: Path):
+    rng = random.Random(4)
+    texts = [rng.randbytes(rng.randrange(12)) for _ in range(3000)]
+    texts += [bytes(rng.choices((0, 1, 2, 3, 255), [1, 9, 9, 9, 1], k=rng.randrange(20))) for _ in range(3000)]
+    texts += [b"\xff" + b"\1" * size for size in (253, 254, 255)] + [b"\xff" + b"\1" * 254 + b"\1"]
+    said, _ = run(program, "unstuff", b"".join(struct.pack("<H", len(text)) + text for text in texts))
+    assert [line.partition(" ")[2] for line in said.decode().splitlines()] == [undone(text).hex() for text in texts]
+
+
+@needs_cc
+def test_the_receiver_needs_little_memory(program: Path):
+    assert int(run(program, "sizes")[0].split()[0]) <= MAX_FRAME + 64
