@@ -120,7 +120,7 @@ class Firmware:
         self._low_since: int | None = None
         self._vitals: Vitals | None = None
         self._energy_start: float | None = None
-        self._refused: dict[Reason, deque[int]] = {}
+        self._mentioned: dict[Reason, deque[int]] = {}
 
     @property
     def armed(self) -> bool:
@@ -147,7 +147,7 @@ class Firmware:
             self.watch.damaged()
         if counts.foreign > foreign:
             self.watch.damaged()
-            self._refuse(now, 0, Reason.SCHEMA, f"schema is {self.decoder.codec.schema:#010x}")
+            self._mention(now, 0, Reason.SCHEMA, f"schema is {self.decoder.codec.schema:#010x}")
         for frame in frames:
             self._handle(now, frame)
 
@@ -164,7 +164,7 @@ class Firmware:
             self._greet_stranger(now, frame, message)
             return
         if not session or session != self.owner:
-            self._refuse(now, session, Reason.SESSION, f"session {session} is not known")
+            self._mention(now, session, Reason.SESSION, f"session {session} is not known")
             return
         age = self.watch.age(now, microseconds(frame.time))
         if not self.watch.takes(frame.sequence):
@@ -244,7 +244,7 @@ class Firmware:
         if self.mode != (Mode.POSITION if position else Mode.PWM):
             self._dropped += 1
             if self.mode != Mode.FAULT:  # a faulted robot has said why, and says it in every state
-                self._refuse(now, self.owner, Reason.MODE, f"a command came while {self.mode.name}")
+                self._mention(now, self.owner, Reason.MODE, f"a command came while {self.mode.name}")
             return
         if age > self.limits.stale_after * self.period:
             self.stale += 1
@@ -319,12 +319,16 @@ class Firmware:
             self._report_at(now + self._state_period)
 
     def _refuse(self, now: int, session: int, reason: Reason, text: str) -> None:
-        """Tell that a message has no effect, unless that was told too often in the last second."""
-        times = self._refused.setdefault(reason, deque(maxlen=self.limits.refusals))
+        """Tell that a message has no effect."""
+        self._say(now, Fault(session, int(reason), text))
+
+    def _mention(self, now: int, session: int, reason: Reason, text: str) -> None:
+        """Refuse what may come often, and tell it `Limits.refusals` times a second at most."""
+        times = self._mentioned.setdefault(reason, deque(maxlen=self.limits.refusals))
         if len(times) == self.limits.refusals and now - times[0] < 1_000_000:
             return
         times.append(now)
-        self._say(now, Fault(session, int(reason), text))
+        self._refuse(now, session, reason, text)
 
     def report(self, now: int, read: Callable[[int], Sensors]) -> None:
         """Send a state if one is due.

@@ -48,7 +48,7 @@ class Limits:
     """Gain [s/rad] with which motors are damped: duty = -damping * speed. The servo's own: with speeds that are 3 ms
     old motors swing by themselves from .04 s/rad on, and with such that are 5 ms old from .025."""
     refusals: int = 10
-    """Answers of one kind to messages that are refused, at most in a second."""
+    """How often a second a message that nobody should send is answered: a stranger's, or one of another schema."""
 
 
 def introduction(robot: RobotDescription, limits: Limits, firmware: str, servo_period: float) -> Handshake:

@@ -1,0 +1,486 @@
+"""The microcontroller's program alone: every rule of the contract, on a clock of the test's own."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from surefoot.deploy.frames import Frame
+from surefoot.deploy.wire import (
+    Arm,
+    Bye,
+    Codec,
+    Damp,
+    Disarm,
+    Fault,
+    Handshake,
+    Hello,
+    Message,
+    Mode,
+    Ping,
+    Pong,
+    Position,
+    Pwm,
+    Reason,
+    State,
+)
+from surefoot.emulator.firmware import Firmware, MotorOrder, Sensors, Vitals
+from surefoot.emulator.limits import Limits, introduction
+
+MS = 1000
+ME, OTHER = 7, 8
+TARGET = np.full(8, 1.5)
+
+
+class Bench:
+    """A microcontroller on a bench: sensors are what the test says, servo steps come every millisecond."""
+
+    def __init__(self, robot: Any, encoder: Any) -> None:
+        self.firmware = Firmware(Codec(8), introduction(robot, Limits(), "test 1", 0.001))
+        self.wire = encoder
+        self.now = 0
+        self.vitals = Vitals(np.arange(8) / 10, 0.0, 16.0, 25.0)
+        self.order: MotorOrder | None = None
+        self.said: list[Frame] = []
+        self.leads: list[int] = []
+        self.sensors = Sensors(*(np.zeros(8),) * 3, np.zeros(3), np.zeros(3), 5.0, 16.0, np.full(8, 25.0))
+
+    def read(self, lead: int) -> Sensors:
+        self.leads.append(lead)
+        return self.sensors
+
+    def run(self, milliseconds: int) -> list[Frame]:
+        """Let time pass; what was said."""
+        before = len(self.said)
+        for _ in range(milliseconds):
+            self.order = self.firmware.tick(self.now, self.vitals)
+            self.now += MS
+            self.firmware.report(self.now, self.read)
+            self.said += self.firmware.take()
+        return self.said[before:]
+
+    def send(self, message: Message, sent: float | None = None, number: int | None = None) -> list[Message]:
+        """Send a message, by default now and with the next number; the answers."""
+        sent = self.now / 1e6 + 100.0 if sent is None else sent
+        self.firmware.receive(self.now, self.wire.frame(message, sent, number))
+        answers = self.firmware.take()
+        self.said += answers
+        return [frame.message for frame in answers]
+
+    def arm(self, mode: Mode = Mode.POSITION, period: float = 0.006, after: float = 0.003) -> list[Message]:
+        return self.send(Arm(ME, int(mode), period, after))
+
+    def command(self, times: int, every: int = 6) -> None:
+        """Commands in good order."""
+        for _ in range(times):
+            self.send(Position(ME, TARGET))
+            self.run(every)
+
+    @property
+    def mode(self) -> tuple[Mode, Reason]:
+        return self.firmware.mode, self.firmware.reason
+
+
+@pytest.fixture
+def bench(robot, wire_bytes) -> Bench:
+    return Bench(robot, wire_bytes)
+
+
+@pytest.fixture
+def owned(bench) -> Bench:
+    bench.send(Hello(ME, 0.010))
+    bench.run(1)
+    return bench
+
+
+@pytest.fixture
+def armed(owned) -> Bench:
+    assert owned.arm() == []
+    owned.run(1)
+    assert owned.mode == (Mode.POSITION, Reason.NONE)
+    return owned
+
+
+def kinds(frames: list[Frame]) -> list[str]:
+    return [type(frame.message).__name__ for frame in frames]
+
+
+def fault_of(messages: list[Message]) -> tuple[int, Reason]:
+    (message,) = messages
+    assert isinstance(message, Fault)
+    assert message.text
+    return message.session, Reason(message.reason)
+
+
+def test_it_tells_what_it_is_and_counts_its_frames_from_one(bench, robot):
+    (said,) = bench.send(Hello(ME, 0.010))
+    assert isinstance(said, Handshake)
+    assert (said.session, said.robot, said.motor_names) == (ME, "minitaur", robot.motor_names)
+    np.testing.assert_array_equal(said.motor_signs, robot.motor_sign)
+    assert (said.servo_kp, said.servo_kd, said.servo_period) == (1.0, 0.015, 0.001)
+    assert (said.command_timeout, said.rearm_after) == (0.050, 0.5)
+    # Leg space: extension 0.6 to 2.7, swing up to 1; and 1 rad of room.
+    np.testing.assert_allclose([said.angle_low[0], said.angle_high[0]], [-1.4, 4.7])
+    bench.run(30)
+    assert [frame.sequence for frame in bench.said] == list(range(1, len(bench.said) + 1))
+
+
+def test_states_come_at_the_period_asked_for_and_stop_with_the_session(owned):
+    said = owned.run(100)
+    assert kinds(said) == ["State"] * 10
+    assert [round(frame.time * 1e3) for frame in said] == list(range(10, 101, 10))
+    state = said[0].message
+    assert isinstance(state, State)
+    assert (state.session, state.mode, state.command, state.energy) == (ME, Mode.DISARMED, 0, 0.0)
+    owned.send(Hello(ME, 0.020))
+    assert len(owned.run(100)) == 5
+    owned.send(Bye(ME))
+    assert owned.run(100) == []
+
+
+def test_nobody_owns_it_until_greeted(bench):
+    assert bench.run(50) == []
+    assert fault_of(bench.send(Arm(ME, 1, 0.006, 0.003))) == (ME, Reason.SESSION)
+    assert fault_of(bench.send(Hello(0, 0.01))) == (0, Reason.SESSION)
+    assert bench.mode == (Mode.DISARMED, Reason.NONE)
+
+
+def test_pings_are_answered_for_anybody_whatever_their_number(armed):
+    assert armed.send(Ping(12), number=1) == [Pong(12)]
+    assert armed.send(Ping(13), number=1) == [Pong(13)]
+    armed.send(Ping(14), number=10**6)
+    armed.command(3)
+    assert armed.mode == (Mode.POSITION, Reason.NONE)
+    assert armed.firmware.watch.old_numbers == 0
+
+
+def test_damped_is_the_default_and_position_holds_the_angles_that_it_finds(owned):
+    assert owned.order.mode == Mode.DISARMED
+    owned.arm()
+    owned.vitals = replace(owned.vitals, motor_angle=np.linspace(1, 2, 8))
+    owned.run(1)
+    assert owned.order.mode == Mode.POSITION
+    np.testing.assert_array_equal(owned.order.values, np.linspace(1, 2, 8))
+    owned.vitals = replace(owned.vitals, motor_angle=np.zeros(8))
+    owned.run(3)
+    np.testing.assert_array_equal(owned.order.values, np.linspace(1, 2, 8))
+    owned.send(Position(ME, TARGET))
+    owned.run(1)
+    np.testing.assert_array_equal(owned.order.values, TARGET)
+
+
+def test_pwm_gets_no_duty_before_the_first_command(owned):
+    owned.arm(Mode.PWM)
+    owned.run(1)
+    assert owned.order.mode == Mode.PWM
+    assert not owned.order.values.any()
+    owned.send(Pwm(ME, np.full(8, -0.5)))
+    owned.run(1)
+    np.testing.assert_array_equal(owned.order.values, np.full(8, -0.5))
+
+
+def test_each_command_makes_a_state_due_and_silence_leaves_the_commands_rhythm(armed):
+    start = armed.now
+    armed.send(Position(ME, TARGET))
+    number = armed.wire.number
+    said = armed.run(20)
+    # 3 ms after the command, and then every 6 ms.
+    assert [round(frame.time * 1e6) - start for frame in said] == [3 * MS, 9 * MS, 15 * MS]
+    assert [frame.message.command for frame in said] == [number] * 3
+    np.testing.assert_allclose([frame.message.command_age for frame in said], [0.003, 0.009, 0.015])
+    assert armed.leads[-3:] == [3 * MS] * 3
+
+
+def test_arming_again_changes_the_times_only(armed):
+    armed.send(Position(ME, TARGET))
+    armed.run(2)
+    assert armed.arm(period=0.010, after=0.010) == []
+    start = armed.now
+    armed.run(1)
+    np.testing.assert_array_equal(armed.order.values, TARGET)
+    assert round(armed.run(12)[0].time * 1e6) - start == 10 * MS
+    assert fault_of(armed.arm(Mode.PWM)) == (ME, Reason.MODE)
+    assert armed.mode == (Mode.POSITION, Reason.NONE)
+
+
+@pytest.mark.parametrize(("period", "after"), [(0.001, 0.001), (0.051, 0.01), (0.006, 0.007)])
+def test_periods_beyond_the_limits_are_refused(owned, period, after):
+    assert fault_of(owned.arm(period=period, after=after)) == (ME, Reason.COMMAND)
+    assert owned.mode == (Mode.DISARMED, Reason.NONE)
+
+
+@pytest.mark.parametrize("mode", [Mode.DISARMED, Mode.FAULT, 17])
+def test_only_modes_that_move_can_be_armed(owned, mode):
+    assert fault_of(owned.send(Arm(ME, int(mode), 0.006, 0.003))) == (ME, Reason.MODE)
+
+
+def test_disarm_and_bye_damp_in_good_order(armed):
+    armed.send(Disarm(ME))
+    armed.run(1)
+    assert armed.mode == (Mode.DISARMED, Reason.NONE)
+    assert armed.order.mode == Mode.DISARMED
+    assert armed.arm() == []  # without waiting
+    armed.send(Bye(ME))
+    assert (armed.firmware.mode, armed.firmware.owner) == (Mode.DISARMED, 0)
+
+
+def test_silence_damps_after_50_ms(armed):
+    armed.command(1, every=0)
+    start = armed.now
+    armed.run(50)
+    assert armed.mode == (Mode.POSITION, Reason.NONE)
+    said = armed.run(1)
+    assert armed.mode == (Mode.FAULT, Reason.TIMEOUT)
+    assert armed.order.mode == Mode.DISARMED
+    fault, state = (frame.message for frame in said)
+    assert (fault.session, fault.reason) == (ME, Reason.TIMEOUT)
+    assert (state.mode, state.reason) == (Mode.FAULT, Reason.TIMEOUT)
+    assert said[0].time * 1e6 - start == 50 * MS
+
+
+def test_pings_do_not_feed_the_watchdog(armed):
+    for _ in range(60):
+        armed.send(Ping(1))
+        armed.run(1)
+    assert armed.mode == (Mode.FAULT, Reason.TIMEOUT)
+
+
+def test_a_fault_stays_until_armed_after_500_ms_of_clean_link(armed):
+    armed.run(60)
+    assert armed.mode == (Mode.FAULT, Reason.TIMEOUT)
+    assert fault_of(armed.arm()) == (ME, Reason.NOT_CLEAN)
+    armed.run(400)  # silence is not clean
+    for step in range(11):
+        answers = armed.arm()
+        if step < 10:
+            assert fault_of(answers) == (ME, Reason.NOT_CLEAN)
+            assert armed.mode == (Mode.FAULT, Reason.TIMEOUT)
+            armed.run(50)
+    assert armed.mode == (Mode.POSITION, Reason.NONE)
+
+
+def test_a_damaged_frame_makes_the_link_unclean(armed):
+    armed.run(60)
+    for _ in range(9):
+        armed.send(Ping(1))
+        armed.run(50)
+    armed.firmware.receive(armed.now, b"\0\x05abc\0")
+    armed.send(Ping(1))
+    for _ in range(9):
+        armed.run(50)
+        assert fault_of(armed.arm()) == (ME, Reason.NOT_CLEAN)
+    armed.run(50)
+    assert armed.arm() == []
+
+
+def test_a_reason_outlives_its_session(armed):
+    armed.run(60)
+    armed.send(Disarm(ME))
+    assert armed.mode == (Mode.FAULT, Reason.TIMEOUT)
+    armed.send(Bye(ME))
+    assert armed.mode == (Mode.DISARMED, Reason.TIMEOUT)
+    armed.wire.number = 0
+    armed.send(Hello(OTHER, 0.01))
+    assert fault_of(armed.send(Arm(OTHER, 1, 0.006, 0.003))) == (OTHER, Reason.NOT_CLEAN)
+
+
+def test_the_operator_can_damp_at_once(armed):
+    assert fault_of(armed.send(Damp(ME))) == (ME, Reason.HOST)
+    armed.run(1)
+    assert armed.order.mode == Mode.DISARMED
+    assert armed.mode == (Mode.FAULT, Reason.HOST)
+
+
+def test_what_went_wrong_first_counts(armed):
+    armed.run(60)
+    armed.send(Damp(ME))
+    assert armed.mode == (Mode.FAULT, Reason.TIMEOUT)
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf, 4.8, -1.5])
+def test_a_command_that_is_no_angle_damps_at_once(armed, bad):
+    target = TARGET.copy()
+    target[3] = bad
+    assert fault_of(armed.send(Position(ME, target))) == (ME, Reason.COMMAND)
+    armed.run(1)
+    assert armed.order.mode == Mode.DISARMED
+
+
+@pytest.mark.parametrize("bad", [np.nan, 1.01, -1.01])
+def test_a_duty_beyond_one_damps_at_once(owned, bad):
+    owned.arm(Mode.PWM)
+    assert fault_of(owned.send(Pwm(ME, np.full(8, bad)))) == (ME, Reason.COMMAND)
+
+
+def test_three_commands_with_old_numbers_in_a_row_damp(armed):
+    armed.command(2)
+    number = armed.wire.number
+    for step, old in enumerate((number, number - 1, 1)):
+        assert armed.mode == (Mode.POSITION, Reason.NONE)
+        answers = armed.send(Position(ME, 0 * TARGET), number=old)
+        assert bool(answers) == (step == 2)
+        armed.run(1)
+    assert armed.mode == (Mode.FAULT, Reason.STALE)
+    assert armed.firmware.watch.old_numbers == 3
+
+
+def test_two_old_numbers_between_good_ones_are_dropped_and_counted(armed):
+    for _ in range(10):
+        armed.command(1)
+        for _ in range(2):
+            armed.send(Position(ME, 0 * TARGET), number=1)
+    said = armed.run(10)
+    assert armed.mode == (Mode.POSITION, Reason.NONE)
+    np.testing.assert_array_equal(armed.order.values, TARGET)
+    assert said[0].message.dropped == 20
+
+
+def test_commands_older_than_three_periods_are_dropped(armed):
+    sent = armed.now / 1e6 + 100.0
+    armed.send(Position(ME, TARGET), sent)
+    armed.run(6)
+    # 18 ms late is three periods: just in time. 18.1 ms is not.
+    armed.send(Position(ME, TARGET + 0.125), sent - 0.018 + 0.006)
+    armed.run(6)
+    np.testing.assert_array_equal(armed.order.values, TARGET + 0.125)
+    for step in range(3):
+        assert armed.mode == (Mode.POSITION, Reason.NONE)
+        armed.send(Position(ME, TARGET + 0.25), sent - 0.0181 + 0.012 + 0.006 * step)
+        armed.run(6)
+    assert armed.mode == (Mode.FAULT, Reason.STALE)
+    assert armed.firmware.stale == 3
+
+
+def test_the_quickest_frame_of_ten_seconds_is_the_measure_of_age(armed):
+    # A first frame that came 30 ms sooner than all that follow makes them old; after 11 s it is forgotten.
+    def later(delay: float) -> None:
+        armed.send(Ping(0))
+        armed.send(Position(ME, TARGET), armed.now / 1e6 + 100.0 - delay)
+
+    later(0.0)
+    armed.run(6)
+    for _ in range(2):
+        later(0.030)
+        armed.run(6)
+    assert armed.firmware.stale == 2
+    later(0.0)
+    for _ in range(12 * 50):
+        later(0.015)
+        armed.run(20)
+    later(0.030)
+    assert armed.firmware.stale == 2
+    assert armed.mode == (Mode.POSITION, Reason.NONE)
+
+
+@pytest.mark.parametrize(
+    ("change", "milliseconds", "reason"),
+    [
+        ({"tilt": 1.01}, 1, Reason.TILT),
+        ({"tilt": np.nan}, 1, Reason.TILT),
+        ({"temperature": 90.1}, 1, Reason.TEMPERATURE),
+        ({"voltage": 12.4}, 501, Reason.BATTERY),
+    ],
+)
+def test_the_robot_damps_itself(armed, change, milliseconds, reason):
+    good, armed.vitals = armed.vitals, replace(armed.vitals, **change)
+    for step in range(milliseconds):
+        assert armed.mode == (Mode.POSITION, Reason.NONE), step
+        armed.send(Position(ME, TARGET))
+        armed.run(1)
+    assert armed.mode == (Mode.FAULT, reason)
+    # As long as it is so, it does not arm however clean the link is.
+    for _ in range(11):
+        armed.send(Ping(1))
+        armed.run(50)
+    assert fault_of(armed.arm()) == (ME, reason)
+    armed.vitals = good
+    armed.run(1)
+    assert armed.arm() == []
+
+
+def test_a_moment_of_low_voltage_is_no_empty_battery(armed):
+    for voltage in (12.4, 12.6) * 5:
+        armed.vitals = replace(armed.vitals, voltage=voltage)
+        armed.command(80)
+    assert armed.mode == (Mode.POSITION, Reason.NONE)
+
+
+def test_a_second_operator_is_refused_and_the_first_keeps_the_robot(armed):
+    numbers = armed.wire.number
+    for _ in range(5):
+        assert fault_of(armed.send(Hello(OTHER, 0.01), number=900)) == (OTHER, Reason.BUSY)
+        assert fault_of(armed.send(Position(OTHER, 0 * TARGET), number=901)) == (OTHER, Reason.SESSION)
+        assert fault_of(armed.send(Damp(OTHER), number=902)) == (OTHER, Reason.SESSION)
+        armed.command(1)
+    assert armed.wire.number == numbers + 5
+    assert armed.mode == (Mode.POSITION, Reason.NONE)
+    np.testing.assert_array_equal(armed.order.values, TARGET)
+
+
+def test_a_robot_whose_operator_is_silent_for_a_second_can_be_taken(armed):
+    armed.run(999)
+    assert armed.mode == (Mode.FAULT, Reason.TIMEOUT)
+    # Last heard 1.001 s ago, when it was armed.
+    assert fault_of(armed.send(Hello(OTHER, 0.01), sent=3.0, number=1)) == (OTHER, Reason.BUSY)
+    armed.run(1)
+    (said,) = armed.send(Hello(OTHER, 0.01), sent=3.0, number=1)
+    assert isinstance(said, Handshake)
+    assert said.session == OTHER
+    assert armed.mode == (Mode.DISARMED, Reason.TIMEOUT)
+    assert fault_of(armed.send(Arm(ME, 1, 0.006, 0.003))) == (ME, Reason.SESSION)
+
+
+def test_a_greeting_of_the_same_session_is_answered_again(armed):
+    assert isinstance(armed.send(Hello(ME, 0.01))[0], Handshake)
+    assert armed.mode == (Mode.POSITION, Reason.NONE)
+
+
+def test_commands_for_another_mode_are_refused(owned):
+    assert fault_of(owned.send(Position(ME, TARGET))) == (ME, Reason.MODE)
+    owned.arm()
+    assert fault_of(owned.send(Pwm(ME, TARGET / 2))) == (ME, Reason.MODE)
+    assert owned.mode == (Mode.POSITION, Reason.NONE)
+    assert owned.run(10)[-1].message.dropped == 2
+
+
+def test_refusals_are_told_ten_times_a_second(bench):
+    told = [len(bench.send(Position(OTHER, TARGET))) + len(bench.run(5)) for _ in range(400)]
+    assert sum(told) == 20
+
+
+def test_a_frame_of_another_schema_is_told_in_ones_own(bench, wire_bytes):
+    wire_bytes.codec.schema ^= 1
+    told = []
+    for _ in range(30):
+        bench.firmware.receive(bench.now, wire_bytes.frame(Hello(ME, 0.01), 0.0))
+        told += bench.firmware.take()
+        bench.now += MS
+    assert [(f.message.session, f.message.reason) for f in told] == [(0, Reason.SCHEMA)] * 10
+    assert bench.firmware.owner == 0
+
+
+@pytest.mark.parametrize("harm", ["cut", "flip", "garbage before", "twice"])
+def test_harm_to_a_frame_never_makes_a_wrong_command(armed, wire_bytes, harm):
+    def send(change: Callable[[bytes], bytes] = lambda data: data) -> None:
+        data = change(wire_bytes.frame(Position(ME, TARGET), armed.now / 1e6 + 100.0))
+        armed.firmware.receive(armed.now, data)
+        armed.run(3)
+
+    changes: dict[str, Callable[[bytes], bytes]] = {
+        "cut": lambda data: data[:20],
+        "flip": lambda data: data[:9] + bytes([data[9] ^ 4]) + data[10:],
+        "garbage before": lambda data: b"\x17" * 30 + data,
+        "twice": lambda data: data + data,
+    }
+    for _ in range(10):
+        send()
+        before = armed.firmware.watch.last_number
+        send(changes[harm])
+        kept = harm in ("garbage before", "twice")
+        assert armed.firmware.watch.last_number == before + kept
+        np.testing.assert_array_equal(armed.order.values, TARGET)
+    assert armed.mode == (Mode.POSITION, Reason.NONE)

@@ -1,0 +1,196 @@
+"""The emulated body: the same motion as a simulation's, and sensors, battery and heat worked out by hand."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+pytest.importorskip("mujoco")
+
+from surefoot.deploy.poses import pose
+from surefoot.deploy.wire import Mode
+from surefoot.emulator.firmware import MotorOrder
+from surefoot.emulator.hardware import PowerConfig, SensorConfig, power_tick
+from surefoot.emulator.plant import Plant
+from surefoot.robot import PhysicalParams
+from surefoot.world.drive import set_drive_params
+from surefoot.world.interface import WorldConfig
+from surefoot.world.sim_world import SimWorld
+
+DAMPED = MotorOrder(Mode.DISARMED, np.zeros(8))
+
+
+def ideal(robot, **more) -> Plant:
+    return Plant(robot, sensors=SensorConfig.ideal(), power=PowerConfig.ideal(), **more)
+
+
+def position(values) -> MotorOrder:
+    return MotorOrder(Mode.POSITION, np.asarray(values, float))
+
+
+def test_it_moves_and_reads_as_a_simulation_does_to_the_last_bit(robot):
+    plant = ideal(robot)
+    plant.step(DAMPED)
+    # A simulation that goes on from the same state, with its servo on.
+    world = SimWorld(robot, 1, config=WorldConfig(rest=(0.0, 0.9)))
+    world.set_state(plant.world.get_state())
+    set_drive_params(world.drive, np.arange(1), world.params)
+    rng = np.random.default_rng(1)
+    target = pose(robot, 0.0, 1.5)
+    for _ in range(200):
+        target = np.clip(target + rng.uniform(-0.05, 0.05, 8), 1.0, 2.2)
+        readings = world.step(target)
+        order = position(target)
+        for _ in range(6):
+            plant.step(order)
+        seen = plant.read(0.0, 0.0)
+        np.testing.assert_array_equal(seen.motor_angle, readings.motor_angle[0])
+        np.testing.assert_array_equal(seen.motor_velocity, readings.motor_velocity[0])
+        np.testing.assert_array_equal(seen.roll_pitch_yaw, readings.roll_pitch_yaw[0])
+        np.testing.assert_array_equal(seen.angular_velocity_base, readings.angular_velocity_base[0])
+        np.testing.assert_array_equal(plant.capture().position, world.truth().base_position_world[0])
+
+
+def test_it_sits_when_switched_on_and_lies_down_damped(robot):
+    plant = ideal(robot)
+    swing, extension = robot.motor_to_leg_pose(plant.vitals().motor_angle)
+    np.testing.assert_allclose(swing, 0.0, atol=0.05)
+    np.testing.assert_allclose(extension, 0.9, atol=0.1)
+    for _ in range(1000):
+        plant.step(DAMPED)
+    # The belly's box is .087 m high.
+    assert plant.capture().position[2] == pytest.approx(0.0435, abs=0.002)
+    assert np.abs(plant.world.drive.now[0, 8:16]).max() < 1.0
+
+
+@pytest.mark.parametrize("servo_latency", [0.001, 0.003, 0.005])
+def test_damped_motors_come_to_rest_whatever_the_servos_latency(robot, servo_latency):
+    params = PhysicalParams.nominal(robot).with_values(robot, servo_latency=servo_latency)
+    plant = Plant(robot, params, rack=True)
+    for _ in range(8000):  # the legs sink until they hang
+        plant.step(DAMPED)
+    assert np.abs(plant.world.drive.now[0, 8:16]).max() < 0.05
+
+
+def test_readings_are_as_old_as_the_policy_will_see_them(robot):
+    plant = ideal(robot)
+    seen = []
+    for step in range(100):
+        plant.step(position(pose(robot, 0.0, 0.9 + 0.01 * step)))
+        seen.append(plant.vitals().motor_angle.copy())
+    # 20 ms when nobody is to come, 17 ms for a host that needs it 3 ms from now, halfway in between steps.
+    np.testing.assert_array_equal(plant.read(0.0, 0.0).motor_angle, seen[-21])
+    np.testing.assert_allclose(plant.read(0.0, 0.003).motor_angle, seen[-18], atol=1e-12)
+    halfway = (seen[-20] + seen[-21]) / 2
+    np.testing.assert_allclose(plant.read(0.0005, 0.0).motor_angle, halfway, atol=1e-9)
+    np.testing.assert_array_equal(plant.read(0.0, 1.0).motor_angle, seen[-1])
+    plant.extra_latency = 0.010
+    np.testing.assert_array_equal(plant.read(0.0, 0.0).motor_angle, seen[-31])
+
+
+def test_encoders_have_steps_and_sensors_noise_and_bias(robot):
+    params = PhysicalParams.nominal(robot).with_values(robot, imu_bias=[[0.02, -0.03]], imu_noise=0.01)
+    config = SensorConfig()
+    plant = Plant(robot, params, sensors=config, rack=True)
+    truth = ideal(robot, rack=True)
+    read = [plant.read(0.0, 0.0) for _ in range(4000)]
+    angle = read[0].motor_angle
+    np.testing.assert_allclose(angle / config.encoder_step, np.round(angle / config.encoder_step), atol=1e-9)
+    assert np.abs(angle - truth.read(0.0, 0.0).motor_angle).max() <= config.encoder_step / 2
+    speeds = np.array([seen.motor_velocity for seen in read])
+    np.testing.assert_allclose(speeds.std(0), config.speed_noise, rtol=0.1)
+    tilts = np.array([seen.roll_pitch_yaw for seen in read])
+    np.testing.assert_allclose(tilts.mean(0), [0.02, -0.03, 0.0], atol=0.001)
+    np.testing.assert_allclose(tilts.std(0), [0.01, 0.01, 0.0], rtol=0.1)
+    rates = np.array([seen.angular_velocity_base for seen in read])
+    np.testing.assert_allclose(rates.std(0), config.gyro_noise, rtol=0.1)
+    bias = rates.mean(0)
+    assert 0 < np.abs(bias).max() < 4 * config.gyro_bias
+    # The same seed is the same robot; the truth has none of it.
+    again = Plant(robot, params, sensors=config, rack=True)
+    np.testing.assert_array_equal(again.read(0.0, 0.0).motor_velocity, read[0].motor_velocity)
+    assert not truth.read(0.0, 0.0).angular_velocity_base.any()
+
+
+def test_a_motor_that_gets_a_duty_turns_as_a_dc_motor_does(robot):
+    plant = ideal(robot, rack=True)
+    duty = np.zeros(8)
+    duty[0] = 0.05
+    plant.step(MotorOrder(Mode.PWM, duty))
+    # At rest: I = duty V / R = .05 * 16 / .186 = 4.30 A, and the table gives .1 N m/A.
+    torque = plant.world.drive.motor_torque[0]
+    speed = plant.world.drive.now[0, 8:16]
+    assert torque[0] == pytest.approx(0.05 * 16 / 0.186 * 0.1, rel=0.02)
+    assert np.abs(torque[1:]).max() < 0.02
+    assert speed[0] > 0
+    plant.step(position(plant.vitals().motor_angle))
+    assert not plant.world.drive.duty.any()
+
+
+def test_battery_and_heat_by_hand():
+    temperature = np.array([25.0, 65.0])
+    # 1.45 N m is 15 A of the nominal motor; with half the strength .725 N m is. Speed 10 rad/s, K_t .1, R .2.
+    current = power_tick(
+        np.array([0.725, -0.5]),
+        np.array([10.0, 0.0]),
+        np.array([0.5, 0.5]),
+        np.array([0.0, 10.0, 20.0]),
+        np.array([0.0, 1.0, 1.9]),
+        *(0.1, 0.2, 16.0, 0.001, 25.0, 80.0, 2.0),
+        temperature,
+    )
+    # Motor 1: R I^2 = 45 W and K_t w I = 15 W. Motor 2 stands: -10 A, 20 W of heat. 80 W from 16 V.
+    assert current == pytest.approx(5.0)
+    # 45 W into 80 J/K; 20 W in and (65 - 25) / 2 W out.
+    np.testing.assert_allclose(temperature, [25.0 + 45 / 80 * 0.001, 65.0])
+
+
+def test_the_battery_sags_under_load_and_empties(robot):
+    plant = Plant(robot, power=replace(PowerConfig(), battery_capacity=100.0))
+    assert plant.voltage == 16.0
+    for step in range(1000):
+        plant.step(position(pose(robot, 0.0, min(0.9 + 0.002 * step, 2.0))))
+    used = plant._used
+    assert used > 0.5
+    rested = 16.0 - PowerConfig.battery_drop * used / 100.0
+    assert rested - 1.0 < plant.voltage < rested
+    assert plant.temperature.max() > 25.0
+    plant.voltage_drop = 2.0
+    plant.step(DAMPED)
+    plant.step(DAMPED)
+    assert plant.voltage == pytest.approx(rested - 2.0, abs=0.3)
+
+
+def test_a_nominal_battery_stays_near_its_voltage(robot):
+    plant = Plant(robot)
+    for step in range(600):
+        plant.step(position(pose(robot, 0.0, min(0.9 + 0.002 * step, 2.0))))
+    assert 15.0 < plant.voltage < 16.0
+
+
+def test_a_slow_servo_holds_its_duty_between_two_steps(robot):
+    target = position(pose(robot, 0.0, 1.2))
+    slow, one = ideal(robot, rack=True, servo_every=5), ideal(robot, rack=True)
+    duties = []
+    for _ in range(50):
+        slow.step(target)
+        duties.append(slow.world.drive.duty[0].copy())
+        one.step(target)
+    rows = np.array(duties).reshape(10, 5, 8)
+    np.testing.assert_array_equal(rows, np.repeat(rows[:, :1], 5, axis=1))
+    # kp (q_target - q) at rest, before anything moved.
+    np.testing.assert_allclose(rows[0, 0], np.clip(target.values - ideal(robot, rack=True).vitals().motor_angle, -1, 1))
+    assert not np.array_equal(slow.vitals().motor_angle, one.vitals().motor_angle)
+
+
+def test_feet_on_the_ground_are_counted(robot):
+    plant = ideal(robot)
+    for step in range(2000):
+        plant.step(position(pose(robot, 0.0, min(0.9 + 0.001 * step, 2.0))))
+    before = plant.capture().contact_ticks
+    for _ in range(50):
+        plant.step(position(pose(robot, 0.0, 2.0)))
+    np.testing.assert_array_equal(plant.capture().contact_ticks - before, 50.0)
+    assert plant.capture().position[2] > 0.2
