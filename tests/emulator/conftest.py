@@ -9,7 +9,6 @@ import sys
 import time
 import tty
 from collections.abc import Callable, Iterator
-from pathlib import Path
 from typing import Any
 
 import numpy as np

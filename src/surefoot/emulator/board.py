@@ -59,6 +59,7 @@ class Board:
             Line(line_config(faults, baud, to_host), generator(seed, "line to host" if to_host else "line to robot"))
             for to_host in (False, True)
         )
+        self._harm_lines()
         self.now = 0
         self.reboots = 0
         self.on_step: Callable[[int], None] | None = None
@@ -142,8 +143,7 @@ class Board:
         self._send()
         self.plant.step(order)
         self.sabotage.tick(end, self.firmware.armed)
-        harmed = self.sabotage.harms_lines
-        self.inbound.harmful, self.outbound.harmful = harmed, harmed
+        self._harm_lines()
         if self.sabotage.unplugged and not self.inbound.dead:
             self.inbound.cut_off()
             self.outbound.cut_off()
@@ -153,6 +153,9 @@ class Board:
             self.reboots += 1
         if self.on_step is not None:
             self.on_step(end)
+
+    def _harm_lines(self) -> None:
+        self.inbound.harmful = self.outbound.harmful = self.sabotage.harms_lines
 
     def _read(self, lead: int) -> Sensors:
         since = (self.now - self.plant.ticks * self._step) / 1e6

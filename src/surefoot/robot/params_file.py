@@ -40,7 +40,8 @@ def read_params(path: Path, robot: RobotDescription) -> ParamsFile:
     """Read the physical parameters of a robot.
 
     Raises:
-        SurefootError: no such file, no TOML, no table [params], or a parameter or value that the robot does not have.
+        SurefootError: no such file, no TOML, no table [params], another robot's, or a parameter or value that the
+            robot does not have.
     """
     try:
         data = tomllib.loads(path.read_text(encoding="utf-8"))
@@ -51,6 +52,8 @@ def read_params(path: Path, robot: RobotDescription) -> ParamsFile:
     table = data.pop("params", None)
     if not isinstance(table, dict):
         raise SurefootError(f"parameters {path}: has no table [params]; it holds NAME = number or list")
+    if data.get("robot", robot.name) != robot.name:
+        raise SurefootError(f"parameters {path}: are for robot '{data['robot']}', not for '{robot.name}'")
     for name, value in table.items():
         numbers = value if isinstance(value, list) else [value]
         if not numbers or not all(isinstance(x, int | float) and not isinstance(x, bool) for x in numbers):

@@ -1,0 +1,329 @@
+"""Faults by name: how they are asked for, and what each does to a running robot."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+pytest.importorskip("mujoco")
+
+from surefoot.deploy.frames import Frame
+from surefoot.deploy.poses import pose
+from surefoot.deploy.wire import Arm, Fault, Handshake, Hello, Mode, Ping, Pong, Position, Reason, State
+from surefoot.emulator.board import Board
+from surefoot.emulator.faults import FAULTS, describe, parse_faults
+from surefoot.emulator.hardware import PowerConfig, SensorConfig
+from surefoot.emulator.limits import Limits, introduction
+from surefoot.emulator.plant import Plant
+from surefoot.errors import SurefootError
+
+ME = 7
+STEP = 6000
+
+
+class Rig:
+    """A board, and an operator whose bytes take no time."""
+
+    def __init__(self, robot, encoder, *words: str, rack: bool = True, period: float = 0.001) -> None:
+        plant = Plant(robot, sensors=SensorConfig.ideal(), power=PowerConfig.ideal(), rack=rack)
+        said = introduction(robot, Limits(), "test 1", period)
+        self.robot, self.wire = robot, encoder
+        self.board = Board(plant, said, Limits(), parse_faults(words), seed=1)
+        self.frames: list[Frame] = []
+        self.angles = pose(robot, 0.0, 1.5)
+
+    def send(self, message) -> None:
+        self.board.hear(self.board.now, self.wire.frame(message, self.board.now / 1e6))
+        self.run(0)
+
+    def run(self, microseconds: int) -> list[Frame]:
+        self.board.run_to(self.board.now + microseconds)
+        found = self.wire.decoder.feed(self.board.said())
+        self.frames += found
+        return found
+
+    def arm(self) -> None:
+        self.send(Hello(ME, 0.010))
+        self.run(10_000)
+        self.send(Arm(ME, int(Mode.POSITION), 0.006, 0.006))
+
+    def walk(self, steps: int, angles=None) -> list[Frame]:
+        """Send commands, by default of one pose; what came."""
+        before = len(self.frames)
+        for _ in range(steps):
+            self.send(Position(ME, self.angles if angles is None else angles))
+            self.run(STEP)
+        return self.frames[before:]
+
+    @property
+    def states(self) -> list[Frame]:
+        return [frame for frame in self.frames if isinstance(frame.message, State)]
+
+    @property
+    def reasons(self) -> list[Reason]:
+        return [Reason(frame.message.reason) for frame in self.frames if isinstance(frame.message, Fault)]
+
+    @property
+    def mode(self) -> tuple[Mode, Reason]:
+        return self.board.firmware.mode, self.board.firmware.reason
+
+
+@pytest.fixture
+def rig(robot, wire_bytes):
+    def make(*words: str, **more) -> Rig:
+        return Rig(robot, wire_bytes, *words, **more)
+
+    return make
+
+
+def test_words_become_faults():
+    found = parse_faults(["drop=0.2", "unplug=1.5", "battery-low=13@3.5", "other-robot", "hang", "corrupt@2"])
+    assert list(found) == ["drop", "unplug", "battery-low", "other-robot", "hang", "corrupt"]
+    assert (found["drop"].value, found["drop"].start) == (0.2, 0.0)
+    assert found["unplug"].start == 1.5
+    assert (found["battery-low"].value, found["battery-low"].start) == (13.0, 3.5)
+    assert math.isnan(found["other-robot"].value)
+    assert (found["hang"].value, found["hang"].start) == (FAULTS["hang"].value, 1.0)
+    assert found["corrupt"].start == 2.0
+
+
+@pytest.mark.parametrize(
+    ("word", "said"),
+    [
+        ("melt", "'melt' is no fault; choices: corrupt, drop"),
+        ("drop=2", r"fault drop is 2; it must be 0 to 1 \(unit: chance a frame\)"),
+        ("drop=-1", "fault drop is -1; it must be 0 to 1"),
+        ("drop=x", "fault 'drop=x' gives no number; write NAME, NAME=VALUE or NAME=VALUE@TIME"),
+        ("drop=nan", "gives no number"),
+        ("drop=", "gives no number"),
+        ("drop@-1", "fault drop begins at -1 s; it must be 0 or more"),
+        ("unplug=-1", r"fault unplug is -1; it must be 0 or more \(unit: s after arming\)"),
+        ("unplug@2", "fault unplug takes its time as unplug=TIME; 'unplug@2' gives another"),
+        ("other-robot=3", "fault other-robot takes no number; 'other-robot=3' gives one"),
+        ("flip-sign=8", "fault flip-sign is 8; it must be 0 to 7"),
+        ("swap-motors=7", "fault swap-motors is 7; it must be 0 to 6"),
+        ("flip-sign=0.5", "fault flip-sign is 0.5; it must be a whole number"),
+    ],
+)
+def test_what_is_no_fault_is_told(word, said):
+    with pytest.raises(SurefootError, match=said):
+        parse_faults([word])
+
+
+def test_a_fault_is_given_once_and_goes_with_its_clock():
+    with pytest.raises(SurefootError, match="fault drop is given twice"):
+        parse_faults(["drop", "drop=0.1"])
+    for name in ("batching", "overload"):
+        with pytest.raises(SurefootError, match=f"fault {name} is about real time; it does not go with --lockstep"):
+            parse_faults([name], lockstep=True)
+
+
+def test_every_fault_is_described():
+    lines = describe()
+    assert len(lines) == len(FAULTS)
+    assert lines[1] == "drop=0.05 (chance a frame): frames are lost"
+
+
+def test_without_faults_nothing_goes_wrong(rig):
+    bench = rig()
+    bench.arm()
+    bench.walk(50)
+    assert bench.mode == (Mode.POSITION, Reason.NONE)
+    assert bench.reasons == []
+    assert [frame.sequence for frame in bench.frames] == list(range(1, len(bench.frames) + 1))
+
+
+@pytest.mark.parametrize("name", ["corrupt", "drop", "duplicate", "reorder", "garbage", "cut-frames"])
+def test_a_bad_line_never_makes_a_wrong_command(rig, name):
+    bench = rig(f"{name}=0.1")
+    while not bench.board.firmware.armed:
+        bench.arm()
+    for step in range(300):
+        bench.send(Position(ME, bench.angles + step / 1024))
+        bench.run(STEP)
+        order = bench.board.firmware._order
+        if bench.board.firmware.armed and bench.board.firmware._command:
+            offset = (order.values - bench.angles)[0] * 1024
+            assert offset == pytest.approx(round(offset), abs=1e-3)
+            assert step - 5 <= offset <= step
+    counts = bench.board.inbound.counts
+    assert getattr(counts, {"cut-frames": "cut"}.get(name, name)) > 10
+
+
+def test_line_faults_can_begin_later(rig):
+    bench = rig("drop=1@0.1")
+    bench.arm()
+    bench.walk(16)
+    assert bench.mode == (Mode.POSITION, Reason.NONE)
+    bench.walk(20)
+    assert bench.mode == (Mode.FAULT, Reason.TIMEOUT)
+
+
+def test_a_pulled_cable(rig):
+    bench = rig("unplug=0.1")
+    bench.arm()
+    assert bench.walk(16)
+    assert bench.walk(30)[1:] == []
+    assert bench.mode == (Mode.FAULT, Reason.TIMEOUT)
+
+
+def test_swapped_motors(rig):
+    bench = rig("swap-motors=2")
+    bench.arm()
+    angles = bench.angles.copy()
+    angles[2] += 0.05
+    bench.walk(100, angles)
+    moved = bench.states[-1].message.motor_angle - bench.angles
+    assert np.argmax(moved) == 3
+    assert moved[3] - moved[2] > 0.04
+
+
+def test_a_motor_that_turns_the_other_way(rig):
+    right, wrong = rig(), rig("flip-sign=4")
+    for bench in (right, wrong):
+        bench.wire.number = 0
+        bench.angles = bench.robot.resting_angles.copy()
+        bench.angles[4] += 0.05
+        bench.arm()
+        bench.walk(200)
+    rest = right.robot.resting_angles
+    one, other = (bench.states[-1].message.motor_angle - rest for bench in (right, wrong))
+    assert one[4] == pytest.approx(0.05, abs=0.02)
+    assert other[4] == pytest.approx(-0.05, abs=0.02)
+
+
+def test_an_encoder_that_reads_the_other_way(rig):
+    bench = rig("flip-encoder=1")
+    bench.arm()
+    bench.walk(200)
+    truth, rest = bench.board.plant.vitals().motor_angle, bench.robot.resting_angles
+    seen = bench.states[-1].message.motor_angle
+    assert seen[1] - rest[1] == pytest.approx(-(truth[1] - rest[1]), abs=0.01)
+    np.testing.assert_allclose(np.delete(seen, 1), np.delete(truth, 1), atol=0.01)
+
+
+@pytest.mark.parametrize(("way", "signs"), [("0", None), ("1", (-1, 1)), ("2", (1, -1)), ("3", (-1, -1))])
+def test_an_imu_that_is_mounted_otherwise(rig, robot, way, signs):
+    from surefoot.robot import PhysicalParams
+
+    bench = rig(f"imu-flip={way}")
+    plant = bench.board.plant
+    plant.params = PhysicalParams.nominal(robot)
+    plant._imu_bias = np.array([0.1, 0.2])
+    bench.arm()
+    bench.walk(2)
+    roll, pitch, _ = bench.states[-1].message.roll_pitch_yaw
+    expected = (0.2, 0.1) if signs is None else (0.1 * signs[0], 0.2 * signs[1])
+    np.testing.assert_allclose([roll, pitch], expected, rtol=1e-6)
+
+
+def test_a_robot_that_says_it_is_another(rig, robot):
+    bench = rig("other-robot", "other-order", "other-gains=2", "slow-servo=0.002")
+    bench.send(Hello(ME, 0.01))
+    said = bench.frames[0].message
+    assert isinstance(said, Handshake)
+    assert said.robot == "not-minitaur"
+    assert said.motor_names[:2] == robot.motor_names[1::-1]
+    assert sorted(said.motor_names) == sorted(robot.motor_names)
+    assert (said.servo_kp, said.servo_kd) == pytest.approx((2.0, 0.03))
+    assert said.servo_period == pytest.approx(0.002)
+
+
+def test_a_robot_of_another_schema(rig):
+    bench = rig("other-schema")
+    bench.send(Hello(ME, 0.01))
+    assert bench.frames == []
+    assert bench.wire.decoder.counts.foreign == 1
+    assert bench.board.firmware.owner == 0
+
+
+def test_states_that_are_old(rig):
+    bench = rig("stale-state=0.1")
+    bench.arm()
+    bench.walk(40)
+    late = [frame for frame in bench.states if frame.sequence > 30]
+    assert len({frame.time for frame in late}) == 1
+    assert len({frame.sequence for frame in late}) == len(late)
+    bench.send(Ping(1))
+    assert any(isinstance(f.message, Pong) and f.time == bench.board.now / 1e6 for f in bench.frames)
+
+
+@pytest.mark.parametrize(("name", "step"), [("repeat-sequence", 0), ("backward-sequence", -1)])
+def test_states_whose_numbers_do_not_rise(rig, name, step):
+    bench = rig(f"{name}=0.1")
+    bench.arm()
+    bench.walk(25)
+    numbers = [frame.sequence for frame in bench.states]
+    assert np.diff(numbers[:10]).tolist() == [1] * 9
+    assert np.diff(numbers[-5:]).tolist() == [step] * 4
+
+
+def test_readings_that_are_older_than_they_should_be(rig):
+    bench = rig("late-states=0.03")
+    assert bench.board.plant.extra_latency == 0.03
+
+
+def test_a_battery_that_gets_low(rig):
+    bench = rig("battery-low=12@0.1")
+    bench.arm()
+    bench.walk(16)
+    assert bench.states[-1].message.voltage == pytest.approx(16.0, abs=0.01)
+    # 4 V at 2 V/s, and 12.5 V are passed .25 s before; then half a second.
+    bench.walk(420)
+    assert bench.states[-1].message.voltage == pytest.approx(12.0, abs=0.01)
+    (frame,) = (frame for frame in bench.frames if isinstance(frame.message, Fault))
+    assert frame.message.reason == Reason.BATTERY
+    assert frame.time == pytest.approx(0.01 + 0.1 + 1.75 + 0.5, abs=0.01)
+
+
+def test_a_motor_that_grows_hot(rig):
+    bench = rig("motor-hot=95@0.1")
+    bench.arm()
+    bench.walk(330)
+    (frame,) = (frame for frame in bench.frames if isinstance(frame.message, Fault))
+    assert frame.message.reason == Reason.TEMPERATURE
+    # 65 degC at 40 degC/s.
+    assert frame.time == pytest.approx(0.01 + 0.1 + 65 / 40, abs=0.05)
+    assert bench.states[-1].message.temperature[0] > 89
+    assert bench.states[-1].message.temperature[1] < 40
+
+
+@pytest.mark.parametrize("extension", [0.9, 2.0])
+def test_a_push_topples_the_robot(rig, robot, extension):
+    bench = rig("tilt=1.0", rack=False)
+    bench.arm()
+    first = bench.states[-1].message.motor_angle
+    last = pose(robot, 0.0, extension)
+    for step in range(400):
+        bench.walk(1, first + (last - first) * min(step / 150, 1.0))
+    assert bench.mode == (Mode.FAULT, Reason.TILT)
+    assert bench.reasons[0] == Reason.TILT
+
+
+def test_a_microcontroller_that_starts_anew(rig):
+    bench = rig("reboot=0.1")
+    bench.arm()
+    bench.walk(16)
+    assert bench.mode == (Mode.POSITION, Reason.NONE)
+    bench.walk(60)
+    assert bench.board.reboots == 1
+    assert bench.mode == (Mode.DISARMED, Reason.NONE)
+    assert bench.board.firmware.owner == 0
+    assert set(bench.reasons) == {Reason.SESSION}
+    # It counts from one again, and can be greeted again.
+    assert bench.frames[-1].sequence < 20
+    bench.send(Hello(ME, 0.01))
+    assert isinstance(bench.frames[-1].message, Handshake)
+
+
+def test_a_microcontroller_that_stands_still(rig):
+    bench = rig("hang=0.2@0.1")
+    bench.arm()
+    bench.walk(16)
+    assert bench.walk(30)[2:] == []
+    bench.walk(10)
+    # Then all that has come meanwhile is heard at once: the oldest of it is too old.
+    assert bench.board.firmware.mode == Mode.FAULT
+    assert bench.board.firmware.reason in (Reason.STALE, Reason.TIMEOUT)

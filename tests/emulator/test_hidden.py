@@ -1,0 +1,58 @@
+"""Hidden parameters."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from surefoot.emulator.hidden import PARAMS, SERVO_LATENCY, draw_hidden
+from surefoot.errors import SurefootError
+from surefoot.robot import PhysicalParams
+from surefoot.task.randomize import ROWS, load_ranges
+
+RANGES = load_ranges("table1").ranges
+
+
+def test_every_number_is_within_its_range_and_the_rest_is_nominal(robot):
+    nominal = PhysicalParams.nominal(robot)
+    drawn = [draw_hidden(robot, RANGES, seed) for seed in range(200)]
+    for name in PhysicalParams.names():
+        values = np.array([getattr(params, name)[0] for params in drawn])
+        row = next((row for row, names in PARAMS.items() if name in names), None)
+        if row is None:
+            np.testing.assert_array_equal(values, np.broadcast_to(getattr(nominal, name)[0], values.shape))
+            continue
+        value = float(np.ravel(getattr(nominal, name))[0])
+        around = (0.9 * value, 1.1 * value)
+        known = {"torque_constant": around, "resistance": around, "servo_latency": SERVO_LATENCY, **RANGES}
+        low, high = known[row]
+        assert low <= values.min()
+        assert values.max() <= high
+        assert values.max() - values.min() > 0.9 * (high - low), name
+
+
+def test_the_control_step_is_the_hosts(robot):
+    assert "control_step" in RANGES
+    assert draw_hidden(robot, RANGES, 3).control_step[0] == 0.006
+
+
+def test_rows_are_those_of_randomization():
+    for row, names in PARAMS.items():
+        assert ROWS[row].params == names
+
+
+def test_a_seed_is_a_robot(robot):
+    one, same, other = (draw_hidden(robot, RANGES, seed) for seed in (4, 4, 5))
+    for name in PhysicalParams.names():
+        np.testing.assert_array_equal(getattr(one, name), getattr(same, name))
+    assert one.voltage != other.voltage
+    assert len(set(one.motor_strength[0])) == 8
+    assert len(set(one.motor_friction[0])) == 1
+    # What one row draws does not change with the others.
+    alone = draw_hidden(robot, {"voltage": RANGES["voltage"]}, 4)
+    assert alone.voltage == one.voltage
+
+
+def test_a_range_beyond_the_robots_is_refused(robot):
+    with pytest.raises(SurefootError, match=r"voltage is .*; minitaur allows 5 to 30"):
+        draw_hidden(robot, {"voltage": (40.0, 50.0)}, 1)

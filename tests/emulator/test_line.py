@@ -1,0 +1,110 @@
+"""The serial line: how long bytes take, and what can happen to frames."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+
+from surefoot.deploy.frames import Decoder, encode_frame
+from surefoot.deploy.wire import Codec, Ping
+from surefoot.emulator.line import Line, LineConfig
+
+
+def line(**config) -> Line:
+    return Line(LineConfig(**config), np.random.default_rng(5))
+
+
+def arrivals(line: Line) -> list[tuple[int, bytes]]:
+    found = []
+    while line.next_time is not None:
+        found.append((line.next_time, line.take()))
+    return found
+
+
+def test_bytes_take_their_time():
+    slow = line(baud=100_000)  # 10 bytes a millisecond
+    slow.send(1000, b"\0aaaaaaaa\0" + b"\0bbb\0")
+    slow.send(5000, b"\0cccccccc\0")
+    assert arrivals(slow) == [(2000, b"\0aaaaaaaa\0"), (2500, b"\0bbb\0"), (6000, b"\0cccccccc\0")]
+    assert arrivals(line()) == []
+
+
+def test_without_a_baud_rate_they_take_none():
+    quick = line()
+    quick.send(7, b"\0aa\0\0bb")
+    assert arrivals(quick) == [(7, b"\0aa\0")]
+    quick.send(9, b"b\0")
+    assert arrivals(quick) == [(9, b"\0bbb\0")]
+
+
+def test_bytes_that_never_end_are_passed_on():
+    quick = line()
+    for _ in range(100):
+        quick.send(0, b"x" * 100)
+    assert sum(len(data) for _, data in arrivals(quick)) > 4000
+
+
+def test_batches_come_at_multiples_of_their_period():
+    batched = line(batch=0.016)
+    for at in (0, 1, 15_999, 16_000, 16_001):
+        batched.send(at, b"\0a\0")
+    assert [at for at, _ in arrivals(batched)] == [0, 16_000, 16_000, 16_000, 32_000]
+
+
+def test_a_cable_that_is_pulled_loses_what_is_on_its_way():
+    pulled = line(baud=9600)
+    pulled.send(0, b"\0a\0")
+    pulled.cut_off()
+    pulled.send(1, b"\0b\0")
+    assert arrivals(pulled) == []
+
+
+@pytest.mark.parametrize("harm", ["corrupt", "drop", "duplicate", "reorder", "garbage", "cut"])
+def test_each_harm_strikes_at_its_rate_and_only_its_own_frames(harm):
+    codec = Codec(8)
+
+    struck, decoder, heard, count = line(**{harm: 0.2}), Decoder(codec), [], 5000
+    for number in range(1, count + 1):
+        struck.send(number, encode_frame(codec, Ping(number), number, 0.0))
+        for _, data in arrivals(struck):
+            heard += [frame.sequence for frame in decoder.feed(data)]
+    times = getattr(struck.counts, harm)
+    assert times == pytest.approx(0.2 * count, rel=0.1)
+    others = [value for name, value in vars(struck.counts).items() if name != harm]
+    assert not any(others)
+    in_order = all(a < b for a, b in itertools.pairwise(heard))
+    if harm in ("corrupt", "drop", "cut"):
+        # A bit turned over in the zeros around a frame, or a cut that takes only one of them, harms nothing.
+        assert count - times <= len(heard) <= count - (times if harm == "drop" else 0)
+        assert in_order
+    elif harm == "duplicate":
+        assert len(heard) == count + times
+        assert sorted(set(heard)) == list(range(1, count + 1))
+    elif harm == "reorder":
+        assert set(range(1, count)) <= set(heard)
+        assert not in_order
+    else:
+        assert heard == list(range(1, count + 1))
+    harmed = decoder.counts.damaged
+    assert (harmed > 0) == (harm in ("corrupt", "cut", "garbage"))
+
+
+def test_the_same_generator_does_the_same_again():
+    def run() -> list[tuple[int, bytes]]:
+        again = line(corrupt=0.3, drop=0.1, duplicate=0.1, reorder=0.1, garbage=0.1, cut=0.1)
+        for number in range(300):
+            again.send(number, b"\0" + bytes([number % 255 + 1] * 20) + b"\0")
+        return arrivals(again)
+
+    assert run() == run()
+
+
+def test_nothing_strikes_while_it_is_not_harmful():
+    later = line(drop=1.0)
+    later.harmful = False
+    later.send(0, b"\0a\0")
+    later.harmful = True
+    later.send(0, b"\0b\0")
+    assert arrivals(later) == [(0, b"\0a\0")]

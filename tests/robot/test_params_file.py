@@ -1,0 +1,82 @@
+"""Files of physical parameters."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from surefoot.errors import SurefootError
+from surefoot.robot import PhysicalParams, RobotDescription
+from surefoot.robot.params_file import read_params, write_params
+
+
+@pytest.fixture(scope="module")
+def robot() -> RobotDescription:
+    return RobotDescription.load("minitaur")
+
+
+def test_what_is_written_is_read_to_the_last_bit(robot, tmp_path):
+    rng = np.random.default_rng(1)
+    params = PhysicalParams.nominal(robot).with_values(
+        robot, motor_strength=rng.uniform(0.8, 1.2, (1, 8)), voltage=15.1 + 1e-15, imu_bias=[[0.1, -0.2]]
+    )
+    tables = {"origin": {"date": '"x" \\ y', "tries": 3, "good": True, "interval": [0.1, 1e-7]}}
+    path = write_params(tmp_path / "p.toml", robot, params, tables)
+    found = read_params(path, robot)
+    for name in PhysicalParams.names():
+        np.testing.assert_array_equal(getattr(found.params, name), getattr(params, name), err_msg=name)
+    assert found.given == tuple(PhysicalParams.names())
+    assert found.tables == {"robot": "minitaur", **tables}
+
+
+def test_what_is_not_named_is_nominal(robot, tmp_path):
+    path = tmp_path / "p.toml"
+    path.write_text('date = 2026-01-01\n[params]\nvoltage = 15\nmotor_strength = 0.9\n[note]\ntext = "hello"\n')
+    found = read_params(path, robot)
+    assert found.given == ("voltage", "motor_strength")
+    assert found.params.voltage[0] == 15.0
+    np.testing.assert_array_equal(found.params.motor_strength, np.full((1, 8), 0.9))
+    assert found.params.resistance[0] == robot.actuator.resistance
+    assert found.tables["note"] == {"text": "hello"}
+
+
+def test_some_names_only_can_be_written(robot, tmp_path):
+    path = write_params(tmp_path / "p.toml", robot, PhysicalParams.nominal(robot), names=("voltage", "servo_kp"))
+    assert read_params(path, robot).given == ("voltage", "servo_kp")
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("voltage = 15", r"p\.toml: has no table \[params\]"),
+        ("params = 3", r"p\.toml: has no table \[params\]"),
+        ("[params", r"p\.toml: is not TOML"),
+        ('robot = "cat"\n[params]', r"p\.toml: are for robot 'cat', not for 'minitaur'"),
+        ("[params]\nvolts = 15", r"p\.toml: 'volts' is no physical parameter; choices: base_mass_ratio"),
+        ("[params]\nvoltage = 99", r"p\.toml: voltage is 99; minitaur allows 5 to 30"),
+        ("[params]\nvoltage = nan", r"p\.toml: voltage is nan"),
+        ('[params]\nvoltage = "15"', r"p\.toml: params\.voltage is '15'; it must be a number or a list"),
+        ("[params]\nvoltage = true", r"p\.toml: params\.voltage is True"),
+        ("[params]\nvoltage = []", r"p\.toml: params\.voltage is \[\]"),
+        ("[params]\nmotor_strength = [1.0, 0.9]", r"p\.toml: motor_strength has shape \(2,\); it must fit \(1, 8\)"),
+    ],
+)
+def test_what_does_not_fit_is_told_in_one_line_with_the_file(robot, tmp_path, text, said):
+    path = tmp_path / "p.toml"
+    path.write_text(text)
+    with pytest.raises(SurefootError, match=said) as caught:
+        read_params(path, robot)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_missing_file_and_folder(robot, tmp_path):
+    with pytest.raises(SurefootError, match="No such file"):
+        read_params(tmp_path / "p.toml", robot)
+    with pytest.raises(SurefootError, match="No such file"):
+        write_params(tmp_path / "there" / "p.toml", robot, PhysicalParams.nominal(robot))
+
+
+def test_what_toml_cannot_hold_is_refused(robot, tmp_path):
+    with pytest.raises(SurefootError, match="can't hold None"):
+        write_params(tmp_path / "p.toml", robot, PhysicalParams.nominal(robot), {"a": {"b": None}})
+    assert list(tmp_path.iterdir()) == []
