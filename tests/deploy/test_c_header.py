@@ -274,6 +274,8 @@ def odd_frames(rng: random.Random) -> list[bytes]:
         made.append(whole_frame(HEADER.pack(version, 2, foreign, 1, 2) + rng.randbytes(rng.randrange(300))))
     for code, size in [(0, 0), (2, 0), (2, 3), (2, 5), (67, 129), (67, 131), (200, 0), (200, 4)]:
         made.append(whole_frame(HEADER.pack(VERSION, code, schema, 1, 2) + rng.randbytes(size)))
+    made += [whole_frame(HEADER.pack(2, 2, schema, 1, 2) + b"\7" * size) for size in range(990, 1005)]
+    assert {MAX_FRAME, MAX_FRAME + 1} <= {len(frame) - 2 for frame in made}
     return [*made, *(whole_frame(rng.randbytes(size)) for size in (0, 1, 17))]
 
 

@@ -151,7 +151,7 @@ def test_number_and_time_arrive(example: Example, sequence: int, time: float):
     assert 0 not in data[1:-1]
     (frame,) = Decoder(CODEC).feed(data)
     assert frame.sequence == sequence
-    assert frame.time == pytest.approx(time, abs=0.5000001e-6)
+    assert frame.time == pytest.approx(time, rel=1e-15, abs=0.5000001e-6)
     assert encode_frame(CODEC, frame.message, frame.sequence, frame.time) == data
 
 
@@ -266,6 +266,16 @@ def test_a_frame_of_another_version_or_schema_is_foreign(version: int, schema: i
     assert numbers(decoder.feed(stream)) == [3]
     assert decoder.counts == Counts(frames=1, foreign=1, received=len(stream))
     assert decoder.foreign == (version, schema)
+
+
+def test_a_foreign_frame_is_known_as_such_up_to_the_longest():
+    for size in range(980, 1010):
+        data = frame_of(header(Ping.CODE, version=2) + b"\7" * size)
+        whole = len(data) - 2 <= MAX_FRAME
+        found, counts = heard(data + PONG)
+        assert found == [3]
+        assert (counts.foreign, counts.damaged) == (whole, not whole)
+        assert whole or size > 980
 
 
 def test_a_robot_with_other_motors_is_foreign():
