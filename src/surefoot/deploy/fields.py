@@ -139,8 +139,7 @@ def _numbers(kind: str, per: int, values: list[Any]) -> list[Any]:
     """Values as `struct` takes them; `per`: how many units on the wire make one of the value, 0 without a scale."""
     if per:
         low, high = _LIMITS[kind]
-        scaled = [value * per for value in values]
-        return [low if not x > low else high if x > high else round(x) for x in scaled]
+        return [low if not (x := value * per) > low else high if x > high else round(x) for value in values]
     return values if kind == "f32" else [int(value) for value in values]
 
 
