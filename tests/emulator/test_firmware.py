@@ -28,8 +28,9 @@ from surefoot.deploy.wire import (
     Reason,
     State,
 )
-from surefoot.emulator.firmware import Firmware, MotorOrder, Sensors, Vitals
+from surefoot.emulator.firmware import Firmware
 from surefoot.emulator.limits import Limits, introduction
+from surefoot.emulator.signals import MotorOrder, Sensors, Vitals
 
 MS = 1000
 ME, OTHER = 7, 8

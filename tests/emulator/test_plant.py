@@ -11,9 +11,9 @@ pytest.importorskip("mujoco")
 
 from surefoot.deploy.poses import pose
 from surefoot.deploy.wire import Mode
-from surefoot.emulator.firmware import MotorOrder
 from surefoot.emulator.hardware import PowerConfig, SensorConfig, power_tick
 from surefoot.emulator.plant import Plant
+from surefoot.emulator.signals import MotorOrder
 from surefoot.robot import PhysicalParams
 from surefoot.world.drive import set_drive_params
 from surefoot.world.interface import WorldConfig

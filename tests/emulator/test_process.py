@@ -192,7 +192,7 @@ def test_in_lockstep_the_robot_moves_as_a_simulation_does(emulate, robot, pick):
     plant = Plant(robot, sensors=SensorConfig.ideal(), power=PowerConfig.ideal())
     host.send(Hello(ME, 0.010), 0.0)
     host.run_to(0.030)
-    from surefoot.emulator.firmware import MotorOrder
+    from surefoot.emulator.signals import MotorOrder
 
     for _ in range(30):
         plant.step(MotorOrder(Mode.DISARMED, np.zeros(8)))

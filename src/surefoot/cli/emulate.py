@@ -6,7 +6,7 @@ import gc
 import math
 import signal
 import sys
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Annotated
@@ -18,6 +18,7 @@ from surefoot.cli.parsing import parse
 from surefoot.errors import SurefootError
 
 if TYPE_CHECKING:
+    from surefoot.cli.emulate_viewer import EmulateViewer
     from surefoot.emulator.board import Board
     from surefoot.emulator.faults import Fault
     from surefoot.robot import PhysicalParams, RobotDescription
@@ -88,7 +89,15 @@ def main(argv: list[str]) -> int:
     faults = parse_faults(words, command.lockstep, robot.num_motors)
     if "tilt" in faults and command.rack:
         raise SurefootError("fault tilt needs a robot that can fall; it does not go with --rack")
+    if "slow-servo" in faults:
+        period, step = faults["slow-servo"].value, robot.timing.servo_step
+        if round(period / step) < 1 or abs(period / step - round(period / step)) > 1e-6:
+            raise SurefootError(f"fault slow-servo is {period:g}; it must be whole servo steps of {step:g} s")
     find_world(command.world)
+    if command.viewer:
+        from surefoot.cli.emulate_viewer import check_display
+
+        check_display()
     board = _build(command, robot, faults)
     return _run(command, board, faults)
 
@@ -165,7 +174,6 @@ def _build(command: EmulateCommand, robot: RobotDescription, faults: dict[str, F
     every = 1
     if "slow-servo" in faults:
         every = round(faults["slow-servo"].value / robot.timing.servo_step)
-        faults["slow-servo"] = replace(faults["slow-servo"], value=every * robot.timing.servo_step)
     plant = Plant(
         robot,
         _params(command, robot),
@@ -191,12 +199,17 @@ def _run(command: EmulateCommand, board: Board, faults: dict[str, Fault]) -> int
     def end(number: int, frame: FrameType | None) -> None:
         summary.stop = True
 
-    capture = None if command.motion_capture is None else MotionCapture(command.motion_capture, board.plant)
     port = PtyPort(command.link)
+    onlookers: list[MotionCapture | EmulateViewer] = []
     before = {number: signal.signal(number, end) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
-        if capture is not None:
-            board.on_step = capture.see
+        if command.motion_capture is not None:
+            onlookers.append(MotionCapture(command.motion_capture, board.plant))
+        if command.viewer:
+            from surefoot.cli.emulate_viewer import EmulateViewer
+
+            onlookers.append(EmulateViewer(command.robot, board.plant))
+        board.on_step = [onlooker.see for onlooker in onlookers]
         load = faults["overload"].value if "overload" in faults else 0.0
         loop = Lockstep(board, port, summary) if command.lockstep else RealTime(board, port, summary, load)
         # What was made until now lives as long as the process: the collector need not look at it again.
@@ -208,7 +221,7 @@ def _run(command: EmulateCommand, board: Board, faults: dict[str, Fault]) -> int
         for number, handler in before.items():
             signal.signal(number, handler)
         port.close()
-        if capture is not None:
-            capture.close()
+        for onlooker in onlookers:
+            onlooker.close()
     print(f"surefoot: {summary.text(board, port)}", file=sys.stderr)
     return 0

@@ -11,11 +11,12 @@ from numpy.typing import NDArray
 from surefoot.deploy.frames import Frame, encode_frame
 from surefoot.deploy.wire import Codec, Handshake, Mode
 from surefoot.emulator.faults import Fault, line_config
-from surefoot.emulator.firmware import Firmware, MotorOrder, Sensors
+from surefoot.emulator.firmware import Firmware
 from surefoot.emulator.limits import Limits
 from surefoot.emulator.line import Line
 from surefoot.emulator.plant import Plant
 from surefoot.emulator.sabotage import Sabotage
+from surefoot.emulator.signals import MotorOrder, Sensors
 from surefoot.seeding import generator
 
 Array = NDArray[np.float64]
@@ -62,7 +63,7 @@ class Board:
         self._harm_lines()
         self.now = 0
         self.reboots = 0
-        self.on_step: Callable[[int], None] | None = None
+        self.on_step: list[Callable[[int], None]] = []
         """Called after each servo step with its time."""
         self._step = round(plant.robot.timing.servo_step * 1e6)
         self._booted = 0
@@ -151,8 +152,8 @@ class Board:
             self.firmware, self._booted = self._boot(), end + _BOOT_TIME
             self._last = MotorOrder(Mode.DISARMED, np.zeros(self.codec.motors))
             self.reboots += 1
-        if self.on_step is not None:
-            self.on_step(end)
+        for look in self.on_step:
+            look(end)
 
     def _harm_lines(self) -> None:
         self.inbound.harmful = self.outbound.harmful = self.sabotage.harms_lines

@@ -15,10 +15,9 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from surefoot.deploy.frames import Decoder, Frame
 from surefoot.deploy.wire import (
@@ -41,52 +40,9 @@ from surefoot.deploy.wire import (
 )
 from surefoot.emulator.limits import Limits
 from surefoot.emulator.link_watch import LinkWatch
+from surefoot.emulator.signals import MotorOrder, Sensors, Vitals, microseconds
 
-Array = NDArray[np.float64]
 ARMED = (Mode.POSITION, Mode.PWM)
-
-
-@dataclass(frozen=True)
-class Vitals:
-    """What the microcontroller looks at in every servo step."""
-
-    motor_angle: Array
-    """Motor angles (M,) [rad]."""
-    tilt: float
-    """The larger of |roll| and |pitch| [rad]."""
-    voltage: float
-    """Battery [V]."""
-    temperature: float
-    """The hottest motor [degC]."""
-
-
-@dataclass(frozen=True)
-class Sensors:
-    """What a state tells of the sensors; see `wire.State`."""
-
-    motor_angle: Array
-    motor_velocity: Array
-    motor_torque: Array
-    roll_pitch_yaw: Array
-    angular_velocity_base: Array
-    energy: float
-    voltage: float
-    temperature: Array
-
-
-@dataclass(frozen=True)
-class MotorOrder:
-    """What the motors are to do until the next order."""
-
-    mode: Mode
-    """POSITION: hold the target; PWM: duty; otherwise damped."""
-    values: Array
-    """Motor angles [rad] or duties (M,)."""
-
-
-def microseconds(seconds: float) -> int:
-    """Seconds as whole microseconds."""
-    return round(seconds * 1e6)
 
 
 class Firmware:

@@ -13,9 +13,9 @@ from surefoot.actuator.delay import read_kernel
 from surefoot.actuator.servo import servo_duty
 from surefoot.deploy.poses import SIT_EXTENSION
 from surefoot.deploy.wire import Mode
-from surefoot.emulator.firmware import MotorOrder, Sensors, Vitals
 from surefoot.emulator.hardware import PowerConfig, SensorConfig, power_tick
 from surefoot.emulator.limits import Limits
+from surefoot.emulator.signals import MotorOrder, Sensors, Vitals
 from surefoot.errors import SurefootError
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.seeding import generator
@@ -181,11 +181,12 @@ class Plant:
     def vitals(self) -> Vitals:
         """What the microcontroller sees itself, of now."""
         now, motors = self.world.drive.now[0], self.robot.num_motors
+        roll, pitch = (now[2 * motors : 2 * motors + 2] + self._imu_bias).tolist()
         return Vitals(
             motor_angle=now[:motors],
-            tilt=float(np.abs(now[2 * motors : 2 * motors + 2] + self._imu_bias).max()),
+            tilt=max(abs(roll), abs(pitch)),
             voltage=self.voltage,
-            temperature=float(self.temperature.max()),
+            temperature=max(self.temperature.tolist()),
         )
 
     def read(self, since_step: float, lead: float) -> Sensors:

@@ -10,9 +10,9 @@ from dataclasses import dataclass, field
 from surefoot.deploy.frames import Decoder
 from surefoot.deploy.wire import Codec
 from surefoot.emulator.board import Board
-from surefoot.emulator.firmware import microseconds
 from surefoot.emulator.lockstep_time import LockstepTime
 from surefoot.emulator.pty_port import PtyPort
+from surefoot.emulator.signals import microseconds
 
 BEHIND = 10_000
 """Lag of the physics [us] from which on it is told."""
@@ -89,7 +89,7 @@ class RealTime:
         start = started - board.now / 1e6
         told, used_then, then = -_TELL_EVERY, used, started
         end = None if until is None else round(until * 1e6)
-        late = False
+        late = readable = False
         while not summary.stop and (end is None or board.now < end):
             now = int((time.monotonic() - start) * 1e6)
             lag = now - board.next_step
@@ -110,7 +110,7 @@ class RealTime:
                 summary.slipped += lag / 1e6
                 start += lag / 1e6
                 now -= lag
-            if data := port.read():
+            if readable and (data := port.read()):
                 board.hear(max(now, board.now), data)
             target = now if end is None else min(now, end)
             # At most a few steps before the port is looked at again, or what comes would be stamped too late.
@@ -122,7 +122,7 @@ class RealTime:
             if said := board.said():
                 port.write(said)
             left = board.next_time / 1e6 - (time.monotonic() - start)
-            port.wait(left)
+            readable = port.wait(left)
         summary.robot_time = board.now / 1e6
         summary.real_time = time.monotonic() - started
         summary.processor_time = time.process_time() - used
@@ -152,8 +152,7 @@ class Lockstep:
         started, used = time.monotonic(), time.process_time()
         end = None if until is None else round(until * 1e6)
         while not summary.stop and (end is None or board.now < end):
-            port.wait(_IDLE)
-            if data := port.read():
+            if port.wait(_IDLE) and (data := port.read()):
                 self._hear(data)
         summary.robot_time = board.now / 1e6
         summary.real_time = time.monotonic() - started

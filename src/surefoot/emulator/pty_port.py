@@ -46,10 +46,9 @@ class PtyPort:
         except BlockingIOError:
             return b""
 
-    def wait(self, timeout: float) -> None:
-        """Wait until something can be read, at most so long [s]."""
-        if timeout > 0:
-            select.select([self._master], [], [], timeout)
+    def wait(self, timeout: float) -> bool:
+        """Wait until something can be read, at most so long [s]; whether it can."""
+        return bool(select.select([self._master], [], [], max(timeout, 0.0))[0])
 
     def write(self, data: bytes, patience: float = 0.0) -> None:
         """Say something; what hosts leave unread for longer than `patience` [s] is dropped."""

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from surefoot.deploy.frames import Frame
 from surefoot.deploy.wire import Handshake, State
 from surefoot.emulator.faults import RATES, Fault
-from surefoot.emulator.firmware import MotorOrder, Sensors
 from surefoot.emulator.plant import Plant
+from surefoot.emulator.signals import MotorOrder, Sensors
 
 Array = NDArray[np.float64]
 

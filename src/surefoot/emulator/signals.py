@@ -1,0 +1,55 @@
+"""What goes between the microcontroller's program and the body: readings one way, orders for the motors the other."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surefoot.deploy.wire import Mode
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Vitals:
+    """What the microcontroller looks at in every servo step."""
+
+    motor_angle: Array
+    """Motor angles (M,) [rad]."""
+    tilt: float
+    """The larger of |roll| and |pitch| [rad]."""
+    voltage: float
+    """Battery [V]."""
+    temperature: float
+    """The hottest motor [degC]."""
+
+
+@dataclass(frozen=True)
+class Sensors:
+    """What a state tells of the sensors; see `wire.State`."""
+
+    motor_angle: Array
+    motor_velocity: Array
+    motor_torque: Array
+    roll_pitch_yaw: Array
+    angular_velocity_base: Array
+    energy: float
+    voltage: float
+    temperature: Array
+
+
+@dataclass(frozen=True)
+class MotorOrder:
+    """What the motors are to do until the next order."""
+
+    mode: Mode
+    """POSITION: hold the target; PWM: duty; otherwise damped."""
+    values: Array
+    """Motor angles [rad] or duties (M,)."""
+
+
+def microseconds(seconds: float) -> int:
+    """Seconds as whole microseconds."""
+    return round(seconds * 1e6)

@@ -1,0 +1,130 @@
+"""`surefoot emulate`: what it takes, and what it says when that does not fit."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+pytest.importorskip("mujoco")
+
+from surefoot.cli.main import main
+from surefoot.emulator.faults import FAULTS
+from surefoot.robot import RobotDescription
+from surefoot.robot.params_file import read_params
+
+
+def run(*words: str) -> int:
+    return main(["emulate", *words])
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--world", "gazebo"], "world 'gazebo' does not exist; choices: mujoco, bullet"),
+        (["--robot", "cat"], "robot 'cat': no such robot"),
+        (["--fault", "melt"], "'melt' is no fault; choices: corrupt, drop"),
+        (["--fault", "drop=0.1", "--fault", "drop"], "fault drop is given twice"),
+        (["--lockstep", "--fault", "overload"], "it does not go with --lockstep"),
+        (["--rack", "--fault", "tilt"], "it does not go with --rack"),
+        (["--fault", "slow-servo=0.0025"], "fault slow-servo is 0.0025; it must be whole servo steps of 0.001 s"),
+        (["--duration", "0"], "duration is 0; it must be over 0"),
+        (["--duration", "nan"], "duration is nan; it must be over 0"),
+        (["--baud", "-1"], "baud is -1; it must be over 0"),
+        (["--baud", "300"], "baud is 300; it must be 9600 or more, or 0"),
+        (["--seed", "-1"], "seed is -1; it must be 0 or more"),
+        (["--hidden-seed", "-1"], "hidden_seed is -1; it must be 0 or more"),
+        (["--hidden-out", "x.toml"], "hidden_out needs hidden parameters; give --hidden-seed too"),
+        (["--hidden-seed", "1", "--set", "voltage=15"], "does not go with --params and --set"),
+        (["--hidden-seed", "1", "--hidden-out", "x.txt"], "hidden_out x.txt: the name must end in .toml"),
+        (["--motion-capture", "x.txt"], "motion_capture x.txt: the name must end in .csv"),
+        (["--set", "voltage=99"], "voltage is 99; minitaur allows 5 to 30"),
+        (["--params", "missing.toml"], "parameters missing.toml: No such file"),
+        (["--nonsense"], "--nonsense"),
+    ],
+)
+def test_what_does_not_fit_is_told_in_one_line(capsys, monkeypatch, tmp_path, words, said):
+    monkeypatch.chdir(tmp_path)
+    assert run(*words) == 2
+    out, err = capsys.readouterr()
+    assert said in err
+    assert err.count("\n") == 1
+    assert "robot on" not in out
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_files_that_are_there_already_are_not_touched(capsys, tmp_path):
+    for option, name in (("--motion-capture", "a.csv"), ("--hidden-out", "a.toml"), ("--link", "a")):
+        file = tmp_path / name
+        file.write_text("mine")
+        assert run(option, str(file), "--hidden-seed", "1", "--duration", "0.01") == 2
+        assert "exists; give another name" in capsys.readouterr().err
+        assert file.read_text() == "mine"
+
+
+def test_a_viewer_needs_a_display(capsys, monkeypatch):
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    assert run("--viewer") == 2
+    assert "viewer: there is no display here" in capsys.readouterr().err
+
+
+def test_a_missing_engine_is_told_before_anything_runs(capsys, monkeypatch):
+    monkeypatch.setattr("surefoot.cli.policies.find_spec", lambda name: None)
+    assert run("--world", "bullet") == 2
+    assert "pip install 'surefoot[bullet]'" in capsys.readouterr().err
+
+
+def test_the_faults_are_listed(capsys):
+    assert run("--fault", "help") == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert [re.split("[=:@]", line)[0] for line in lines] == list(FAULTS)
+
+
+def test_it_runs_for_a_while_and_sums_up(capsys, tmp_path):
+    file = tmp_path / "seen.csv"
+    assert run("--duration", "0.1", "--motion-capture", str(file), "--rack") == 0
+    out, err = capsys.readouterr()
+    assert re.fullmatch(r"robot on /dev/pts/\d+\n", out)
+    assert re.match(r"surefoot: 0\.1\d* s of robot time in 0\.\d s; \d+ % of a processor; ", err.splitlines()[-1])
+    assert len(file.read_text().splitlines()) == 21
+
+
+def test_hidden_parameters_go_to_the_file_alone(capsys, tmp_path):
+    robot, file = RobotDescription.load("minitaur"), tmp_path / "hidden.toml"
+    assert run("--hidden-seed", "5", "--hidden-out", str(file), "--duration", "0.01") == 0
+    out, err = capsys.readouterr()
+    found = read_params(file, robot)
+    assert found.tables["origin"] == {"hidden_seed": 5}
+    assert 14.0 <= found.params.voltage[0] <= 16.8
+    assert f"{found.params.voltage[0]:.2f}" not in out + err
+    # The file makes the same robot.
+    assert run("--params", str(file), "--set", "voltage=15.5", "--duration", "0.01") == 0
+
+
+def test_parameters_come_from_a_file_and_from_words(tmp_path, monkeypatch):
+    from surefoot.cli import emulate
+
+    robot, file = RobotDescription.load("minitaur"), tmp_path / "p.toml"
+    file.write_text("[params]\nmotor_strength = 0.9\nvoltage = 15\n")
+    command = emulate.EmulateCommand(params=file, settings=(("voltage=14.5", "servo_kp=0.9"),))
+    params = emulate._params(command, robot)
+    assert (params.voltage[0], params.servo_kp[0]) == (14.5, 0.9)
+    np.testing.assert_array_equal(params.motor_strength, np.full((1, 8), 0.9))
+
+
+def test_importing_the_command_brings_no_physics():
+    script = "import sys, surefoot.cli.emulate; sys.exit(bool({'mujoco', 'torch', 'pybullet'} & set(sys.modules)))"
+    assert subprocess.run([sys.executable, "-c", script], timeout=60).returncode == 0
+
+
+def test_what_the_viewer_draws_is_where_the_robot_is():
+    from surefoot.cli.emulate_viewer import pose_of
+
+    robot = RobotDescription.load("minitaur")
+    drawn = pose_of(robot, [1.0, 2.0, 0.3, 1.0, 0.0, 0.0, 0.0, *robot.resting_angles])
+    np.testing.assert_allclose(drawn[robot.base][0, :3, 3], [1.0, 2.0, 0.3])
+    assert len(drawn) == len(robot.urdf.links)
