@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import random
+import re
 import shutil
 import struct
 import subprocess
@@ -189,6 +190,23 @@ def test_sizes_hold_for_any_number_of_motors(tmp_path: Path, motors: int):
     # The header's own static assertions are the test.
     (tmp_path / "wire.c").write_text(c_header(motors) + "\nint main(void) { return 0; }\n", encoding="utf-8")
     command = [str(CC), "-std=c11", *STRICT, "-fsyntax-only", str(tmp_path / "wire.c")]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0, done.stderr
+
+
+@needs_cc
+@pytest.mark.parametrize("standard", ["c99", "c11"])
+def test_the_document_s_program_compiles(tmp_path: Path, standard: str):
+    (code,) = re.findall(r"```c\n(.*?)```", (ROOT / "docs" / "wire-protocol.md").read_text(encoding="utf-8"), re.S)
+    (tmp_path / "firmware.c").write_text(code, encoding="utf-8")
+    command = [
+        str(CC),
+        f"-std={standard}",
+        *STRICT,
+        f"-I{ROOT / 'docs'}",
+        "-fsyntax-only",
+        str(tmp_path / "firmware.c"),
+    ]
     done = subprocess.run(command, capture_output=True, text=True, timeout=120)
     assert done.returncode == 0, done.stderr
 
