@@ -116,7 +116,7 @@ def _ask(command: DoctorCommand) -> None:
 
 def _print(console: Console, finding: Finding) -> None:
     word, style = _WORDS[finding.passed]
-    line = Text.assemble((f"{word:<8}", style), f"  {finding.name:<20}  {finding.why}")
-    console.print(line)
-    if finding.what_to_do:
-        console.print(Text(f"{'':<32}to do: {finding.what_to_do}", style="dim" if finding.passed is None else ""))
+    undone = f": {finding.what_to_do}" if finding.passed is None else ""
+    console.print(Text.assemble((f"{word:<8}", style), f"  {finding.name:<20}  {finding.why}{undone}"))
+    if finding.passed is False:
+        console.print(Text(f"{'':<32}to do: {finding.what_to_do}"))

@@ -22,6 +22,7 @@ SHARE = 0.5
 """Share of a control step within which the 99.9th percentile of inference, and of lateness, must be."""
 MISSED = 0.001
 """Share of control steps that may be missed."""
+NAMES = ("inference", "control loop")
 _WARM_UP = 50
 
 
@@ -38,29 +39,29 @@ def time_inference(policy: Policy, count: int = STEPS) -> Array:
     return taken
 
 
-def time_loop(policy: Policy, steps: int = STEPS, connection: RobotConnection | None = None) -> tuple[Array, int]:
+def time_loop(policy: Policy, connection: RobotConnection, steps: int = STEPS) -> tuple[Array, int]:
     """Lateness [s] of the steps of a control loop in real time, and how many steps were missed.
 
     The loop reads the port, runs the policy and sends a frame, as a deployment does; the frame is a ping.
 
     Args:
         policy: what is run; its control step is the loop's.
+        connection: to a robot that was greeted.
         steps: how many.
-        connection: to the robot; without one, or in lockstep, nothing is read and sent.
+
+    Raises:
+        LinkLostError: the port is gone.
     """
     step, width = policy.contract.control_step, policy.contract.width
     observation = np.zeros((1, width), np.float32)
-    link = connection if connection is not None and not connection.lockstep else None
     late, missed, done = np.zeros(steps), 0, 0
     with undisturbed():
         pacer = Pacer(MonotonicClock(), step)
         while pacer.index < steps - 1:
             tick = pacer.next()
-            if link is not None:
-                link.update()
+            connection.update()
             policy.feedback(observation)
-            if link is not None:
-                link.link.ping()
+            connection.link.ping()
             late[done] = tick.late
             missed += tick.missed
             done += 1

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from surefoot.deploy.connection import RobotConnection
 from surefoot.deploy.doctor_move import MotionStoppedError, Moved, Mover
-from surefoot.deploy.doctor_response import WINDOW, Response, fit_response
+from surefoot.deploy.doctor_response import WINDOW, fit_response
 from surefoot.deploy.doctor_rest import Sample
 from surefoot.deploy.findings import Finding
 from surefoot.deploy.stop_signals import StopSignals
@@ -41,6 +41,7 @@ RISE = 0.08
 _SETTLED = 5
 """Readings that are averaged once a motor has settled."""
 _FIT_ERROR = 0.15
+_FEWEST = 8
 
 
 @dataclass(frozen=True)
@@ -55,8 +56,10 @@ class Wiggle:
     """How far each motor had gone when it had settled (M,) [rad]."""
     back: Array
     """How far each motor was from where it began after the way back (M,) [rad]."""
-    response: Response | None
-    """Of the motor that was asked; None if the readings tell none."""
+    age: Array
+    """Of readings after both steps: time since the command arrived at the robot (n,) [s]."""
+    share: Array
+    """What of the way the motor that was asked had gone by then (n,)."""
 
 
 def wiggle_motors(
@@ -100,11 +103,9 @@ def _wiggle(mover: Mover, start: Array, motor: int, step: float) -> Wiggle:
         *_points(there, before, motor, step, mover.control_step),
         *_points(back, _settled(there.samples), motor, -step, mover.control_step),
     ]
-    response = None
-    if len(points) >= 8 and abs(moved[motor]) > OTHERS * STEP:
-        age, share = np.array(points).T
-        response = fit_response(age, share)
-    return Wiggle(motor, step, moved, returned, response)
+    # The fit has to wait until the robot is disarmed: it takes longer than a robot waits for commands.
+    age, share = np.array(points or np.empty((0, 2))).T
+    return Wiggle(motor, step, moved, returned, age, share)
 
 
 def _settled(samples: Sequence[Sample]) -> Array:
@@ -177,7 +178,8 @@ def check_response(wiggles: Sequence[Wiggle], contract: Contract, servo_period: 
         servo_period: of the robot [s].
         lead: how long before it is used a state is sent [s].
     """
-    fits = [wiggle.response for wiggle in wiggles if wiggle.response and wiggle.response.error < _FIT_ERROR]
+    clear = [w for w in wiggles if len(w.age) >= _FEWEST and abs(w.moved[w.motor]) > OTHERS * STEP]
+    fits = [fit for fit in (fit_response(w.age, w.share) for w in clear) if fit.error < _FIT_ERROR]
     if len(fits) < max(len(wiggles) // 2, 1):
         return _undone(f"only {len(fits)} of {len(wiggles)} motors answered clearly")
     latency = float(np.median([fit.delay for fit in fits])) - servo_period / 2 + lead

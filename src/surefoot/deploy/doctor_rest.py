@@ -19,16 +19,16 @@ Array = NDArray[np.float64]
 
 DURATION = 1.0
 """How long a robot at rest is watched [s]."""
-SWING_ROOM = 0.05
-"""How far [rad] a resting leg may swing beyond leg space: encoders are that well aligned, and a mirrored one is not."""
+ALIKE = 0.5
+"""How far [rad] swing and extension of a resting leg may be from the middle of all legs."""
 LEVEL = 0.3
 """Largest roll and pitch [rad] of a robot that sits on the floor or hangs on a rack."""
 GYRO_BIAS = 0.05
 """Largest mean of a resting gyro [rad/s]: .3 deg/s is usual after calibration, ten times that is none."""
 GYRO_NOISE = 0.05
 """Largest standard deviation of a resting gyro [rad/s]."""
-TILT_NOISE = 0.02
-"""Largest standard deviation of roll and pitch at rest [rad]."""
+TILT_NOISE = 0.06
+"""Largest standard deviation of roll and pitch at rest [rad]: gaits are trained with up to .05 (Tan et al. 2018)."""
 DRIFT = 0.05
 """Largest difference [rad/s] between how fast roll or pitch change and what the gyro says of it."""
 _PING_EVERY = 0.05
@@ -111,28 +111,36 @@ def _temperature(temperature: Array, robot: RobotDescription, limits: SafetyLimi
 
 
 def _encoders(angles: Array, robot: RobotDescription) -> Finding:
-    """Whether each leg is in a pose that it can be in: a mirrored encoder makes it seem to swing too far."""
+    """Whether the legs' loops close and all legs are alike: a mirrored or misplaced encoder makes one differ.
+
+    Legs of a robot that lies, sits or hangs without force are in about the same pose, whichever that is; they may be
+    folded far beyond what a gait asks for.
+    """
     name = "encoders"
     if not np.isfinite(angles).all():
         bad = robot.motor_names[int(np.argmin(np.isfinite(angles)))]
         return Finding(name, False, f"the angle of {bad} is not finite", "check its encoder and the firmware")
     swing, extension = robot.motor_to_leg_pose(angles)
-    low, high = robot.swing_range
-    for leg, motors, s, e in zip(robot.legs, robot.leg_motor_index, swing, extension, strict=True):
-        closes = bool(robot.leg_geometry.closes(*angles[motors]))
-        if closes and low - SWING_ROOM <= s <= high + SWING_ROOM and 0 < e < np.pi + SWING_ROOM:
-            continue
-        told = " and ".join(f"{robot.motor_names[index]} {angles[index]:.2f}" for index in motors)
-        return Finding(
-            name,
-            False,
-            f"{leg.name} reads {told} rad: swing {s:.2f}, extension {e:.2f}; a leg swings {low:g} to {high:g} rad "
-            f"and extends 0 to {np.pi:.2f}",
-            "one of its two encoders is mirrored, or its zero is elsewhere: set sign and offset in the firmware",
-            float(s),
-        )
-    told = f"swing {swing.min():.2f} to {swing.max():.2f}, extension {extension.min():.2f} to {extension.max():.2f} rad"
-    return Finding(name, True, f"every leg is in a pose that it can be in: {told}", value=float(np.abs(swing).max()))
+    spread = (
+        f"swing {swing.min():.2f} to {swing.max():.2f}, extension {extension.min():.2f} to {extension.max():.2f} rad"
+    )
+    off = np.maximum(np.abs(swing - np.median(swing)), np.abs(extension - np.median(extension)))
+    theta = angles[robot.leg_motor_index]
+    closes = robot.leg_geometry.closes(theta[:, 0], theta[:, 1])
+    if closes.all() and off.max() <= ALIKE:
+        return Finding(name, True, f"legs are alike: {spread}", value=float(off.max()))
+    worst = int(np.argmax(np.where(closes, off, np.inf)))
+    told = " and ".join(f"{robot.motor_names[i]} {angles[i]:.2f}" for i in robot.leg_motor_index[worst])
+    legs_pose = f"swing {swing[worst]:.2f}, extension {extension[worst]:.2f} rad"
+    rule = f"all must be alike to {ALIKE:g} rad ({spread})" if closes[worst] else "its loop can't close so"
+    return Finding(
+        name,
+        False,
+        f"{robot.leg_names[worst]} reads {told}: {legs_pose}; {rule}",
+        "lay all legs alike; if they are, an encoder of this leg is mirrored or its zero is elsewhere: set sign and "
+        "offset in the firmware",
+        float(off.max()),
+    )
 
 
 def _imu(times: Array, tilt: Array, rate: Array) -> Finding:
