@@ -85,7 +85,13 @@ class RobotConnection:
         end = self.clock.now() + timeout
         while self.clock.now() < end:
             self.link.send(Hello(self.session, state_period))
-            if self.wait_for(lambda: self.handshake is not None or self._refusal() is not None, 0.1):
+            try:
+                answered = self.wait_for(lambda: self.handshake is not None or self._refusal() is not None, 0.1)
+            except SurefootError:
+                # In lockstep a robot of another protocol does not answer pings either: say so, if it was heard.
+                self._check_protocol()
+                raise
+            if answered:
                 if self.handshake is not None:
                     return self.handshake
                 raise SurefootError(f"the robot refuses: {self._refusal()}")
