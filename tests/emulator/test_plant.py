@@ -129,6 +129,23 @@ def test_a_motor_that_gets_a_duty_turns_as_a_dc_motor_does(robot):
     assert not plant.world.drive.duty.any()
 
 
+def test_a_duty_is_part_of_a_worlds_state_and_gone_after_a_reset(robot):
+    plant, other = ideal(robot, rack=True), ideal(robot, rack=True)
+    turning = MotorOrder(Mode.PWM, np.full(8, 0.03))
+    plant.step(turning)
+    other.world.set_state(plant.world.get_state())
+    for world in (plant.world, other.world):
+        world.engine.advance(np.array([20]))
+    np.testing.assert_array_equal(plant.vitals().motor_angle, other.vitals().motor_angle)
+    # What was saved before motors had a duty goes on without one.
+    saved = plant.world.get_state()
+    del saved["drive"]["duty"]
+    other.world.set_state(saved)
+    assert not other.world.drive.duty.any()
+    plant.world.reset()
+    assert not plant.world.drive.duty.any()
+
+
 def test_battery_and_heat_by_hand():
     temperature = np.array([25.0, 65.0])
     # 1.45 N m is 15 A of the nominal motor; with half the strength .725 N m is. Speed 10 rad/s, K_t .1, R .2.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import gc
+import contextlib
 import math
 import signal
 import sys
@@ -190,6 +190,7 @@ def _build(command: EmulateCommand, robot: RobotDescription, faults: dict[str, F
 
 
 def _run(command: EmulateCommand, board: Board, faults: dict[str, Fault]) -> int:
+    from surefoot.deploy.realtime import undisturbed
     from surefoot.emulator.motion_capture import MotionCapture
     from surefoot.emulator.process import Lockstep, RealTime, Summary
     from surefoot.emulator.pty_port import PtyPort
@@ -201,7 +202,10 @@ def _run(command: EmulateCommand, board: Board, faults: dict[str, Fault]) -> int
 
     port = PtyPort(command.link)
     onlookers: list[MotionCapture | EmulateViewer] = []
-    before = {number: signal.signal(number, end) for number in (signal.SIGINT, signal.SIGTERM)}
+    ending = [signal.SIGINT, signal.SIGTERM]
+    if signal.getsignal(signal.SIGHUP) != signal.SIG_IGN:  # nohup: go on when the terminal is closed
+        ending.append(signal.SIGHUP)
+    before = {number: signal.signal(number, end) for number in ending}
     try:
         if command.motion_capture is not None:
             onlookers.append(MotionCapture(command.motion_capture, board.plant))
@@ -212,11 +216,10 @@ def _run(command: EmulateCommand, board: Board, faults: dict[str, Fault]) -> int
         board.on_step = [onlooker.see for onlooker in onlookers]
         load = faults["overload"].value if "overload" in faults else 0.0
         loop = Lockstep(board, port, summary) if command.lockstep else RealTime(board, port, summary, load)
-        # What was made until now lives as long as the process: the collector need not look at it again.
-        gc.collect()
-        gc.freeze()
-        print(f"robot on {port.path}", flush=True)
-        loop.run(command.duration)
+        # A microcontroller has a processor of its own, so that the emulator comes before what else runs here.
+        with contextlib.nullcontext() if command.lockstep else undisturbed():
+            print(f"robot on {port.path}", flush=True)
+            loop.run(command.duration)
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)

@@ -70,7 +70,7 @@ FAULTS: dict[str, FaultKind] = {
     "stale-state": _moment("states tell again and again what one told"),
     "repeat-sequence": _moment("all states have the same number"),
     "backward-sequence": _moment("numbers of states go backward"),
-    "late-states": FaultKind("readings are older than they should be", 0.02, 0.0, 0.1, "s more"),
+    "late-states": FaultKind("readings are older than they should be", 0.02, 0.0, 0.06, "s more"),
     "battery-low": FaultKind("the battery's voltage without load falls, 2 V a second", 12.0, 1.0, 30.0, "V", start=1.0),
     "motor-hot": FaultKind("the first motor grows hot, 40 degC a second", 95.0, 0.0, 250.0, "degC", start=1.0),
     "tilt": _moment("a hard push from the side topples the robot"),

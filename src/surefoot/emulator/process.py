@@ -21,6 +21,8 @@ SLIP = 50_000
 _TELL_EVERY = 1.0
 _IDLE = 0.05
 _PATIENCE = 2.0
+_BREATH = 1e-3
+"""Pause [s] when robot time slips: a process that may run before all others must not keep the processor."""
 
 
 @dataclass
@@ -110,6 +112,7 @@ class RealTime:
                 summary.slipped += lag / 1e6
                 start += lag / 1e6
                 now -= lag
+                time.sleep(_BREATH)
             if readable and (data := port.read()):
                 board.hear(max(now, board.now), data)
             target = now if end is None else min(now, end)

@@ -110,7 +110,7 @@ class Sabotage:
     @property
     def harms_lines(self) -> bool:
         """Whether anything happens to frames on the line by now."""
-        return any(self._on(name) is not None for name in RATES)
+        return bool(self._faults) and any(self._on(name) is not None for name in RATES)
 
     def reboots(self) -> bool:
         """Whether the microcontroller starts anew now."""
