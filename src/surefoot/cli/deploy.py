@@ -110,7 +110,7 @@ def main(argv: list[str]) -> int:
 
 def _runs(command: DeployCommand, deployment: Deployment) -> tuple[list[dict[str, Any]], int]:
     """Run after run, until one ends early; returns what is to be told of each, and the exit code."""
-    from surefoot.deploy.deployment import HOLD, RISE, SIT
+    from surefoot.deploy.deployment import AROUND
     from surefoot.deploy.keeping import Keeper
     from surefoot.deploy.pacer import Timing
     from surefoot.deploy.partial import next_free
@@ -126,7 +126,7 @@ def _runs(command: DeployCommand, deployment: Deployment) -> tuple[list[dict[str
     for run in range(command.runs):
         path = next_free(command.out or Path("deploy")) if keeps else None
         keeper = Keeper(deployment, path, steps, command.world_name, run)
-        timing = Timing(steps + round((RISE + HOLD + SIT) / step) + 16)
+        timing = Timing(steps + round(AROUND / step) + 16)
         keeper.begin()
         outcome = deployment.run(keeper.recorder, timing, keeper.keep, keeper.begun)
         kept = keeper.finish(outcome, timing, command.motion_capture)

@@ -32,8 +32,11 @@ from surefoot.errors import SurefootError
 
 STATE_PERIOD = 0.010
 """Time [s] between two states that a robot is asked for while it gets no commands."""
-LEAD = 0.003
-"""How long [s] before the next control step the robot is to send its state: time to travel, and some to spare."""
+LEAD = 0.004
+"""How long [s] before the next control step the robot is to send its state.
+
+At 921,600 baud a command of 8 motors takes 0.6 ms to come and a state 1.7 ms to go; 0.5 ms for the policy, the rest to
+spare."""
 _POLL = 0.002
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from typing import Protocol
 
 import numpy as np
@@ -73,6 +74,8 @@ class Controller:
         """Its last feedback (2 L,) [rad]."""
         self.target = robot.resting_angles
         """Its last motor angles (M,) [rad]."""
+        self.inference = 0.0
+        """How long the policy took for it [s]."""
         self._history: NDArray[np.float32] | None = None
 
     def reset(self) -> None:
@@ -80,19 +83,19 @@ class Controller:
         self.feedback = np.zeros_like(self.feedback)
         self._history = None
 
-    def observe(self, time: float, state: State, missed: int = 0) -> NDArray[np.float32]:
+    def observe(self, moment: float, state: State, missed: int = 0) -> NDArray[np.float32]:
         """What the policy is given (1, O * history), the newest observation first.
 
         Args:
-            time: of the policy's own clock [s].
+            moment: of the policy's own clock [s].
             state: the newest state.
             missed: control steps that were missed before; they count as having seen what the last one saw.
 
         Raises:
             NotFiniteError: a reading that is not finite.
         """
-        moment = Moment(readings_of(state, time), self.gait.reference, self.feedback[None])
-        self.observation = self.observer.observe(moment)[0]
+        seen = Moment(readings_of(state, moment), self.gait.reference, self.feedback[None])
+        self.observation = self.observer.observe(seen)[0]
         check_finite("observation", self.contract.columns, self.observation)
         if self._history is None:
             self._history = np.tile(self.observation, (self.contract.history, 1)).astype(np.float32)
@@ -104,14 +107,16 @@ class Controller:
         self._history[0] = self.observation
         return self._history.reshape(1, -1)
 
-    def command(self, time: float, observation: NDArray[np.float32]) -> Array:
-        """Motor angles (M,) [rad] for what the policy is given, at a time [s] of its own clock.
+    def command(self, moment: float, observation: NDArray[np.float32]) -> Array:
+        """Motor angles (M,) [rad] for what the policy is given, at a moment [s] of its own clock.
 
         Raises:
             NotFiniteError: feedback or target that is not finite.
         """
+        started = time.perf_counter()
         self.feedback = np.asarray(self.policy.feedback(observation), float)[0]
+        self.inference = time.perf_counter() - started
         check_finite("feedback", self.contract.action_names, self.feedback)
-        self.target = self.gait.motor_targets(np.array([time]), self.feedback[None])[0]
+        self.target = self.gait.motor_targets(np.array([moment]), self.feedback[None])[0]
         check_finite("target", self.robot.motor_names, self.target)
         return self.target

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from surefoot.deploy.connection import RobotConnection
 from surefoot.deploy.controller import Controller
 from surefoot.deploy.link import LinkLostError
-from surefoot.deploy.loop import ControlLoop, Watch, timed
+from surefoot.deploy.loop import ControlLoop, Watch
 from surefoot.deploy.pacer import Timing
-from surefoot.deploy.poses import between, pose, sitting
+from surefoot.deploy.poses import between, lying, pose, sitting
 from surefoot.deploy.recorder import Recorder
 from surefoot.deploy.safety import GO, Act, Guard, SafetyLimits, Verdict
 from surefoot.deploy.stop_signals import StopSignals
@@ -24,8 +24,11 @@ from surefoot.errors import SurefootError
 
 Array = NDArray[np.float64]
 
-RISE, HOLD, SIT = 1.5, 0.5, 1.5
-"""Time [s] to stand up, to stand before the policy starts (as long as a simulated robot settles), and to sit down."""
+FLAT, FOLD, RISE, HOLD, SLOW, STOP, SIT = 1.0, 1.0, 1.5, 0.5, 1.0, 0.3, 1.5
+"""Time [s] to lay the legs flat, to draw them in, to stand up, to stand before the policy starts (as long as a simulated
+robot settles), to fade from the gait to standing, to come to rest, and to sit down."""
+AROUND = FLAT + FOLD + STOP + RISE + HOLD + SLOW + STOP + SIT
+"""Time [s] that a run takes besides its policy's."""
 STILL_SPEED = 0.5
 """Speed [rad/s] of motors and base below which a fallen robot lies still."""
 _STILL_PATIENCE, _ANSWER, _PING = 5.0, 0.3, 0.02
@@ -184,11 +187,24 @@ class Deployment:
         return loop.follow(phase, steps, target, upright=upright, sitting=sitting)
 
     def _stand(self, loop: ControlLoop) -> Verdict:
-        stand = pose(self.robot, *self.contract.rest)
-        verdict = self._move(loop, "stand up", self._state().motor_angle, stand, RISE)
-        if verdict.act is Act.GO:
-            verdict = self._move(loop, "stand", stand, stand, HOLD)
-        return verdict
+        """Rise from wherever the legs lie: a damped robot sinks onto its belly, and its legs slide out from under it.
+
+        They are laid flat and drawn in first. Motors that pushed the body up at once, with the feet out at the side,
+        would stall at full current and then leap.
+        """
+        found = self._state().motor_angle
+        flat, drawn, stand = lying(self.robot, found), sitting(self.robot), pose(self.robot, *self.contract.rest)
+        for phase, start, end, duration in (
+            ("lay legs flat", found, flat, FLAT),
+            ("draw legs in", flat, drawn, FOLD),
+            ("sit", drawn, drawn, STOP),
+            ("stand up", drawn, stand, RISE),
+            ("stand", stand, stand, HOLD),
+        ):
+            verdict = self._move(loop, phase, start, end, duration)
+            if verdict.act is not Act.GO:
+                return verdict
+        return GO
 
     def _run_policy(
         self, loop: ControlLoop, recorder: Recorder, keep: Callable[[Array], None], begun: Callable[[float], None]
@@ -197,8 +213,9 @@ class Deployment:
         controller.reset()
 
         def compute(k: int, state: State, missed: int) -> Array:
-            now = k * step
-            return timed(loop, lambda: controller.command(now, controller.observe(now, state, missed)))
+            target = controller.command(k * step, controller.observe(k * step, state, missed))
+            loop.inference = controller.inference
+            return target
 
         def after(k: int, state: State, computed: bool) -> None:
             if k == 0:
@@ -210,7 +227,29 @@ class Deployment:
             if computed:
                 recorder.open(controller.observation, controller.feedback, controller.target)
 
-        return loop.follow("run", recorder.max_steps, compute, after)
+        verdict = loop.follow("run", recorder.max_steps, compute, after)
+        if verdict.act not in (Act.GO, Act.SIT):
+            return verdict
+        ending = self._slow_down(loop, recorder.steps + 1)
+        return verdict if ending.act is Act.GO else ending
+
+    def _slow_down(self, loop: ControlLoop, first: int) -> Verdict:
+        """Fade from the gait to the stand: a robot that stopped in the middle of a stride would fall over its feet.
+
+        Args:
+            loop: the loop.
+            first: control step of the policy with which it goes on.
+        """
+        controller, step = self.controller, self.contract.control_step
+        stand, steps = pose(self.robot, *self.contract.rest), loop.steps_of(SLOW)
+
+        def compute(k: int, state: State, missed: int) -> Array:
+            now = (first + k) * step
+            target = controller.command(now, controller.observe(now, state, missed))
+            return self._clipped(between(target, stand, (k + 1) / steps))
+
+        verdict = loop.follow("slow down", steps, compute, sitting=True)
+        return verdict if verdict.act is not Act.GO else self._move(loop, "stand", stand, stand, STOP, sitting=True)
 
     def _finish(self, loop: ControlLoop, verdict: Verdict) -> Outcome:
         """Bring the robot to rest, whatever happened."""

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import contextlib
 import math
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
@@ -29,6 +28,8 @@ Compute = Callable[[int, State, int], Array]
 After = Callable[[int, State, bool], None]
 """Called when a step's command is on its way: its number, the state that it saw, whether a command was computed."""
 
+EARLY = 0.0005
+"""How long before a step is due [s] the loop looks at the link a first time."""
 TOLD = 0.1
 """Time [s] between two tellings of how the loop does."""
 
@@ -150,6 +151,10 @@ class ControlLoop:
     ) -> tuple[Verdict, int]:
         connection, clock = self.connection, self.connection.clock
         try:
+            if not connection.lockstep:
+                # What has come by then is taken apart before it is needed.
+                clock.wait_until(self.pacer.due(self.pacer.index + 1) - EARLY)
+                connection.update()
             tick = self.pacer.next()
             connection.update()
         except (LinkLostError, SurefootError) as error:
@@ -222,14 +227,6 @@ class ControlLoop:
             )
         )
         self._told, self._told_steps, self._worst = now, self.timing.steps, math.nan
-
-
-def timed(loop: ControlLoop, work: Callable[[], Array]) -> Array:
-    """Do the policy's work, and note how long it took."""
-    started = time.perf_counter()
-    done = work()
-    loop.inference = time.perf_counter() - started
-    return done
 
 
 def _failure(error: Exception) -> Verdict:

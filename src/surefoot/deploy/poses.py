@@ -10,6 +10,10 @@ from surefoot.robot import RobotDescription
 SIT_EXTENSION = 0.9
 """Extension [rad] of all legs when the robot sits: low enough to fall from unharmed when its motors are let go."""
 
+SPREAD = 1.2
+"""Swing [rad] of legs that lie beside the body: about as far as they slide when motors are let go."""
+_ASIDE = 0.3
+
 
 def pose(robot: RobotDescription, swing: float, extension: float) -> NDArray[np.float64]:
     """Motor angles (M,) [rad] of all legs alike."""
@@ -21,6 +25,22 @@ def sitting(robot: RobotDescription) -> NDArray[np.float64]:
     """Motor angles (M,) [rad] of the robot when it sits; its extension is kept within what its legs allow."""
     low, high = robot.extension_range
     return pose(robot, 0.0, float(np.clip(SIT_EXTENSION, low, high)))
+
+
+def lying(robot: RobotDescription, angles: ArrayLike) -> NDArray[np.float64]:
+    """Motor angles (M,) [rad] with which legs lie beside a body on its belly, from how they came to lie.
+
+    Legs that slid out to one side stay on it: unfolded flat they move freely, and can then be drawn in from there. Legs
+    under the body are put as in `sitting`.
+
+    Args:
+        robot: the robot.
+        angles: motor angles (M,) [rad] as they are.
+    """
+    swing, _ = robot.motor_to_leg_pose(angles)
+    low, high = robot.extension_range
+    flat = np.where(np.abs(swing) > _ASIDE, SPREAD * np.sign(swing), 0.0)
+    return robot.leg_to_motor_angles(flat, np.full(len(robot.legs), np.clip(SIT_EXTENSION, low, high)))
 
 
 def between(start: ArrayLike, end: ArrayLike, share: float) -> NDArray[np.float64]:

@@ -5,6 +5,7 @@ The guard only judges; `session` does what it says. It knows no clock and no lin
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
 from enum import Enum
@@ -39,7 +40,7 @@ class SafetyLimits:
         why="where an episode of the paper ends; no trained gait comes back from there",
     )
     battery_warn: float = limit(
-        *(14.4, "V", "battery voltage", "warn once"),
+        *(14.4, "V", "battery voltage, for as long as `battery_time`", "warn once"),
         why="the sheet's robot is used at 14.0 to 16.8 V",
     )
     battery_low: float = limit(
@@ -144,18 +145,15 @@ def check_finite(what: str, names: Sequence[str], values: ArrayLike) -> None:
         NotFiniteError: names the first one.
     """
     array = np.asarray(values, float).ravel()
-    if not np.isfinite(array).all():
+    if not math.isfinite(array.sum()):
         first = int(np.argmin(np.isfinite(array)))
         raise NotFiniteError(f"{what} '{names[first % len(names)]}' is {array[first]:g}; it must be finite")
 
 
 def is_finite(state: State) -> bool:
-    """Whether all readings of a state are finite."""
-    readings = (
-        *(state.roll_pitch_yaw, state.angular_velocity_base),
-        *(state.motor_angle, state.motor_velocity, state.energy),
-    )
-    return all(np.isfinite(reading).all() for reading in readings)
+    """Whether all readings of a state are finite: a sum is, exactly if all of its terms are."""
+    parts = (state.roll_pitch_yaw, state.angular_velocity_base, state.motor_angle, state.motor_velocity)
+    return math.isfinite(state.energy) and all(math.isfinite(part.sum()) for part in parts)
 
 
 class Guard:
@@ -173,7 +171,8 @@ class Guard:
         self.tilt = limits.tilt if tilt is None else tilt
         self.warnings: list[str] = []
         """What the operator should know, each once, oldest first."""
-        self._low_since: float | None = None
+        self._full: float | None = None
+        self._enough: float | None = None
 
     def judge(self, seen: Seen, armed: bool = True, upright: bool = True) -> Verdict:
         """What is to be done now.
@@ -242,14 +241,15 @@ class Guard:
 
     def _battery(self, seen: Seen) -> Verdict:
         limits, voltage = self.limits, seen.state.voltage
-        if voltage < limits.battery_warn:
-            self.warn(f"battery below {limits.battery_warn:g} V; charge it soon")
+        # The last moment at which the voltage was high enough, for either limit; it sags whenever motors push.
+        if voltage >= limits.battery_warn:
+            self._full = seen.time
         if voltage >= limits.battery_low:
-            self._low_since = None
-            return GO
-        if self._low_since is None:
-            self._low_since = seen.time
-        if seen.time - self._low_since < limits.battery_time:
+            self._enough = seen.time
+        self._full, self._enough = (seen.time if t is None else t for t in (self._full, self._enough))
+        if seen.time - self._full >= limits.battery_time:
+            self.warn(f"battery below {limits.battery_warn:g} V; charge it soon")
+        if seen.time - self._enough < limits.battery_time:
             return GO
         return Verdict(
             Act.SIT,
@@ -258,7 +258,7 @@ class Guard:
         )
 
     def _temperature(self, state: State) -> Verdict:
-        hottest = float(np.max(state.temperature))
+        hottest = float(state.temperature.max())
         if hottest > self.limits.temperature_warn:
             self.warn(f"a motor is hotter than {self.limits.temperature_warn:g} degC")
         if hottest <= self.limits.temperature_high:

@@ -1,0 +1,189 @@
+"""A robot for tests of the host's side: the true protocol, and a body whose motors go where they are sent at once."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from surefoot.deploy.clock import LockstepClock
+from surefoot.deploy.connection import RobotConnection
+from surefoot.deploy.frames import Decoder, encode_frame
+from surefoot.deploy.link import Link, LinkLostError
+from surefoot.deploy.loop import Snapshot
+from surefoot.deploy.wire import Codec, Message, State
+from surefoot.emulator.firmware import Firmware, MotorOrder, Sensors, Vitals
+from surefoot.emulator.limits import introduction
+from surefoot.robot import RobotDescription
+
+
+class ToyRobot:
+    """The other end of a link in lockstep, as a port: robot time is the time in the frames.
+
+    Attributes:
+        sensors: called with the robot's time [s] and its readings, may return others.
+        heard: messages that came, oldest first.
+        cut: the cable has been pulled.
+        silent: what the robot says is lost.
+    """
+
+    def __init__(self, robot: RobotDescription) -> None:
+        self.codec = Codec(robot.num_motors)
+        self.firmware = Firmware(self.codec, introduction(robot, _limits(), "toy", 0.001))
+        self._decoder = Decoder(self.codec)
+        self.angle = robot.leg_to_motor_angles(np.zeros(4), np.full(4, 0.9))
+        self.sensors: Callable[[float, Sensors], Sensors] = lambda time, readings: readings
+        self.heard: list[tuple[float, Message]] = []
+        self.cut = self.silent = False
+        self._now = 0
+        self._ticked = -1000
+        self._out = bytearray()
+
+    def _readings(self, now: int) -> Sensors:
+        motors = self.codec.motors
+        plain = Sensors(
+            motor_angle=self.angle.copy(),
+            motor_velocity=np.zeros(motors),
+            motor_torque=np.full(motors, 0.1),
+            roll_pitch_yaw=np.zeros(3),
+            angular_velocity_base=np.zeros(3),
+            energy=now * 1e-5,
+            voltage=16.0,
+            temperature=np.full(motors, 30.0),
+        )
+        return self.sensors(now / 1e6, plain)
+
+    def run_to(self, now: int) -> None:
+        """Let time go on, a millisecond at a time; states go out at their moments."""
+        firmware = self.firmware
+        while self._ticked + 1000 <= now:
+            self._ticked += 1000
+            self._report_until(self._ticked)
+            vitals = Vitals(self.angle, 0.0, 16.0, 30.0)
+            order: MotorOrder = firmware.tick(self._ticked, vitals)
+            if firmware.armed:
+                self.angle = order.values.copy()
+        self._report_until(now)
+        self._now = max(self._now, now)
+
+    def _report_until(self, now: int) -> None:
+        firmware = self.firmware
+        while firmware.next_state is not None and firmware.next_state <= now:
+            due = max(firmware.next_state, 0)
+            readings = self._readings(due)
+            firmware.report(due, lambda lead, readings=readings: readings)
+            self._say()
+
+    def _say(self) -> None:
+        for frame in self.firmware.take():
+            if not self.silent:
+                self._out += encode_frame(self.codec, frame.message, frame.sequence, frame.time)
+
+    def write(self, data: bytes) -> int:
+        if self.cut:
+            raise LinkLostError("port toy is gone")
+        for frame in self._decoder.feed(data):
+            self.run_to(max(round(frame.time * 1e6), self._now))
+            self.heard.append((frame.time, frame.message))
+            self.firmware.receive(self._now, encode_frame(self.codec, frame.message, frame.sequence, frame.time))
+            self._say()
+        return len(data)
+
+    def read(self) -> bytes:
+        if self.cut:
+            raise LinkLostError("port toy is gone")
+        said = bytes(self._out)
+        self._out.clear()
+        return said
+
+    def wait(self, timeout: float) -> None:
+        pass
+
+    def close(self) -> None:
+        pass
+
+    def kinds(self) -> list[str]:
+        """Names of the messages that came, runs of the same one once."""
+        names = [type(message).__name__ for _, message in self.heard if type(message).__name__ != "Ping"]
+        return [name for k, name in enumerate(names) if k == 0 or names[k - 1] != name]
+
+
+def _limits() -> Any:
+    from surefoot.emulator.limits import Limits
+
+    return Limits()
+
+
+@dataclass
+class Seen:
+    """Somebody who watches, and remembers."""
+
+    phases: list[str] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
+    snapshots: list[Snapshot] = field(default_factory=list)
+    said: list[str] = field(default_factory=list)
+
+    def phase(self, name: str, duration: float) -> None:
+        self.phases.append(name)
+
+    def warn(self, text: str) -> None:
+        self.warnings.append(text)
+
+    def recording(self, text: str) -> None:
+        self.said.append(text)
+
+    def tick(self, snapshot: Snapshot) -> None:
+        self.snapshots.append(snapshot)
+
+
+@pytest.fixture(scope="session")
+def robot() -> RobotDescription:
+    return RobotDescription.load("minitaur")
+
+
+@pytest.fixture
+def toy(robot: RobotDescription) -> ToyRobot:
+    return ToyRobot(robot)
+
+
+@pytest.fixture
+def connection(toy: ToyRobot) -> RobotConnection:
+    clock = LockstepClock()
+    link = Link(toy, toy.codec, clock)
+    clock.attach(link)
+    return RobotConnection(link, clock, session=77)
+
+
+@pytest.fixture
+def watch() -> Seen:
+    return Seen()
+
+
+@pytest.fixture
+def a_state() -> State:
+    """A state of a robot that stands and follows session 77."""
+    return State(
+        session=77,
+        mode=1,
+        reason=0,
+        command=1,
+        command_age=0.001,
+        dropped=0,
+        motor_angle=np.full(8, 2.0),
+        motor_velocity=np.zeros(8),
+        motor_torque=np.zeros(8),
+        roll_pitch_yaw=np.zeros(3),
+        angular_velocity_base=np.zeros(3),
+        energy=0.0,
+        voltage=16.0,
+        temperature=np.full(8, 30.0),
+    )
+
+
+@pytest.fixture
+def changed() -> Callable[..., Any]:
+    """`dataclasses.replace`, for readings and states."""
+    return replace
