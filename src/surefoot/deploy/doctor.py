@@ -18,6 +18,7 @@ from surefoot.deploy.doctor_rack import wiggle_motors
 from surefoot.deploy.doctor_rest import Sample, check_rest, watch
 from surefoot.deploy.findings import Finding
 from surefoot.deploy.link import LinkLostError
+from surefoot.deploy.realtime import undisturbed
 from surefoot.deploy.safety import SafetyLimits
 from surefoot.deploy.stop_signals import StopSignals
 from surefoot.errors import SurefootError, choices
@@ -25,6 +26,9 @@ from surefoot.policy.runtime import PolicyRuntime
 from surefoot.robot import RobotDescription
 
 RACK = ("motors, one by one", "control latency", "servo response")
+_ON_RACK = "hang the robot free, legs in the air, and run with --rack"
+_ON_GROUND = "put the robot on flat ground and run with --ground"
+Motion = Callable[[StopSignals], list[Finding]]
 
 
 @dataclass(frozen=True)
@@ -97,28 +101,34 @@ def _look(
         inference = time_inference(policy, what.steps)
         late, missed = time_loop(policy, connection, what.steps)
         add(check_computer(inference, late, missed, contract.control_step))
+    bias = gyro_bias(samples)
+    motions: tuple[tuple[bool, tuple[str, ...], str, Motion], ...] = (
+        (what.rack, RACK, _ON_RACK, lambda operator: wiggle_motors(connection, contract, robot, operator)),
+        (what.ground, GROUND, _ON_GROUND, lambda operator: tilt_robot(connection, contract, robot, operator, bias)),
+    )
     failed = [finding.name for finding in found if finding.passed is False]
-    for wanted, names, need in (
-        (what.rack, RACK, "hang the robot free, legs in the air, and run with --rack"),
-        (what.ground, GROUND, "put the robot on flat ground and run with --ground"),
-    ):
+    for wanted, names, need, motion in motions:
         if not wanted:
             add([Finding(name, None, "needs motors that move", need) for name in names])
         elif failed:
             why = f"nothing moves while a check fails ({choices(failed)})"
             add([Finding(name, None, why, "mend that first") for name in names])
         else:
-            with StopSignals() as operator:
-                try:
-                    if names is RACK:
-                        add(wiggle_motors(connection, contract, robot, operator))
-                    else:
-                        add(tilt_robot(connection, contract, robot, operator, gyro_bias(samples)))
-                except SurefootError as error:
-                    add([Finding(names[0], False, str(error), "switch the robot off and on, and run it again")])
+            add(_move(motion, names))
+
+
+def _move(motion: Motion, names: tuple[str, ...]) -> list[Finding]:
+    with undisturbed(), StopSignals() as operator:
+        try:
+            return motion(operator)
+        except SurefootError as error:
+            first = Finding(names[0], False, str(error), "switch the robot off and on, and run it again")
+            return [first, *(Finding(name, None, "nothing has moved", "mend that first") for name in names[1:])]
 
 
 def gyro_bias(samples: list[Sample]) -> np.ndarray:
-    """Mean of the gyro (3,) [rad/s] over states of a robot at rest."""
+    """Mean of the gyro (3,) [rad/s] over states of a robot at rest; 0 without any."""
+    if not samples:
+        return np.zeros(3)
     bias: np.ndarray = np.mean([sample.state.angular_velocity_base for sample in samples], axis=0)
     return bias

@@ -18,6 +18,7 @@ from surefoot.deploy.doctor_rest import Sample
 from surefoot.deploy.findings import Finding
 from surefoot.deploy.poses import pose
 from surefoot.deploy.stop_signals import StopSignals
+from surefoot.errors import choices
 from surefoot.policy.contract import Contract
 from surefoot.robot import RobotDescription
 
@@ -38,6 +39,8 @@ RATE_SHARE, RATE_LEAST = 0.3, 0.015
 _SETTLED = 25
 NAMES = ("IMU, nose down", "IMU, left side down", "IMU, rates")
 AXES = ("roll", "pitch")
+SIDES = ("front", "left")
+"""What the names of the legs on these sides contain."""
 
 
 @dataclass(frozen=True)
@@ -70,6 +73,9 @@ def tilt_robot(
         SurefootError: the robot does not arm.
         LinkLostError: the port is gone.
     """
+    if not all(0 < sum(side in leg for leg in robot.leg_names) < len(robot.legs) for side in SIDES):
+        why = f"the names of the legs ({choices(robot.leg_names)}) do not say which stand in front and which left"
+        return [Finding(name, None, why, "name them so in the data sheet") for name in NAMES]
     swing, extension = contract.rest
     stand = pose(robot, swing, extension)
     mover = Mover(connection, robot, contract.control_step, operator, LEASH, sits=True)
@@ -77,7 +83,7 @@ def tilt_robot(
         with mover:
             mover.go(stand, RISE)
             tilts = []
-            for shorter in ("front", "left"):
+            for shorter in SIDES:
                 mover.hold(stand, SETTLE)
                 first = len(mover.samples()) - _SETTLED
                 mover.go(_tilted(robot, swing, extension, shorter), TILT_TIME)
@@ -94,10 +100,7 @@ def tilt_robot(
 
 
 def _tilted(robot: RobotDescription, swing: float, extension: float, shorter: str) -> Array:
-    """Motor angles (M,) of a robot whose front or left legs are shorter and whose others are longer.
-
-    Where a leg stands is read from its name; all legs of a robot that has other names stay as they are.
-    """
+    """Motor angles (M,) of a robot whose front or left legs are shorter and whose others are longer."""
     low, high = robot.extension_range
     side = np.array([shorter in leg for leg in robot.leg_names])
     extensions = np.clip(np.where(side, extension - SHORTER, extension + LONGER), low, high)

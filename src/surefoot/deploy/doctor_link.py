@@ -24,6 +24,7 @@ CLOCK_RATE = 0.01
 """How much faster or slower the robot's clock may be: crystals differ by .0001, a slow emulator by more."""
 LATE_STEPS = 2
 """Control steps within which 99 of 100 answers must be there: a deployment damps the robot after three without one."""
+TIMED = ("link, bursts", "link, round trip", "robot's clock")
 _TOGETHER = 5e-4
 """Frames that come within this time [s] of each other have come together."""
 
@@ -52,11 +53,11 @@ class LinkFigures:
     @property
     def jitter(self) -> float:
         """Standard deviation of the round trips [s]."""
-        return float(np.std(self.round_trips)) if len(self.round_trips) else 0.0
+        return float(np.std(self.round_trips))
 
     def percentile(self, share: float) -> float:
-        """A percentile of the round trips [s]; infinite if nothing was answered."""
-        return float(np.percentile(self.round_trips, share)) if len(self.round_trips) else float("inf")
+        """A percentile of the round trips [s]."""
+        return float(np.percentile(self.round_trips, share))
 
 
 def listen(connection: RobotConnection, until: float) -> None:
@@ -133,12 +134,13 @@ def check_link(figures: LinkFigures, lead: float, control_step: float, lockstep:
         figures: of the link.
         lead: how long before a control step the robot sends its state [s].
         control_step: of the policy [s].
-        lockstep: the robot follows this computer's clock, so that times mean nothing.
+        lockstep: the robot follows this computer's clock, so that frames take no time.
     """
-    return [
-        _losses(figures),
-        *([] if lockstep else [_bursts(figures), _trips(figures, lead, control_step), _clock(figures)]),
-    ]
+    if lockstep or not len(figures.round_trips):
+        why = "in lockstep frames take no time" if lockstep else "no ping was answered"
+        todo = "run without --lockstep" if lockstep else "mend that first"
+        return [_losses(figures), *(Finding(name, None, why, todo) for name in TIMED)]
+    return [_losses(figures), _bursts(figures), _trips(figures, lead, control_step), _clock(figures)]
 
 
 def _losses(figures: LinkFigures) -> Finding:

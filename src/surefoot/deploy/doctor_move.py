@@ -35,6 +35,11 @@ class MotionStoppedError(RuntimeError):
         self.verdict = verdict
 
 
+def _may_sit(error: BaseException) -> bool:
+    """Whether what ended a motion leaves time to sit down and disarm."""
+    return isinstance(error, MotionStoppedError) and error.verdict.act is Act.SIT
+
+
 class _Strayed(RuntimeError):
     """A motor is not where it was sent."""
 
@@ -142,21 +147,28 @@ class Mover:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         """Sit down, if the robot stands, and disarm; damp if anything went wrong."""
+        damp = error is not None and not _may_sit(error)
         try:
-            asked_to_sit = isinstance(error, MotionStoppedError) and error.verdict.act is Act.SIT
-            if error is not None and not asked_to_sit:
+            if damp:
                 self._loop.damp()
             elif self.sits:
                 self._follow(self._present(), sitting(self.robot), SIT_TIME, sitting_down=True)
+        except BaseException as failed:
+            damp = not _may_sit(failed)
+            raise
         finally:
             self.connection.on_state = None
-            self._disarm()
+            self._let_go(damp)
 
-    def _disarm(self) -> None:
+    def _let_go(self, damp: bool) -> None:
+        """Disarm or damp, again if there is no answer: frames may be lost."""
         for _ in range(5):
             if self._state().mode == Mode.FAULT:
                 return
-            self.connection.disarm()
+            if damp:
+                self._loop.damp()
+            else:
+                self.connection.disarm()
             if self._wait(lambda: self._state().mode in (Mode.DISARMED, Mode.FAULT), _ANSWER / 5):
                 return
         self._loop.damp()

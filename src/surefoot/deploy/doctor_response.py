@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +13,7 @@ WINDOW = 0.15
 """Time after a step [s] whose readings are fitted."""
 _DELAYS = np.arange(0.0, 0.1, 0.001)
 _FREQUENCIES = np.geomspace(15.0, 400.0, 28)
-_DAMPINGS = np.array([0.3, 0.45, 0.6, 0.8, 1.001, 1.3, 1.8, 2.6, 4.0])
+_DAMPINGS = np.array([0.3, 0.45, 0.6, 0.8, 1.05, 1.3, 1.8, 2.6, 4.0])
 
 
 @dataclass(frozen=True)
@@ -43,27 +43,32 @@ def fit_response(age: Array, moved: Array) -> Response:
     """
     kept = age <= WINDOW
     age, moved = age[kept], moved[kept]
-    coarse = _search(age, moved, _DELAYS)
-    fine = coarse.delay + np.arange(-1.5e-3, 1.6e-3, 1e-4)
-    return _search(age, moved, fine[fine >= 0])
+    found, frequency, damping = _search(age, moved, _DELAYS, _FREQUENCIES, _DAMPINGS)
+    for delay, spread in ((2e-3, 1.3), (5e-4, 1.1)):
+        delays = found.delay + np.linspace(-delay, delay, 21)
+        around = np.geomspace(1 / spread, spread, 9)
+        found, frequency, damping = _search(age, moved, delays[delays >= 0], frequency * around, damping * around)
+    return found
 
 
-def _search(age: Array, moved: Array, delays: Array) -> Response:
-    root = np.sqrt(_DAMPINGS.astype(complex) ** 2 - 1)
-    poles = _FREQUENCIES[:, None, None] * np.array([root - _DAMPINGS, -root - _DAMPINGS]).transpose(1, 0)
-    one, other = poles[..., 0].ravel(), poles[..., 1].ravel()
-    best, found = np.inf, Response(0.0, 0.0, 0.0, np.inf)
+def _search(
+    age: Array, moved: Array, delays: Array, frequencies: Array, dampings: Array
+) -> tuple[Response, float, float]:
+    """The best of a grid, with its frequency [rad/s] and damping ratio."""
+    damping, frequency = (axis.ravel() for axis in np.meshgrid(dampings, frequencies))
+    # Both poles being one is no case of its own, but a division by 0.
+    root = np.sqrt((damping + 1e-6 * (damping == 1)).astype(complex) ** 2 - 1)
+    one, other = frequency * (root - damping), frequency * (-root - damping)
+    best, found, at = np.inf, Response(0.0, 0.0, 0.0, np.inf), 0
     for delay in delays:
         unit = _step(one, other, np.maximum(age - delay, 0.0))
-        power = (unit * unit).sum(axis=1)
-        gain = (unit @ moved) / np.maximum(power, 1e-12)
+        gain = (unit @ moved) / np.maximum((unit * unit).sum(axis=1), 1e-12)
         error = ((gain[:, None] * unit - moved) ** 2).sum(axis=1)
         index = int(np.argmin(error))
         if error[index] < best:
-            best = float(error[index])
-            rise = _rise(one[index], other[index])
-            found = Response(float(delay), rise, float(gain[index]), float(np.sqrt(best / max(len(age), 1))))
-    return found
+            best, at = float(error[index]), index
+            found = Response(float(delay), 0.0, float(gain[index]), float(np.sqrt(best / max(len(age), 1))))
+    return replace(found, rise=_rise(one[at], other[at])), float(frequency[at]), float(damping[at])
 
 
 def _step(one: NDArray[np.complex128], other: NDArray[np.complex128], time: Array) -> Array:
