@@ -25,8 +25,8 @@ from surefoot.errors import SurefootError
 Array = NDArray[np.float64]
 
 FLAT, FOLD, RISE, HOLD, SLOW, STOP, SIT = 1.0, 1.0, 1.5, 0.5, 1.0, 0.3, 1.5
-"""Time [s] to lay the legs flat, to draw them in, to stand up, to stand before the policy starts (as long as a simulated
-robot settles), to fade from the gait to standing, to come to rest, and to sit down."""
+"""Time [s] to lay the legs flat, to draw them in, to stand up, to stand before the policy starts (as long as a robot
+settles in simulation), to fade from the gait to standing, to come to rest, and to sit down."""
 AROUND = FLAT + FOLD + STOP + RISE + HOLD + SLOW + STOP + SIT
 """Time [s] that a run takes besides its policy's."""
 STILL_SPEED = 0.5

@@ -89,6 +89,9 @@ def limits_table(limits: SafetyLimits | None = None) -> list[tuple[str, str, str
     ]
 
 
+_ROUNDING = 1e-6
+
+
 class Act(Enum):
     """What is to be done in a control step."""
 
@@ -145,15 +148,15 @@ def check_finite(what: str, names: Sequence[str], values: ArrayLike) -> None:
         NotFiniteError: names the first one.
     """
     array = np.asarray(values, float).ravel()
-    if not math.isfinite(array.sum()):
+    if not np.isfinite(array).all():
         first = int(np.argmin(np.isfinite(array)))
         raise NotFiniteError(f"{what} '{names[first % len(names)]}' is {array[first]:g}; it must be finite")
 
 
 def is_finite(state: State) -> bool:
-    """Whether all readings of a state are finite: a sum is, exactly if all of its terms are."""
+    """Whether all readings of a state are finite."""
     parts = (state.roll_pitch_yaw, state.angular_velocity_base, state.motor_angle, state.motor_velocity)
-    return math.isfinite(state.energy) and all(math.isfinite(part.sum()) for part in parts)
+    return math.isfinite(state.energy) and all(np.isfinite(part).all() for part in parts)
 
 
 class Guard:
@@ -171,8 +174,7 @@ class Guard:
         self.tilt = limits.tilt if tilt is None else tilt
         self.warnings: list[str] = []
         """What the operator should know, each once, oldest first."""
-        self._full: float | None = None
-        self._enough: float | None = None
+        self._low_since: dict[float, float] = {}
 
     def judge(self, seen: Seen, armed: bool = True, upright: bool = True) -> Verdict:
         """What is to be done now.
@@ -216,7 +218,7 @@ class Guard:
 
     def _lateness(self, seen: Seen) -> Verdict:
         steps = seen.state_age / self.control_step
-        if not steps <= self.limits.state_age:
+        if not steps <= self.limits.state_age + _ROUNDING:
             return Verdict(
                 Act.DAMP,
                 "stale state",
@@ -241,21 +243,23 @@ class Guard:
 
     def _battery(self, seen: Seen) -> Verdict:
         limits, voltage = self.limits, seen.state.voltage
-        # The last moment at which the voltage was high enough, for either limit; it sags whenever motors push.
-        if voltage >= limits.battery_warn:
-            self._full = seen.time
-        if voltage >= limits.battery_low:
-            self._enough = seen.time
-        self._full, self._enough = (seen.time if t is None else t for t in (self._full, self._enough))
-        if seen.time - self._full >= limits.battery_time:
+        # It sags for a moment whenever motors push.
+        if self._low_for(limits.battery_warn, seen) >= limits.battery_time:
             self.warn(f"battery below {limits.battery_warn:g} V; charge it soon")
-        if seen.time - self._enough < limits.battery_time:
+        if self._low_for(limits.battery_low, seen) < limits.battery_time:
             return GO
         return Verdict(
             Act.SIT,
             "battery",
             f"the battery has {voltage:.1f} V, below {limits.battery_low:g} V for {limits.battery_time:g} s",
         )
+
+    def _low_for(self, limit: float, seen: Seen) -> float:
+        """How long the voltage has been seen below a limit [s]."""
+        if seen.state.voltage >= limit:
+            self._low_since.pop(limit, None)
+            return 0.0
+        return seen.time - self._low_since.setdefault(limit, seen.time)
 
     def _temperature(self, state: State) -> Verdict:
         hottest = float(state.temperature.max())

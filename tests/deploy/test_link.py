@@ -1,0 +1,140 @@
+"""The link on a real pseudo-terminal: nothing blocks, everything is counted, one program at a time."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import subprocess
+import sys
+import time
+import tty
+
+import numpy as np
+import pytest
+
+from surefoot.deploy.clock import MonotonicClock
+from surefoot.deploy.frames import Decoder, encode_frame
+from surefoot.deploy.link import Link, LinkLostError, SerialPort
+from surefoot.deploy.wire import Codec, Handshake, Ping, Pong, Position
+from surefoot.errors import SurefootError
+
+CODEC = Codec(8)
+
+
+@pytest.fixture
+def pty():
+    """The robot's end of a pseudo-terminal, and the name of the other end."""
+    master, slave = os.openpty()
+    tty.setraw(slave)
+    os.set_blocking(master, False)
+    yield master, os.ttyname(slave)
+    for file in (master, slave):
+        with contextlib.suppress(OSError):
+            os.close(file)
+
+
+def frame(sequence: int, token: int = 0) -> bytes:
+    return encode_frame(CODEC, Pong(token), sequence, 1.0)
+
+
+def heard(link: Link, count: int) -> list[int]:
+    """Numbers of the frames that come, `count` at least or whatever comes within 5 s."""
+    found: list[int] = []
+    end = time.monotonic() + 5.0
+    while len(found) < count and time.monotonic() < end:
+        link.port.wait(0.05)
+        found += [arrival.frame.sequence for arrival in link.receive()]
+    return found
+
+
+def test_frames_go_both_ways(pty):
+    master, name = pty
+    link = Link(SerialPort(name), CODEC, MonotonicClock())
+    assert link.send(Position(5, np.arange(8.0))) == 1
+    assert link.ping() == 1
+    decoder, frames = Decoder(CODEC), []
+    while len(frames) < 2:
+        frames += decoder.feed(os.read(master, 4096))
+    assert [one.sequence for one in frames] == [1, 2]
+    assert frames[0].message.target.tolist() == list(range(8))
+    assert frames[1].message == Ping(1)
+    os.write(master, frame(1))
+    assert heard(link, 1) == [1]
+    link.close()
+
+
+def test_reading_an_empty_port_does_not_wait(pty):
+    link = Link(SerialPort(pty[1]), CODEC, MonotonicClock())
+    started = time.monotonic()
+    assert link.receive() == []
+    assert time.monotonic() - started < 1.0
+
+
+def test_backward_repeated_and_missing_numbers_are_counted_and_dropped(pty):
+    link = Link(SerialPort(pty[1]), CODEC, MonotonicClock())
+    os.write(pty[0], b"".join(frame(number) for number in (1, 2, 2, 5, 4, 6)))
+    assert heard(link, 4) == [1, 2, 5, 6]
+    assert (link.counts.repeated, link.counts.missing) == (2, 2)
+
+
+def test_a_robot_that_greets_counts_from_one_again(pty, toy):
+    link = Link(SerialPort(pty[1]), CODEC, MonotonicClock())
+    handshake: Handshake = toy.firmware.introduction
+    os.write(pty[0], frame(900) + encode_frame(CODEC, handshake, 1, 0.0) + frame(2))
+    assert heard(link, 3) == [900, 1, 2]
+    assert link.counts.repeated == 0
+
+
+def test_garbage_between_frames_costs_no_frame(pty):
+    link = Link(SerialPort(pty[1]), CODEC, MonotonicClock())
+    os.write(pty[0], b"\x07garbage" + frame(1) + b"\xff\x00\x13" + frame(2))
+    assert heard(link, 2) == [1, 2]
+    assert link.decoder.counts.damaged == 3
+
+
+def test_a_full_port_drops_frames_and_does_not_block(pty):
+    link = Link(SerialPort(pty[1]), CODEC, MonotonicClock())
+    started = time.monotonic()
+    for _ in range(2000):
+        link.send(Position(1, np.zeros(8)))
+    assert time.monotonic() - started < 10.0
+    assert link.counts.sent == 2000
+    assert link.counts.unsent > 0
+
+
+def test_a_port_whose_other_end_closes_is_lost(pty):
+    master, name = pty
+    port = SerialPort(name)
+    os.close(master)
+
+    def use() -> None:
+        for _ in range(50):
+            port.read()
+            port.write(b"x")
+            time.sleep(0.01)
+
+    with pytest.raises(LinkLostError, match="is gone"):
+        use()
+
+
+def test_a_second_program_is_refused_in_one_line(pty):
+    port = SerialPort(pty[1])
+    script = f"from surefoot.deploy.link import SerialPort; SerialPort({pty[1]!r})"
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60)
+    assert "another program has it; one operator at a time" in done.stderr
+    port.close()
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0, done.stderr
+
+
+def test_a_port_that_is_none_is_told_in_one_line(tmp_path):
+    with pytest.raises(SurefootError, match="can't be opened: No such file"):
+        SerialPort(str(tmp_path / "nothing"))
+
+
+def test_a_ping_is_waited_for_and_what_comes_before_is_kept(toy):
+    link = Link(toy, CODEC, MonotonicClock())
+    assert link.ping_through(1.0)
+    assert [type(arrival.frame.message) for arrival in link.receive()] == [Pong]
+    toy.silent = True
+    assert not link.ping_through(0.01)

@@ -1,0 +1,80 @@
+"""The beat of the control loop, on a clock that tests move."""
+
+from __future__ import annotations
+
+import pytest
+
+from surefoot.deploy.pacer import Pacer, Timing
+
+
+class HandClock:
+    """A clock that wakes late when it is told to."""
+
+    def __init__(self) -> None:
+        self.time = 10.0
+        self.late = 0.0
+
+    def now(self) -> float:
+        return self.time
+
+    def wait_until(self, moment: float) -> None:
+        self.time = max(self.time, moment) + self.late
+        self.late = 0.0
+
+
+def test_steps_come_at_whole_periods():
+    pacer = Pacer(HandClock(), 0.006)
+    pacer.begin()
+    ticks = [pacer.next() for _ in range(4)]
+    assert [tick.index for tick in ticks] == [0, 1, 2, 3]
+    assert [tick.due for tick in ticks] == pytest.approx([10.0, 10.006, 10.012, 10.018])
+    assert all(tick.missed == 0 for tick in ticks)
+
+
+@pytest.mark.parametrize(("late", "missed"), [(0.001, 0), (0.0059, 0), (0.0061, 1), (0.0125, 2), (0.0181, 3)])
+def test_a_step_that_starts_a_period_late_is_missed_and_the_beat_stays(late, missed):
+    clock = HandClock()
+    pacer = Pacer(clock, 0.006)
+    pacer.begin()
+    pacer.next()
+    clock.late = late
+    tick = pacer.next()
+    assert (tick.index, tick.missed) == (1 + missed, missed)
+    assert tick.late == pytest.approx(late)
+    assert tick.due == pytest.approx(10.006 + 0.006 * missed)
+    following = pacer.next()
+    assert following.index == tick.index + 1
+    assert following.due == pytest.approx(tick.due + 0.006)
+
+
+def test_a_new_count_takes_the_place_of_the_next_step():
+    clock = HandClock()
+    pacer = Pacer(clock, 0.006)
+    pacer.begin()
+    for _ in range(3):
+        pacer.next()
+    pacer.restart()
+    assert pacer.next().due == pytest.approx(10.018)
+    clock.time = 11.0
+    pacer.restart()
+    tick = pacer.next()
+    assert (tick.index, tick.missed) == (0, 0)
+    assert tick.due == pytest.approx(11.0)
+
+
+def test_figures_are_in_milliseconds():
+    timing = Timing(100)
+    for k in range(101):
+        timing.add(k * 1e-5, 1e-3 + k * 1e-5, 2e-4 if k % 2 else float("nan"), 0, True)
+    timing.add(0.0, 0.0, float("nan"), 2, False)
+    figures = timing.figures()
+    assert (figures["steps"], figures["missed"], figures["stale"]) == (102, 2, 1)
+    assert figures["lateness_median_ms"] == pytest.approx(0.495)
+    assert figures["lateness_max_ms"] == pytest.approx(0.99)
+    assert figures["sent_max_ms"] == pytest.approx(1.99)
+    assert figures["inference_median_ms"] == pytest.approx(0.2)
+    assert timing.last(2).tolist() == pytest.approx([0.98e-3, 0.99e-3])
+
+
+def test_figures_of_nothing_are_none():
+    assert Timing(3).figures()["lateness_median_ms"] is None

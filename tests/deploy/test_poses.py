@@ -1,0 +1,42 @@
+"""Poses and the way between them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from surefoot.deploy.poses import SIT_EXTENSION, SPREAD, between, lying, pose, sitting
+
+
+def test_a_pose_is_the_same_for_all_legs(robot):
+    swing, extension = robot.motor_to_leg_pose(pose(robot, 0.1, 2.0))
+    assert swing == pytest.approx(0.1)
+    assert extension == pytest.approx(2.0)
+    assert robot.motor_to_leg_pose(sitting(robot))[1] == pytest.approx(SIT_EXTENSION)
+
+
+def test_the_way_starts_and_ends_at_rest():
+    start, end = np.array([0.0, 1.0]), np.array([2.0, -1.0])
+    assert between(start, end, 0.0).tolist() == [0.0, 1.0]
+    assert between(start, end, 1.0).tolist() == [2.0, -1.0]
+    assert between(start, end, 0.5) == pytest.approx([1.0, 0.0])
+    # 10 s^3 - 15 s^4 + 6 s^5 at s = 1/4, by hand: 106/1024.
+    assert between(start, end, 0.25) == pytest.approx([2 * 106 / 1024, 1 - 2 * 106 / 1024])
+    share = np.linspace(0.0, 1.0, 1001)
+    way = np.array([between(0.0, 1.0, s) for s in share])
+    speed = np.gradient(way, share)
+    assert np.all(np.diff(way) >= 0.0)
+    assert speed[[0, -1]] == pytest.approx(0.0, abs=1e-5)
+    assert speed.max() == pytest.approx(15 / 8, rel=1e-5)
+
+
+def test_the_way_never_leaves_its_ends():
+    assert between(1.0, 2.0, -3.0) == 1.0
+    assert between(1.0, 2.0, 3.0) == 2.0
+
+
+def test_legs_that_lie_aside_are_laid_flat_on_their_side(robot):
+    found = robot.leg_to_motor_angles(np.array([-0.8, 0.9, 0.1, -0.2]), np.array([0.1, 0.2, 0.9, 0.5]))
+    swing, extension = robot.motor_to_leg_pose(lying(robot, found))
+    assert swing == pytest.approx([-SPREAD, SPREAD, 0.0, 0.0])
+    assert extension == pytest.approx(SIT_EXTENSION)

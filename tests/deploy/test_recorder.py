@@ -1,0 +1,226 @@
+"""Rows of a run, the file that grows with them, and the trace that they make."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from surefoot.deploy.partial import PartialFile, next_free, recover
+from surefoot.deploy.recorder import Layout, Recorder, trace_of
+from surefoot.errors import SurefootError
+
+LAYOUT = Layout(motors=8, legs=4, observations=3)
+STEP = 0.006
+META = {
+    "robot": "minitaur",
+    "world": "robot",
+    "control_step": STEP,
+    "leg_names": ["a", "b", "c", "d"],
+    "motor_names": [f"m{k}" for k in range(8)],
+    "observation_names": ["x", "y", "z"],
+    "ended": "time",
+}
+
+
+def opened(k: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    return np.full(3, 10.0 * k), np.full(8, 20.0 * k), np.full(8, 30.0 * k)
+
+
+@pytest.fixture
+def recorded(a_state):
+    """A recorder after steps 0 to 2: state k has roll k / 100 and energy k^2."""
+
+    def state(k: int):
+        return replace(a_state, roll_pitch_yaw=np.array([k / 100, 0.0, 0.0]), energy=float(k**2))
+
+    recorder = Recorder(LAYOUT, STEP, 10)
+    recorder.begin(state(0))
+    for k in range(4):
+        recorder.close(k, state(k), 100.0 + k * STEP)
+        if k < 3:
+            recorder.open(*opened(k))
+    return recorder, state
+
+
+def test_a_row_has_its_start_and_the_state_of_its_end(recorded):
+    recorder, _ = recorded
+    assert recorder.steps == 3
+    columns = LAYOUT.columns(recorder.rows)
+    assert columns["time"] == pytest.approx([0.006, 0.012, 0.018])
+    assert columns["robot_time"] == pytest.approx([100.006, 100.012, 100.018])
+    assert columns["roll_pitch_yaw"][:, 0] == pytest.approx([0.01, 0.02, 0.03])
+    assert columns["observation"][:, 0].tolist() == [0.0, 10.0, 20.0]
+    assert columns["feedback"][:, -1].tolist() == [0.0, 20.0, 40.0]
+    assert columns["target"][:, -1].tolist() == [0.0, 30.0, 60.0]
+    assert columns["energy"].tolist() == [1.0, 3.0, 5.0]
+
+
+def test_missed_steps_repeat_what_the_servos_held(recorded):
+    recorder, state = recorded
+    recorder.open(*opened(3))
+    rows = recorder.close(6, state(6), 100.036)
+    assert len(rows) == 3
+    assert recorder.missed == [4, 5]
+    columns = LAYOUT.columns(recorder.rows)
+    assert np.diff(columns["time"]) == pytest.approx(STEP)
+    assert columns["target"][3:, 0].tolist() == [90.0, 90.0, 90.0]
+    assert columns["observation"][3:, 0].tolist() == [30.0, 30.0, 30.0]
+    assert columns["energy"][3:].tolist() == [36.0 - 9.0, 0.0, 0.0]
+
+
+def test_a_state_that_is_not_finite_closes_no_row(recorded):
+    recorder, state = recorded
+    recorder.open(*opened(3))
+    recorder.close(4, replace(state(4), motor_velocity=np.full(8, np.nan)), 101.0)
+    assert recorder.steps == 3
+
+
+def test_a_recorder_that_is_full_takes_no_more(recorded):
+    recorder, state = recorded
+    recorder.open(*opened(3))
+    recorder.close(99, state(4), 101.0)
+    assert recorder.steps == 10
+
+
+def test_energy_that_starts_anew_counts_nothing(recorded):
+    recorder, state = recorded
+    recorder.open(*opened(3))
+    recorder.close(4, state(0), 101.0)
+    assert LAYOUT.columns(recorder.rows)["energy"][3] == 0.0
+
+
+def test_what_the_robot_does_not_know_is_nan_in_the_trace(recorded):
+    trace = trace_of(LAYOUT, recorded[0].rows, META)
+    assert trace.num_steps == 3
+    assert np.isnan(trace.base_position_world).all()
+    assert np.isnan(trace.foot_contact).all()
+    assert trace.motor_torque.shape == (3, 8)
+    with pytest.raises(SurefootError, match="no control step was done"):
+        trace_of(LAYOUT, recorded[0].rows[:0], META)
+
+
+def test_a_partial_file_gives_the_same_trace(recorded, tmp_path):
+    path = tmp_path / "deep" / "run.partial"
+    file = PartialFile(path, LAYOUT, META)
+    for row in recorded[0].rows:
+        file.add(row[None])
+    file.close()
+    assert file.stopped == ""
+    trace = recover(path)
+    assert trace.meta["ended"] == "fault"
+    assert trace.meta["reason"] == "cut off"
+    whole = trace_of(LAYOUT, recorded[0].rows, META)
+    for name in ("time", "target", "observation", "energy", "roll_pitch_yaw"):
+        assert getattr(trace, name).tolist() == getattr(whole, name).tolist()
+    file.remove()
+    assert not path.exists()
+
+
+def test_a_row_that_was_cut_is_left_out(recorded, tmp_path):
+    path = tmp_path / "run.partial"
+    file = PartialFile(path, LAYOUT, META)
+    file.add(recorded[0].rows)
+    file.close()
+    path.write_bytes(path.read_bytes()[:-5])
+    assert recover(path).num_steps == 2
+
+
+@pytest.mark.parametrize(
+    ("content", "match"),
+    [
+        (None, "can't be read: No such file"),
+        (b"", "is none"),
+        (b"{}\n", "is none"),
+        (b"[1]\n", "is none"),
+        (b'{"kind": "other"}\n', "is none: of another kind"),
+        (b"\xff\xfe\n", "is none"),
+        (
+            json.dumps(
+                {"kind": "surefoot-partial-trace", "motors": 8, "legs": 4, "observations": 3, "meta": {}}
+            ).encode(),
+            "holds no whole control step",
+        ),
+    ],
+)
+def test_a_file_that_is_no_partial_trace_is_refused(content, match, tmp_path):
+    path = tmp_path / "run.partial"
+    if content is not None:
+        path.write_bytes(content)
+    with pytest.raises(SurefootError, match=match):
+        recover(path)
+
+
+def test_a_killed_process_leaves_its_rows(tmp_path):
+    path = tmp_path / "run.partial"
+    script = f"""
+import os, signal, time
+import numpy as np
+from pathlib import Path
+from surefoot.deploy.partial import FLUSH, PartialFile
+from surefoot.deploy.recorder import Layout
+layout = Layout(8, 4, 3)
+file = PartialFile(Path({str(path)!r}), layout, {META!r})
+rows = np.zeros((50, layout.width))
+rows[:, 0] = {STEP} * np.arange(1, 51)
+file.add(rows)
+time.sleep(10 * FLUSH)
+os.kill(os.getpid(), signal.SIGKILL)
+"""
+    done = subprocess.run([sys.executable, "-c", script], timeout=60)
+    assert done.returncode == -9
+    assert recover(path).num_steps == 50
+
+
+def test_a_full_disk_stops_recording_and_nothing_else(tmp_path):
+    path = tmp_path / "run.partial"
+    script = f"""
+import resource, time
+import numpy as np
+from pathlib import Path
+from surefoot.deploy.partial import FLUSH, PartialFile
+from surefoot.deploy.recorder import Layout
+resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, resource.RLIM_INFINITY))
+layout = Layout(8, 4, 3)
+file = PartialFile(Path({str(path)!r}), layout, {META!r})
+rows = np.zeros((200, layout.width))
+rows[:, 0] = {STEP} * np.arange(1, 201)
+file.add(rows)
+end = time.monotonic() + 20
+while not file.stopped and time.monotonic() < end:
+    time.sleep(FLUSH)
+file.add(rows)
+file.close()
+print(file.stopped)
+"""
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60)
+    assert done.stdout.strip() == "File too large", done.stderr
+    whole = recover(path)
+    assert 0 < whole.num_steps < 200
+
+
+def test_a_folder_that_cannot_be_made_stops_recording(tmp_path):
+    (tmp_path / "file").write_text("")
+    file = PartialFile(tmp_path / "file" / "run.partial", LAYOUT, META)
+    file.close()
+    assert file.stopped
+
+
+def test_a_disk_that_does_not_answer_keeps_nobody_waiting(tmp_path, monkeypatch):
+    file = PartialFile(tmp_path / "run.partial", LAYOUT, META)
+    monkeypatch.setattr(file._thread, "join", lambda patience: time.sleep(0))
+    monkeypatch.setattr(file._thread, "is_alive", lambda: True)
+    file.close(0.01)
+    assert file.stopped == "the disk does not answer"
+
+
+def test_names_are_numbered_beside_whole_and_partial_runs(tmp_path):
+    assert next_free(tmp_path / "new").name == "run_000.npz"
+    (tmp_path / "run_000.npz").touch()
+    (tmp_path / "run_001.partial").touch()
+    assert next_free(tmp_path) == tmp_path / "run_002.npz"

@@ -1,0 +1,156 @@
+"""The guard, alone: each limit with a state on either side of it, and the table of the document."""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+
+from surefoot.deploy.safety import (
+    GO,
+    Act,
+    Guard,
+    NotFiniteError,
+    SafetyLimits,
+    Seen,
+    check_finite,
+    is_finite,
+    limits_table,
+)
+from surefoot.deploy.wire import Mode, Reason
+from surefoot.errors import SurefootError
+
+STEP = 0.006
+
+
+@pytest.fixture
+def guard() -> Guard:
+    return Guard(SafetyLimits(), STEP, 77)
+
+
+@pytest.fixture
+def seen(a_state):
+    """What an ordinary step sees, with changes: of the state by name, of the rest by keyword."""
+
+    def make(time=0.0, state_age=0.001, missed=0, stops=0, **state) -> Seen:
+        return Seen(time, replace(a_state, **state), state_age, missed, stops)
+
+    return make
+
+
+def tilted(roll: float = 0.0, pitch: float = 0.0) -> np.ndarray:
+    return np.array([roll, pitch, 3.0])
+
+
+def test_an_ordinary_step_goes_on(guard, seen):
+    assert guard.judge(seen()) is GO
+    assert guard.warnings == []
+
+
+@pytest.mark.parametrize(
+    ("change", "act", "reason"),
+    [
+        ({"state_age": 3 * STEP}, Act.GO, ""),
+        ({"state_age": 3 * STEP + 1e-6}, Act.DAMP, "stale state"),
+        ({"state_age": float("nan")}, Act.DAMP, "stale state"),
+        ({"missed": 2}, Act.GO, ""),
+        ({"missed": 3}, Act.DAMP, "late"),
+        ({"session": 78}, Act.DAMP, "session"),
+        ({"session": 0}, Act.DAMP, "session"),
+        ({"mode": int(Mode.DISARMED)}, Act.DAMP, "mode"),
+        ({"mode": int(Mode.FAULT), "reason": int(Reason.TIMEOUT)}, Act.GONE, "robot timeout"),
+        ({"mode": int(Mode.FAULT), "reason": 200}, Act.GONE, "robot 200"),
+        ({"roll_pitch_yaw": tilted(0.5, -0.5)}, Act.GO, ""),
+        ({"roll_pitch_yaw": tilted(0.51)}, Act.FALL, "tilt"),
+        ({"roll_pitch_yaw": tilted(pitch=-0.51)}, Act.FALL, "tilt"),
+        ({"roll_pitch_yaw": tilted(float("nan"))}, Act.DAMP, "not finite"),
+        ({"motor_angle": np.full(8, np.inf)}, Act.DAMP, "not finite"),
+        ({"energy": float("inf")}, Act.DAMP, "not finite"),
+        ({"temperature": np.full(8, 80.0)}, Act.GO, ""),
+        ({"temperature": np.array([30.0] * 7 + [81.0])}, Act.SIT, "temperature"),
+        ({"stops": 1}, Act.SIT, "operator"),
+        ({"stops": 2}, Act.DAMP, "operator"),
+    ],
+)
+def test_each_limit_holds_on_either_side(guard, seen, change, act, reason):
+    verdict = guard.judge(seen(**change))
+    assert (verdict.act, verdict.reason) == (act, reason)
+    assert bool(verdict.text) == (act is not Act.GO)
+
+
+def test_the_worst_comes_first(guard, seen):
+    both = seen(roll_pitch_yaw=tilted(1.0), state_age=1.0, temperature=np.full(8, 99.0), stops=1)
+    assert guard.judge(both).reason == "stale state"
+    assert guard.judge(replace(both, stops=2)).reason == "operator"
+
+
+def test_a_fallen_robot_may_be_tilted_while_it_sits(guard, seen):
+    assert guard.judge(seen(roll_pitch_yaw=tilted(0.8)), upright=False) is GO
+
+
+def test_a_robot_that_is_not_armed_may_be_in_any_mode(guard, seen):
+    assert guard.judge(seen(mode=int(Mode.DISARMED), session=0), armed=False) is GO
+
+
+def test_the_tasks_fall_angle_is_the_limit(seen):
+    guard = Guard(SafetyLimits(), STEP, 77, tilt=0.3)
+    assert guard.judge(seen(roll_pitch_yaw=tilted(0.31))).act is Act.FALL
+
+
+def test_a_sagging_battery_is_borne_for_a_second(guard, seen):
+    assert guard.judge(seen(0.0, voltage=16.0)) is GO
+    assert guard.judge(seen(1.0, voltage=11.0)) is GO
+    assert guard.judge(seen(1.9, voltage=14.1)) is GO
+    assert guard.judge(seen(2.0, voltage=13.9)) is GO
+    assert guard.judge(seen(2.89, voltage=13.9)) is GO
+    verdict = guard.judge(seen(2.91, voltage=13.9))
+    assert (verdict.act, verdict.reason) == (Act.SIT, "battery")
+
+
+def test_a_battery_that_is_low_from_the_start_is_borne_for_a_second_too(guard, seen):
+    assert guard.judge(seen(5.0, voltage=13.0)) is GO
+    assert guard.judge(seen(6.0, voltage=13.0)).act is Act.SIT
+
+
+def test_warnings_come_once(guard, seen):
+    for k in range(200):
+        guard.judge(seen(0.01 * k, voltage=14.2, temperature=np.full(8, 75.0)))
+    assert guard.warnings == ["a motor is hotter than 70 degC", "battery below 14.4 V; charge it soon"]
+
+
+def test_numbers_that_are_not_finite_are_named():
+    check_finite("target", ["a", "b"], [1.0, 2.0])
+    with pytest.raises(NotFiniteError, match="target 'b' is nan; it must be finite"):
+        check_finite("target", ["a", "b"], [1.0, np.nan])
+    with pytest.raises(NotFiniteError, match="'a' is inf"):
+        check_finite("target", ["a", "b"], [np.inf, -np.inf])
+
+
+def test_a_state_is_finite_as_a_whole(a_state):
+    assert is_finite(a_state)
+    for name in ("roll_pitch_yaw", "angular_velocity_base", "motor_angle", "motor_velocity"):
+        wrong = getattr(a_state, name).copy()
+        wrong[-1] = np.nan
+        assert not is_finite(replace(a_state, **{name: wrong})), name
+
+
+@pytest.mark.parametrize(
+    ("limits", "match"),
+    [
+        ({"state_age": 0}, "state_age is 0; it must be a finite number over 0"),
+        ({"battery_low": 15.0}, "battery_low is 15; it must not be above battery_warn"),
+        ({"temperature_high": 60.0}, "temperature_warn is 70; it must not be above temperature_high"),
+        ({"tilt": float("inf")}, "tilt is inf"),
+    ],
+)
+def test_limits_that_make_no_sense_are_refused(limits, match):
+    with pytest.raises(SurefootError, match=match):
+        SafetyLimits(**limits)
+
+
+def test_every_limit_has_unit_consequence_and_reason():
+    rows = limits_table()
+    assert [row[0] for row in rows] == [item.name for item in fields(SafetyLimits)]
+    assert all(all(row) for row in rows)
+    assert next(row[:2] for row in rows if row[0] == "battery_low") == ("battery_low", "14 V")
