@@ -208,7 +208,7 @@ def _run(command: EmulateCommand, board: Board, faults: dict[str, Fault]) -> int
     before = {number: signal.signal(number, end) for number in ending}
     try:
         if command.motion_capture is not None:
-            onlookers.append(MotionCapture(command.motion_capture, board.plant))
+            onlookers.append(MotionCapture(command.motion_capture, board.plant, later=not command.lockstep))
         if command.viewer:
             from surefoot.cli.emulate_viewer import EmulateViewer
 
@@ -226,5 +226,7 @@ def _run(command: EmulateCommand, board: Board, faults: dict[str, Fault]) -> int
         port.close()
         for onlooker in onlookers:
             onlooker.close()
+            if isinstance(onlooker, MotionCapture) and onlooker.failed:
+                print(f"surefoot: motion capture stopped: {onlooker.failed}", file=sys.stderr)
     print(f"surefoot: {summary.text(board, port)}", file=sys.stderr)
     return 0

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import threading
+from collections import deque
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +14,7 @@ from surefoot.errors import SurefootError
 PERIOD = 5_000
 """Time between two rows [us]: 200 Hz."""
 COLUMNS = ("time", "x", "y", "z", "qw", "qx", "qy", "qz")
+_WRITE_EVERY = 0.05
 
 
 class MotionCapture:
@@ -22,14 +25,15 @@ class MotionCapture:
     Args:
         path: file to write (.csv); it must not be there yet.
         plant: the body.
+        later: a thread writes, 20 times a second, so that a disk that is slow for a moment holds up nothing; otherwise
+            every row is in the file when `see` returns.
 
     Raises:
         SurefootError: the file exists, or its folder does not.
     """
 
-    def __init__(self, path: Path, plant: Plant) -> None:
+    def __init__(self, path: Path, plant: Plant, later: bool = False) -> None:
         try:
-            # Line after line: whoever reads along, or when all stands still in lockstep, finds every row.
             self._file = path.open("x", encoding="utf-8", buffering=1)
         except FileExistsError:
             raise SurefootError(f"motion capture {path} exists; give another name") from None
@@ -38,6 +42,13 @@ class MotionCapture:
         self._plant = plant
         self._last = plant.capture().contact_ticks, plant.ticks
         self._file.write(",".join([*COLUMNS, *(f"contact_{leg}" for leg in plant.robot.leg_names)]) + "\n")
+        self._rows: deque[str] = deque()
+        self._ended = threading.Event()
+        self.failed: str | None = None
+        """Why nothing more is written, if so."""
+        self._writer = threading.Thread(target=self._write_on, daemon=True) if later else None
+        if self._writer is not None:
+            self._writer.start()
 
     def see(self, now: int) -> None:
         """A servo step has ended at this time [us]."""
@@ -49,8 +60,31 @@ class MotionCapture:
         self._last = seen.contact_ticks, ticks
         quat = seen.quat / np.linalg.norm(seen.quat)
         row = [now / 1e6, *seen.position.tolist(), *quat.tolist(), *contact.tolist()]
-        self._file.write(",".join(map(repr, row)) + "\n")
+        self._rows.append(",".join(map(repr, row)) + "\n")
+        if self._writer is None:
+            self._write()
+
+    def _write_on(self) -> None:
+        while not self._ended.wait(_WRITE_EVERY):
+            self._write()
+
+    def _write(self) -> None:
+        """Put what is waiting into the file; a full disk ends the recording, and not the robot."""
+        text = "".join(self._rows.popleft() for _ in range(len(self._rows)))
+        if text and self.failed is None:
+            try:
+                self._file.write(text)
+                self._file.flush()
+            except OSError as error:
+                self.failed = error.strerror or str(error)
 
     def close(self) -> None:
         """End the file."""
-        self._file.close()
+        self._ended.set()
+        if self._writer is not None:
+            self._writer.join()
+        self._write()
+        try:
+            self._file.close()
+        except OSError as error:
+            self.failed = self.failed or error.strerror or str(error)

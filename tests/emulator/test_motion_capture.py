@@ -1,0 +1,72 @@
+"""Motion capture as a file that grows."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("mujoco")
+
+from surefoot.deploy.wire import Mode
+from surefoot.emulator.motion_capture import MotionCapture
+from surefoot.emulator.plant import Plant
+from surefoot.emulator.signals import MotorOrder
+from surefoot.errors import SurefootError
+
+DAMPED = MotorOrder(Mode.DISARMED, np.zeros(8))
+
+
+@pytest.fixture
+def plant(robot) -> Plant:
+    return Plant(robot)
+
+
+def run(capture: MotionCapture, plant: Plant, steps: int) -> None:
+    for _ in range(steps):
+        plant.step(DAMPED)
+        capture.see(plant.ticks * 1000)
+
+
+@pytest.mark.parametrize("later", [False, True])
+def test_rows_are_what_is_seen_at_full_precision(plant, tmp_path, later):
+    capture = MotionCapture(tmp_path / "a.csv", plant, later)
+    run(capture, plant, 100)
+    seen = plant.capture()
+    capture.close()
+    header, *rows = (tmp_path / "a.csv").read_text().splitlines()
+    assert header.split(",")[:8] == ["time", "x", "y", "z", "qw", "qx", "qy", "qz"]
+    assert header.split(",")[8:] == [f"contact_{leg}" for leg in plant.robot.leg_names]
+    assert len(rows) == 20
+    last = [float(word) for word in rows[-1].split(",")]
+    assert last[:4] == [0.1, *seen.position.tolist()]
+    np.testing.assert_allclose(last[4:8], seen.quat, atol=1e-15)
+    assert last[8:] == [1.0] * 4  # it has not slid yet
+
+
+def test_in_lockstep_every_row_is_there_at_once(plant, tmp_path):
+    capture = MotionCapture(tmp_path / "a.csv", plant)
+    for count in range(1, 5):
+        run(capture, plant, 5)
+        assert len((tmp_path / "a.csv").read_text().splitlines()) == 1 + count
+    capture.close()
+
+
+def test_a_file_that_cannot_be_written_is_told_at_once(plant, tmp_path):
+    (tmp_path / "a.csv").write_text("mine")
+    with pytest.raises(SurefootError, match="exists; give another name"):
+        MotionCapture(tmp_path / "a.csv", plant)
+    with pytest.raises(SurefootError, match="No such file or directory"):
+        MotionCapture(tmp_path / "there" / "a.csv", plant)
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no full disk here")
+def test_a_full_disk_ends_the_recording_and_not_the_robot(plant, tmp_path):
+    capture = MotionCapture(tmp_path / "a.csv", plant)
+    capture._file.close()
+    capture._file = Path("/dev/full").open("w", encoding="utf-8", buffering=1)  # noqa: SIM115
+    run(capture, plant, 20)
+    assert capture.failed == "No space left on device"
+    assert plant.ticks == 20
+    capture.close()
