@@ -103,8 +103,8 @@ def test_a_sagging_battery_is_borne_for_a_second(guard, seen):
     assert guard.judge(seen(1.0, voltage=11.0)) is GO
     assert guard.judge(seen(1.9, voltage=14.1)) is GO
     assert guard.judge(seen(2.0, voltage=13.9)) is GO
-    assert guard.judge(seen(2.89, voltage=13.9)) is GO
-    verdict = guard.judge(seen(2.91, voltage=13.9))
+    assert guard.judge(seen(2.99, voltage=13.9)) is GO
+    verdict = guard.judge(seen(3.01, voltage=13.9))
     assert (verdict.act, verdict.reason) == (Act.SIT, "battery")
 
 

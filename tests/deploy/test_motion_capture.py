@@ -1,0 +1,114 @@
+"""A motion capture file at the rows of a trace."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from surefoot.deploy.motion_capture import base_and_feet, read_capture, yaw_of
+from surefoot.errors import SurefootError
+
+LEGS = ("left", "right")
+HEAD = "time,x,y,z,qw,qx,qy,qz"
+
+
+def turn(yaw: float) -> list[float]:
+    return [np.cos(yaw / 2), 0.0, 0.0, np.sin(yaw / 2)]
+
+
+@pytest.fixture
+def straight(tmp_path):
+    """A robot that goes at 1 m/s in the direction of 30 degrees, from (5, 7), seen at 200 Hz."""
+    path, yaw = tmp_path / "capture.csv", np.pi / 6
+    lines = [HEAD + ",contact_left"]
+    for k in range(401):
+        time = 0.005 * k
+        row = [time, 5 + time * np.cos(yaw), 7 + time * np.sin(yaw), 0.2 + 0.01 * time, *turn(yaw), k % 2]
+        lines.append(",".join(map(str, row)))
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+def test_the_run_starts_at_the_origin_and_goes_forward(straight):
+    seen = base_and_feet(read_capture(straight), 0.5, 0.006, 100, LEGS)
+    position = seen["base_position_world"]
+    assert position.shape == (101, 3)
+    assert position[:, 0] == pytest.approx(0.006 * np.arange(101), abs=1e-12)
+    assert position[:, 1] == pytest.approx(0.0, abs=1e-12)
+    assert position[0, 2] == pytest.approx(0.205)
+    assert seen["base_quat_world"] == pytest.approx(np.tile([1.0, 0, 0, 0], (101, 1)), abs=1e-12)
+
+
+def test_feet_have_switches_or_none(straight):
+    contact = base_and_feet(read_capture(straight), 0.5, 0.005, 10, LEGS)["foot_contact"]
+    assert contact[:, 0] == pytest.approx([1, 0] * 5, abs=1e-9)
+    assert np.isnan(contact[:, 1]).all()
+
+
+def test_a_turn_is_kept(tmp_path):
+    path = tmp_path / "capture.csv"
+    lines = [HEAD] + [",".join(map(str, [0.1 * k, 0, 0, 0, *turn(1.0 + 0.1 * k)])) for k in range(11)]
+    path.write_text("\n".join(lines))
+    quat = base_and_feet(read_capture(path), 0.0, 0.1, 10, LEGS)["base_quat_world"]
+    assert [yaw_of(row) for row in quat] == pytest.approx(0.1 * np.arange(11))
+    assert np.linalg.norm(quat, axis=1) == pytest.approx(1.0)
+
+
+def test_quaternions_of_either_sign_are_the_same(tmp_path):
+    path = tmp_path / "capture.csv"
+    rows = [[0.1 * k, 0, 0, 0, *((-1) ** k * np.array(turn(0.01 * k)))] for k in range(11)]
+    path.write_text("\n".join([HEAD, *(",".join(map(str, row)) for row in rows)]))
+    quat = base_and_feet(read_capture(path), 0.0, 0.05, 20, LEGS)["base_quat_world"]
+    assert [yaw_of(row) for row in quat] == pytest.approx(0.005 * np.arange(21), abs=1e-6)
+
+
+def test_a_tilted_start_keeps_its_tilt(tmp_path):
+    """A pitch of 0.2 rad under a yaw of 1 rad: without the yaw it is the pitch alone."""
+    path = tmp_path / "capture.csv"
+    w, y = np.cos(0.1), np.sin(0.1)
+    c, s = np.cos(0.5), np.sin(0.5)
+    quat = [c * w, -s * y, c * y, s * w]
+    path.write_text("\n".join([HEAD, *(",".join(map(str, [0.1 * k, 0, 0, 0, *quat])) for k in range(3))]))
+    found = base_and_feet(read_capture(path), 0.0, 0.1, 1, LEGS)["base_quat_world"]
+    assert found[0] == pytest.approx([w, 0.0, y, 0.0])
+
+
+def test_a_line_that_is_still_written_is_left_out(straight):
+    rows = len(read_capture(straight)["time"])
+    with straight.open("a") as file:
+        file.write("2.005,5.0,7")
+    assert len(read_capture(straight)["time"]) == rows
+
+
+@pytest.mark.parametrize(
+    ("text", "match"),
+    [
+        ("", "has no column time; it needs time, x, y, z"),
+        ("time,x,y\n1,2,3\n", "has no column z"),
+        (HEAD + "\n0,0,0,0,1,0,0,0\n", "has 1 whole rows; it needs 2 or more"),
+        (HEAD + "\n0,0,0,nan,1,0,0,0\n1,a,0,0,1,0,0,0\n", "has 0 whole rows"),
+    ],
+)
+def test_a_file_that_is_none_is_refused(text, match, tmp_path):
+    path = tmp_path / "capture.csv"
+    path.write_text(text)
+    with pytest.raises(SurefootError, match=match):
+        read_capture(path)
+
+
+def test_a_file_that_is_missing_is_refused(tmp_path):
+    with pytest.raises(SurefootError, match="can't be read: No such file"):
+        read_capture(tmp_path / "none.csv")
+
+
+@pytest.mark.parametrize("start", [-0.2, 1.8])
+def test_a_file_that_does_not_cover_the_run_is_refused(start, straight):
+    with pytest.raises(SurefootError, match=r"covers 0.000 to 2.000 s on the robot's clock; the run took place from"):
+        base_and_feet(read_capture(straight), start, 0.006, 100, LEGS)
+
+
+def test_quaternions_without_length_are_refused(tmp_path):
+    path = tmp_path / "capture.csv"
+    path.write_text(HEAD + "\n0,0,0,0,0,0,0,0\n1,0,0,0,0,0,0,0\n")
+    with pytest.raises(SurefootError, match="its quaternions are not of length 1"):
+        base_and_feet(read_capture(path), 0.0, 0.1, 10, LEGS)
