@@ -8,6 +8,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
 from surefoot.deploy.frames import Frame
 from surefoot.deploy.wire import (
@@ -485,3 +487,45 @@ def test_harm_to_a_frame_never_makes_a_wrong_command(armed, wire_bytes, harm):
         assert armed.firmware.watch.last_number == before + kept
         np.testing.assert_array_equal(armed.order.values, TARGET)
     assert armed.mode == (Mode.POSITION, Reason.NONE)
+
+
+numbers = st.floats(width=32)
+sessions = st.sampled_from([0, ME, OTHER, 2**16 - 1])
+arrays = st.lists(numbers, min_size=8, max_size=8).map(np.array)
+periods = st.floats(0.0, 4000.0)
+messages = st.one_of(
+    st.builds(Hello, sessions, periods),
+    st.builds(Ping, st.integers(0, 2**32 - 1)),
+    st.builds(Pong, st.integers(0, 2**32 - 1)),
+    st.builds(Arm, sessions, st.integers(0, 255), periods, periods),
+    st.builds(Arm, st.just(ME), st.just(1), st.just(0.006), st.just(0.003)),
+    st.builds(Position, sessions, arrays),
+    st.builds(Pwm, sessions, arrays),
+    st.builds(Damp, sessions),
+    st.builds(Disarm, sessions),
+    st.builds(Bye, sessions),
+    st.builds(Fault, sessions, st.integers(0, 255), st.text(max_size=20)),
+)
+
+
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(
+    st.lists(
+        st.tuples(st.one_of(messages, st.binary(max_size=80)), st.integers(0, 60), st.integers(1, 2**32 - 1)),
+        max_size=40,
+    )
+)
+def test_nothing_that_comes_makes_it_fail_or_give_a_wrong_order(robot, wire_bytes, talk):
+    bench = Bench(robot, type(wire_bytes)())
+    bench.send(Hello(ME, 0.01))
+    low, high = bench.firmware.introduction.angle_low, bench.firmware.introduction.angle_high
+    for said, pause, number in talk:
+        if isinstance(said, bytes):
+            bench.firmware.receive(bench.now, said)
+        else:
+            bench.send(said, number=number)
+        bench.run(pause)
+        if bench.order is not None and bench.order.mode == Mode.POSITION:
+            assert ((bench.order.values >= low) & (bench.order.values <= high)).all()
+        elif bench.order is not None and bench.order.mode == Mode.PWM:
+            assert (np.abs(bench.order.values) <= 1).all()

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
-from surefoot.actuator.delay import read_kernel
 from surefoot.actuator.servo import servo_duty
 from surefoot.deploy.poses import SIT_EXTENSION
 from surefoot.deploy.wire import Mode
@@ -19,15 +16,11 @@ from surefoot.emulator.signals import MotorOrder, Sensors, Vitals
 from surefoot.errors import SurefootError
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.seeding import generator
+from surefoot.world.drive import read_delayed
 from surefoot.world.interface import WorldConfig
 from surefoot.world.sim_world import EngineFactory, SimWorld, mujoco_engine
 
 Array = NDArray[np.float64]
-
-
-@njit(cache=True)
-def _read(times: Array, history: Array, count: int, at: float, out: Array) -> None:
-    read_kernel(times, history, count, at, len(out), out)
 
 
 @dataclass(frozen=True)
@@ -172,10 +165,7 @@ class Plant:
 
     def _look(self, since_step: float, latency: float) -> Array:
         """The state `latency` [s] before now, which is `since_step` [s] after the last servo step."""
-        drive = self.world.drive
-        ticks = drive.ticks[0]
-        at = ticks * drive.limits[3] + since_step - latency
-        _read(drive.times[0], drive.history[0], ticks + 1, at, self._row)
+        read_delayed(self.world.drive, np.array([latency - since_step]), self._row[None])
         return self._row
 
     def vitals(self) -> Vitals:
@@ -235,6 +225,3 @@ class Plant:
     def push(self, force_world: Array) -> None:
         """Set the force (3,) [N] on the base's centre of mass from now on."""
         self.world.push(force_world[None])
-
-
-PlantFactory = Callable[[], Plant]
