@@ -110,8 +110,8 @@ def main(argv: list[str]) -> int:
 
 def _runs(command: DeployCommand, deployment: Deployment) -> tuple[list[dict[str, Any]], int]:
     """Run after run, until one ends early; returns what is to be told of each, and the exit code."""
-    from surefoot.deploy.deployment import AROUND
     from surefoot.deploy.keeping import Keeper
+    from surefoot.deploy.moves import DOWN, UP
     from surefoot.deploy.pacer import Timing
     from surefoot.deploy.partial import next_free
 
@@ -126,14 +126,14 @@ def _runs(command: DeployCommand, deployment: Deployment) -> tuple[list[dict[str
     for run in range(command.runs):
         path = next_free(command.out or Path("deploy")) if keeps else None
         keeper = Keeper(deployment, path, steps, command.world_name, run)
-        timing = Timing(steps + round(AROUND / step) + 16)
+        timing = Timing(steps + round((UP + DOWN) / step) + 16)
         keeper.begin()
         outcome = deployment.run(keeper.recorder, timing, keeper.keep, keeper.begun)
         kept = keeper.finish(outcome, timing, command.motion_capture)
         results.append(_result(outcome, timing, kept, keeper.recorder.steps))
         if outcome.safe or kept.lost:
             code = SAFETY
-        if outcome.ended != "time":
+        if outcome.ended != "time" or outcome.safe:
             break
     return results, code
 
@@ -188,7 +188,7 @@ def _tell(command: DeployCommand, deployment: Deployment, results: list[dict[str
 def _print_result(result: dict[str, Any]) -> None:
     figures = result["timing"]
     words = [
-        f"{result['ended']}: {result['what']}" if result["ended"] != "time" else "done",
+        f"{result['ended']}: {result['what']}" if result["ended"] != "time" else str(result["what"]),
         f"{result['steps']} steps",
     ]
     if result["distance"] is not None:

@@ -135,6 +135,16 @@ class RobotConnection:
                     self.on_state(message, arrival.frame.time, arrival.time)
             self.sync.add(arrival.frame.time, arrival.time)
 
+    def last_state(self) -> State:
+        """The newest state.
+
+        Raises:
+            SurefootError: none has come yet.
+        """
+        if self.state is None:
+            raise SurefootError("the robot has told nothing of itself yet")
+        return self.state
+
     def state_age(self) -> float:
         """How long ago the newest state was sent [s], the quickest way of a frame not counted."""
         return self.sync.age(self.state_sent, self.clock.now()) if self.state is not None else float("inf")

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import contextlib
-import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,25 +13,19 @@ from surefoot.deploy.connection import RobotConnection
 from surefoot.deploy.controller import Controller
 from surefoot.deploy.link import LinkLostError
 from surefoot.deploy.loop import ControlLoop, Watch
+from surefoot.deploy.moves import Moves
 from surefoot.deploy.pacer import Timing
-from surefoot.deploy.poses import between, lying, pose, sitting
 from surefoot.deploy.recorder import Recorder
 from surefoot.deploy.safety import GO, Act, Guard, SafetyLimits, Verdict
 from surefoot.deploy.stop_signals import StopSignals
-from surefoot.deploy.wire import Handshake, Mode, Reason, State
+from surefoot.deploy.wire import Handshake, State
 from surefoot.errors import SurefootError
 
 Array = NDArray[np.float64]
+Keep = Callable[[Array], None]
+Begun = Callable[[float], None]
 
-FLAT, FOLD, RISE, HOLD, SLOW, STOP, SIT = 1.0, 1.0, 1.5, 0.5, 1.0, 0.3, 1.5
-"""Time [s] to lay the legs flat, to draw them in, to stand up, to stand before the policy starts (as long as a robot
-settles in simulation), to fade from the gait to standing, to come to rest, and to sit down."""
-AROUND = FLAT + FOLD + STOP + RISE + HOLD + SLOW + STOP + SIT
-"""Time [s] that a run takes besides its policy's."""
-STILL_SPEED = 0.5
-"""Speed [rad/s] of motors and base below which a fallen robot lies still."""
-_STILL_PATIENCE, _ANSWER, _PING = 5.0, 0.3, 0.02
-_CLEAN_MARGIN = 0.1
+_WARM_UP = 20
 
 
 @dataclass(frozen=True)
@@ -40,13 +33,13 @@ class Outcome:
     """How a run ended."""
 
     ended: str
-    """time, fall, fault or stopped, as traces have it."""
+    """time, fall, fault or stopped, as traces have it: how the policy's part ended."""
     reason: str
     """In a word or two."""
     text: str
-    """In plain words."""
+    """In plain words, what came afterwards included."""
     safe: bool
-    """Whether the robot's or the computer's safety ended it."""
+    """Whether the robot's or the computer's safety ended the run."""
 
 
 class Deployment:
@@ -73,7 +66,6 @@ class Deployment:
         self.connection, self.controller, self.operator, self.watch = connection, controller, operator, watch
         self.contract, self.robot = controller.contract, controller.robot
         self.limits, self.dry_run = limits or SafetyLimits(), dry_run
-        self.handshake: Handshake | None = None
 
     def greet(self, check: Callable[[Handshake], None]) -> Handshake:
         """Ask for the robot, check it, and wait until it tells its state.
@@ -85,26 +77,17 @@ class Deployment:
             SurefootError: no robot, another one, or one that tells nothing.
         """
         self.watch.phase("greet", 0.0)
-        period = self.contract.control_step
-        self.handshake = self.connection.connect(state_period=period)
-        check(self.handshake)
+        handshake = self.connection.connect(state_period=self.contract.control_step)
+        check(handshake)
         if not self.connection.wait_for(lambda: self.connection.state is not None, 1.0):
             raise SurefootError("the robot tells nothing of itself within 1 s; switch it off and on again")
-        for _ in range(20):
+        for _ in range(_WARM_UP):
             # A network's first runs are slow.
-            self.controller.command(0.0, self.controller.observe(0.0, self._state()))
+            self.controller.command(0.0, self.controller.observe(0.0, self.connection.last_state()))
         self.controller.reset()
-        return self.handshake
+        return handshake
 
-    def _state(self) -> State:
-        state = self.connection.state
-        if state is None:
-            raise SurefootError("the robot has told nothing of itself yet")
-        return state
-
-    def run(
-        self, recorder: Recorder, timing: Timing, keep: Callable[[Array], None], begun: Callable[[float], None]
-    ) -> Outcome:
+    def run(self, recorder: Recorder, timing: Timing, keep: Keep, begun: Begun) -> Outcome:
         """Arm, stand up, run the policy, sit down, disarm.
 
         Args:
@@ -114,101 +97,31 @@ class Deployment:
             begun: called with the robot's time [s] when the policy starts.
 
         Raises:
-            SurefootError: the robot does not arm; nothing has moved.
+            SurefootError: the robot was not greeted, or does not arm; nothing has moved.
         """
-        contract = self.contract
-        fall_angle = contract.task.get("fall_angle")
-        tilt = float(fall_angle) if isinstance(fall_angle, int | float) and fall_angle > 0 else None
+        handshake, contract = self.connection.handshake, self.contract
+        if handshake is None:
+            raise SurefootError("the robot was not greeted")
+        if self.operator.stops:
+            return Outcome("stopped", "operator", "stopped before anything moved", False)
+        angle = contract.task.get("fall_angle")
+        tilt = float(angle) if isinstance(angle, int | float) and angle > 0 else None
         guard = Guard(self.limits, contract.control_step, self.connection.session, tilt)
         loop = ControlLoop(
             self.connection, contract.control_step, guard, self.operator, self.watch, timing, self.dry_run
         )
-        if self.operator.stops:
-            return Outcome("stopped", "operator", "stopped before anything moved", False)
-        if not self.dry_run:
-            self.watch.phase("arm", 0.0)
-            self._arm()
-        verdict = self._stand(loop)
+        moves = Moves(self.connection, self.controller, loop, handshake)
+        try:
+            if not self.dry_run:
+                moves.arm()
+        except LinkLostError as error:
+            raise SurefootError(f"the robot does not arm: {error}") from error
+        verdict, ran = moves.stand_up(), False
         if verdict.act is Act.GO:
-            verdict = self._run_policy(loop, recorder, keep, begun)
-        return self._finish(loop, verdict)
+            verdict, ran = self._run_policy(loop, recorder, keep, begun), True
+        return self._finish(moves, verdict, recorder.steps + 1 if ran else None)
 
-    def _arm(self) -> None:
-        connection = self.connection
-        if self._state().mode == Mode.FAULT or self._state().reason != Reason.NONE:
-            self._wait_clean(lambda: False, self._clean_time())
-        asked = len(connection.faults)
-        connection.arm(Mode.POSITION, self.contract.control_step)
-        answered = connection.wait_for(
-            lambda: self._state().mode == Mode.POSITION or len(connection.faults) > asked, _ANSWER
-        )
-        if self._state().mode != Mode.POSITION:
-            why = connection.faults[-1].text if len(connection.faults) > asked else "no answer"
-            connection.disarm()
-            raise SurefootError(f"the robot does not arm: {why if answered else 'no answer'}")
-
-    def _clean_time(self) -> float:
-        """Time [s] for which a damped robot wants a clean link, and a little more."""
-        return (self.handshake.rearm_after if self.handshake else 0.0) + _CLEAN_MARGIN
-
-    def _wait_clean(self, condition: Callable[[], bool], timeout: float) -> bool:
-        """Keep talking until a condition holds, so that the link is seen to be clean."""
-        clock, last = self.connection.clock, -math.inf
-
-        def ping() -> None:
-            nonlocal last
-            if clock.now() - last >= _PING:
-                last = clock.now()
-                self.connection.link.ping()
-
-        return self.connection.wait_for(condition, timeout, ping)
-
-    def _clipped(self, target: Array) -> Array:
-        """Within what the robot takes: it may be switched on in a pose beyond."""
-        if self.handshake is None:
-            return target
-        return np.clip(target, self.handshake.angle_low, self.handshake.angle_high)
-
-    def _move(
-        self,
-        loop: ControlLoop,
-        phase: str,
-        start: Array,
-        end: Array,
-        duration: float,
-        upright: bool = True,
-        sitting: bool = False,
-    ) -> Verdict:
-        steps = loop.steps_of(duration)
-
-        def target(k: int, state: State, missed: int) -> Array:
-            return self._clipped(between(start, end, (k + 1) / steps))
-
-        return loop.follow(phase, steps, target, upright=upright, sitting=sitting)
-
-    def _stand(self, loop: ControlLoop) -> Verdict:
-        """Rise from wherever the legs lie: a damped robot sinks onto its belly, and its legs slide out from under it.
-
-        They are laid flat and drawn in first. Motors that pushed the body up at once, with the feet out at the side,
-        would stall at full current and then leap.
-        """
-        found = self._state().motor_angle
-        flat, drawn, stand = lying(self.robot, found), sitting(self.robot), pose(self.robot, *self.contract.rest)
-        for phase, start, end, duration in (
-            ("lay legs flat", found, flat, FLAT),
-            ("draw legs in", flat, drawn, FOLD),
-            ("sit", drawn, drawn, STOP),
-            ("stand up", drawn, stand, RISE),
-            ("stand", stand, stand, HOLD),
-        ):
-            verdict = self._move(loop, phase, start, end, duration)
-            if verdict.act is not Act.GO:
-                return verdict
-        return GO
-
-    def _run_policy(
-        self, loop: ControlLoop, recorder: Recorder, keep: Callable[[Array], None], begun: Callable[[float], None]
-    ) -> Verdict:
+    def _run_policy(self, loop: ControlLoop, recorder: Recorder, keep: Keep, begun: Begun) -> Verdict:
         controller, step = self.controller, self.contract.control_step
         controller.reset()
 
@@ -227,91 +140,38 @@ class Deployment:
             if computed:
                 recorder.open(controller.observation, controller.feedback, controller.target)
 
-        verdict = loop.follow("run", recorder.max_steps, compute, after)
-        if verdict.act not in (Act.GO, Act.SIT):
-            return verdict
-        ending = self._slow_down(loop, recorder.steps + 1)
-        return verdict if ending.act is Act.GO else ending
+        return loop.follow("run", recorder.max_steps, compute, after)
 
-    def _slow_down(self, loop: ControlLoop, first: int) -> Verdict:
-        """Fade from the gait to the stand: a robot that stopped in the middle of a stride would fall over its feet.
+    def _finish(self, moves: Moves, verdict: Verdict, running: int | None) -> Outcome:
+        """Bring the robot to rest, whatever happened.
 
         Args:
-            loop: the loop.
-            first: control step of the policy with which it goes on.
+            moves: of the robot.
+            verdict: what ended the run.
+            running: control step with which the policy can go on; None, if it was not running.
         """
-        controller, step = self.controller, self.contract.control_step
-        stand, steps = pose(self.robot, *self.contract.rest), loop.steps_of(SLOW)
-
-        def compute(k: int, state: State, missed: int) -> Array:
-            now = (first + k) * step
-            target = controller.command(now, controller.observe(now, state, missed))
-            return self._clipped(between(target, stand, (k + 1) / steps))
-
-        verdict = loop.follow("slow down", steps, compute, sitting=True)
-        return verdict if verdict.act is not Act.GO else self._move(loop, "stand", stand, stand, STOP, sitting=True)
-
-    def _finish(self, loop: ControlLoop, verdict: Verdict) -> Outcome:
-        """Bring the robot to rest, whatever happened."""
         outcome = _outcome(verdict)
         try:
             if verdict.act in (Act.GO, Act.SIT):
-                ending = self._sit(loop, loop.target if loop.target is not None else self._state().motor_angle)
+                ending = self._come_to_rest(moves, running)
                 if ending.act is not Act.GO:
-                    # What went wrong at the end is worse than what ended the run.
-                    outcome, verdict = _outcome(ending), ending
-            if verdict.act is Act.FALL and not self.dry_run:
-                text = self._sit_after_fall(loop)
-                outcome = Outcome(outcome.ended, outcome.reason, f"{outcome.text}; {text}", True)
-            if verdict.act in (Act.DAMP, Act.FALL) and not self.dry_run:
-                self._confirm_damped(loop)
+                    outcome = replace(outcome, text=f"{outcome.text}; then {ending.text}", safe=True)
+                    verdict = ending
+            if self.dry_run:
+                return outcome
+            if verdict.act is Act.FALL:
+                return replace(outcome, text=f"{outcome.text}; {moves.get_over_fall()}", safe=True)
+            if verdict.act is Act.DAMP:
+                moves.confirm_damped()
         except (LinkLostError, SurefootError) as error:
-            return Outcome("fault", "link", f"{outcome.text}; then {error}" if outcome.text else str(error), True)
+            return replace(outcome, text=f"{outcome.text}; then {error}", safe=True)
         return outcome
 
-    def _sit(self, loop: ControlLoop, start: Array, upright: bool = True) -> Verdict:
-        verdict = self._move(loop, "sit down", start, sitting(self.robot), SIT, upright, True)
-        if verdict.act is Act.GO and not self.dry_run:
-            self.watch.phase("disarm", 0.0)
-            if not self._ask_until(self.connection.disarm, lambda: self._state().mode != Mode.POSITION):
-                loop.damp()
-                return Verdict(Act.DAMP, "disarm", "the robot does not say that it has disarmed")
-        return verdict
-
-    def _ask_until(self, ask: Callable[[], None], condition: Callable[[], bool]) -> bool:
-        """Ask, and again if there is no answer; frames may be lost."""
-        for _ in range(5):
-            ask()
-            if self.connection.wait_for(condition, _ANSWER / 5):
-                return True
-        return False
-
-    def _confirm_damped(self, loop: ControlLoop) -> None:
-        self._ask_until(loop.damp, lambda: self._state().mode != Mode.POSITION)
-
-    def _sit_after_fall(self, loop: ControlLoop) -> str:
-        """Wait until a fallen robot lies still, then let it sit, if it is not on its side; says what came of it."""
-        self._confirm_damped(loop)
-        self.watch.phase("lie still", _STILL_PATIENCE)
-        clock = self.connection.clock
-        earliest = clock.now() + self._clean_time()
-
-        def still() -> bool:
-            state = self._state()
-            speed = max(np.abs(state.motor_velocity).max(), np.abs(state.angular_velocity_base).max())
-            return clock.now() >= earliest and bool(speed < STILL_SPEED)
-
-        if not self._wait_clean(still, _STILL_PATIENCE):
-            return "it does not come to rest and stays damped"
-        tilt = np.abs(self._state().roll_pitch_yaw[:2]).max()
-        if self.handshake is not None and tilt > self.handshake.tilt_limit:
-            return "it lies on its side and stays damped"
-        try:
-            self._arm()
-        except SurefootError as error:
-            return f"it stays damped: {error}"
-        ending = self._sit(loop, self._state().motor_angle, upright=False)
-        return "it has sat down" if ending.act is Act.GO else f"it stays damped: {ending.text}"
+    def _come_to_rest(self, moves: Moves, running: int | None) -> Verdict:
+        verdict = moves.slow_down(running) if running is not None else GO
+        if verdict.act is Act.GO:
+            verdict = moves.sit_down()
+        return moves.disarm() if verdict.act is Act.GO and not self.dry_run else verdict
 
     def close(self) -> None:
         """Give the robot back."""

@@ -1,0 +1,205 @@
+"""What a robot does besides running a policy: arm, stand up, slow down, sit down, and get over a fall."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surefoot.deploy.connection import RobotConnection
+from surefoot.deploy.controller import Controller
+from surefoot.deploy.loop import ControlLoop
+from surefoot.deploy.poses import between, lying, pose, sitting
+from surefoot.deploy.safety import GO, Act, Verdict
+from surefoot.deploy.wire import Fault, Handshake, Mode, Reason, State
+from surefoot.errors import SurefootError
+
+Array = NDArray[np.float64]
+
+FLAT, FOLD, RISE, HOLD, SLOW, STOP, SIT = 1.0, 1.0, 1.5, 0.5, 1.0, 0.3, 1.5
+"""Time [s] to lay the legs flat, to draw them in, to stand up, to stand before the policy starts (as long as a robot
+settles in simulation), to fade from the gait to standing, to come to rest, and to sit down."""
+UP = FLAT + FOLD + STOP + RISE + HOLD
+"""Time [s] from arming to the policy's start."""
+DOWN = SLOW + STOP + SIT
+"""Time [s] from the policy's end to disarming."""
+STILL_SPEED = 0.5
+"""Speed [rad/s] of motors and base below which a fallen robot lies still."""
+_STILL_PATIENCE, _ANSWER, _PING, _ATTEMPTS = 5.0, 0.3, 0.02, 5
+_CLEAN_MARGIN = 0.1
+
+
+class Moves:
+    """Moves of a greeted robot, each smooth, each watched by the loop's guard.
+
+    Args:
+        connection: to the robot.
+        controller: the policy on it.
+        loop: of this run.
+        handshake: what the robot said of itself.
+    """
+
+    def __init__(
+        self, connection: RobotConnection, controller: Controller, loop: ControlLoop, handshake: Handshake
+    ) -> None:
+        self.connection, self.controller, self.loop, self.handshake = connection, controller, loop, handshake
+        self.robot, self.contract = controller.robot, controller.contract
+        self.standing = pose(self.robot, *self.contract.rest)
+
+    def _state(self) -> State:
+        return self.connection.last_state()
+
+    # Arming and letting go.
+
+    def arm(self) -> None:
+        """Let the servos hold the present pose.
+
+        Raises:
+            SurefootError: the robot does not arm; says why.
+        """
+        self.loop.watch.phase("arm", 0.0)
+        state = self._state()
+        if state.mode == Mode.FAULT or state.reason != Reason.NONE:
+            self._keep_talking(lambda: False, self._clean_time)
+        refusal = self._ask_to_arm()
+        if refusal is not None and refusal.reason == Reason.NOT_CLEAN:
+            self._keep_talking(lambda: False, self._clean_time)
+            refusal = self._ask_to_arm()
+        if self._state().mode != Mode.POSITION:
+            self.connection.disarm()
+            raise SurefootError(f"the robot does not arm: {refusal.text if refusal is not None else 'no answer'}")
+
+    def _ask_to_arm(self) -> Fault | None:
+        """Ask once; what the robot has against it, if it says so."""
+        connection = self.connection
+        asked = len(connection.faults)
+        connection.arm(Mode.POSITION, self.contract.control_step)
+        connection.wait_for(lambda: self._state().mode == Mode.POSITION or len(connection.faults) > asked, _ANSWER)
+        return connection.faults[-1] if len(connection.faults) > asked else None
+
+    @property
+    def _clean_time(self) -> float:
+        """Time [s] for which a damped robot wants a clean link, and a little more."""
+        return self.handshake.rearm_after + _CLEAN_MARGIN
+
+    def _keep_talking(self, condition: Callable[[], bool], timeout: float) -> bool:
+        """Wait until a condition holds, and ping meanwhile, so that the link is seen to be clean."""
+        clock, last = self.connection.clock, -math.inf
+
+        def ping() -> None:
+            nonlocal last
+            if clock.now() - last >= _PING:
+                last = clock.now()
+                self.connection.link.ping()
+
+        return self.connection.wait_for(condition, timeout, ping)
+
+    def disarm(self) -> Verdict:
+        """End commands in good order."""
+        self.loop.watch.phase("disarm", 0.0)
+        if self._ask_until(self.connection.disarm, lambda: self._state().mode != Mode.POSITION):
+            return GO
+        self.loop.damp()
+        return Verdict(Act.DAMP, "disarm", "the robot does not say that it has disarmed")
+
+    def confirm_damped(self) -> None:
+        """Ask for damped motors until the robot says so; frames may be lost."""
+        self._ask_until(self.loop.damp, lambda: self._state().mode != Mode.POSITION)
+
+    def _ask_until(self, ask: Callable[[], None], condition: Callable[[], bool]) -> bool:
+        for _ in range(_ATTEMPTS):
+            ask()
+            if self.connection.wait_for(condition, _ANSWER / _ATTEMPTS):
+                return True
+        return False
+
+    # Ways from pose to pose.
+
+    def _within(self, target: Array) -> Array:
+        """Within what the robot takes: it may be switched on in a pose beyond."""
+        return np.clip(target, self.handshake.angle_low, self.handshake.angle_high)
+
+    def _go(
+        self, phase: str, start: Array, end: Array, duration: float, upright: bool = True, sitting: bool = False
+    ) -> Verdict:
+        steps = self.loop.steps_of(duration)
+
+        def target(k: int, state: State, missed: int) -> Array:
+            return self._within(between(start, end, (k + 1) / steps))
+
+        return self.loop.follow(phase, steps, target, upright=upright, sitting=sitting)
+
+    def stand_up(self) -> Verdict:
+        """Rise from wherever the legs lie: a damped robot sinks onto its belly, and its legs slide out from under it.
+
+        They are laid flat and drawn in first. Motors that pushed the body up at once, with the feet out at the side,
+        would stall at full current and then leap.
+        """
+        found = self._state().motor_angle
+        flat, drawn, stand = lying(self.robot, found), sitting(self.robot), self.standing
+        for phase, start, end, duration in (
+            ("lay legs flat", found, flat, FLAT),
+            ("draw legs in", flat, drawn, FOLD),
+            ("sit", drawn, drawn, STOP),
+            ("stand up", drawn, stand, RISE),
+            ("stand", stand, stand, HOLD),
+        ):
+            verdict = self._go(phase, start, end, duration)
+            if verdict.act is not Act.GO:
+                return verdict
+        return GO
+
+    def slow_down(self, first: int) -> Verdict:
+        """Fade from the gait to standing: a robot that stopped in the middle of a stride would fall over its feet.
+
+        Args:
+            first: control step of the policy with which it goes on.
+        """
+        controller, step, steps = self.controller, self.contract.control_step, self.loop.steps_of(SLOW)
+
+        def compute(k: int, state: State, missed: int) -> Array:
+            now = (first + k) * step
+            target = controller.command(now, controller.observe(now, state, missed))
+            return self._within(between(target, self.standing, (k + 1) / steps))
+
+        verdict = self.loop.follow("slow down", steps, compute, sitting=True)
+        if verdict.act is not Act.GO:
+            return verdict
+        return self._go("stand", self.standing, self.standing, STOP, sitting=True)
+
+    def sit_down(self, upright: bool = True) -> Verdict:
+        """Sit, from the pose that was asked for last."""
+        start = self.loop.target if self.loop.target is not None else self._state().motor_angle
+        return self._go("sit down", start, sitting(self.robot), SIT, upright, True)
+
+    def get_over_fall(self) -> str:
+        """Wait until a damped robot lies still, then let it sit, if it is not on its side; says what came of it.
+
+        Raises:
+            LinkLostError: the robot is gone.
+        """
+        self.confirm_damped()
+        self.loop.watch.phase("lie still", _STILL_PATIENCE)
+        clock = self.connection.clock
+        earliest = clock.now() + self._clean_time
+
+        def still() -> bool:
+            state = self._state()
+            speed = max(np.abs(state.motor_velocity).max(), np.abs(state.angular_velocity_base).max())
+            return clock.now() >= earliest and bool(speed < STILL_SPEED)
+
+        if not self._keep_talking(still, _STILL_PATIENCE):
+            return "it does not come to rest and stays damped"
+        if np.abs(self._state().roll_pitch_yaw[:2]).max() > self.handshake.tilt_limit:
+            return "it lies on its side and stays damped"
+        try:
+            self.arm()
+        except SurefootError as error:
+            return f"it stays damped: {error}"
+        self.loop.target = None
+        ending = self.sit_down(upright=False)
+        if ending.act is Act.GO:
+            ending = self.disarm()
+        return "it has sat down" if ending.act is Act.GO else f"it stays damped: {ending.text}"
