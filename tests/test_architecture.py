@@ -40,6 +40,7 @@ ROBOT_SIDE = [
     "surefoot.task.observation",
     "surefoot.task.trace",
     "surefoot.robot",
+    "surefoot.cli.doctor",
 ]
 NOT_ON_THE_ROBOT = {
     *("mujoco", "numba", "llvmlite", "gymnasium", "scipy", "pybullet"),

@@ -1,0 +1,411 @@
+"""`surefoot doctor` as a process, on emulated robots that are processes too: faults are found, a sound robot passes."""
+
+from __future__ import annotations
+
+import json
+import os
+import pty
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+pytest.importorskip("mujoco")
+onnx = pytest.importorskip("onnx")
+
+from surefoot.cli.doctor import main  # noqa: E402
+from surefoot.cli.policies import find_policy  # noqa: E402
+from surefoot.errors import SurefootError  # noqa: E402
+from surefoot.policy.contract import METADATA_KEY  # noqa: E402
+from surefoot.policy.digest import stamped  # noqa: E402
+
+SUREFOOT = (sys.executable, "-m", "surefoot")
+QUICK = ("--pings", "40", "--steps", "50")
+
+
+class Emulator:
+    """A `surefoot emulate` process; `port` is its pseudo-terminal."""
+
+    def __init__(self, folder: Path, *words: str) -> None:
+        self.port = folder / f"port_{len(list(folder.iterdir()))}"
+        self.log = (folder / f"{self.port.name}.log").open("w")
+        command = [*SUREFOOT, "emulate", "--link", str(self.port), *words]
+        self.process = subprocess.Popen(command, stdout=self.log, stderr=self.log)
+        end = time.monotonic() + 60
+        while not self.port.exists():
+            assert self.process.poll() is None, Path(self.log.name).read_text()
+            assert time.monotonic() < end, "the emulator does not start"
+            time.sleep(0.05)
+
+    def stop(self) -> None:
+        self.process.terminate()
+        self.process.wait(30)
+        self.log.close()
+
+
+@pytest.fixture
+def emulate(tmp_path: Path) -> Iterator[Callable[..., Emulator]]:
+    """Start emulators that end with the test."""
+    started: list[Emulator] = []
+
+    def start(*words: str) -> Emulator:
+        started.append(Emulator(tmp_path, *words))
+        return started[-1]
+
+    yield start
+    for emulator in started:
+        emulator.stop()
+
+
+@pytest.fixture(scope="module")
+def healthy(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Emulator]:
+    """A robot on its rack, in lockstep, that several policies are tried with; none of them moves it."""
+    emulator = Emulator(tmp_path_factory.mktemp("healthy"), "--lockstep", "--rack")
+    yield emulator
+    emulator.stop()
+
+
+def surefoot(*words: object) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([*SUREFOOT, *map(str, words)], capture_output=True, text=True, timeout=120)
+
+
+def doctor(policy: object, port: object, *words: str) -> tuple[int, dict[str, dict[str, Any]]]:
+    """Exit code and findings by name."""
+    done = surefoot("doctor", policy, "--port", port, *QUICK, "--json", *words)
+    assert done.returncode in (0, 3), done.stderr
+    data = json.loads(done.stdout)
+    findings = {one["name"]: one for one in data["findings"]}
+    assert data["passed"] == (done.returncode == 0) == all(one["passed"] is not False for one in findings.values())
+    return done.returncode, findings
+
+
+def failed(findings: dict[str, dict[str, Any]]) -> list[str]:
+    return [name for name, one in findings.items() if one["passed"] is False]
+
+
+# A robot that is well.
+
+
+def test_a_healthy_robot_passes_all_on_its_rack(emulate: Callable[..., Emulator]):
+    done = surefoot("doctor", "trot", "--port", emulate("--lockstep", "--rack").port, "--lockstep", "--rack", "--yes")
+    assert done.returncode == 0, done.stdout + done.stderr
+    lines = done.stdout.splitlines()
+    assert lines[0].startswith("policy 'trot' for minitaur, port /")
+    assert not any("\x1b" in line or "FAIL" in line for line in lines)
+    told = {line[10:30].strip(): line for line in lines[1:-1]}
+    assert len(told) == len(lines) - 2
+    for name in ("policy file", "motor signs", "battery", "encoders", "IMU", "motors, one by one", "control latency"):
+        assert told[name].startswith("pass      ")
+    assert told["IMU, nose down"].startswith("not done  ")
+    assert told["IMU, nose down"].endswith("put the robot on flat ground and run with --ground")
+    assert lines[-1] == "20 passed, 0 failed, 8 not done"
+
+
+def test_the_latency_of_a_healthy_robot_is_measured(emulate: Callable[..., Emulator]):
+    emulator = emulate("--lockstep", "--rack", "--set", "control_latency=0.011")
+    code, findings = doctor("trot", emulator.port, "--lockstep", "--rack", "--yes")
+    assert failed(findings) == ["control latency"]
+    assert findings["control latency"]["value"] == pytest.approx(0.011, abs=0.0015)
+    assert findings["control latency"]["what_to_do"].endswith("or train with control_latency 0.011")
+    assert code == 3
+
+
+def test_a_healthy_robot_passes_all_on_the_ground(emulate: Callable[..., Emulator]):
+    code, findings = doctor("trot", emulate("--lockstep").port, "--lockstep", "--ground", "--yes")
+    assert (code, failed(findings)) == (0, [])
+    assert findings["IMU, nose down"]["value"] == pytest.approx(0.075, abs=0.02)
+    assert findings["IMU, left side down"]["value"] == pytest.approx(-0.17, abs=0.03)
+    assert findings["IMU, rates"]["passed"]
+
+
+@pytest.mark.slow
+def test_a_healthy_robot_passes_in_real_time(emulate: Callable[..., Emulator]):
+    """Three tries: this computer may have other things to do, which the doctor then says rightly."""
+    emulator = emulate("--rack")
+    for _ in range(3):
+        code, findings = doctor("trot", emulator.port, "--rack", "--yes", "--steps", "300")
+        if code == 0:
+            break
+        time.sleep(2)
+    assert failed(findings) == []
+    assert findings["link, round trip"]["value"] < 0.003
+    assert findings["control latency"]["value"] == pytest.approx(0.02, abs=0.006)
+    assert findings["inference"]["value"] < 0.001
+
+
+ON_THE_ROBOTS_COMPUTER = """
+import sys
+for name in ("mujoco", "numba", "gymnasium", "scipy", "pybullet", "torch", "onnx", "matplotlib"):
+    sys.modules[name] = None
+from surefoot.cli.main import main
+sys.exit(main(sys.argv[1:]))
+"""
+
+
+def test_it_needs_no_simulator_and_no_torch(healthy: Emulator):
+    words = ("doctor", "trot", "--port", healthy.port, "--lockstep", *QUICK)
+    done = subprocess.run(
+        [sys.executable, "-c", ON_THE_ROBOTS_COMPUTER, *map(str, words)], capture_output=True, text=True, timeout=60
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+# Policies that are not what they say.
+
+
+def edited(path: Path, change: Callable[[dict[str, Any]], None] | None, policy: str = "gallop") -> Path:
+    """A policy that ships, its contract changed by a hand that also stamps it anew."""
+    model = onnx.load(find_policy(policy))
+    (entry,) = (entry for entry in model.metadata_props if entry.key == METADATA_KEY)
+    contract = json.loads(entry.value)
+    if change is not None:
+        change(contract)
+    onnx.helper.set_model_props(model, {METADATA_KEY: json.dumps(contract)})
+    path.write_bytes(stamped(model.SerializeToString()) if change is not None else model.SerializeToString())
+    return path
+
+
+def exchange_motors(contract: dict[str, Any]) -> None:
+    names = contract["motor_names"]
+    names[2], names[5] = names[5], names[2]
+
+
+def exchange_columns(contract: dict[str, Any]) -> None:
+    names = contract["columns"]
+    names[4], names[5] = names[5], names[4]
+
+
+def flip_sign(contract: dict[str, Any]) -> None:
+    contract["motor_signs"][3] *= -1
+
+
+def wrong_rate(contract: dict[str, Any]) -> None:
+    contract["control_step"] = 0.010
+
+
+def rate_of_another_robot(contract: dict[str, Any]) -> None:
+    contract["control_step"] = contract["task"]["params"]["control_step"] = 0.0015
+
+
+def other_gains(contract: dict[str, Any]) -> None:
+    contract["servo_kp"] = contract["task"]["params"]["servo_kp"] = 2.0
+
+
+@pytest.mark.parametrize(
+    ("change", "check", "why"),
+    [
+        (exchange_motors, "motors", "motor 2 is 'front_right_2_motor' (policy), 'back_left_2_motor' (robot)"),
+        (exchange_columns, "observation", "column 4 is 'angle.front_left_1_motor' in the policy"),
+        (flip_sign, "motor signs", "back_left_1_motor has -1 (policy), +1 (robot)"),
+        (wrong_rate, "contract", "control_step is 0.01; the data sheet of minitaur says 0.006"),
+        (rate_of_another_robot, "control step", "1.5 ms; the robot takes commands every 2 to 50 ms"),
+        (other_gains, "servo gains", "the policy was trained with kp 2 and kd 0.015"),
+        (None, "policy file", "has no digest"),
+    ],
+)
+def test_a_policy_that_does_not_fit_is_found_by_the_doctor_and_refused_by_deploy(
+    change: Callable[[dict[str, Any]], None] | None, check: str, why: str, healthy: Emulator, tmp_path: Path
+):
+    policy = edited(tmp_path / "edited.onnx", change)
+    code, findings = doctor(policy, healthy.port, "--lockstep", "--rack", "--yes")
+    assert code == 3
+    assert failed(findings) == [check]
+    assert why in findings[check]["why"]
+    assert findings["motors, one by one"]["why"] == f"nothing moves while a check fails ({check})"
+    done = surefoot("deploy", policy, "--port", healthy.port, "--lockstep", "--out", tmp_path / "trace.npz")
+    assert done.returncode == 2
+    refusal = done.stderr.splitlines()[-1]
+    assert f"{check}: " in refusal
+    assert why in refusal
+
+
+def cut_normalizer(model: Any) -> None:
+    model.graph.node[2].input[0] = "observation"
+    del model.graph.node[:2]
+
+
+def turn_rate(model: Any) -> None:
+    (entry,) = (entry for entry in model.metadata_props if entry.key == METADATA_KEY)
+    entry.value = entry.value.replace('"control_step": 0.006', '"control_step": 0.012')
+
+
+@pytest.mark.parametrize("edit", [cut_normalizer, turn_rate])
+@pytest.mark.parametrize("command", ["doctor", "deploy"])
+def test_a_stale_policy_is_refused_before_the_port_is_opened(command: str, edit: Callable[[Any], None], tmp_path: Path):
+    model = onnx.load(find_policy("trot"))
+    edit(model)
+    onnx.save(model, tmp_path / "stale.onnx")
+    done = surefoot(command, tmp_path / "stale.onnx", "--port", "/dev/none")
+    assert done.returncode == 2
+    assert "stale.onnx: its digest does not fit: the network or the contract was changed" in done.stderr
+    assert done.stderr.count("\n") == 1
+
+
+# Robots that are not what they say.
+
+
+@pytest.mark.parametrize(
+    ("fault", "check", "why"),
+    [
+        ("other-robot", "robot", "the robot says 'not-minitaur'"),
+        ("other-order", "motors", "motor 0 is 'front_left_2_motor' (policy), 'front_left_1_motor' (robot)"),
+        ("other-gains", "servo gains", "the robot's servos have kp 1.5 and kd 0.0225"),
+        ("slow-servo", "servo period", "the robot's servos step every 2 ms; the data sheet says 1 ms"),
+    ],
+)
+def test_a_robot_that_does_not_fit_is_found_before_it_moves(
+    fault: str, check: str, why: str, emulate: Callable[..., Emulator]
+):
+    _, findings = doctor("trot", emulate("--lockstep", "--fault", fault).port, "--lockstep")
+    assert failed(findings) == [check]
+    assert why in findings[check]["why"]
+
+
+@pytest.mark.slow
+def test_a_robot_of_another_schema_is_refused(emulate: Callable[..., Emulator]):
+    port = emulate("--lockstep", "--fault", "other-schema").port
+    done = surefoot("doctor", "trot", "--port", port, "--lockstep")
+    assert done.returncode == 2
+    assert "the robot speaks version 1 and schema 0x" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("fault", "check", "why", "todo"),
+    [
+        (
+            "swap-motors=2",
+            "motors, one by one",
+            "back_left_1_motor, asked to go",
+            "exchanged: back_left_2_motor with back_left_1_motor",
+        ),
+        ("flip-sign=3", "motors, one by one", "back_left_1_motor went", "its sign, of motor or encoder, is flipped"),
+        ("late-states=0.015", "control latency", "35.", "find what delays the readings"),
+    ],
+)
+def test_what_is_wrong_with_motors_is_found_on_the_rack(
+    fault: str, check: str, why: str, todo: str, emulate: Callable[..., Emulator]
+):
+    emulator = emulate("--lockstep", "--rack", "--fault", fault)
+    _, findings = doctor("trot", emulator.port, "--lockstep", "--rack", "--yes")
+    assert failed(findings) == [check]
+    assert why in findings[check]["why"]
+    assert todo in findings[check]["what_to_do"]
+
+
+def test_a_mirrored_encoder_is_found_at_rest_or_as_soon_as_motors_hold(emulate: Callable[..., Emulator]):
+    """On the ground the legs are folded, and one that reads otherwise stands out; hanging ones may not."""
+    _, findings = doctor("trot", emulate("--lockstep", "--fault", "flip-encoder=3").port, "--lockstep")
+    assert failed(findings) == ["encoders"]
+    assert findings["encoders"]["why"].startswith("back_left reads")
+    port = emulate("--lockstep", "--rack", "--fault", "flip-encoder=3").port
+    _, findings = doctor("trot", port, "--lockstep", "--rack", "--yes")
+    assert failed(findings) in (["encoders"], ["motors, one by one"])
+
+
+@pytest.mark.parametrize(
+    ("way", "checks", "todo"),
+    [
+        (0, ["IMU, nose down", "IMU, left side down"], "the IMU's x and y are exchanged"),
+        (1, ["IMU, left side down"], "the IMU's roll is mirrored"),
+        (2, ["IMU, nose down"], "the IMU's pitch is mirrored"),
+        (3, ["IMU, nose down", "IMU, left side down"], "is mirrored"),
+    ],
+)
+def test_an_imu_that_is_mounted_otherwise_is_found_on_the_ground(
+    way: int, checks: list[str], todo: str, emulate: Callable[..., Emulator]
+):
+    emulator = emulate("--lockstep", "--fault", f"imu-flip={way}")
+    _, findings = doctor("trot", emulator.port, "--lockstep", "--ground", "--yes")
+    assert failed(findings) == checks
+    assert all(todo in findings[check]["what_to_do"] for check in checks)
+
+
+def test_a_battery_that_gets_low_while_motors_move_ends_the_wiggle(emulate: Callable[..., Emulator]):
+    emulator = emulate("--lockstep", "--rack", "--fault", "battery-low")
+    _, findings = doctor("trot", emulator.port, "--lockstep", "--rack", "--yes")
+    assert failed(findings) == ["motors, one by one"]
+    assert "the battery has" in findings["motors, one by one"]["why"]
+
+
+@pytest.mark.parametrize(("fault", "why"), [("drop=0.1", "pings lost"), ("corrupt=0.1", "frames damaged")])
+def test_a_line_that_loses_frames_is_found_in_real_time(fault: str, why: str, emulate: Callable[..., Emulator]):
+    _, findings = doctor("trot", emulate("--fault", fault).port, "--pings", "100")
+    assert findings["link, losses"]["passed"] is False
+    assert why in findings["link, losses"]["why"]
+
+
+def test_an_adapter_that_gathers_bytes_is_found_in_real_time(emulate: Callable[..., Emulator]):
+    done = surefoot(
+        "doctor", "trot", "--port", emulate("--fault", "batching").port, "--pings", "200", "--steps", "10", "--json"
+    )
+    findings = {one["name"]: one for one in json.loads(done.stdout)["findings"]}
+    assert done.returncode == 3
+    assert findings["link, bursts"]["passed"] is False
+    assert findings["link, bursts"]["value"] == pytest.approx(16 / 5, rel=0.25)
+    assert "latency_timer" in findings["link, bursts"]["what_to_do"]
+
+
+@pytest.mark.slow
+def test_a_cable_that_is_pulled_while_motors_move_is_told(emulate: Callable[..., Emulator]):
+    emulator = emulate("--lockstep", "--rack", "--fault", "unplug=1")
+    code, findings = doctor("trot", emulator.port, "--lockstep", "--rack", "--yes")
+    assert code == 3
+    assert findings["motors, one by one"]["passed"] is False or findings["link"]["passed"] is False
+
+
+# Words.
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["none.onnx", "--port", "/dev/none"], "policy 'none.onnx' does not exist"),
+        (["trot", "--port", "/dev/none"], "port /dev/none: can't be opened: No such file or directory"),
+        (["trot", "--port", "x", "--rack", "--ground"], "--rack and --ground don't go together"),
+        (["trot", "--port", "x", "--pings", "1"], "pings is 1; it must be 10 or more"),
+        (["trot", "--port", "x", "--steps", "0"], "steps is 0; it must be 10 or more"),
+        (["trot", "--port", "x", "--robot", "cat"], "robot 'cat': no such robot"),
+        (["trot"], "--port"),
+    ],
+)
+def test_what_does_not_fit_is_told(words: list[str], said: str):
+    with pytest.raises(SurefootError) as caught:
+        main(words)
+    assert said in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(("option", "place"), [("--rack", "hang free"), ("--ground", "sit on flat ground")])
+def test_without_a_terminal_motors_move_only_with_leave(option: str, place: str):
+    done = subprocess.run(
+        [*SUREFOOT, "doctor", "trot", "--port", "/dev/none", option],
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+    assert done.returncode == 2
+    assert f"motors will move and the robot must {place}" in done.stderr
+    assert done.stderr.rstrip().endswith("say so with --yes")
+
+
+@pytest.mark.parametrize(("answer", "said"), [(b"n\n", "not begun; nothing has moved"), (b"y\n", "can't be opened")])
+def test_on_a_terminal_it_asks(answer: bytes, said: str):
+    ours, theirs = pty.openpty()
+    process = subprocess.Popen(
+        [*SUREFOOT, "doctor", "trot", "--port", "/dev/none", "--rack"],
+        stdin=theirs,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+    )
+    os.write(ours, answer)
+    _, err = process.communicate(timeout=60)
+    os.close(ours)
+    os.close(theirs)
+    assert process.returncode == 2
+    assert "Motors will move. Does the robot hang free, its legs in the air? [y/N]" in err.decode()
+    assert said in err.decode()
