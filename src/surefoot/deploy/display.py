@@ -161,7 +161,7 @@ class Picture:
             ("battery", text("voltage", ".1f", "V")),
             ("hottest motor", text("temperature", ".0f", "degC")),
             ("roll, pitch", f"{text('roll', '+.2f', '')}, {text('pitch', '+.2f', 'rad')}"),
-            ("recording", str(now["recording"]) or "-"),
+            ("recording", str(now["recording"]).removeprefix("recording ") or "-"),
         ]
 
     def draw(self) -> Any:

@@ -1,0 +1,306 @@
+"""`surefoot deploy` against the emulator's process on a real pseudo-terminal."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import pty
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from surefoot.deploy.partial import recover
+from surefoot.policy.runtime import PolicyRuntime
+from surefoot.task.trace import EpisodeTrace
+
+pytest.importorskip("mujoco")
+
+ABSENT = ("mujoco", "numba", "gymnasium", "torch", "scipy", "matplotlib", "pybullet", "onnx")
+PATIENCE = 120.0
+
+
+@pytest.fixture
+def emulator(tmp_path: Path) -> Iterator[Callable[..., str]]:
+    """Start an emulator in lockstep; returns its port."""
+    started: list[subprocess.Popen[str]] = []
+
+    def start(*options: str) -> str:
+        command = [sys.executable, "-m", "surefoot", "emulate", "--lockstep", *options]
+        process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
+        started.append(process)
+        assert process.stdout is not None
+        line = process.stdout.readline()
+        assert line.startswith("robot on "), line
+        return line.removeprefix("robot on ").strip()
+
+    yield start
+    for process in started:
+        process.terminate()
+        process.communicate(timeout=30)
+
+
+def deploy_command(port: str, *options: str) -> list[str]:
+    return [sys.executable, "-m", "surefoot", "deploy", "trot", "--port", port, "--lockstep", *options]
+
+
+def deploy(port: str, *options: str, **how) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(deploy_command(port, *options), capture_output=True, text=True, timeout=PATIENCE, **how)
+
+
+def start_deploy(port: str, *options: str, until: str = "surefoot: run") -> subprocess.Popen[str]:
+    """Start a deployment and wait until it says a line."""
+    process = subprocess.Popen(
+        deploy_command(port, *options), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    assert process.stderr is not None
+    for line in process.stderr:
+        if line.startswith(until):
+            return process
+    raise AssertionError(f"it never said '{until}'")
+
+
+def test_the_trot_goes_as_far_as_in_simulation(emulator, tmp_path, repository):
+    capture = tmp_path / "capture.csv"
+    port = emulator("--ideal-sensors", "--motion-capture", str(capture))
+    done = deploy(port, "--out", str(tmp_path / "out"), "--motion-capture", str(capture), "--json")
+    assert done.returncode == 0, done.stderr
+    told = json.loads(done.stdout)
+    (run,) = told["runs"]
+    assert (run["ended"], run["steps"], run["notes"]) == ("time", 1000, [])
+    assert run["timing"]["missed"] == 0
+    assert told["frames"]["damaged"] == told["frames"]["missing"] == told["frames"]["commands_refused"] == 0
+    policy = PolicyRuntime.load(repository / "policies" / "trot.onnx")
+    assert run["speed"] == pytest.approx(policy.contract.figures["training"]["speed_mean"], rel=0.05)
+
+    trace = EpisodeTrace.load(run["trace"])
+    assert trace.base_position_world[0, :2] == pytest.approx(0.0, abs=1e-9)
+    assert trace.base_position_world[-1, 0] == pytest.approx(run["distance"])
+    assert trace.feedback == pytest.approx(policy.feedback(trace.observation), abs=1e-5)
+    assert trace.observation[1:, 0] == pytest.approx(trace.roll_pitch_yaw[:-1, 0], abs=1e-7)
+    assert_readings_are_20_ms_old(trace, capture)
+
+    read = subprocess.run(
+        [sys.executable, "-m", "surefoot", "evaluate", "--trace", run["trace"], "--json"],
+        capture_output=True,
+        text=True,
+        timeout=PATIENCE,
+    )
+    assert read.returncode == 0, read.stderr
+    assert json.loads(read.stdout)["speed_mean"] == pytest.approx(run["speed"])
+
+
+def assert_readings_are_20_ms_old(trace: EpisodeTrace, capture: Path) -> None:
+    """What a row tells of the pitch is what motion capture saw 20 ms before the row's end, and not at another time."""
+    with capture.open() as file:
+        rows = np.array([[float(word) for word in row] for row in list(csv.reader(file))[1:]])
+    w, x, y, z = rows[:, 4:8].T
+    pitch = np.arcsin(np.clip(2 * (w * y - z * x), -1, 1))
+    ends = trace.meta["robot_time_start"] + trace.time
+
+    def error(age: float) -> float:
+        return float(np.abs(trace.roll_pitch_yaw[:, 1] - np.interp(ends - age, rows[:, 0], pitch)).mean())
+
+    ages = np.arange(0.0, 0.041, 0.001)
+    errors = [error(age) for age in ages]
+    assert ages[int(np.argmin(errors))] == pytest.approx(0.020, abs=0.0015)
+    assert min(errors) < 1e-3
+
+
+def test_the_computer_of_the_robot_needs_no_simulator(emulator, tmp_path):
+    script = f"""
+import sys
+
+class Absent:
+    def find_spec(self, name, path=None, target=None):
+        if name.split(".")[0] in {ABSENT!r}:
+            raise ImportError(f"the robot's computer has no {{name}}", name=name)
+
+sys.meta_path.insert(0, Absent())
+from surefoot.cli.main import main
+code = main(["deploy", "trot", *sys.argv[1:]])
+assert not [name for name in {ABSENT!r} if name in sys.modules]
+sys.exit(code)
+"""
+    options = ("--port", emulator("--ideal-sensors"), "--lockstep", "--duration", "0.3", "--out", str(tmp_path / "out"))
+    done = subprocess.run([sys.executable, "-c", script, *options], capture_output=True, text=True, timeout=PATIENCE)
+    assert done.returncode == 0, done.stderr
+    assert "done; 50 steps" in done.stdout
+
+
+def test_several_runs_in_a_row_each_leave_a_trace(emulator, tmp_path):
+    done = deploy(emulator(), "--duration", "0.3", "--runs", "2", "--out", str(tmp_path), "--world-name", "bench")
+    assert done.returncode == 0, done.stderr
+    assert done.stderr.count("surefoot: sit down") == 2
+    assert sorted(path.name for path in tmp_path.glob("*.npz")) == ["run_000.npz", "run_001.npz"]
+    trace = EpisodeTrace.load(tmp_path / "run_001.npz")
+    assert trace.meta["world"] == "bench"
+    assert trace.meta["episode"] == 1
+    assert trace.num_steps == 50
+
+
+def test_two_runs_on_the_same_robot_are_the_same_to_the_last_bit(emulator, tmp_path):
+    traces = []
+    for name in ("one", "two"):
+        deploy(emulator("--seed", "3"), "--duration", "0.6", "--out", str(tmp_path / name))
+        traces.append(EpisodeTrace.load(tmp_path / name / "run_000.npz"))
+    for array in ("target", "observation", "motor_torque", "energy", "time"):
+        assert getattr(traces[0], array).tolist() == getattr(traces[1], array).tolist(), array
+
+
+def test_a_dry_run_moves_nothing_and_keeps_nothing(emulator, tmp_path):
+    port = emulator()
+    done = deploy(port, "--dry-run", "--duration", "0.3", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "done; 50 steps" in done.stdout
+    assert "arm" not in done.stderr.replace("surefoot: disarm", "")
+    assert list(tmp_path.iterdir()) == []
+    kept = deploy(port, "--dry-run", "--duration", "0.3", "--out", str(tmp_path))
+    assert kept.returncode == 0, kept.stderr
+    assert EpisodeTrace.load(tmp_path / "run_000.npz").meta["dry_run"]
+
+
+def test_without_a_folder_traces_go_to_deploy(emulator, tmp_path):
+    done = deploy(emulator(), "--duration", "0.1", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "deploy" / "run_000.npz").exists()
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_lets_the_robot_sit_and_keeps_the_trace(number, emulator, tmp_path):
+    process = start_deploy(emulator(), "--duration", "60", "--out", str(tmp_path), "--json")
+    time.sleep(0.3)
+    process.send_signal(number)
+    told, said = process.communicate(timeout=PATIENCE)
+    assert process.returncode == 0, said
+    (run,) = json.loads(told)["runs"]
+    assert (run["ended"], run["reason"]) == ("stopped", "operator")
+    assert said.splitlines()[-2:] == ["surefoot: sit down (1.5 s)", "surefoot: disarm"]
+    trace = EpisodeTrace.load(tmp_path / "run_000.npz")
+    assert trace.meta["ended"] == "stopped"
+    assert 0 < trace.num_steps < 10_000
+
+
+def test_ctrl_c_twice_damps_at_once(emulator, tmp_path):
+    process = start_deploy(emulator(), "--duration", "60", "--out", str(tmp_path), "--json")
+    process.send_signal(signal.SIGINT)
+    time.sleep(0.05)
+    process.send_signal(signal.SIGINT)
+    told, said = process.communicate(timeout=PATIENCE)
+    assert process.returncode == 3, said
+    assert "at once" in json.loads(told)["runs"][0]["what"]
+
+
+def test_a_terminal_that_closes_lets_the_robot_sit_and_keeps_the_trace(emulator, tmp_path):
+    port = emulator()
+    pid, terminal = pty.fork()
+    if pid == 0:
+        os.execv(sys.executable, deploy_command(port, "--duration", "60", "--out", str(tmp_path)))
+    drawn = b""
+    end = time.monotonic() + PATIENCE
+    while b"run, " not in drawn and time.monotonic() < end:
+        drawn += os.read(terminal, 65_536)
+    assert b"battery" in drawn
+    os.close(terminal)
+    _, status = os.waitpid(pid, 0)
+    assert os.waitstatus_to_exitcode(status) == 0
+    assert EpisodeTrace.load(tmp_path / "run_000.npz").meta["ended"] == "stopped"
+
+
+def test_a_killed_host_leaves_its_run_behind(emulator, tmp_path):
+    process = start_deploy(emulator(), "--duration", "60", "--out", str(tmp_path))
+    time.sleep(1.0)
+    process.kill()
+    process.communicate(timeout=PATIENCE)
+    assert not list(tmp_path.glob("*.npz"))
+    trace = recover(tmp_path / "run_000.partial")
+    assert trace.num_steps > 10
+    assert trace.meta["ended"] == "fault"
+
+
+def test_a_full_disk_stops_recording_and_the_robot_goes_on(emulator, tmp_path):
+    def small_files() -> None:
+        import resource
+
+        resource.setrlimit(resource.RLIMIT_FSIZE, (50_000, resource.RLIM_INFINITY))
+
+    port = emulator()
+    done = deploy(port, "--duration", "2.4", "--out", str(tmp_path), "--json", preexec_fn=small_files)
+    assert done.returncode == 3, done.stderr
+    assert "surefoot: recording stopped: File too large; the robot goes on" in done.stderr
+    (run,) = json.loads(done.stdout)["runs"]
+    assert (run["ended"], run["steps"], run["trace"]) == ("time", 400, None)
+    assert any("can't be written: File too large" in note for note in run["notes"])
+    assert recover(tmp_path / "run_000.partial").num_steps > 50
+
+
+def test_a_cable_that_is_pulled_ends_with_3_and_keeps_the_trace(emulator, tmp_path):
+    done = deploy(emulator("--fault", "unplug=6.5"), "--out", str(tmp_path), "--json")
+    assert done.returncode == 3, done.stderr
+    (run,) = json.loads(done.stdout)["runs"]
+    assert run["ended"] == "fault"
+    assert 0 < EpisodeTrace.load(tmp_path / "run_000.npz").num_steps < 1000
+
+
+def test_a_second_operator_is_refused_and_the_first_goes_on(emulator, tmp_path):
+    port = emulator()
+    first = start_deploy(port, "--duration", "60", "--out", str(tmp_path))
+    second = deploy(port, "--out", str(tmp_path))
+    assert second.returncode == 2
+    assert second.stderr.splitlines()[-1] == (
+        f"surefoot: error: port {port}: another program has it; one operator at a time"
+    )
+    first.send_signal(signal.SIGINT)
+    first.communicate(timeout=PATIENCE)
+    assert first.returncode == 0
+
+
+def test_motion_capture_that_is_missing_costs_only_the_base(emulator, tmp_path):
+    done = deploy(
+        emulator(), "--duration", "0.3", "--out", str(tmp_path), "--motion-capture", str(tmp_path / "none.csv")
+    )
+    assert done.returncode == 0, done.stderr
+    assert "none.csv: can't be read: No such file or directory; the trace has no base motion" in done.stdout
+    assert np.isnan(EpisodeTrace.load(tmp_path / "run_000.npz").base_position_world).all()
+
+
+@pytest.mark.parametrize(
+    ("words", "match"),
+    [
+        (["trot", "--port", "/dev/nothing"], "port /dev/nothing: can't be opened: No such file or directory"),
+        (["canter", "--port", "x"], "policy 'canter' does not exist"),
+        (["trot", "--port", "x", "--duration", "-1"], "duration is -1; it must be a finite number over 0 s"),
+        (["trot", "--port", "x", "--runs", "0"], "runs is 0; it must be 1 or more"),
+        (["trot"], "--port"),
+    ],
+)
+def test_what_cannot_be_done_is_told_in_one_line(words, match):
+    done = subprocess.run(
+        [sys.executable, "-m", "surefoot", "deploy", *words], capture_output=True, text=True, timeout=PATIENCE
+    )
+    assert done.returncode == 2
+    assert match in done.stderr.splitlines()[-1]
+    assert "Traceback" not in done.stderr
+
+
+def test_a_robot_that_says_nothing_is_told_in_one_line(tmp_path):
+    """A port with nobody behind it."""
+    master, slave = os.openpty()
+    try:
+        done = subprocess.run(
+            [sys.executable, "-m", "surefoot", "deploy", "trot", "--port", os.ttyname(slave)],
+            capture_output=True,
+            text=True,
+            timeout=PATIENCE,
+        )
+    finally:
+        os.close(master)
+        os.close(slave)
+    assert done.returncode == 2
+    assert "no robot answers within 2 s" in done.stderr

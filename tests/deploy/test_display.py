@@ -1,0 +1,152 @@
+"""The live display: what it tells, and that it can never hold up whoever feeds it."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+from surefoot.deploy.display import LiveDisplay, Picture, PlainLines, show
+from surefoot.deploy.loop import Snapshot
+
+
+@pytest.fixture
+def snapshot(a_state) -> Snapshot:
+    return Snapshot(
+        phase="run",
+        left=3.25,
+        rate=166.7,
+        lateness=(1e-5, 2e-5, 1.5e-3),
+        inference=9.5e-5,
+        missed=1,
+        state_age=0.0012,
+        state=a_state,
+        dropped=2,
+    )
+
+
+def test_the_picture_tells_all_that_came():
+    picture = Picture()
+    picture.take({"title": "trot on minitaur", "recording": "recording to run_000.npz"})
+    picture.take({"phase": "run", "left": 2.0, "rate": 166.7, "lateness": [0.01] * 98 + [1.0, 3.0], "inference": 0.09})
+    picture.take({"missed": 1, "dropped": 2, "state_age": 1.2, "voltage": 15.7, "temperature": 31.0})
+    picture.take({"roll": -0.02, "pitch": 0.11, "warning": "battery below 14.4 V"})
+    rows = dict(picture.rows())
+    assert rows["phase"] == "run, 2.0 s left"
+    assert rows["loop"] == "166.7 Hz"
+    assert rows["lateness"].startswith("0.01 median, ")
+    assert rows["lateness"].endswith("3.00 max ms")
+    assert rows["battery"] == "15.7 V"
+    assert rows["hottest motor"] == "31 degC"
+    assert rows["roll, pitch"] == "-0.02, +0.11 rad"
+    assert rows["recording"] == "to run_000.npz"
+    assert picture.warnings == ["battery below 14.4 V"]
+
+
+def test_a_picture_of_nothing_shows_dashes():
+    rows = dict(Picture().rows())
+    assert rows["loop"] == "-"
+    assert rows["lateness"] == "-"
+
+
+def test_it_draws_what_lines_tell_and_passes_over_the_rest():
+    stream = io.StringIO()
+    lines = [
+        '{"title": "trot on minitaur"}',
+        "no json",
+        "[1]",
+        '{"phase": "stand up", "left": 1.5}',
+        '{"warning": "hot"}',
+    ]
+    show(lines, stream)
+    drawn = stream.getvalue()
+    assert "trot on minitaur" in drawn
+    assert "stand up, 1.5 s left" in drawn
+    assert "! hot" in drawn
+
+
+def test_messages_reach_the_displays_process(snapshot, monkeypatch):
+    sent = []
+    monkeypatch.setattr(subprocess, "Popen", lambda *a, **k: _Process())
+    display = LiveDisplay("title")
+    monkeypatch.setattr(os, "write", lambda file, data: sent.append(data) or len(data))
+    display.tick(snapshot)
+    display.phase("run", 6.0)
+    message = json.loads(sent[0])
+    assert message["lateness"] == [0.01, 0.02, 1.5]
+    assert message["inference"] == 0.095
+    assert all(len(data) <= 4096 for data in sent)
+    display.close()
+
+
+class _Process:
+    def __init__(self) -> None:
+        read, write = os.pipe()
+        self.stdin, self._read = os.fdopen(write, "wb"), read
+
+    def wait(self, timeout):
+        os.close(self._read)
+
+
+def test_a_hundred_steps_fit_into_one_message(snapshot, monkeypatch):
+    """More than 4096 bytes a pipe may take in part."""
+    from dataclasses import replace
+
+    sent = []
+    monkeypatch.setattr(subprocess, "Popen", lambda *a, **k: _Process())
+    display = LiveDisplay("title")
+    monkeypatch.setattr(os, "write", lambda file, data: sent.append(data) or len(data))
+    display.tick(replace(snapshot, lateness=(1.234567,) * 100))
+    assert len(json.loads(sent[0])["lateness"]) == 100
+    display.close()
+
+
+@pytest.mark.parametrize("what", [signal.SIGSTOP, signal.SIGKILL])
+def test_a_display_that_hangs_or_dies_holds_nobody_up(what, snapshot):
+    display = LiveDisplay("title")
+    os.kill(display._process.pid, what)
+    started = time.monotonic()
+    for _ in range(2000):
+        display.tick(snapshot)
+    assert time.monotonic() - started < 5.0
+    display._process.kill()
+    display.close()
+
+
+def test_the_displays_process_ends_with_its_input():
+    process = subprocess.Popen(
+        [sys.executable, "-m", "surefoot.deploy.display"], stdin=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    _, drawn = process.communicate('{"title": "trot"}\n{"phase": "run", "voltage": 15.71}\n', timeout=60)
+    assert process.returncode == 0
+    assert "trot" in drawn
+    assert "15.7 V" in drawn
+
+
+def test_plain_lines_tell_phases_and_warnings(snapshot):
+    stream = io.StringIO()
+    lines = PlainLines(stream)
+    lines.phase("arm", 0.0)
+    lines.phase("run", 6.0)
+    lines.tick(snapshot)
+    lines.warn("battery below 14.4 V")
+    lines.recording("recording stopped: No space left on device")
+    lines.close()
+    assert stream.getvalue().splitlines() == [
+        "surefoot: arm",
+        "surefoot: run (6.0 s)",
+        "surefoot: warning: battery below 14.4 V",
+        "surefoot: recording stopped: No space left on device",
+    ]
+
+
+def test_a_terminal_that_is_gone_is_no_reason_to_stop():
+    stream = io.StringIO()
+    stream.close()
+    PlainLines(stream).phase("run", 6.0)
