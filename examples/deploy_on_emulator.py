@@ -1,0 +1,87 @@
+"""A trained gait on a robot, without a robot: emulator and operator in two processes, a serial line between them.
+
+1. `surefoot emulate` is the robot: a microcontroller and a Minitaur, in another engine than the gait has learned in.
+2. `surefoot doctor` looks at link, contract and computer before a motor moves.
+3. `surefoot deploy` stands the robot up, runs the gait for a whole episode, sits it down; three times.
+4. `surefoot gap` measures simulation and deployed runs by the same ruler and draws them beside each other.
+
+    python examples/deploy_on_emulator.py                    # trot-steady, in Bullet where there is PyBullet
+    python examples/deploy_on_emulator.py gallop --runs 1
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib.util
+import shutil
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+REFUSED, LATE = 2, 3
+"""Exit codes: of what can't be done at all, such as a policy for another robot; and of a run that safety ended, such as
+one on a computer that was too busy."""
+
+
+@contextmanager
+def emulator(*words: str | Path) -> Iterator[str]:
+    """Run an emulator and give the name of its port."""
+    command = [sys.executable, "-m", "surefoot", "emulate", *map(str, words)]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    try:
+        said = process.stdout.readline() if process.stdout else ""
+        if not said.startswith("robot on "):
+            raise SystemExit(process.wait() or 1)
+        print(f"$ surefoot emulate {' '.join(map(str, words))}\n{said}", end="", flush=True)
+        yield said.removeprefix("robot on ").split()[0]
+    finally:
+        process.send_signal(signal.SIGINT)
+        process.wait(timeout=20)
+
+
+def surefoot(*words: str | Path) -> int:
+    """Run a command as a user would, in a process of its own; returns its exit code."""
+    print(f"\n$ surefoot {' '.join(map(str, words))}", flush=True)
+    return subprocess.run([sys.executable, "-m", "surefoot", *map(str, words)], check=False).returncode
+
+
+def deploy(policy: str, world: str, runs: int, out: Path, lockstep: bool = False) -> int:
+    """Deploy a policy on an emulator and measure its gap; returns the exit code."""
+    shutil.rmtree(out, ignore_errors=True)
+    out.mkdir(parents=True)
+    capture, traces = out / "motion_capture.csv", out / "deployed"
+    clock = ["--lockstep"] if lockstep else []
+    with emulator("--world", world, "--motion-capture", capture, *clock) as port:
+        # What a robot should not be trusted with does an emulator no harm: a busy computer is told here, and tried.
+        if surefoot("doctor", policy, "--port", port, *clock) == REFUSED:
+            return REFUSED
+        code = surefoot(
+            *("deploy", policy, "--port", port, "--runs", str(runs), "--motion-capture", capture, "--out", traces),
+            *("--world-name", f"emulator ({world})", *clock),
+        )
+    if code:
+        return code
+    return surefoot("gap", policy, "--from", "mujoco", "--to", "trace", traces, "--out", out / "gap")
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("policy", nargs="?", default="trot-steady")
+    has_bullet = importlib.util.find_spec("pybullet") is not None
+    parser.add_argument("--world", default="bullet" if has_bullet else "mujoco")
+    parser.add_argument("--runs", type=int, default=3)
+    parser.add_argument("--out", type=Path, default=Path("out/deployed"))
+    parser.add_argument("--lockstep", action="store_true", help="time follows the link instead of the computer's clock")
+    asked = parser.parse_args()
+    code = deploy(asked.policy, asked.world, asked.runs, asked.out, asked.lockstep)
+    if code == LATE and not asked.lockstep:
+        print("\nA safety rule ended it; a computer that is busy with other things does that. Once more, in lockstep.")
+        code = deploy(asked.policy, asked.world, asked.runs, asked.out, lockstep=True)
+    return code
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
