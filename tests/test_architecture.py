@@ -26,7 +26,7 @@ ARROWS: dict[str, set[str]] = {
     "identify": {"world", "deploy", "robot", "actuator"},
     "deploy": {
         *("robot", "policy", "world.interface"),
-        *("task.reference", "task.observation", "task.gait", "task.trace"),
+        *("task.reference", "task.observation", "task.gait", "task.trace", "task.partial_trace"),
     },
     "emulator": {"deploy", "world", "actuator", "robot"},
     "report": {"evaluate", "task", "robot"},
@@ -40,7 +40,9 @@ ROBOT_SIDE = [
     "surefoot.task.observation",
     "surefoot.task.trace",
     "surefoot.robot",
+    "surefoot.cli.policies",
     "surefoot.cli.doctor",
+    "surefoot.cli.deploy",
 ]
 NOT_ON_THE_ROBOT = {
     *("mujoco", "numba", "llvmlite", "gymnasium", "scipy", "pybullet"),

@@ -16,8 +16,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from surefoot.deploy.partial import recover
+from surefoot.evaluate.recorded import find_traces
 from surefoot.policy.runtime import PolicyRuntime
+from surefoot.task.partial_trace import recover
 from surefoot.task.trace import EpisodeTrace
 
 pytest.importorskip("mujoco")
@@ -219,9 +220,13 @@ def test_a_killed_host_leaves_its_run_behind(emulator, tmp_path):
     process.kill()
     process.communicate(timeout=PATIENCE)
     assert not list(tmp_path.glob("*.npz"))
-    trace = recover(tmp_path / "run_000.partial")
+    trace = recover(tmp_path / "run_000.npz.partial")
     assert trace.num_steps > 10
     assert trace.meta["ended"] == "fault"
+    assert trace.meta["robot_time_start"] > 0.0
+    ((path, found),) = find_traces(tmp_path)
+    assert path.name == "run_000.npz.partial"
+    assert found.num_steps == trace.num_steps
 
 
 def test_a_full_disk_stops_recording_and_the_robot_goes_on(emulator, tmp_path):
@@ -237,7 +242,7 @@ def test_a_full_disk_stops_recording_and_the_robot_goes_on(emulator, tmp_path):
     (run,) = json.loads(done.stdout)["runs"]
     assert (run["ended"], run["steps"], run["trace"]) == ("time", 400, None)
     assert any("can't be written: File too large" in note for note in run["notes"])
-    assert recover(tmp_path / "run_000.partial").num_steps > 50
+    assert recover(tmp_path / "run_000.npz.partial").num_steps > 50
 
 
 def test_a_cable_that_is_pulled_ends_with_3_and_keeps_the_trace(emulator, tmp_path):
@@ -278,6 +283,7 @@ def test_motion_capture_that_is_missing_costs_only_the_base(emulator, tmp_path):
         (["trot", "--port", "x", "--duration", "-1"], "duration is -1; it must be a finite number over 0 s"),
         (["trot", "--port", "x", "--runs", "0"], "runs is 0; it must be 1 or more"),
         (["trot"], "--port"),
+        (["trot", "--port", "x", "--out", "/dev/null"], "out is /dev/null; it must be a folder"),
     ],
 )
 def test_what_cannot_be_done_is_told_in_one_line(words, match):

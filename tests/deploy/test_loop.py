@@ -105,7 +105,7 @@ def test_a_whole_run(deploy, toy, watch):
     assert trace.meta["config_hash"] == deploy.deployment.contract.config_hash
     assert timing.missed == 0
     assert timing.stale == 0
-    assert not (kept.path.parent / "run_000.partial").exists()
+    assert not (kept.path.parent / "run_000.npz.partial").exists()
     deploy.deployment.close()
     assert toy.firmware.owner == 0
 

@@ -11,9 +11,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from surefoot.deploy.partial import PartialFile, next_free, recover
-from surefoot.deploy.recorder import Layout, Recorder, trace_of
+from surefoot.deploy.partial import PartialFile, next_free
+from surefoot.deploy.recorder import Recorder
 from surefoot.errors import SurefootError
+from surefoot.task.partial_trace import Layout, recover, trace_of
 
 LAYOUT = Layout(motors=8, legs=4, observations=3)
 STEP = 0.006
@@ -163,7 +164,7 @@ import os, signal, time
 import numpy as np
 from pathlib import Path
 from surefoot.deploy.partial import FLUSH, PartialFile
-from surefoot.deploy.recorder import Layout
+from surefoot.task.partial_trace import Layout
 layout = Layout(8, 4, 3)
 file = PartialFile(Path({str(path)!r}), layout, {META!r})
 rows = np.zeros((50, layout.width))
@@ -184,7 +185,7 @@ import resource, time
 import numpy as np
 from pathlib import Path
 from surefoot.deploy.partial import FLUSH, PartialFile
-from surefoot.deploy.recorder import Layout
+from surefoot.task.partial_trace import Layout
 resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, resource.RLIM_INFINITY))
 layout = Layout(8, 4, 3)
 file = PartialFile(Path({str(path)!r}), layout, {META!r})
@@ -207,8 +208,15 @@ print(file.stopped)
 def test_a_folder_that_cannot_be_made_stops_recording(tmp_path):
     (tmp_path / "file").write_text("")
     file = PartialFile(tmp_path / "file" / "run.partial", LAYOUT, META)
+    file.add(np.zeros((1, LAYOUT.width)))
     file.close()
     assert file.stopped
+
+
+def test_a_run_without_rows_leaves_no_file(tmp_path):
+    file = PartialFile(tmp_path / "run.partial", LAYOUT, META)
+    file.close()
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_disk_that_does_not_answer_keeps_nobody_waiting(tmp_path, monkeypatch):
@@ -222,5 +230,5 @@ def test_a_disk_that_does_not_answer_keeps_nobody_waiting(tmp_path, monkeypatch)
 def test_names_are_numbered_beside_whole_and_partial_runs(tmp_path):
     assert next_free(tmp_path / "new").name == "run_000.npz"
     (tmp_path / "run_000.npz").touch()
-    (tmp_path / "run_001.partial").touch()
+    (tmp_path / "run_001.npz.partial").touch()
     assert next_free(tmp_path) == tmp_path / "run_002.npz"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tempfile
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -11,9 +12,10 @@ import numpy as np
 from surefoot.deploy.deployment import Deployment, Outcome
 from surefoot.deploy.motion_capture import base_and_feet, read_capture
 from surefoot.deploy.pacer import Timing
-from surefoot.deploy.partial import SUFFIX, PartialFile
-from surefoot.deploy.recorder import Array, Layout, Recorder, trace_of
+from surefoot.deploy.partial import PartialFile
+from surefoot.deploy.recorder import Recorder
 from surefoot.errors import SurefootError
+from surefoot.task.partial_trace import SUFFIX, Array, Layout, trace_of
 from surefoot.task.trace import ENERGY_WEIGHT, EpisodeTrace
 
 
@@ -83,9 +85,19 @@ class Keeper:
         return self._partial.stopped if self._partial is not None else ""
 
     def begin(self) -> None:
-        """Open the file of rows."""
+        """Get ready to write; the robot has not moved yet.
+
+        Raises:
+            SurefootError: the folder can't be written.
+        """
         if self.path is not None:
-            self._partial = PartialFile(self.path.with_suffix(SUFFIX), self.recorder.layout, self.meta)
+            try:
+                self.path.parent.mkdir(parents=True, exist_ok=True)
+                with tempfile.TemporaryFile(dir=self.path.parent):
+                    pass
+            except OSError as error:
+                raise SurefootError(f"folder {self.path.parent}: can't be written: {error.strerror}") from error
+            self._partial = PartialFile(self.path.with_name(self.path.name + SUFFIX), self.recorder.layout, self.meta)
             self._watch.recording(f"recording to {self.path}")
 
     def keep(self, rows: Array) -> None:

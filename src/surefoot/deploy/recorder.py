@@ -7,86 +7,14 @@ observation, feedback and target of the step before it. So rows stay one control
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.deploy.safety import is_finite
 from surefoot.deploy.wire import State
-from surefoot.errors import SurefootError
-from surefoot.task.trace import EpisodeTrace
+from surefoot.task.partial_trace import Layout
 
 Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class Layout:
-    """Where what stands in a row of numbers."""
-
-    motors: int
-    """M"""
-    legs: int
-    """L"""
-    observations: int
-    """O"""
-
-    @property
-    def widths(self) -> dict[str, int]:
-        """Numbers of each quantity, in the order of the row; `robot_time` is the state's on the robot's clock [s]."""
-        return {
-            "time": 1,
-            "robot_time": 1,
-            "roll_pitch_yaw": 3,
-            "angular_velocity_base": 3,
-            "motor_angle": self.motors,
-            "motor_velocity": self.motors,
-            "motor_torque": self.motors,
-            "observation": self.observations,
-            "feedback": 2 * self.legs,
-            "target": self.motors,
-            "energy": 1,
-        }
-
-    @property
-    def width(self) -> int:
-        """Numbers in a row."""
-        return sum(self.widths.values())
-
-    def columns(self, rows: Array) -> dict[str, Array]:
-        """Rows (T, width) as arrays by name, (T,) or (T, n)."""
-        found: dict[str, Array] = {}
-        at = 0
-        for name, width in self.widths.items():
-            found[name] = rows[:, at] if width == 1 else rows[:, at : at + width]
-            at += width
-        return found
-
-
-def trace_of(layout: Layout, rows: Array, meta: dict[str, Any], truth: dict[str, Array] | None = None) -> EpisodeTrace:
-    """The trace of rows (T, width); what the robot does not know is NaN.
-
-    Args:
-        layout: of the rows.
-        rows: one a control step.
-        meta: as the trace's.
-        truth: base and feet, if somebody else has seen them; see `motion_capture`.
-
-    Raises:
-        SurefootError: no rows, or what is no trace.
-    """
-    steps = len(rows)
-    if not steps:
-        raise SurefootError("no control step was done; there is nothing to keep")
-    columns = layout.columns(rows)
-    columns.pop("robot_time")
-    unknown = {
-        "base_position_world": np.full((steps + 1, 3), np.nan),
-        "base_quat_world": np.full((steps + 1, 4), np.nan),
-        "foot_contact": np.full((steps, layout.legs), np.nan),
-    }
-    return EpisodeTrace(**columns, **(unknown | (truth or {})), meta=meta)
 
 
 class Recorder:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from surefoot.errors import SurefootError, choices
+from surefoot.task.partial_trace import SUFFIX, recover
 from surefoot.task.trace import EpisodeTrace
 
 Recorded = list[tuple[Path, EpisodeTrace]]
@@ -14,6 +15,8 @@ Recorded = list[tuple[Path, EpisodeTrace]]
 def find_traces(folder: Path) -> Recorded:
     """All traces in a folder and the folders in it, by path; or the one of a file.
 
+    What a robot's computer had recorded when it died (.npz.partial) is a trace too.
+
     Args:
         folder: where to look for .npz files.
 
@@ -21,13 +24,17 @@ def find_traces(folder: Path) -> Recorded:
         SurefootError: no such folder, no traces in it, or a file that is none or is damaged.
     """
     if folder.is_file():
-        return [(folder, EpisodeTrace.load(folder))]
+        return [(folder, _load(folder))]
     if not folder.is_dir():
         raise SurefootError(f"trace folder {folder} does not exist; give a folder with traces (.npz)")
-    paths = sorted(path for path in folder.rglob("*.npz") if path.is_file())
+    paths = sorted(path for end in ("", SUFFIX) for path in folder.rglob(f"*.npz{end}") if path.is_file())
     if not paths:
         raise SurefootError(f"trace folder {folder} holds no traces (.npz), nor do the folders in it")
-    return [(path, EpisodeTrace.load(path)) for path in paths]
+    return [(path, _load(path)) for path in paths]
+
+
+def _load(path: Path) -> EpisodeTrace:
+    return recover(path) if path.suffix == SUFFIX else EpisodeTrace.load(path)
 
 
 def world_of(found: Recorded) -> str:

@@ -1,0 +1,133 @@
+"""Rows of a run that is not over: what a robot's recorder writes while it goes, and a trace out of what is left.
+
+A partial file is a line of JSON (layout and meta of the trace) and then rows of little-endian 64-bit floats. A row that
+was cut off is left out when it is read.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surefoot.errors import SurefootError
+from surefoot.task.trace import EpisodeTrace
+
+Array = NDArray[np.float64]
+
+SUFFIX = ".partial"
+"""Behind the whole name of the trace's file."""
+_KIND = "surefoot-partial-trace"
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Where what stands in a row of numbers."""
+
+    motors: int
+    """M"""
+    legs: int
+    """L"""
+    observations: int
+    """O"""
+
+    @property
+    def widths(self) -> dict[str, int]:
+        """Numbers of each quantity, in the order of the row; `robot_time` is the state's on the robot's clock [s]."""
+        return {
+            "time": 1,
+            "robot_time": 1,
+            "roll_pitch_yaw": 3,
+            "angular_velocity_base": 3,
+            "motor_angle": self.motors,
+            "motor_velocity": self.motors,
+            "motor_torque": self.motors,
+            "observation": self.observations,
+            "feedback": 2 * self.legs,
+            "target": self.motors,
+            "energy": 1,
+        }
+
+    @property
+    def width(self) -> int:
+        """Numbers in a row."""
+        return sum(self.widths.values())
+
+    def columns(self, rows: Array) -> dict[str, Array]:
+        """Rows (T, width) as arrays by name, (T,) or (T, n)."""
+        found: dict[str, Array] = {}
+        at = 0
+        for name, width in self.widths.items():
+            found[name] = rows[:, at] if width == 1 else rows[:, at : at + width]
+            at += width
+        return found
+
+
+def trace_of(layout: Layout, rows: Array, meta: dict[str, Any], truth: dict[str, Array] | None = None) -> EpisodeTrace:
+    """The trace of rows (T, width); what the robot does not know is NaN.
+
+    Args:
+        layout: of the rows.
+        rows: one a control step.
+        meta: as the trace's.
+        truth: base and feet, if somebody else has seen them.
+
+    Raises:
+        SurefootError: no rows, or what is no trace.
+    """
+    steps = len(rows)
+    if not steps:
+        raise SurefootError("no control step was done; there is nothing to keep")
+    columns = layout.columns(rows)
+    columns.pop("robot_time")
+    unknown = {
+        "base_position_world": np.full((steps + 1, 3), np.nan),
+        "base_quat_world": np.full((steps + 1, 4), np.nan),
+        "foot_contact": np.full((steps, layout.legs), np.nan),
+    }
+    return EpisodeTrace(**columns, **(unknown | (truth or {})), meta=meta)
+
+
+def head_line(layout: Layout, meta: dict[str, Any]) -> bytes:
+    """First line of a partial file."""
+    head = {"kind": _KIND, "motors": layout.motors, "legs": layout.legs, "observations": layout.observations}
+    return json.dumps({**head, "meta": meta}).encode() + b"\n"
+
+
+def row_bytes(rows: Array) -> bytes:
+    """Rows (n, width) as they stand in the file."""
+    return rows.astype("<f8").tobytes()
+
+
+def recover(path: str | Path) -> EpisodeTrace:
+    """The trace of a run that was cut off, from its partial file; it ended as a fault.
+
+    Raises:
+        SurefootError: no such file, another kind of file, or one without a whole row.
+    """
+    path = Path(path)
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise SurefootError(f"partial trace {path}: can't be read: {error.strerror}") from error
+    line, _, body = data.partition(b"\n")
+    try:
+        head = json.loads(line)
+        if head["kind"] != _KIND:
+            raise ValueError("of another kind")
+        layout = Layout(int(head["motors"]), int(head["legs"]), int(head["observations"]))
+        meta = dict(head["meta"])
+    except (ValueError, KeyError, TypeError) as error:
+        raise SurefootError(f"partial trace {path}: is none: {' '.join(str(error).split())}") from error
+    whole = len(body) // (8 * layout.width)
+    rows = np.frombuffer(body, "<f8", whole * layout.width).reshape(whole, layout.width).astype(float)
+    if not whole:
+        raise SurefootError(f"partial trace {path}: holds no whole control step")
+    try:
+        return trace_of(layout, rows, {**meta, "ended": "fault", "reason": "cut off"})
+    except SurefootError as error:
+        raise SurefootError(f"partial trace {path}: {error}") from error
