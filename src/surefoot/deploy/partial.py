@@ -54,7 +54,7 @@ class PartialFile:
     def _write(self) -> None:
         try:
             while not self._waiting:
-                if self._end.wait(FLUSH):
+                if self._end.wait(FLUSH) and not self._waiting:
                     return
             self.path.parent.mkdir(parents=True, exist_ok=True)
             with self.path.open("wb", buffering=0) as file:
