@@ -77,6 +77,7 @@ def test_the_file_is_the_same_from_the_module_and_from_the_trainer(trainer: Trai
     contract = make_contract(trainer.env)
     path = export_policy(trainer.policy, "elu", contract, tmp_path / "deep" / "p.onnx")
     assert PolicyRuntime.load(path).contract == contract
+    assert PolicyRuntime.load(path).digest is not None
     assert [file.name for file in path.parent.iterdir()] == ["p.onnx"]
 
 
