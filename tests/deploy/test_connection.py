@@ -9,6 +9,7 @@ from surefoot.deploy.clock import LockstepClock
 from surefoot.deploy.connection import LEAD, RobotConnection
 from surefoot.deploy.link import Link
 from surefoot.deploy.wire import Arm, Codec, Mode
+from surefoot.emulator.firmware import Firmware
 from surefoot.errors import SurefootError
 
 
@@ -26,6 +27,37 @@ def test_a_greeting_is_answered_and_states_follow(connection):
     assert connection.wait_for(lambda: connection.states >= 3, 0.1)
     assert connection.state.mode == Mode.DISARMED
     assert connection.state_age() <= 0.006 + 1e-9
+
+
+def test_a_robot_can_be_greeted_again_after_it_was_switched_on_anew(toy, connection):
+    connection.connect(state_period=0.006)
+    connection.wait_for(lambda: False, 0.1)
+    toy.firmware = Firmware(toy.codec, toy.firmware.introduction)
+    again = connection.connect(state_period=0.006)
+    assert again.session == 77
+    states = connection.states
+    assert connection.wait_for(lambda: connection.states >= states + 3, 0.1)
+
+
+def test_a_greeting_that_comes_twice_changes_nothing(toy, connection):
+    said = []
+    say = toy._say
+
+    def keep():
+        before = len(toy._out)
+        say()
+        said.append(bytes(toy._out[before:]))
+
+    toy._say = keep
+    first = connection.connect(state_period=0.006)
+    connection.wait_for(lambda: connection.states > 3, 0.1)
+    state, sync = connection.state, connection.sync.offset
+    for data in said:
+        toy._out += data
+    connection.update()
+    assert connection.handshake is first
+    assert connection.state is state
+    assert connection.sync.offset == sync
 
 
 def test_silence_is_told_in_one_line(toy, monkeypatch):

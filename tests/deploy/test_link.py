@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 import tty
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -77,12 +78,35 @@ def test_backward_repeated_and_missing_numbers_are_counted_and_dropped(pty):
     assert (link.counts.repeated, link.counts.missing) == (2, 2)
 
 
+def greeting(toy, session: int, sequence: int) -> bytes:
+    """The frame of a handshake."""
+    handshake: Handshake = replace(toy.firmware.introduction, session=session)
+    return encode_frame(CODEC, handshake, sequence, 0.0)
+
+
 def test_a_robot_that_greets_counts_from_one_again(pty, toy):
     link = Link(SerialPort(pty[1]), CODEC, MonotonicClock())
-    handshake: Handshake = toy.firmware.introduction
-    os.write(pty[0], frame(900) + encode_frame(CODEC, handshake, 1, 0.0) + frame(2))
+    link.greeted = 7
+    os.write(pty[0], frame(900) + greeting(toy, 7, 1) + frame(2))
     assert heard(link, 3) == [900, 1, 2]
     assert link.counts.repeated == 0
+
+
+def test_a_handshake_that_comes_twice_or_late_lets_nothing_old_in(pty, toy):
+    link = Link(SerialPort(pty[1]), CODEC, MonotonicClock())
+    link.greeted = 7
+    once = greeting(toy, 7, 1)
+    os.write(pty[0], frame(900) + once + frame(2) + frame(3) + once + frame(2) + frame(4))
+    assert heard(link, 5) == [900, 1, 2, 3, 4]
+    assert link.counts.repeated == 2
+
+
+def test_a_handshake_for_somebody_else_is_a_frame_like_any_other(pty, toy):
+    link = Link(SerialPort(pty[1]), CODEC, MonotonicClock())
+    link.greeted = 7
+    os.write(pty[0], frame(900) + greeting(toy, 8, 1) + frame(2) + greeting(toy, 8, 901))
+    assert heard(link, 2) == [900, 901]
+    assert link.counts.repeated == 2
 
 
 def test_garbage_between_frames_costs_no_frame(pty):

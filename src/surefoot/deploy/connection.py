@@ -86,7 +86,9 @@ class RobotConnection:
             SurefootError: no answer, a robot of another protocol, or one that another operator has.
         """
         end = self.clock.now() + timeout
+        self.handshake = None
         while self.clock.now() < end:
+            self.link.greeted = self.session
             self.link.send(Hello(self.session, state_period))
             try:
                 answered = self.wait_for(lambda: self.handshake is not None or self._refusal() is not None, 0.1)
@@ -120,7 +122,7 @@ class RobotConnection:
         for arrival in self.link.receive():
             message = arrival.frame.message
             if isinstance(message, Handshake):
-                if message.session == self.session:
+                if message.session == self.session and self.handshake is None:
                     self.handshake = message
                     self.sync.forget()
             elif isinstance(message, Fault):

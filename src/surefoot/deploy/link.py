@@ -151,6 +151,8 @@ class Link:
         self.port, self.codec, self.clock = port, codec, clock
         self.decoder = Decoder(codec)
         self.counts = LinkCounts()
+        self.greeted = 0
+        """Session whose handshake is waited for; 0: none. It is the one frame that is taken whatever its number."""
         self._sequence = 0
         self._last = 0
         self._inbox: deque[Arrival] = deque()
@@ -186,8 +188,12 @@ class Link:
         return found
 
     def _is_next(self, frame: Frame) -> bool:
-        # A robot that greets may have been switched on anew, and counts from one again.
-        if frame.sequence <= self._last and not isinstance(frame.message, Handshake):
+        message = frame.message
+        if self.greeted and isinstance(message, Handshake) and message.session == self.greeted:
+            # The robot may have been switched on anew, and counts from one again. Only once: were each handshake taken
+            # so, one that came twice or late would let old states in.
+            self.greeted, self._last = 0, 0
+        if frame.sequence <= self._last:
             self.counts.repeated += 1
             return False
         if frame.sequence > self._last + 1 and self._last:
