@@ -132,6 +132,22 @@ def test_it_tells_what_it_is_and_counts_its_frames_from_one(bench, robot):
     assert [frame.sequence for frame in bench.said] == list(range(1, len(bench.said) + 1))
 
 
+@pytest.mark.parametrize("room", [1.0, 1.01, 1.02, 1.03])
+def test_a_command_at_just_what_the_handshake_allows_is_obeyed(robot, wire_bytes, monkeypatch, room):
+    monkeypatch.setattr("surefoot.emulator.limits.ANGLE_ROOM", room)
+    bench = Bench(robot, wire_bytes)
+    (said,) = bench.send(Hello(ME, 0.010))
+    bench.arm()
+    for angles in (said.angle_low, said.angle_high):
+        target = angles.astype(np.float32).astype(np.float64)  # what the host is told
+        assert bench.send(Position(ME, target)) == []
+        bench.run(1)
+        assert bench.firmware.mode == Mode.POSITION
+        np.testing.assert_array_equal(bench.order.values, target)
+    bench.send(Position(ME, np.nextafter(said.angle_high.astype(np.float32), np.float32(9))))
+    assert bench.firmware.reason == Reason.COMMAND
+
+
 def test_states_come_at_the_period_asked_for_and_stop_with_the_session(owned):
     said = owned.run(100)
     assert kinds(said) == ["State"] * 10

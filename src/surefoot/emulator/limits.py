@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from surefoot.deploy.wire import Handshake
 from surefoot.robot import RobotDescription
@@ -55,7 +56,8 @@ def introduction(robot: RobotDescription, limits: Limits, firmware: str, servo_p
     """What a robot says of itself, from its description; the session is filled in when it is greeted.
 
     Motor angles of a leg are e + s and e - s for extension e and swing s (see `robot.leg`): the extremes of leg space,
-    with `ANGLE_ROOM`, are what a command may ask for.
+    with `ANGLE_ROOM`, are what a command may ask for. They are numbers that the wire can tell: a command that asks for
+    just what the handshake allows must be within.
 
     Args:
         robot: nominal gains come from its sheet, whatever the emulated motors truly do.
@@ -76,11 +78,16 @@ def introduction(robot: RobotDescription, limits: Limits, firmware: str, servo_p
         servo_kd=robot.actuator.kd,
         command_period_min=limits.command_period[0],
         command_period_max=limits.command_period[1],
-        angle_low=np.full(motors, robot.extension_range[0] - swing - ANGLE_ROOM),
-        angle_high=np.full(motors, robot.extension_range[1] + swing + ANGLE_ROOM),
+        angle_low=_told(motors, robot.extension_range[0] - swing - ANGLE_ROOM),
+        angle_high=_told(motors, robot.extension_range[1] + swing + ANGLE_ROOM),
         tilt_limit=limits.tilt,
         voltage_min=limits.voltage,
         temperature_max=limits.temperature,
         command_timeout=limits.command_timeout,
         rearm_after=limits.rearm_after,
     )
+
+
+def _told(motors: int, angle: float) -> NDArray[np.float64]:
+    """One angle for all motors, rounded as the wire does it."""
+    return np.full(motors, angle, np.float32).astype(np.float64)
