@@ -138,7 +138,7 @@ sys.exit(code)
 def test_several_runs_in_a_row_each_leave_a_trace(emulator, tmp_path):
     done = deploy(emulator(), "--duration", "0.3", "--runs", "2", "--out", str(tmp_path), "--world-name", "bench")
     assert done.returncode == 0, done.stderr
-    assert done.stderr.count("surefoot: sit down") == 2
+    assert done.stderr.count("surefoot: disarm") == 2
     assert sorted(path.name for path in tmp_path.glob("*.npz")) == ["run_000.npz", "run_001.npz"]
     trace = EpisodeTrace.load(tmp_path / "run_001.npz")
     assert trace.meta["world"] == "bench"
@@ -182,7 +182,7 @@ def test_a_signal_lets_the_robot_sit_and_keeps_the_trace(number, emulator, tmp_p
     assert process.returncode == 0, said
     (run,) = json.loads(told)["runs"]
     assert (run["ended"], run["reason"]) == ("stopped", "operator")
-    assert said.splitlines()[-2:] == ["surefoot: sit down (1.5 s)", "surefoot: disarm"]
+    assert said.splitlines()[-2:] == ["surefoot: sit (0.7 s)", "surefoot: disarm"]
     trace = EpisodeTrace.load(tmp_path / "run_000.npz")
     assert trace.meta["ended"] == "stopped"
     assert 0 < trace.num_steps < 10_000

@@ -119,7 +119,7 @@ class Deployment:
         verdict, ran = moves.stand_up(), False
         if verdict.act is Act.GO:
             verdict, ran = self._run_policy(loop, recorder, keep, begun), True
-        return self._finish(moves, verdict, recorder.steps + 1 if ran else None)
+        return self._finish(moves, verdict, ran)
 
     def _run_policy(self, loop: ControlLoop, recorder: Recorder, keep: Keep, begun: Begun) -> Verdict:
         controller, step = self.controller, self.contract.control_step
@@ -142,13 +142,13 @@ class Deployment:
 
         return loop.follow("run", recorder.max_steps, compute, after)
 
-    def _finish(self, moves: Moves, verdict: Verdict, running: int | None) -> Outcome:
+    def _finish(self, moves: Moves, verdict: Verdict, running: bool) -> Outcome:
         """Bring the robot to rest, whatever happened.
 
         Args:
             moves: of the robot.
             verdict: what ended the run.
-            running: control step with which the policy can go on; None, if it was not running.
+            running: whether the policy was.
         """
         outcome = _outcome(verdict)
         try:
@@ -167,10 +167,8 @@ class Deployment:
             return replace(outcome, text=f"{outcome.text}; then {error}", safe=True)
         return outcome
 
-    def _come_to_rest(self, moves: Moves, running: int | None) -> Verdict:
-        verdict = moves.slow_down(running) if running is not None else GO
-        if verdict.act is Act.GO:
-            verdict = moves.sit_down()
+    def _come_to_rest(self, moves: Moves, running: bool) -> Verdict:
+        verdict = moves.stop() if running else moves.sit_down()
         return moves.disarm() if verdict.act is Act.GO and not self.dry_run else verdict
 
     def close(self) -> None:

@@ -1,4 +1,4 @@
-"""What a robot does besides running a policy: arm, stand up, slow down, sit down, and get over a fall."""
+"""What a robot does besides running a policy: arm, stand up, stop, sit down, and get over a fall."""
 
 from __future__ import annotations
 
@@ -18,13 +18,17 @@ from surefoot.errors import SurefootError
 
 Array = NDArray[np.float64]
 
-FLAT, FOLD, RISE, HOLD, SLOW, STOP, SIT = 1.0, 1.0, 1.5, 0.5, 1.0, 0.3, 1.5
-"""Time [s] to lay the legs flat, to draw them in, to stand up, to stand before the policy starts (as long as a robot
-settles in simulation), to fade from the gait to standing, to come to rest, and to sit down."""
-UP = FLAT + FOLD + STOP + RISE + HOLD
+FLAT, FOLD, PAUSE, RISE, HOLD = 1.0, 1.0, 0.3, 1.5, 0.5
+"""Time [s] to lay the legs flat, to draw them in, to come to rest, to stand up, and to stand before the policy starts
+(as long as a robot settles in simulation)."""
+UP = FLAT + FOLD + PAUSE + RISE + HOLD
 """Time [s] from arming to the policy's start."""
-DOWN = SLOW + STOP + SIT
-"""Time [s] from the policy's end to disarming."""
+DROP, REST = 0.2, 0.7
+"""Time [s] to drop from a gait to sitting, and to come to rest."""
+SIT = 1.5
+"""Time [s] to sit down from standing, or from a fall."""
+DOWN = max(DROP + REST, SIT)
+"""Longest time [s] from the policy's end to disarming."""
 STILL_SPEED = 0.5
 """Speed [rad/s] of motors and base below which a fallen robot lies still."""
 _STILL_PATIENCE, _ANSWER, _PING, _ATTEMPTS = 5.0, 0.3, 0.02, 5
@@ -142,7 +146,7 @@ class Moves:
         for phase, start, end, duration in (
             ("lay legs flat", found, flat, FLAT),
             ("draw legs in", flat, drawn, FOLD),
-            ("sit", drawn, drawn, STOP),
+            ("sit", drawn, drawn, PAUSE),
             ("stand up", drawn, stand, RISE),
             ("stand", stand, stand, HOLD),
         ):
@@ -151,28 +155,22 @@ class Moves:
                 return verdict
         return GO
 
-    def slow_down(self, first: int) -> Verdict:
-        """Fade from the gait to standing: a robot that stopped in the middle of a stride would fall over its feet.
+    def stop(self) -> Verdict:
+        """Drop from a gait to sitting, and come to rest there.
 
-        Args:
-            first: control step of the policy with which it goes on.
+        Low and with all feet on the ground a robot stops at any speed of its gaits. One that fades from the gait to
+        standing stumbles over its own momentum when it is fast.
         """
-        controller, step, steps = self.controller, self.contract.control_step, self.loop.steps_of(SLOW)
+        start, drawn = self._last_target(), sitting(self.robot)
+        verdict = self._go("drop", start, drawn, DROP, sitting=True)
+        return verdict if verdict.act is not Act.GO else self._go("sit", drawn, drawn, REST, sitting=True)
 
-        def compute(k: int, state: State, missed: int) -> Array:
-            now = (first + k) * step
-            target = controller.command(now, controller.observe(now, state, missed))
-            return self._within(between(target, self.standing, (k + 1) / steps))
-
-        verdict = self.loop.follow("slow down", steps, compute, sitting=True)
-        if verdict.act is not Act.GO:
-            return verdict
-        return self._go("stand", self.standing, self.standing, STOP, sitting=True)
+    def _last_target(self) -> Array:
+        return self.loop.target if self.loop.target is not None else self._state().motor_angle
 
     def sit_down(self, upright: bool = True) -> Verdict:
-        """Sit, from the pose that was asked for last."""
-        start = self.loop.target if self.loop.target is not None else self._state().motor_angle
-        return self._go("sit down", start, sitting(self.robot), SIT, upright, True)
+        """Sit slowly, from the pose that was asked for last."""
+        return self._go("sit down", self._last_target(), sitting(self.robot), SIT, upright, True)
 
     def get_over_fall(self) -> str:
         """Wait until a damped robot lies still, then let it sit, if it is not on its side; says what came of it.
