@@ -12,7 +12,9 @@ if TYPE_CHECKING:
 
 SPIN = 150e-6
 """A wait's last part [s] is spent looking at the clock: a sleeping process is woken too late by up to so much."""
-_PATIENCE, _ATTEMPTS = 1.0, 5
+_PATIENCE = (0.05, 0.15, 0.5, 1.3, 3.0)
+"""Real time [s] for which each of several pings is given to be answered. A robot in lockstep answers within a few
+milliseconds, unless the line lost the ping or its pong: then waiting is for nothing."""
 
 
 class Clock(Protocol):
@@ -75,7 +77,6 @@ class LockstepClock:
         self._now = moment
         if self._link is None:
             return
-        for _ in range(_ATTEMPTS):
-            if self._link.ping_through(_PATIENCE):
-                return
+        if any(self._link.ping_through(patience) for patience in _PATIENCE):
+            return
         raise SurefootError("the robot does not answer; a clock in lockstep needs an emulator run with --lockstep")
