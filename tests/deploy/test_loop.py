@@ -233,13 +233,20 @@ def test_a_policy_that_breaks_is_damped_in_the_same_step(what, reason, text, dep
 
 
 def test_what_goes_wrong_after_an_episode_does_not_change_how_it_ended(deploy, toy):
-    at_step(STEPS + 20, {"roll_pitch_yaw": np.array([0.6, 0.0, 0.0])}, toy)
+    at_step(STEPS + 20, {"motor_velocity": np.full(8, np.nan)}, toy)
     outcome, kept, _ = deploy()
     assert (outcome.ended, outcome.safe) == ("time", True)
-    assert outcome.text.startswith("done; then roll +0.60")
-    assert outcome.text.endswith("it has sat down")
+    assert outcome.text == "done; then a reading of the robot is not finite"
     assert kept.trace.num_steps == STEPS
     assert kept.trace.meta["ended"] == "time"
+    assert toy.firmware.reason == Reason.HOST
+
+
+def test_a_nod_while_the_robot_drops_is_no_fall(deploy, toy):
+    at_step(STEPS + 20, {"roll_pitch_yaw": np.array([0.0, 0.6, 0.0])}, toy)
+    outcome, _, _ = deploy()
+    assert (outcome.ended, outcome.safe) == ("time", False)
+    assert toy.firmware.mode == Mode.DISARMED
 
 
 def test_the_operator_lets_the_robot_sit(deploy, toy, stop):

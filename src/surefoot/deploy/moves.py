@@ -159,11 +159,14 @@ class Moves:
         """Drop from a gait to sitting, and come to rest there.
 
         Low and with all feet on the ground a robot stops at any speed of its gaits. One that fades from the gait to
-        standing stumbles over its own momentum when it is fast.
+        standing stumbles over its own momentum when it is fast. A nod of more than the limit is no fall here: damped
+        motors would do no better. The robot's own limit still holds.
         """
         start, drawn = self._last_target(), sitting(self.robot)
-        verdict = self._go("drop", start, drawn, DROP, sitting=True)
-        return verdict if verdict.act is not Act.GO else self._go("sit", drawn, drawn, REST, sitting=True)
+        verdict = self._go("drop", start, drawn, DROP, upright=False, sitting=True)
+        return (
+            verdict if verdict.act is not Act.GO else self._go("sit", drawn, drawn, REST, upright=False, sitting=True)
+        )
 
     def _last_target(self) -> Array:
         return self.loop.target if self.loop.target is not None else self._state().motor_angle
