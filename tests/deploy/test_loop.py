@@ -411,6 +411,17 @@ def test_a_robot_that_does_not_arm_is_refused(deploy, toy):
     assert not sent(toy, Position)
 
 
+def test_a_robot_that_does_not_arm_again_ends_its_second_run(deploy, toy, connection, watch):
+    deploy()
+    deployment = deploy.deployment
+    toy.firmware._vitals = replace(toy.firmware._vitals, temperature=95.0)
+    toy.firmware.tick = lambda now, vitals: None
+    keeper = Keeper(deployment, None, STEPS)
+    outcome = deployment.run(keeper.recorder, Timing(100), keeper.keep, keeper.begun)
+    assert (outcome.ended, outcome.reason, outcome.safe) == ("fault", "arm", True)
+    assert "a motor has 95 degC" in outcome.text
+
+
 def test_a_robot_that_was_damped_before_is_armed_after_a_clean_while(deploy, toy):
     outcome, _, _ = deploy(prepare=lambda: toy.firmware._fail(toy._now, Reason.TIMEOUT, "before"))
     assert outcome.ended == "time"

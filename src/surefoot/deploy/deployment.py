@@ -66,6 +66,7 @@ class Deployment:
         self.connection, self.controller, self.operator, self.watch = connection, controller, operator, watch
         self.contract, self.robot = controller.contract, controller.robot
         self.limits, self.dry_run = limits or SafetyLimits(), dry_run
+        self._moved = False
 
     def greet(self, check: Callable[[Handshake], None]) -> Handshake:
         """Ask for the robot, check it, and wait until it tells its state.
@@ -97,7 +98,7 @@ class Deployment:
             begun: called with the robot's time [s] when the policy starts.
 
         Raises:
-            SurefootError: the robot was not greeted, or does not arm; nothing has moved.
+            SurefootError: the robot was not greeted, or does not arm for its first run; nothing has moved.
         """
         handshake, contract = self.connection.handshake, self.contract
         if handshake is None:
@@ -114,8 +115,11 @@ class Deployment:
         try:
             if not self.dry_run:
                 moves.arm()
-        except LinkLostError as error:
-            raise SurefootError(f"the robot does not arm: {error}") from error
+        except (LinkLostError, SurefootError) as error:
+            if not self._moved:
+                raise SurefootError(str(error)) from error
+            return Outcome("fault", "arm", str(error), True)
+        self._moved = True
         verdict, ran = moves.stand_up(), False
         if verdict.act is Act.GO:
             verdict, ran = self._run_policy(loop, recorder, keep, begun), True

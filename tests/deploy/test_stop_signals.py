@@ -1,0 +1,39 @@
+"""Signals are wishes while a robot is held, and what they were before and after."""
+
+from __future__ import annotations
+
+import os
+import signal
+
+import pytest
+
+from surefoot.deploy.stop_signals import StopSignals
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_the_first_signal_asks_to_sit_down(number):
+    with StopSignals() as stop:
+        assert stop.stops == 0
+        os.kill(os.getpid(), number)
+        assert stop.stops == 1
+
+
+def test_only_ctrl_c_asks_for_haste():
+    with StopSignals() as stop:
+        for _ in range(3):
+            os.kill(os.getpid(), signal.SIGTERM)
+            os.kill(os.getpid(), signal.SIGHUP)
+        assert stop.stops == 1
+        os.kill(os.getpid(), signal.SIGINT)
+        assert stop.stops == 1
+        os.kill(os.getpid(), signal.SIGINT)
+        assert stop.stops == 2
+        os.kill(os.getpid(), signal.SIGINT)
+        assert stop.stops == 2
+
+
+def test_signals_belong_to_whom_they_belonged_afterwards():
+    before = [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)]
+    with StopSignals():
+        pass
+    assert [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)] == before
