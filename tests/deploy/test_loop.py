@@ -14,7 +14,7 @@ from surefoot.deploy.keeping import Keeper
 from surefoot.deploy.moves import REST, UP
 from surefoot.deploy.pacer import Timing
 from surefoot.deploy.poses import pose, sitting
-from surefoot.deploy.safety import SafetyLimits
+from surefoot.deploy.safety_limits import SafetyLimits
 from surefoot.deploy.wire import Arm, Damp, Mode, Position, Reason
 from surefoot.errors import SurefootError
 from surefoot.policy.runtime import PolicyRuntime

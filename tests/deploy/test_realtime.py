@@ -25,7 +25,8 @@ def test_it_ends_also_when_something_breaks():
         with undisturbed():
             raise ZeroDivisionError
 
-    pytest.raises(ZeroDivisionError, broken)
+    with pytest.raises(ZeroDivisionError):
+        broken()
     assert gc.isenabled()
     assert os.sched_getscheduler(0) == os.SCHED_OTHER
 

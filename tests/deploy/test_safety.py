@@ -12,12 +12,11 @@ from surefoot.deploy.safety import (
     Act,
     Guard,
     NotFiniteError,
-    SafetyLimits,
     Seen,
     check_finite,
     is_finite,
-    limits_table,
 )
+from surefoot.deploy.safety_limits import SafetyLimits, limits_table
 from surefoot.deploy.wire import Mode, Reason
 from surefoot.errors import SurefootError
 
