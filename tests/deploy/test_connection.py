@@ -39,6 +39,17 @@ def test_a_robot_can_be_greeted_again_after_it_was_switched_on_anew(toy, connect
     assert connection.wait_for(lambda: connection.states >= states + 3, 0.1)
 
 
+def test_what_a_robot_tells_another_operator_is_forgotten(toy, connection):
+    before = operator_of(toy, 5)
+    before.connect(state_period=0.006)
+    toy.run_to(50_000)
+    connection.update()
+    assert connection.state.session == 5
+    toy.firmware.owner = 0
+    connection.connect(state_period=0.5)
+    assert connection.state is None
+
+
 def test_a_greeting_that_comes_twice_changes_nothing(toy, connection):
     said = []
     say = toy._say

@@ -123,7 +123,8 @@ class RobotConnection:
             message = arrival.frame.message
             if isinstance(message, Handshake):
                 if message.session == self.session and self.handshake is None:
-                    self.handshake = message
+                    # What was heard before was meant for another operator.
+                    self.handshake, self.state = message, None
                     self.sync.forget()
             elif isinstance(message, Fault):
                 if message.session in (0, self.session):
