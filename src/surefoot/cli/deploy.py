@@ -102,8 +102,9 @@ def main(argv: list[str]) -> int:
                 connection.close()
         deployment = Deployment(connection, controller, stop, watch, dry_run=command.dry_run)
         stack.callback(deployment.close)
+        if not command.lockstep:
+            stack.enter_context(undisturbed())
         deployment.greet(check)
-        stack.enter_context(undisturbed())
         results, code = _runs(command, deployment)
     return _tell(command, deployment, results, code)
 

@@ -32,11 +32,11 @@ from surefoot.errors import SurefootError
 
 STATE_PERIOD = 0.010
 """Time [s] between two states that a robot is asked for while it gets no commands."""
-LEAD = 0.004
+LEAD = 0.005
 """How long [s] before the next control step the robot is to send its state.
 
-At 921,600 baud a command of 8 motors takes 0.6 ms to come and a state 1.7 ms to go; 0.5 ms for the policy, the rest to
-spare."""
+At 921,600 baud a command of 8 motors takes 0.6 ms to come and a state 1.7 ms to go; 0.5 ms for the policy. The rest is
+to spare: a state that comes too late is a whole control step older, one that comes too early a millisecond or two."""
 _POLL = 0.002
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -27,6 +28,8 @@ Keep = Callable[[Array], None]
 Begun = Callable[[float], None]
 
 _WARM_UP = 20
+PUNCTUAL, TRIES = 200, 10
+"""Control steps that must come and go without a fault before a robot is armed, and how often that is tried."""
 
 
 @dataclass(frozen=True)
@@ -76,7 +79,8 @@ class Deployment:
             check: raises an error for a robot that the policy is not for.
 
         Raises:
-            SurefootError: no robot, another one, or one that tells nothing.
+            SurefootError: no robot, another one, one that tells nothing or that must not be armed; or a computer that
+                does not keep time.
         """
         self.watch.phase("greet", 0.0)
         handshake = self.connection.connect(state_period=self.contract.control_step)
@@ -86,8 +90,36 @@ class Deployment:
         for _ in range(_WARM_UP):
             # A network's first runs are slow.
             self.controller.command(0.0, self.controller.observe(0.0, self.connection.last_state()))
+        if not self.connection.lockstep:
+            self._keep_time()
         self.controller.reset()
         return handshake
+
+    def _keep_time(self) -> None:
+        """Go through control steps as if the robot were armed, until the computer does them in time.
+
+        What is done for the first time takes longer: pages are read, caches filled. And a computer that is too busy,
+        or a robot that should not be armed, shows it here, while nothing moves.
+
+        Raises:
+            SurefootError: something that would end a run is so from the start, or goes wrong again and again.
+        """
+        step, verdict = self.contract.control_step, GO
+
+        def compute(k: int, state: State, missed: int) -> Array:
+            return self.controller.command(k * step, self.controller.observe(k * step, state, missed))
+
+        for _ in range(TRIES):
+            guard = Guard(self.limits, step, self.connection.session, math.inf)
+            loop = ControlLoop(
+                self.connection, step, guard, self.operator, self.watch, Timing(PUNCTUAL + 1), dry_run=True
+            )
+            verdict = loop.follow("keep time", PUNCTUAL, compute)
+            if verdict.act in (Act.GO, Act.SIT):
+                # The operator's wish to stop is for `run` to heed; a battery or a motor that is at its limit is not.
+                break
+        if verdict.act is not Act.GO and not self.operator.stops:
+            raise SurefootError(f"the robot is not armed: {verdict.text}")
 
     def run(self, recorder: Recorder, timing: Timing, keep: Keep, begun: Begun) -> Outcome:
         """Arm, stand up, run the policy, sit down, disarm.

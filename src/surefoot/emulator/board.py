@@ -14,6 +14,7 @@ from surefoot.emulator.faults import Fault, line_config
 from surefoot.emulator.firmware import Firmware
 from surefoot.emulator.limits import Limits
 from surefoot.emulator.line import Line
+from surefoot.emulator.motion_capture import PERIOD
 from surefoot.emulator.plant import Plant
 from surefoot.emulator.sabotage import Sabotage
 from surefoot.emulator.signals import MotorOrder, Sensors
@@ -37,6 +38,8 @@ class Board:
         faults: what goes wrong.
         baud: bits a second of the line; 0: bytes take no time.
         seed: of what goes wrong at random.
+        stride: servo steps that the physics may go through at once while nothing comes or is due. The microcontroller
+            looks at tilt, battery and heat between them alone. With faults it is 1.
     """
 
     def __init__(
@@ -47,7 +50,9 @@ class Board:
         faults: dict[str, Fault] | None = None,
         baud: float = 0.0,
         seed: int = 0,
+        stride: int = 1,
     ) -> None:
+        self.stride = stride if not faults and plant.servo_every == 1 else 1
         self.plant, self.limits = plant, limits or Limits()
         faults = faults or {}
         self.sabotage = Sabotage(faults, plant, introduction)
@@ -64,7 +69,7 @@ class Board:
         self.now = 0
         self.reboots = 0
         self.on_step: list[Callable[[int], None]] = []
-        """Called after each servo step with its time."""
+        """Called after servo steps with the time [us]; if not after all, then after each that motion capture sees."""
         self._step = round(plant.robot.timing.servo_step * 1e6)
         self._booted = 0
         self._order: MotorOrder | None = None
@@ -80,8 +85,9 @@ class Board:
 
     @property
     def next_time(self) -> int:
-        """When something happens next."""
-        times = [self.next_step, self.inbound.next_time, self.outbound.next_time, self.firmware.next_state]
+        """When there is something to do next: physics may wait until it can go through `stride` steps."""
+        physics = self.next_step + (self.stride - 1) * self._step
+        times = [physics, self.inbound.next_time, self.outbound.next_time, self.firmware.next_state]
         return max(min(time for time in times if time is not None), self.now)
 
     def hear(self, now: int, data: bytes) -> None:
@@ -97,7 +103,7 @@ class Board:
                 break
             self.now = max(self.now, int(at))
             if at == step:
-                self._physics(step)
+                self._physics(self._steps_until(min(time, due, arrival)))
             else:
                 self._begin_step()
                 if at == due:
@@ -106,6 +112,15 @@ class Board:
                     self.firmware.receive(self.now, self.inbound.take())
             self._send()
         self.now = max(self.now, time)
+
+    def _steps_until(self, moment: float) -> int:
+        """Servo steps that can be gone through at once, the last one ending at `moment` or before."""
+        if self.stride == 1:
+            return 1
+        first = self.next_step
+        possible = min(self.stride, int(moment - first) // self._step + 1)
+        # Motion capture looks at the robot at multiples of its period.
+        return min(possible, (-first % PERIOD) // self._step + 1)
 
     def said(self) -> bytes:
         """Bytes that have reached the host by now."""
@@ -138,11 +153,13 @@ class Board:
         self._last = self.sabotage.order(self.firmware.tick(now, self.plant.vitals()))
         return self._last
 
-    def _physics(self, end: int) -> None:
+    def _physics(self, count: int) -> None:
         order = self._order or self._decide()
         self._order = None
         self._send()
-        self.plant.step(order)
+        self.plant.step(order, count)
+        end = self.plant.ticks * self._step
+        self.now = max(self.now, end)
         self.sabotage.tick(end, self.firmware.armed)
         self._harm_lines()
         if self.sabotage.unplugged and not self.inbound.dead:

@@ -80,7 +80,7 @@ class Plant:
         self._imu_bias, self._imu_noise = self.params.imu_bias[0], float(self.params.imu_noise[0])
         self._table = robot.torque_table
         self._voltage = float(self.params.voltage[0])
-        self._one = np.ones(1, np.int64)
+        self._count = np.ones(1, np.int64)
         self._row = np.empty(2 * motors + 6)
         self._order: MotorOrder | None = None
         self._held: Array | None = None
@@ -102,8 +102,12 @@ class Plant:
         """Battery voltage under load [V]."""
         return float(self.world.drive.voltage[0])
 
-    def step(self, order: MotorOrder) -> None:
-        """One servo step under an order.
+    def step(self, order: MotorOrder, count: int = 1) -> None:
+        """Servo steps under one order; battery and heat are looked at after the last one.
+
+        Args:
+            order: what the motors are to do.
+            count: how many steps. A robot whose servo runs less often than the physics takes them one by one.
 
         Raises:
             SurefootError: the physics broke down.
@@ -113,12 +117,13 @@ class Plant:
             self._obey(order)
         if self.servo_every > 1 and order.mode != Mode.PWM and self.ticks % self.servo_every == 0:
             drive.duty[0] = self._servo(order)
-        world.engine.advance(self._one)
+        self._count[0] = count
+        world.engine.advance(self._count)
         if world.engine.diverged[0]:
             raise SurefootError(f"the physics of the emulated robot broke down after {self.ticks} servo steps")
         self.energy += float(drive.energy[0])
         self._contact += drive.contact_ticks[0]
-        self._draw_power(self.temperature)
+        self._draw_power(self.temperature, count)
 
     def _obey(self, order: MotorOrder) -> None:
         drive, nominal = self.world.drive, self.params
@@ -140,8 +145,8 @@ class Plant:
         duty: Array = servo_duty(order.values, self._row[:motors], self._row[motors : 2 * motors], kp, kd)
         return duty
 
-    def _draw_power(self, temperature: Array) -> None:
-        drive, power, dt = self.world.drive, self.power, self.robot.timing.servo_step
+    def _draw_power(self, temperature: Array, count: int = 1) -> None:
+        drive, power, dt = self.world.drive, self.power, count * self.robot.timing.servo_step
         motors = self.robot.num_motors
         current = power_tick(
             drive.motor_torque[0],
