@@ -1,14 +1,19 @@
-"""The demonstration: learn a gallop from nothing, then see how far two trots hold. Some three minutes on two cores.
+"""The demonstration: learn a gallop, see how far two trots hold, deploy one on a robot. Some four minutes on two cores.
 
 1. `surefoot train gallop`: a short training, with its evaluation, figures and video in runs/.
 2. `surefoot evaluate trot-robust --randomize table1`: the robust trot on robots that are not the one simulated.
 3. `surefoot sensitivity trot trot-robust`: what breaks a trot that was trained without randomization, and one that
    was trained with it.
+4. `surefoot emulate`, `doctor`, `deploy`, `gap`: a trot on an emulated robot, in another physics engine, in real time, and
+   then beside its simulation.
 
 Arguments are passed on to the training, so `--steps 200000` makes a shorter one.
 """
 
 import sys
+from pathlib import Path
+
+from deploy_on_emulator import other_world, show
 
 from surefoot.cli.main import main
 
@@ -28,3 +33,4 @@ if __name__ == "__main__":
         code = main(command)
         if code:
             raise SystemExit(code)
+    raise SystemExit(show("trot-steady", other_world(), 3, Path(OUT) / "deployed"))

@@ -62,25 +62,32 @@ def deploy(policy: str, world: str, runs: int, out: Path, lockstep: bool = False
             *("deploy", policy, "--port", port, "--runs", str(runs), "--motion-capture", capture, "--out", traces),
             *("--world-name", f"emulator ({world})", *clock),
         )
-    if code:
-        return code
-    return surefoot("gap", policy, "--from", "mujoco", "--to", "trace", traces, "--out", out / "gap")
+    return code or surefoot("gap", policy, "--from", "mujoco", "--to", "trace", traces, "--out", out / "gap")
+
+
+def other_world() -> str:
+    """An engine that the gait has not learned in, where there is one."""
+    return "bullet" if importlib.util.find_spec("pybullet") is not None else "mujoco"
+
+
+def show(policy: str, world: str, runs: int, out: Path, lockstep: bool = False) -> int:
+    """Deploy a policy in real time, or in lockstep if the computer has no time for it; returns the exit code."""
+    code = deploy(policy, world, runs, out, lockstep)
+    if code == LATE and not lockstep:
+        print("\nA safety rule ended it; a computer that is busy with other things does that. Once more, in lockstep.")
+        code = deploy(policy, world, runs, out, lockstep=True)
+    return code
 
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("policy", nargs="?", default="trot-steady")
-    has_bullet = importlib.util.find_spec("pybullet") is not None
-    parser.add_argument("--world", default="bullet" if has_bullet else "mujoco")
+    parser.add_argument("--world", default=other_world())
     parser.add_argument("--runs", type=int, default=3)
     parser.add_argument("--out", type=Path, default=Path("out/deployed"))
     parser.add_argument("--lockstep", action="store_true", help="time follows the link instead of the computer's clock")
     asked = parser.parse_args()
-    code = deploy(asked.policy, asked.world, asked.runs, asked.out, asked.lockstep)
-    if code == LATE and not asked.lockstep:
-        print("\nA safety rule ended it; a computer that is busy with other things does that. Once more, in lockstep.")
-        code = deploy(asked.policy, asked.world, asked.runs, asked.out, lockstep=True)
-    return code
+    return show(asked.policy, asked.world, asked.runs, asked.out, asked.lockstep)
 
 
 if __name__ == "__main__":
