@@ -401,6 +401,28 @@ def test_a_dry_run_arms_and_commands_nothing(deploy, toy):
     assert toy.firmware.owner == 77
 
 
+@pytest.mark.parametrize(
+    ("what", "match"),
+    [
+        (raises, "policy 'trot' fails on what the robot tells now: ZeroDivisionError: division by zero"),
+        (
+            lambda: np.full((1, 8), np.nan),
+            "fails on what the robot tells now: NotFiniteError: feedback 'swing.front_left'",
+        ),
+    ],
+)
+def test_a_policy_that_breaks_from_the_start_is_refused(what, match, deploy, toy, policy):
+    with pytest.raises(SurefootError, match=match):
+        deploy(Spoiled(policy, -20, what))
+    assert not sent(toy, Arm)
+
+
+def test_a_cable_that_is_pulled_before_arming_is_told_in_one_line(deploy, toy):
+    toy.cut = True
+    with pytest.raises(SurefootError, match="the robot was lost before it was armed: port toy is gone"):
+        deploy()
+
+
 def test_a_robot_that_does_not_arm_is_refused(deploy, toy):
     def worn():
         toy.firmware._vitals = replace(toy.firmware._vitals, temperature=95.0)

@@ -83,17 +83,31 @@ class Deployment:
                 does not keep time.
         """
         self.watch.phase("greet", 0.0)
-        handshake = self.connection.connect(state_period=self.contract.control_step)
-        check(handshake)
-        if not self.connection.wait_for(lambda: self.connection.state is not None, 1.0):
-            raise SurefootError("the robot tells nothing of itself within 1 s; switch it off and on again")
-        for _ in range(_WARM_UP):
-            # A network's first runs are slow.
-            self.controller.command(0.0, self.controller.observe(0.0, self.connection.last_state()))
-        if not self.connection.lockstep:
-            self._keep_time()
+        try:
+            handshake = self.connection.connect(state_period=self.contract.control_step)
+            check(handshake)
+            if not self.connection.wait_for(lambda: self.connection.state is not None, 1.0):
+                raise SurefootError("the robot tells nothing of itself within 1 s; switch it off and on again")
+            self._warm_up()
+            if not self.connection.lockstep:
+                self._keep_time()
+        except LinkLostError as error:
+            raise SurefootError(f"the robot was lost before it was armed: {error}") from error
         self.controller.reset()
         return handshake
+
+    def _warm_up(self) -> None:
+        """Ask the policy some times: a network's first runs are slow, and what fails is best found now."""
+        try:
+            for _ in range(_WARM_UP):
+                self.controller.command(0.0, self.controller.observe(0.0, self.connection.last_state()))
+        except SurefootError:
+            raise
+        except Exception as error:
+            text = " ".join(str(error).split())
+            raise SurefootError(
+                f"policy '{self.contract.name}' fails on what the robot tells now: {type(error).__name__}: {text}"
+            ) from error
 
     def _keep_time(self) -> None:
         """Go through control steps as if the robot were armed, until the computer does them in time.
