@@ -4,8 +4,8 @@
 2. `surefoot evaluate trot-robust --randomize table1`: the robust trot on robots that are not the one simulated.
 3. `surefoot sensitivity trot trot-robust`: what breaks a trot that was trained without randomization, and one that
    was trained with it.
-4. `surefoot emulate`, `doctor`, `deploy`, `gap`: a trot on an emulated robot, in another physics engine, in real time, and
-   then beside its simulation.
+4. `surefoot emulate`, `doctor`, `deploy`, `gap`: a trot on an emulated robot, in another physics engine and in real
+   time, and then beside its simulation.
 
 Arguments are passed on to the training, so `--steps 200000` makes a shorter one.
 """

@@ -1,0 +1,128 @@
+"""What has to be right before a robot is armed, on a computer whose stalls the tests decide."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from surefoot.deploy.clock import LockstepClock
+from surefoot.deploy.connection import RobotConnection
+from surefoot.deploy.controller import Controller
+from surefoot.deploy.deployment import PUNCTUAL, TRIES, Deployment
+from surefoot.deploy.wire import Arm, Ping, Position
+from surefoot.errors import SurefootError
+from surefoot.policy.runtime import PolicyRuntime
+from surefoot.robot import RobotDescription
+
+STEP = 0.006
+
+
+class Computer:
+    """A computer's own clock: it is woken late as it pleases, and the robot does not wait for it."""
+
+    def __init__(self, lockstep: LockstepClock) -> None:
+        self._clock = lockstep
+        self.late: Callable[[float], float] = lambda time: 0.0
+
+    def now(self) -> float:
+        return self._clock.now()
+
+    def wait_until(self, moment: float) -> None:
+        self._clock.wait_until(moment + self.late(moment))
+
+
+class Operator:
+    """Somebody at the keyboard."""
+
+    stops = 0
+
+
+@pytest.fixture(scope="module")
+def controller(repository: Path) -> Controller:
+    return Controller(
+        PolicyRuntime.load(repository / "policies" / "trot-steady.onnx"), RobotDescription.load("minitaur")
+    )
+
+
+@pytest.fixture
+def computer(connection: RobotConnection) -> Computer:
+    clock = connection.clock
+    assert isinstance(clock, LockstepClock)
+    computer = Computer(clock)
+    connection.clock = computer
+    return computer
+
+
+@pytest.fixture
+def deployment(connection, computer, controller, watch) -> Deployment:
+    return Deployment(connection, controller, Operator(), watch)
+
+
+def greet(deployment: Deployment) -> None:
+    deployment.greet(lambda handshake: None)
+
+
+def test_a_punctual_computer_goes_through_so_many_steps_once_and_commands_nothing(deployment, toy, watch):
+    greet(deployment)
+    assert watch.phases == ["greet", "keep time"]
+    kinds = {type(message) for _, message in toy.heard}
+    assert Ping in kinds
+    assert not kinds & {Arm, Position}
+    spent = toy.heard[-1][0]
+    assert PUNCTUAL * STEP < spent < (PUNCTUAL + 40) * STEP
+
+
+def test_what_is_slow_only_at_first_is_forgiven(deployment, computer, watch):
+    begun: list[float] = []
+
+    def late(moment: float) -> float:
+        # Three stalls of five control steps, each once the loop is under way, and then none.
+        if "keep time" in watch.phases and len(begun) < 3 and (not begun or moment > begun[-1] + 0.1):
+            begun.append(moment)
+            return 5 * STEP
+        return 0.0
+
+    computer.late = late
+    greet(deployment)
+    assert len(begun) == 3
+    assert watch.phases.count("keep time") == 4
+
+
+def test_a_computer_that_stalls_again_and_again_arms_no_robot(deployment, computer, toy, watch):
+    last = [0.0]
+
+    def late(moment: float) -> float:
+        if moment > last[0] + 0.3:
+            last[0] = moment
+            return 4 * STEP
+        return 0.0
+
+    computer.late = late
+    with pytest.raises(
+        SurefootError, match=r"the robot is not armed: \d+ control steps in a row were missed; at most 2"
+    ):
+        greet(deployment)
+    assert watch.phases.count("keep time") == TRIES
+    assert Arm not in {type(message) for _, message in toy.heard}
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "text"),
+    [("voltage", 13.5, "the battery has 13.5 V, below 14 V"), ("temperature", 85.0, "a motor has 85 degC; at most 80")],
+)
+def test_a_battery_that_is_low_or_a_motor_that_is_hot_from_the_start(deployment, toy, name, value, text):
+    def worse(time, readings):
+        return replace(readings, **{name: readings.temperature * 0 + value if name == "temperature" else value})
+
+    toy.sensors = worse
+    with pytest.raises(SurefootError, match=f"the robot is not armed: {text}"):
+        greet(deployment)
+
+
+def test_who_asks_to_stop_meanwhile_is_not_told_of_an_error(deployment, toy):
+    deployment.operator.stops = 1
+    greet(deployment)
+    assert Arm not in {type(message) for _, message in toy.heard}
