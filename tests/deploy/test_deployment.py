@@ -102,7 +102,7 @@ def test_a_computer_that_stalls_again_and_again_arms_no_robot(deployment, comput
 
     computer.late = late
     with pytest.raises(
-        SurefootError, match=r"the robot is not armed: \d+ control steps in a row were missed; at most 2"
+        SurefootError, match=r"not armed: \d+ control steps in a row were missed; at most 2"
     ):
         greet(deployment)
     assert watch.phases.count("keep time") == TRIES
