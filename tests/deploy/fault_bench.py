@@ -1,0 +1,564 @@
+"""What the tests of the safety table need: both processes, a cable between them that listens, runs in lockstep.
+
+Imported by `test_fault_table.py`, and by the workers that play runs in lockstep ahead of the tests.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import pickle
+import select
+import signal
+import subprocess
+import sys
+import threading
+import time
+import traceback
+import tty
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from surefoot.deploy.frames import Decoder, Frame, encode_frame
+from surefoot.deploy.moves import UP
+from surefoot.deploy.wire import (
+    Arm,
+    Bye,
+    Codec,
+    Damp,
+    Disarm,
+    Fault,
+    Handshake,
+    Hello,
+    Message,
+    Mode,
+    Ping,
+    Pong,
+    Position,
+    Reason,
+    State,
+)
+from surefoot.task.trace import EpisodeTrace
+
+STEP = 0.006
+CODEC = Codec(8)
+OTHER = 8
+"""Session of a stranger."""
+PATIENCE = 120.0
+LONG = 60.0
+"""Duration [s] of a run that something else ends."""
+RUNNING = UP + 0.3
+"""Time [s] after arming when the policy has run for some dozen steps."""
+
+
+class Robot:
+    """A running `surefoot emulate`."""
+
+    def __init__(self, *options: str, lockstep: bool = True) -> None:
+        words = [sys.executable, "-m", "surefoot", "emulate", *(["--lockstep"] if lockstep else []), *options]
+        self.popen = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        assert self.popen.stdout is not None
+        line = self.popen.stdout.readline()
+        if not line.startswith("robot on "):
+            raise AssertionError(f"said {line!r}, {self.popen.communicate()}")
+        self.path = line.removeprefix("robot on ").strip()
+
+    def end(self) -> str:
+        """Ask it to end; its last line sums up."""
+        if self.popen.poll() is None:
+            self.popen.terminate()
+        _, said = self.popen.communicate(timeout=PATIENCE)
+        return said.strip().splitlines()[-1]
+
+
+@dataclass
+class Record:
+    """What went over a cable."""
+
+    said: list[Frame] = field(default_factory=list)
+    """Frames of the host, oldest first."""
+    told: list[Frame] = field(default_factory=list)
+    """Frames of the robot."""
+    armed: float | None = None
+    """When the host asked to arm first [s], on its own clock."""
+
+    def of_host(self, kind: type[Message], since: float = -1.0) -> list[Frame]:
+        """The host's frames of a kind, from a time [s] of its clock on."""
+        return [frame for frame in self.said if isinstance(frame.message, kind) and frame.time >= since]
+
+    def of_robot(self, kind: type[Message], since: float = -1.0) -> list[Frame]:
+        """The robot's frames of a kind, from a time [s] of its clock on."""
+        return [frame for frame in self.told if isinstance(frame.message, kind) and frame.time >= since]
+
+    @property
+    def reasons(self) -> list[Reason]:
+        """What the robot complained about."""
+        return reasons(self.told)
+
+    @property
+    def left(self) -> tuple[Mode, Reason]:
+        """How the robot was left."""
+        state = self.of_robot(State)[-1].message
+        return Mode(state.mode), Reason(state.reason)
+
+    @property
+    def ahead(self) -> float:
+        """Robot's clock less host's [s], in lockstep."""
+        return self.of_robot(Handshake)[0].time - self.of_host(Hello)[0].time
+
+
+def reasons(frames: list[Frame]) -> list[Reason]:
+    """What a robot complained about."""
+    return [Reason(frame.message.reason) for frame in frames if isinstance(frame.message, Fault)]
+
+
+class Cable:
+    """A pseudo-terminal whose bytes go to the robot's and back, each frame kept on the way.
+
+    Args:
+        robot: path of the robot's port.
+        chatter: the robot is in the middle of something that it tells somebody else when the host comes.
+    """
+
+    def __init__(self, robot: str, chatter: bool = False) -> None:
+        self._robot = os.open(robot, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+        self._host, self._far = os.openpty()
+        tty.setraw(self._far)
+        os.set_blocking(self._host, False)
+        self.path = os.ttyname(self._far)
+        self.record = Record()
+        self.silent = False
+        """Nothing gets through any more; the robot is still heard."""
+        self._actions: list[tuple[float, Callable[[], object]]] = []
+        self._chatter = b"".join(_states_for_somebody(30))[70:-70] if chatter else b""
+        self._strangers = bytearray()
+        self._pulled = self._over = False
+        self._thread = threading.Thread(target=self._carry, daemon=True)
+        self._thread.start()
+
+    def after_arming(self, seconds: float, action: Callable[[], object]) -> None:
+        """Do something when the host sends its first frame that is so much later than its first Arm, just before."""
+        self._actions.append((seconds, action))
+
+    def moment(self, seconds: float) -> threading.Event:
+        """Is set so long after arming."""
+        event = threading.Event()
+        self.after_arming(seconds, event.set)
+        return event
+
+    def meddle(self, messages: Sequence[Message]) -> None:
+        """Somebody else says something to the robot, now."""
+        now = self.record.said[-1].time
+        for number, message in enumerate(messages, 1):
+            self._strangers += encode_frame(CODEC, message, number, now)
+
+    def pull(self) -> None:
+        """Take the port away from the host; the robot is still heard."""
+        self._pulled = True
+
+    def close(self) -> None:
+        self._over = True
+        self._thread.join()
+        for file in (self._robot, self._host, self._far):
+            with contextlib.suppress(OSError):
+                os.close(file)
+
+    def _carry(self) -> None:
+        with contextlib.suppress(OSError, AttributeError):
+            # A cable has no processor to wait for.
+            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(30))
+        of_host, of_robot = Decoder(CODEC), Decoder(CODEC)
+        files = [self._robot, self._host]
+        while not self._over:
+            if self._pulled and len(files) == 2:
+                files.pop()
+                os.close(self._host)
+                os.close(self._far)
+            ready = select.select(files, [], [], 0.005)[0]
+            if self._host in ready and len(files) == 2:
+                data = _read(self._host)
+                self._hear(of_host.feed(data))
+                if not self.silent:
+                    _write(self._robot, bytes(self._strangers) + data)
+                    self._strangers.clear()
+            if self._robot in ready:
+                data = _read(self._robot)
+                self.record.told += of_robot.feed(data)
+                if not self.silent and len(files) == 2:
+                    _write(self._host, data)
+
+    def _hear(self, frames: list[Frame]) -> None:
+        record = self.record
+        if frames and not record.said:
+            _write(self._host, self._chatter)
+        record.said += frames
+        for frame in frames:
+            if isinstance(frame.message, Arm) and record.armed is None:
+                record.armed = frame.time
+            while self._actions and record.armed is not None and frame.time >= record.armed + self._actions[0][0]:
+                self._actions.pop(0)[1]()
+
+
+def _read(file: int) -> bytes:
+    with contextlib.suppress(OSError):  # nothing there, or nobody at the other end any more
+        return os.read(file, 65_536)
+    return b""
+
+
+def _write(file: int, data: bytes) -> None:
+    """What does not fit is lost, as on any line that nobody reads."""
+    with contextlib.suppress(OSError):
+        while data:
+            data = data[os.write(file, data) :]
+
+
+def _states_for_somebody(count: int) -> Iterator[bytes]:
+    zeros = np.zeros(8)
+    for number in range(5000, 5000 + count):
+        state = State(99, 1, 0, 1, 0.0, 0, zeros, zeros, zeros, zeros[:3], zeros[:3], 0.0, 16.0, zeros)
+        yield encode_frame(CODEC, state, number, number / 1000)
+
+
+def deploy_words(port: str, folder: Path, *options: str, policy: str = "trot", lockstep: bool = True) -> list[str]:
+    """Words of a command."""
+    out = ("--out", str(folder / "traces"), "--json", *(["--lockstep"] if lockstep else []))
+    return [sys.executable, "-m", "surefoot", "deploy", policy, "--port", port, *out, *options]
+
+
+class Host:
+    """A running `surefoot deploy`.
+
+    Args:
+        port: its port.
+        folder: for what it says and keeps.
+        options: of the command.
+        policy: file or name.
+        lockstep: whether the robot is.
+        before: words that start it.
+    """
+
+    def __init__(
+        self,
+        port: str,
+        folder: Path,
+        *options: str,
+        policy: str = "trot",
+        lockstep: bool = True,
+        before: tuple[str, ...] = (),
+    ) -> None:
+        folder.mkdir(parents=True, exist_ok=True)
+        self.folder = folder
+        words = [*before, *deploy_words(port, folder, *options, policy=policy, lockstep=lockstep)]
+        with (folder / "told").open("w") as told, (folder / "said").open("w") as said:
+            self.popen = subprocess.Popen(words, stdout=told, stderr=said)
+
+    def signal(self, number: int) -> None:
+        """Send a signal, and let it arrive."""
+        self.popen.send_signal(number)
+        time.sleep(0.02)
+
+    def end(self) -> Ended:
+        """Wait until it ends by itself."""
+        try:
+            code = self.popen.wait(PATIENCE)
+        finally:
+            if self.popen.poll() is None:
+                self.popen.kill()
+        return Ended.read(code, self.folder)
+
+
+@dataclass
+class Ended:
+    """A `surefoot deploy` that has ended."""
+
+    code: int
+    told: dict[str, Any]
+    """Its JSON object; empty, if it printed none."""
+    said: list[str]
+    """Lines of its standard error."""
+    traces: Path
+    """Folder of its traces."""
+    trace: EpisodeTrace | None = None
+    record: Record = field(default_factory=Record)
+    summary: str = ""
+    """The emulator's last line, if it was its only run."""
+    second: Ended | None = None
+    """What came of a second program."""
+
+    @classmethod
+    def read(cls, code: int, folder: Path) -> Ended:
+        told, said = ((folder / name).read_text() for name in ("told", "said"))
+        ended = cls(code, json.loads(told) if told else {}, said.splitlines(), folder / "traces")
+        if (path := ended.traces / "run_000.npz").exists():
+            ended.trace = EpisodeTrace.load(path)
+        return ended
+
+    @property
+    def run(self) -> dict[str, Any]:
+        """Its run's part of the JSON object."""
+        assert self.told, f"it was refused: {self.said}"
+        (run,) = self.told["runs"]
+        return run
+
+    @property
+    def outcome(self) -> tuple[int, str, str]:
+        """Exit code, how the run ended, and the reason."""
+        return self.code, self.run["ended"], self.run["reason"]
+
+    @property
+    def kept(self) -> EpisodeTrace:
+        """Its trace."""
+        assert self.trace is not None, "no trace was kept"
+        return self.trace
+
+
+class Client:
+    """An operator in lockstep, for what `surefoot deploy` would never send; times are its own clock's [s]."""
+
+    def __init__(self, path: str, session: int) -> None:
+        self.file = os.open(path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+        self.session, self.now, self.number = session, 0.0, 0
+        self.last = 0
+        """Number of the last message besides pings: those the robot does not count."""
+        self.told: list[Frame] = []
+        self._decoder = Decoder(CODEC)
+
+    def send(self, message: Message, number: int | None = None, at: float | None = None) -> None:
+        """Send a message; by default with the next number, and the time of now."""
+        if number is None:
+            self.number = number = self.number + 1
+            if not isinstance(message, Ping):
+                self.last = number
+        os.write(self.file, encode_frame(CODEC, message, number, self.now if at is None else at))
+
+    def pass_time(self, seconds: float) -> list[Frame]:
+        """Let time go on, without a word before its end; what the robot has said until then."""
+        self.now += seconds
+        before, token = len(self.told), 1 + len(self.told)
+        self.send(Ping(token))
+        end = time.monotonic() + PATIENCE
+        while time.monotonic() < end:
+            select.select([self.file], [], [], 1.0)
+            self.told += self._decoder.feed(_read(self.file))
+            if any(isinstance(f.message, Pong) and f.message.token == token for f in self.told[before:]):
+                return self.told[before:]
+        raise AssertionError("the robot does not answer")
+
+    def talk(self, seconds: float) -> list[Frame]:
+        """Let time go on, with a word now and then: a clean link."""
+        return [frame for _ in range(round(seconds / 0.02)) for frame in self.pass_time(0.02)]
+
+    def arm(self) -> list[Reason]:
+        """Ask to arm; what the robot has against it."""
+        self.send(Arm(self.session, int(Mode.POSITION), STEP, STEP))
+        return reasons(self.pass_time(0.0))
+
+    def command(self, target: np.ndarray, steps: int = 1) -> None:
+        """Send the same command in every control step."""
+        for _ in range(steps):
+            self.send(Position(self.session, target))
+            self.pass_time(STEP)
+
+    @property
+    def state(self) -> Any:
+        """The newest state."""
+        return next(frame.message for frame in reversed(self.told) if isinstance(frame.message, State))
+
+
+# Runs in lockstep.
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """What goes wrong in a run of `surefoot deploy` in lockstep."""
+
+    faults: tuple[str, ...] = ()
+    """The emulator's."""
+    policy: str = "trot"
+    """Name of a policy, or of a file in the folder of policies."""
+    duration: float = 0.3
+    """Of the policy's part [s]."""
+    signals: tuple[tuple[float, int], ...] = ()
+    """Signals that the host gets: when [s], after arming, and which."""
+    disk: int = 0
+    """Bytes that a file may have; 0: as many as it likes."""
+    terminal: bool = False
+    """It runs in a terminal that closes when `RUNNING`."""
+    second: bool = False
+    """A second program wants the port when `RUNNING`; when it has ended, the first one gets Ctrl-C."""
+    stranger: bool = False
+    """Another operator talks to the robot when `RUNNING`."""
+    chatter: bool = False
+    """The robot is in the middle of a frame when the host comes."""
+    fresh: bool = False
+    """The robot was just switched on; always so, if it has faults."""
+
+
+SCENARIOS = {
+    "whole": Scenario(fresh=True),
+    **{
+        name: Scenario((f"{name}={RUNNING}",), duration=LONG)
+        for name in ("stale-state", "repeat-sequence", "backward-sequence", "unplug", "tilt")
+    },
+    **{name: Scenario(policy=name, duration=LONG) for name in ("nan", "infinite", "exception")},
+    "leaning": Scenario(policy="leaning", duration=LONG, fresh=True),
+    **{name: Scenario((name,)) for name in ("other-robot", "other-order", "other-gains", "other-schema")},
+    "battery-low": Scenario((f"battery-low=13.6@{UP - 0.5}",), duration=LONG),
+    "motor-hot": Scenario((f"motor-hot=84@{UP - 0.5}",), duration=LONG),
+    "second": Scenario(duration=LONG, second=True),
+    "stranger": Scenario(stranger=True, fresh=True),
+    **{name: Scenario((f"{name}=0.02",)) for name in ("corrupt", "cut-frames", "drop", "reorder")},
+    **{name: Scenario((f"{name}=0.05",)) for name in ("duplicate", "garbage")},
+    "in the middle": Scenario(chatter=True, fresh=True),
+    "SIGINT": Scenario(duration=LONG, signals=((RUNNING, signal.SIGINT),)),
+    "SIGTERM": Scenario(duration=LONG, signals=((RUNNING, signal.SIGTERM),)),
+    "SIGINT twice": Scenario(duration=LONG, signals=((RUNNING, signal.SIGINT), (RUNNING + 0.1, signal.SIGINT))),
+    "terminal": Scenario(duration=LONG, terminal=True),
+    "disk full": Scenario(disk=8_000, duration=0.6),
+}
+STRANGERS = (
+    Hello(OTHER, 0.001),
+    Arm(OTHER, int(Mode.POSITION), STEP, STEP),
+    Position(OTHER, np.zeros(8)),
+    Damp(OTHER),
+    Disarm(OTHER),
+    Bye(OTHER),
+)
+_SMALL_FILES = """
+import os, resource, sys
+resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[1]), resource.RLIM_INFINITY))
+os.execv(sys.argv[2], sys.argv[2:])
+"""
+_TERMINAL = """
+import os, subprocess, sys
+terminal = os.open(sys.argv[1], os.O_RDWR)  # it leads a session, so this terminal is now the session's
+words = ["sh", "-c", 'trap "" HUP; "$@"; echo $? > "$0"', *sys.argv[2:]]
+subprocess.Popen(words, stdin=terminal, stdout=terminal, stderr=terminal)
+sys.stdin.read()
+"""
+"""A shell in a terminal that runs a program, and is gone when its window is closed. The program's code is written down
+by somebody who survives that."""
+
+
+def play(scenario: Scenario, folder: Path, policies: Path, robot: Robot) -> Ended:
+    """Run a policy on a robot.
+
+    Args:
+        scenario: what happens.
+        folder: for what is said and kept.
+        policies: folder of policies.
+        robot: with the faults of the scenario.
+    """
+    cable = Cable(robot.path, scenario.chatter)
+    options = ("--duration", str(scenario.duration))
+    file = policies / f"{scenario.policy}.onnx"
+    policy = str(file) if file.exists() else scenario.policy
+    before = (sys.executable, "-c", _SMALL_FILES, str(scenario.disk)) if scenario.disk else ()
+    try:
+        if scenario.terminal:
+            ended = _in_a_terminal(cable, folder, *options)
+        else:
+            host = Host(cable.path, folder, *options, policy=policy, before=before)
+            for when, number in scenario.signals:
+                cable.after_arming(when, lambda number=number: host.signal(number))
+            if scenario.disk:
+                # In lockstep a run may be over before the disk has been asked for the first time.
+                cable.after_arming(RUNNING, lambda: time.sleep(0.7))
+            if scenario.stranger:
+                cable.after_arming(RUNNING, lambda: cable.meddle(STRANGERS))
+            second = _second(cable, folder, host) if scenario.second else None
+            ended = host.end()
+            ended.second = second
+    finally:
+        cable.close()
+    ended.record = cable.record
+    return ended
+
+
+def _second(cable: Cable, folder: Path, first: Host) -> Ended:
+    running = cable.moment(RUNNING)
+    assert running.wait(PATIENCE)
+    second = Host(cable.path, folder / "second", "--lockstep").end()
+    first.signal(signal.SIGINT)
+    return second
+
+
+def _in_a_terminal(cable: Cable, folder: Path, *options: str) -> Ended:
+    folder.mkdir(exist_ok=True)
+    window, terminal = os.openpty()
+    code = folder / "code"
+    words = [sys.executable, "-c", _TERMINAL, os.ttyname(terminal), str(code)]
+    words += deploy_words(cable.path, folder, *options)
+    shell = subprocess.Popen(words, stdin=subprocess.PIPE, start_new_session=True)
+
+    def leave() -> None:
+        shell.communicate()
+        os.close(window)
+
+    # Nobody reads what is drawn there: that holds up nothing either.
+    cable.after_arming(RUNNING, leave)
+    end = time.monotonic() + PATIENCE
+    while time.monotonic() < end and not (code.exists() and code.read_text()):
+        time.sleep(0.05)
+    shell.kill()
+    shell.wait()
+    os.close(terminal)
+    for name in ("told", "said"):
+        (folder / name).touch()
+    return Ended.read(int(code.read_text()), folder)
+
+
+def _settle(robot: Robot) -> None:
+    """Let a robot that was damped in the middle of a step come to rest."""
+    somebody = Client(robot.path, OTHER)
+    somebody.send(Hello(OTHER, 0.1))
+    somebody.pass_time(3.0)
+    somebody.send(Bye(OTHER))
+    somebody.pass_time(0.0)
+    os.close(somebody.file)
+
+
+def work(folder: Path, policies: Path, names: Sequence[str]) -> None:
+    """Play scenarios that no other worker plays; what came of each is in the file `ended` of its own folder.
+
+    Args:
+        folder: of all runs.
+        policies: folder of policies.
+        names: of scenarios, in order.
+    """
+    shared: Robot | None = None
+    for name in names:
+        place, scenario = folder / name, SCENARIOS[name]
+        try:
+            place.mkdir()
+        except FileExistsError:
+            continue
+        came: Ended | str
+        try:
+            if scenario.faults or scenario.fresh:
+                robot = Robot(*(word for fault in scenario.faults for word in ("--fault", fault)))
+                try:
+                    came = play(scenario, place, policies, robot)
+                finally:
+                    summary = robot.end()
+                came.summary = summary
+            else:
+                shared = shared or Robot()
+                came = play(scenario, place, policies, shared)
+                _settle(shared)
+        except Exception:
+            came = traceback.format_exc()
+        (place / "ended.part").write_bytes(pickle.dumps(came))
+        (place / "ended.part").rename(place / "ended")
+    if shared is not None:
+        shared.end()
+
+
+def main() -> None:
+    """A worker: folder, folder of policies, names."""
+    work(Path(sys.argv[1]), Path(sys.argv[2]), sys.argv[3:])

@@ -1,0 +1,758 @@
+"""Every row of the safety table, on the emulator's process and that of `surefoot deploy`, over pseudo-terminals.
+
+Between the two lies a cable of the test's own: it hears what both say, knows when something is to happen, and can be
+pulled. Where timing allows the robot runs in lockstep: then all times are exact, whatever else the computer does. Where
+time is the point it runs in real time, and a test that fails while the computer is busy is tried again.
+
+Times are those of the robot's clock or of the host's, as they stand in the frames. Rows are numbered as in
+`docs/deploy.md`.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import importlib.util
+import itertools
+import json
+import os
+import pickle
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from surefoot.deploy.frames import Frame
+from surefoot.deploy.moves import UP
+from surefoot.deploy.poses import pose, sitting
+from surefoot.deploy.wire import Arm, Bye, Damp, Disarm, Fault, Hello, Mode, Position, Reason, State
+from surefoot.policy.contract import METADATA_KEY
+from surefoot.policy.digest import DIGEST_KEY, stamped
+from surefoot.robot import RobotDescription
+from surefoot.task.partial_trace import SUFFIX, recover
+
+pytest.importorskip("mujoco")
+
+BENCH = Path(__file__).with_name("fault_bench.py")
+_spec = importlib.util.spec_from_file_location("fault_bench", BENCH)
+assert _spec is not None
+assert _spec.loader is not None
+sys.modules["fault_bench"] = importlib.util.module_from_spec(_spec)
+_spec.loader.exec_module(sys.modules["fault_bench"])
+from fault_bench import (  # noqa: E402
+    LONG,
+    OTHER,
+    PATIENCE,
+    RUNNING,
+    STEP,
+    Cable,
+    Client,
+    Ended,
+    Host,
+    Record,
+    Robot,
+    reasons,
+)
+
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(900)]
+TROT = Path(__file__).resolve().parents[2] / "policies" / "trot.onnx"
+MINITAUR = RobotDescription.load("minitaur")
+DAMPED_WITHIN = 0.100
+"""What the table allows between a host's last command and damped motors [s]."""
+LEAN = 0.03
+"""Roll or pitch [rad] that counts as a fall for one of the policies; the trot leans further in every stride."""
+BUSY = 0.010
+"""Lateness [s] of a sleep from which on the computer is too busy for real time."""
+AT_EASE = Mode.DISARMED, Reason.NONE
+
+
+def target(extension: float) -> np.ndarray:
+    """Motor angles of legs that are so long."""
+    return pose(MINITAUR, 0.0, extension)
+
+
+# Clients of the test's own.
+
+
+@pytest.fixture(scope="module")
+def operators() -> Iterator[Callable[[], Client]]:
+    """A robot in lockstep, and operators for it, one after another; it follows the commands of each."""
+    robot, sessions = Robot("--rack"), itertools.count(700)
+
+    def make() -> Client:
+        client = Client(robot.path, next(sessions))
+        client.send(Hello(client.session, 0.010))
+        client.talk(0.6)
+        assert client.arm() == []
+        client.command(target(0.9), 20)
+        assert client.state.mode == Mode.POSITION
+        return client
+
+    yield make
+    robot.end()
+
+
+@pytest.fixture
+def client(operators: Callable[[], Client]) -> Iterator[Client]:
+    """An operator whose commands the robot follows."""
+    one = operators()
+    yield one
+    one.send(Bye(one.session))
+    one.pass_time(0.0)
+    os.close(one.file)
+
+
+# Runs in lockstep.
+
+
+@pytest.fixture(scope="module")
+def policies(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Trots that break when the body pitches faster than .5 rad/s, and one for which a slight lean is a fall."""
+    onnx = pytest.importorskip("onnx")
+    from onnx import helper, numpy_helper
+
+    folder = tmp_path_factory.mktemp("policies")
+    numbers: dict[str, Any] = {
+        "column": np.array([3], np.int64),
+        "limit": np.array([0.5], np.float32),
+        "zero": np.array([0.0], np.float32),
+        "tiny": np.array([1e-30], np.float32),
+        "many": np.array([1e6], np.float32),
+    }
+    left = [("Gather", "observation column", "rate", {"axis": 1}), ("Sub", "limit rate", "left", {})]
+    ways: dict[str, list[tuple[str, str, str, dict[str, Any]]]] = {
+        "nan": [("Log", "left", "log", {}), ("Mul", "log zero", "extra", {})],
+        "infinite": [
+            ("Relu", "left", "left_only", {}),
+            ("Reciprocal", "left_only", "large", {}),
+            ("Mul", "large tiny", "extra", {}),
+        ],
+        # A row of a table that has one row.
+        "exception": [
+            ("Neg", "left", "over", {}),
+            ("Relu", "over", "over_only", {}),
+            ("Mul", "over_only many", "row", {}),
+            ("Cast", "row", "whole_row", {"to": onnx.TensorProto.INT64}),
+            ("Gather", "zero whole_row", "extra", {"axis": 0}),
+        ],
+    }
+
+    def write(model: Any, name: str) -> None:
+        helper.set_model_props(model, {one.key: one.value for one in model.metadata_props if one.key != DIGEST_KEY})
+        (folder / f"{name}.onnx").write_bytes(stamped(model.SerializeToString()))
+
+    for name, nodes in ways.items():
+        model = onnx.load(TROT)
+        graph = model.graph
+        graph.node[-1].output[0] = "plain"
+        graph.initializer.extend(numpy_helper.from_array(value, key) for key, value in numbers.items())
+        for kind, inputs, output, how in (*left, *nodes, ("Add", "plain extra", "feedback", {})):
+            graph.node.append(helper.make_node(kind, inputs.split(), [output], **how))
+        write(model, name)
+    model = onnx.load(TROT)
+    (contract,) = (one for one in model.metadata_props if one.key == METADATA_KEY)
+    said = json.loads(contract.value)
+    said["task"]["fall_angle"] = LEAN
+    contract.value = json.dumps(said)
+    write(model, "leaning")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def played(
+    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory, policies: Path
+) -> Callable[[str], Ended]:
+    """Give what came of a scenario, by its name.
+
+    All that chosen tests name are played ahead, by two workers. They are waited for, since tests in real time want the
+    processors for themselves.
+    """
+    folder = tmp_path_factory.mktemp("lockstep")
+
+    def play(names: list[str]) -> None:
+        script = "import sys; sys.path.insert(0, sys.argv.pop(1)); import fault_bench; fault_bench.main()"
+        words = [sys.executable, "-c", script, str(BENCH.parent), str(folder), str(policies), *names]
+        workers = [subprocess.Popen(words) for _ in range(min(len(names), 2))]
+        try:
+            for worker in workers:
+                assert worker.wait(6 * PATIENCE) == 0
+        finally:
+            for worker in workers:
+                worker.kill()
+
+    def of(name: str) -> Ended:
+        if not (folder / name).exists():
+            play([name])
+        ended = pickle.loads((folder / name / "ended").read_bytes())
+        assert isinstance(ended, Ended), ended
+        return ended
+
+    calls = (getattr(item, "callspec", None) for item in request.session.items if item.path == request.path)
+    play(list(dict.fromkeys(call.params["scenario"] for call in calls if call and "scenario" in call.params)))
+    return of
+
+
+@pytest.fixture
+def ended(scenario: str, played: Callable[[str], Ended]) -> Ended:
+    """What came of the test's scenario."""
+    return played(scenario)
+
+
+def scenarios(*names: str) -> pytest.MarkDecorator:
+    return pytest.mark.parametrize("scenario", names)
+
+
+# Runs in real time.
+
+
+class TooBusyError(AssertionError):
+    """The computer had no time for what the test wanted to do just then."""
+
+
+class Watchman(threading.Thread):
+    """Sleeps for a millisecond again and again, and sees how much too late it wakes at worst [s]."""
+
+    def __init__(self) -> None:
+        super().__init__(daemon=True)
+        self.worst, self._over = 0.0, False
+
+    def run(self) -> None:
+        while not self._over:
+            before = time.monotonic()
+            time.sleep(0.001)
+            self.worst = max(self.worst, time.monotonic() - before - 0.001)
+
+    def __enter__(self) -> Watchman:
+        self.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._over = True
+        self.join()
+
+
+def in_real_time(attempt: Callable[[Path], None], folder: Path) -> None:
+    """Make an attempt; if it fails and the computer was busy meanwhile, make another one, four in all."""
+    for number in range(4):
+        watchman = Watchman()
+        try:
+            with watchman:
+                attempt(folder / str(number))
+            return
+        except AssertionError as error:
+            late = f"{1e3 * watchman.worst:.0f} ms"
+            if watchman.worst < BUSY and not isinstance(error, TooBusyError):
+                raise
+            print(f"attempt {number} failed while a sleep took {late} longer than asked: {error}")
+            time.sleep(1.0)
+    pytest.skip(f"this computer is too busy for real time: a sleep took {late} longer than asked")
+
+
+@pytest.fixture(scope="module")
+def living_robot() -> Iterator[Robot]:
+    """A robot in real time, without faults."""
+    robot = Robot(lockstep=False)
+    yield robot
+    robot.end()
+
+
+@contextlib.contextmanager
+def deployed(robot: Robot, folder: Path) -> Iterator[tuple[Cable, Host]]:
+    """A policy on a robot in real time."""
+    cable = Cable(robot.path)
+    host = Host(cable.path, folder, "--duration", str(LONG), lockstep=False)
+    try:
+        yield cable, host
+    finally:
+        host.popen.kill()
+        host.popen.wait()
+        cable.close()
+
+
+def wait_for(event: threading.Event, host: Host) -> None:
+    """Wait for a moment of a run."""
+    end = time.monotonic() + PATIENCE
+    while not event.wait(0.05):
+        if host.popen.poll() is not None or time.monotonic() > end:
+            raise TooBusyError(f"the run ended before its time: {(host.folder / 'said').read_text()}")
+
+
+def damped_after(record: Record) -> float:
+    """How long after the last command that it took a robot damped its motors by itself [s], on its own clock."""
+    faults = [frame for frame in record.of_robot(Fault) if frame.message.reason == Reason.TIMEOUT]
+    assert faults, "the robot never missed its host"
+    since = record.of_robot(State, faults[-1].time)
+    # It stays so.
+    assert {(state.message.mode, state.message.reason) for state in since} == {(Mode.FAULT, Reason.TIMEOUT)}
+    assert since[-1].time - since[0].time > 0.7
+    assert np.abs(since[-1].message.motor_velocity).max() < 2.0
+    after = since[0].message.command_age - (since[0].time - faults[-1].time)
+    print(f"damped {1e3 * after:.1f} ms after the last command")
+    return float(after)
+
+
+def assert_damped_at_once(record: Record) -> float:
+    """The host damped, and commanded nothing since; when [s], on its clock."""
+    damped = record.of_host(Damp)[0].time
+    assert record.of_host(Position, damped) == []
+    return float(damped)
+
+
+def assert_sat_and_disarmed(record: Record) -> None:
+    """The last command was to sit, then the robot was disarmed."""
+    last = record.of_host(Position)[-1]
+    np.testing.assert_allclose(last.message.target, sitting(MINITAUR), atol=1e-6)
+    assert record.of_host(Disarm)[0].time >= last.time
+    assert record.of_host(Position, record.of_host(Disarm)[0].time + 1e-6) == []
+    assert record.left == AT_EASE
+
+
+# 1: the host dies, hangs, or the cable is pulled.
+
+
+def test_row_1_a_host_that_is_killed(living_robot, tmp_path):
+    def attempt(folder: Path) -> None:
+        with deployed(living_robot, folder) as (cable, host):
+            wait_for(cable.moment(RUNNING), host)
+            host.popen.kill()
+            time.sleep(1.2)
+            assert 0.045 < damped_after(cable.record) <= DAMPED_WITHIN
+        (partial,) = (folder / "traces").glob(f"*{SUFFIX}")
+        assert recover(partial).num_steps > 10
+
+    in_real_time(attempt, tmp_path)
+
+
+def test_row_1_a_host_that_hangs(living_robot, tmp_path):
+    def attempt(folder: Path) -> None:
+        with deployed(living_robot, folder) as (cable, host):
+            wait_for(cable.moment(0.4), host)
+            host.popen.send_signal(signal.SIGSTOP)
+            time.sleep(1.2)
+            assert 0.045 < damped_after(cable.record) <= DAMPED_WITHIN
+            # Nothing that the host says when it wakes moves the robot.
+            told = len(cable.record.told)
+            host.popen.send_signal(signal.SIGCONT)
+            assert host.end().code == 3
+            modes = {frame.message.mode for frame in cable.record.told[told:] if isinstance(frame.message, State)}
+            assert modes <= {Mode.FAULT, Mode.DISARMED}
+
+    in_real_time(attempt, tmp_path)
+
+
+@pytest.mark.parametrize(("port", "reason"), [("gone", "link"), ("silent", "stale state")])
+def test_row_1_a_cable_that_is_pulled(living_robot, tmp_path, port, reason):
+    def attempt(folder: Path) -> None:
+        with deployed(living_robot, folder) as (cable, host):
+            wait_for(cable.moment(0.4), host)
+            if port == "gone":
+                cable.pull()
+            else:
+                cable.silent = True
+            ended = host.end()
+            time.sleep(1.1)  # its operator must be silent for a second before there is another one
+            assert 0.045 < damped_after(cable.record) <= DAMPED_WITHIN
+            assert ended.outcome == (3, "fault", reason)
+
+    in_real_time(attempt, tmp_path)
+
+
+@scenarios("unplug")
+def test_row_1_the_trace_of_a_run_whose_cable_was_pulled_is_kept(ended):
+    assert ended.outcome == (3, "fault", "link")
+    assert ended.kept.meta["ended"] == "fault"
+    assert ended.kept.num_steps > 20
+
+
+def test_row_1_damped_50_ms_after_the_last_command_to_the_servo_step(client):
+    said = client.pass_time(3.0)
+    (fault,) = (frame for frame in said if isinstance(frame.message, Fault))
+    assert fault.message.reason == Reason.TIMEOUT
+    states = [frame for frame in said if isinstance(frame.message, State)]
+    state = next(frame for frame in states if frame.message.mode == Mode.FAULT)
+    assert state.time - fault.time <= 1e-3 + 1e-9
+    assert state.message.command_age == pytest.approx(0.051, abs=1e-5)
+    assert {frame.message.mode for frame in states if frame.time > fault.time} == {Mode.FAULT}
+    assert np.abs(client.state.motor_velocity).max() < 0.5
+
+
+def test_row_1_it_arms_again_only_after_500_ms_of_clean_link(client):
+    client.pass_time(3.0)  # a pulled cable
+    client.talk(0.40)
+    assert client.arm() == [Reason.NOT_CLEAN]
+    client.talk(0.08)
+    assert client.arm() == [Reason.NOT_CLEAN]
+    client.talk(0.02)
+    assert client.arm() == []
+    client.command(target(1.0), 5)
+    assert (client.state.mode, client.state.reason) == (Mode.POSITION, Reason.NONE)
+
+
+def test_row_1_a_damaged_frame_or_a_pause_begins_the_500_ms_anew(client):
+    for spoil in (lambda: os.write(client.file, b"\x13garbage\x00"), lambda: client.pass_time(0.15)):
+        client.pass_time(1.0)
+        client.talk(0.40)
+        spoil()
+        client.talk(0.40)
+        assert client.arm() == [Reason.NOT_CLEAN]
+        client.talk(0.12)
+        assert client.arm() == []
+
+
+# 2: old, repeated and backward states and commands.
+
+
+@scenarios("stale-state", "repeat-sequence", "backward-sequence")
+def test_row_2_states_that_are_old_repeated_or_backward(ended):
+    assert ended.outcome == (3, "fault", "stale state")
+    assert ended.kept.meta["ended"] == "fault"
+    assert ended.kept.num_steps > 20
+    damped = assert_damped_at_once(ended.record)
+    highest, fresh = 0, 0.0
+    for frame in ended.record.told:
+        if frame.sequence > highest and frame.time < damped:
+            highest = frame.sequence
+            fresh = frame.time if isinstance(frame.message, State) else fresh
+    # The step that finds the newest state older than three steps is the one that damps.
+    assert 3 * STEP < damped - fresh <= 4 * STEP + 1e-6
+    assert ended.record.reasons == [Reason.HOST]
+    assert ended.record.of_robot(Fault)[0].time == damped
+
+
+@pytest.mark.parametrize("how", ["repeated", "backward", "old"])
+def test_row_2_commands_that_are_old_repeated_or_backward(client, how):
+    def spoiled() -> None:
+        command = Position(client.session, target(2.0))
+        if how == "old":
+            client.send(command, at=client.now - 3.1 * STEP)
+        else:
+            client.send(command, number=client.last - (5 if how == "backward" else 0))
+
+    dropped, followed = client.state.dropped, client.last
+    for _ in range(2):
+        spoiled()
+        client.pass_time(STEP)
+    # They were not followed, and one that is good ends the row of bad ones.
+    assert (client.state.mode, client.state.dropped - dropped) == (Mode.POSITION, 2)
+    assert client.state.command == followed
+    np.testing.assert_allclose(client.state.motor_angle, target(0.9), atol=0.05)
+    client.command(target(0.9), 5)
+    said: list[Frame] = []
+    for _ in range(3):
+        assert client.state.mode == Mode.POSITION
+        spoiled()
+        said = client.pass_time(STEP)
+    assert reasons(said) == [Reason.STALE]
+    assert (client.state.mode, client.state.reason) == (Mode.FAULT, Reason.STALE)
+
+
+def test_row_2_a_microcontroller_that_stands_still(tmp_path):
+    def attempt(folder: Path) -> None:
+        robot = Robot("--fault", "hang=0.2@0.4", lockstep=False)
+        try:
+            with deployed(robot, folder) as (cable, host):
+                ended = host.end()
+                time.sleep(0.3)
+                assert ended.outcome == (3, "fault", "stale state")
+                assert_damped_at_once(cable.record)
+                # When it goes on it finds commands that are too old, and nobody who sends new ones.
+                assert {Reason.STALE, Reason.TIMEOUT, Reason.HOST} & set(cable.record.reasons)
+                assert cable.record.left[0] != Mode.POSITION
+        finally:
+            robot.end()
+
+    in_real_time(attempt, tmp_path)
+
+
+# 3: numbers that are none, exceptions, a contract that does not fit.
+
+
+@pytest.mark.parametrize(
+    ("scenario", "reason", "text"),
+    [
+        ("nan", "not finite", "gave feedback that is not finite"),
+        ("infinite", "not finite", "gave feedback that is not finite"),
+        ("exception", "exception", "out of data bounds"),
+    ],
+)
+def test_row_3_a_policy_that_breaks(ended, reason, text):
+    assert ended.outcome == (3, "fault", reason)
+    assert text in ended.run["what"]
+    trace = ended.kept
+    assert trace.meta["ended"] == "fault"
+    assert trace.num_steps > 2
+    damped = assert_damped_at_once(ended.record)
+    # In the step that would have sent the command: one step after the last one.
+    assert ended.record.of_host(Position)[-1].time == pytest.approx(damped - STEP, abs=1e-6)
+    at = damped + ended.record.ahead
+    assert at == pytest.approx(trace.meta["robot_time_start"] + trace.num_steps * STEP, abs=1e-6)
+    (fault,) = ended.record.of_robot(Fault)
+    assert (fault.message.reason, fault.time) == (Reason.HOST, pytest.approx(at, abs=1e-6))
+    assert ended.record.left == (Mode.FAULT, Reason.HOST)
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf, 5.0])
+def test_row_3_a_command_that_is_no_number_or_beyond_the_limits(client, bad):
+    wrong = target(1.5)
+    wrong[3] = bad
+    client.send(Position(client.session, wrong))
+    assert reasons(client.pass_time(0.0)) == [Reason.COMMAND]
+    client.pass_time(0.05)
+    assert (client.state.mode, client.state.reason) == (Mode.FAULT, Reason.COMMAND)
+    assert np.abs(client.state.motor_angle - target(0.9)).max() < 0.3
+
+
+@pytest.mark.parametrize(
+    ("scenario", "text"),
+    [
+        ("other-robot", "the policy is for 'minitaur', the robot says 'not-minitaur'"),
+        ("other-order", "names and order must be the same"),
+        ("other-gains", "the robot's servos have kp 1.5"),
+        ("other-schema", "the robot speaks version 1 and schema"),
+    ],
+)
+def test_row_3_a_robot_that_does_not_fit(ended, text):
+    assert (ended.code, ended.told, ended.trace) == (2, {}, None)
+    assert ended.said[-1].startswith("surefoot: error: ")
+    assert text in ended.said[-1]
+    assert ended.record.of_host(Arm) + ended.record.of_host(Position) == []
+    assert {frame.message.mode for frame in ended.record.of_robot(State)} <= {Mode.DISARMED}
+
+
+def test_row_3_a_robot_that_starts_anew(tmp_path):
+    def attempt(folder: Path) -> None:
+        robot = Robot("--fault", f"reboot={RUNNING}", lockstep=False)
+        try:
+            with deployed(robot, folder) as (cable, host):
+                ended = host.end()
+                assert ended.outcome == (3, "fault", "stale state")
+                assert ended.kept.num_steps > 20
+                assert_damped_at_once(cable.record)
+        finally:
+            summary = robot.end()
+        assert "mode DISARMED, reason NONE" in summary
+
+    in_real_time(attempt, tmp_path)
+
+
+# 4: roll or pitch over the limit.
+
+
+@pytest.mark.parametrize(
+    ("scenario", "limit", "after"),
+    [("leaning", LEAN, "it has sat down"), ("tilt", 0.5, "it lies on its side and stays damped")],
+)
+def test_row_4_roll_or_pitch_over_the_limit(ended, scenario, limit, after):
+    assert ended.outcome == (3, "fall", "tilt")
+    assert ended.run["what"].endswith(after)
+    assert ended.kept.fell
+    record = ended.record
+    over = next(
+        frame.time
+        for frame in record.of_robot(State, ended.kept.meta["robot_time_start"] - 1e-6)
+        if np.abs(frame.message.roll_pitch_yaw[:2]).max() > limit
+    )
+    damped = record.of_host(Damp)[0].time
+    assert damped + record.ahead == pytest.approx(over, abs=1e-6)
+    if scenario == "tilt":
+        assert_damped_at_once(record)
+        assert len(record.of_host(Arm)) == 1
+        assert record.left == (Mode.FAULT, Reason.HOST)
+        return
+    # It lies still on a clean link for half a second, is armed again, sits, and is disarmed.
+    again = record.of_host(Arm, damped)[0].time
+    assert again - damped >= 0.5
+    assert record.of_host(Position, damped)[0].time >= again
+    assert_sat_and_disarmed(record)
+
+
+# 5: a late step.
+
+
+def test_row_5_late_steps_are_held_and_counted_and_too_many_damp(living_robot, tmp_path):
+    def attempt(folder: Path) -> None:
+        with deployed(living_robot, folder) as (cable, host):
+            wait_for(cable.moment(UP + 0.2), host)
+            for _ in range(4):
+                stop_for(host, 0.013)
+                time.sleep(0.25)
+            if host.popen.poll() is not None:
+                raise TooBusyError("a stop of 13 ms ended the run")
+            stop_for(host, 0.032)
+            ended = host.end()
+            # Two steps of 6 ms pass in every short stop, so that at least one is missed, and five in the long one.
+            assert ended.outcome == (3, "fault", "late")
+            assert "control steps in a row were missed; at most 2" in ended.run["what"]
+            print(f"{ended.run['timing']['missed']} missed; {ended.run['what']}")
+            assert ended.run["timing"]["missed"] >= 4 + 3
+            # It held its target then, and went on.
+            trace = ended.kept
+            held = [k for k in trace.meta["missed_steps"] if k < trace.num_steps - 20]
+            assert len(held) >= 4
+            for k in held:
+                assert trace.target[k].tolist() == trace.target[k - 1].tolist()
+            assert np.diff(trace.time) == pytest.approx(STEP)
+            assert_damped_at_once(cable.record)
+            assert Reason.HOST in cable.record.reasons
+
+    in_real_time(attempt, tmp_path)
+
+
+def stop_for(host: Host, seconds: float) -> None:
+    """Let a host stand still for a while."""
+    before = time.monotonic()
+    host.popen.send_signal(signal.SIGSTOP)
+    time.sleep(seconds)
+    host.popen.send_signal(signal.SIGCONT)
+    took = time.monotonic() - before
+    if took > seconds + 0.003:
+        raise TooBusyError(f"a stop of {1e3 * seconds:.0f} ms took {1e3 * took:.1f} ms")
+
+
+# 6: the battery is low, a motor is hot.
+
+
+@pytest.mark.parametrize(
+    ("scenario", "reason", "warning"),
+    [
+        ("battery-low", "battery", "surefoot: warning: battery below 14.4 V; charge it soon"),
+        ("motor-hot", "temperature", "surefoot: warning: a motor is hotter than 70 degC"),
+    ],
+)
+def test_row_6_battery_low_or_motor_hot(ended, reason, warning):
+    assert ended.outcome == (3, "stopped", reason)
+    assert ended.said.count(warning) == 1
+    assert ended.kept.num_steps > 50
+    assert_sat_and_disarmed(ended.record)
+    assert ended.record.of_host(Damp) == []
+
+
+# 7: a second operator.
+
+
+@scenarios("second")
+def test_row_7_a_second_program_is_refused_at_the_port(ended):
+    assert ended.second.code == 2
+    (said,) = ended.second.said
+    assert said.startswith("surefoot: error: port /dev/")
+    assert said.endswith(": another program has it; one operator at a time")
+    # The first one's run is whole: no frame was lost, and only one operator was ever heard.
+    assert ended.outcome == (0, "stopped", "operator")
+    assert {**ended.told["frames"], "received": 0} == dict.fromkeys(ended.told["frames"], 0)
+    assert ended.kept.num_steps > 20
+    assert len(ended.record.of_host(Hello)) == 1
+
+
+@scenarios("stranger")
+def test_row_7_a_second_operator_on_the_line_is_refused_by_the_robot(ended, played):
+    assert ended.outcome == (0, "time", "time")
+    theirs = [frame.message for frame in ended.record.of_robot(Fault)]
+    assert {message.session for message in theirs} == {OTHER}
+    assert ended.record.reasons == [Reason.BUSY] + [Reason.SESSION] * 5
+    assert_same_run(ended, played("whole"))
+
+
+def assert_same_run(one: Ended, other: Ended) -> None:
+    """Two runs are the same to the last bit."""
+    for name in ("observation", "feedback", "target", "motor_angle", "motor_torque", "energy", "time"):
+        assert getattr(one.kept, name).tolist() == getattr(other.kept, name).tolist(), name
+
+
+# 8: a bad line.
+
+
+@scenarios("whole")
+def test_row_8_a_good_line_loses_nothing(ended):
+    assert ended.outcome == (0, "time", "time")
+    assert ended.kept.num_steps == 50
+    frames = ended.told["frames"]
+    assert frames == {**dict.fromkeys(frames, 0), "received": len(ended.record.told)}
+    assert f"frames heard {len(ended.record.said)}, damaged 0" in ended.summary
+    assert_sat_and_disarmed(ended.record)
+
+
+@scenarios("corrupt", "cut-frames", "drop", "reorder", "duplicate", "garbage")
+def test_row_8_a_bad_line_costs_nothing_but_the_damaged_frames(ended, scenario, played):
+    assert ended.outcome == (0, "time", "time")
+    assert ended.kept.num_steps == 50
+    assert_sat_and_disarmed(ended.record)
+    frames, told = ended.told["frames"], ended.record.told
+    # Every frame that the robot sent was taken once, or counted as missing.
+    assert frames["received"] == len(told)
+    assert frames["received"] - frames["repeated"] + frames["missing"] == max(frame.sequence for frame in told)
+    if scenario in ("corrupt", "cut-frames"):
+        assert frames["missing"] > 10
+        assert frames["damaged"] == pytest.approx(frames["missing"], rel=0.3)
+    elif scenario == "drop":
+        assert frames["missing"] > 10
+        assert frames["damaged"] == frames["repeated"] == 0
+    elif scenario == "reorder":
+        # The one that was overtaken is dropped.
+        assert frames["missing"] == frames["repeated"] > 10
+        assert frames["damaged"] == 0
+    else:
+        assert frames["missing"] == 0
+        assert frames["repeated" if scenario == "duplicate" else "damaged"] > 20
+        assert_same_run(ended, played("whole"))
+    if scenario == "garbage":
+        assert f"frames heard {len(ended.record.said)}, " in ended.summary
+    # What the robot followed was always a command of this run, and never an older one than before.
+    told.sort(key=lambda frame: frame.sequence)
+    followed = [frame.message.command for frame in ended.record.of_robot(State) if frame.message.command]
+    assert set(followed) <= {frame.sequence for frame in ended.record.of_host(Position)}
+    assert followed == sorted(followed)
+
+
+@scenarios("in the middle")
+def test_row_8_a_host_that_comes_in_the_middle_of_a_frame(ended, played):
+    assert ended.outcome == (0, "time", "time")
+    # It heard the end of a frame, whole ones that were for somebody else and had higher numbers, and a beginning.
+    assert ended.told["frames"]["damaged"] == 2
+    assert ended.told["frames"]["received"] == 28 + len(ended.record.told)
+    assert_same_run(ended, played("whole"))
+
+
+# 9: the operator stops the run.
+
+
+@scenarios("SIGINT", "SIGTERM", "terminal")
+def test_row_9_a_signal_or_a_terminal_that_closes(ended, scenario):
+    assert ended.code == 0
+    if scenario != "terminal":
+        assert ended.outcome == (0, "stopped", "operator")
+    assert (ended.kept.meta["ended"], ended.kept.meta["reason"]) == ("stopped", "operator")
+    assert ended.kept.num_steps > 20
+    assert not list(ended.traces.glob(f"*{SUFFIX}"))
+    assert_sat_and_disarmed(ended.record)
+    assert ended.record.of_host(Damp) == []
+
+
+@scenarios("SIGINT twice")
+def test_row_9_ctrl_c_twice(ended):
+    assert ended.outcome == (3, "stopped", "operator")
+    assert ended.kept.num_steps > 20
+    damped = assert_damped_at_once(ended.record)
+    assert damped - ended.record.armed == pytest.approx(RUNNING + 0.1, abs=2 * STEP)
+    assert ended.record.left == (Mode.FAULT, Reason.HOST)
+
+
+# 10: the disk is full.
+
+
+@scenarios("disk full")
+def test_row_10_a_full_disk(ended):
+    assert (ended.run["ended"], ended.run["steps"], ended.run["trace"]) == ("time", 100, None)
+    assert "surefoot: recording stopped: File too large; the robot goes on" in ended.said
+    assert any(note.startswith("recording stopped") for note in ended.run["notes"])
+    # The robot went on to the end; only the code tells that the trace was lost.
+    assert_sat_and_disarmed(ended.record)
+    assert ended.record.of_host(Damp) == []
+    assert ended.code == 3
+    (partial,) = ended.traces.glob(f"*{SUFFIX}")
+    assert recover(partial).num_steps > 5
