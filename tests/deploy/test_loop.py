@@ -10,6 +10,7 @@ import pytest
 
 from surefoot.deploy.controller import Controller
 from surefoot.deploy.deployment import Deployment
+from surefoot.deploy.frames import Decoder
 from surefoot.deploy.keeping import Keeper
 from surefoot.deploy.moves import REST, UP
 from surefoot.deploy.pacer import Timing
@@ -442,6 +443,22 @@ def test_a_robot_that_does_not_arm_again_ends_its_second_run(deploy, toy, connec
     outcome = deployment.run(keeper.recorder, Timing(100), keeper.keep, keeper.begun)
     assert (outcome.ended, outcome.reason, outcome.safe) == ("fault", "arm", True)
     assert "a motor has 95 degC" in outcome.text
+
+
+def test_a_request_to_arm_that_is_lost_is_made_again(deploy, toy):
+    hear, lost = toy.write, []
+
+    def write(data: bytes) -> int:
+        frames = Decoder(toy.codec).feed(data)
+        if len(lost) < 2 and any(isinstance(frame.message, Arm) for frame in frames):
+            lost.append(data)
+            return len(data)
+        return hear(data)
+
+    toy.write = write
+    outcome, _, _ = deploy()
+    assert outcome.ended == "time"
+    assert len(lost) == 2
 
 
 def test_a_robot_that_was_damped_before_is_armed_after_a_clean_while(deploy, toy):

@@ -76,11 +76,13 @@ class Moves:
             raise SurefootError(f"the robot does not arm: {refusal.text if refusal is not None else 'no answer'}")
 
     def _ask_to_arm(self) -> Fault | None:
-        """Ask once; what the robot has against it, if it says so."""
+        """Ask until there is an answer, since frames may be lost; what the robot has against it, if it says so."""
         connection = self.connection
         asked = len(connection.faults)
-        connection.arm(Mode.POSITION, self.contract.control_step)
-        connection.wait_for(lambda: self._state().mode == Mode.POSITION or len(connection.faults) > asked, _ANSWER)
+        self._ask_until(
+            lambda: connection.arm(Mode.POSITION, self.contract.control_step),
+            lambda: self._state().mode == Mode.POSITION or len(connection.faults) > asked,
+        )
         return connection.faults[-1] if len(connection.faults) > asked else None
 
     @property
