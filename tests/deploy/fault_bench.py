@@ -321,7 +321,7 @@ class Client:
     """An operator in lockstep, for what `surefoot deploy` would never send; times are its own clock's [s]."""
 
     def __init__(self, path: str, session: int) -> None:
-        self.file = os.open(path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+        self.path, self.file = path, os.open(path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
         self.session, self.now, self.number = session, 0.0, 0
         self.last = 0
         """Number of the last message besides pings: those the robot does not count."""

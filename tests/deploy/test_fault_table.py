@@ -405,6 +405,21 @@ def test_row_1_a_damaged_frame_or_a_pause_begins_the_500_ms_anew(client):
         assert client.arm() == []
 
 
+def test_row_1_a_new_host_arms_it_after_500_ms_of_clean_link(client, tmp_path):
+    client.pass_time(1.0)
+    assert (client.state.mode, client.state.reason) == (Mode.FAULT, Reason.TIMEOUT)
+    client.send(Bye(client.session))
+    client.pass_time(0.0)
+    cable = Cable(client.path)
+    ended = Host(cable.path, tmp_path, "--duration", "0.06").end()
+    cable.close()
+    assert ended.outcome == (0, "time", "time")
+    found = cable.record.of_robot(State)[0].message
+    assert (found.mode, found.reason) == (Mode.DISARMED, Reason.TIMEOUT)
+    assert cable.record.armed - cable.record.of_host(Hello)[0].time >= 0.5
+    assert_sat_and_disarmed(cable.record)
+
+
 # 2: old, repeated and backward states and commands.
 
 
@@ -685,7 +700,9 @@ def test_row_8_a_bad_line_costs_nothing_but_the_damaged_frames(ended, scenario, 
     frames, told = ended.told["frames"], ended.record.told
     # Every frame that the robot sent was taken once, or counted as missing.
     assert frames["received"] == len(told)
-    assert frames["received"] - frames["repeated"] + frames["missing"] == max(frame.sequence for frame in told)
+    counted = frames["received"] - frames["repeated"] + frames["missing"]
+    sent = max(frame.sequence for frame in told)
+    assert sent - 3 <= counted <= sent  # what was lost before the greeting is not known
     if scenario in ("corrupt", "cut-frames"):
         assert frames["missing"] > 10
         assert frames["damaged"] == pytest.approx(frames["missing"], rel=0.3)
@@ -738,7 +755,7 @@ def test_row_9_ctrl_c_twice(ended):
     assert ended.outcome == (3, "stopped", "operator")
     assert ended.kept.num_steps > 20
     damped = assert_damped_at_once(ended.record)
-    assert damped - ended.record.armed == pytest.approx(RUNNING + 0.1, abs=2 * STEP)
+    assert 0 <= damped - ended.record.armed - (RUNNING + 0.1) < 0.1
     assert ended.record.left == (Mode.FAULT, Reason.HOST)
 
 
