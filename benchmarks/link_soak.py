@@ -19,10 +19,10 @@ from dataclasses import asdict, dataclass, field
 import numpy as np
 
 from surefoot.deploy.clock import MonotonicClock
-from surefoot.deploy.frames import MAX_FRAME, Decoder, Frame, encode_frame
 from surefoot.deploy.link import Link
-from surefoot.deploy.protocol_examples import EXAMPLES
-from surefoot.deploy.wire import Arm, Codec, Damp, Message, Ping, Position, Pwm, State
+from surefoot.deploy.wire.examples import EXAMPLES
+from surefoot.deploy.wire.frames import MAX_FRAME, Decoder, Frame, encode_frame
+from surefoot.deploy.wire.messages import Arm, Codec, Damp, Message, Ping, Position, Pwm, State
 
 BLOCK = 1000
 """Frames that are sent, carried and compared at a time."""

@@ -11,10 +11,10 @@ import pytest
 
 from surefoot.deploy.clock import LockstepClock
 from surefoot.deploy.connection import RobotConnection
-from surefoot.deploy.frames import Decoder, encode_frame
 from surefoot.deploy.link import Link, LinkLostError
 from surefoot.deploy.loop import Snapshot
-from surefoot.deploy.wire import Codec, Message, State
+from surefoot.deploy.wire.frames import Decoder, encode_frame
+from surefoot.deploy.wire.messages import Codec, Message, State
 from surefoot.emulator.firmware import Firmware, MotorOrder, Sensors, Vitals
 from surefoot.emulator.limits import introduction
 from surefoot.robot import RobotDescription

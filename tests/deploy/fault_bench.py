@@ -24,9 +24,9 @@ from typing import Any
 
 import numpy as np
 
-from surefoot.deploy.frames import Decoder, Frame, encode_frame
 from surefoot.deploy.moves import UP
-from surefoot.deploy.wire import (
+from surefoot.deploy.wire.frames import Decoder, Frame, encode_frame
+from surefoot.deploy.wire.messages import (
     Arm,
     Bye,
     Codec,

@@ -12,7 +12,7 @@ import pytest
 from surefoot.cli.policies import find_policy
 from surefoot.deploy.checks import Finding, check_contract, refusal
 from surefoot.deploy.poses import pose
-from surefoot.deploy.wire import Handshake
+from surefoot.deploy.wire.messages import Handshake
 from surefoot.policy.contract import Contract
 from surefoot.policy.runtime import PolicyRuntime
 from surefoot.robot import RobotDescription

@@ -6,7 +6,7 @@ import pytest
 
 from surefoot.deploy.clock import LockstepClock, MonotonicClock
 from surefoot.deploy.link import Link
-from surefoot.deploy.wire import Ping
+from surefoot.deploy.wire.messages import Ping
 from surefoot.errors import SurefootError
 
 

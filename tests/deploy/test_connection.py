@@ -8,7 +8,7 @@ import pytest
 from surefoot.deploy.clock import LockstepClock
 from surefoot.deploy.connection import LEAD, RobotConnection
 from surefoot.deploy.link import Link
-from surefoot.deploy.wire import Arm, Codec, Mode
+from surefoot.deploy.wire.messages import Arm, Codec, Mode
 from surefoot.emulator.firmware import Firmware
 from surefoot.errors import SurefootError
 

@@ -12,7 +12,7 @@ from surefoot.deploy.clock import LockstepClock
 from surefoot.deploy.connection import RobotConnection
 from surefoot.deploy.controller import Controller
 from surefoot.deploy.deployment import PUNCTUAL, TRIES, Deployment
-from surefoot.deploy.wire import Arm, Ping, Position
+from surefoot.deploy.wire.messages import Arm, Ping, Position
 from surefoot.errors import SurefootError
 from surefoot.policy.runtime import PolicyRuntime
 from surefoot.robot import RobotDescription
@@ -101,9 +101,7 @@ def test_a_computer_that_stalls_again_and_again_arms_no_robot(deployment, comput
         return 0.0
 
     computer.late = late
-    with pytest.raises(
-        SurefootError, match=r"not armed: \d+ control steps in a row were missed; at most 2"
-    ):
+    with pytest.raises(SurefootError, match=r"not armed: \d+ control steps in a row were missed; at most 2"):
         greet(deployment)
     assert watch.phases.count("keep time") == TRIES
     assert Arm not in {type(message) for _, message in toy.heard}

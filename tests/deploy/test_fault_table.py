@@ -28,10 +28,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from surefoot.deploy.frames import Frame
 from surefoot.deploy.moves import UP
 from surefoot.deploy.poses import pose, sitting
-from surefoot.deploy.wire import Arm, Bye, Damp, Disarm, Fault, Hello, Mode, Position, Reason, State
+from surefoot.deploy.wire.frames import Frame
+from surefoot.deploy.wire.messages import Arm, Bye, Damp, Disarm, Fault, Hello, Mode, Position, Reason, State
 from surefoot.policy.contract import METADATA_KEY
 from surefoot.policy.digest import DIGEST_KEY, stamped
 from surefoot.robot import RobotDescription

@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 
 from surefoot.deploy.clock import MonotonicClock
-from surefoot.deploy.frames import Decoder, encode_frame
 from surefoot.deploy.link import Link, LinkLostError, SerialPort
-from surefoot.deploy.wire import Codec, Handshake, Ping, Pong, Position
+from surefoot.deploy.wire.frames import Decoder, encode_frame
+from surefoot.deploy.wire.messages import Codec, Handshake, Ping, Pong, Position
 from surefoot.errors import SurefootError
 
 CODEC = Codec(8)

@@ -10,13 +10,13 @@ import pytest
 
 from surefoot.deploy.controller import Controller
 from surefoot.deploy.deployment import Deployment
-from surefoot.deploy.frames import Decoder
-from surefoot.deploy.keeping import Keeper
 from surefoot.deploy.moves import REST, UP
 from surefoot.deploy.pacer import Timing
 from surefoot.deploy.poses import pose, sitting
+from surefoot.deploy.recording.keeping import Keeper
 from surefoot.deploy.safety_limits import SafetyLimits
-from surefoot.deploy.wire import Arm, Damp, Mode, Position, Reason
+from surefoot.deploy.wire.frames import Decoder
+from surefoot.deploy.wire.messages import Arm, Damp, Mode, Position, Reason
 from surefoot.errors import SurefootError
 from surefoot.policy.runtime import PolicyRuntime
 

@@ -17,7 +17,7 @@ from surefoot.deploy.safety import (
     is_finite,
 )
 from surefoot.deploy.safety_limits import SafetyLimits, limits_table
-from surefoot.deploy.wire import Mode, Reason
+from surefoot.deploy.wire.messages import Mode, Reason
 from surefoot.errors import SurefootError
 
 STEP = 0.006

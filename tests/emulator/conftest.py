@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from surefoot.deploy.frames import Decoder, Frame, encode_frame
-from surefoot.deploy.wire import Codec, Fault, Message, Ping, Pong, State
+from surefoot.deploy.wire.frames import Decoder, Frame, encode_frame
+from surefoot.deploy.wire.messages import Codec, Fault, Message, Ping, Pong, State
 from surefoot.robot import RobotDescription
 
 

@@ -9,9 +9,9 @@ import pytest
 
 pytest.importorskip("mujoco")
 
-from surefoot.deploy.frames import Frame
 from surefoot.deploy.poses import pose
-from surefoot.deploy.wire import Arm, Fault, Handshake, Hello, Mode, Ping, Pong, Position, Reason, State
+from surefoot.deploy.wire.frames import Frame
+from surefoot.deploy.wire.messages import Arm, Fault, Handshake, Hello, Mode, Ping, Pong, Position, Reason, State
 from surefoot.emulator.board import Board
 from surefoot.emulator.faults import FAULTS, describe, parse_faults
 from surefoot.emulator.hardware import PowerConfig, SensorConfig

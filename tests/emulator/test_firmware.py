@@ -11,8 +11,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from surefoot.deploy.frames import Frame
-from surefoot.deploy.wire import (
+from surefoot.deploy.wire.frames import Frame
+from surefoot.deploy.wire.messages import (
     Arm,
     Bye,
     Codec,

@@ -7,8 +7,8 @@ import itertools
 import numpy as np
 import pytest
 
-from surefoot.deploy.frames import Decoder, encode_frame
-from surefoot.deploy.wire import Codec, Ping
+from surefoot.deploy.wire.frames import Decoder, encode_frame
+from surefoot.deploy.wire.messages import Codec, Ping
 from surefoot.emulator.line import Line, LineConfig
 
 

@@ -10,7 +10,7 @@ import pytest
 pytest.importorskip("mujoco")
 
 from surefoot.deploy.poses import pose
-from surefoot.deploy.wire import Mode
+from surefoot.deploy.wire.messages import Mode
 from surefoot.emulator.hardware import PowerConfig, SensorConfig, power_tick
 from surefoot.emulator.plant import Plant
 from surefoot.emulator.signals import MotorOrder

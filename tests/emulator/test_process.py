@@ -13,7 +13,7 @@ import pytest
 pytest.importorskip("mujoco")
 
 from surefoot.deploy.poses import pose
-from surefoot.deploy.wire import Arm, Fault, Handshake, Hello, Mode, Ping, Pong, Position, Pwm, Reason, State
+from surefoot.deploy.wire.messages import Arm, Fault, Handshake, Hello, Mode, Ping, Pong, Position, Pwm, Reason, State
 from surefoot.emulator.hardware import PowerConfig, SensorConfig
 from surefoot.emulator.plant import Plant
 from surefoot.world.drive import set_drive_params

@@ -21,8 +21,8 @@ from surefoot.errors import SurefootError, at_least
 
 if TYPE_CHECKING:
     from surefoot.deploy.deployment import Deployment, Outcome
-    from surefoot.deploy.keeping import Kept
     from surefoot.deploy.pacer import Timing
+    from surefoot.deploy.recording.keeping import Kept
 
 SAFETY = 3
 """Exit code of a run that safety ended."""
@@ -76,7 +76,7 @@ def main(argv: list[str]) -> int:
     from surefoot.deploy.display import LiveDisplay, PlainLines
     from surefoot.deploy.realtime import undisturbed
     from surefoot.deploy.stop_signals import StopSignals
-    from surefoot.deploy.wire import Handshake
+    from surefoot.deploy.wire.messages import Handshake
     from surefoot.policy.runtime import PolicyRuntime
     from surefoot.robot import RobotDescription
 
@@ -111,10 +111,10 @@ def main(argv: list[str]) -> int:
 
 def _runs(command: DeployCommand, deployment: Deployment) -> tuple[list[dict[str, Any]], int]:
     """Run after run, until one ends early; returns what is to be told of each, and the exit code."""
-    from surefoot.deploy.keeping import Keeper
     from surefoot.deploy.moves import DOWN, UP
     from surefoot.deploy.pacer import Timing
-    from surefoot.deploy.partial import next_free
+    from surefoot.deploy.recording.keeping import Keeper
+    from surefoot.deploy.recording.partial import next_free
 
     contract = deployment.contract
     step = contract.control_step

@@ -15,7 +15,7 @@ from rich.text import Text
 from surefoot.cli.parsing import parse
 from surefoot.cli.policies import find_policy
 from surefoot.deploy.connection import open_connection
-from surefoot.deploy.doctor import Examination, examine
+from surefoot.deploy.doctor.examination import Examination, examine
 from surefoot.deploy.findings import Finding
 from surefoot.deploy.link import BAUD, LinkLostError
 from surefoot.errors import SurefootError, at_least

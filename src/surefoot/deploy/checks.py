@@ -13,7 +13,7 @@ import numpy as np
 
 from surefoot.deploy.contract_task import contradiction
 from surefoot.deploy.findings import Finding, refusal
-from surefoot.deploy.wire import Handshake
+from surefoot.deploy.wire.messages import Handshake
 from surefoot.errors import SurefootError, choices
 from surefoot.policy.contract import Contract
 from surefoot.robot import RobotDescription

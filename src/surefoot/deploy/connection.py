@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from surefoot.deploy.clock import Clock, LockstepClock, MonotonicClock
 from surefoot.deploy.clock_sync import ClockSync
 from surefoot.deploy.link import BAUD, Arrival, Link, SerialPort
-from surefoot.deploy.wire import (
+from surefoot.deploy.wire.messages import (
     VERSION,
     Arm,
     Bye,

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from surefoot.deploy.safety import check_finite
-from surefoot.deploy.wire import State
+from surefoot.deploy.wire.messages import State
 from surefoot.errors import SurefootError, choices
 from surefoot.policy.contract import Contract
 from surefoot.robot import RobotDescription

@@ -16,11 +16,11 @@ from surefoot.deploy.link import LinkLostError
 from surefoot.deploy.loop import ControlLoop, Watch
 from surefoot.deploy.moves import Moves
 from surefoot.deploy.pacer import Timing
-from surefoot.deploy.recorder import Recorder
+from surefoot.deploy.recording.recorder import Recorder
 from surefoot.deploy.safety import GO, Act, Guard, Verdict
 from surefoot.deploy.safety_limits import SafetyLimits
 from surefoot.deploy.stop_signals import StopSignals
-from surefoot.deploy.wire import Handshake, State
+from surefoot.deploy.wire.messages import Handshake, State
 from surefoot.errors import SurefootError
 
 Array = NDArray[np.float64]

@@ -14,8 +14,8 @@ from typing import Protocol
 import serial
 
 from surefoot.deploy.clock import Clock
-from surefoot.deploy.frames import Decoder, Frame, encode_frame
-from surefoot.deploy.wire import Codec, Handshake, Message, Ping, Pong
+from surefoot.deploy.wire.frames import Decoder, Frame, encode_frame
+from surefoot.deploy.wire.messages import Codec, Handshake, Message, Ping, Pong
 from surefoot.errors import SurefootError
 
 BAUD = 921_600

@@ -19,7 +19,7 @@ from surefoot.deploy.link import LinkLostError
 from surefoot.deploy.pacer import Pacer, Timing
 from surefoot.deploy.safety import GO, Act, Guard, NotFiniteError, Seen, Verdict
 from surefoot.deploy.stop_signals import StopSignals
-from surefoot.deploy.wire import State
+from surefoot.deploy.wire.messages import State
 from surefoot.errors import SurefootError
 
 Array = NDArray[np.float64]

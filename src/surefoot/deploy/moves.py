@@ -13,7 +13,7 @@ from surefoot.deploy.controller import Controller
 from surefoot.deploy.loop import ControlLoop
 from surefoot.deploy.poses import between, lying, pose, sitting
 from surefoot.deploy.safety import GO, Act, Verdict
-from surefoot.deploy.wire import Fault, Handshake, Mode, Reason, State
+from surefoot.deploy.wire.messages import Fault, Handshake, Mode, Reason, State
 from surefoot.errors import SurefootError
 
 Array = NDArray[np.float64]

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from surefoot.deploy.safety_limits import SafetyLimits
-from surefoot.deploy.wire import Mode, Reason, State
+from surefoot.deploy.wire.messages import Mode, Reason, State
 
 __all__ = ["GO", "Act", "Guard", "NotFiniteError", "SafetyLimits", "Seen", "Verdict", "check_finite", "is_finite"]
 

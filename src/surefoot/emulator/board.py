@@ -8,8 +8,8 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.deploy.frames import Frame, encode_frame
-from surefoot.deploy.wire import Codec, Handshake, Mode
+from surefoot.deploy.wire.frames import Frame, encode_frame
+from surefoot.deploy.wire.messages import Codec, Handshake, Mode
 from surefoot.emulator.faults import Fault, line_config
 from surefoot.emulator.firmware import Firmware
 from surefoot.emulator.limits import Limits

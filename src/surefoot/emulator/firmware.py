@@ -19,8 +19,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from surefoot.deploy.frames import Decoder, Frame
-from surefoot.deploy.wire import (
+from surefoot.deploy.wire.frames import Decoder, Frame
+from surefoot.deploy.wire.messages import (
     Arm,
     Bye,
     Codec,

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.deploy.wire import Handshake
+from surefoot.deploy.wire.messages import Handshake
 from surefoot.robot import RobotDescription
 
 ANGLE_ROOM = 1.0

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from surefoot.actuator.servo import servo_duty
 from surefoot.deploy.poses import SIT_EXTENSION
-from surefoot.deploy.wire import Mode
+from surefoot.deploy.wire.messages import Mode
 from surefoot.emulator.hardware import PowerConfig, SensorConfig, power_tick
 from surefoot.emulator.limits import Limits
 from surefoot.emulator.signals import MotorOrder, Sensors, Vitals

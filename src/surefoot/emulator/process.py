@@ -7,8 +7,8 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from surefoot.deploy.frames import Decoder
-from surefoot.deploy.wire import Codec
+from surefoot.deploy.wire.frames import Decoder
+from surefoot.deploy.wire.messages import Codec
 from surefoot.emulator.board import Board
 from surefoot.emulator.lockstep_time import LockstepTime
 from surefoot.emulator.pty_port import PtyPort

@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.deploy.frames import Frame
-from surefoot.deploy.wire import Handshake, State
+from surefoot.deploy.wire.frames import Frame
+from surefoot.deploy.wire.messages import Handshake, State
 from surefoot.emulator.faults import RATES, Fault
 from surefoot.emulator.plant import Plant
 from surefoot.emulator.signals import MotorOrder, Sensors

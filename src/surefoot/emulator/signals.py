@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.deploy.wire import Mode
+from surefoot.deploy.wire.messages import Mode
 
 Array = NDArray[np.float64]
 

@@ -11,9 +11,21 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from surefoot.deploy.frames import MAX_FRAME, Counts, Decoder, Frame, encode_frame, frame_bytes
-from surefoot.deploy.protocol_examples import EXAMPLES, Example
-from surefoot.deploy.wire import HEADER, MESSAGES, VERSION, Codec, Fault, Handshake, Ping, Pong, Position, Reason, State
+from surefoot.deploy.wire.examples import EXAMPLES, Example
+from surefoot.deploy.wire.frames import MAX_FRAME, Counts, Decoder, Frame, encode_frame, frame_bytes
+from surefoot.deploy.wire.messages import (
+    HEADER,
+    MESSAGES,
+    VERSION,
+    Codec,
+    Fault,
+    Handshake,
+    Ping,
+    Pong,
+    Position,
+    Reason,
+    State,
+)
 
 CODEC = Codec(8)
 PING = encode_frame(CODEC, Ping(1), 2, 0.001)

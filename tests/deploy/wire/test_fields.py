@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from surefoot.deploy.fields import CODES, MOTORS, Layout, Wire, wire, wires
+from surefoot.deploy.wire.fields import CODES, MOTORS, Layout, Wire, wire, wires
 
 
 @dataclass(frozen=True)

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from surefoot.deploy.frames import encode_frame
-from surefoot.deploy.wire import (
+from surefoot.deploy.wire.frames import encode_frame
+from surefoot.deploy.wire.messages import (
     Arm,
     Bye,
     Codec,

@@ -12,10 +12,10 @@ from typing import Any
 
 import pytest
 
-import surefoot.deploy.frames
-from surefoot.deploy.wire import Codec
+import surefoot.deploy.wire.frames
+from surefoot.deploy.wire.messages import Codec
 
-SCRIPT = Path(__file__).resolve().parents[2] / "benchmarks" / "link_soak.py"
+SCRIPT = Path(__file__).resolve().parents[3] / "benchmarks" / "link_soak.py"
 
 
 @pytest.fixture(scope="module")
@@ -52,7 +52,7 @@ def test_no_wrong_frame_is_taken_and_no_whole_one_is_lost():
 
 
 def test_the_soak_notices_a_receiver_without_a_checksum(link_soak: ModuleType, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(surefoot.deploy.frames, "zlib", SimpleNamespace(crc32=lambda data: 0))
+    monkeypatch.setattr(surefoot.deploy.wire.frames, "zlib", SimpleNamespace(crc32=lambda data: 0))
     result = link_soak.soak(3000, seed=0)
     assert result.wrong > 50
     assert not result.good

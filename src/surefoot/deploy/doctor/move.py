@@ -10,13 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.deploy.connection import RobotConnection
-from surefoot.deploy.doctor_rest import Sample
+from surefoot.deploy.doctor.rest import Sample
 from surefoot.deploy.loop import ControlLoop, Snapshot
 from surefoot.deploy.pacer import Timing
 from surefoot.deploy.poses import between, sitting
 from surefoot.deploy.safety import Act, Guard, SafetyLimits, Verdict
 from surefoot.deploy.stop_signals import StopSignals
-from surefoot.deploy.wire import Handshake, Mode, Reason, State
+from surefoot.deploy.wire.messages import Handshake, Mode, Reason, State
 from surefoot.errors import SurefootError
 from surefoot.robot import RobotDescription
 

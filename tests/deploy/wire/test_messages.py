@@ -13,9 +13,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from surefoot.deploy.fields import MOTORS, Wire, wires
-from surefoot.deploy.protocol_examples import EXAMPLES
-from surefoot.deploy.wire import (
+from surefoot.deploy.wire.examples import EXAMPLES
+from surefoot.deploy.wire.fields import MOTORS, Wire, wires
+from surefoot.deploy.wire.messages import (
     COMMANDS,
     HEADER,
     MAX_PAYLOAD,

@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.deploy.connection import RobotConnection
-from surefoot.deploy.doctor_move import MotionStoppedError, Moved, Mover
-from surefoot.deploy.doctor_response import WINDOW, fit_response
-from surefoot.deploy.doctor_rest import Sample
+from surefoot.deploy.doctor.move import MotionStoppedError, Moved, Mover
+from surefoot.deploy.doctor.response import WINDOW, fit_response
+from surefoot.deploy.doctor.rest import Sample
 from surefoot.deploy.findings import Finding
 from surefoot.deploy.stop_signals import StopSignals
 from surefoot.policy.contract import Contract

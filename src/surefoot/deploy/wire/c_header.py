@@ -1,9 +1,9 @@
 """The wire protocol as a C header, for a robot's firmware.
 
-    python -m surefoot.deploy.c_header --motors 8 --out docs/surefoot_wire.h
+    python -m surefoot.deploy.wire.c_header --motors 8 --out docs/surefoot_wire.h
 
 C99, nothing but the standard library's headers, no memory of its own: structs and constants from the definitions in
-`wire`, and the functions of wire_functions.h, which encode frames and find them in a stream.
+`wire`, and the functions of functions.h, which encode frames and find them in a stream.
 """
 
 from __future__ import annotations
@@ -14,14 +14,14 @@ import textwrap
 from collections.abc import Sequence
 from pathlib import Path
 
-from surefoot.deploy.fields import MOTORS, Wire
-from surefoot.deploy.frames import CRC_BYTES, MAX_FRAME, frame_bytes
-from surefoot.deploy.wire import HEADER, MESSAGES, VERSION, Codec, Message, Mode, Reason, Told
+from surefoot.deploy.wire.fields import MOTORS, Wire
+from surefoot.deploy.wire.frames import CRC_BYTES, MAX_FRAME, frame_bytes
+from surefoot.deploy.wire.messages import HEADER, MESSAGES, VERSION, Codec, Message, Mode, Reason, Told
 from surefoot.errors import SurefootError
 from surefoot.files import whole_file
 
 DEFAULT_MOTORS = 8
-FUNCTIONS = Path(__file__).with_name("wire_functions.h")
+FUNCTIONS = Path(__file__).with_name("functions.h")
 _TYPES = {
     **{"u8": "uint8_t", "i8": "int8_t", "u16": "uint16_t", "i16": "int16_t", "u32": "uint32_t"},
     **{"f32": "float", "text": "char"},
@@ -29,7 +29,7 @@ _TYPES = {
 _TOP = """\
 /* surefoot wire protocol, version {version}, for robots of {motors} motors. docs/wire-protocol.md says how to speak it.
  *
- * Made by `python -m surefoot.deploy.c_header --motors {motors}`: change the definitions, not this file.
+ * Made by `python -m surefoot.deploy.wire.c_header --motors {motors}`: change the definitions, not this file.
  *
  * A field's comment begins with what its number counts: [0.001 N m] makes 1500 stand for 1.5 N m. Texts are UTF-8, and
  * end at the first zero byte or at their full length. Structs go over the line as they lie in memory, so the
@@ -189,7 +189,9 @@ def _payload_size() -> str:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Print the header, or write it to a file."""
-    parser = argparse.ArgumentParser(prog="python -m surefoot.deploy.c_header", description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(
+        prog="python -m surefoot.deploy.wire.c_header", description=__doc__.splitlines()[0]
+    )
     parser.add_argument("--motors", type=int, default=DEFAULT_MOTORS, help="number of motors")
     parser.add_argument("--out", type=Path, help="file to write; printed, if not given")
     options = parser.parse_args(argv)

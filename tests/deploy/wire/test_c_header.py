@@ -19,15 +19,15 @@ import numpy as np
 import pytest
 from cobs import cobs
 
-from surefoot.deploy.c_header import c_header, main
-from surefoot.deploy.fields import wires
-from surefoot.deploy.frames import CRC_BYTES, MAX_FRAME, Decoder, encode_frame
-from surefoot.deploy.protocol_examples import EXAMPLES
-from surefoot.deploy.wire import HEADER, MESSAGES, VERSION, Codec, Fault, Handshake, Message
+from surefoot.deploy.wire.c_header import c_header, main
+from surefoot.deploy.wire.examples import EXAMPLES
+from surefoot.deploy.wire.fields import wires
+from surefoot.deploy.wire.frames import CRC_BYTES, MAX_FRAME, Decoder, encode_frame
+from surefoot.deploy.wire.messages import HEADER, MESSAGES, VERSION, Codec, Fault, Handshake, Message
 from surefoot.errors import SurefootError
 
 HERE = Path(__file__).resolve().parent
-ROOT = HERE.parents[1]
+ROOT = HERE.parents[2]
 CODEC = Codec(8)
 CC = shutil.which("cc")
 needs_cc = pytest.mark.skipif(CC is None, reason="no C compiler on this machine")
@@ -121,7 +121,7 @@ def link_soak() -> ModuleType:
 
 def test_the_header_in_docs_is_the_one_that_is_made():
     committed = (ROOT / "docs" / "surefoot_wire.h").read_text(encoding="utf-8")
-    assert committed == c_header(8), "run: python -m surefoot.deploy.c_header --out docs/surefoot_wire.h"
+    assert committed == c_header(8), "run: python -m surefoot.deploy.wire.c_header --out docs/surefoot_wire.h"
 
 
 def test_the_command_prints_or_writes_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]):

@@ -16,7 +16,7 @@ from typing import ClassVar, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.deploy.fields import MOTORS, Layout, wire
+from surefoot.deploy.wire.fields import MOTORS, Layout, wire
 from surefoot.errors import SurefootError
 
 Array = NDArray[np.float64]

@@ -9,13 +9,13 @@ import numpy as np
 
 from surefoot.deploy.checks import check_contract
 from surefoot.deploy.connection import RobotConnection
-from surefoot.deploy.doctor_computer import NAMES as COMPUTER
-from surefoot.deploy.doctor_computer import STEPS, check_computer, time_inference, time_loop
-from surefoot.deploy.doctor_ground import NAMES as GROUND
-from surefoot.deploy.doctor_ground import tilt_robot
-from surefoot.deploy.doctor_link import PINGS, check_link, measure_link
-from surefoot.deploy.doctor_rack import wiggle_motors
-from surefoot.deploy.doctor_rest import Sample, check_rest, watch
+from surefoot.deploy.doctor.computer import NAMES as COMPUTER
+from surefoot.deploy.doctor.computer import STEPS, check_computer, time_inference, time_loop
+from surefoot.deploy.doctor.ground import NAMES as GROUND
+from surefoot.deploy.doctor.ground import tilt_robot
+from surefoot.deploy.doctor.link import PINGS, check_link, measure_link
+from surefoot.deploy.doctor.rack import wiggle_motors
+from surefoot.deploy.doctor.rest import Sample, check_rest, watch
 from surefoot.deploy.findings import Finding
 from surefoot.deploy.link import LinkLostError
 from surefoot.deploy.realtime import undisturbed

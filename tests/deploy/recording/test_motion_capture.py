@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from surefoot.deploy.motion_capture import base_and_feet, read_capture, yaw_of
+from surefoot.deploy.recording.motion_capture import base_and_feet, read_capture, yaw_of
 from surefoot.errors import SurefootError
 
 LEGS = ("left", "right")

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.deploy.safety import is_finite
-from surefoot.deploy.wire import State
+from surefoot.deploy.wire.messages import State
 from surefoot.task.partial_trace import Layout
 
 Array = NDArray[np.float64]

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 from cobs import cobs
 
-from surefoot.deploy.wire import HEADER, VERSION, Codec, Message
+from surefoot.deploy.wire.messages import HEADER, VERSION, Codec, Message
 
 MAX_FRAME = 1024
 """Bytes between two zeros beyond which nothing can be a frame: `MAX_PAYLOAD`, header, CRC-32, and what COBS adds."""

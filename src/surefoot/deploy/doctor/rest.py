@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.deploy.connection import RobotConnection
-from surefoot.deploy.doctor_link import listen
+from surefoot.deploy.doctor.link import listen
 from surefoot.deploy.findings import Finding
 from surefoot.deploy.safety import SafetyLimits
-from surefoot.deploy.wire import Handshake, State
+from surefoot.deploy.wire.messages import Handshake, State
 from surefoot.robot import RobotDescription
 
 Array = NDArray[np.float64]

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.deploy.connection import RobotConnection
-from surefoot.deploy.doctor_move import MotionStoppedError, Mover
-from surefoot.deploy.doctor_rest import Sample
+from surefoot.deploy.doctor.move import MotionStoppedError, Mover
+from surefoot.deploy.doctor.rest import Sample
 from surefoot.deploy.findings import Finding
 from surefoot.deploy.poses import pose
 from surefoot.deploy.stop_signals import StopSignals

@@ -13,20 +13,20 @@ import pytest
 pytest.importorskip("numba")  # the toy robot runs the emulator's firmware
 
 from surefoot.cli.policies import find_policy
-from surefoot.deploy import doctor_rack
 from surefoot.deploy.connection import RobotConnection
-from surefoot.deploy.doctor import RACK, Examination, examine
-from surefoot.deploy.doctor_computer import check_computer, time_inference
-from surefoot.deploy.doctor_ground import Tilted, check_tilts, tilted
-from surefoot.deploy.doctor_link import LinkFigures, bursts, check_link, measure_link, rate
-from surefoot.deploy.doctor_move import MotionStoppedError, Mover
-from surefoot.deploy.doctor_rack import Wiggle, check_motors, check_response, trained_latencies
-from surefoot.deploy.doctor_response import fit_response
-from surefoot.deploy.doctor_rest import Sample, check_rest
+from surefoot.deploy.doctor import rack as doctor_rack
+from surefoot.deploy.doctor.computer import check_computer, time_inference
+from surefoot.deploy.doctor.examination import RACK, Examination, examine
+from surefoot.deploy.doctor.ground import Tilted, check_tilts, tilted
+from surefoot.deploy.doctor.link import LinkFigures, bursts, check_link, measure_link, rate
+from surefoot.deploy.doctor.move import MotionStoppedError, Mover
+from surefoot.deploy.doctor.rack import Wiggle, check_motors, check_response, trained_latencies
+from surefoot.deploy.doctor.response import fit_response
+from surefoot.deploy.doctor.rest import Sample, check_rest
 from surefoot.deploy.findings import Finding
 from surefoot.deploy.poses import sitting
 from surefoot.deploy.safety import SafetyLimits
-from surefoot.deploy.wire import Mode, State
+from surefoot.deploy.wire.messages import Mode, State
 from surefoot.policy.runtime import PolicyRuntime
 from surefoot.robot import RobotDescription
 

@@ -1,6 +1,6 @@
 """The parts of docs/wire-protocol.md that follow from the definitions: tables, sizes, test vectors.
 
-    python -m surefoot.deploy.protocol_document
+    python -m surefoot.deploy.wire.document
 
 They stand between markers, `<!-- begin: NAME -->` and `<!-- end: NAME -->`, and are written anew; the prose around
 them is left as it is.
@@ -18,11 +18,11 @@ from typing import Any
 import numpy as np
 from cobs import cobs
 
-from surefoot.deploy.fields import Wire
-from surefoot.deploy.frames import CRC_BYTES, frame_bytes
 from surefoot.deploy.link import BAUD
-from surefoot.deploy.protocol_examples import EXAMPLES, MOTORS, Example
-from surefoot.deploy.wire import HEADER, MESSAGES, Codec, Message, Mode, Ping, Position, Reason, State, Told
+from surefoot.deploy.wire.examples import EXAMPLES, MOTORS, Example
+from surefoot.deploy.wire.fields import Wire
+from surefoot.deploy.wire.frames import CRC_BYTES, frame_bytes
+from surefoot.deploy.wire.messages import HEADER, MESSAGES, Codec, Message, Mode, Ping, Position, Reason, State, Told
 from surefoot.errors import SurefootError
 from surefoot.files import whole_file
 
@@ -152,7 +152,7 @@ def _value(value: Any) -> str:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Write the parts of the document anew."""
-    parser = argparse.ArgumentParser(prog="python -m surefoot.deploy.protocol_document", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m surefoot.deploy.wire.document", description=__doc__)
     parser.add_argument("file", type=Path, nargs="?", default=DOCUMENT, help="default: %(default)s")
     options = parser.parse_args(argv)
     try:

@@ -10,15 +10,15 @@ from pathlib import Path
 
 import pytest
 
-from surefoot.deploy.fields import wires
-from surefoot.deploy.frames import MAX_FRAME, Decoder
 from surefoot.deploy.link import BAUD
-from surefoot.deploy.protocol_document import link_share, main, renewed, sections
-from surefoot.deploy.protocol_examples import EXAMPLES
-from surefoot.deploy.wire import HEADER, MESSAGES, VERSION, Codec, Mode, Reason
+from surefoot.deploy.wire.document import link_share, main, renewed, sections
+from surefoot.deploy.wire.examples import EXAMPLES
+from surefoot.deploy.wire.fields import wires
+from surefoot.deploy.wire.frames import MAX_FRAME, Decoder
+from surefoot.deploy.wire.messages import HEADER, MESSAGES, VERSION, Codec, Mode, Reason
 from surefoot.errors import SurefootError
 
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path(__file__).resolve().parents[3]
 DOCUMENT = ROOT / "docs" / "wire-protocol.md"
 TEXT = DOCUMENT.read_text(encoding="utf-8")
 
@@ -29,13 +29,13 @@ def part(name: str) -> str:
 
 
 def test_the_document_is_as_it_would_be_made_anew():
-    assert renewed(TEXT, sections()) == TEXT, "run: python -m surefoot.deploy.protocol_document"
+    assert renewed(TEXT, sections()) == TEXT, "run: python -m surefoot.deploy.wire.document"
 
 
 def test_the_command_writes_it_anew(tmp_path: Path):
     stale = tmp_path / "wire-protocol.md"
     stale.write_text(TEXT.replace(part("bandwidth"), "\nold\n").replace(part("vectors"), ""), encoding="utf-8")
-    command = [sys.executable, "-m", "surefoot.deploy.protocol_document", str(stale)]
+    command = [sys.executable, "-m", "surefoot.deploy.wire.document", str(stale)]
     done = subprocess.run(command, capture_output=True, text=True, timeout=60)
     assert done.returncode == 0, done.stderr
     assert stale.read_text(encoding="utf-8") == TEXT
