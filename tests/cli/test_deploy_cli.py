@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import json
 import os
-import pty
 import signal
 import subprocess
 import sys
@@ -173,11 +172,10 @@ def test_without_a_folder_traces_go_to_deploy(emulator, tmp_path):
     assert (tmp_path / "deploy" / "run_000.npz").exists()
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
-def test_a_signal_lets_the_robot_sit_and_keeps_the_trace(number, emulator, tmp_path):
+def test_a_hangup_lets_the_robot_sit_and_keeps_the_trace(emulator, tmp_path):
     process = start_deploy(emulator(), "--duration", "60", "--out", str(tmp_path), "--json")
     time.sleep(0.3)
-    process.send_signal(number)
+    process.send_signal(signal.SIGHUP)
     told, said = process.communicate(timeout=PATIENCE)
     assert process.returncode == 0, said
     (run,) = json.loads(told)["runs"]
@@ -186,32 +184,6 @@ def test_a_signal_lets_the_robot_sit_and_keeps_the_trace(number, emulator, tmp_p
     trace = EpisodeTrace.load(tmp_path / "run_000.npz")
     assert trace.meta["ended"] == "stopped"
     assert 0 < trace.num_steps < 10_000
-
-
-def test_ctrl_c_twice_damps_at_once(emulator, tmp_path):
-    process = start_deploy(emulator(), "--duration", "60", "--out", str(tmp_path), "--json")
-    process.send_signal(signal.SIGINT)
-    time.sleep(0.05)
-    process.send_signal(signal.SIGINT)
-    told, said = process.communicate(timeout=PATIENCE)
-    assert process.returncode == 3, said
-    assert "at once" in json.loads(told)["runs"][0]["what"]
-
-
-def test_a_terminal_that_closes_lets_the_robot_sit_and_keeps_the_trace(emulator, tmp_path):
-    port = emulator()
-    pid, terminal = pty.fork()
-    if pid == 0:
-        os.execv(sys.executable, deploy_command(port, "--duration", "60", "--out", str(tmp_path)))
-    drawn = b""
-    end = time.monotonic() + PATIENCE
-    while b"run, " not in drawn and time.monotonic() < end:
-        drawn += os.read(terminal, 65_536)
-    assert b"battery" in drawn
-    os.close(terminal)
-    _, status = os.waitpid(pid, 0)
-    assert os.waitstatus_to_exitcode(status) == 0
-    assert EpisodeTrace.load(tmp_path / "run_000.npz").meta["ended"] == "stopped"
 
 
 def test_a_killed_host_leaves_its_run_behind(emulator, tmp_path):
@@ -227,43 +199,6 @@ def test_a_killed_host_leaves_its_run_behind(emulator, tmp_path):
     ((path, found),) = find_traces(tmp_path)
     assert path.name == "run_000.npz.partial"
     assert found.num_steps == trace.num_steps
-
-
-def test_a_full_disk_stops_recording_and_the_robot_goes_on(emulator, tmp_path):
-    def small_files() -> None:
-        import resource
-
-        resource.setrlimit(resource.RLIMIT_FSIZE, (50_000, resource.RLIM_INFINITY))
-
-    port = emulator()
-    done = deploy(port, "--duration", "2.4", "--out", str(tmp_path), "--json", preexec_fn=small_files)
-    assert done.returncode == 3, done.stderr
-    assert "surefoot: recording stopped: File too large; the robot goes on" in done.stderr
-    (run,) = json.loads(done.stdout)["runs"]
-    assert (run["ended"], run["steps"], run["trace"]) == ("time", 400, None)
-    assert any("can't be written: File too large" in note for note in run["notes"])
-    assert recover(tmp_path / "run_000.npz.partial").num_steps > 50
-
-
-def test_a_cable_that_is_pulled_ends_with_3_and_keeps_the_trace(emulator, tmp_path):
-    done = deploy(emulator("--fault", "unplug=6.5"), "--out", str(tmp_path), "--json")
-    assert done.returncode == 3, done.stderr
-    (run,) = json.loads(done.stdout)["runs"]
-    assert run["ended"] == "fault"
-    assert 0 < EpisodeTrace.load(tmp_path / "run_000.npz").num_steps < 1000
-
-
-def test_a_second_operator_is_refused_and_the_first_goes_on(emulator, tmp_path):
-    port = emulator()
-    first = start_deploy(port, "--duration", "60", "--out", str(tmp_path))
-    second = deploy(port, "--out", str(tmp_path))
-    assert second.returncode == 2
-    assert second.stderr.splitlines()[-1] == (
-        f"surefoot: error: port {port}: another program has it; one operator at a time"
-    )
-    first.send_signal(signal.SIGINT)
-    first.communicate(timeout=PATIENCE)
-    assert first.returncode == 0
 
 
 def test_motion_capture_that_is_missing_costs_only_the_base(emulator, tmp_path):
