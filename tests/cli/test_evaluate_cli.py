@@ -296,7 +296,7 @@ def test_a_robot_that_nobody_sees_still_tells_its_power(recorded: tuple[Path, di
 @pytest.mark.parametrize(
     ("words", "parts"),
     [
-        ((), ("no policy and no --trace is given",)),
+        ((), ("no POLICY and no --trace is given",)),
         (("trot", "--trace", "run.npz"), ("--trace and a policy are given",)),
         (("--trace", "run.npz", "--seed", "3"), ("--trace and --seed are given",)),
         (("--trace", "run.npz", "--set", "voltage=15"), ("--trace and --set are given",)),

@@ -72,7 +72,7 @@ def main(argv: list[str]) -> int:
     if command.trace:
         return _recorded(command, bool(ranges.ranges))
     if command.policy is None:
-        raise SurefootError("no policy and no --trace is given; give one of them")
+        raise SurefootError("no POLICY and no --trace is given; give one of them")
     for name, number, least in (("episodes", command.episodes, 1), ("threads", command.threads, 0)):
         at_least(name, number, least)
     from surefoot.cli.policies import adjust_task, find_policy, find_world, load_policy
