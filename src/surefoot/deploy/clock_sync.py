@@ -13,15 +13,20 @@ class ClockSync:
     """The least difference between arrival here and sending there, over the last `WINDOW` seconds.
 
     The frame that came quickest is taken to have come at once: what is told is how much later than the quickest one
-    a frame is, never how long the quickest one took.
+    a frame is, never how long the quickest one took. The robot judges the age of commands by the same, the other way
+    round.
+
+    Args:
+        second: a second in the unit of all times given: 1, or 1,000,000 for whole microseconds.
     """
 
-    def __init__(self) -> None:
-        self._buckets: deque[tuple[int, float]] = deque()
+    def __init__(self, second: int = 1) -> None:
+        self._second = second
+        self._buckets: deque[tuple[float, float]] = deque()
 
     def add(self, sent: float, arrived: float) -> None:
         """Take a frame: sent on the robot's clock [s], arrived on this computer's [s]."""
-        second, difference = math.floor(arrived), arrived - sent
+        second, difference = arrived // self._second, arrived - sent
         if self._buckets and self._buckets[-1][0] == second:
             difference = min(difference, self._buckets.pop()[1])
         self._buckets.append((second, difference))

@@ -58,8 +58,6 @@ class RobotConnection:
         """The newest state."""
         self.state_sent = 0.0
         """When it was sent, on the robot's clock [s]."""
-        self.state_arrived = 0.0
-        """When it came, on this computer's clock [s]."""
         self.states = 0
         """States that have come."""
         self.faults: list[Fault] = []
@@ -132,7 +130,7 @@ class RobotConnection:
             elif isinstance(message, Pong):
                 self.pongs[message.token] = arrival
             elif isinstance(message, State):
-                self.state, self.state_sent, self.state_arrived = message, arrival.frame.time, arrival.time
+                self.state, self.state_sent = message, arrival.frame.time
                 self.states += 1
                 if self.on_state is not None:
                     self.on_state(message, arrival.frame.time, arrival.time)

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable
-
 import numpy as np
 from numpy.typing import NDArray
 
+from surefoot.deploy.arming import Arming
 from surefoot.deploy.connection import RobotConnection
 from surefoot.deploy.controller import Controller
 from surefoot.deploy.loop import ControlLoop
 from surefoot.deploy.poses import between, lying, pose, sitting
 from surefoot.deploy.safety import GO, Act, Verdict
-from surefoot.deploy.wire.messages import Fault, Handshake, Mode, Reason, State
+from surefoot.deploy.wire.messages import Handshake, Mode, State
 from surefoot.errors import SurefootError
 
 Array = NDArray[np.float64]
@@ -31,8 +29,7 @@ DOWN = max(DROP + REST, SIT)
 """Longest time [s] from the policy's end to disarming."""
 STILL_SPEED = 0.5
 """Speed [rad/s] of motors and base below which a fallen robot lies still."""
-_STILL_PATIENCE, _ANSWER, _PING, _ATTEMPTS = 5.0, 0.3, 0.02, 5
-_CLEAN_MARGIN = 0.1
+_STILL_PATIENCE = 5.0
 
 
 class Moves:
@@ -50,6 +47,7 @@ class Moves:
     ) -> None:
         self.connection, self.controller, self.loop, self.handshake = connection, controller, loop, handshake
         self.robot, self.contract = controller.robot, controller.contract
+        self.arming = Arming(connection, handshake, self.contract.control_step)
         self.standing = pose(self.robot, *self.contract.rest)
 
     def _state(self) -> State:
@@ -64,62 +62,19 @@ class Moves:
             SurefootError: the robot does not arm; says why.
         """
         self.loop.watch.phase("arm", 0.0)
-        state = self._state()
-        if state.mode == Mode.FAULT or state.reason != Reason.NONE:
-            self._keep_talking(lambda: False, self._clean_time)
-        refusal = self._ask_to_arm()
-        if refusal is not None and refusal.reason == Reason.NOT_CLEAN:
-            self._keep_talking(lambda: False, self._clean_time)
-            refusal = self._ask_to_arm()
-        if self._state().mode != Mode.POSITION:
-            self.connection.disarm()
-            raise SurefootError(f"the robot does not arm: {refusal.text if refusal is not None else 'no answer'}")
-
-    def _ask_to_arm(self) -> Fault | None:
-        """Ask until there is an answer, since frames may be lost; what the robot has against it, if it says so."""
-        connection = self.connection
-        asked = len(connection.faults)
-        self._ask_until(
-            lambda: connection.arm(Mode.POSITION, self.contract.control_step),
-            lambda: self._state().mode == Mode.POSITION or len(connection.faults) > asked,
-        )
-        return connection.faults[-1] if len(connection.faults) > asked else None
-
-    @property
-    def _clean_time(self) -> float:
-        """Time [s] for which a damped robot wants a clean link, and a little more."""
-        return self.handshake.rearm_after + _CLEAN_MARGIN
-
-    def _keep_talking(self, condition: Callable[[], bool], timeout: float) -> bool:
-        """Wait until a condition holds, and ping meanwhile, so that the link is seen to be clean."""
-        clock, last = self.connection.clock, -math.inf
-
-        def ping() -> None:
-            nonlocal last
-            if clock.now() - last >= _PING:
-                last = clock.now()
-                self.connection.link.ping()
-
-        return self.connection.wait_for(condition, timeout, ping)
+        self.arming.arm()
 
     def disarm(self) -> Verdict:
         """End commands in good order."""
         self.loop.watch.phase("disarm", 0.0)
-        if self._ask_until(self.connection.disarm, lambda: self._state().mode != Mode.POSITION):
+        if self.arming.ask_until(self.connection.disarm, lambda: self._state().mode != Mode.POSITION):
             return GO
         self.loop.damp()
         return Verdict(Act.DAMP, "disarm", "the robot does not say that it has disarmed")
 
     def confirm_damped(self) -> None:
         """Ask for damped motors until the robot says so; frames may be lost."""
-        self._ask_until(self.loop.damp, lambda: self._state().mode != Mode.POSITION)
-
-    def _ask_until(self, ask: Callable[[], None], condition: Callable[[], bool]) -> bool:
-        for _ in range(_ATTEMPTS):
-            ask()
-            if self.connection.wait_for(condition, _ANSWER / _ATTEMPTS):
-                return True
-        return False
+        self.arming.ask_until(self.loop.damp, lambda: self._state().mode != Mode.POSITION)
 
     # Ways from pose to pose.
 
@@ -186,14 +141,14 @@ class Moves:
         self.confirm_damped()
         self.loop.watch.phase("lie still", _STILL_PATIENCE)
         clock = self.connection.clock
-        earliest = clock.now() + self._clean_time
+        earliest = clock.now() + self.arming.clean_time
 
         def still() -> bool:
             state = self._state()
             speed = max(np.abs(state.motor_velocity).max(), np.abs(state.angular_velocity_base).max())
             return clock.now() >= earliest and bool(speed < STILL_SPEED)
 
-        if not self._keep_talking(still, _STILL_PATIENCE):
+        if not self.arming.keep_talking(still, _STILL_PATIENCE):
             return "it does not come to rest and stays damped"
         if np.abs(self._state().roll_pitch_yaw[:2]).max() > self.handshake.tilt_limit:
             return "it lies on its side and stays damped"

@@ -16,8 +16,6 @@ from numpy.typing import ArrayLike
 from surefoot.deploy.safety_limits import SafetyLimits
 from surefoot.deploy.wire.messages import Mode, Reason, State
 
-__all__ = ["GO", "Act", "Guard", "NotFiniteError", "SafetyLimits", "Seen", "Verdict", "check_finite", "is_finite"]
-
 _ROUNDING = 1e-6
 
 

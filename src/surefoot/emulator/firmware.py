@@ -194,7 +194,7 @@ class Firmware:
 
     # Commands.
 
-    def _obey(self, now: int, number: int, message: Position | Pwm, age: int) -> None:
+    def _obey(self, now: int, number: int, message: Position | Pwm, age: float) -> None:
         position = isinstance(message, Position)
         values = message.target if isinstance(message, Position) else message.duty
         if self.mode != (Mode.POSITION if position else Mode.PWM):

@@ -2,11 +2,7 @@
 
 from __future__ import annotations
 
-from collections import deque
-
-WINDOW = 10_000_000
-"""Time [us] over which the least difference of the two clocks is kept; quartz clocks part by less than 1 ms in it."""
-_BUCKET = 1_000_000
+from surefoot.deploy.clock_sync import ClockSync
 
 
 class LinkWatch:
@@ -25,12 +21,12 @@ class LinkWatch:
         self.old_numbers = 0
         """Frames dropped because their number was not above the last one taken."""
         self._clean_since: int | None = None
-        self._least: deque[tuple[int, int]] = deque()
+        self._sync = ClockSync(second=1_000_000)
 
     def restart(self) -> None:
         """Another session: its numbers and its clock are new."""
         self.last_number = 0
-        self._least.clear()
+        self._sync.forget()
         self._clean_since = None
 
     def takes(self, number: int) -> bool:
@@ -57,18 +53,11 @@ class LinkWatch:
             return 0
         return now - self._clean_since
 
-    def age(self, now: int, sent: int) -> int:
+    def age(self, now: int, sent: int) -> float:
         """How old a frame is that was sent at `sent` on the operator's clock.
 
         The two clocks start at different times: the least difference between arrival and sending that was seen in the
         last ten seconds is taken for a frame that travelled in no time.
         """
-        difference, bucket = now - sent, now // _BUCKET
-        least = self._least
-        while least and least[0][0] < bucket - WINDOW // _BUCKET:
-            least.popleft()
-        if least and least[-1][0] == bucket:
-            least[-1] = (bucket, min(least[-1][1], difference))
-        else:
-            least.append((bucket, difference))
-        return difference - min(item[1] for item in least)
+        self._sync.add(sent, now)
+        return self._sync.age(sent, now)

@@ -8,12 +8,12 @@ from pathlib import Path
 
 import numpy as np
 
+from surefoot.deploy.recording.motion_capture import COLUMNS
 from surefoot.emulator.plant import Plant
 from surefoot.errors import SurefootError
 
 PERIOD = 5_000
 """Time between two rows [us]: 200 Hz."""
-COLUMNS = ("time", "x", "y", "z", "qw", "qx", "qy", "qz")
 _WRITE_EVERY = 0.05
 
 

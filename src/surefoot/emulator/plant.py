@@ -83,7 +83,6 @@ class Plant:
         self._count = np.ones(1, np.int64)
         self._row = np.empty(2 * motors + 6)
         self._order: MotorOrder | None = None
-        self._held: Array | None = None
         self.temperature = np.full(motors, self.power.ambient)
         self.energy = self._used = 0.0
         self._contact = np.zeros(len(robot.legs))

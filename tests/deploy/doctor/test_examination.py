@@ -25,7 +25,7 @@ from surefoot.deploy.doctor.response import fit_response
 from surefoot.deploy.doctor.rest import Sample, check_rest
 from surefoot.deploy.findings import Finding
 from surefoot.deploy.poses import sitting
-from surefoot.deploy.safety import SafetyLimits
+from surefoot.deploy.safety_limits import SafetyLimits
 from surefoot.deploy.wire.messages import Mode, State
 from surefoot.policy.runtime import PolicyRuntime
 from surefoot.robot import RobotDescription

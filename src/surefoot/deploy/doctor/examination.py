@@ -19,7 +19,7 @@ from surefoot.deploy.doctor.rest import Sample, check_rest, watch
 from surefoot.deploy.findings import Finding
 from surefoot.deploy.link import LinkLostError
 from surefoot.deploy.realtime import undisturbed
-from surefoot.deploy.safety import SafetyLimits
+from surefoot.deploy.safety_limits import SafetyLimits
 from surefoot.deploy.stop_signals import StopSignals
 from surefoot.errors import SurefootError, choices
 from surefoot.policy.runtime import PolicyRuntime

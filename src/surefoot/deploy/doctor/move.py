@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from types import TracebackType
 
 import numpy as np
 from numpy.typing import NDArray
 
+from surefoot.deploy.arming import Arming
 from surefoot.deploy.connection import RobotConnection
 from surefoot.deploy.doctor.rest import Sample
 from surefoot.deploy.loop import ControlLoop, Snapshot
 from surefoot.deploy.pacer import Timing
 from surefoot.deploy.poses import between, sitting
-from surefoot.deploy.safety import Act, Guard, SafetyLimits, Verdict
+from surefoot.deploy.safety import Act, Guard, Verdict
+from surefoot.deploy.safety_limits import SafetyLimits
 from surefoot.deploy.stop_signals import StopSignals
-from surefoot.deploy.wire.messages import Handshake, Mode, Reason, State
+from surefoot.deploy.wire.messages import Handshake, Mode, State
 from surefoot.errors import SurefootError
 from surefoot.robot import RobotDescription
 
@@ -24,7 +25,6 @@ Array = NDArray[np.float64]
 
 SIT_TIME = 1.5
 """Time to sit down [s]."""
-_ANSWER, _PING, _CLEAN_MARGIN = 0.3, 0.02, 0.1
 
 
 class MotionStoppedError(RuntimeError):
@@ -102,6 +102,7 @@ class Mover:
         self.connection, self.robot, self.control_step, self.sits = connection, robot, control_step, sits
         self.handshake: Handshake = connection.handshake
         self.leash = leash
+        self._arming = Arming(connection, self.handshake, control_step)
         self.strayed: tuple[int, float] | None = None
         """Motor that left its way, and by how much [rad]."""
         guard = Guard(limits or SafetyLimits(), control_step, connection.session)
@@ -114,34 +115,11 @@ class Mover:
         """Arm: the servos hold the angles that they find."""
         self.connection.on_state = lambda state, sent, _: self._samples.append(Sample(sent, state))
         try:
-            self._arm()
+            self._arming.arm()
         except BaseException:
             self.connection.on_state = None
             raise
         return self
-
-    def _arm(self) -> None:
-        connection, state = self.connection, self._state()
-        if state.mode == Mode.FAULT or state.reason != Reason.NONE:
-            self._wait(lambda: False, self.handshake.rearm_after + _CLEAN_MARGIN)
-        asked = len(connection.faults)
-        connection.arm(Mode.POSITION, self.control_step)
-        connection.wait_for(lambda: self._state().mode == Mode.POSITION or len(connection.faults) > asked, _ANSWER)
-        if self._state().mode != Mode.POSITION:
-            why = connection.faults[-1].text if len(connection.faults) > asked else "no answer"
-            connection.disarm()
-            raise SurefootError(f"the robot does not arm: {why}")
-
-    def _wait(self, condition: Callable[[], bool], timeout: float) -> bool:
-        """Wait with pings, so that the link is seen to be clean."""
-        clock, last = self.connection.clock, [-1.0]
-
-        def ping() -> None:
-            if clock.now() - last[0] >= _PING:
-                last[0] = clock.now()
-                self.connection.link.ping()
-
-        return self.connection.wait_for(condition, timeout, ping)
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
@@ -162,24 +140,16 @@ class Mover:
 
     def _let_go(self, damp: bool) -> None:
         """Disarm or damp, again if there is no answer: frames may be lost."""
-        for _ in range(5):
-            if self._state().mode == Mode.FAULT:
-                return
-            if damp:
-                self._loop.damp()
-            else:
-                self.connection.disarm()
-            if self._wait(lambda: self._state().mode in (Mode.DISARMED, Mode.FAULT), _ANSWER / 5):
-                return
-        self._loop.damp()
+        if self._state().mode == Mode.FAULT:
+            return
+        ask = self._loop.damp if damp else self.connection.disarm
+        if not self._arming.ask_until(ask, lambda: self._state().mode in (Mode.DISARMED, Mode.FAULT)):
+            self._loop.damp()
 
     # Motions.
 
     def _state(self) -> State:
-        state = self.connection.state
-        if state is None:
-            raise SurefootError("the robot tells nothing of its state")
-        return state
+        return self.connection.last_state()
 
     def _present(self) -> Array:
         return self._loop.target if self._loop.target is not None else self._state().motor_angle

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from surefoot.deploy.connection import RobotConnection
 from surefoot.deploy.doctor.link import listen
 from surefoot.deploy.findings import Finding
-from surefoot.deploy.safety import SafetyLimits
+from surefoot.deploy.safety_limits import SafetyLimits
 from surefoot.deploy.wire.messages import Handshake, State
 from surefoot.robot import RobotDescription
 
