@@ -152,8 +152,8 @@ def _params(command: EmulateCommand, robot: RobotDescription) -> PhysicalParams:
 
 
 def _hidden(command: EmulateCommand, robot: RobotDescription, seed: int) -> PhysicalParams:
-    from surefoot.emulator.hidden import draw_hidden
     from surefoot.robot.params_file import write_params
+    from surefoot.task.hidden import draw_hidden
     from surefoot.task.randomize import load_ranges
 
     params = draw_hidden(robot, load_ranges("table1").ranges, seed)

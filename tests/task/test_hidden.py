@@ -5,12 +5,26 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from surefoot.emulator.hidden import PARAMS, SERVO_LATENCY, draw_hidden
 from surefoot.errors import SurefootError
 from surefoot.robot import PhysicalParams
+from surefoot.task.hidden import SERVO_LATENCY, draw_hidden
 from surefoot.task.randomize import ROWS, load_ranges
 
 RANGES = load_ranges("table1").ranges
+PARAMS = {
+    "mass": ("base_mass_ratio", "leg_mass_ratio"),
+    "motor_friction": ("motor_friction",),
+    "inertia": ("base_inertia_ratio", "leg_inertia_ratio"),
+    "motor_strength": ("motor_strength",),
+    "latency": ("control_latency",),
+    "voltage": ("voltage",),
+    "contact_friction": ("contact_friction",),
+    "imu_bias": ("imu_bias",),
+    "imu_noise": ("imu_noise",),
+    "torque_constant": ("torque_constant",),
+    "resistance": ("resistance",),
+    "servo_latency": ("servo_latency",),
+}
 
 
 def test_every_number_is_within_its_range_and_the_rest_is_nominal(robot):
