@@ -114,6 +114,55 @@ def test_encoders_have_steps_and_sensors_noise_and_bias(robot):
     assert not truth.read(0.0, 0.0).angular_velocity_base.any()
 
 
+def test_torques_are_told_with_an_error_of_each_motors_own_and_noise(robot):
+    config = SensorConfig()
+    plant = Plant(robot, sensors=config, rack=True)
+    constant = Plant(robot, sensors=replace(config, torque_noise=0.0), rack=True)
+    torque = np.linspace(-3.5, 3.5, 8)
+    for each in (plant, constant):
+        each.world.drive.motor_torque[0] = torque
+    told = np.array([plant.read(0.0, 0.0).motor_torque for _ in range(4000)])
+    np.testing.assert_allclose(told.std(0), config.torque_noise, rtol=0.1)
+    # The mean of 4000 is known to .02 / sqrt(4000) = .0003 N m.
+    np.testing.assert_allclose(told.mean(0), constant.read(0.0, 0.0).motor_torque, atol=0.0015)
+
+
+def test_the_error_of_a_motors_torque_is_constant_and_of_the_size_stated(robot):
+    config, gains = replace(SensorConfig(), torque_noise=0.0), []
+    for seed in range(25):
+        plant = Plant(robot, seed=seed, sensors=config, rack=True)
+        for torque in (0.5, -2.0):
+            plant.world.drive.motor_torque[0] = torque
+            gains.append(plant.read(0.0, 0.0).motor_torque / torque)
+        np.testing.assert_allclose(gains[-1], gains[-2], rtol=1e-12)
+    # 200 motors: the standard deviation is known to 5 % of itself.
+    assert np.mean(gains) == pytest.approx(1.0, abs=4 * config.torque_gain / np.sqrt(200))
+    assert np.std(gains) == pytest.approx(config.torque_gain, rel=0.2)
+    assert len(np.unique(gains[0])) == 8
+
+
+def test_the_torques_error_is_in_nothing_else(robot):
+    exact = replace(SensorConfig(), torque_noise=0.0, torque_gain=0.0)
+    plant, truth = Plant(robot, seed=3), Plant(robot, seed=3, sensors=exact)
+    for step in range(200):
+        order = position(pose(robot, 0.0, 0.9 + 0.004 * step))
+        plant.step(order)
+        truth.step(order)
+        told, true = vars(plant.read(0.0, 0.0)), vars(truth.read(0.0, 0.0))
+        for name in told:
+            assert np.array_equal(told[name], true[name]) == (name != "motor_torque"), name
+        np.testing.assert_array_equal(true["motor_torque"], truth.world.drive.motor_torque[0])
+    np.testing.assert_array_equal(plant.capture().position, truth.capture().position)
+
+
+def test_ideal_sensors_tell_the_torque(robot):
+    plant = ideal(robot, rack=True)
+    plant.step(MotorOrder(Mode.PWM, np.full(8, 0.03)))
+    torque = plant.read(0.0, 0.0).motor_torque
+    assert torque.all()
+    np.testing.assert_array_equal(torque, plant.world.drive.motor_torque[0])
+
+
 def test_a_motor_that_gets_a_duty_turns_as_a_dc_motor_does(robot):
     plant = ideal(robot, rack=True)
     duty = np.zeros(8)

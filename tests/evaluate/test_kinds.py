@@ -193,6 +193,19 @@ def test_a_result_belongs_to_its_world(
     assert study.kept(policy, kind) is None
 
 
+def test_a_row_that_stays_nominal_is_no_part_of_a_result(policy: Path, rollouts: Rollouts) -> None:
+    result = study.evaluate(policy, "table1", find_world)
+    place = policy.parent / "evaluations" / "table1.json"
+    record = json.loads(place.read_text())
+    # As a version that knows other rows writes it.
+    record["of"]["ranges"]["play"] = None
+    place.write_text(json.dumps(record))
+    assert study.kept(policy, "table1") == result
+    record["of"]["ranges"]["play"] = [0.0, 0.1]
+    place.write_text(json.dumps(record))
+    assert study.kept(policy, "table1") is None
+
+
 def test_a_result_belongs_to_its_policy(policy: Path, rollouts: Rollouts, repository: Path) -> None:
     study.evaluate(policy, "gap", find_world)
     shutil.copy(repository / "policies" / "trot-robust.onnx", policy)

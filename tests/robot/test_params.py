@@ -43,6 +43,7 @@ def test_every_array_has_a_row_for_each_robot(params: PhysicalParams, name: str)
         ("servo_latency", 0.003),
         ("control_step", 0.006),
         ("contact_friction", 1.0),
+        ("contact_stiffness", 3000.0),
         ("imu_bias", 0.0),
         ("imu_noise", 0.0),
     ],

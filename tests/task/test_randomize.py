@@ -14,6 +14,7 @@ from scipy import stats
 from surefoot.configuration import from_mapping
 from surefoot.errors import SurefootError
 from surefoot.robot import PhysicalParams
+from surefoot.seeding import generators
 from surefoot.task.config import FeedbackConfig, TaskConfig, load_task
 from surefoot.task.env import LocomotionEnv
 from surefoot.task.randomize import (
@@ -41,7 +42,12 @@ TABLE_1 = {
     "imu_noise": (0.0, 0.05),
 }
 """Tan et al. 2018, table I, in SI units."""
-MORE = {"torque_constant": (0.08, 0.11), "resistance": (0.15, 0.22), "servo_latency": (0.0, 0.010)}
+MORE = {
+    "torque_constant": (0.08, 0.11),
+    "resistance": (0.15, 0.22),
+    "servo_latency": (0.0, 0.010),
+    "contact_stiffness": (1500.0, 6000.0),
+}
 FULL = RandomizeConfig(**TABLE_1, **MORE)
 NUMBERS = {
     **{row: 1 for row in ROWS},
@@ -95,12 +101,12 @@ def test_draws_are_uniform_over_the_range(many, row):
 
 def test_all_numbers_are_independent(many):
     drawn = np.array([np.concatenate([numbers(params, row) for row in ROWS], axis=1) for params in many])
-    assert drawn.shape == (40, 100, 23)
-    between = np.corrcoef(drawn.reshape(4000, 23), rowvar=False) - np.eye(23)
+    assert drawn.shape == (40, 100, 24)
+    between = np.corrcoef(drawn.reshape(4000, 24), rowvar=False) - np.eye(24)
     # The standard error of a correlation of 4000 pairs is .016; this is four of them.
     assert np.abs(between).max() < 0.064
     for first, second in ((drawn[:-1], drawn[1:]), (drawn[:, :-1], drawn[:, 1:])):  # episodes, and robots, in a row
-        for k in range(23):
+        for k in range(24):
             assert abs(np.corrcoef(first[..., k].ravel(), second[..., k].ravel())[0, 1]) < 0.064
 
 
@@ -169,6 +175,17 @@ def test_a_row_dropped_or_narrowed_leaves_the_others_draws(make_randomizer, row)
             was, now = getattr(drawn[0], name), getattr(drawn[2], name)
             # The same number from 0 to 1, over a quarter of the range.
             np.testing.assert_allclose((now - narrow[0]) / (narrow[1] - narrow[0]), (was - low) / width, atol=1e-12)
+
+
+def test_rows_that_draw_apart_leave_the_stream_as_it_was(make_randomizer):
+    randomizer, streams = make_randomizer(), generators(5, "randomize", 4)
+    for _ in range(3):
+        params = randomizer.draw(np.arange(4))
+        # In the rows' order: mass 2, motor friction 1, inertia 2, strength 8, control step, latency, voltage, ...
+        unit = np.array([stream.uniform(size=23) for stream in streams])
+        np.testing.assert_array_equal(params.base_mass_ratio, 0.8 + (1.2 - 0.8) * unit[:, 0])
+        np.testing.assert_array_equal(params.voltage, 14.0 + (16.8 - 14.0) * unit[:, 15])
+        np.testing.assert_array_equal(params.servo_latency, 0.010 * unit[:, 22])
 
 
 # --- drawn values, measured -------------------------------------------------------------------------------
@@ -451,6 +468,16 @@ def test_contact_friction_sets_where_feet_slide_and_how_they_slow():
     np.testing.assert_allclose(ratio[slide], mu[slide], rtol=1e-9)
 
 
+def test_contact_stiffness_is_what_feet_stand_on(robot):
+    env = make_env({"contact_stiffness": (1500.0, 6000.0)}, num_envs=16)
+    for _ in range(450):
+        env.world.step(env.world.resting_angles)
+    depth = robot.leg_geometry.foot_radius - env.world.foot_positions()[:, :, 2]
+    drawn = env.world.params.contact_stiffness
+    np.testing.assert_allclose(7.473 * 9.81 / depth.sum(axis=1), drawn, rtol=1e-3)
+    assert drawn.max() > 2 * drawn.min()
+
+
 def errors(env: LocomotionEnv, steps: int) -> np.ndarray:
     """Read roll, pitch and yaw less the true ones (steps, N, 3)."""
     path = []
@@ -635,7 +662,7 @@ def test_without_ranges_nothing_is_drawn(robot):
 def test_scaled_is_from_minus_one_to_one(make_randomizer, many):
     randomizer = make_randomizer()
     scaled = np.concatenate([randomizer.scaled(params) for params in many])
-    assert scaled.shape == (4000, 23)
+    assert scaled.shape == (4000, 24)
     assert np.abs(scaled).max() <= 1 + 1e-12
     assert np.all(scaled.min(axis=0) < -0.99)
     assert np.all(scaled.max(axis=0) > 0.99)

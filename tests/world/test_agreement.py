@@ -121,6 +121,17 @@ def test_standing_heights_agree(robot: RobotDescription):
     np.testing.assert_allclose(compression, WEIGHT / 3000, rtol=0.01)
 
 
+def test_feet_sink_in_by_the_weight_over_their_stiffness(robot: RobotDescription):
+    # 73.3 N on four feet of 1500, 3000 and 12000 N/m: 12.2, 6.1 and 1.5 mm each, in one batch.
+    stiffness = np.array([1500.0, 3000.0, 12_000.0])
+    for world in both(robot, 3, contact_stiffness=stiffness):
+        for _ in range(350):
+            world.step(world.resting_angles)
+        depth = robot.leg_geometry.foot_radius - world.foot_positions()[:, :, 2]
+        np.testing.assert_allclose(depth.sum(axis=1), WEIGHT / stiffness, rtol=0.01)
+        np.testing.assert_allclose(depth.mean(axis=1), [12.2e-3, 6.1e-3, 1.5e-3], atol=0.1e-3)
+
+
 def test_a_robot_in_the_air_answers_a_push_alike(robot: RobotDescription):
     # No contact: masses, inertias, loops, motors and the frames of base, force and rates, all at once.
     found = []

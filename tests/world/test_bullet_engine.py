@@ -47,6 +47,7 @@ def varied(num_envs: int) -> dict[str, np.ndarray]:
         "control_latency": draw.uniform(0, 0.04, num_envs),
         "servo_latency": draw.uniform(0, 0.01, num_envs),
         "imu_noise": draw.uniform(0, 0.05, num_envs),
+        "contact_stiffness": draw.uniform(1500, 6000, num_envs),
     }
 
 
@@ -93,19 +94,21 @@ def test_other_masses_than_the_files_are_refused(robot):
         pybullet.disconnect(client)
 
 
-def test_feet_have_the_sheets_contact_and_nothing_is_damped(make_world, robot):
-    engine = make_world(contact_friction=0.7).engine
+@pytest.mark.parametrize(("i", "friction", "stiffness"), [(0, 0.7, 3000.0), (1, 1.0, 5000.0)])
+def test_feet_have_their_robots_contact_and_nothing_is_damped(make_world, robot, i, friction, stiffness):
+    engine = make_world(2, contact_friction=[0.7, 1.0], contact_stiffness=[3000.0, 5000.0]).engine
+    client = engine._clients[i]
     for link in engine.model.links.values():
-        info = pybullet.getDynamicsInfo(engine.model.body, link, engine._clients[0])
+        info = pybullet.getDynamicsInfo(engine.model.body, link, client)
         foot = link in engine.model.feet
-        touches = bool(pybullet.getCollisionShapeData(engine.model.body, link, engine._clients[0]))
+        touches = bool(pybullet.getCollisionShapeData(engine.model.body, link, client))
         assert touches == (foot or link == -1)
         if touches:
-            assert info[1] == (0.7 if foot else 1.0)
+            assert info[1] == (friction if foot else 1.0)
         assert info[5] == 0.0
         if foot:
-            assert info[6:10] == (0.0, robot.contact.spinning_friction, 100.0, 3000.0)
-    assert pybullet.getDynamicsInfo(engine.model.ground, -1, engine._clients[0])[1] == 1.0
+            assert info[6:10] == (0.0, robot.contact.spinning_friction, 100.0, stiffness)
+    assert pybullet.getDynamicsInfo(engine.model.ground, -1, client)[1] == 1.0
 
 
 def test_a_loop_stays_closed_while_the_robot_trots(make_world, trot):
@@ -191,6 +194,7 @@ def test_on_the_rack_the_base_is_still_and_its_readings_zero(make_world, trot):
         ("voltage", 14.0),
         ("servo_latency", 0.0),
         ("contact_friction", 0.2),
+        ("contact_stiffness", 6000.0),
     ],
 )
 def test_the_parameter_changes_the_motion(make_world, trot, robot, name, value):
@@ -282,7 +286,7 @@ def test_a_state_goes_on_exactly_in_a_world_with_another_past(make_world, trot, 
 
 @pytest.mark.parametrize("force", [1e12, np.nan])
 def test_a_robot_that_diverges_is_put_back_and_sound_again(make_world, trot, assert_same, force):
-    values = {"base_mass_ratio": [1.0, 1.2], "contact_friction": [1.0, 0.6]}
+    values = {"base_mass_ratio": [1.0, 1.2], "contact_friction": [1.0, 0.6], "contact_stiffness": [3000.0, 2000.0]}
     world, other = make_world(2, **values), make_world(2, **values)
     world.push([[0.0, 0.0, 0.0], [force, 0.0, force]])
     world.step(trot(0))

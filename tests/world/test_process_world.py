@@ -33,6 +33,7 @@ def values(robot: RobotDescription) -> PhysicalParams:
         voltage=draw.uniform(14, 16.8, NUM),
         control_step=draw.uniform(0.003, 0.012, NUM),
         imu_noise=draw.uniform(0.01, 0.05, NUM),
+        contact_stiffness=draw.uniform(1500, 6000, NUM),
     )
 
 
@@ -118,6 +119,16 @@ def test_a_state_is_that_of_one_world_and_goes_on_in_any(robot, trot, assert_sam
     for k in range(7, 20):
         assert_same(spread.step(trot(k)), one.step(trot(k)))
     assert_same(spread.truth(), one.truth())
+
+
+def test_a_state_from_before_a_parameter_goes_on_with_its_nominal_value(robot, trot, assert_same, spread):
+    one = SimWorld(robot, NUM)
+    state = one.get_state()
+    del state["params"]["contact_stiffness"]
+    spread.set_state(state)
+    assert spread.params.contact_stiffness.tolist() == [3000.0] * NUM
+    for k in range(10):
+        assert_same(spread.step(trot(k)), one.step(trot(k)))
 
 
 def test_arrays_of_all_robots_are_known(robot):

@@ -32,6 +32,7 @@ def varied(num_envs: int) -> dict[str, np.ndarray]:
         "control_latency": draw.uniform(0, 0.04, num_envs),
         "servo_latency": draw.uniform(0, 0.01, num_envs),
         "imu_noise": draw.uniform(0, 0.05, num_envs),
+        "contact_stiffness": draw.uniform(1500, 6000, num_envs),
     }
 
 
@@ -121,6 +122,7 @@ def test_foot_positions_are_those_of_now(make_world, trot):
         ("servo_kd", 0.02),
         ("servo_latency", 0.0),
         ("contact_friction", 0.5),
+        ("contact_stiffness", 6000.0),
         ("control_step", 0.008),
     ],
 )
@@ -393,6 +395,19 @@ def test_a_state_taken_and_given_back_goes_on_alike(make_world, trot, assert_sam
         paths.append([*path, again.truth()])
     for a, b in zip(*paths, strict=True):
         assert_same(a, b)
+
+
+def test_a_state_from_before_a_parameter_goes_on_with_its_nominal_value(make_world, trot, assert_same):
+    world, other = make_world(2, voltage=[15.0, 16.0]), make_world(2, contact_stiffness=6000.0)
+    for k in range(20):
+        world.step(trot(k))
+    state = world.get_state()
+    del state["params"]["contact_stiffness"]
+    other.set_state(state)
+    assert other.params.contact_stiffness.tolist() == [3000.0, 3000.0]
+    assert other.params.voltage.tolist() == [15.0, 16.0]
+    for k in range(20, 40):
+        assert_same(world.step(trot(k)), other.step(trot(k)))
 
 
 def test_a_state_gives_back_noise_over_many_blocks(make_world, assert_same):

@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class SensorConfig:
-    """Encoders and IMU. Bias and noise of roll and pitch are physical parameters and stand there."""
+    """Encoders, IMU and current sensors. Bias and noise of roll and pitch are physical parameters and stand there."""
 
     encoder_step: float = 2 * math.pi / 2**14
     """Resolution of the motor angles [rad]: 14 bits a turn, as magnetic encoders of the AS5047 kind have."""
@@ -29,11 +29,17 @@ class SensorConfig:
     """Standard deviation of the angular velocity [rad/s]: .01 deg/s/sqrt(Hz) over a band of 300 Hz."""
     gyro_bias: float = 0.005
     """Standard deviation of the gyro's constant error [rad/s], drawn once: some .3 deg/s are left after calibration."""
+    torque_noise: float = 0.02
+    """Standard deviation of the motor torques [N m], which firmware computes from phase currents: some .2 A of noise
+    on these, at .1 N m/A."""
+    torque_gain: float = 0.01
+    """Standard deviation of the constant relative error of each motor's torque, drawn once: what calibration leaves of
+    the errors of current sense resistors (1 % parts) and of the torque curve."""
 
     @classmethod
     def ideal(cls) -> SensorConfig:
         """Sensors that tell the truth."""
-        return cls(0.0, 0.0, 0.0, 0.0)
+        return cls(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True)

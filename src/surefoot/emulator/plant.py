@@ -42,7 +42,7 @@ class Plant:
         robot: what to emulate.
         params: its physical parameters, one row; the control step is the host's and is not used.
         seed: of all noise.
-        sensors: encoders and IMU.
+        sensors: encoders, IMU and current sensors.
         power: battery and heat.
         rack: hold the base in the air.
         engine: makes the physics.
@@ -77,6 +77,8 @@ class Plant:
         motors = robot.num_motors
         self._noise = generator(seed, "emulated sensors")
         self._gyro_bias = self.sensors.gyro_bias * self._noise.standard_normal(3)
+        self._torque_noise = generator(seed, "emulated torque sensors")
+        self._torque_gain = 1.0 + self.sensors.torque_gain * self._torque_noise.standard_normal(motors)
         self._imu_bias, self._imu_noise = self.params.imu_bias[0], float(self.params.imu_noise[0])
         self._table = robot.torque_table
         self._voltage = float(self.params.voltage[0])
@@ -210,10 +212,13 @@ class Plant:
         rate = rate + self._gyro_bias
         if config.gyro_noise:
             rate = rate + config.gyro_noise * noise.standard_normal(3)
+        torque = self._torque_gain * self.world.drive.motor_torque[0]
+        if config.torque_noise:
+            torque += config.torque_noise * self._torque_noise.standard_normal(motors)
         return Sensors(
             motor_angle=angle,
             motor_velocity=speed,
-            motor_torque=self.world.drive.motor_torque[0].copy(),
+            motor_torque=torque,
             roll_pitch_yaw=tilt,
             angular_velocity_base=rate,
             energy=self.energy,

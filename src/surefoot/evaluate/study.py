@@ -21,8 +21,11 @@ def kept(policy: Path, kind: str) -> Result | None:
     """The kept result of an evaluation of a policy file as it is now; None if there is none that holds."""
     try:
         record = json.loads(_place(policy, kind).read_text(encoding="utf-8"))
-        return record["result"] if record["of"] == _identity(policy, kind) else None
-    except (OSError, ValueError, KeyError, TypeError):
+        of = record["of"]
+        if "ranges" in of:
+            of["ranges"] = _drawn(of["ranges"])
+        return record["result"] if of == _identity(policy, kind) else None
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
         return None
 
 
@@ -71,5 +74,10 @@ def _identity(policy: Path, kind: str) -> dict[str, Any]:
     """What a result belongs to: the policy file and everything that decides what is done with it."""
     settings = dict(KINDS[kind].settings)
     if "ranges" in settings:
-        settings["ranges"] = to_mapping(load_ranges(settings["ranges"]))
+        settings["ranges"] = _drawn(to_mapping(load_ranges(settings["ranges"])))
     return {"surefoot": __version__, "policy": hashlib.sha256(policy.read_bytes()).hexdigest(), **settings}
+
+
+def _drawn(ranges: dict[str, Any]) -> dict[str, Any]:
+    """Ranges without the rows that stay nominal: a row that a later version has does not make a result another one."""
+    return {row: bounds for row, bounds in ranges.items() if bounds is not None}

@@ -286,6 +286,7 @@ class RobotDescription:
             "control_latency": timing.control_latency,
             "control_step": timing.control_step,
             "contact_friction": self.contact.friction,
+            "contact_stiffness": self.contact.stiffness,
             "imu_bias": 0.0,
             "imu_noise": 0.0,
         }

@@ -43,6 +43,7 @@ class PhysicalParams:
     control_latency: Array = _row("s", "age of the readings that the policy sees")
     control_step: Array = _row("s", "time between two commands of the policy")
     contact_friction: Array = _row("1", "lateral friction coefficient of the feet")
+    contact_stiffness: Array = _row("N/m", "stiffness of the feet against the ground")
     imu_bias: Array = _row("rad", "constant error of roll and pitch", "roll, pitch")
     imu_noise: Array = _row("rad", "standard deviation of the white noise on roll and pitch")
 

@@ -33,6 +33,8 @@ class Row:
     """Physical parameters; each draws a number of its own from the row's range."""
     each: bool = False
     """Whether each motor, or each axis of the IMU, draws a number of its own too."""
+    apart: bool = False
+    """Whether it draws apart from the stream that the others share, which goes on as if there were no such row."""
 
 
 ROWS: dict[str, Row] = {
@@ -49,8 +51,9 @@ ROWS: dict[str, Row] = {
     "torque_constant": Row(("torque_constant",)),
     "resistance": Row(("resistance",)),
     "servo_latency": Row(("servo_latency",)),
+    "contact_stiffness": Row(("contact_stiffness",), apart=True),
 }
-"""Every row that can be drawn. New ones go to the end, so that the others' draws stay what they were."""
+"""Every row that can be drawn. New ones go to the end and draw apart, so that the others' draws stay what they were."""
 
 
 @dataclass(frozen=True)
@@ -83,6 +86,8 @@ class RandomizeConfig:
     """Armature resistance R [Ohm]; not in the paper's table."""
     servo_latency: Range = None
     """Age of what the servo sees [s]; not in the paper's table."""
+    contact_stiffness: Range = None
+    """Stiffness of the feet against the ground [N/m]; not in the paper's table."""
 
     def __post_init__(self) -> None:
         """Refuse reversed ranges and bounds that are no finite numbers."""
@@ -147,7 +152,8 @@ class Randomizer:
     """Draws physical parameters for robots whose episodes start.
 
     Each robot has a stream of its own, and an episode takes as many numbers from it whatever the ranges are: a robot
-    draws the same in any batch, and a row's draws do not change when another row is dropped.
+    draws the same in any batch, and a row's draws do not change when another row is dropped. Rows that draw apart take
+    theirs from far ahead in the same stream: it need not be saved twice.
 
     Args:
         config: the ranges.
@@ -164,13 +170,13 @@ class Randomizer:
         self.ranges, self.nominal, self._motor_names = config.ranges, nominal, robot.motor_names
         self.streams = generators(seed, "randomize", nominal.num_envs)
         self._places: dict[str, tuple[str, slice]] = {}
-        used = 0
+        used = {False: 0, True: 0}
         for row, what in ROWS.items():
             for name in what.params:
                 width = getattr(nominal, name)[0].size if what.each else 1
-                self._places[name] = (row, slice(used, used + width))
-                used += width
-        self._numbers = used
+                self._places[name] = (row, slice(used[what.apart], used[what.apart] + width))
+                used[what.apart] += width
+        self._numbers, self._numbers_apart = used[False], used[True]
 
     @property
     def enabled(self) -> bool:
@@ -179,12 +185,15 @@ class Randomizer:
 
     def draw(self, index: NDArray[np.int64]) -> PhysicalParams:
         """Parameters of new episodes of the robots at `index`, one row each."""
-        unit = np.array([self.streams[i].uniform(size=self._numbers) for i in index])
+        apart = np.empty((len(index), self._numbers_apart))
+        if any(ROWS[row].apart for row in self.ranges):
+            apart[:] = [_far_ahead(self.streams[i]).uniform(size=self._numbers_apart) for i in index]
+        together = np.array([self.streams[i].uniform(size=self._numbers) for i in index])
         params = self.nominal.rows(index)
         for name, (row, place) in self._places.items():
             if row in self.ranges:
                 low, high = self.ranges[row]
-                values = getattr(params, name)
+                values, unit = getattr(params, name), apart if ROWS[row].apart else together
                 drawn = low + (high - low) * unit[:, place]
                 values[...] = drawn if values.ndim == 2 else drawn[:, 0]
         return params
@@ -213,6 +222,13 @@ class Randomizer:
                     values = values[:, :1]
                 columns.append((2 * values - low - high) / (high - low))
         return np.concatenate(columns, axis=1) if columns else np.zeros((params.num_envs, 0))
+
+
+def _far_ahead(stream: np.random.Generator) -> np.random.Generator:
+    """The same stream of random numbers, further on than it will ever be drawn (2^127 numbers and more)."""
+    bits = stream.bit_generator
+    assert isinstance(bits, np.random.PCG64)
+    return np.random.Generator(bits.jumped())
 
 
 def with_ranges(data: dict[str, Any], folder: Path = Path()) -> dict[str, Any]:

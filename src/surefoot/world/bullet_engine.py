@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from surefoot.errors import SurefootError
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.world.bullet_import import import_pybullet
-from surefoot.world.bullet_model import open_client, scale_masses
+from surefoot.world.bullet_model import open_client, scale_masses, set_foot_contact
 from surefoot.world.bullet_tick import (
     JOINTS,
     OMEGA,
@@ -75,7 +75,7 @@ class BulletEngine:
         model = self.model
         self._joints = list(range(model.num_joints))
         self._ratios = [(1.0, 1.0, 1.0, 1.0)] * num_envs
-        self._friction = [robot.contact.friction] * num_envs
+        self._contact = [self._nominal_contact] * num_envs
         self._spoilt = np.zeros(num_envs, np.bool_)
         sign = robot.motor_sign.astype(np.float64)
         self._layout = Layout(sign, model.base_quat, model.rack)
@@ -233,9 +233,9 @@ class BulletEngine:
         self._p.disconnect(self._clients[i])
         self._clients[i], _ = open_client(self.robot, self._config)
         self._spoilt[i] = False
-        friction, ratios = self._friction[i], self._ratios[i]
-        self._friction[i], self._ratios[i] = self.robot.contact.friction, (1.0, 1.0, 1.0, 1.0)
-        self._apply(i, friction, ratios)
+        contact, ratios = self._contact[i], self._ratios[i]
+        self._contact[i], self._ratios[i] = self._nominal_contact, (1.0, 1.0, 1.0, 1.0)
+        self._apply(i, contact, ratios)
 
     def _forget_contacts(self, i: int) -> None:
         # A link that gets its collision filter again is taken out of Bullet's pairs, and put back.
@@ -258,21 +258,25 @@ class BulletEngine:
         self._force[i] = force_world
 
     def set_params(self, i: int, params: PhysicalParams, row: int) -> None:
-        """Apply masses, inertias and contact friction of `params[row]` to robot `i`."""
+        """Apply masses, inertias, friction and stiffness of the feet of `params[row]` to robot `i`."""
         ratios = (
             float(params.base_mass_ratio[row]),
             float(params.leg_mass_ratio[row]),
             float(params.base_inertia_ratio[row]),
             float(params.leg_inertia_ratio[row]),
         )
-        self._apply(i, float(params.contact_friction[row]), ratios)
+        self._apply(i, (float(params.contact_friction[row]), float(params.contact_stiffness[row])), ratios)
 
-    def _apply(self, i: int, friction: float, ratios: tuple[float, float, float, float]) -> None:
+    @property
+    def _nominal_contact(self) -> tuple[float, float]:
+        """The sheet's friction coefficient and stiffness [N/m] of the feet, which every new client has."""
+        return self.robot.contact.friction, self.robot.contact.stiffness
+
+    def _apply(self, i: int, contact: tuple[float, float], ratios: tuple[float, float, float, float]) -> None:
         p, model, client = self._p, self.model, self._clients[i]
-        if self._friction[i] != friction:
-            for link in model.feet:
-                p.changeDynamics(model.body, link, lateralFriction=friction, physicsClientId=client)
-            self._friction[i] = friction
+        if self._contact[i] != contact:
+            set_foot_contact(p, client, model, *contact)
+            self._contact[i] = contact
         if self._ratios[i] != ratios:
             scale_masses(p, client, model, *ratios)
             self._ratios[i] = ratios

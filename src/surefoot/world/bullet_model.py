@@ -181,15 +181,20 @@ def _set_up_dynamics(p: ModuleType, client: int, model: BulletModel) -> None:
     p.setJointMotorControlArray(
         model.body, list(range(count)), p.VELOCITY_CONTROL, forces=[0.0] * count, physicsClientId=client
     )
-    contact = model.robot.contact
+    set_foot_contact(p, client, model, model.robot.contact.friction, model.robot.contact.stiffness)
+
+
+def set_foot_contact(p: ModuleType, client: int, model: BulletModel, friction: float, stiffness: float) -> None:
+    """Give the feet a friction coefficient and a stiffness [N/m]; spinning friction and damping are the sheet's."""
     for link in model.feet:
         p.changeDynamics(
             model.body,
             link,
-            lateralFriction=contact.friction,
-            spinningFriction=contact.spinning_friction,
-            contactStiffness=contact.stiffness,
-            contactDamping=contact.damping,
+            lateralFriction=friction,
+            spinningFriction=model.robot.contact.spinning_friction,
+            contactStiffness=stiffness,
+            # Bullet takes a stiffness only together with a damping.
+            contactDamping=model.robot.contact.damping,
             physicsClientId=client,
         )
 

@@ -110,8 +110,9 @@ class MujocoEngine:
             foot_body=model.geom_bodyid[self._feet].astype(np.int64),
             foot_radius=model.geom_size[self._feet, 0].copy(),
             friction=np.full(len(self.datas), robot.contact.friction),
+            stiffness=np.full(len(self.datas), robot.contact.stiffness),
+            damping=robot.contact.damping,
             stretch=np.zeros((len(self.datas), len(self._feet), 2)),
-            contact=np.array([robot.contact.stiffness, robot.contact.damping]),
             num_qpos=model.nq,
             num_qvel=model.nv,
         )
@@ -182,8 +183,9 @@ class MujocoEngine:
         self.datas[i].xfrc_applied[self._base, :3] = force_world
 
     def set_params(self, i: int, params: PhysicalParams, row: int) -> None:
-        """Apply masses, inertias and contact friction of `params[row]` to robot `i`."""
+        """Apply masses, inertias, friction and stiffness of the feet of `params[row]` to robot `i`."""
         self._native.friction[i] = params.contact_friction[row]
+        self._native.stiffness[i] = params.contact_stiffness[row]
         ratios = (
             params.base_mass_ratio[row],
             params.leg_mass_ratio[row],

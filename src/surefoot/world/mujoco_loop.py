@@ -51,8 +51,9 @@ class Native(NamedTuple):
     foot_body: Index
     foot_radius: Array
     friction: Array
+    stiffness: Array
+    damping: float
     stretch: Array
-    contact: Array
     num_qpos: int
     num_qvel: int
 
@@ -99,7 +100,6 @@ def _feet_on_ground(native: Native, drive: Drive, i: int, velocity: Array, force
     xpos, xipos = doubles(native.geom_xpos[i]), doubles(native.body_xipos[i])
     cvel, com = doubles(native.body_cvel[i]), doubles(native.subtree_com[i])
     applied = doubles(native.force[i])
-    stiffness, damping = native.contact
     root = 3 * native.base_body
     for leg in range(len(native.foot_geom)):
         g, b = 3 * native.foot_geom[leg], native.foot_body[leg]
@@ -117,8 +117,8 @@ def _feet_on_ground(native: Native, drive: Drive, i: int, velocity: Array, force
             velocity,
             native.stretch[i, leg],
             native.friction[i],
-            stiffness,
-            damping,
+            native.stiffness[i],
+            native.damping,
             drive.limits[3],
             force,
         )

@@ -175,8 +175,10 @@ class ProcessWorld:
 
     def set_state(self, state: dict[str, Any]) -> None:
         """Go on from `get_state`, exactly; the state may come from any number of processes, or from a `SimWorld`."""
+        # As `SimWorld` does it: a parameter that an earlier version did not have is nominal.
+        params = replace(PhysicalParams.nominal(self.robot, self.num_envs), **state["params"])
         for name in PhysicalParams.names():
-            getattr(self.params, name)[:] = state["params"][name]
+            getattr(self.params, name)[:] = getattr(params, name)
         count, parts = self.num_envs, []
         for number, share in enumerate(self._shares):
             sensors, starts = state["streams"][:count][share], state["streams"][count:][share]

@@ -49,7 +49,7 @@ class Engine(Protocol):
         """Set the force [N] on the base's centre of mass."""
 
     def set_params(self, i: int, params: PhysicalParams, row: int) -> None:
-        """Apply masses, inertias and friction of one row to robot `i`, whose state stays as it is."""
+        """Apply masses, inertias and the feet's contact of one row to robot `i`, whose state stays as it is."""
 
     def base(self) -> Array:
         """Base position, quaternion and velocity in the world, (N, 10)."""
@@ -280,8 +280,9 @@ class SimWorld:
         }
 
     def set_state(self, state: dict[str, Any]) -> None:
-        """Go on from `get_state`, exactly."""
-        self.set_params(np.arange(self.num_envs), replace(self.params, **state["params"]))
+        """Go on from `get_state`, exactly; a parameter that an earlier version did not have is nominal."""
+        nominal = PhysicalParams.nominal(self.robot, self.num_envs)
+        self.set_params(np.arange(self.num_envs), replace(nominal, **state["params"]))
         for name, array in self.drive._asdict().items():
             # A state that was saved when motors had no duty of their own goes on without.
             array[...] = 0.0 if name == "duty" and name not in state["drive"] else state["drive"][name]
