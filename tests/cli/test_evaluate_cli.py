@@ -26,7 +26,7 @@ KEYS = {
 }
 EXTRAS = {
     *("cost_of_transport_mean", "stance", "faults", "seed", "pushes", "set", "robot", "policy_file"),
-    *("config_hash", "randomize", "actuator"),
+    *("config_hash", "randomize", "actuator", "params", "params_source"),
 }
 LEGS = {"front_left", "back_left", "front_right", "back_right"}
 

@@ -123,8 +123,9 @@ def test_worlds_are_the_policy_s_own_and_the_robot_s(here: Path, capsys: pytest.
     found = result([*words, "--to-set", "base_mass_ratio=0.9", "voltage=14"], capsys)
     (policy,) = found["policies"]
     at_home = {"control_latency": 0.0, "servo_latency": 0.0, "voltage": 15.0, "base_mass_ratio": 1.1}
-    assert policy["home"] == {"actuator": "constraint", "params": at_home}
-    assert policy["away"] == {"actuator": "dc", "params": {"voltage": 14.0, "base_mass_ratio": 0.9}}
+    assert policy["home"] == {"actuator": "constraint", "params": at_home, "params_source": {}}
+    elsewhere = {"voltage": 14.0, "base_mass_ratio": 0.9}
+    assert policy["away"] == {"actuator": "dc", "params": elsewhere, "params_source": {}}
     assert (found["robot"], found["from"], found["to"], found["runs"]) == ("minitaur", "mujoco", ["mujoco"], 2)
     assert found["pooled"] is None
     home, away = (EpisodeTrace.load(here / "gap/trot" / world / "run_001.npz") for world in ("mujoco", "mujoco-away"))

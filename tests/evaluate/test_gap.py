@@ -146,6 +146,7 @@ def test_the_policies_that_are_best_at_home_come_first():
 TRAINED = TaskConfig(
     actuator="constraint",
     params={"control_latency": 0.0, "servo_latency": 0.0},
+    params_source={"file": "robot.toml"},
     randomize=RandomizeConfig(mass=(0.8, 1.2)),
 )
 
@@ -162,5 +163,6 @@ def test_at_home_nothing_is_drawn_and_nothing_pushed():
 
 def test_away_the_robot_is_as_its_data_sheet_says():
     away = away_task(TRAINED)
-    assert (away.actuator, away.params) == ("dc", {})
-    assert replace(away, actuator="constraint", params=TRAINED.params) == home_task(TRAINED)
+    assert (away.actuator, away.params, away.params_source) == ("dc", {}, {})
+    as_trained = replace(away, actuator="constraint", params=TRAINED.params, params_source=TRAINED.params_source)
+    assert as_trained == home_task(TRAINED)

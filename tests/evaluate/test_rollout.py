@@ -152,7 +152,7 @@ def contract_of(task: TaskConfig) -> Contract:
 
 
 def test_the_task_comes_back_from_the_contract():
-    task = trot(77, params={"voltage": 15.0})
+    task = trot(77, params={"voltage": 15.0, "imu_bias": (0.1, -0.2)}, params_source={"file": "robot.toml"})
     again = Contract.from_json(contract_of(task).to_json())
     assert task_from_contract(again) == task
 

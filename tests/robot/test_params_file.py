@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import hashlib
+
 import numpy as np
 import pytest
 
 from surefoot.errors import SurefootError
 from surefoot.robot import PhysicalParams, RobotDescription
-from surefoot.robot.params_file import read_params, write_params
+from surefoot.robot.params_file import param_values, read_params, write_params
 
 
 @pytest.fixture(scope="module")
@@ -27,6 +29,20 @@ def test_what_is_written_is_read_to_the_last_bit(robot, tmp_path):
         np.testing.assert_array_equal(getattr(found.params, name), getattr(params, name), err_msg=name)
     assert found.given == tuple(PhysicalParams.names())
     assert found.tables == {"robot": "minitaur", **tables}
+
+
+def test_values_are_those_that_the_file_names_as_a_task_holds_them(robot, tmp_path):
+    path = tmp_path / "p.toml"
+    text = f"[params]\nvoltage = 15\nimu_bias = [0.1, -0.2]\nmotor_friction = {[0.02] * 8}\n"
+    path.write_text(text)
+    found = read_params(path, robot)
+    assert found.values == {"voltage": 15.0, "imu_bias": (0.1, -0.2), "motor_friction": 0.02}
+    assert found.source == {"file": "p.toml", "sha256": hashlib.sha256(text.encode()).hexdigest()}
+    path.write_text("[params]\n")
+    assert read_params(path, robot).values == {}
+    strength = np.linspace(0.9, 1.1, 8)
+    params = PhysicalParams.nominal(robot).with_values(robot, motor_strength=strength)
+    assert param_values(params) == {**robot.nominal_params(), "motor_strength": tuple(strength)}
 
 
 def test_what_is_not_named_is_nominal(robot, tmp_path):

@@ -57,6 +57,13 @@ def test_numbers_for_each_leg(tmp_path):
     assert config.reference.swing.phase == {"front_left": 2.0}
 
 
+def test_a_parameter_is_a_number_or_one_for_each_motor(tmp_path):
+    config = load(tmp_path, "params: {voltage: 15, imu_bias: [0.1, -0.2]}\nparams_source: {file: a.toml}\n")
+    assert config.params == {"voltage": 15.0, "imu_bias": (0.1, -0.2)}
+    write_yaml(tmp_path / "again.yaml", config)
+    assert load_task(str(tmp_path / "again.yaml"))[0] == config
+
+
 def test_a_tables_path_counts_from_the_tasks_file(tmp_path):
     config = load(tmp_path, "reference: {kind: table, file: sub/gait.csv, period: 0.5}\n")
     assert config.reference.file == str(tmp_path / "sub" / "gait.csv")

@@ -205,6 +205,19 @@ def test_params_of_the_task_reach_the_world(make_env):
         make_env(params={"volts": 15.0})
 
 
+@pytest.mark.parametrize("num_envs", [1, 2, 3, 8])
+def test_every_robot_has_each_motor_s_own(make_env, num_envs: int):
+    # As many robots as motors, or as axes: a list is one robot's all the same.
+    strength = tuple(np.linspace(0.9, 1.04, 8))
+    env = make_env(num_envs, params={"motor_strength": strength, "imu_bias": (0.1, -0.2), "voltage": (15.0,)})
+    np.testing.assert_array_equal(env.world.params.motor_strength, np.tile(strength, (num_envs, 1)))
+    np.testing.assert_array_equal(env.world.params.imu_bias, np.tile((0.1, -0.2), (num_envs, 1)))
+    assert env.world.params.voltage.tolist() == [15.0] * num_envs
+    for name, values in (("voltage", (15.0,) * 2), ("motor_strength", (1.0,) * 3)):
+        with pytest.raises(SurefootError, match=f"{name} has shape"):
+            make_env(num_envs, params={name: values})
+
+
 @pytest.mark.parametrize(
     ("values", "piece"),
     [

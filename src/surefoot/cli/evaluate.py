@@ -105,7 +105,9 @@ def main(argv: list[str]) -> int:
         "seed": command.seed,
         "pushes": command.pushes,
         "randomize": {row: list(given) for row, given in ranges.ranges.items()},
-        "set": command.simulator.params
+        "params": task.params,
+        "params_source": task.params_source,
+        "set": command.simulator.latencies
         | {name: task.params[name] for group in command.settings for name in (w.split("=")[0] for w in group)},
         "actuator": task.actuator,
         "robot": robot.name,
@@ -120,10 +122,11 @@ def main(argv: list[str]) -> int:
 
 def _recorded(command: EvaluateCommand, drawn: bool) -> int:
     """Measure runs that were recorded, by a robot or by a simulation."""
-    heeded = ("trace", "robot", "out", "json")
+    heeded = ("trace", "robot", "out", "json", "simulator")
     given = [
         item.name for item in fields(command) if item.name not in heeded and getattr(command, item.name) != item.default
     ]
+    given += [item.name for item in fields(command.simulator) if getattr(command.simulator, item.name) is not None]
     if given or drawn:
         odd = given[0] if given else "randomize"
         named = "a policy" if odd == "policy" else f"--{dict(settings='set').get(odd, odd).replace('_', '-')}"

@@ -7,7 +7,7 @@ import math
 from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
@@ -31,9 +31,9 @@ class GapCommand:
     """Run policies at home and in other worlds, and tell how much of their return is lost there: the reality gap.
 
     At home is the simulator that a policy was trained in, with its actuator and latencies. In the worlds of --to the
-    robot is as its data sheet says. `--to trace FOLDER` takes recorded runs instead, such as a robot's. Written to
-    --out: the runs' traces, gap.csv with one line a policy and world, runs.csv with one line a run, gap.png, and for
-    each policy its runs over time in runs.png.
+    robot is as its data sheet says. --params FILE puts the robot of a file in both places. `--to trace FOLDER` takes
+    recorded runs instead, such as a robot's. Written to --out: the runs' traces, gap.csv with one line a policy and
+    world, runs.csv with one line a run, gap.png, and for each policy its runs over time in runs.png.
     """
 
     policies: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="POLICY [POLICY ...]")]
@@ -50,8 +50,10 @@ class GapCommand:
     """Runs of each policy in each world."""
     duration: float | None = None
     """Length of a run [s], the same in all worlds; that of the policy's task, if not given."""
+    params: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
+    """File of a robot's physical parameters (.toml): that robot is simulated on all sides, at home too."""
     settings: Settings = ()
-    """Physical parameters in all worlds, such as contact_friction=0.8."""
+    """Physical parameters in all worlds, such as contact_friction=0.8; over those of --params."""
     from_settings: Annotated[
         tuple[tuple[str, ...], ...],
         tyro.conf.UseAppendAction,
@@ -90,6 +92,7 @@ def main(argv: list[str]) -> int:
     home, away = Side.of_words("--from", command.home), [Side.of_words("--to", words) for words in command.away]
     check_sides(command.out, home, away)
     for option, given, sides in (
+        ("--params", command.params, [home, *away]),
         ("--set", command.settings, [home, *away]),
         ("--from-set", command.from_settings, [home]),
         ("--to-set", command.to_settings, away),
@@ -135,16 +138,22 @@ def _tasks(command: GapCommand, task: TaskConfig, robot: RobotDescription) -> tu
     from surefoot.evaluate.sensitivity import episode_duration
 
     duration = command.duration or episode_duration(task)
-    at_home = adjust_task(home_task(task), robot, (*command.settings, *command.from_settings), command.pushes)
+    at_home = adjust_task(
+        home_task(task),
+        robot,
+        (*command.settings, *command.from_settings),
+        command.pushes,
+        simulator=Simulator(params=command.params),
+    )
     elsewhere = adjust_task(
         away_task(task),
         robot,
         (*command.settings, *command.to_settings),
         command.pushes,
-        simulator=Simulator(actuator=command.to_actuator),
+        simulator=Simulator(actuator=command.to_actuator, params=command.params),
     )
     # Returns over different times could not be compared, whatever the control step of each world.
-    steps = [duration / one.params.get("control_step", robot.timing.control_step) for one in (at_home, elsewhere)]
+    steps = [duration / float(one.nominal(robot).control_step[0]) for one in (at_home, elsewhere)]
     at_home, elsewhere = (
         replace(one, max_steps=max(round(count), 1)) for one, count in zip((at_home, elsewhere), steps, strict=True)
     )
@@ -223,8 +232,8 @@ def _tell(
                         "policy": one.name,
                         "policy_file": str(one.path),
                         "config_hash": one.policy.contract.config_hash,
-                        "home": {"actuator": at_home.actuator, "params": at_home.params},
-                        "away": {"actuator": elsewhere.actuator, "params": elsewhere.params},
+                        "home": _described(at_home),
+                        "away": _described(elsewhere),
                         "worlds": rows[one.name],
                     }
                     for one, (at_home, elsewhere) in zip(candidates, tasks, strict=True)
@@ -236,6 +245,11 @@ def _tell(
         )
     )
     return 0
+
+
+def _described(task: TaskConfig) -> dict[str, Any]:
+    """The robot on one side, as JSON holds it."""
+    return {"actuator": task.actuator, "params": task.params, "params_source": task.params_source}
 
 
 def print_table(policies: list[PolicyGap], home: str, files: list[Path]) -> None:

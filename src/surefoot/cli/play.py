@@ -57,7 +57,7 @@ def main(argv: list[str]) -> int:
     make_world = find_world(command.world)
     policy, robot, task = load_policy(path, command.robot)
     task = adjust_task(task, robot, command.settings, command.pushes, simulator=command.simulator)
-    control_step = task.params.get("control_step", robot.timing.control_step)
+    control_step = float(task.nominal(robot).control_step[0])
     task = replace(task, max_steps=max(round(command.seconds / control_step), 1))
     window = command.out is None and has_display()
     # Imported before anything is simulated: what is not installed is told at once.

@@ -161,7 +161,7 @@ def adjust_task(
         pushes: whether the base is pushed, as hard and often as the task says; every push that is due is given.
         thermal_protection: switch off motors that overheat, whatever the task says.
         randomize: ranges that every episode draws from, whatever the task says; none, if not given.
-        simulator: actuator and latencies; the task's, if not given.
+        simulator: actuator, latencies and file of parameters; the task's, if not given.
 
     Raises:
         SurefootError: no such parameter, a value that the robot does not allow, or what does not go together.

@@ -127,6 +127,7 @@ def main(argv: list[str]) -> int:
                     "config_hash": one.policy.contract.config_hash,
                     "actuator": task.actuator,
                     "params": task.params,
+                    "params_source": task.params_source,
                 }
                 for result, one, task in zip(results, loaded, tasks, strict=True)
             ],

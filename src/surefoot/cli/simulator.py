@@ -1,22 +1,27 @@
-"""`--actuator`, `--control-latency`, `--servo-latency`: another simulator than the one that a task asks for."""
+"""`--params`, `--actuator`, `--control-latency`, `--servo-latency`: another simulator than the task's."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
+from pathlib import Path
 from typing import Annotated, Literal
 
 import tyro
 
 from surefoot.cli.parsing import parse
 from surefoot.errors import SurefootError, choices
-from surefoot.robot import PhysicalParams, RobotDescription
+from surefoot.robot import RobotDescription
+from surefoot.robot.params_file import ParamsFile, ParamValue, read_params
 from surefoot.task.config import TaskConfig
 from surefoot.world.interface import WorldConfig
 
 HELP = """--actuator dc|constraint   dc: servo and DC motor; constraint: the position motor of physics engines
 --control-latency SECONDS  age of what the policy sees; 0: none
---servo-latency SECONDS    age of what the servos see; 0: none"""
+--servo-latency SECONDS    age of what the servos see; 0: none
+--params FILE              physical parameters of a robot (.toml), such as identified ones; what the file does not name
+                           is as on the data sheet, the control step is the task's"""
 
 
 @dataclass(frozen=True)
@@ -29,14 +34,17 @@ class Simulator:
     """Age of what the policy sees [s]; the task's, if not given."""
     servo_latency: Annotated[float | None, tyro.conf.arg(metavar="SECONDS")] = None
     """Age of what the servos see [s]; the task's, if not given."""
+    params: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
+    """File of a robot's physical parameters (.toml), in place of the task's. What it does not name is as on the data
+    sheet; the control step stays."""
 
     @property
-    def params(self) -> dict[str, float]:
-        """Physical parameters that are given, by name."""
+    def latencies(self) -> dict[str, float]:
+        """Latencies that are given [s], by name."""
         given = {"control_latency": self.control_latency, "servo_latency": self.servo_latency}
         return {name: value for name, value in given.items() if value is not None}
 
-    def of(self, task: TaskConfig, settings: Mapping[str, float] | None = None) -> TaskConfig:
+    def of(self, task: TaskConfig, settings: Mapping[str, ParamValue] | None = None) -> TaskConfig:
         """The task in this simulator.
 
         Args:
@@ -44,13 +52,16 @@ class Simulator:
             settings: further physical parameters, by name.
 
         Raises:
-            SurefootError: a parameter given twice, or an actuator that the task does not go with.
+            SurefootError: a parameter given twice, an actuator that the task does not go with, or a file of parameters
+                that can't be read or does not fit the task's robot and control step.
         """
         settings = settings or {}
-        if twice := sorted(set(settings) & set(self.params)):
+        if twice := sorted(set(settings) & set(self.latencies)):
             option = twice[0].replace("_", "-")
             raise SurefootError(f"{twice[0]} is given twice, by --{option} and by --set; give one of them")
-        params = {**task.params, **self.params, **settings}
+        if self.params is not None:
+            task = _with_file(task, self.params)
+        params = {**task.params, **self.latencies, **settings}
         task = replace(task, actuator=self.actuator or task.actuator, params=params)
         # The world says what goes together; it is asked here because nothing has been simulated yet.
         WorldConfig(actuator=task.actuator, thermal_protection=task.thermal_protection)
@@ -67,7 +78,29 @@ def check_params(task: TaskConfig, robot: RobotDescription) -> None:
     Raises:
         SurefootError: no such parameter, or a value out of its bounds.
     """
-    PhysicalParams.nominal(robot).with_values(robot, **task.params)
+    task.nominal(robot)
+
+
+def _with_file(task: TaskConfig, path: Path) -> TaskConfig:
+    """The task on the robot of a file of parameters.
+
+    None of the task's own parameters stays beside the file's, so that a policy that was trained on one identified
+    robot is not run on a mixture of two; only the control step does, which belongs to the policy and to no robot.
+    """
+    robot = RobotDescription.load(task.robot)
+    found = read_params(path, robot)
+    _check_control_step(found, path, float(task.nominal(robot).control_step[0]))
+    kept = {name: value for name, value in task.params.items() if name == "control_step"}
+    return replace(task, params={**found.values, **kept}, params_source=found.source)
+
+
+def _check_control_step(found: ParamsFile, path: Path, expected: float) -> None:
+    step = float(found.params.control_step[0])
+    if "control_step" in found.given and not math.isclose(step, expected, rel_tol=1e-9):
+        raise SurefootError(
+            f"parameters {path}: control_step is {step:g}, and the task's is {expected:g}; "
+            "it belongs to the policy, not to the robot: leave it out of the file"
+        )
 
 
 def simulator_help(indent: str = "  ") -> str:
@@ -106,4 +139,4 @@ def take_simulator(words: list[str], prog: str) -> tuple[list[str], Simulator]:
 
 
 def _values(option: str) -> str:
-    return choices(("dc", "constraint")) if option == "--actuator" else "a time in seconds"
+    return {"--actuator": choices(("dc", "constraint")), "--params": "a .toml file"}.get(option, "a time in seconds")

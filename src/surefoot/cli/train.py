@@ -54,23 +54,30 @@ def main(argv: list[str]) -> int:
 def _parse(argv: list[str]) -> tuple[TrainConfig, Path]:
     from surefoot.cli.parsing import parse
     from surefoot.cli.ranges import take_ranges
-    from surefoot.cli.simulator import take_simulator
+    from surefoot.cli.simulator import Simulator, take_simulator
     from surefoot.learn.config import TrainConfig, load_train_config
 
-    preset, rest, root = load_train_config(argv[0]), argv[1:], Path("runs")
+    base, rest, root = load_train_config(argv[0]), argv[1:], Path("runs")
     if "--runs" in rest:
         place = rest.index("--runs")
         if place + 1 >= len(rest):
             raise SurefootError("--runs has no value; it takes the folder for run folders")
         root = Path(rest[place + 1])
         del rest[place : place + 2]
-    rest, ranges = take_ranges(rest, preset.task.randomize)
+    rest, ranges = take_ranges(rest, base.task.randomize)
     rest, simulator = take_simulator(rest, f"surefoot train {argv[0]}")
-    pushes = replace(preset.task.pushes, enabled=preset.task.pushes.enabled or "--pushes" in rest)
+    pushes = replace(base.task.pushes, enabled=base.task.pushes.enabled or "--pushes" in rest)
     rest = [word for word in rest if word != "--pushes"]
-    preset = replace(preset, task=replace(simulator.of(preset.task), randomize=ranges, pushes=pushes))
+    without_file = replace(simulator, params=None).of(base.task)
+    preset = replace(base, task=replace(without_file, randomize=ranges, pushes=pushes))
     config = parse(TrainConfig, rest, f"surefoot train {argv[0]}", default=preset)
-    return config, root
+    # Only now is it known which robot the file must be of, and what is given by name, which goes over the file.
+    given = {
+        name: value
+        for name, value in config.task.params.items()
+        if name in simulator.latencies or base.task.params.get(name) != value
+    }
+    return replace(config, task=Simulator(params=simulator.params).of(config.task, given)), root
 
 
 def _train(config: TrainConfig | None, path: Path) -> int:

@@ -221,7 +221,7 @@ def away_task(task: TaskConfig) -> TaskConfig:
     The control step stays: it is the policy's, and a robot would keep it.
     """
     kept = {name: value for name, value in task.params.items() if name == "control_step"}
-    return replace(home_task(task), actuator="dc", params=kept)
+    return replace(home_task(task), actuator="dc", params=kept, params_source={})
 
 
 def top(policies: Sequence[PolicyGap], count: int, by: Callable[[PolicyGap], float] | None = None) -> list[PolicyGap]:

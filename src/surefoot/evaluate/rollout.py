@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from surefoot.configuration import from_mapping
 from surefoot.errors import SurefootError, at_least
 from surefoot.policy.contract import Contract
+from surefoot.robot.params_file import param_values
 from surefoot.task.config import TaskConfig
 from surefoot.task.env import LocomotionEnv
 from surefoot.task.trace import EpisodeTrace
@@ -142,7 +143,7 @@ def run_episodes(
             progress(step, int(going.sum()))
         if not going.any():
             break
-    rows = [env.world.params.rows([i]).summary() for i in range(episodes)]
+    rows = [param_values(env.world.params.rows([i])) for i in range(episodes)]
     meta = {
         "robot": env.robot.name,
         "world": world_name,
@@ -154,6 +155,7 @@ def run_episodes(
         "observation_names": list(env.observer.columns),
         "energy_weight": task.energy_weight,
         "max_steps": task.max_steps,
+        "params_source": task.params_source,
     }
     return [
         recorder.trace(

@@ -44,7 +44,7 @@ class Nominal:
     """The nominal world, which the others are compared with."""
 
     values: Mapping[str, float] = field(default_factory=dict)
-    """Value of each row of the table."""
+    """Value of each row of the table; its mean, where motors or axes differ."""
     returns: Array = field(default_factory=lambda: np.zeros(0))
     """Return of each episode [m], (E,)."""
     fell: Flags = field(default_factory=lambda: np.zeros(0, np.bool_))
@@ -146,8 +146,7 @@ def row_unit(row: str) -> str:
 
 def episode_duration(task: TaskConfig) -> float:
     """How long an episode of a task lasts in the nominal world [s]."""
-    nominal = RobotDescription.load(task.robot).timing.control_step
-    return task.max_steps * task.params.get("control_step", nominal)
+    return task.max_steps * float(task.nominal(RobotDescription.load(task.robot)).control_step[0])
 
 
 def run_sensitivity(

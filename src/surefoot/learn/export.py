@@ -35,7 +35,7 @@ def make_contract(
         created: when the policy was made, ISO 8601.
     """
     robot, gait, task = env.robot, env.gait, to_mapping(env.task)
-    assumed = {**robot.nominal_params(), **env.task.params}
+    assumed = env.task.nominal(robot)
     return Contract(
         name=name or env.task.name,
         robot=robot.name,
@@ -50,12 +50,12 @@ def make_contract(
         high=tuple(gait.high.tolist()),
         reference=None if env.task.reference.kind == "none" else gait.reference.to_dict(),
         rest=env.task.rest or gait.rest,
-        control_step=assumed["control_step"],
-        servo_latency=assumed["servo_latency"],
-        control_latency=assumed["control_latency"],
-        servo_kp=assumed["servo_kp"],
-        servo_kd=assumed["servo_kd"],
-        voltage=assumed["voltage"],
+        control_step=float(assumed.control_step[0]),
+        servo_latency=float(assumed.servo_latency[0]),
+        control_latency=float(assumed.control_latency[0]),
+        servo_kp=float(assumed.servo_kp[0]),
+        servo_kd=float(assumed.servo_kd[0]),
+        voltage=float(assumed.voltage[0]),
         task=task,
         config_hash=config_hash(task if config is None else config),
         figures=dict(figures or {}),

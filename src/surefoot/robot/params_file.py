@@ -9,9 +9,11 @@ Parameters that the file does not name are the robot's own. Other tables are kep
 
 from __future__ import annotations
 
+import hashlib
 import json
 import math
 import tomllib
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -22,6 +24,9 @@ from surefoot.errors import SurefootError
 from surefoot.files import whole_file
 from surefoot.robot.description import RobotDescription
 from surefoot.robot.params import PhysicalParams
+
+ParamValue = float | tuple[float, ...]
+"""A parameter of one robot: one number, or one for each motor or axis."""
 
 
 @dataclass(frozen=True)
@@ -34,6 +39,27 @@ class ParamsFile:
     """Names of the parameters that the file names."""
     tables: dict[str, Any] = field(default_factory=dict)
     """Everything else in the file, by name."""
+    source: dict[str, str] = field(default_factory=dict)
+    """The file's name and the SHA-256 of what was read, as `file` and `sha256`."""
+
+    @property
+    def values(self) -> dict[str, ParamValue]:
+        """The parameters that the file names, as a task holds them."""
+        return param_values(self.params, self.given)
+
+
+def param_values(params: PhysicalParams, names: Iterable[str] | None = None) -> dict[str, ParamValue]:
+    """Parameters of one robot by name: one number each, or one a motor or axis where these differ.
+
+    Args:
+        params: one row.
+        names: parameters to give; all, if left out.
+    """
+    values: dict[str, ParamValue] = {}
+    for name in PhysicalParams.names() if names is None else names:
+        numbers = getattr(params, name)[0].ravel().tolist()
+        values[name] = numbers[0] if len(set(numbers)) == 1 else tuple(numbers)
+    return values
 
 
 def read_params(path: Path, robot: RobotDescription) -> ParamsFile:
@@ -44,7 +70,8 @@ def read_params(path: Path, robot: RobotDescription) -> ParamsFile:
             robot does not have.
     """
     try:
-        data = tomllib.loads(path.read_text(encoding="utf-8"))
+        content = path.read_bytes()
+        data = tomllib.loads(content.decode("utf-8"))
     except OSError as error:
         raise SurefootError(f"parameters {path}: {error.strerror}") from error
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
@@ -62,7 +89,8 @@ def read_params(path: Path, robot: RobotDescription) -> ParamsFile:
         params = PhysicalParams.nominal(robot).with_values(robot, **table)
     except SurefootError as error:
         raise SurefootError(f"parameters {path}: {error}") from None
-    return ParamsFile(params, tuple(table), data)
+    source = {"file": path.name, "sha256": hashlib.sha256(content).hexdigest()}
+    return ParamsFile(params, tuple(table), data, source)
 
 
 def write_params(

@@ -8,6 +8,8 @@ from typing import Any, Literal
 
 from surefoot.configuration import from_mapping, read_yaml
 from surefoot.errors import SurefootError, choices
+from surefoot.robot import PhysicalParams, RobotDescription
+from surefoot.robot.params_file import ParamValue
 from surefoot.task.observation import IMU_AND_MOTORS_12D
 from surefoot.task.pushes import PushConfig
 from surefoot.task.randomize import RandomizeConfig, with_ranges
@@ -106,8 +108,10 @@ class TaskConfig:
     """Random pushes on the base."""
     randomize: RandomizeConfig = field(default_factory=RandomizeConfig)
     """Ranges that every episode draws its physical parameters from; in a file also the name of a table of ranges."""
-    params: dict[str, float] = field(default_factory=dict)
-    """Physical parameters that differ from the robot's description, by name."""
+    params: dict[str, ParamValue] = field(default_factory=dict)
+    """Physical parameters that differ from the robot's description, by name: a number, or one for each motor."""
+    params_source: dict[str, str] = field(default_factory=dict)
+    """The file that they were read from, if any: its name as `file`, and `sha256`. Nothing reads it again."""
     actuator: Literal["dc", "constraint"] = "dc"
     """dc: servo and DC motor; constraint: the position motor of physics engines, the paper's baseline."""
     thermal_protection: bool = False
@@ -126,6 +130,14 @@ class TaskConfig:
         for name in ("fall_angle", "energy_weight", "start_linear_speed", "start_angular_speed"):
             if not getattr(self, name) >= 0:
                 raise SurefootError(f"{name} is {getattr(self, name):g}; it must not be below 0")
+
+    def nominal(self, robot: RobotDescription) -> PhysicalParams:
+        """Physical parameters of the task's robot where nothing is drawn, one row.
+
+        Raises:
+            SurefootError: no such parameter, or a value that the robot does not allow.
+        """
+        return PhysicalParams.nominal(robot).with_values(robot, **self.params)
 
 
 def preset_names() -> list[str]:

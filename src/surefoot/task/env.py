@@ -11,7 +11,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
-from surefoot.robot import PhysicalParams, RobotDescription
+from surefoot.robot import RobotDescription
 from surefoot.task.config import TaskConfig
 from surefoot.task.gait import HybridGait
 from surefoot.task.observation import Moment, Observer
@@ -64,7 +64,7 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
         self.observer = Observer(robot, task.observations)
         reference = make_reference(task.reference.to_mapping(), robot.leg_names, Path())
         self.gait = HybridGait(robot, reference, task.feedback.swing, task.feedback.extension)
-        self.nominal = PhysicalParams.nominal(robot, max(num_envs, 1)).with_values(robot, **task.params)
+        self.nominal = task.nominal(robot).rows(np.zeros(max(num_envs, 1), np.int64))
         self._make_world = make_world
         self._make(seed)
         width = self.observer.width * task.history

@@ -68,7 +68,8 @@ class EpisodeTrace:
         true_motor_angle: (T, M) rad at the end of the control step, without the readings' delay; NaN where
             unknown, all NaN when left out.
         meta: what can be written as JSON: schema, robot, world, policy, seed, control_step (s), leg_names,
-            motor_names, observation_names, params, energy_weight, ended (one of `ENDINGS`), max_steps.
+            motor_names, observation_names, params (each a number, or a list where motors or axes differ),
+            energy_weight, ended (one of `ENDINGS`), max_steps.
     """
 
     time: FloatArray

@@ -1,0 +1,322 @@
+"""`--params FILE`: an identified robot in training, evaluation, the gap and sensitivity, as a user gives it."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("mujoco")
+pytest.importorskip("matplotlib")
+
+from surefoot.cli.main import main
+from surefoot.cli.policies import find_policy
+from surefoot.cli.simulator import Simulator, take_simulator
+from surefoot.errors import SurefootError
+from surefoot.robot import PhysicalParams, RobotDescription
+from surefoot.robot.params_file import write_params
+from surefoot.task.config import TaskConfig
+from surefoot.task.trace import EpisodeTrace
+
+STRENGTH = (0.94, 0.97, 0.91, 1.0, 0.99, 0.93, 0.96, 0.98)
+BIAS = (0.01, -0.02)
+TEXT = f"""robot = "minitaur"
+[params]
+motor_strength = {list(STRENGTH)}
+imu_bias = {list(BIAS)}
+voltage = 15.4
+servo_latency = 0.0021
+servo_kp = 0.9
+[fit]
+error = 0.01
+"""
+VALUES = {"motor_strength": STRENGTH, "imu_bias": BIAS, "voltage": 15.4, "servo_latency": 0.0021, "servo_kp": 0.9}
+AS_JSON = {name: list(value) if isinstance(value, tuple) else value for name, value in VALUES.items()}
+SOURCE = {"file": "robot.toml", "sha256": hashlib.sha256(TEXT.encode()).hexdigest()}
+ONE = ("--threads", "1")
+SHORT = ("--episodes", "2", *ONE)
+
+
+@pytest.fixture(autouse=True)
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A working folder with robot.toml in it."""
+    monkeypatch.chdir(tmp_path)
+    Path("robot.toml").write_text(TEXT)
+    return tmp_path
+
+
+def result(line: str, capsys: pytest.CaptureFixture[str], *more: str) -> dict[str, Any]:
+    code = main([*line.split(), *more, "--json"])
+    said = capsys.readouterr()
+    assert code == 0, said.err
+    found: dict[str, Any] = json.loads(said.out)
+    return found
+
+
+# --- the task ---------------------------------------------------------------------------------------------
+
+
+def test_a_file_stands_in_place_of_the_task_s_parameters():
+    former = TaskConfig(params={"resistance": 0.2, "voltage": 14.0, "control_step": 0.008}, params_source={"file": "x"})
+    task = Simulator(params=Path("robot.toml")).of(former)
+    assert task.params == {**VALUES, "control_step": 0.008}
+    assert task.params_source == SOURCE
+    assert Simulator().of(task) == task
+
+
+def test_options_and_settings_go_over_the_file():
+    task = Simulator(servo_latency=0.001, params=Path("robot.toml")).of(TaskConfig(), {"voltage": 15.0})
+    assert task.params == {**VALUES, "servo_latency": 0.001, "voltage": 15.0}
+    with pytest.raises(SurefootError, match="servo_latency is given twice, by --servo-latency and by --set"):
+        Simulator(servo_latency=0.001, params=Path("robot.toml")).of(TaskConfig(), {"servo_latency": 0.0})
+
+
+def test_words_of_a_whole_configuration():
+    assert take_simulator(["--params", "a.toml", "--seed", "3"], "p") == (
+        ["--seed", "3"],
+        Simulator(params=Path("a.toml")),
+    )
+    with pytest.raises(SurefootError, match=r"--params has no value; it takes a \.toml file"):
+        take_simulator(["--params", "--seed", "3"], "p")
+
+
+def test_a_control_step_belongs_to_the_policy():
+    robot = RobotDescription.load("minitaur")
+    write_params(Path("all.toml"), robot, PhysicalParams.nominal(robot))
+    own = robot.timing.control_step
+    assert Simulator(params=Path("all.toml")).of(TaskConfig()).params["control_step"] == own
+    with pytest.raises(SurefootError, match=rf"all\.toml: control_step is {own:g}, and the task's is 0\.01"):
+        Simulator(params=Path("all.toml")).of(TaskConfig(params={"control_step": 0.01}))
+
+
+# --- commands that run a policy ---------------------------------------------------------------------------
+
+
+def test_an_evaluation_on_the_robot_of_a_file(capsys: pytest.CaptureFixture[str]):
+    own = result("evaluate trot", capsys, *SHORT)
+    found = result("evaluate trot --params robot.toml --out out", capsys, *SHORT)
+    over = result("evaluate trot --params robot.toml --set voltage=15.0 --control-latency 0.01", capsys, *SHORT)
+    assert (own["params"], own["params_source"], own["set"]) == ({}, {}, {})
+    assert (found["params"], found["params_source"], found["set"]) == (AS_JSON, SOURCE, {})
+    assert over["params"] == {**AS_JSON, "control_latency": 0.01, "voltage": 15.0}
+    assert over["set"] == {"control_latency": 0.01, "voltage": 15.0}
+    assert len({one["distance_mean"] for one in (own, found, over)}) == 3
+    for path in Path("out").glob("*.npz"):
+        meta = EpisodeTrace.load(path).meta
+        assert meta["params"] == {**RobotDescription.load("minitaur").nominal_params(), **AS_JSON}
+        assert meta["params_source"] == SOURCE
+
+
+def test_what_is_drawn_replaces_its_rows_only(capsys: pytest.CaptureFixture[str]):
+    words = "evaluate trot --params robot.toml --randomize.motor-strength 0.8 0.9 --out out"
+    found = result(words, capsys, *SHORT)
+    assert found["randomize"] == {"motor_strength": [0.8, 0.9]}
+    for path in sorted(Path("out").glob("*.npz")):
+        params = EpisodeTrace.load(path).meta["params"]
+        assert 0.8 <= min(params["motor_strength"]) < max(params["motor_strength"]) <= 0.9
+        assert (params["imu_bias"], params["voltage"]) == (list(BIAS), 15.4)
+
+
+def test_the_gap_has_the_robot_on_all_simulated_sides(capsys: pytest.CaptureFixture[str]):
+    words = "gap trot --to mujoco --params robot.toml --to-set voltage=14 --runs 2 --duration 0.3"
+    (policy,) = result(words, capsys, *ONE)["policies"]
+    assert policy["home"] == {"actuator": "dc", "params": AS_JSON, "params_source": SOURCE}
+    assert policy["away"] == {"actuator": "dc", "params": {**AS_JSON, "voltage": 14.0}, "params_source": SOURCE}
+    home, away = (EpisodeTrace.load(f"gap/trot/{world}/run_001.npz").meta for world in ("mujoco", "mujoco-away"))
+    assert home["params"]["motor_strength"] == away["params"]["motor_strength"] == list(STRENGTH)
+    assert (home["params"]["voltage"], away["params"]["voltage"]) == (15.4, 14.0)
+    # Recorded runs stay as they are, and the robot stands beside them.
+    shutil.copytree("gap/trot/mujoco-away", "recorded")
+    before = [path.read_bytes() for path in sorted(Path("recorded").iterdir())]
+    words = "gap trot --to trace recorded --params robot.toml --runs 2 --duration 0.3 --out told"
+    again = result(words, capsys, *ONE)["policies"][0]
+    assert again["worlds"][0] == policy["worlds"][0]
+    assert again["worlds"][1]["return_mean"] == policy["worlds"][1]["return_mean"]
+    assert [path.read_bytes() for path in sorted(Path("recorded").iterdir())] == before
+
+
+def test_sensitivity_takes_the_robot_as_the_nominal_one(capsys: pytest.CaptureFixture[str]):
+    Path("ranges.yaml").write_text("voltage: [14.0, 15.4]\n")
+    words = "sensitivity trot --values 2 --episodes 1 --duration 0.12 --ranges ranges.yaml --params robot.toml"
+    (policy,) = result(words, capsys, *ONE)["policies"]
+    assert (policy["params"], policy["params_source"]) == (AS_JSON, SOURCE)
+    lines = [line.split(",") for line in Path("sensitivity/episodes.csv").read_text().splitlines()]
+    returns = {line[lines[0].index("value")]: line[lines[0].index("return")] for line in lines[1:]}
+    # The robot has 15.4 V, so that its world and that test world are one.
+    assert float(returns["15.4"]) == pytest.approx(policy["nominal_return"], abs=1e-6)
+
+
+# --- training ---------------------------------------------------------------------------------------------
+
+TINY = ["--num-envs", "8", "--steps-per-update", "8", "--steps", "128", "--evaluate-every", "64"]
+TINY += ["--evaluation-episodes", "2", "--task.max-steps", "40", "--threads", "1", "--learning-threads", "1"]
+
+
+def test_a_training_keeps_the_robot_in_its_configuration():
+    pytest.importorskip("torch")
+    from surefoot.cli.train import _parse
+
+    task = _parse(["trot", "--params", "robot.toml", *TINY])[0].task
+    assert (task.params, task.params_source) == (VALUES, SOURCE)
+    words = ["--control-latency", "0.01", "--params=robot.toml", "--task.params.control-latency", "0.012"]
+    task = _parse(["trot", *words])[0].task
+    assert task.params == {**VALUES, "control_latency": 0.012}
+    task = _parse(["trot", "--task.params", "voltage", "15", "--params", "robot.toml"])[0].task
+    assert task.params == {**VALUES, "voltage": 15.0}
+    assert _parse(["trot"])[0].task.params_source == {}
+
+
+def test_the_robot_of_the_file_may_be_named_in_the_same_words(here: Path):
+    pytest.importorskip("torch")
+    from surefoot.cli.train import _parse
+
+    shutil.copytree(RobotDescription.load("minitaur").folder, here / "maxitaur")
+    sheet = here / "maxitaur" / "robot.toml"
+    sheet.write_text(sheet.read_text().replace('name = "minitaur"', 'name = "maxitaur"'))
+    Path("other.toml").write_text(TEXT.replace("minitaur", "maxitaur"))
+    words = ["trot", "--params", "other.toml", "--task.robot", "maxitaur"]
+    assert _parse(words)[0].task.params == VALUES
+    with pytest.raises(SurefootError, match="are for robot 'minitaur', not for 'maxitaur'"):
+        _parse(["trot", "--params", "robot.toml", "--task.robot", "maxitaur"])
+
+
+def test_a_run_is_resumed_when_the_file_is_gone(here: Path):
+    torch = pytest.importorskip("torch")
+    from surefoot.cli.train import _parse
+    from surefoot.learn.export import export_run
+    from surefoot.learn.run import TrainingRun
+    from surefoot.learn.run_folder import RunFolder
+    from surefoot.policy.runtime import PolicyRuntime
+    from surefoot.world.sim_world import SimWorld
+
+    config, _ = _parse(["trot", "--params", "robot.toml", *TINY])
+    whole = TrainingRun(config, RunFolder.create_at(config, here / "whole"), SimWorld)
+    whole.run(lambda *_: None)
+    world = whole.trainer.env.world.params
+    np.testing.assert_array_equal(world.motor_strength, np.tile(STRENGTH, (8, 1)))
+    np.testing.assert_array_equal(world.imu_bias, np.tile(BIAS, (8, 1)))
+    updates: list[object] = []
+    first = TrainingRun(config, RunFolder.create_at(config, here / "parts"), SimWorld)
+    first.run(lambda *_: updates.append(None), lambda: bool(updates))
+    Path("robot.toml").unlink()
+    folder, read = RunFolder.open(here / "parts")
+    assert read == config
+    second = TrainingRun(read, folder, SimWorld, resume=True)
+    second.run(lambda *_: None)
+    one, other = (run.trainer.policy.state_dict() for run in (whole, second))
+    assert all(torch.equal(one[key], other[key]) for key in one)
+
+    contract = PolicyRuntime.load(export_run(second, here / "policy.onnx")).contract
+    nominal = RobotDescription.load("minitaur").nominal_params()
+    assert (contract.voltage, contract.servo_kp, contract.servo_latency) == (15.4, 0.9, 0.0021)
+    assert (contract.servo_kd, contract.control_latency) == (nominal["servo_kd"], nominal["control_latency"])
+    assert (contract.task["params"], contract.task["params_source"]) == (AS_JSON, SOURCE)
+
+
+def test_a_whole_training_evaluates_on_the_robot(here: Path, capsys: pytest.CaptureFixture[str]):
+    pytest.importorskip("torch")
+    pytest.importorskip("imageio_ffmpeg")
+    words = [sys.executable, "-m", "surefoot", "train", "trot", "--params", "robot.toml", *TINY]
+    done = subprocess.run(words, cwd=here, capture_output=True, text=True, timeout=280, check=False)
+    assert done.returncode == 0, done.stderr
+    (run,) = here.glob("runs/trot/*")
+    told = json.loads((run / "evaluation.json").read_text())["without_pushes"]
+    Path("robot.toml").unlink()
+    policy = str(run / "policy.onnx")
+    own = result(f"evaluate {policy} --episodes 20 --seed 0", capsys)
+    assert (own["params"], own["params_source"]) == (AS_JSON, SOURCE)
+    for key in ("return_mean", "distance_mean", "power_mean", "falls"):
+        assert own[key] == told[key], key
+
+
+# --- what does not fit ------------------------------------------------------------------------------------
+
+BAD = {
+    "broken.toml": "[params",
+    "bare.toml": "voltage = 15\n",
+    "cat.toml": 'robot = "cat"\n[params]\nvoltage = 15\n',
+    "name.toml": "[params]\nvolts = 15\n",
+    "range.toml": "[params]\nmotor_strength = [1, 1, 1, 9, 1, 1, 1, 1]\n",
+    "short.toml": "[params]\nmotor_strength = [1, 0.9]\n",
+    "two.toml": "[params]\nvoltage = [15, 16]\n",
+    "step.toml": "[params]\ncontrol_step = 0.008\n",
+}
+SAID = [
+    ("nowhere.toml", "parameters nowhere.toml: No such file or directory"),
+    ("broken.toml", "parameters broken.toml: is not TOML"),
+    ("bare.toml", "parameters bare.toml: has no table [params]"),
+    ("cat.toml", "parameters cat.toml: are for robot 'cat', not for 'minitaur'"),
+    ("name.toml", "parameters name.toml: 'volts' is no physical parameter; choices: base_mass_ratio"),
+    ("range.toml", "parameters range.toml: motor_strength is 9; minitaur allows 0 to 2"),
+    ("short.toml", "parameters short.toml: motor_strength has shape (2,); it must fit (1, 8)"),
+    ("two.toml", "parameters two.toml: voltage has shape (2,); it must fit (1,)"),
+    ("step.toml", "parameters step.toml: control_step is 0.008, and the task's is 0.006"),
+]
+
+
+@pytest.mark.parametrize(
+    "line",
+    ["train trot", "evaluate trot --out o", "gap trot --to mujoco", "sensitivity trot", "play trot --out o.mp4"],
+)
+def test_a_file_that_does_not_fit_is_told_in_one_line(line: str, here: Path, capsys: pytest.CaptureFixture[str]):
+    if line.startswith("train"):
+        pytest.importorskip("torch")
+    for name, text in BAD.items():
+        Path(name).write_text(text)
+    before = sorted(here.iterdir())
+    for name, told in SAID:
+        assert main([*line.split(), "--params", name]) == 2
+        said = capsys.readouterr()
+        assert said.out == ""
+        assert said.err.startswith(f"surefoot: error: {told}"), said.err
+        assert said.err.count("\n") == 1
+        assert sorted(here.iterdir()) == before
+
+
+def test_no_traceback_reaches_the_user(here: Path):
+    words = [sys.executable, "-m", "surefoot", "evaluate", "trot", "--params", "nowhere.toml"]
+    done = subprocess.run(words, cwd=here, capture_output=True, text=True, timeout=120, check=False)
+    told = "surefoot: error: parameters nowhere.toml: No such file or directory\n"
+    assert (done.returncode, done.stdout, done.stderr) == (2, "", told)
+
+
+@pytest.mark.parametrize(
+    ("line", "part"),
+    [
+        ("evaluate --trace a.npz --params robot.toml", "--trace and --params are given"),
+        ("evaluate --trace a.npz --control-latency 0", "--trace and --control-latency are given"),
+        ("gap trot --from trace a --to trace b --params robot.toml", "--params is given, but nothing is simulated"),
+        ("train --resume run --params robot.toml", "--resume takes the path of one run folder and nothing else"),
+    ],
+)
+def test_where_nothing_is_simulated_anew_it_is_refused(line: str, part: str, capsys: pytest.CaptureFixture[str]):
+    assert main(line.split()) == 2
+    said = capsys.readouterr()
+    assert said.err.count("\n") == 1
+    assert part in said.err
+
+
+def test_a_policy_with_another_control_step_keeps_it(here: Path, capsys: pytest.CaptureFixture[str]):
+    onnx = pytest.importorskip("onnx")
+    from surefoot.policy.contract import METADATA_KEY
+
+    model = onnx.load(find_policy("trot"))
+    (entry,) = (entry for entry in model.metadata_props if entry.key == METADATA_KEY)
+    contract = json.loads(entry.value)
+    contract["control_step"] = 0.008
+    contract["task"].update(max_steps=20, params={"control_step": 0.008, "voltage": 14.0})
+    onnx.helper.set_model_props(model, {METADATA_KEY: json.dumps(contract)})
+    onnx.save(model, here / "slow.onnx")
+    Path("step.toml").write_text("[params]\ncontrol_step = 0.006\n")
+    for words, step in (("--params robot.toml", 0.008), ("--params robot.toml --set control_step=0.007", 0.007)):
+        found = result(f"evaluate slow.onnx {words}", capsys, *SHORT)
+        assert found["params"] == {**AS_JSON, "control_step": step}
+    assert main(["evaluate", "slow.onnx", "--params", "step.toml"]) == 2
+    assert "control_step is 0.006, and the task's is 0.008; it belongs to the policy" in capsys.readouterr().err
