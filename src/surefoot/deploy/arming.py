@@ -20,15 +20,24 @@ class Arming:
         connection: to a robot that was greeted.
         handshake: what it said of itself.
         control_step: time between two commands [s].
+        mode: what the commands are.
+        lead: how long before the next command the robot is to send its state [s]; the connection's, if not given.
     """
 
-    def __init__(self, connection: RobotConnection, handshake: Handshake, control_step: float) -> None:
-        self.connection, self.control_step = connection, control_step
+    def __init__(
+        self,
+        connection: RobotConnection,
+        handshake: Handshake,
+        control_step: float,
+        mode: Mode = Mode.POSITION,
+        lead: float | None = None,
+    ) -> None:
+        self.connection, self.control_step, self.mode, self.lead = connection, control_step, mode, lead
         self.clean_time = handshake.rearm_after + _CLEAN_MARGIN
         """Time [s] for which a damped robot wants a clean link, and a little more."""
 
     def arm(self) -> None:
-        """Let the servos hold the present pose.
+        """Let the servos hold the present pose, or motors be without duty.
 
         Raises:
             SurefootError: the robot does not arm; says why.
@@ -40,7 +49,7 @@ class Arming:
         if refusal is not None and refusal.reason == Reason.NOT_CLEAN:
             self.keep_talking(lambda: False, self.clean_time)
             refusal = self._ask_to_arm()
-        if self.connection.last_state().mode != Mode.POSITION:
+        if self.connection.last_state().mode != self.mode:
             self.connection.disarm()
             raise SurefootError(f"the robot does not arm: {refusal.text if refusal is not None else 'no answer'}")
 
@@ -49,8 +58,8 @@ class Arming:
         connection = self.connection
         asked = len(connection.faults)
         self.ask_until(
-            lambda: connection.arm(Mode.POSITION, self.control_step),
-            lambda: connection.last_state().mode == Mode.POSITION or len(connection.faults) > asked,
+            lambda: connection.arm(self.mode, self.control_step, self.lead),
+            lambda: connection.last_state().mode == self.mode or len(connection.faults) > asked,
         )
         return connection.faults[-1] if len(connection.faults) > asked else None
 

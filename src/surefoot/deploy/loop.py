@@ -19,7 +19,7 @@ from surefoot.deploy.link import LinkLostError
 from surefoot.deploy.pacer import Pacer, Timing
 from surefoot.deploy.safety import GO, Act, Guard, NotFiniteError, Seen, Verdict
 from surefoot.deploy.stop_signals import StopSignals
-from surefoot.deploy.wire.messages import State
+from surefoot.deploy.wire.messages import Mode, State
 from surefoot.errors import SurefootError
 
 Array = NDArray[np.float64]
@@ -105,7 +105,7 @@ class ControlLoop:
         self.timing, self.dry_run, self.control_step = timing, dry_run, control_step
         self.pacer = Pacer(connection.clock, control_step)
         self.target: Array | None = None
-        """Motor angles (M,) [rad] that were sent last."""
+        """Motor angles (M,) [rad] that were sent last, or duties if the guard's mode is that of duties."""
         self.inference = math.nan
         """How long the policy took in this step [s]; whoever asks it says so here."""
         self._phase, self._steps = "", 0
@@ -194,7 +194,8 @@ class ControlLoop:
             if self.timing.steps % 16 == 0:
                 self.connection.link.ping()
         elif self.target is not None:
-            self.connection.position(self.target)
+            send = self.connection.pwm if self.guard.mode == Mode.PWM else self.connection.position
+            send(self.target)
 
     def damp(self) -> None:
         """Ask for damped motors, if there is still somebody to ask."""

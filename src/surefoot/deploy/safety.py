@@ -94,10 +94,18 @@ class Guard:
         control_step: time between two control steps [s].
         session: the operator's session.
         tilt: roll or pitch [rad] that is a fall; the limits', if not given.
+        mode: in which an armed robot must be.
     """
 
-    def __init__(self, limits: SafetyLimits, control_step: float, session: int, tilt: float | None = None) -> None:
-        self.limits, self.control_step, self.session = limits, control_step, session
+    def __init__(
+        self,
+        limits: SafetyLimits,
+        control_step: float,
+        session: int,
+        tilt: float | None = None,
+        mode: Mode = Mode.POSITION,
+    ) -> None:
+        self.limits, self.control_step, self.session, self.mode = limits, control_step, session, mode
         self.tilt = limits.tilt if tilt is None else tilt
         self.warnings: list[str] = []
         """What the operator should know, each once, oldest first."""
@@ -136,8 +144,8 @@ class Guard:
             reason = Reason(state.reason) if state.reason in {*Reason} else None
             name = reason.name.lower() if reason is not None else str(state.reason)
             return Verdict(Act.GONE, f"robot {name}", f"the robot has damped its motors ({name})")
-        if state.mode != Mode.POSITION:
-            return Verdict(Act.DAMP, "mode", f"the robot is in mode {state.mode}; it must be in {int(Mode.POSITION)}")
+        if state.mode != self.mode:
+            return Verdict(Act.DAMP, "mode", f"the robot is in mode {state.mode}; it must be in {int(self.mode)}")
         return GO
 
     def _readings(self, state: State) -> Verdict:

@@ -1,0 +1,238 @@
+"""Runs a plan on a robot over the link: the deployment's loop and guard, the plan's own limits, everything recorded."""
+
+from __future__ import annotations
+
+import datetime
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surefoot.deploy.arming import Arming
+from surefoot.deploy.connection import RobotConnection
+from surefoot.deploy.link import LinkLostError
+from surefoot.deploy.loop import ControlLoop, Watch
+from surefoot.deploy.pacer import Timing
+from surefoot.deploy.safety import Act, Guard
+from surefoot.deploy.safety_limits import SafetyLimits
+from surefoot.deploy.stop_signals import StopSignals
+from surefoot.deploy.wire.messages import Handshake, Mode, State
+from surefoot.errors import SurefootError
+from surefoot.identify.plan import Phase, Plan
+from surefoot.identify.recording import COMPLETE, SCHEMA, Recording, digest_of
+from surefoot.robot import RobotDescription
+
+Array = NDArray[np.float64]
+
+PERIOD = 0.002
+"""Time between two commands, and between two states [s]: at 921,600 baud a state takes 1.7 ms."""
+REST = 1.0
+"""How long the robot is watched at rest before it is armed [s]."""
+LATE = 0.05
+"""Age of the newest state [s], and time without a command, that end an experiment: the robot damps itself then."""
+_STATE_FIELDS = (
+    *("mode", "command", "command_age", "motor_angle", "motor_velocity", "motor_torque"),
+    *("roll_pitch_yaw", "angular_velocity_base", "voltage", "temperature"),
+)
+
+
+class ExperimentStoppedError(RuntimeError):
+    """An experiment ended early; motors are damped or let go."""
+
+
+class Driver:
+    """An experiment on a greeted robot.
+
+    Args:
+        connection: to the robot.
+        plan: what to do.
+        robot: its data sheet.
+        operator: may ask to stop.
+        watch: is told how it goes.
+        period: time between two commands [s].
+    """
+
+    def __init__(
+        self,
+        connection: RobotConnection,
+        plan: Plan,
+        robot: RobotDescription,
+        operator: StopSignals,
+        watch: Watch,
+        period: float = PERIOD,
+    ) -> None:
+        if connection.handshake is None:
+            raise SurefootError("the robot was not greeted")
+        self.connection, self.plan, self.robot, self.operator = connection, plan, robot, operator
+        self.handshake: Handshake = connection.handshake
+        self.period = min(max(period, self.handshake.command_period_min), self.handshake.command_period_max)
+        # Commands that come a little early must not put off a state that is due.
+        self.lead = 0.0 if connection.lockstep else self.period / 4
+        steps = LATE / self.period
+        self._limits = replace(SafetyLimits(), state_age=steps, missed_steps=int(steps) - 1)
+        self._watch = watch
+        self._states: list[tuple[State, float, float]] = []
+        self._sent: list[tuple[int, float, int, Array]] = []
+        self._changes: list[tuple[float, int]] = []
+        self._strained = np.zeros(robot.num_motors)
+        self._target: Array | None = None
+        self._started = 0.0
+
+    def run(self) -> Recording:
+        """Watch the robot at rest, go through all phases, let the robot go; what was recorded, however it ended.
+
+        Nothing is raised once motors may have moved: `meta["ended"]` tells why an experiment did not come to its end.
+
+        Raises:
+            SurefootError: the robot does not arm.
+        """
+        connection, ended = self.connection, COMPLETE
+        counts, decoded = connection.link.counts, connection.link.decoder.counts
+        before = counts.missing, decoded.damaged
+        connection.on_state = lambda state, sent, came: self._states.append((state, sent, came))
+        self._started = connection.clock.now()
+        try:
+            Arming(connection, self.handshake, self.period).keep_talking(lambda: False, REST)
+            resting = len(self._states)
+            self._through_phases()
+        except ExperimentStoppedError as stopped:
+            ended = str(stopped)
+        except LinkLostError as lost:
+            ended = str(lost)
+        finally:
+            connection.on_state = None
+        frames = {"missing": counts.missing - before[0], "damaged": decoded.damaged - before[1]}
+        return self._recording(ended, frames, resting)
+
+    def _through_phases(self) -> None:
+        mode: Mode | None = None
+        loop, arming = None, None
+        for index, phase in enumerate(self.plan.phases):
+            if loop is None or arming is None or phase.mode is not mode:
+                if arming is not None:
+                    self._let_go(arming, loop)
+                loop, arming, mode = *self._arm(phase.mode), phase.mode
+            self._follow(loop, index, phase)
+        if arming is not None:
+            self._let_go(arming, loop)
+
+    def _arm(self, mode: Mode) -> tuple[ControlLoop, Arming]:
+        guard = Guard(self._limits, self.period, self.connection.session, self.handshake.tilt_limit, mode)
+        loop = ControlLoop(self.connection, self.period, guard, self.operator, self._watch, Timing(0))
+        arming = Arming(self.connection, self.handshake, self.period, mode, self.lead)
+        self._changes.append((self.connection.clock.now(), int(mode)))
+        arming.arm()
+        self._target = None
+        return loop, arming
+
+    def _let_go(self, arming: Arming, loop: ControlLoop | None) -> None:
+        state = self.connection.last_state
+        self._changes.append((self.connection.clock.now(), int(Mode.DISARMED)))
+        if not arming.ask_until(self.connection.disarm, lambda: state().mode in (Mode.DISARMED, Mode.FAULT)):
+            if loop is not None:
+                loop.damp()
+            raise ExperimentStoppedError("the robot does not say that it has disarmed")
+
+    def _follow(self, loop: ControlLoop, index: int, phase: Phase) -> None:
+        start: Array | None = self._target
+        low, high = self.handshake.angle_low, self.handshake.angle_high
+
+        def target(k: int, state: State, missed: int) -> Array:
+            nonlocal start
+            if start is None:
+                start = state.motor_angle.copy() if phase.mode == Mode.POSITION else np.zeros(self.robot.num_motors)
+            self._check(state)
+            asked = phase.signal(k * self.period, start)
+            return np.clip(asked, low, high) if phase.mode == Mode.POSITION else np.clip(asked, -1.0, 1.0)
+
+        def after(k: int, state: State, computed: bool) -> None:
+            if loop.target is not None:
+                self._sent.append((self.connection.link.counts.sent, self.connection.clock.now(), index, loop.target))
+
+        verdict = loop.follow(phase.name, loop.steps_of(phase.duration), target, after)
+        self._target = loop.target
+        if verdict.act is Act.SIT:
+            loop.damp()
+        if verdict.act is not Act.GO:
+            raise ExperimentStoppedError(f"{verdict.text} (in phase '{phase.name}')")
+
+    def _check(self, state: State) -> None:
+        """Stop when a limit of the plan is passed.
+
+        Raises:
+            ExperimentStoppedError: says which.
+        """
+        plan, limits, names = self.plan, self.plan.limits, self.robot.motor_names
+        beyond = np.maximum(plan.angle_low - state.motor_angle, state.motor_angle - plan.angle_high)
+        worst = int(np.argmax(beyond))
+        if self._sent and beyond[worst] > limits.angle_room:
+            raise ExperimentStoppedError(
+                f"{names[worst]} is at {state.motor_angle[worst]:.2f} rad, {beyond[worst]:.2f} beyond what was asked "
+                f"for; at most {limits.angle_room:g}"
+            )
+        strained = np.abs(state.motor_torque) > limits.torque
+        self._strained = np.where(strained, self._strained + self.period, 0.0)
+        worst = int(np.argmax(self._strained))
+        if self._strained[worst] > limits.torque_time:
+            raise ExperimentStoppedError(
+                f"{names[worst]} gave more than {limits.torque:g} N m for {limits.torque_time:g} s"
+            )
+        worst = int(np.argmax(state.temperature))
+        if state.temperature[worst] > limits.temperature:
+            raise ExperimentStoppedError(
+                f"{names[worst]} has {state.temperature[worst]:.0f} degC; at most {limits.temperature:g}"
+            )
+        if self.connection.clock.now() - self._started > limits.duration:
+            raise ExperimentStoppedError(f"it took more than {limits.duration:g} s")
+
+    def _recording(self, ended: str, frames: dict[str, int], resting: int) -> Recording:
+        motors = self.robot.num_motors
+        states = [state for state, _, _ in self._states]
+        numbers, times, phases, values = zip(*self._sent, strict=True) if self._sent else ((), (), (), ())
+        arrays = {
+            "sent_number": np.array(numbers, float),
+            "sent_time": np.array(times, float),
+            "sent_phase": np.array(phases, float),
+            "sent_value": np.array(values, float).reshape(-1, motors),
+            "time": np.array([sent for _, sent, _ in self._states], float),
+            "host_time": np.array([came for _, _, came in self._states], float),
+        }
+        for name in _STATE_FIELDS:
+            arrays[name] = np.array([getattr(state, name) for state in states], float)
+        meta = {
+            "schema": SCHEMA,
+            "experiment": self.plan.experiment,
+            "robot": self.robot.name,
+            "firmware": self.handshake.firmware,
+            "motor_names": list(self.robot.motor_names),
+            "rack": self.plan.rack,
+            "phases": [
+                {"name": phase.name, "mode": int(phase.mode), "used": phase.used, "duration": phase.duration}
+                for phase in self.plan.phases
+            ],
+            "mode_changes": self._changes,
+            "ended": ended,
+            "period": self.period,
+            "lead": self.connection.lead,
+            "servo_period": self.handshake.servo_period,
+            "resting_states": resting,
+            "frames": {"received": len(states), **frames},
+            "date": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
+            "digest": digest_of(arrays),
+        }
+        return Recording(**arrays, meta=meta)
+
+
+def run_plan(
+    connection: RobotConnection,
+    plan: Plan,
+    robot: RobotDescription,
+    watch: Watch,
+    on_start: Callable[[], None] | None = None,
+) -> Recording:
+    """Run a plan on a greeted robot, with the operator's signals heard."""
+    with StopSignals() as operator:
+        if on_start is not None:
+            on_start()
+        return Driver(connection, plan, robot, operator, watch).run()

@@ -1,0 +1,84 @@
+"""The motor experiment: on a rack, sines, steps and pulses that show servo, motor, friction and the legs' inertia."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surefoot.deploy.poses import pose
+from surefoot.deploy.wire.messages import Mode
+from surefoot.identify.experiments.signals import chirps, go_to, hold, steps
+from surefoot.identify.plan import Phase, Plan
+from surefoot.robot import RobotDescription
+from surefoot.seeding import generator
+
+Array = NDArray[np.float64]
+
+EXTENSION = 1.7
+"""Extension [rad] around which legs move, in the middle of what they reach."""
+WIDE, SLOW = 0.3, 0.45
+"""Amplitudes [rad] of the chirp and of the slow sweep."""
+STEP = 0.35
+"""Largest step of a target [rad]: half of the servo's currents are then in the bent part of the torque curve."""
+DUTIES = (0.08, 0.15, 0.25, 0.35, 0.45)
+"""Heights of PWM pulses; at stall 7 to 39 A at 16 V."""
+PULSE = 0.014
+"""Length of a PWM pulse [s]."""
+BURST = 0.24
+"""Length of a PWM phase [s]: pulses, then motors without duty."""
+PREFERRED = 0.002
+"""Time grid of commands [s]."""
+
+
+def motor_plan(robot: RobotDescription, seed: int = 0) -> Plan:
+    """Move all motors at once, each in its own way: legs on a rack do not feel each other.
+
+    Args:
+        robot: its legs.
+        seed: of the steps and of the order of pulses.
+    """
+    motors = robot.num_motors
+    draw = generator(seed, "motor experiment")
+    middle = pose(robot, 0.0, EXTENSION)
+    turned = np.zeros(motors)
+    # A leg's motors a quarter turn apart: swing and extension are both excited; legs differ, so that a look tells them.
+    for leg, (first, second) in enumerate(robot.leg_motor_index):
+        turned[first], turned[second] = 0.4 * leg, 0.4 * leg + np.pi / 2
+    all_motors = np.ones(motors)
+    wide = chirps(middle, WIDE * all_motors, 0.5, 10.0, 10.0, turned)
+    narrow = chirps(middle, 0.08 * all_motors, 8.0, 25.0, 4.0, turned)
+    slow = chirps(middle, SLOW * all_motors, 0.25, 0.5, 6.0, turned)
+    jumps = middle + draw.uniform(-STEP, STEP, (24, motors))
+    phases = [
+        Phase("unfold", "all legs to the middle of their reach", 1.5, go_to(middle, 1.5), used=False),
+        Phase("hold", "all legs held", 0.6, hold(middle)),
+        Phase("sweep slowly", f"every motor {SLOW:g} rad to both sides, four strokes", 6.0, slow),
+        Phase("chirp", f"every motor {WIDE:g} rad to both sides, from 0.5 to 10 Hz", 10.0, wide),
+        Phase("fast chirp", "every motor 0.08 rad to both sides, from 8 to 25 Hz", 4.0, narrow),
+        Phase("steps", f"every motor jumps by up to {STEP:g} rad to both sides, 24 times", 6.0, steps(jumps, 0.25)),
+    ]
+    for height in np.concatenate([draw.permutation(DUTIES) for _ in range(3)]):
+        phases += [
+            Phase("centre", "all legs back to the middle", 0.5, go_to(middle, 0.3), used=False),
+            Phase(
+                "PWM pulses",
+                f"motors without servo: pulses of {1e3 * PULSE:g} ms and up to {max(DUTIES):g} duty there and back",
+                BURST,
+                _pulses(height * draw.choice([-1.0, 1.0], motors) * draw.uniform(0.7, 1.0, motors)),
+                Mode.PWM,
+            ),
+        ]
+    phases.append(Phase("centre", "all legs back to the middle", 0.5, go_to(middle, 0.3), used=False))
+    reach = max(WIDE, SLOW, STEP)
+    return Plan("motor", True, tuple(phases), middle - reach, middle + reach, max(DUTIES))
+
+
+def _pulses(height: Array):  # type: ignore[no-untyped-def]
+    """There, back for twice as long, and there again: the motor ends near where it began."""
+
+    def signal(t: float, start: Array) -> Array:
+        part = int(t / PULSE + 1e-9)
+        sign = {0: 1.0, 1: -1.0, 2: -1.0, 3: 1.0}.get(part, 0.0)
+        return sign * height
+
+    return signal

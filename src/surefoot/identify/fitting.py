@@ -1,0 +1,291 @@
+"""The one adapter between surefoot's models and the libraries that fit them.
+
+Smooth models go to MuJoCo's least squares (`mujoco.minimize`, the solver of `mujoco.sysid`), which takes residuals of
+many candidates at once; rough ones first to CMA-ES (`cma`). What comes back has intervals that count how residuals hang
+together in time, correlations, and what the data do not tell.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from mujoco import minimize
+from numpy.typing import NDArray
+
+from surefoot.errors import SurefootError
+
+Array = NDArray[np.float64]
+
+CONFIDENCE = 1.959964
+"""Standard deviations on either side that hold 95 % of a normal distribution."""
+SMALL = 1e-5
+"""Relative gain of an iteration below which a fit has settled."""
+UNTOLD = 0.7
+"""Share of a parameter's prior spread, or of a quarter of its bounds, beyond which the data are said not to tell it."""
+
+
+@dataclass(frozen=True)
+class Unknown:
+    """A number that is to be found."""
+
+    name: str
+    """Physical parameter, or another number that the model needs."""
+    start: float
+    """Where to begin."""
+    low: float
+    """Least value."""
+    high: float
+    """Greatest value."""
+    step: float
+    """For finite differences: small beside what matters, large beside rounding."""
+    index: int | None = None
+    """Which motor, or which axis, if it is not one for all."""
+    prior: float | None = None
+    """Standard deviation around `start` that is known beforehand; None: nothing is."""
+    colour: int | None = None
+    """Unknowns of one colour touch different residuals, so that all of them are tried at once."""
+
+    @property
+    def label(self) -> str:
+        """Name with index."""
+        return self.name if self.index is None else f"{self.name}[{self.index}]"
+
+
+class _SettledError(Exception):
+    """Raised from within the solver: its own tolerances are finer than finite differences of a simulation."""
+
+
+class Model(Protocol):
+    """What can be fitted."""
+
+    unknowns: Sequence[Unknown]
+    """n numbers to find."""
+    blocks: NDArray[np.int64]
+    """Number of the block of time of each residual (m,): residuals of different blocks are independent."""
+
+    def residuals(self, values: Array) -> Array:
+        """Residuals (K, m) of K candidates (K, n), each in standard deviations of its noise."""
+        ...
+
+    def touched(self, unknown: int) -> NDArray[np.bool_] | None:
+        """Residuals (m,) that a coloured unknown touches."""
+        ...
+
+
+@dataclass(frozen=True)
+class Fit:
+    """What was found."""
+
+    unknowns: tuple[Unknown, ...]
+    values: Array
+    """(n,)"""
+    covariance: Array
+    """(n, n), of what is not known about the values."""
+    residuals: Array
+    """(m,), in standard deviations."""
+    cost: float
+    """Mean square of the residuals."""
+    start_cost: float
+    """The same where the fit began."""
+    iterations: int
+
+    @property
+    def deviation(self) -> Array:
+        """Standard deviations (n,)."""
+        return np.sqrt(np.diag(self.covariance))
+
+    @property
+    def correlation(self) -> Array:
+        """(n, n)"""
+        scale = np.maximum(self.deviation, 1e-300)
+        return self.covariance / np.outer(scale, scale)
+
+    @property
+    def told(self) -> NDArray[np.bool_]:
+        """Which unknowns the data tell: what is left open is clearly less than what was open before (n,)."""
+        before = np.array([u.prior if u.prior is not None else (u.high - u.low) / 4 for u in self.unknowns])
+        return self.deviation < UNTOLD * before
+
+    def at(self, name: str, index: int | None = None) -> int:
+        """Place of an unknown."""
+        return next(i for i, u in enumerate(self.unknowns) if u.name == name and u.index == index)
+
+    def strongest_correlations(self, count: int = 5, least: float = 0.8) -> list[tuple[str, str, float]]:
+        """Pairs of unknowns that the data can hardly tell apart, strongest first."""
+        c = self.correlation
+        pairs = [(abs(c[i, j]), i, j) for i in range(len(c)) for j in range(i) if abs(c[i, j]) >= least]
+        return [(self.unknowns[j].label, self.unknowns[i].label, float(c[i, j])) for _, i, j in sorted(pairs)[::-1][:count]]
+
+
+def jacobian_of(model: Model, values: Array, residuals: Array) -> Array:
+    """Derivatives (m, n) by forward differences; unknowns of one colour are tried together."""
+    unknowns = model.unknowns
+    groups: list[list[int]] = []
+    colours: dict[int, int] = {}
+    for i, unknown in enumerate(unknowns):
+        if unknown.colour is not None and unknown.colour in colours:
+            groups[colours[unknown.colour]].append(i)
+            continue
+        if unknown.colour is not None:
+            colours[unknown.colour] = len(groups)
+        groups.append([i])
+    tried = np.tile(values, (len(groups), 1))
+    change = np.array([u.step if v + u.step <= u.high else -u.step for u, v in zip(unknowns, values, strict=True)])
+    for row, group in enumerate(groups):
+        tried[row, group] += change[group]
+    moved = model.residuals(tried)
+    jacobian = np.empty((len(residuals), len(unknowns)))
+    for row, group in enumerate(groups):
+        difference = moved[row] - residuals
+        for i in group:
+            touched = model.touched(i) if len(group) > 1 else None
+            jacobian[:, i] = (difference if touched is None else np.where(touched, difference, 0.0)) / change[i]
+    return jacobian
+
+
+def _with_priors(model: Model) -> tuple[NDArray[np.int64], Array, Array]:
+    known = [i for i, u in enumerate(model.unknowns) if u.prior is not None]
+    middle = np.array([model.unknowns[i].start for i in known])
+    spread = np.array([model.unknowns[i].prior for i in known], float)
+    return np.array(known, np.int64), middle, spread
+
+
+def fit_least_squares(
+    model: Model,
+    start: Array | None = None,
+    iterations: int = 25,
+    tell: Callable[[int, float], None] | None = None,
+) -> Fit:
+    """Minimize the sum of squared residuals within bounds, priors counted as residuals.
+
+    Args:
+        model: what to fit.
+        start: values (n,) to begin with; those of the unknowns, if not given.
+        iterations: at most.
+        tell: is told each iteration's number and mean square.
+
+    Raises:
+        SurefootError: residuals that are not finite where the fit begins.
+    """
+    unknowns = tuple(model.unknowns)
+    scale = np.array([u.step for u in unknowns])
+    low, high = (np.array([getattr(u, side) for u in unknowns]) for side in ("low", "high"))
+    known, middle, spread = _with_priors(model)
+    first = np.clip(np.array([u.start for u in unknowns]) if start is None else start, low, high)
+
+    def residual(x: Array) -> Array:
+        values = (x * scale[:, None]).T
+        return np.concatenate([model.residuals(values), (values[:, known] - middle) / spread], axis=1).T.copy()
+
+    def jacobian(x: Array, r: Array) -> Array:
+        values, count = x[:, 0] * scale, len(r) - len(known)
+        whole = np.zeros((len(r), len(scale)))
+        whole[:count] = jacobian_of(model, values, r[:count, 0])
+        whole[count + np.arange(len(known)), known] = 1 / spread
+        jacobians[:] = [whole]
+        return whole * scale
+
+    jacobians: list[Array] = []
+    begin = residual((first / scale)[:, None])
+    if not np.isfinite(begin).all():
+        raise SurefootError("the model breaks down where the fit begins; check robot and recording")
+
+    trace: list[minimize.IterLog] = []
+
+    def each(log: list[minimize.IterLog]) -> None:
+        trace[:] = log
+        if tell is not None:
+            tell(len(log), 2 * float(log[-1].objective) / len(begin))
+        if len(log) > 1 and log[-2].objective - log[-1].objective < SMALL * log[-1].objective:
+            raise _SettledError
+
+    try:
+        x, _ = minimize.least_squares(
+            first / scale,
+            residual,
+            [low / scale, high / scale],
+            jacobian,
+            max_iter=iterations,
+            verbose=minimize.Verbosity.SILENT,
+            iter_callback=each,
+            x_scale="jac",
+        )
+    except _SettledError:
+        x = trace[-1].candidate
+    values = np.asarray(x).ravel() * scale
+    final = residual((values / scale)[:, None])[:, 0]
+    count = len(final) - len(known)
+    own = jacobian_of(model, values, final[:count])
+    covariance = _covariance(own, final[:count], model.blocks, known, spread, len(unknowns))
+    return Fit(
+        unknowns,
+        values,
+        covariance,
+        final[:count],
+        float(np.mean(final[:count] ** 2)),
+        float(np.mean(begin[:count] ** 2)),
+        len(trace),
+    )
+
+
+def _covariance(
+    jacobian: Array, residuals: Array, blocks: NDArray[np.int64], known: NDArray[np.int64], spread: Array, n: int
+) -> Array:
+    """H^-1 (sum over blocks of g g' + prior) H^-1, with a block's gradient g = J' r and H = J' J + prior.
+
+    White, Econometrica 48 (1980), by blocks of time as in Newey and West (1987): right also where residuals of
+    neighbouring times hang together, as those of a model that is a little wrong do. It is never taken to be less than
+    H^-1 itself, which is what independent residuals of unit size give.
+    """
+    prior = np.zeros((n, n))
+    prior[known, known] = spread**-2.0
+    hessian = jacobian.T @ jacobian + prior
+    weighted = jacobian * residuals[:, None]
+    order = np.argsort(blocks, kind="stable")
+    edges = np.flatnonzero(np.diff(blocks[order], prepend=-1))
+    gradients = np.add.reduceat(weighted[order], edges, axis=0)
+    count = len(edges)
+    middle = gradients.T @ gradients * (count / max(count - 1, 1)) + prior
+    inverse = np.linalg.pinv(hessian, hermitian=True)
+    sandwich = inverse @ middle @ inverse
+    larger = np.maximum(np.diag(sandwich), np.diag(inverse))
+    stretch = np.sqrt(larger / np.maximum(np.diag(sandwich), 1e-300))
+    return sandwich * np.outer(stretch, stretch)
+
+
+def fit_rough(model: Model, start: Array, spread: Array, seed: int, evaluations: int, population: int) -> Array:
+    """Values (n,) that CMA-ES finds, for models whose residuals have steps or several valleys; no intervals.
+
+    Args:
+        model: what to fit.
+        start: values (n,) to begin with.
+        spread: standard deviation (n,) of the first candidates.
+        seed: of the search.
+        evaluations: candidates at most.
+        population: candidates tried at once.
+    """
+    import cma
+
+    low, high = (np.array([getattr(u, side) for u in model.unknowns]) for side in ("low", "high"))
+    known, middle, width = _with_priors(model)
+    options = {
+        "seed": seed + 1,  # 0 means the clock there
+        "verbose": -9,
+        "maxfevals": evaluations,
+        "popsize": population,
+        "bounds": [((low - start) / spread).tolist(), ((high - start) / spread).tolist()],
+        "tolx": 1e-3,
+    }
+    search = cma.CMAEvolutionStrategy(np.zeros(len(start)), 1.0, options)
+    while not search.stop():
+        candidates = search.ask()
+        values = start + np.array(candidates) * spread
+        residuals = model.residuals(values)
+        cost = np.mean(residuals**2, axis=1) + np.sum(((values[:, known] - middle) / width) ** 2, axis=1) / (
+            residuals.shape[1]
+        )
+        search.tell(candidates, np.where(np.isfinite(cost), cost, 1e9).tolist())
+    return start + np.asarray(search.result.xbest) * spread

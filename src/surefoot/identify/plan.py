@@ -1,0 +1,87 @@
+"""What an experiment is going to do, before it does it: phases, and the limits within which it stays."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surefoot.deploy.wire.messages import Mode
+
+Array = NDArray[np.float64]
+Signal = Callable[[float, Array], Array]
+"""What the motors are asked for (M,) at a time since the phase's start [s], from what they were asked for before."""
+
+
+@dataclass(frozen=True)
+class Phase:
+    """A part of an experiment in which one kind of command is sent."""
+
+    name: str
+    """In a word or two."""
+    what: str
+    """What the motors are going to do, for whoever stands beside the robot."""
+    duration: float
+    """Length [s]."""
+    signal: Signal
+    """Motor angles [rad], or duties."""
+    mode: Mode = Mode.POSITION
+    """Which of the two."""
+    used: bool = True
+    """Whether its readings are to be fitted; if not, it only leads from one pose to the next."""
+
+
+@dataclass(frozen=True)
+class ExperimentLimits:
+    """When an experiment ends early, with motors damped."""
+
+    angle_room: float = 0.5
+    """How far [rad] a motor may be beyond the angles that the plan asks for."""
+    torque: float = 2.8
+    """Torque [N m] that a motor may give for `torque_time`; the Minitaur's own protection takes 2.45 for a second."""
+    torque_time: float = 0.4
+    """How long [s] a motor may give more than that."""
+    temperature: float = 70.0
+    """Motor temperature [degC]."""
+    duration: float = 600.0
+    """Robot time [s]."""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """An experiment that has not begun."""
+
+    experiment: str
+    """Its name."""
+    rack: bool
+    """Whether the robot hangs in the air; otherwise it sits on the ground."""
+    phases: tuple[Phase, ...]
+    """In order."""
+    angle_low: Array
+    """Least motor angles (M,) [rad] that it asks for."""
+    angle_high: Array
+    """Greatest ones."""
+    largest_duty: float
+    """Of PWM commands."""
+    limits: ExperimentLimits = ExperimentLimits()
+
+    @property
+    def duration(self) -> float:
+        """Robot time from arming to disarming [s]."""
+        return sum(phase.duration for phase in self.phases)
+
+    def rows(self) -> list[tuple[str, str, str]]:
+        """Name, duration and motion of each phase, equal neighbours counted, for a table."""
+        rows: list[tuple[str, int, float, str]] = []
+        for phase in self.phases:
+            if rows and rows[-1][0] == phase.name:
+                name, count, duration, what = rows[-1]
+                rows[-1] = (name, count + 1, duration + phase.duration, what)
+            else:
+                rows.append((phase.name, 1, phase.duration, phase.what))
+        return [
+            (name if count == 1 else f"{name} x {count}", f"{duration:.1f} s", what)
+            for name, count, duration, what in rows
+        ]

@@ -1,0 +1,123 @@
+"""A robot on its rack as a model to be fitted: servo, motors, friction, legs' mass and inertia, both latencies."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surefoot.identify.fitting import Unknown
+from surefoot.identify.recording import Recording
+from surefoot.identify.replay import Replayer, Stretch
+from surefoot.robot import PhysicalParams, RobotDescription
+
+Array = NDArray[np.float64]
+
+BLOCK = 0.25
+"""Length [s] of the blocks of time within which residuals may hang together."""
+TORQUE_GAIN = "torque_gain"
+"""Unknown relative error of a motor's torque report; nothing that a simulation needs."""
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Standard deviations of readings."""
+
+    angle: float = 2e-4
+    """[rad]"""
+    velocity: float = 0.05
+    """[rad/s]"""
+    torque: float = 0.02
+    """[N m]"""
+
+
+def params_of(base: PhysicalParams, unknowns: list[Unknown], values: Array) -> PhysicalParams:
+    """Physical parameters, a row for each candidate (K, n), from one row of `base`."""
+    count = len(values)
+    params = base.rows(np.zeros(count, np.int64))
+    for i, unknown in enumerate(unknowns):
+        if unknown.name not in PhysicalParams.names():
+            continue
+        array = getattr(params, unknown.name)
+        if unknown.index is None:
+            array[...] = values[:, i] if array.ndim == 1 else values[:, i, None]
+        else:
+            array[:, unknown.index] = values[:, i]
+    return params
+
+
+class RackModel:
+    """Residuals of angles, speeds and torques of a robot on its rack.
+
+    Args:
+        robot: its description.
+        recording: of the motor experiment, or another one on the rack.
+        stretches: which parts of it.
+        unknowns: what is to be found.
+        base: all that is not, one row.
+        noise: of the readings.
+        every: only every so manieth state is looked at.
+        replayer: to be used again.
+    """
+
+    def __init__(
+        self,
+        robot: RobotDescription,
+        recording: Recording,
+        stretches: list[Stretch],
+        unknowns: list[Unknown],
+        base: PhysicalParams,
+        noise: Noise | None = None,
+        every: int = 3,
+        replayer: Replayer | None = None,
+    ) -> None:
+        self.robot, self.recording, self.unknowns, self.base = robot, recording, unknowns, base
+        self.noise, self.every, self.stretches = noise or Noise(), every, stretches
+        self.replayer = replayer or Replayer(robot, len(unknowns) + 1, rack=True)
+        self._gains = [i for i, u in enumerate(unknowns) if u.name == TORQUE_GAIN]
+        motors = robot.num_motors
+        times = np.concatenate([stretch.state_time[::every] + 1e3 * k for k, stretch in enumerate(stretches)])
+        shape = (3, len(times), motors)
+        self.blocks = np.broadcast_to((times / BLOCK).astype(np.int64)[None, :, None], shape).ravel()
+        self._motor = np.broadcast_to(np.arange(motors), shape).ravel()
+        self._leg = np.empty(motors, np.int64)
+        for leg, pair in enumerate(robot.leg_motor_index):
+            self._leg[pair] = leg
+
+    def touched(self, unknown: int) -> NDArray[np.bool_] | None:
+        """Residuals of the leg to which a motor belongs: on a rack legs do not feel each other."""
+        index = self.unknowns[unknown].index
+        return None if index is None else self._leg[self._motor] == self._leg[index]
+
+    def residuals(self, values: Array) -> Array:
+        """Residuals (K, m) of K candidates."""
+        parts = self.errors(values)
+        noise = np.array([self.noise.angle, self.noise.velocity, self.noise.torque])[None, :, None, None]
+        return (parts / noise).reshape(len(values), -1)
+
+    def errors(self, values: Array) -> Array:
+        """Simulated less recorded angles [rad], speeds [rad/s] and torques [N m] (K, 3, T, M) of K candidates."""
+        size = self.replayer.num_envs
+        return np.concatenate([self._errors(values[k : k + size]) for k in range(0, len(values), size)])
+
+    def _errors(self, values: Array) -> Array:
+        params = params_of(self.base, self.unknowns, values)
+        gain = np.ones((len(values), 1, self.robot.num_motors))
+        for i in self._gains:
+            gain[:, 0, self.unknowns[i].index] += values[:, i]
+        parts = []
+        for stretch in self.stretches:
+            told, kept = self.replayer.run(stretch, params), stretch.states[:: self.every]
+            recording = self.recording
+            parts.append(
+                np.stack(
+                    [
+                        told.motor_angle[:, :: self.every] - recording.motor_angle[kept],
+                        told.motor_velocity[:, :: self.every] - recording.motor_velocity[kept],
+                        told.motor_torque[:, :: self.every] * gain - recording.motor_torque[kept],
+                    ],
+                    axis=1,
+                )
+            )
+        return np.concatenate(parts, axis=2)

@@ -1,0 +1,169 @@
+"""What an experiment recorded: every command that was sent and every state that came, in one file with a digest."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import zipfile
+import zlib
+from dataclasses import dataclass, fields
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surefoot.errors import SurefootError, choices
+from surefoot.files import whole_file
+from surefoot.robot import RobotDescription
+
+Array = NDArray[np.float64]
+
+SCHEMA = 1
+COMPLETE = "complete"
+_META = (
+    *("schema", "experiment", "robot", "motor_names", "rack", "phases", "mode_changes", "ended", "period", "lead"),
+    *("servo_period", "resting_states", "frames", "date", "digest"),
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """An experiment with C commands and T states of a robot with M motors. Robot times are on the robot's clock."""
+
+    sent_number: Array
+    """Numbers of the frames that carried the commands (C,)."""
+    sent_time: Array
+    """When they were sent, on the host's clock (C,) [s]."""
+    sent_phase: Array
+    """Index of the phase to which each belongs (C,)."""
+    sent_value: Array
+    """Motor angles [rad] or duties (C, M), as the phase's mode says."""
+    time: Array
+    """When each state was sent by the robot (T,) [s]."""
+    host_time: Array
+    """When it came, on the host's clock (T,) [s]."""
+    mode: Array
+    """The robot's mode (T,)."""
+    command: Array
+    """Number of the command that the robot obeyed (T,)."""
+    command_age: Array
+    """Time since that came to the robot (T,) [s]."""
+    motor_angle: Array
+    """(T, M) [rad], as old as readings are."""
+    motor_velocity: Array
+    """(T, M) [rad/s], equally old."""
+    motor_torque: Array
+    """(T, M) [N m], from the currents of the last servo step."""
+    roll_pitch_yaw: Array
+    """(T, 3) [rad], as old as readings are."""
+    angular_velocity_base: Array
+    """(T, 3) [rad/s], equally old."""
+    voltage: Array
+    """Of the battery (T,) [V], of now."""
+    temperature: Array
+    """Of the motors (T, M) [degC]."""
+    meta: dict[str, Any]
+    """What can be written as JSON: schema, experiment, robot, motor_names, rack, phases (name, mode, used), mode_changes (host's time
+    [s] of sending, and mode, of all arming and disarming), ended (`COMPLETE`, or why not), lead (s), servo_period (s), frames (sent, missing, damaged), rest_voltage (V), date, digest."""
+
+    @property
+    def num_motors(self) -> int:
+        """Number of motors M."""
+        return self.sent_value.shape[1]
+
+    @property
+    def duration(self) -> float:
+        """Robot time from the first state to the last [s]."""
+        return float(self.time[-1] - self.time[0]) if len(self.time) else 0.0
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 over all arrays."""
+        return str(self.meta["digest"])
+
+    @cached_property
+    def way(self) -> float:
+        """Usual difference of a command's coming, on the robot's clock, and its sending, on the host's [s]."""
+        told = self._told - self.sent_time
+        return float(np.nanmedian(told)) if np.isfinite(told).any() else 0.0
+
+    @cached_property
+    def arrival(self) -> Array:
+        """When each command came to the robot (C,) [s]: what states tell; for others, as long after sending as usual."""
+        return np.where(np.isfinite(self._told), self._told, self.sent_time + self.way)
+
+    @cached_property
+    def _told(self) -> Array:
+        """When each command came to the robot (C,) [s], as states tell; NaN where none does."""
+        told = np.full(len(self.sent_number), np.nan)
+        place = np.searchsorted(self.sent_number, self.command)
+        inside = (place < len(self.sent_number)) & (self.command_age < 0.6)
+        inside[inside] &= self.sent_number[place[inside]] == self.command[inside]
+        # The first state after a command tells its age best: the age has a resolution of 10 us.
+        for index in np.flatnonzero(inside)[::-1]:
+            told[place[index]] = self.time[index] - self.command_age[index]
+        return told
+
+    def phase_states(self, phase: int) -> slice:
+        """States that were sent while commands of a phase held."""
+        mine = np.flatnonzero(self.sent_phase == phase)
+        if not len(mine):
+            return slice(0, 0)
+        begin, last = self.arrival[mine[0]], self.arrival[mine[-1]]
+        following = mine[-1] + 1
+        end = self.arrival[following] if following < len(self.arrival) else last + 0.1
+        return slice(*np.searchsorted(self.time, [begin, max(end, last)]).tolist())
+
+    def save(self, path: Path) -> Path:
+        """Write it to an .npz file, whole or not at all."""
+        arrays = {item.name: getattr(self, item.name) for item in fields(self) if item.name != "meta"}
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with whole_file(path) as file:
+            np.savez_compressed(file, meta=np.array(json.dumps(self.meta)), **arrays)
+        return path
+
+
+def digest_of(arrays: dict[str, Array]) -> str:
+    """SHA-256 over arrays, by name."""
+    total = hashlib.sha256()
+    for name in sorted(arrays):
+        total.update(name.encode())
+        total.update(np.ascontiguousarray(arrays[name], "<f8").tobytes())
+    return total.hexdigest()
+
+
+def load_recording(path: Path, robot: RobotDescription, experiment: str | None = None) -> Recording:
+    """Read a recording.
+
+    Raises:
+        SurefootError: no such file, cut off, damaged, changed, of another schema, robot or experiment, or an experiment
+            that did not come to its end.
+    """
+    names = {item.name for item in fields(Recording)} - {"meta"}
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            arrays = {name: file[name] for name in file.files}
+        meta = json.loads(str(arrays.pop("meta")))
+    except OSError as error:
+        raise SurefootError(f"recording {path}: can't be read: {error.strerror or 'it is no recording'}") from error
+    except (zipfile.BadZipFile, zlib.error, EOFError, RuntimeError) as error:
+        raise SurefootError(f"recording {path}: cut off or damaged: {error}") from error
+    except (KeyError, ValueError, TypeError) as error:
+        raise SurefootError(f"recording {path}: is none: {' '.join(str(error).split())}") from error
+    if not isinstance(meta, dict) or meta.get("schema") != SCHEMA:
+        found = meta.get("schema") if isinstance(meta, dict) else None
+        raise SurefootError(f"recording {path}: has schema {found}; surefoot reads schema {SCHEMA}")
+    missing = [key for key in _META if key not in meta] + sorted(names ^ set(arrays))
+    if missing:
+        raise SurefootError(f"recording {path}: missing or unknown: {choices(missing)}")
+    if meta["robot"] != robot.name or tuple(meta["motor_names"]) != tuple(robot.motor_names):
+        raise SurefootError(f"recording {path}: is of robot '{meta['robot']}', not of '{robot.name}' with its motors")
+    if experiment is not None and meta["experiment"] != experiment:
+        raise SurefootError(f"recording {path}: is of experiment {meta['experiment']}, not {experiment}")
+    if digest_of(arrays) != meta["digest"]:
+        raise SurefootError(f"recording {path}: was changed after it was made: its digest does not fit")
+    if meta["ended"] != COMPLETE:
+        raise SurefootError(f"recording {path}: did not come to its end: {meta['ended']}")
+    return Recording(**arrays, meta=meta)
