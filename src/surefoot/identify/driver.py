@@ -31,6 +31,8 @@ REST = 1.0
 """How long the robot is watched at rest before it is armed [s]."""
 LATE = 0.05
 """Age of the newest state [s], and time without a command, that end an experiment: the robot damps itself then."""
+BATTERY_ROOM = 0.3
+"""Voltage [V] above the robot's own limit at which an experiment ends, if it stays there for a second."""
 _STATE_FIELDS = (
     *("mode", "command", "command_age", "motor_angle", "motor_velocity", "motor_torque"),
     *("roll_pitch_yaw", "angular_velocity_base", "voltage", "temperature"),
@@ -70,7 +72,9 @@ class Driver:
         # Commands that come a little early must not put off a state that is due.
         self.lead = 0.0 if connection.lockstep else self.period / 4
         steps = LATE / self.period
-        self._limits = replace(SafetyLimits(), state_age=steps, missed_steps=int(steps) - 1)
+        # Batteries sag under what an experiment asks for, and recover: only what would stop the robot itself counts.
+        low = self.handshake.voltage_min + BATTERY_ROOM
+        self._limits = replace(SafetyLimits(), state_age=steps, missed_steps=int(steps) - 1, battery_low=low)
         self._watch = watch
         self._states: list[tuple[State, float, float]] = []
         self._sent: list[tuple[int, float, int, Array]] = []
@@ -208,7 +212,7 @@ class Driver:
             "motor_names": list(self.robot.motor_names),
             "rack": self.plan.rack,
             "phases": [
-                {"name": phase.name, "mode": int(phase.mode), "used": phase.used, "duration": phase.duration}
+                {"name": phase.name, "mode": int(phase.mode), "use": phase.use, "duration": phase.duration}
                 for phase in self.plan.phases
             ],
             "mode_changes": self._changes,

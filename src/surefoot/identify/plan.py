@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 from surefoot.deploy.wire.messages import Mode
 
 Array = NDArray[np.float64]
+Use = Literal["fit", "check", "way"]
 Signal = Callable[[float, Array], Array]
 """What the motors are asked for (M,) at a time since the phase's start [s], from what they were asked for before."""
 
@@ -29,8 +31,8 @@ class Phase:
     """Motor angles [rad], or duties."""
     mode: Mode = Mode.POSITION
     """Which of the two."""
-    used: bool = True
-    """Whether its readings are to be fitted; if not, it only leads from one pose to the next."""
+    use: Use = "fit"
+    """fit: its readings are fitted; check: kept back, to try the fit on; way: it only leads from pose to pose."""
 
 
 @dataclass(frozen=True)

@@ -65,7 +65,7 @@ class Recording:
     temperature: Array
     """Of the motors (T, M) [degC]."""
     meta: dict[str, Any]
-    """What can be written as JSON: schema, experiment, robot, motor_names, rack, phases (name, mode, used), mode_changes (host's time
+    """What can be written as JSON: schema, experiment, robot, motor_names, rack, phases (name, mode, use, duration), mode_changes (host's time
     [s] of sending, and mode, of all arming and disarming), ended (`COMPLETE`, or why not), lead (s), servo_period (s), frames (sent, missing, damaged), rest_voltage (V), date, digest."""
 
     @property

@@ -50,7 +50,7 @@ def motor_plan(robot: RobotDescription, seed: int = 0) -> Plan:
     slow = chirps(middle, SLOW * all_motors, 0.25, 0.5, 6.0, turned)
     jumps = middle + draw.uniform(-STEP, STEP, (24, motors))
     phases = [
-        Phase("unfold", "all legs to the middle of their reach", 1.5, go_to(middle, 1.5), used=False),
+        Phase("unfold", "all legs to the middle of their reach", 1.5, go_to(middle, 1.5), use="way"),
         Phase("hold", "all legs held", 0.6, hold(middle)),
         Phase("sweep slowly", f"every motor {SLOW:g} rad to both sides, four strokes", 6.0, slow),
         Phase("chirp", f"every motor {WIDE:g} rad to both sides, from 0.5 to 10 Hz", 10.0, wide),
@@ -59,7 +59,7 @@ def motor_plan(robot: RobotDescription, seed: int = 0) -> Plan:
     ]
     for height in np.concatenate([draw.permutation(DUTIES) for _ in range(3)]):
         phases += [
-            Phase("centre", "all legs back to the middle", 0.5, go_to(middle, 0.3), used=False),
+            Phase("centre", "all legs back to the middle", 0.5, go_to(middle, 0.3), use="way"),
             Phase(
                 "PWM pulses",
                 f"motors without servo: pulses of {1e3 * PULSE:g} ms and up to {max(DUTIES):g} duty there and back",
@@ -68,7 +68,7 @@ def motor_plan(robot: RobotDescription, seed: int = 0) -> Plan:
                 Mode.PWM,
             ),
         ]
-    phases.append(Phase("centre", "all legs back to the middle", 0.5, go_to(middle, 0.3), used=False))
+    phases.append(Phase("centre", "all legs back to the middle", 0.5, go_to(middle, 0.3), use="way"))
     reach = max(WIDE, SLOW, STEP)
     return Plan("motor", True, tuple(phases), middle - reach, middle + reach, max(DUTIES))
 

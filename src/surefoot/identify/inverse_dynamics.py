@@ -1,0 +1,205 @@
+"""From what motors gave and how a standing robot moved to the forces on its feet, without a model of the ground.
+
+With the base's velocity v (6) and the motors' speeds w (M) all joints of closed legs move as u = T (v, w). Newton's law
+for the whole robot, M du/dt + c = tau + sum of J_foot' F, multiplied by T', has no loop forces any more:
+
+    A d(v, w)/dt + b = (0, tau) + sum over feet of J' F,    A = T' M T,    b = T' (c + M dT/dt (v, w))
+
+A leg of two motors moves in a plane, x forward and z up of the base. Its two rows of motors give both forces in the
+plane once the base's acceleration is known; the base's rows then tell that of the base, and what is left over, its
+turning about y. Forces across the legs' planes do no work on the motors: they are not seen, and do not turn the base
+about y.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from surefoot.robot import PhysicalParams, RobotDescription
+from surefoot.world.mujoco_model import build_model, foot_geoms
+
+Array = NDArray[np.float64]
+
+GRAVITY = 9.81
+_STEP = 1e-6
+
+
+@dataclass(frozen=True)
+class Motion:
+    """A standing robot at T times, as it truly was then. Velocities of the base are in its own frame."""
+
+    motor_angle: Array
+    """(T, M) [rad]"""
+    motor_velocity: Array
+    """(T, M) [rad/s]"""
+    motor_acceleration: Array
+    """(T, M) [rad/s2]"""
+    motor_torque: Array
+    """On the motors' shafts, friction taken away (T, M) [N m]."""
+    roll_pitch: Array
+    """(T, 2) [rad]"""
+    angular_velocity: Array
+    """(T, 3) [rad/s]"""
+    angular_acceleration: Array
+    """(T, 3) [rad/s2]"""
+
+
+@dataclass(frozen=True)
+class Forces:
+    """What the ground did to a robot with L legs, in the base's frame, and how the robot answered."""
+
+    foot: Array
+    """Position of each foot's end from the base's origin (T, L, 2), x and z [m]."""
+    force: Array
+    """Force of the ground on each foot (T, L, 2), x and z [N]."""
+    weight: Array
+    """Moments and forces that hold the robot as the description has it: rows x, z, about y (T, 3) [N, N m]."""
+    needed: Array
+    """Forces and moment that its motion takes, gravity left out: rows x, z, about y (T, 3)."""
+    turning: Array
+    """Part of `needed[:, 2]` that is the base's own rotational inertia (T,) [N m]."""
+
+
+class InverseDynamics:
+    """Feet forces of a robot with given masses.
+
+    Args:
+        robot: its description.
+        params: masses and inertias, one row.
+    """
+
+    def __init__(self, robot: RobotDescription, params: PhysicalParams) -> None:
+        self.robot = robot
+        model = build_model(robot)
+        base = model.body(robot.base).id
+        still = robot.urdf.fixed_to(robot.base)
+        legs = [body for body in range(1, model.nbody) if model.body(body).name not in still]
+        model.body_mass[base] *= params.base_mass_ratio[0]
+        model.body_mass[legs] *= params.leg_mass_ratio[0]
+        model.body_inertia[base] *= params.base_inertia_ratio[0]
+        model.body_inertia[legs] *= params.leg_inertia_ratio[0]
+        self.model, self.data = model, mujoco.MjData(model)
+        mujoco.mj_setConst(model, self.data)
+        self.base, self.mass = base, float(model.body_subtreemass[base])
+        quat = np.zeros(9)
+        mujoco.mju_quat2Mat(quat, model.body_iquat[base])
+        turn = quat.reshape(3, 3)
+        self.base_inertia = turn @ np.diag(model.body_inertia[base]) @ turn.T
+        """Of the base about its centre of mass, base frame (3, 3) [kg m2]."""
+        self._feet = foot_geoms(robot, model)
+        self._motor = np.array([model.joint(name).dofadr[0] for name in robot.motor_names])
+        self._motor_q = np.array([model.joint(name).qposadr[0] for name in robot.motor_names])
+        self._knee = np.array([[model.joint(name).dofadr[0] for name in leg.knees] for leg in robot.legs])
+        self._knee_q = np.array([[model.joint(name).qposadr[0] for name in leg.knees] for leg in robot.legs])
+        self._pairs = robot.leg_motor_index
+
+    def _knees(self, angles: Array) -> Array:
+        """Knee angles (T, L, 2) [rad] at motor angles (T, M)."""
+        theta = angles[:, self._pairs]
+        return np.stack(self.robot.leg_geometry.knee_angles(theta[..., 0], theta[..., 1]), axis=-1)
+
+    def _knee_rates(self, angles: Array) -> Array:
+        """Derivatives (T, L, 2 knees, 2 motors) of knee angles by those of the leg's motors."""
+        rates = np.empty((*angles.shape[:1], len(self._pairs), 2, 2))
+        for which in range(2):
+            moved = np.zeros(angles.shape[1])
+            moved[self._pairs[:, which]] = _STEP
+            rates[..., which] = (self._knees(angles + moved) - self._knees(angles - moved)) / (2 * _STEP)
+        return rates
+
+    def forces(self, motion: Motion) -> Forces:
+        """Forces on all feet at all times."""
+        angles, speeds = motion.motor_angle, motion.motor_velocity
+        knees, rates = self._knees(angles), self._knee_rates(angles)
+        # How T changes along the motion, as the knees' accelerations that need no acceleration of motors.
+        ahead, behind = (self._knee_rates(angles + side * _STEP * 10 * speeds) for side in (1.0, -1.0))
+        pair_speed = speeds[:, self._pairs]
+        curving = np.einsum("tlkm,tlm->tlk", (ahead - behind) / (20 * _STEP), pair_speed)
+        count, legs = len(angles), len(self._pairs)
+        out = Forces(*(np.empty((count, *shape)) for shape in ((legs, 2), (legs, 2), (3,), (3,), ())))
+        for t in range(count):
+            self._at(t, motion, knees[t], rates[t], curving[t], out)
+        return out
+
+    def _at(self, t: int, motion: Motion, knees: Array, rates: Array, curving: Array, out: Forces) -> None:
+        model, data, sign = self.model, self.data, self.robot.motor_sign.astype(float)
+        roll, pitch = motion.roll_pitch[t]
+        data.qpos[:3] = 0.0
+        data.qpos[3:7] = _quaternion(roll, pitch)
+        data.qpos[self._motor_q] = sign * motion.motor_angle[t]
+        data.qpos[self._knee_q] = knees
+        motors = len(sign)
+        # u = T (v, w): the base's six, then motors; MuJoCo's base velocity is linear in the world, angular in the base.
+        transform = np.zeros((model.nv, 6 + motors))
+        transform[:6, :6] = np.eye(6)
+        transform[self._motor, 6 + np.arange(motors)] = sign
+        for leg, pair in enumerate(self._pairs):
+            transform[np.ix_(self._knee[leg], 6 + pair)] = rates[leg]
+        speed = np.concatenate([np.zeros(3), motion.angular_velocity[t], motion.motor_velocity[t]])
+        data.qvel[:] = transform @ speed
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        mujoco.mj_crb(model, data)
+        mujoco.mj_comVel(model, data)
+        inertia = np.zeros((model.nv, model.nv))
+        mujoco.mj_fullM(model, data, inertia)
+        bias = np.zeros(model.nv)
+        mujoco.mj_rne(model, data, 0, bias)
+        change = np.zeros(model.nv)
+        change[self._knee] = curving
+        reduced = transform.T @ inertia @ transform
+        still = transform.T @ (bias + inertia @ change)
+        jacobians = []
+        for geom in self._feet:
+            whole = np.zeros((3, model.nv))
+            point = data.geom_xpos[geom]
+            mujoco.mj_jac(model, data, whole, None, point, int(model.geom_bodyid[geom]))
+            jacobians.append(whole @ transform)
+        turn = data.xmat[self.base].reshape(3, 3)
+        # Directions of the legs' planes, in the world: forward and up of the base.
+        plane = turn[:, [0, 2]]
+        known = np.concatenate([motion.angular_acceleration[t], motion.motor_acceleration[t]])
+        fixed = reduced[:, 3:] @ known + still
+        fixed[6:] -= motion.motor_torque[t]
+        # Unknown: acceleration of the base's origin in the plane (2), and two forces a leg.
+        legs = len(jacobians)
+        rows = np.concatenate([plane.T @ reduced[:3], reduced[6:]])
+        left = np.zeros((2 + motors, 2 + 2 * legs))
+        left[:, :2] = rows[:, :3] @ plane
+        for leg, jacobian in enumerate(jacobians):
+            force = jacobian.T @ plane
+            left[:2, 2 + 2 * leg : 4 + 2 * leg] = -(plane.T @ force[:3])
+            left[2:, 2 + 2 * leg : 4 + 2 * leg] = -force[6:]
+        right = -np.concatenate([plane.T @ fixed[:3], fixed[6:]])
+        found = np.linalg.solve(left, right)
+        acceleration, forces = plane @ found[:2], found[2:].reshape(legs, 2)
+        out.force[t] = forces
+        for leg, geom in enumerate(self._feet):
+            local = turn.T @ (data.geom_xpos[geom] - data.xpos[self.base])
+            out.foot[t, leg] = local[[0, 2]] - [0.0, self.robot.leg_geometry.foot_radius]
+        whole = reduced[:, :3] @ acceleration + reduced[:, 3:] @ known + still
+        pushed = sum(jacobian.T @ (plane @ force) for jacobian, force in zip(jacobians, forces, strict=True))
+        down = np.zeros(model.nv)
+        speed_before = data.qvel.copy()
+        data.qvel[:] = 0.0
+        mujoco.mj_comVel(model, data)
+        mujoco.mj_rne(model, data, 0, down)
+        data.qvel[:] = speed_before
+        weight = transform.T @ down
+        out.weight[t] = [*(plane.T @ weight[:3]), weight[4]]
+        # What the base's rows lack: about y of the base it is the base's own turning that may be wrong.
+        out.needed[t] = [*(plane.T @ (whole[:3] - weight[:3])), whole[4] - pushed[4]]
+        rate = motion.angular_velocity[t]
+        out.turning[t] = (
+            self.base_inertia @ motion.angular_acceleration[t] + np.cross(rate, self.base_inertia @ rate)
+        )[1]
+
+
+def _quaternion(roll: float, pitch: float) -> Array:
+    """w, x, y, z of a pitch about y, then a roll about x."""
+    a, b, c, d = np.cos(roll / 2), np.sin(roll / 2), np.cos(pitch / 2), np.sin(pitch / 2)
+    return np.array([c * a, c * b, d * a, -d * b])

@@ -1,0 +1,129 @@
+"""What an identification found: estimates with intervals, what the data do not tell, and how well it holds elsewhere."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surefoot.robot import PhysicalParams, RobotDescription
+
+Array = NDArray[np.float64]
+
+CONFIDENCE = 1.959964
+"""Standard deviations on either side that hold 95 % of a normal distribution."""
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A number that was found."""
+
+    name: str
+    """Physical parameter, or another name."""
+    value: float
+    deviation: float
+    """Standard deviation of what is not known about it."""
+    unit: str
+    index: int | None = None
+    """Which motor or axis, if it is not one for all."""
+    told: bool = True
+    """Whether the data tell it; if not, the value is what was taken before, and must not be relied on."""
+    low: float = -math.inf
+    """Least value that it may have at all."""
+    high: float = math.inf
+    """Greatest one."""
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """95 % interval, within what is possible."""
+        reach = CONFIDENCE * self.deviation
+        return max(self.value - reach, self.low), min(self.value + reach, self.high)
+
+    @property
+    def label(self) -> str:
+        """Name with index."""
+        return self.name if self.index is None else f"{self.name}[{self.index}]"
+
+
+@dataclass(frozen=True)
+class Check:
+    """How far the simulator is from a part of the recording that was not fitted, before and after."""
+
+    what: str
+    """Quantity."""
+    before: float
+    """Root mean square error with the parameters that were known before."""
+    after: float
+    """The same with those that were found."""
+    unit: str
+
+
+@dataclass(frozen=True)
+class Series:
+    """Something measured and simulated over time or another axis, for the report."""
+
+    title: str
+    x_label: str
+    y_label: str
+    x: Array
+    measured: Array
+    before: Array
+    """With the parameters that were known before; NaN where there is none."""
+    after: Array
+    """With those that were found."""
+    points: bool = False
+    """Draw the measured values as points instead of a line."""
+
+
+@dataclass(frozen=True)
+class Identification:
+    """What one experiment, or traces, told."""
+
+    experiment: str
+    robot: str
+    estimates: tuple[Estimate, ...]
+    checks: tuple[Check, ...] = ()
+    correlations: tuple[tuple[str, str, float], ...] = ()
+    """Pairs of numbers that the data can hardly tell apart."""
+    notes: tuple[str, ...] = ()
+    """What else whoever reads it should know, such as what the data do not tell, and why."""
+    series: tuple[Series, ...] = ()
+    sensors: dict[str, Any] = field(default_factory=dict)
+    """What was found of sensors and later fits need: torque_gain (relative errors of the motors' torque reports)."""
+    digest: str = ""
+    """SHA-256 of the data."""
+    date: str = ""
+    """When they were recorded, ISO 8601."""
+
+    def estimate(self, name: str, index: int | None = None) -> Estimate:
+        """One of the estimates.
+
+        Raises:
+            KeyError: there is none of that name and index.
+        """
+        for item in self.estimates:
+            if item.name == name and item.index == index:
+                return item
+        raise KeyError(name if index is None else f"{name}[{index}]")
+
+    def params(self, robot: RobotDescription, base: PhysicalParams) -> PhysicalParams:
+        """One row of `base` with what was found in place of what it had, within what the robot allows."""
+        params = base.rows(np.zeros(1, np.int64))
+        for item in self.estimates:
+            if item.name not in PhysicalParams.names() or not item.told:
+                continue
+            low, high = robot.allowed[item.name]
+            array = getattr(params, item.name)
+            if array.ndim == 1:
+                array[0] = np.clip(item.value, low, high)
+            else:
+                array[0, slice(None) if item.index is None else item.index] = np.clip(item.value, low, high)
+        return params
+
+    def found(self) -> tuple[str, ...]:
+        """Names of physical parameters that it tells, each once."""
+        names = [item.name for item in self.estimates if item.told and item.name in PhysicalParams.names()]
+        return tuple(dict.fromkeys(names))
