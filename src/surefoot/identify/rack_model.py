@@ -121,3 +121,12 @@ class RackModel:
                 )
             )
         return np.concatenate(parts, axis=2)
+
+    def best_latency(self, latencies: Array) -> float:
+        """Control latency [s] whose readings are nearest, all else as in `base`: only the reading differs."""
+        costs = np.zeros(len(latencies))
+        for stretch in self.stretches:
+            kept = stretch.states[:: self.every]
+            angles = self.replayer.read_late(stretch, self.base, latencies)[:, :: self.every]
+            costs += np.mean((angles - self.recording.motor_angle[kept]) ** 2, axis=(1, 2))
+        return float(latencies[np.argmin(costs)])

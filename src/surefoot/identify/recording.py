@@ -21,6 +21,8 @@ from surefoot.robot import RobotDescription
 Array = NDArray[np.float64]
 
 SCHEMA = 1
+STILL = 0.002
+"""Standard deviation of an angle [rad] below which a motor has not moved: a few steps of its encoder."""
 COMPLETE = "complete"
 _META = (
     *("schema", "experiment", "robot", "motor_names", "rack", "phases", "mode_changes", "ended", "period", "lead"),
@@ -105,6 +107,16 @@ class Recording:
         for index in np.flatnonzero(inside)[::-1]:
             told[place[index]] = self.time[index] - self.command_age[index]
         return told
+
+    @cached_property
+    def still_motors(self) -> frozenset[int]:
+        """Motors whose angles hardly change while they are experimented with: nothing can be told of them."""
+        driven = np.zeros(len(self.time), np.bool_)
+        for k, phase in enumerate(self.meta["phases"]):
+            if phase["use"] == "fit":
+                driven[self.phase_states(k)] = True
+        spread = self.motor_angle[driven].std(axis=0) if driven.any() else np.zeros(self.num_motors)
+        return frozenset(np.flatnonzero(spread < STILL).tolist())
 
     def phase_states(self, phase: int) -> slice:
         """States that were sent while commands of a phase held."""

@@ -134,8 +134,20 @@ class Replayer:
 
     def run(self, stretch: Stretch, params: PhysicalParams) -> Replayed:
         """Go through it, with at most `num_envs` rows of parameters."""
+        given, history, torque = self._simulate(stretch, params)
+        return self._read(stretch, given, params.num_envs, history, torque)
+
+    def read_late(self, stretch: Stretch, params: PhysicalParams, latencies: Array) -> Array:
+        """Motor angles (K, T, M) [rad] that one simulated robot would tell with each of K control latencies [s]."""
+        given, history, torque = self._simulate(stretch, params)
+        many, rows = given.rows(np.zeros(len(latencies), np.int64)), np.zeros(len(latencies), np.int64)
+        many.control_latency[:] = latencies
+        return self._read(stretch, many, len(latencies), history[:, rows], torque[:, rows]).motor_angle
+
+    def _simulate(self, stretch: Stretch, params: PhysicalParams) -> tuple[PhysicalParams, Array, Array]:
+        """Parameters as applied, states (ticks + 1, N, width), and torques of the steps that led to them."""
         world, rows, robot = self.world, params.num_envs, self.robot
-        dt, motors = robot.timing.servo_step, robot.num_motors
+        motors = robot.num_motors
         everyone = np.arange(self.num_envs)
         given = params.rows(np.minimum(everyone, rows - 1))
         world.set_params(everyone, given)
@@ -157,7 +169,7 @@ class Replayer:
             world.engine.advance(active)
             history[tick + 1], torque[tick + 1] = drive.now[:rows], drive.motor_torque[:rows]
         # Row k of the history is the state at k dt; its torque is that of the step before.
-        return self._read(stretch, given, rows, history, torque, dt)
+        return given, history, torque
 
     def _obey(self, kind: int, order: Array, params: PhysicalParams) -> None:
         drive = self.world.drive
@@ -177,9 +189,9 @@ class Replayer:
             self.world.engine.advance(active)
 
     def _read(
-        self, stretch: Stretch, params: PhysicalParams, rows: int, history: Array, torque: Array, dt: float
+        self, stretch: Stretch, params: PhysicalParams, rows: int, history: Array, torque: Array
     ) -> Replayed:
-        motors, last = self.robot.num_motors, len(history) - 1
+        motors, last, dt = self.robot.num_motors, len(history) - 1, self.robot.timing.servo_step
         told = np.empty((rows, len(stretch.state_time), history.shape[2]))
         for row in range(rows):
             at = np.clip((stretch.state_time - params.control_latency[row]) / dt, 0.0, last)

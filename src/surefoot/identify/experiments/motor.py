@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from surefoot.deploy.poses import pose
 from surefoot.deploy.wire.messages import Mode
 from surefoot.identify.experiments.signals import chirps, go_to, hold, steps
-from surefoot.identify.plan import Phase, Plan
+from surefoot.identify.plan import Phase, Plan, Signal
 from surefoot.robot import RobotDescription
 from surefoot.seeding import generator
 
@@ -26,8 +26,6 @@ PULSE = 0.014
 """Length of a PWM pulse [s]."""
 BURST = 0.24
 """Length of a PWM phase [s]: pulses, then motors without duty."""
-PREFERRED = 0.002
-"""Time grid of commands [s]."""
 
 
 def motor_plan(robot: RobotDescription, seed: int = 0) -> Plan:
@@ -45,19 +43,20 @@ def motor_plan(robot: RobotDescription, seed: int = 0) -> Plan:
     for leg, (first, second) in enumerate(robot.leg_motor_index):
         turned[first], turned[second] = 0.4 * leg, 0.4 * leg + np.pi / 2
     all_motors = np.ones(motors)
-    wide = chirps(middle, WIDE * all_motors, 0.5, 10.0, 10.0, turned)
-    narrow = chirps(middle, 0.08 * all_motors, 8.0, 25.0, 4.0, turned)
-    slow = chirps(middle, SLOW * all_motors, 0.25, 0.5, 6.0, turned)
-    jumps = middle + draw.uniform(-STEP, STEP, (24, motors))
+    wide = chirps(middle, WIDE * all_motors, 0.5, 10.0, 8.0, turned)
+    narrow = chirps(middle, 0.08 * all_motors, 8.0, 25.0, 3.0, turned)
+    slow = chirps(middle, SLOW * all_motors, 0.25, 0.5, 4.0, turned)
+    other = chirps(middle, 0.2 * all_motors, 7.0, 1.5, 3.0, turned[::-1])
+    jumps = middle + draw.uniform(-STEP, STEP, (16, motors))
     phases = [
         Phase("unfold", "all legs to the middle of their reach", 1.5, go_to(middle, 1.5), use="way"),
         Phase("hold", "all legs held", 0.6, hold(middle)),
-        Phase("sweep slowly", f"every motor {SLOW:g} rad to both sides, four strokes", 6.0, slow),
-        Phase("chirp", f"every motor {WIDE:g} rad to both sides, from 0.5 to 10 Hz", 10.0, wide),
-        Phase("fast chirp", "every motor 0.08 rad to both sides, from 8 to 25 Hz", 4.0, narrow),
-        Phase("steps", f"every motor jumps by up to {STEP:g} rad to both sides, 24 times", 6.0, steps(jumps, 0.25)),
+        Phase("sweep slowly", f"every motor {SLOW:g} rad to both sides, three strokes", 4.0, slow),
+        Phase("chirp", f"every motor {WIDE:g} rad to both sides, from 0.5 to 10 Hz", 8.0, wide),
+        Phase("fast chirp", "every motor 0.08 rad to both sides, from 8 to 25 Hz", 3.0, narrow),
+        Phase("steps", f"every motor jumps by up to {STEP:g} rad to both sides, 16 times", 4.0, steps(jumps, 0.25)),
     ]
-    for height in np.concatenate([draw.permutation(DUTIES) for _ in range(3)]):
+    for height in np.concatenate([draw.permutation(DUTIES) for _ in range(2)]):
         phases += [
             Phase("centre", "all legs back to the middle", 0.5, go_to(middle, 0.3), use="way"),
             Phase(
@@ -68,12 +67,16 @@ def motor_plan(robot: RobotDescription, seed: int = 0) -> Plan:
                 Mode.PWM,
             ),
         ]
-    phases.append(Phase("centre", "all legs back to the middle", 0.5, go_to(middle, 0.3), use="way"))
+    phases += [
+        Phase("centre", "all legs back to the middle", 0.7, go_to(middle, 0.3), use="way"),
+        Phase("chirp back", "every motor 0.2 rad to both sides, from 7 to 1.5 Hz", 3.0, other, use="check"),
+        Phase("hold", "all legs held", 0.3, hold(middle), use="check"),
+    ]
     reach = max(WIDE, SLOW, STEP)
     return Plan("motor", True, tuple(phases), middle - reach, middle + reach, max(DUTIES))
 
 
-def _pulses(height: Array):  # type: ignore[no-untyped-def]
+def _pulses(height: Array) -> Signal:
     """There, back for twice as long, and there again: the motor ends near where it began."""
 
     def signal(t: float, start: Array) -> Array:
