@@ -92,6 +92,31 @@ def test_a_missing_file_and_folder(robot, tmp_path):
         write_params(tmp_path / "there" / "p.toml", robot, PhysicalParams.nominal(robot))
 
 
+def test_everything_else_in_a_file_is_kept(robot, tmp_path):
+    text = """robot = "minitaur"
+owner = "lab 3"
+since = 2026-01-02
+tries = [{ at = 09:30:00, good = true }, { good = false }]
+[params]
+voltage = 15.0
+[empty]
+[a.b]
+low = [[-inf, 0.5], [1, 2]]
+[a."c d".e]
+when = 2026-01-02T03:04:05Z
+"""
+    path = tmp_path / "p.toml"
+    path.write_text(text)
+    first = read_params(path, robot)
+    write_params(path, robot, first.params, first.tables, first.given)
+    again = read_params(path, robot)
+    assert again.tables == first.tables
+    assert again.given == ("voltage",)
+    assert again.tables["a"]["b"]["low"] == [[-np.inf, 0.5], [1, 2]]
+    write_params(path, robot, first.params, {}, ())
+    assert read_params(path, robot).given == ()
+
+
 def test_what_toml_cannot_hold_is_refused(robot, tmp_path):
     with pytest.raises(SurefootError, match="can't hold None"):
         write_params(tmp_path / "p.toml", robot, PhysicalParams.nominal(robot), {"a": {"b": None}})

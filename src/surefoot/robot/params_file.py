@@ -4,7 +4,7 @@
     motor_strength = [0.94, 0.97, 0.91, 1.0, 0.99, 0.93, 0.96, 0.98]
     voltage = 15.4
 
-Parameters that the file does not name are the robot's own. Other tables are kept as they are.
+Parameters that the file does not name are the robot's own. Other tables, with tables in them, are kept as they are.
 """
 
 from __future__ import annotations
@@ -13,8 +13,9 @@ import hashlib
 import json
 import math
 import tomllib
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from datetime import date, time
 from pathlib import Path
 from typing import Any
 
@@ -97,7 +98,7 @@ def write_params(
     path: Path,
     robot: RobotDescription,
     params: PhysicalParams,
-    tables: dict[str, dict[str, Any]] | None = None,
+    tables: Mapping[str, Any] | None = None,
     names: tuple[str, ...] | None = None,
 ) -> Path:
     """Write the physical parameters of one robot, at full precision, whole or not at all.
@@ -106,25 +107,48 @@ def write_params(
         path: the file.
         robot: whose they are; its name is written too.
         params: one row.
-        tables: further tables of numbers, texts and lists of them.
+        tables: what else the file is to hold, such as `ParamsFile.tables`: tables of numbers, texts, dates, lists of
+            them and further tables. The name of the robot is written in any case.
         names: parameters to write; all, if not given.
 
     Raises:
         SurefootError: a folder that does not exist, or a value that TOML has no way to write.
     """
-    lines = [f"robot = {_text(robot.name)}", "", "[params]"]
-    for name in names or PhysicalParams.names():
+    others = {key: value for key, value in (tables or {}).items() if key != "robot"}
+    lines = _lines({"robot": robot.name, **{key: value for key, value in others.items() if not _is_table(value)}})
+    lines += ["", "[params]"]
+    for name in PhysicalParams.names() if names is None else names:
         value = np.asarray(getattr(params, name)[0])
         unit = PhysicalParams.__dataclass_fields__[name].metadata["unit"]
         lines.append(f"{name} = {_toml(value.tolist())}  # {unit}")
-    for table, entries in (tables or {}).items():
-        lines += ["", f"[{_key(table)}]", *(f"{_key(key)} = {_toml(value)}" for key, value in entries.items())]
+    for key, value in others.items():
+        if _is_table(value):
+            lines += _table(_key(key), value)
     try:
         with whole_file(path) as file:
             file.write("\n".join([*lines, ""]).encode())
     except OSError as error:
         raise SurefootError(f"parameters {path}: {error.strerror}") from error
     return path
+
+
+def _is_table(value: Any) -> bool:
+    return isinstance(value, Mapping)
+
+
+def _lines(entries: Mapping[str, Any]) -> list[str]:
+    return [f"{_key(key)} = {_toml(value)}" for key, value in entries.items()]
+
+
+def _table(path: str, entries: Mapping[str, Any]) -> list[str]:
+    """A table and those in it, each under its whole name."""
+    plain = {key: value for key, value in entries.items() if not _is_table(value)}
+    # A table that holds nothing but tables needs no line of its own.
+    lines = ["", f"[{path}]", *_lines(plain)] if plain or not entries else []
+    for key, value in entries.items():
+        if _is_table(value):
+            lines += _table(f"{path}.{_key(key)}", value)
+    return lines
 
 
 def _key(key: str) -> str:
@@ -137,7 +161,7 @@ def _text(text: str) -> str:
 
 
 def _toml(value: Any) -> str:
-    """A number, a truth, a text or a list of them, as TOML writes it."""
+    """A number, a truth, a text, a date, or a list or inline table of them, as TOML writes it."""
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, int):
@@ -148,4 +172,8 @@ def _toml(value: Any) -> str:
         return _text(value)
     if isinstance(value, list | tuple):
         return f"[{', '.join(map(_toml, value))}]"
+    if isinstance(value, date | time):
+        return value.isoformat()
+    if _is_table(value):
+        return f"{{{', '.join(_lines(value))}}}"
     raise SurefootError(f"a file of parameters can't hold {value!r}; numbers, texts, truths and lists can be written")
