@@ -1,0 +1,163 @@
+"""What is identified goes into the file of what is known, which keeps everything else."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from surefoot import __version__
+from surefoot.errors import SurefootError
+from surefoot.identify.overlay import overlay, read_known, write_known
+from surefoot.identify.result import CONFIDENCE, Estimate, Identification
+from surefoot.robot import RobotDescription
+
+TEXT = """robot = "minitaur"
+owner = "lab 3"
+[params]
+voltage = 15.0
+motor_strength = 0.97
+contact_friction = 0.8
+[note]
+by = "hand"
+[note.more]
+deep = [[1, 2], [3]]
+"""
+
+
+@pytest.fixture(scope="module")
+def robot() -> RobotDescription:
+    return RobotDescription.load("minitaur")
+
+
+def motor(strength: float = 0.9, missing: int = 3) -> Identification:
+    """All motors but one are told; so is the voltage, and the resistance is not."""
+    estimates = [
+        Estimate("motor_strength", strength + 0.01 * i, 0.005, "1", i, i != missing, low=0.0) for i in range(8)
+    ]
+    estimates += [
+        Estimate("voltage", 15.4, 0.1, "V", low=0.0),
+        Estimate("resistance", 0.3, 0.1, "Ohm", told=False),
+        Estimate("motor_friction", 0.001, 0.01, "N m", 0, low=0.0),
+        Estimate("base_offset", 0.02, 0.001, "m", 0),
+    ]
+    sensors = {"torque_gain": [0.01, -0.02], "torque_accuracy": 0.004}
+    return Identification("motor", "minitaur", tuple(estimates), sensors=sensors, digest="ab12", date="2026-11-21")
+
+
+def test_without_a_file_the_description_is_known(robot: RobotDescription, tmp_path: Path):
+    for path in (None, tmp_path / "none.toml"):
+        known = read_known(path, robot)
+        assert (known.given, known.tables, known.sensors) == ((), {}, {})
+        assert known.params.voltage[0] == robot.actuator.voltage
+        assert known.lacks(("motor", "mass")) == ("motor", "mass")
+
+
+def test_what_was_found_is_written_and_read_to_the_last_bit(robot: RobotDescription, tmp_path: Path):
+    path = tmp_path / "folder" / "robot.toml"
+    after = overlay(read_known(path, robot), motor(), robot, "recording.npz")
+    write_known(path, robot, after)
+    again = read_known(path, robot)
+    # Parameters stand in the order of `PhysicalParams`; what was not told is not there.
+    assert again.given == ("motor_strength", "motor_friction", "voltage")
+    assert again.tables == {"robot": "minitaur", **after.tables}
+    np.testing.assert_array_equal(again.params.motor_strength, after.params.motor_strength)
+    expected = 0.9 + 0.01 * np.arange(8)
+    expected[3] = 1.0
+    np.testing.assert_array_equal(again.params.motor_strength[0], expected)
+    assert again.params.resistance[0] == robot.actuator.resistance
+    assert again.sensors == {"torque_gain": [0.01, -0.02], "torque_accuracy": 0.004}
+    told = again.tables["identified"]["motor"]
+    assert told == {"date": "2026-11-21", "data": "ab12", "file": "recording.npz", "surefoot": __version__}
+    assert again.lacks(("motor", "mass")) == ("mass",)
+
+
+def test_intervals_of_numbers_and_of_motors(robot: RobotDescription):
+    tables = overlay(read_known(None, robot), motor(), robot).tables
+    reach = CONFIDENCE * 0.1
+    assert tables["intervals"]["voltage"] == pytest.approx([15.4 - reach, 15.4 + reach])
+    strength = tables["intervals"]["motor_strength"]
+    assert len(strength) == 8
+    assert strength[3] == [-math.inf, math.inf]
+    assert strength[0] == pytest.approx([0.9 - CONFIDENCE * 0.005, 0.9 + CONFIDENCE * 0.005])
+    # Friction was told of the first motor only, and can't be less than none.
+    assert tables["intervals"]["motor_friction"][0][0] == 0.0
+    assert tables["intervals"]["motor_friction"][1:] == [[-math.inf, math.inf]] * 7
+    # What no simulator has is told too, but is no parameter.
+    assert tables["intervals"]["base_offset"] == [pytest.approx([0.01804, 0.02196], abs=1e-5)]
+    assert "resistance" not in tables["intervals"]
+    assert tables["told_by"] == dict.fromkeys(("motor_strength", "voltage", "motor_friction", "base_offset"), "motor")
+
+
+def test_everything_else_in_the_file_stays(robot: RobotDescription, tmp_path: Path):
+    path = tmp_path / "robot.toml"
+    path.write_text(TEXT)
+    write_known(path, robot, overlay(read_known(path, robot), motor(), robot, "a.npz"))
+    contact = Estimate("contact_friction", 0.7, 0.02, "1")
+    found = Identification("contact", "minitaur", (contact, Estimate("voltage", 15.2, 0.05, "V")), digest="cd")
+    write_known(path, robot, overlay(read_known(path, robot), found, robot, "b.npz"))
+    known = read_known(path, robot)
+    assert known.tables["owner"] == "lab 3"
+    assert known.tables["note"] == {"by": "hand", "more": {"deep": [[1, 2], [3]]}}
+    assert known.given == ("motor_strength", "motor_friction", "voltage", "contact_friction")
+    # The motor that was not told keeps what the file said of it.
+    assert known.params.motor_strength[0, 3] == 0.97
+    assert (known.params.voltage[0], known.params.contact_friction[0]) == (15.2, 0.7)
+    assert known.tables["told_by"]["voltage"] == "contact"
+    assert known.tables["told_by"]["motor_strength"] == "motor"
+    assert set(known.tables["identified"]) == {"motor", "contact"}
+    assert known.sensors["torque_accuracy"] == 0.004
+    assert known.lacks(("motor", "contact")) == ()
+
+
+def test_an_experiment_done_again_replaces_what_it_said(robot: RobotDescription, tmp_path: Path):
+    path = tmp_path / "robot.toml"
+    write_known(path, robot, overlay(read_known(path, robot), motor(), robot, "a.npz"))
+    write_known(path, robot, overlay(read_known(path, robot), motor(0.8, missing=5), robot, "b.npz"))
+    known = read_known(path, robot)
+    assert known.params.motor_strength[0, 3] == pytest.approx(0.83)
+    # Of the motor that is not told this time the former interval is still the best there is.
+    assert known.params.motor_strength[0, 5] == pytest.approx(0.95)
+    assert known.tables["intervals"]["motor_strength"][5][0] == pytest.approx(0.95 - CONFIDENCE * 0.005)
+    assert known.tables["identified"]["motor"]["file"] == "b.npz"
+
+
+def test_a_value_is_brought_within_what_the_robot_allows(robot: RobotDescription):
+    low, _ = robot.allowed["motor_friction"]
+    found = Identification("motor", "minitaur", (Estimate("motor_friction", low - 1.0, 0.1, "N m", 2),))
+    assert overlay(read_known(None, robot), found, robot).params.motor_friction[0, 2] == low
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("sensors = 3\n[params]", "sensors is 3; it must be a table"),
+        ("[params]\n[identified]\nmotor = 1", r"identified\.motor is 1; it must be a table"),
+        ('robot = "cat"\n[params]', "are for robot 'cat'"),
+    ],
+)
+def test_a_file_that_does_not_fit(robot: RobotDescription, tmp_path: Path, text: str, said: str):
+    path = tmp_path / "robot.toml"
+    path.write_text(text)
+    with pytest.raises(SurefootError, match=said):
+        read_known(path, robot)
+
+
+def test_training_takes_it(robot: RobotDescription, tmp_path: Path):
+    pytest.importorskip("mujoco")
+    from surefoot.cli.simulator import Simulator
+    from surefoot.task.config import TaskConfig
+
+    path = tmp_path / "robot.toml"
+    write_known(path, robot, overlay(read_known(None, robot), motor(), robot))
+    task = Simulator(params=path).of(TaskConfig())
+    assert set(task.params) == {"motor_strength", "motor_friction", "voltage"}
+    assert task.nominal(robot).motor_strength[0, 0] == 0.9
+
+
+def test_nothing_found_leaves_the_description(robot: RobotDescription, tmp_path: Path):
+    none = Identification("latency", "minitaur", (Estimate("servo_latency", 0.0, 0.01, "s", told=False),))
+    path = write_known(tmp_path / "none.toml", robot, overlay(read_known(None, robot), none, robot))
+    assert read_known(path, robot).given == ()
