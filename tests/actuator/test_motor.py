@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from surefoot.actuator import coulomb_friction, motor_current, motor_torque, overheat
+from surefoot.actuator import coulomb_friction, motor_current, motor_friction, motor_torque, overheat
 
 VOLTAGE, KT, RESISTANCE, CLIP = 16.0, 0.0954, 0.186, 50.0
 CURRENTS = np.array([0.0, 10, 20, 30, 40, 50, 60])
@@ -114,6 +114,48 @@ def test_friction_takes_power():
     assert np.all(coulomb_friction(speed, 0.05) * speed <= 0)
 
 
+def test_friction_by_hand():
+    # .05 tanh(.05 / .1) = .0231059, and .02 x .05 = .001; at 10 rad/s .05 and .2.
+    assert motor_friction(0.05, 0.05, 0.02) == pytest.approx(-0.0241059, abs=1e-7)
+    assert motor_friction(-10.0, 0.05, 0.02) == pytest.approx(0.25)
+    assert motor_friction(10.0, 0.0, 0.02) == pytest.approx(-0.2)
+    assert motor_friction(0.0, 0.05, 0.02) == 0.0
+
+
+def test_without_viscous_friction_it_is_coulombs_to_the_last_bit(rng: np.random.Generator):
+    speed = np.concatenate([[0.0, -0.0], rng.normal(0, 20, 1000)])
+    for coulomb in (0.0, 0.05):
+        assert motor_friction(speed, coulomb, 0.0).tobytes() == coulomb_friction(speed, coulomb).tobytes()
+
+
+@pytest.mark.parametrize(
+    ("strength", "viscous", "time_constant"),
+    [
+        # J / b of a rotor with .003 kg m^2: .003 / .1.
+        (0.0, 0.1, 0.030),
+        (0.0, 0.02, 0.150),
+        # Its back-EMF at duty 0 brakes it like .1 N m/A x K_t / R = .0512903 N m s/rad: .003 / .0512903 and / .1012903.
+        (1.0, 0.0, 0.058491),
+        (1.0, 0.05, 0.029618),
+    ],
+)
+def test_a_motor_that_turns_freely_slows_with_its_time_constant(strength: float, viscous: float, time_constant: float):
+    inertia, dt, steps = 0.003, 1e-5, 3000
+    speed = 10.0
+    for _ in range(steps):
+        braking = torque(current(0.0, speed), strength) + motor_friction(speed, 0.0, viscous)
+        speed += braking / inertia * dt
+    assert speed == pytest.approx(10.0 * np.exp(-steps * dt / time_constant), rel=1e-3)
+
+
+def test_a_step_of_friction_does_not_turn_a_motor_back():
+    # (.05 / .1 + .1) N m s/rad x 1 ms is below the least inertia that a leg of the Minitaur has for one motor, .00064.
+    speed = np.geomspace(1e-6, 100, 200)
+    after = speed + motor_friction(speed, 0.05, 0.1) * 0.001 / 0.00064
+    assert np.all(after > 0)
+    assert np.all(after < speed)
+
+
 def test_hot_time_counts_and_starts_anew():
     hot = 0.0
     for _ in range(5):
@@ -134,4 +176,5 @@ def test_laws_broadcast_over_robots_and_motors(rng: np.random.Generator):
     np.testing.assert_allclose(answer, expected, rtol=1e-14)
     np.testing.assert_allclose(amperes, (duty * voltage - KT * speed) / RESISTANCE, rtol=1e-14)
     assert coulomb_friction(speed, np.full(8, 0.05)).shape == (5, 8)
+    assert motor_friction(speed, np.full(8, 0.05), np.full((5, 1), 0.02)).shape == (5, 8)
     assert overheat(answer, np.zeros((5, 8)), 0.001, 2.45).shape == (5, 8)

@@ -178,6 +178,22 @@ def test_a_motor_that_gets_a_duty_turns_as_a_dc_motor_does(robot):
     assert not plant.world.drive.duty.any()
 
 
+def test_viscous_friction_slows_a_motor_that_a_duty_turns(robot):
+    # Only one motor has it: there the shaft gets b qdot less than the motor gives.
+    params = PhysicalParams.nominal(robot).with_values(robot, motor_viscous_friction=[0.1] + [0.0] * 7)
+    plant, free = ideal(robot, rack=True, params=params), ideal(robot, rack=True)
+    duty = np.zeros(8)
+    duty[0] = 0.05
+    for _ in range(20):
+        speed = plant.world.drive.now[0, 8:16].copy()
+        for each in (plant, free):
+            each.step(MotorOrder(Mode.PWM, duty))
+    drive = plant.world.drive
+    assert 0.1 < drive.now[0, 8] < 0.8 * free.world.drive.now[0, 8]
+    np.testing.assert_allclose(drive.motor_torque[0, 0] - drive.torque[0, 0], 0.1 * speed[0], rtol=1e-9)
+    np.testing.assert_array_equal(drive.motor_torque[0, 1:], drive.torque[0, 1:])
+
+
 def test_a_duty_is_part_of_a_worlds_state_and_gone_after_a_reset(robot):
     plant, other = ideal(robot, rack=True), ideal(robot, rack=True)
     turning = MotorOrder(Mode.PWM, np.full(8, 0.03))

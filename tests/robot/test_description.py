@@ -242,6 +242,18 @@ BREAKS = {
     ),
     "missing key": (SHEET, "body_length = 0.54", "", ["body_length", "is missing"]),
     "missing key in a table": (SHEET, "kp = 1.0", "", ["actuator.kp", "is missing"]),
+    "missing parameter": (
+        SHEET,
+        "motor_viscous_friction = [0.0, 0.1]",
+        "",
+        ["allowed.motor_viscous_friction", "is missing"],
+    ),
+    "viscous friction below zero": (
+        SHEET,
+        "\nviscous_friction = 0.0",
+        "\nviscous_friction = -0.01",
+        ["actuator.viscous_friction is -0.01", "must not be below 0"],
+    ),
     "text for a number": (
         SHEET,
         "resistance = 0.186",
@@ -322,6 +334,14 @@ def test_a_broken_description_is_refused_in_one_line(case: str, folder: Path):
     assert str(folder) in message
     for piece in pieces:
         assert piece in message
+
+
+@pytest.mark.parametrize(("line", "value"), [("", 0.0), ("viscous_friction = 0.02", 0.02)])
+def test_viscous_friction_is_zero_unless_the_sheet_says_otherwise(folder: Path, line: str, value: float):
+    text = (folder / SHEET).read_text()
+    assert text.count("\nviscous_friction = 0.0 ") == 1
+    (folder / SHEET).write_text(text.replace("\nviscous_friction = 0.0 ", f"\n{line} "))
+    assert RobotDescription.load(folder).nominal_params()["motor_viscous_friction"] == value
 
 
 def test_a_sheet_that_is_not_text_is_refused(folder: Path):

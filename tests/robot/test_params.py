@@ -8,7 +8,7 @@ import pytest
 from surefoot.errors import SurefootError
 from surefoot.robot import PhysicalParams, RobotDescription, parse_settings
 
-PER_MOTOR = {"motor_strength", "motor_friction"}
+PER_MOTOR = {"motor_strength", "motor_friction", "motor_viscous_friction"}
 
 
 @pytest.fixture(scope="module")
@@ -35,6 +35,7 @@ def test_every_array_has_a_row_for_each_robot(params: PhysicalParams, name: str)
         ("base_mass_ratio", 1.0),
         ("motor_strength", 1.0),
         ("motor_friction", 0.0),
+        ("motor_viscous_friction", 0.0),
         ("torque_constant", 0.0954),
         ("resistance", 0.186),
         ("voltage", 16.0),
@@ -83,6 +84,7 @@ def test_with_values_leaves_the_original_alone(robot, params):
         # Given in milliseconds instead of seconds.
         ({"control_latency": 15}, ["control_latency is 15", "allows 0 to 0.1", "unit: s"]),
         ({"base_mass_ratio": -1.0}, ["base_mass_ratio is -1", "allows 0.2 to 5"]),
+        ({"motor_viscous_friction": 0.2}, ["motor_viscous_friction is 0.2", "allows 0 to 0.1", "unit: N m s/rad"]),
         ({"voltage": float("nan")}, ["voltage is nan", "allows 5 to 30", "unit: V"]),
         ({"voltage": [16, 16, 16, 16, 40]}, ["voltage is 40"]),
         ({"voltage": [16.0, 15.0]}, ["voltage has shape (2,)", "(5,)"]),

@@ -191,6 +191,7 @@ CHANGED = {
     "leg_inertia_ratio": 4.0,
     "motor_strength": 0.3,
     "motor_friction": 0.4,
+    "motor_viscous_friction": 0.1,
     "torque_constant": 0.14,
     "resistance": 0.6,
     "voltage": 8.0,

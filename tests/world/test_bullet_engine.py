@@ -191,6 +191,7 @@ def test_on_the_rack_the_base_is_still_and_its_readings_zero(make_world, trot):
         ("leg_inertia_ratio", 1.5),
         ("motor_strength", 0.8),
         ("motor_friction", 0.05),
+        ("motor_viscous_friction", 0.01),
         ("voltage", 14.0),
         ("servo_latency", 0.0),
         ("contact_friction", 0.2),
@@ -229,6 +230,19 @@ def test_a_constraint_motor_carries_its_friction_too(make_world, trot):
     more = (truth.motor_torque[1] - truth.motor_torque[0])[moving]
     assert moving.sum() >= 4
     np.testing.assert_allclose(more, 0.3 * np.sign(truth.motor_velocity[0, moving]), atol=0.01)
+
+
+def test_a_constraint_motor_carries_its_viscous_friction_too(make_world, trot):
+    # As above; the torque is larger by b times the speed at the step's start.
+    config = {"actuator": "constraint", "rack": True}
+    world = make_world(2, config=config, control_step=0.001, motor_viscous_friction=[0.0, 0.1])
+    for k in range(40):
+        speed = world.truth().motor_velocity[1]
+        world.step(trot(k / 6))
+    truth = world.truth()
+    np.testing.assert_allclose(truth.motor_angle[0], truth.motor_angle[1], atol=1e-3)
+    assert np.abs(speed).max() > 1.0
+    np.testing.assert_allclose(truth.motor_torque[1] - truth.motor_torque[0], 0.1 * speed, atol=0.01)
 
 
 def test_a_constraint_motor_without_strength_gives_no_torque(make_world, trot):

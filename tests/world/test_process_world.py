@@ -33,6 +33,7 @@ def values(robot: RobotDescription) -> PhysicalParams:
         voltage=draw.uniform(14, 16.8, NUM),
         control_step=draw.uniform(0.003, 0.012, NUM),
         imu_noise=draw.uniform(0.01, 0.05, NUM),
+        motor_viscous_friction=np.random.default_rng(8).uniform(0, 0.02, (NUM, 8)),
         contact_stiffness=draw.uniform(1500, 6000, NUM),
     )
 
@@ -127,6 +128,16 @@ def test_a_state_from_before_a_parameter_goes_on_with_its_nominal_value(robot, t
     del state["params"]["contact_stiffness"]
     spread.set_state(state)
     assert spread.params.contact_stiffness.tolist() == [3000.0] * NUM
+    for k in range(10):
+        assert_same(spread.step(trot(k)), one.step(trot(k)))
+
+
+def test_a_state_from_before_viscous_friction_goes_on_without(robot, trot, assert_same, spread):
+    one = SimWorld(robot, NUM)
+    state = one.get_state()
+    del state["params"]["motor_viscous_friction"], state["drive"]["viscous"]
+    spread.set_state(state)
+    assert not spread.params.motor_viscous_friction.any()
     for k in range(10):
         assert_same(spread.step(trot(k)), one.step(trot(k)))
 

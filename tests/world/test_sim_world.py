@@ -26,6 +26,7 @@ def varied(num_envs: int) -> dict[str, np.ndarray]:
         "base_mass_ratio": draw.uniform(0.8, 1.2, num_envs),
         "leg_inertia_ratio": draw.uniform(0.5, 1.5, num_envs),
         "motor_strength": draw.uniform(0.8, 1.2, (num_envs, 8)),
+        "motor_viscous_friction": np.random.default_rng(8).uniform(0, 0.02, (num_envs, 8)),
         "voltage": draw.uniform(14, 16.8, num_envs),
         "contact_friction": draw.uniform(0.5, 1.25, num_envs),
         "control_step": draw.uniform(0.003, 0.02, num_envs),
@@ -115,6 +116,7 @@ def test_foot_positions_are_those_of_now(make_world, trot):
         ("leg_inertia_ratio", 1.5),
         ("motor_strength", 0.8),
         ("motor_friction", 0.05),
+        ("motor_viscous_friction", 0.01),
         ("torque_constant", 0.09),
         ("resistance", 0.2),
         ("voltage", 14.0),
@@ -185,6 +187,65 @@ def test_motor_friction_takes_energy_from_the_legs(make_world):
         world.step(world.resting_angles)
     free, braked = np.abs(world.truth().motor_velocity).max(axis=1)
     assert braked < free
+
+
+def test_viscous_friction_slows_each_leg_on_the_rack_with_its_time_constant(make_world, robot):
+    # Both motors of a leg turn the same way, so that it swings as one body about their axis, J = .00468 kg m^2. Without
+    # gravity and torque its speed falls as exp(-2 b t / J), or by 2 b dt / J a step: in 23.4 ms to 1 / e for b = .1.
+    leg_friction = np.array([0.0, 0.02, 0.05, 0.1])
+    friction = np.empty(8)
+    friction[robot.leg_motor_index] = leg_friction[:, None]
+    world = make_world(
+        config={"rack": True, "threads": 1}, control_step=0.001, motor_strength=0.0, motor_viscous_friction=friction
+    )
+    model, data = world.engine.models[0], world.engine.datas[0]
+    model.opt.gravity[:] = 0.0
+    mujoco.mj_forward(model, data)
+    mass = np.zeros((model.nv, model.nv))
+    mujoco.mj_fullM(model, data, mass)
+    dofs = [[model.joint(name).dofadr[0] for name in leg.motors] for leg in robot.legs]
+    inertia = np.array([mass[np.ix_(pair, pair)].sum() for pair in dofs])
+    data.qvel[np.ravel(dofs)] = 2.0
+    world.engine.observe(0)
+    steps = 20
+    for _ in range(steps):
+        world.step(world.resting_angles)
+    speed = (world.truth().motor_velocity[0] * robot.motor_sign)[robot.leg_motor_index].mean(axis=1)
+    np.testing.assert_allclose(inertia, 0.00468, rtol=1e-3)
+    np.testing.assert_allclose(speed, 2.0 * (1 - 2 * leg_friction * 0.001 / inertia) ** steps, rtol=2e-3)
+    np.testing.assert_allclose(speed, 2.0 * np.exp(-0.020 / np.array([np.inf, 0.117, 0.0468, 0.0234])), rtol=0.03)
+
+
+def test_motors_of_one_robot_have_their_own_viscous_friction(make_world, trot):
+    # What the shaft gets is the motor's torque less b times the speed at the servo step's start.
+    friction = 0.01 * np.arange(8)
+    world = make_world(config={"rack": True}, control_step=0.001, motor_viscous_friction=friction)
+    for k in range(60):
+        speed = world.truth().motor_velocity[0]
+        world.step(trot(k))
+        lost = world.drive.motor_torque[0] - world.drive.torque[0]
+        np.testing.assert_allclose(lost, friction * speed, rtol=1e-9, atol=1e-12)
+    assert np.abs(lost[1:]).min() > 1e-3
+
+
+def test_the_greatest_viscous_friction_is_no_trouble_for_the_lightest_legs(make_world, robot):
+    # Folded, with a fifth of the mass, a motor turns .00013 kg m^2: .1 N m s/rad takes 3/4 of its speed in a step.
+    greatest = robot.allowed["motor_viscous_friction"][1]
+    light = {"leg_mass_ratio": 0.2, "leg_inertia_ratio": 0.2, "control_step": 0.001, "motor_strength": 0.0}
+    config = {"rack": True, "threads": 1, "rest": (0.0, 0.7)}
+    world = make_world(config=config, motor_viscous_friction=greatest, **light)
+    world.engine.models[0].opt.gravity[:] = 0.0
+    for joint in robot.motor_names:
+        world.engine.datas[0].qvel[world.engine.models[0].joint(joint).dofadr[0]] = 5.0
+    world.engine.observe(0)
+    before = np.abs(world.truth().motor_velocity[0]).max()
+    for _ in range(100):
+        world.step(world.resting_angles)
+        now = np.abs(world.truth().motor_velocity[0]).max()
+        # What is left in the end is the loops' own settling without gravity.
+        assert now < max(before, 1e-3)
+        before = now
+    assert before < 1e-3
 
 
 @pytest.mark.parametrize("direction", [(1, 0), (-1, 0), (0, 1), (0, -1)])
@@ -406,6 +467,18 @@ def test_a_state_from_before_a_parameter_goes_on_with_its_nominal_value(make_wor
     other.set_state(state)
     assert other.params.contact_stiffness.tolist() == [3000.0, 3000.0]
     assert other.params.voltage.tolist() == [15.0, 16.0]
+    for k in range(20, 40):
+        assert_same(world.step(trot(k)), other.step(trot(k)))
+
+
+def test_a_state_from_before_viscous_friction_goes_on_without(make_world, trot, assert_same):
+    world, other = make_world(2, voltage=[15.0, 16.0]), make_world(2, motor_viscous_friction=0.05)
+    for k in range(20):
+        world.step(trot(k))
+    state = world.get_state()
+    del state["params"]["motor_viscous_friction"], state["drive"]["viscous"]
+    other.set_state(state)
+    assert not other.params.motor_viscous_friction.any()
     for k in range(20, 40):
         assert_same(world.step(trot(k)), other.step(trot(k)))
 

@@ -10,7 +10,7 @@ drop_stale_caches()
 
 from surefoot.actuator.constraint import constraint_speed, constraint_torque  # noqa: E402
 from surefoot.actuator.delay import DelayLine  # noqa: E402
-from surefoot.actuator.motor import coulomb_friction, motor_current, motor_torque, overheat  # noqa: E402
+from surefoot.actuator.motor import coulomb_friction, motor_current, motor_friction, motor_torque, overheat  # noqa: E402
 from surefoot.actuator.servo import servo_duty  # noqa: E402
 
 __all__ = [
@@ -19,6 +19,7 @@ __all__ = [
     "constraint_torque",
     "coulomb_friction",
     "motor_current",
+    "motor_friction",
     "motor_torque",
     "overheat",
     "servo_duty",

@@ -97,6 +97,28 @@ def coulomb_friction(speed, friction):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, inline="always")
+def motor_friction_kernel(speed: float, coulomb: float, viscous: float) -> float:
+    """Scalar form of `motor_friction`."""
+    torque = coulomb_friction_kernel(speed, coulomb)
+    return torque - viscous * speed if viscous > 0.0 else torque
+
+
+@vectorize(cache=True)
+def motor_friction(speed, coulomb, viscous):  # type: ignore[no-untyped-def]
+    """Friction torque [N m] of a motor: -f tanh(qdot / v_s) - b qdot, Coulomb as in `coulomb_friction` and viscous.
+
+    Taken at the start of a step of dt, it brakes a motor that turns an inertia J without overshoot as long as
+    (f / v_s + b) dt < J.
+
+    Args:
+        speed: motor speed [rad/s].
+        coulomb: magnitude f [N m].
+        viscous: coefficient b [N m s/rad].
+    """
+    return motor_friction_kernel(speed, coulomb, viscous)
+
+
+@njit(cache=True, inline="always")
 def overheat_kernel(torque: float, hot_time: float, dt: float, limit: float) -> float:
     """Scalar form of `overheat`."""
     return hot_time + dt if abs(torque) > limit else 0.0

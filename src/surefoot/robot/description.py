@@ -55,6 +55,7 @@ class ActuatorData:
     torque_table_torque: tuple[float, ...]
     overheat_torque: float
     overheat_time: float
+    viscous_friction: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -277,6 +278,7 @@ class RobotDescription:
             **dict.fromkeys(("base_mass_ratio", "leg_mass_ratio", "base_inertia_ratio", "leg_inertia_ratio"), 1.0),
             "motor_strength": 1.0,
             "motor_friction": data.friction,
+            "motor_viscous_friction": data.viscous_friction,
             "torque_constant": data.torque_constant,
             "resistance": data.resistance,
             "voltage": data.voltage,

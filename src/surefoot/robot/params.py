@@ -34,6 +34,7 @@ class PhysicalParams:
     leg_inertia_ratio: Array = _row("1", "rotational inertia of every moving link, to the description's")
     motor_strength: Array = _row("1", "motor torque, to the motor model's", "motors")
     motor_friction: Array = _row("N m", "Coulomb friction in each motor", "motors")
+    motor_viscous_friction: Array = _row("N m s/rad", "viscous friction in each motor", "motors")
     torque_constant: Array = _row("N m/A", "torque constant K_t, also the back-EMF constant")
     resistance: Array = _row("Ohm", "armature resistance R")
     voltage: Array = _row("V", "battery voltage")

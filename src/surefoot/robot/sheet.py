@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import MISSING, dataclass, fields
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -30,13 +30,14 @@ class Sheet:
         """An error about a key: `FILE: KEY WHAT; RULE`."""
         return SurefootError(f"{self.path}: {self.prefix}{key} {what}; {rule}")
 
-    def allow_only(self, *keys: str) -> None:
-        """Refuse keys that nothing reads, and keys that are missing."""
+    def allow_only(self, *keys: str, optional: Sequence[str] = ()) -> None:
+        """Refuse keys that nothing reads, and keys that are missing and not optional."""
         for key in self.data:
             if key not in keys:
                 raise self.error(key, "is no key of this table", f"keys: {choices(keys)}")
         for key in keys:
-            self._get(key)
+            if key not in optional:
+                self._get(key)
 
     def _get(self, key: str) -> Any:
         if key not in self.data:
@@ -134,11 +135,18 @@ class Sheet:
         return low, high
 
     def dataclass(self, kind: type[T], positive: Sequence[str] = ()) -> T:
-        """A dataclass of numbers and tuples of numbers, each field a key; `positive` ones must be over 0."""
-        names = [item.name for item in fields(kind)]  # type: ignore[arg-type]
-        self.allow_only(*names)
+        """A dataclass of numbers and tuples of numbers, each field a key; `positive` ones must be over 0.
+
+        A key may be missing where the field has a default.
+        """
+        items = fields(kind)  # type: ignore[arg-type]
+        self.allow_only(
+            *(item.name for item in items), optional=[item.name for item in items if item.default is not MISSING]
+        )
         values: dict[str, Any] = {}
-        for item in fields(kind):  # type: ignore[arg-type]
+        for item in items:
+            if item.name not in self.data:
+                continue
             if str(item.type).startswith("tuple"):
                 values[item.name] = tuple(self.numbers(item.name))
                 continue

@@ -138,7 +138,7 @@ class BulletEngine:
             self._look(i)
             if constraint:
                 self._set_constraint_motors(i)
-        turned = np.asarray(drive.friction.any(axis=1) | (not constraint))
+        turned = np.asarray(drive.friction.any(axis=1) | drive.viscous.any(axis=1) | (not constraint))
         pushed = np.asarray(self._force.any(axis=1))
         while going := np.flatnonzero(left).tolist():
             torques = applied.tolist()

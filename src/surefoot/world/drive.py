@@ -25,8 +25,8 @@ from numpy.typing import NDArray
 from surefoot.actuator.constraint import constraint_speed_kernel, constraint_torque_kernel
 from surefoot.actuator.delay import push_kernel, read_kernel
 from surefoot.actuator.motor import (
-    coulomb_friction_kernel,
     motor_current_kernel,
+    motor_friction_kernel,
     motor_torque_kernel,
     overheat_kernel,
 )
@@ -50,7 +50,8 @@ class Drive(NamedTuple):
     """Arrays of a batch of robots with M motors and L legs; first axis `num_envs` unless said otherwise."""
 
     strength: Array  # (N, M)
-    friction: Array  # (N, M) N m
+    friction: Array  # (N, M) N m, Coulomb
+    viscous: Array  # (N, M) N m s/rad, friction too
     torque_constant: Array  # (N,)
     resistance: Array  # (N,)
     voltage: Array  # (N,)
@@ -93,6 +94,7 @@ def new_drive(robot: RobotDescription, num_envs: int, history: int, config: Worl
     drive = Drive(
         strength=zeros(motors),
         friction=zeros(motors),
+        viscous=zeros(motors),
         torque_constant=zeros(),
         resistance=zeros(),
         voltage=zeros(),
@@ -127,6 +129,7 @@ def set_drive_params(drive: Drive, index: NDArray[np.int64], params: PhysicalPar
     """Apply the parameters of servo and motor to the robots at `index`, one row each."""
     drive.strength[index] = params.motor_strength
     drive.friction[index] = params.motor_friction
+    drive.viscous[index] = params.motor_viscous_friction
     drive.torque_constant[index] = params.torque_constant
     drive.resistance[index] = params.resistance
     drive.voltage[index] = params.voltage
@@ -171,7 +174,9 @@ def servo_tick(drive: Drive, i: int) -> None:
             drive.torque_limit[i, m] = constraint_torque_kernel(
                 drive.voltage[i], drive.torque_constant[i], drive.resistance[i], drive.strength[i, m]
             )
-            drive.torque[i, m] = coulomb_friction_kernel(drive.now[i, motors + m], drive.friction[i, m])
+            drive.torque[i, m] = motor_friction_kernel(
+                drive.now[i, motors + m], drive.friction[i, m], drive.viscous[i, m]
+            )
         return
     voltage_clip, hot_torque, hot_limit, dt = drive.limits
     time = drive.ticks[i] * dt
@@ -198,7 +203,7 @@ def servo_tick(drive: Drive, i: int) -> None:
                 torque = 0.0
         power += torque * speed
         drive.motor_torque[i, m] = torque
-        drive.torque[i, m] = torque + coulomb_friction_kernel(speed, drive.friction[i, m])
+        drive.torque[i, m] = torque + motor_friction_kernel(speed, drive.friction[i, m], drive.viscous[i, m])
     drive.energy[i] += dt * abs(power)
 
 

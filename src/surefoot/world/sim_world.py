@@ -283,9 +283,10 @@ class SimWorld:
         """Go on from `get_state`, exactly; a parameter that an earlier version did not have is nominal."""
         nominal = PhysicalParams.nominal(self.robot, self.num_envs)
         self.set_params(np.arange(self.num_envs), replace(nominal, **state["params"]))
+        # Not in states of earlier versions: motors had no duty of their own, and viscous friction is as just set.
+        saved = {"duty": 0.0, "viscous": self.params.motor_viscous_friction, **state["drive"]}
         for name, array in self.drive._asdict().items():
-            # A state that was saved when motors had no duty of their own goes on without.
-            array[...] = 0.0 if name == "duty" and name not in state["drive"] else state["drive"][name]
+            array[...] = saved[name]
         for i in range(self.num_envs):
             self.engine.set_state(i, state["engine"][i])
         self._control_steps[:] = state["control_steps"]
