@@ -1,0 +1,139 @@
+"""Experiments on emulated robots that are processes: what is recorded, and what ends them early."""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from surefoot.deploy.connection import RobotConnection, open_connection
+from surefoot.deploy.display import PlainLines
+from surefoot.deploy.link import LinkLostError
+from surefoot.deploy.wire.messages import Mode
+from surefoot.errors import SurefootError
+from surefoot.identify.driver import run_plan
+from surefoot.identify.plan import ExperimentLimits, Plan
+from surefoot.identify.recording import COMPLETE, Recording, load_recording
+from surefoot.robot import RobotDescription
+
+MakePlan = Callable[..., Plan]
+
+
+@contextmanager
+def greeted(port: Path) -> Iterator[RobotConnection]:
+    connection = open_connection(str(port), 8, lockstep=True)
+    try:
+        connection.connect()
+        yield connection
+    finally:
+        with suppress(LinkLostError, OSError):
+            connection.close()
+
+
+class Doing(PlainLines):
+    """Does something when a phase begins for the first time."""
+
+    def __init__(self, phase: str, what: Callable[[], Any]) -> None:
+        super().__init__()
+        self.when, self.what, self.phases = phase, what, []
+
+    def phase(self, name: str, duration: float) -> None:
+        self.phases.append(name)
+        if self.phases.count(self.when) == 1 and name == self.when:
+            self.what()
+
+
+def test_a_whole_experiment(recorded: Recording, make_plan: MakePlan, robot: RobotDescription):
+    plan, meta = make_plan(), recorded.meta
+    assert (meta["ended"], meta["experiment"], meta["rack"]) == (COMPLETE, "motor", True)
+    assert meta["frames"] == {"received": len(recorded.time), "missing": 0, "damaged": 0}
+    assert meta["resting_states"] == pytest.approx(100, abs=3)
+    # Once for servos, once for duties, once for servos again, and let go after each.
+    position, pwm, off = int(Mode.POSITION), int(Mode.PWM), int(Mode.DISARMED)
+    assert [mode for _, mode in meta["mode_changes"]] == [position, off, pwm, off, position, off]
+    moments = [moment for moment, _ in meta["mode_changes"]]
+    assert moments == sorted(moments)
+    assert [phase["name"] for phase in meta["phases"]] == [phase.name for phase in plan.phases]
+    # A command every period, and one more a phase, which holds its last target.
+    expected = [round(phase.duration / meta["period"]) + 1 for phase in plan.phases]
+    np.testing.assert_array_equal(np.bincount(recorded.sent_phase.astype(int)), expected)
+    assert np.all(np.diff(recorded.sent_number) > 0)
+    for k, phase in enumerate(plan.phases):
+        assert set(recorded.mode[recorded.phase_states(k)][2:-2]) == {int(phase.mode)}
+    # The robot follows: in the end it is where it was sent, but for the load and the readings' age.
+    sweep = recorded.phase_states(1)
+    assert np.ptp(recorded.motor_angle[sweep], axis=0).min() > 0.2
+    assert recorded.motor_angle.shape == (len(recorded.time), robot.num_motors)
+
+
+def ended(port: Path, plan: Plan, robot: RobotDescription, tmp_path: Path, watch: PlainLines | None = None) -> str:
+    """Why an experiment ended early; what it recorded until then is kept, and the robot is damped."""
+    with greeted(port) as connection:
+        recording = run_plan(connection, plan, robot, watch or PlainLines())
+        assert len(recording.time) > 50
+        path = recording.save(tmp_path / "recording.npz")
+        assert connection.state is not None
+        connection.wait_for(lambda: connection.state.mode != Mode.POSITION, 0.1)
+        assert connection.state.mode in (Mode.FAULT, Mode.DISARMED)
+    why = str(recording.meta["ended"])
+    with pytest.raises(SurefootError, match="did not come to its end"):
+        load_recording(path, robot)
+    assert "\n" not in why
+    return why
+
+
+@pytest.mark.parametrize(
+    ("limits", "why"),
+    [
+        (ExperimentLimits(angle_room=-0.28), "beyond what was asked for; at most -0.28"),
+        (ExperimentLimits(angle_room=2.0, torque=0.1, torque_time=0.02), "gave more than 0.1 N m for 0.02 s"),
+        (ExperimentLimits(angle_room=2.0, temperature=15.0), "degC; at most 15"),
+        (ExperimentLimits(angle_room=2.0, duration=1.7), "it took more than 1.7 s"),
+    ],
+    ids=["angle", "torque", "temperature", "time"],
+)
+def test_a_limit_of_the_plan_is_passed(
+    healthy: Any, robot: RobotDescription, make_plan: MakePlan, tmp_path: Path, limits: ExperimentLimits, why: str
+):
+    assert why in ended(healthy.port, make_plan(limits), robot, tmp_path)
+
+
+def test_the_operator_stops_it(healthy: Any, robot: RobotDescription, make_plan: MakePlan, tmp_path: Path):
+    watch = Doing("steps", lambda: os.kill(os.getpid(), signal.SIGINT))
+    assert ended(healthy.port, make_plan(), robot, tmp_path, watch) == "stopped by the operator (in phase 'steps')"
+    assert watch.phases == ["unfold", "sweep", "steps"]
+
+
+def test_a_robot_that_is_stopped_can_go_again(healthy: Any, robot: RobotDescription, make_plan: MakePlan):
+    with greeted(healthy.port) as connection:
+        assert run_plan(connection, make_plan(), robot, PlainLines()).meta["ended"] == COMPLETE
+
+
+def test_the_robot_damps_itself(healthy: Any, robot: RobotDescription, make_plan: MakePlan):
+    with greeted(healthy.port) as connection:
+        recording = run_plan(connection, make_plan(), robot, Doing("sweep", connection.damp))
+    assert recording.meta["ended"] == "the robot has damped its motors (host) (in phase 'sweep')"
+
+
+def test_the_port_closes(emulate: Callable[..., Any], robot: RobotDescription, make_plan: MakePlan):
+    emulator = emulate()
+    with greeted(emulator.port) as connection:
+        recording = run_plan(connection, make_plan(), robot, Doing("sweep", emulator.process.kill))
+    assert recording.meta["ended"] != COMPLETE
+    assert len(recording.time) > 400
+    assert recording.sent_phase.max() == 0
+
+
+def test_a_robot_that_was_not_greeted(healthy: Any, robot: RobotDescription, make_plan: MakePlan):
+    connection = open_connection(str(healthy.port), 8, lockstep=True)
+    try:
+        with pytest.raises(SurefootError, match="the robot was not greeted"):
+            run_plan(connection, make_plan(), robot, PlainLines())
+    finally:
+        connection.close()

@@ -1,0 +1,115 @@
+"""A recording is read as it was written, or refused in one line."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from surefoot.errors import SurefootError
+from surefoot.identify.recording import COMPLETE, Recording, load_recording
+from surefoot.robot import RobotDescription
+
+ARRAYS = ("sent_value", "time", "motor_angle", "temperature")
+
+
+def saved(recording: Recording, path: Path, **meta: Any) -> Path:
+    """Write it with other entries."""
+    return replace(recording, meta={**recording.meta, **meta}).save(path)
+
+
+def refused(path: Path, robot: RobotDescription, experiment: str | None = None) -> str:
+    with pytest.raises(SurefootError, match=f"^recording {path}: ") as caught:
+        load_recording(path, robot, experiment)
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+def test_it_is_read_to_the_last_bit(recorded: Recording, robot: RobotDescription, tmp_path: Path):
+    path = recorded.save(tmp_path / "deep" / "recording.npz")
+    found = load_recording(path, robot, "motor")
+    for name in ARRAYS:
+        np.testing.assert_array_equal(getattr(found, name), getattr(recorded, name))
+    assert json.loads(json.dumps(recorded.meta)) == found.meta
+    assert found.digest == recorded.digest
+    assert found.meta["ended"] == COMPLETE
+
+
+def test_it_tells_when_commands_came(recorded: Recording):
+    # In lockstep a command comes when it is sent, to the resolution of a state's times.
+    np.testing.assert_allclose(recorded.arrival, recorded.sent_time, atol=2e-5)
+    assert abs(recorded.way) < 2e-5
+
+
+def test_its_phases_are_found(recorded: Recording):
+    lengths = [recorded.phase_states(k) for k in range(len(recorded.meta["phases"]))]
+    assert all(one.stop <= other.start for one, other in pairwise(lengths))
+    for phase, states in zip(recorded.meta["phases"], lengths, strict=True):
+        assert states.stop - states.start == pytest.approx(phase["duration"] / recorded.meta["period"], abs=2)
+    assert recorded.phase_states(99) == slice(0, 0)
+    assert recorded.still_motors == frozenset()
+
+
+def test_no_file_and_no_recording(robot: RobotDescription, tmp_path: Path):
+    assert refused(tmp_path / "none.npz", robot).endswith("can't be read: No such file or directory")
+    text = tmp_path / "text.npz"
+    text.write_text("hello")
+    refused(text, robot)
+    np.savez(tmp_path / "other.npz", a=np.zeros(3))
+    assert "is none" in refused(tmp_path / "other.npz", robot)
+    np.savez(tmp_path / "odd.npz", meta=np.array("3"))
+    assert "has schema None; surefoot reads schema 1" in refused(tmp_path / "odd.npz", robot)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.3, 0.9, 0.999])
+def test_a_file_that_is_cut_off(recorded: Recording, robot: RobotDescription, tmp_path: Path, share: float):
+    path = recorded.save(tmp_path / "recording.npz")
+    content = path.read_bytes()
+    path.write_bytes(content[: int(share * len(content))])
+    refused(path, robot)
+
+
+def test_a_file_with_a_turned_bit(recorded: Recording, robot: RobotDescription, tmp_path: Path):
+    path = recorded.save(tmp_path / "recording.npz")
+    content = bytearray(path.read_bytes())
+    content[len(content) // 2] ^= 16
+    path.write_bytes(content)
+    assert "cut off or damaged" in refused(path, robot)
+
+
+def test_another_schema_robot_and_experiment(recorded: Recording, robot: RobotDescription, tmp_path: Path):
+    path = tmp_path / "recording.npz"
+    assert "has schema 2; surefoot reads schema 1" in refused(saved(recorded, path, schema=2), robot)
+    assert "is of robot 'cat', not of 'minitaur'" in refused(saved(recorded, path, robot="cat"), robot)
+    names = list(reversed(recorded.meta["motor_names"]))
+    assert "not of 'minitaur' with its motors" in refused(saved(recorded, path, motor_names=names), robot)
+    assert "is of experiment motor, not mass" in refused(recorded.save(path), robot, "mass")
+
+
+def test_what_is_missing_or_unknown(recorded: Recording, robot: RobotDescription, tmp_path: Path):
+    path = tmp_path / "recording.npz"
+    meta = {key: value for key, value in recorded.meta.items() if key not in ("period", "frames")}
+    replace(recorded, meta=meta).save(path)
+    assert refused(path, robot).endswith("missing or unknown: period, frames")
+    recorded.save(path)
+    with np.load(path) as file:
+        arrays = {name: file[name] for name in file.files if name != "voltage"}
+    np.savez(path, more=np.zeros(2), **arrays)
+    assert refused(path, robot).endswith("missing or unknown: more, voltage")
+
+
+def test_data_that_were_changed(recorded: Recording, robot: RobotDescription, tmp_path: Path):
+    torque = recorded.motor_torque.copy()
+    torque[100, 3] += 0.001
+    path = replace(recorded, motor_torque=torque).save(tmp_path / "recording.npz")
+    assert "was changed after it was made: its digest does not fit" in refused(path, robot)
+
+
+def test_an_experiment_that_was_stopped(recorded: Recording, robot: RobotDescription, tmp_path: Path):
+    path = saved(recorded, tmp_path / "recording.npz", ended="stopped by the operator")
+    assert refused(path, robot).endswith("did not come to its end: stopped by the operator")
