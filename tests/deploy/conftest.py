@@ -74,7 +74,7 @@ class ToyRobot:
         while firmware.next_state is not None and firmware.next_state <= now:
             due = max(firmware.next_state, 0)
             readings = self._readings(due)
-            firmware.report(due, lambda lead, readings=readings: readings)
+            firmware.report(due, lambda readings=readings: readings)
             self._say()
 
     def _say(self) -> None:

@@ -49,11 +49,9 @@ class Bench:
         self.vitals = Vitals(np.arange(8) / 10, 0.0, 16.0, 25.0)
         self.order: MotorOrder | None = None
         self.said: list[Frame] = []
-        self.leads: list[int] = []
         self.sensors = Sensors(*(np.zeros(8),) * 3, np.zeros(3), np.zeros(3), 5.0, 16.0, np.full(8, 25.0))
 
-    def read(self, lead: int) -> Sensors:
-        self.leads.append(lead)
+    def read(self) -> Sensors:
         return self.sensors
 
     def run(self, milliseconds: int) -> list[Frame]:
@@ -211,7 +209,6 @@ def test_each_command_makes_a_state_due_and_silence_leaves_the_commands_rhythm(a
     assert [round(frame.time * 1e6) - start for frame in said] == [3 * MS, 9 * MS, 15 * MS]
     assert [frame.message.command for frame in said] == [number] * 3
     np.testing.assert_allclose([frame.message.command_age for frame in said], [0.003, 0.009, 0.015])
-    assert armed.leads[-3:] == [3 * MS] * 3
 
 
 def test_arming_again_changes_the_times_only(armed):

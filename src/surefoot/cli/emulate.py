@@ -165,6 +165,7 @@ def _hidden(command: EmulateCommand, robot: RobotDescription, seed: int) -> Phys
 def _build(command: EmulateCommand, robot: RobotDescription, faults: dict[str, Fault]) -> Board:
     """The robot, warmed up."""
     from surefoot import __version__
+    from surefoot.deploy.connection import LEAD
     from surefoot.emulator.board import Board
     from surefoot.emulator.hardware import PowerConfig, SensorConfig
     from surefoot.emulator.limits import Limits, introduction
@@ -193,7 +194,7 @@ def _build(command: EmulateCommand, robot: RobotDescription, faults: dict[str, F
     said = introduction(robot, limits, f"surefoot emulator {__version__}", robot.timing.servo_step)
     if command.lockstep:
         return Board(plant, said, limits, faults, 0.0, command.seed)
-    return Board(plant, said, limits, faults, command.baud, command.seed, STRIDE)
+    return Board(plant, said, limits, faults, command.baud, command.seed, STRIDE, LEAD)
 
 
 def _run(command: EmulateCommand, board: Board, faults: dict[str, Fault]) -> int:

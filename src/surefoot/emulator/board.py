@@ -40,6 +40,8 @@ class Board:
         seed: of what goes wrong at random.
         stride: servo steps that the physics may go through at once while nothing comes or is due. The microcontroller
             looks at tilt, battery and heat between them alone. With faults it is 1.
+        lead: how long [s] before they are used a deployment asks for states: the control latency counts up to there,
+            so that sensors are younger by this when a state is sent.
     """
 
     def __init__(
@@ -51,9 +53,10 @@ class Board:
         baud: float = 0.0,
         seed: int = 0,
         stride: int = 1,
+        lead: float = 0.0,
     ) -> None:
         self.stride = stride if not faults and plant.servo_every == 1 else 1
-        self.plant, self.limits = plant, limits or Limits()
+        self.plant, self.limits, self.lead = plant, limits or Limits(), lead
         faults = faults or {}
         self.sabotage = Sabotage(faults, plant, introduction)
         self._introduction = self.sabotage.introduction
@@ -175,9 +178,9 @@ class Board:
     def _harm_lines(self) -> None:
         self.inbound.harmful = self.outbound.harmful = self.sabotage.harms_lines
 
-    def _read(self, lead: int) -> Sensors:
+    def _read(self) -> Sensors:
         since = (self.now - self.plant.ticks * self._step) / 1e6
-        return self.sabotage.sensors(self.plant.read(since, lead / 1e6))
+        return self.sabotage.sensors(self.plant.read(since, self.lead))
 
     def _send(self) -> None:
         for frame in self.firmware.take():

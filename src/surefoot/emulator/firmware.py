@@ -59,7 +59,7 @@ class Firmware:
         self.decoder = Decoder(codec)
         self.watch = LinkWatch(microseconds(self.limits.clean_gap))
         self.mode, self.reason, self.owner = Mode.DISARMED, Reason.NONE, 0
-        self.period = self.lead = 0
+        self.period = 0
         self.next_state: int | None = None
         """When the next state is due."""
         self.stale = 0
@@ -183,7 +183,6 @@ class Firmware:
         else:
             self.period = microseconds(arm.command_period)
             self._report_after = microseconds(arm.report_after)
-            self.lead = self.period - self._report_after
             if not self.armed:
                 self.mode, self.reason = Mode(arm.mode), Reason.NONE
                 self._command_time, self._dropped_in_a_row, self._fresh = now, 0, True
@@ -286,16 +285,16 @@ class Firmware:
         times.append(now)
         self._refuse(now, session, reason, text)
 
-    def report(self, now: int, read: Callable[[int], Sensors]) -> None:
+    def report(self, now: int, read: Callable[[], Sensors]) -> None:
         """Send a state if one is due.
 
         Args:
             now: time.
-            read: reads the sensors, for an operator whose commands come so many microseconds after states.
+            read: reads the sensors.
         """
         if self.next_state is None or now < self.next_state:
             return
-        sensors = read(self.lead if self.armed else 0)
+        sensors = read()
         if self._energy_start is None:
             self._energy_start = sensors.energy
         self._say(

@@ -117,7 +117,9 @@ class Fit:
         """Pairs of unknowns that the data can hardly tell apart, strongest first."""
         c = self.correlation
         pairs = [(abs(c[i, j]), i, j) for i in range(len(c)) for j in range(i) if abs(c[i, j]) >= least]
-        return [(self.unknowns[j].label, self.unknowns[i].label, float(c[i, j])) for _, i, j in sorted(pairs)[::-1][:count]]
+        return [
+            (self.unknowns[j].label, self.unknowns[i].label, float(c[i, j])) for _, i, j in sorted(pairs)[::-1][:count]
+        ]
 
 
 def jacobian_of(model: Model, values: Array, residuals: Array) -> Array:
@@ -284,8 +286,9 @@ def fit_rough(model: Model, start: Array, spread: Array, seed: int, evaluations:
         candidates = search.ask()
         values = start + np.array(candidates) * spread
         residuals = model.residuals(values)
-        cost = np.mean(residuals**2, axis=1) + np.sum(((values[:, known] - middle) / width) ** 2, axis=1) / (
-            residuals.shape[1]
+        cost = (
+            np.mean(residuals**2, axis=1)
+            + np.sum(((values[:, known] - middle) / width) ** 2, axis=1) / (residuals.shape[1])
         )
         search.tell(candidates, np.where(np.isfinite(cost), cost, 1e9).tolist())
     return start + np.asarray(search.result.xbest) * spread

@@ -1,8 +1,9 @@
 """Sends what was recorded once more, to a batch of simulated robots, and reads them as the recording was read.
 
-What a state of the robot's time t tells is, with the control latency L_c and the servo step dt:
+What a state of the robot's time t tells is, with the control latency L_c, which counts up to the readings' use a lead
+after they were sent, and the servo step dt:
 
-    motor_angle, motor_velocity, roll, pitch, rates     of t - L_c, between servo steps on a straight line
+    motor_angle, motor_velocity, roll, pitch, rates     of t - L_c + lead, between servo steps on a straight line
     motor_torque                                        of the servo step that ended last, at t or before
     voltage                                             of t, which is that of the servo step that begins then
 
@@ -12,6 +13,8 @@ multiples of dt when servo steps begin.
 
 from __future__ import annotations
 
+import os
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -52,6 +55,8 @@ class Stretch:
     """Of the battery in each servo step (ticks,) [V]."""
     start: Array
     """Motor angles (M,) [rad] that were held before the first command."""
+    lead: float = 0.0
+    """How long before their use [s] the control latency takes states to be sent."""
 
     @property
     def ticks(self) -> int:
@@ -100,6 +105,7 @@ def stretch_of(recording: Recording, first: int, last: int) -> Stretch:
         states=states,
         voltage=recording.voltage[np.minimum(following, len(recording.time) - 1)],
         start=recording.sent_value[mine[0]],
+        lead=float(recording.meta["lead"]),
     )
 
 
@@ -120,7 +126,7 @@ class Replayed:
 
 
 class Replayer:
-    """Simulated robots that go through a stretch of a recording.
+    """Simulated robots that go through a stretch of a recording, shared among the computer's cores.
 
     Args:
         robot: their description.
@@ -130,71 +136,42 @@ class Replayer:
 
     def __init__(self, robot: RobotDescription, num_envs: int, rack: bool) -> None:
         self.robot, self.num_envs = robot, num_envs
-        self.world = SimWorld(robot, num_envs, config=WorldConfig(rack=rack))
+        cores = min(os.cpu_count() or 1, num_envs)
+        self._share = -(-num_envs // cores)
+        # A world that steps on several threads would have them wait for each other in every servo step.
+        config = WorldConfig(rack=rack, threads=1)
+        self._teams = [_Team(SimWorld(robot, self._share, config=config)) for _ in range(cores)]
+        self._pool = ThreadPoolExecutor(cores)
 
     def run(self, stretch: Stretch, params: PhysicalParams) -> Replayed:
         """Go through it, with at most `num_envs` rows of parameters."""
-        given, history, torque = self._simulate(stretch, params)
-        return self._read(stretch, given, params.num_envs, history, torque)
+        return self._read(stretch, params, *self._simulate(stretch, params))
 
     def read_late(self, stretch: Stretch, params: PhysicalParams, latencies: Array) -> Array:
         """Motor angles (K, T, M) [rad] that one simulated robot would tell with each of K control latencies [s]."""
-        given, history, torque = self._simulate(stretch, params)
-        many, rows = given.rows(np.zeros(len(latencies), np.int64)), np.zeros(len(latencies), np.int64)
+        history, torque = self._simulate(stretch, params)
+        rows = np.zeros(len(latencies), np.int64)
+        many = params.rows(rows)
         many.control_latency[:] = latencies
-        return self._read(stretch, many, len(latencies), history[:, rows], torque[:, rows]).motor_angle
+        return self._read(stretch, many, history[:, rows], torque[:, rows]).motor_angle
 
-    def _simulate(self, stretch: Stretch, params: PhysicalParams) -> tuple[PhysicalParams, Array, Array]:
-        """Parameters as applied, states (ticks + 1, N, width), and torques of the steps that led to them."""
-        world, rows, robot = self.world, params.num_envs, self.robot
-        motors = robot.num_motors
-        everyone = np.arange(self.num_envs)
-        given = params.rows(np.minimum(everyone, rows - 1))
-        world.set_params(everyone, given)
-        world.reset()
-        drive = world.drive
-        active = np.where(everyone < rows, 1, 0)
-        drive.voltage[:] = stretch.voltage[0]
-        self._settle(stretch.start, active)
-        history = np.empty((stretch.ticks + 1, rows, drive.now.shape[1]))
-        torque = np.empty((stretch.ticks + 1, rows, motors))
-        history[0], torque[0] = drive.now[:rows], drive.motor_torque[:rows]
-        order = -1
-        changes = np.append(stretch.order_tick, stretch.ticks + 1)
-        for tick in range(stretch.ticks):
-            while changes[order + 1] <= tick:
-                order += 1
-                self._obey(int(stretch.kind[order]), stretch.order[order], given)
-            drive.voltage[:] = stretch.voltage[tick]
-            world.engine.advance(active)
-            history[tick + 1], torque[tick + 1] = drive.now[:rows], drive.motor_torque[:rows]
-        # Row k of the history is the state at k dt; its torque is that of the step before.
-        return given, history, torque
+    def _simulate(self, stretch: Stretch, params: PhysicalParams) -> tuple[Array, Array]:
+        """States (ticks + 1, N, width), and torques of the steps that led to them (ticks + 1, N, M)."""
+        shares = np.array_split(np.arange(params.num_envs), min(len(self._teams), params.num_envs))
+        jobs = [
+            self._pool.submit(team.run, stretch, params.rows(share))
+            for team, share in zip(self._teams, shares, strict=False)
+        ]
+        done = [job.result() for job in jobs]
+        return np.concatenate([d[0] for d in done], axis=1), np.concatenate([d[1] for d in done], axis=1)
 
-    def _obey(self, kind: int, order: Array, params: PhysicalParams) -> None:
-        drive = self.world.drive
-        follows = kind in (Mode.POSITION, HELD)
-        drive.duty[:] = order if kind == Mode.PWM else 0.0
-        drive.kp[:] = params.servo_kp if follows else 0.0
-        # A robot that is not armed damps its motors with the derivative gain of its data sheet.
-        drive.kd[:] = params.servo_kd if follows else self.robot.actuator.kd if kind == Mode.DISARMED else 0.0
-        drive.target[:] = drive.now[:, : self.robot.num_motors] if kind == HELD else order
-
-    def _settle(self, start: Array, active: NDArray[np.int64]) -> None:
-        drive, steps = self.world.drive, round(SETTLE / self.robot.timing.servo_step)
-        begin = drive.target.copy()
-        for k in range(steps):
-            share = min(2 * k / steps, 1.0)
-            drive.target[:] = begin + (start - begin) * share
-            self.world.engine.advance(active)
-
-    def _read(
-        self, stretch: Stretch, params: PhysicalParams, rows: int, history: Array, torque: Array
-    ) -> Replayed:
+    def _read(self, stretch: Stretch, params: PhysicalParams, history: Array, torque: Array) -> Replayed:
         motors, last, dt = self.robot.num_motors, len(history) - 1, self.robot.timing.servo_step
+        rows = params.num_envs
         told = np.empty((rows, len(stretch.state_time), history.shape[2]))
         for row in range(rows):
-            at = np.clip((stretch.state_time - params.control_latency[row]) / dt, 0.0, last)
+            age = max(float(params.control_latency[row]) - stretch.lead, 0.0)
+            at = np.clip((stretch.state_time - age) / dt, 0.0, last)
             before = np.minimum(at.astype(np.int64), last - 1)
             share = (at - before)[:, None]
             told[row] = (1 - share) * history[before, row] + share * history[before + 1, row]
@@ -206,3 +183,56 @@ class Replayer:
             roll_pitch_yaw=told[:, :, 2 * motors : 2 * motors + 3],
             angular_velocity_base=told[:, :, 2 * motors + 3 :],
         )
+
+
+class _Team:
+    """Robots of one thread.
+
+    Args:
+        world: theirs.
+    """
+
+    def __init__(self, world: SimWorld) -> None:
+        self.world = world
+
+    def run(self, stretch: Stretch, params: PhysicalParams) -> tuple[Array, Array]:
+        """Go through a stretch; row k is the state at k servo steps, and the torque of the step before."""
+        world, rows = self.world, params.num_envs
+        everyone = np.arange(world.num_envs)
+        given = params.rows(np.minimum(everyone, rows - 1))
+        world.set_params(everyone, given)
+        world.reset()
+        drive, advance = world.drive, world.engine.advance
+        active = np.where(everyone < rows, 1, 0)
+        drive.voltage[:] = stretch.voltage[0]
+        self._settle(stretch.start, active)
+        history = np.empty((stretch.ticks + 1, rows, drive.now.shape[1]))
+        torque = np.empty((stretch.ticks + 1, rows, drive.target.shape[1]))
+        history[0], torque[0] = drive.now[:rows], drive.motor_torque[:rows]
+        order = -1
+        changes = [*stretch.order_tick.tolist(), stretch.ticks + 1]
+        for tick, voltage in enumerate(stretch.voltage.tolist()):
+            while changes[order + 1] <= tick:
+                order += 1
+                self._obey(int(stretch.kind[order]), stretch.order[order], given)
+            drive.voltage[:] = voltage
+            advance(active)
+            history[tick + 1], torque[tick + 1] = drive.now[:rows], drive.motor_torque[:rows]
+        return history, torque
+
+    def _obey(self, kind: int, order: Array, params: PhysicalParams) -> None:
+        drive = self.world.drive
+        follows = kind in (Mode.POSITION, HELD)
+        drive.duty[:] = order if kind == Mode.PWM else 0.0
+        drive.kp[:] = params.servo_kp if follows else 0.0
+        # A robot that is not armed damps its motors with the derivative gain of its data sheet.
+        drive.kd[:] = params.servo_kd if follows else self.world.robot.actuator.kd if kind == Mode.DISARMED else 0.0
+        drive.target[:] = drive.now[:, : self.world.robot.num_motors] if kind == HELD else order
+
+    def _settle(self, start: Array, active: NDArray[np.int64]) -> None:
+        drive, steps = self.world.drive, round(SETTLE / self.world.robot.timing.servo_step)
+        begin = drive.target.copy()
+        for k in range(steps):
+            share = min(2 * k / steps, 1.0)
+            drive.target[:] = begin + (start - begin) * share
+            self.world.engine.advance(active)

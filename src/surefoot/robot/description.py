@@ -237,6 +237,24 @@ class RobotDescription:
         return np.array([[self.motor_names.index(name) for name in leg.motors] for leg in self.legs])
 
     @property
+    def leg_mounts(self) -> NDArray[np.float64]:
+        """Place (legs, 3) of each leg's motors from the base's origin, between both [m]; x forward, y left, z up.
+
+        Parts fixed to the base are taken to be mounted without turning, as a Minitaur's rails are.
+        """
+        above = {joint.child: joint for joint in self.urdf.joints.values()}
+
+        def place(name: str) -> NDArray[np.float64]:
+            joint, total = self.urdf.joints[name], np.zeros(3)
+            while True:
+                total += joint.origin
+                if joint.parent == self.base or joint.parent not in above:
+                    return total
+                joint = above[joint.parent]
+
+        return np.array([np.mean([place(name) for name in leg.motors], axis=0) for leg in self.legs])
+
+    @property
     def torque_table(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Points of the torque-current curve: currents [A] and torques [N m]."""
         return np.array(self.actuator.torque_table_current), np.array(self.actuator.torque_table_torque)

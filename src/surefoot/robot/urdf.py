@@ -25,13 +25,14 @@ class Link:
 
 @dataclass(frozen=True)
 class Joint:
-    """One joint, by name, type, the links that it joins and its axis in the child's frame."""
+    """One joint, by name, type, the links that it joins, its axis in the child's frame and its place in the parent's."""
 
     name: str
     kind: str
     parent: str
     child: str
     axis: tuple[float, float, float]
+    origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -127,7 +128,12 @@ def read_urdf(path: Path) -> Urdf:
             if end not in links:
                 raise SurefootError(f"{path}: joint '{name}' joins '{end}', which is no link; links: {choices(links)}")
         xyz = _floats(axis.get("xyz", ""), 3, f"{path}: joint '{name}': axis") if axis is not None else (1.0, 0.0, 0.0)
-        joints[name] = Joint(name, element.get("type", ""), ends[0], ends[1], (xyz[0], xyz[1], xyz[2]))
+        origin = element.find("origin")
+        place = _floats(
+            origin.get("xyz", "0 0 0") if origin is not None else "0 0 0", 3, f"{path}: joint '{name}': origin"
+        )
+        kind, axis_xyz = element.get("type", ""), (xyz[0], xyz[1], xyz[2])
+        joints[name] = Joint(name, kind, *ends, axis_xyz, (place[0], place[1], place[2]))
 
     roots = [name for name in links if name not in {joint.child for joint in joints.values()}]
     if len(roots) != 1:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -9,6 +11,9 @@ from surefoot.deploy.poses import between
 from surefoot.identify.plan import Signal
 
 Array = NDArray[np.float64]
+
+FADE = 0.2
+"""Time [s] within which sines grow to their amplitude, and fade at the end."""
 
 
 def go_to(target: Array, duration: float) -> Signal:
@@ -22,7 +27,7 @@ def hold(target: Array) -> Signal:
 
 
 def chirps(middle: Array, amplitude: Array, first: float, last: float, duration: float, phase: Array) -> Signal:
-    """Sines whose frequency grows exponentially, and that fade in and out within .2 s.
+    """Sines whose frequency grows exponentially, and that fade in and out.
 
     Args:
         middle: (M,) [rad].
@@ -32,15 +37,20 @@ def chirps(middle: Array, amplitude: Array, first: float, last: float, duration:
         duration: [s].
         phase: of each motor's sine (M,) [rad].
     """
-    rate = np.log(last / first) / duration
 
     def signal(t: float, start: Array) -> Array:
-        turned = 2 * np.pi * first * (np.exp(rate * t) - 1) / rate
-        fade = min(1.0, t / 0.2, max(duration - t, 0.0) / 0.2)
-        value: Array = middle + fade * amplitude * (np.sin(turned + phase))
+        turned, faded = sweep(t, first, last, duration)
+        value: Array = middle + faded * amplitude * np.sin(turned + phase)
         return value
 
     return signal
+
+
+def sweep(t: float, first: float, last: float, duration: float) -> tuple[float, float]:
+    """Angle [rad] that a sine of exponentially growing frequency has turned, and its fading in and out from 0 to 1."""
+    rate = math.log(last / first) / duration
+    turned = 2 * math.pi * first * (math.expm1(rate * t) / rate if rate else t)
+    return turned, min(1.0, t / FADE, max(duration - t, 0.0) / FADE)
 
 
 def steps(values: Array, each: float) -> Signal:

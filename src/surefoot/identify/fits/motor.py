@@ -35,7 +35,9 @@ _UNITS = ("mrad", "rad/s", "N m")
 _SCALES = (1e3, 1.0, 1.0)
 
 
-def motor_unknowns(robot: RobotDescription, known: PhysicalParams, latency: float, still: frozenset[int]) -> list[Unknown]:
+def motor_unknowns(
+    robot: RobotDescription, known: PhysicalParams, latency: float, still: frozenset[int]
+) -> list[Unknown]:
     """What there is to find, from what was known before.
 
     Args:

@@ -1,0 +1,108 @@
+"""What experiments on the ground share: standing up, hopping, rocking, sitting down."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surefoot.deploy.poses import SIT_EXTENSION, SPREAD, between, pose, sitting
+from surefoot.identify.experiments.signals import go_to, hold, sweep
+from surefoot.identify.plan import Phase, Signal, Use
+from surefoot.robot import RobotDescription
+
+Array = NDArray[np.float64]
+
+STANCE = 1.7
+"""Extension [rad] in which the robot stands."""
+CROUCH, JUMP = 1.45, 2.3
+"""Extensions [rad] from which it hops, and to which it pushes off."""
+HOP = 1.4
+"""Length of a hop [s]."""
+
+
+def legs_pose(robot: RobotDescription, swing: Array | float, extension: Array | float) -> Array:
+    """Motor angles (M,) [rad] of legs with swings and extensions (L,) [rad]."""
+    legs = len(robot.legs)
+    return robot.leg_to_motor_angles(
+        np.broadcast_to(np.asarray(swing, float), (legs,)), np.broadcast_to(np.asarray(extension, float), (legs,))
+    )
+
+
+def ends(robot: RobotDescription) -> Array:
+    """+1 for front legs, -1 for back legs (L,)."""
+    return np.where(robot.leg_mounts[:, 0] > 0, 1.0, -1.0)
+
+
+def sides(robot: RobotDescription) -> Array:
+    """+1 for left legs, -1 for right legs (L,)."""
+    return np.where(robot.leg_mounts[:, 1] > 0, 1.0, -1.0)
+
+
+def standing_up(robot: RobotDescription) -> list[Phase]:
+    """From however a damped robot lies to standing.
+
+    Folded legs are swung out beside the body first, then unfolded there, then drawn in: legs that unfold under the body
+    on a floor that holds them tip it over.
+    """
+
+    def swing_out(t: float, start: Array) -> Array:
+        swing, extension = robot.motor_to_leg_pose(start)
+        return between(start, robot.leg_to_motor_angles(_aside(swing), extension), t / 1.0)
+
+    def unfold(t: float, start: Array) -> Array:
+        swing, _ = robot.motor_to_leg_pose(start)
+        return between(start, legs_pose(robot, swing, SIT_EXTENSION), t / 1.0)
+
+    sit, stand = sitting(robot), pose(robot, 0.0, STANCE)
+    return [
+        Phase("swing legs out", "legs beside the body, as folded as they are", 1.0, swing_out, use="way"),
+        Phase("unfold", "legs beside the body, unfolded", 1.0, unfold, use="way"),
+        Phase("draw in", "legs under the body", 1.0, go_to(sit, 1.0), use="way"),
+        Phase("sit", "the robot sits", 0.3, hold(sit), use="way"),
+        Phase("stand up", "the robot stands up", 1.5, go_to(stand, 1.5), use="way"),
+        Phase("stand", "the robot stands still", 0.5, hold(stand), use="way"),
+    ]
+
+
+def _aside(swing: Array) -> Array:
+    """Legs that slid out stay on their side; legs under the body stay there."""
+    return np.where(np.abs(swing) > 0.3, SPREAD * np.sign(swing), swing)
+
+
+def sitting_down(robot: RobotDescription) -> Phase:
+    """The end of an experiment."""
+    sit = sitting(robot)
+    return Phase("sit down", "the robot sits down", 1.5, go_to(sit, 1.5), use="way")
+
+
+def hop(robot: RobotDescription, use: Use = "fit") -> Phase:
+    """A hop of a few centimetres. Whatever the feet pushed against each other before, they land without."""
+    stand, crouch, jump = (pose(robot, 0.0, extension) for extension in (STANCE, CROUCH, JUMP))
+
+    def signal(t: float, start: Array) -> Array:
+        if t < 0.5:
+            return between(start, crouch, t / 0.4)
+        return jump if t < 0.6 else stand
+
+    return Phase("hop", "the robot hops and lands on all feet", HOP, signal, use=use)
+
+
+def rocking(
+    robot: RobotDescription, share: Array, amplitude: float, first: float, last: float, duration: float
+) -> Signal:
+    """Legs longer and shorter around standing, with a frequency that grows exponentially, faded in and out.
+
+    Args:
+        robot: its legs.
+        share: of the amplitude that each leg gets (L,).
+        amplitude: of the extension [rad].
+        first: frequency at the start [Hz].
+        last: frequency at the end [Hz].
+        duration: [s].
+    """
+
+    def signal(t: float, start: Array) -> Array:
+        turned, faded = sweep(t, first, last, duration)
+        return legs_pose(robot, 0.0, STANCE + faded * amplitude * share * np.sin(turned))
+
+    return signal

@@ -1,0 +1,146 @@
+"""The contact experiment's fit: friction from dragged feet, stiffness and damping from how the body nods on soft ones."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surefoot.identify.experiments.ground import ends, sides
+from surefoot.identify.fits.mass import check_stands
+from surefoot.identify.inverse_dynamics import Forces
+from surefoot.identify.quality import check_recording
+from surefoot.identify.recording import Recording
+from surefoot.identify.registry import Tell
+from surefoot.identify.result import Estimate, Identification, Series
+from surefoot.identify.standing import STEP, THIN, Standing, forces_of, regress, stand
+from surefoot.robot import PhysicalParams, RobotDescription
+
+Array = NDArray[np.float64]
+
+SLIDING = 0.15
+"""Speed of a foot over the ground [m/s] from which on it slides for sure."""
+LEAST = 2.0
+"""Force [N] with which a foot must touch the ground to count."""
+FEWEST = 40
+"""Values with a sliding foot that are needed."""
+SURE = 0.04
+"""What friction, stiffness and damping are known to at best, of their value: the legs' masses, torques and the feet's
+roundness are in all forces."""
+TREND = 0.5
+"""Slow changes of heights and forces, over so many seconds, are taken away: the gyro adds up its errors."""
+
+
+def fit_contact(
+    robot: RobotDescription, recording: Recording, known: PhysicalParams, sensors: dict[str, Any], tell: Tell | None
+) -> Identification:
+    """What the contact experiment tells.
+
+    Raises:
+        SurefootError: data too poor to tell anything, or a robot that did not stand.
+    """
+    notes = list(check_recording(recording, robot))
+    standing = stand(robot, recording, known, sensors)
+    check_stands(standing)
+    forces, _ = forces_of(robot, standing, known)
+    friction, points = _friction(robot, standing, forces)
+    if not friction.told:
+        notes.append("feet that were dragged did not slide: their friction is not told")
+    stiffness, damping, sunk = _compliance(robot, standing, forces)
+    notes.append("feet are taken to be as stiff along the ground as into it; that is not measured")
+    return Identification(
+        "contact", robot.name, (friction, stiffness, damping), (), (), tuple(notes), (*points, sunk), {},
+        recording.digest, str(recording.meta["date"]),
+    )  # fmt: skip
+
+
+def _friction(robot: RobotDescription, standing: Standing, forces: Forces) -> tuple[Estimate, tuple[Series, ...]]:
+    """Coulomb's law on feet that slide along x: F_x = -mu F_z sign(v) + c, c from errors of the torque reports."""
+    low, high = robot.allowed["contact_friction"]
+    speed = _sliding_speed(robot, standing, forces)
+    dragged = standing.during("drag")
+    found, weights, along, down = [], [], [], []
+    for leg in range(forces.force.shape[1]):
+        slides = dragged & _light(robot, standing)[:, leg]
+        slides &= (np.abs(speed[:, leg]) > SLIDING) & (forces.force[:, leg, 1] > LEAST)
+        if slides.sum() < FEWEST:
+            continue
+        columns = np.stack([forces.force[slides, leg, 1] * -np.sign(speed[slides, leg]), np.ones(slides.sum())], axis=1)
+        values, covariance = regress(columns, forces.force[slides, leg, 0], standing.blocks[slides])
+        found.append(float(values[0]))
+        weights.append(float(covariance[0, 0]))
+        along += (forces.force[slides, leg, 0] - values[1]).tolist()
+        down += columns[:, 0].tolist()
+    if not found:
+        return Estimate("contact_friction", float("nan"), high - low, "1", told=False, low=low, high=high), ()
+    value = float(np.mean(found))
+    spread = float(np.std(found, ddof=1)) if len(found) > 1 else SURE * value * 2
+    own = float(np.sqrt(np.mean(weights)))
+    deviation = float(np.hypot(np.hypot(spread, own) / np.sqrt(len(found)), SURE * value))
+    x = np.array(down)
+    order = np.argsort(x)[:: max(len(x) // 400, 1)]
+    series = Series("dragged feet", "weight on the foot, against its motion [N]", "force along the ground [N]", x[order],
+                    np.array(along)[order], np.full(len(order), np.nan), value * x[order], points=True)  # fmt: skip
+    return Estimate("contact_friction", value, deviation, "1", None, True, low, high), (series,)
+
+
+def _light(robot: RobotDescription, standing: Standing) -> NDArray[np.bool_]:
+    """Legs (T, L) that are dragged: the first phase of that name drags one diagonal, the second the other."""
+    phases = [k for k, name in enumerate(standing.names) if name == "drag"]
+    dragged = np.where(standing.phase == phases[0], 1.0, np.where(standing.phase == phases[-1], -1.0, 0.0))
+    light: NDArray[np.bool_] = dragged[:, None] == ends(robot) * sides(robot)
+    return light
+
+
+def _sliding_speed(robot: RobotDescription, standing: Standing, forces: Forces) -> Array:
+    """Speed of each foot along x (T, L) [m/s], beside that of the feet that are not dragged, which stand.
+
+    The base turns meanwhile: at a foot at (x, y, z) of it that adds w_y z - w_z y.
+    """
+    rate = standing.motion.angular_velocity
+    own = np.gradient(forces.foot[:, :, 0], STEP * THIN, axis=0)
+    own = own + rate[:, 1:2] * forces.foot[:, :, 1] - rate[:, 2:3] * robot.leg_mounts[:, 1]
+    stands = ~_light(robot, standing)
+    speed: Array = own - np.sum(own * stands, axis=1, keepdims=True) / np.sum(stands, axis=1, keepdims=True)
+    return speed
+
+
+def _compliance(robot: RobotDescription, standing: Standing, forces: Forces) -> tuple[Estimate, Estimate, Series]:
+    """F = k d + b dd/dt for differences between front and back feet: the base's own height is not known, and not needed.
+
+    How much deeper front feet are than back feet follows from the base's pitch, which the gyro tells, and the legs'
+    lengths.
+    """
+    roll, pitch = standing.motion.roll_pitch.T
+    across, lift = robot.leg_mounts[:, 1], forces.foot[:, :, 1]
+    height = -np.sin(pitch)[:, None] * forces.foot[:, :, 0] + np.cos(pitch)[:, None] * (
+        np.sin(roll)[:, None] * across + np.cos(roll)[:, None] * lift
+    )
+    front = ends(robot) > 0
+    deeper = height[:, ~front].mean(axis=1) - height[:, front].mean(axis=1)
+    more = forces.force[:, front, 1].mean(axis=1) - forces.force[:, ~front, 1].mean(axis=1)
+    step = STEP * THIN
+    columns = np.stack([_quick(deeper, step), _quick(np.gradient(deeper, step), step)], axis=1)
+    used = standing.during("nod") & (forces.force[:, :, 1].min(axis=1) > LEAST)
+    values, covariance = regress(columns[used], _quick(more, step)[used], standing.blocks[used])
+    spread = np.sqrt(np.diag(covariance))
+    low, high = robot.allowed["contact_stiffness"]
+    stiffness, damping = (float(np.hypot(s, SURE * v)) for s, v in zip(spread, values, strict=True))
+    time = standing.time[used] - standing.time[used][0]
+    series = Series("difference of front and back feet", "time [s]", "force [N]", time, _quick(more, step)[used],
+                    columns[used] @ [robot.contact.stiffness, robot.contact.damping], columns[used] @ values)  # fmt: skip
+    told = bool(stiffness < 0.3 * values[0])
+    return (
+        Estimate("contact_stiffness", float(values[0]), stiffness, "N/m", None, told, low, high),
+        Estimate("contact_damping", float(values[1]), damping, "N s/m", None, bool(damping < 0.5 * values[1])),
+        series,
+    )
+
+
+def _quick(values: Array, step: float) -> Array:
+    """Values (T,) less their moving average."""
+    half = round(TREND / step)
+    kernel = np.ones(2 * half + 1) / (2 * half + 1)
+    slow: Array = np.convolve(np.pad(values, half, mode="edge"), kernel, "valid")
+    return values - slow

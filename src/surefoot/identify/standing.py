@@ -1,0 +1,142 @@
+"""A recording of a robot on the ground as motion and feet forces: readings put to one time, smoothed, differentiated."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import savgol_filter
+
+from surefoot.actuator.motor import motor_friction
+from surefoot.identify.inverse_dynamics import Forces, InverseDynamics, Motion
+from surefoot.identify.recording import Recording
+from surefoot.robot import PhysicalParams, RobotDescription
+
+Array = NDArray[np.float64]
+
+STEP = 0.002
+"""Time between two values [s], before thinning."""
+THIN = 5
+"""Only every so manieth is looked at: smoothed values next to each other tell the same."""
+SMOOTH = 15
+"""Values that a cubic is fitted to, for smoothing and derivatives (Savitzky and Golay 1964): 30 ms, up to 20 Hz."""
+LEVELLING = 2.0
+"""Time constant [s] with which the angles that the gyro adds up are drawn to those of the IMU, whose noise is large."""
+BLOCK = 0.5
+"""Length [s] of the blocks of time within which errors may hang together."""
+
+
+@dataclass(frozen=True)
+class Standing:
+    """A robot on the ground at T times."""
+
+    time: Array
+    """(T,) [s], on the robot's clock."""
+    phase: NDArray[np.int64]
+    """Index of the plan's phase (T,)."""
+    motion: Motion
+    names: tuple[str, ...]
+    """Of the phases."""
+    uses: tuple[str, ...]
+    """Of the phases: fit, check or way."""
+
+    @property
+    def blocks(self) -> NDArray[np.int64]:
+        """Number of the block of time of each value (T,)."""
+        return (self.time / BLOCK).astype(np.int64)
+
+    def during(self, *names: str, use: str = "fit") -> NDArray[np.bool_]:
+        """Values in phases of these names and this use (T,); their first .1 s, in which they begin, left out."""
+        wanted = [k for k, name in enumerate(self.names) if name in names and self.uses[k] == use]
+        inside: NDArray[np.bool_] = np.isin(self.phase, wanted)
+        return inside
+
+
+def stand(robot: RobotDescription, recording: Recording, params: PhysicalParams, sensors: dict[str, Any]) -> Standing:
+    """Put what was recorded to one time.
+
+    Args:
+        robot: its description.
+        recording: of an experiment on the ground.
+        params: control latency and motor friction count here; one row.
+        sensors: torque_gain of the motors' torque reports, if known.
+    """
+    fitted = np.isin(recording.sent_phase, [k for k, p in enumerate(recording.meta["phases"]) if p["use"] != "way"])
+    times, age = recording.time, max(float(params.control_latency[0]) - float(recording.meta["lead"]), 0.0)
+    first, last = recording.arrival[fitted][[0, -1]]
+    grid = np.arange(max(first, times[0]), min(last, times[-1] - age - STEP), STEP)
+
+    def at(values: Array, shift: float) -> Array:
+        return np.stack([np.interp(grid + shift, times, column) for column in values.T], axis=1)
+
+    # A reported torque is that of the servo step before: its middle is half a step earlier.
+    half = float(recording.meta["servo_period"]) / 2
+    gains = 1 + np.asarray(sensors.get("torque_gain", np.zeros(robot.num_motors)))
+    velocity = at(recording.motor_velocity, age)
+    torque = at(recording.motor_torque, half) / gains
+    torque = torque + motor_friction(velocity, params.motor_friction[0], params.motor_viscous_friction[0])
+    resting = slice(0, max(int(recording.meta["resting_states"]), 1))
+    rate = at(recording.angular_velocity_base, age) - recording.angular_velocity_base[resting].mean(axis=0)
+    tilt = _levelled(at(recording.roll_pitch_yaw[:, :2], age) - params.imu_bias[0], rate[:, :2])
+    motion = Motion(
+        motor_angle=_smooth(at(recording.motor_angle, age)),
+        motor_velocity=_smooth(velocity),
+        motor_acceleration=_smooth(velocity, 1),
+        motor_torque=_smooth(torque),
+        roll_pitch=tilt,
+        angular_velocity=_smooth(rate),
+        angular_acceleration=_smooth(rate, 1),
+    )
+    place = np.clip(np.searchsorted(recording.arrival, grid, side="right") - 1, 0, None)
+    phases = recording.meta["phases"]
+    return Standing(
+        grid[::THIN],
+        recording.sent_phase[place][::THIN].astype(np.int64),
+        Motion(**{name: values[::THIN] for name, values in vars(motion).items()}),
+        tuple(phase["name"] for phase in phases),
+        tuple(phase["use"] for phase in phases),
+    )
+
+
+def _smooth(values: Array, derivative: int = 0) -> Array:
+    smoothed: Array = savgol_filter(values, SMOOTH, 3, deriv=derivative, delta=STEP, axis=0)
+    return smoothed
+
+
+def _levelled(tilt: Array, rate: Array) -> Array:
+    """Roll and pitch (T, 2) [rad] of small angles: the gyro's rates added up, and slowly drawn to the IMU's angles."""
+    out = np.empty_like(tilt)
+    now = tilt[: max(int(0.2 / STEP), 1)].mean(axis=0)
+    for k in range(len(tilt)):
+        now = now + STEP * rate[k]
+        now = now + (tilt[k] - now) * STEP / LEVELLING
+        out[k] = now
+    return out
+
+
+def forces_of(robot: RobotDescription, standing: Standing, params: PhysicalParams) -> tuple[Forces, InverseDynamics]:
+    """Forces on the feet of a robot with the masses and inertias of one row of parameters."""
+    dynamics = InverseDynamics(robot, params)
+    return dynamics.forces(standing.motion), dynamics
+
+
+def block_deviation(values: Array, blocks: NDArray[np.int64]) -> float:
+    """Standard deviation of the mean of values (T,), those of a block taken to hang together."""
+    numbers = np.unique(blocks)
+    if len(numbers) < 2:
+        return float("inf")
+    means = np.array([values[blocks == number].mean() for number in numbers])
+    return float(means.std(ddof=1) / np.sqrt(len(numbers)))
+
+
+def regress(columns: Array, values: Array, blocks: NDArray[np.int64]) -> tuple[Array, Array]:
+    """Least squares of values (T,) on columns (T, n), and the coefficients' covariance by blocks (n, n)."""
+    inverse = np.linalg.pinv(columns.T @ columns, hermitian=True)
+    found = inverse @ (columns.T @ values)
+    left = values - columns @ found
+    numbers = np.unique(blocks)
+    gradients = np.array([columns[blocks == n].T @ left[blocks == n] for n in numbers])
+    grown = len(numbers) / max(len(numbers) - columns.shape[1], 1)
+    return found, inverse @ (gradients.T @ gradients * grown) @ inverse
