@@ -1,0 +1,140 @@
+"""The report of an identification: one picture, and one page that holds everything."""
+
+from __future__ import annotations
+
+import base64
+import math
+from collections.abc import Sequence
+from html import escape
+from pathlib import Path
+
+from surefoot import __version__
+from surefoot.files import whole_file
+from surefoot.report.identification_figure import identification_figure
+from surefoot.report.identification_parts import (
+    EstimateLike,
+    IdentificationLike,
+    full_name,
+    known_before,
+    number,
+)
+from surefoot.robot import PhysicalParams, RobotDescription
+
+__all__ = ["full_name", "identification_figure", "known_before", "number", "page", "write_report"]
+
+_STYLE = """
+body { font: 15px/1.5 system-ui, sans-serif; color: #22272e; max-width: 62rem; margin: 2rem auto; padding: 0 1rem; }
+h1 { font-size: 1.5rem; margin-bottom: .2rem; } h2 { font-size: 1.1rem; margin-top: 2rem; }
+table { border-collapse: collapse; } td, th { padding: .15rem .9rem .15rem 0; text-align: left; }
+th { border-bottom: 1px solid #6b7480; font-weight: 600; } tr + tr td { border-top: 1px solid #e3e7eb; }
+.n { text-align: right; font-variant-numeric: tabular-nums; } .quiet { color: #6b7480; } img { max-width: 100%; }
+code { font-size: .85em; overflow-wrap: anywhere; }
+"""
+
+
+def write_report(
+    found: IdentificationLike, robot: RobotDescription, known: PhysicalParams, folder: Path, source: str = ""
+) -> list[Path]:
+    """Write `report.png` and `report.html`; returns both.
+
+    Args:
+        found: what was found.
+        robot: its description.
+        known: what was known before, one row.
+        folder: where to; made, if it does not exist.
+        source: where the data come from.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    picture = identification_figure(found, robot, known, folder / "report.png")
+    path = folder / "report.html"
+    with whole_file(path) as file:
+        file.write(page(found, robot, known, picture.read_bytes(), source).encode())
+    return [picture, path]
+
+
+def page(
+    found: IdentificationLike, robot: RobotDescription, known: PhysicalParams, picture: bytes, source: str = ""
+) -> str:
+    """The page as HTML: it loads nothing from elsewhere.
+
+    Args:
+        found: what was found.
+        robot: its description.
+        known: what was known before, one row.
+        picture: PNG file.
+        source: where the data come from.
+    """
+    title = f"{found.experiment}: what it tells of {found.robot}"
+    told = sum(item.told for item in found.estimates)
+    facts = [("data", source), ("recorded", found.date), ("SHA-256", found.digest), ("surefoot", __version__)]
+    parts = [
+        f"<h1>{escape(title)}</h1>",
+        f'<p class="quiet">{told} of {len(found.estimates)} numbers are told by the data.</p>',
+        *_section("Estimates", _estimates(found.estimates, robot, known)),
+        *_section("Error on data that were not fitted", _checks(found)),
+        *_section("What can hardly be told apart", _correlations(found, robot)),
+        *_section("Notes", "".join(f"<li>{escape(note)}</li>" for note in found.notes), "ul"),
+        "<h2>Pictures</h2>",
+        f'<img alt="intervals, series and correlations" src="data:image/png;base64,{_base64(picture)}">',
+        *_section("Data", "".join(f"<tr><td>{k}</td><td><code>{escape(v)}</code></td></tr>" for k, v in facts if v)),
+    ]
+    head = f'<meta charset="utf-8"><title>{escape(title)}</title><style>{_STYLE}</style>'
+    return f'<!doctype html>\n<html lang="en"><head>{head}</head>\n<body>\n' + "\n".join(parts) + "\n</body></html>\n"
+
+
+def _section(title: str, content: str, kind: str = "table") -> list[str]:
+    return [f"<h2>{escape(title)}</h2>", f"<{kind}>{content}</{kind}>"] if content else []
+
+
+def _row(cells: Sequence[str], kinds: str, tag: str = "td") -> str:
+    """A row of a table; `kinds` has an n for each column of numbers."""
+    return (
+        "<tr>"
+        + "".join(
+            f"<{tag}{' class=n' if kind == 'n' else ''}>{escape(cell)}</{tag}>"
+            for cell, kind in zip(cells, kinds, strict=True)
+        )
+        + "</tr>"
+    )
+
+
+def _estimates(estimates: Sequence[EstimateLike], robot: RobotDescription, known: PhysicalParams) -> str:
+    rows = [_row(("parameter", "before", "found", "95 % interval", "unit"), "tnnnt", "th")]
+    for item in estimates:
+        width = item.interval[1] - item.interval[0]
+        before = known_before(item, known)
+        cells = ("not told", "")
+        if item.told:
+            cells = (number(item.value, width), " to ".join(number(end, width) for end in item.interval))
+        rows.append(
+            _row(
+                (
+                    full_name(item.label, robot),
+                    "" if before is None else number(before, width if item.told else math.nan),
+                    *cells,
+                    "" if item.unit == "1" else item.unit,
+                ),
+                "tnnnt",
+            )
+        )
+    return "\n".join(rows)
+
+
+def _checks(found: IdentificationLike) -> str:
+    if not found.checks:
+        return ""
+    head = _row(("RMS error of", "before", "after", "unit"), "tnnt", "th")
+    return head + "".join(
+        _row((one.what, f"{one.before:.3g}", f"{one.after:.3g}", one.unit), "tnnt") for one in found.checks
+    )
+
+
+def _correlations(found: IdentificationLike, robot: RobotDescription) -> str:
+    return "".join(
+        _row((full_name(one, robot), full_name(other, robot), f"{value:+.2f}"), "ttn")
+        for one, other, value in found.correlations
+    )
+
+
+def _base64(picture: bytes) -> str:
+    return base64.b64encode(picture).decode()

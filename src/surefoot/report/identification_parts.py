@@ -1,0 +1,131 @@
+"""What reports need of an identification, and how they call and write its numbers."""
+
+# ruff: noqa: D102 -- the properties are the fields of the dataclasses that each protocol names
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surefoot.robot import PhysicalParams, RobotDescription
+
+Array = NDArray[np.float64]
+
+
+class EstimateLike(Protocol):
+    """A number that was found, as `identify.result.Estimate`."""
+
+    @property
+    def name(self) -> str: ...
+    @property
+    def value(self) -> float: ...
+    @property
+    def unit(self) -> str: ...
+    @property
+    def index(self) -> int | None: ...
+    @property
+    def told(self) -> bool: ...
+    @property
+    def label(self) -> str: ...
+    @property
+    def interval(self) -> tuple[float, float]: ...
+
+
+class CheckLike(Protocol):
+    """Errors before and after, as `identify.result.Check`."""
+
+    @property
+    def what(self) -> str: ...
+    @property
+    def before(self) -> float: ...
+    @property
+    def after(self) -> float: ...
+    @property
+    def unit(self) -> str: ...
+
+
+class SeriesLike(Protocol):
+    """Something measured and simulated, as `identify.result.Series`."""
+
+    @property
+    def title(self) -> str: ...
+    @property
+    def x_label(self) -> str: ...
+    @property
+    def y_label(self) -> str: ...
+    @property
+    def x(self) -> Array: ...
+    @property
+    def measured(self) -> Array: ...
+    @property
+    def before(self) -> Array: ...
+    @property
+    def after(self) -> Array: ...
+    @property
+    def points(self) -> bool: ...
+
+
+class IdentificationLike(Protocol):
+    """What was found, as `identify.result.Identification`."""
+
+    @property
+    def experiment(self) -> str: ...
+    @property
+    def robot(self) -> str: ...
+    @property
+    def estimates(self) -> Sequence[EstimateLike]: ...
+    @property
+    def checks(self) -> Sequence[CheckLike]: ...
+    @property
+    def correlations(self) -> Sequence[tuple[str, str, float]]: ...
+    @property
+    def notes(self) -> Sequence[str]: ...
+    @property
+    def series(self) -> Sequence[SeriesLike]: ...
+    @property
+    def digest(self) -> str: ...
+    @property
+    def date(self) -> str: ...
+
+
+def index_names(name: str, robot: RobotDescription) -> tuple[str, ...]:
+    """What the indices of a number stand for: motors, or axes; empty where that is not known."""
+    motors = tuple(motor.removesuffix("_motor") for motor in robot.motor_names)
+    item: Any = PhysicalParams.__dataclass_fields__.get(name)
+    if item is None:
+        return motors if name.startswith(("motor", "torque")) else ("x", "y", "z")
+    width = str(item.metadata["width"])
+    return {"one": (), "motors": motors}.get(width, tuple(width.split(", ")))
+
+
+def full_name(label: str, robot: RobotDescription) -> str:
+    """A number's label with the motor's or axis' name in place of its index."""
+    name, _, rest = label.partition("[")
+    names = index_names(name, robot)
+    index = int(rest.rstrip("]")) if rest.rstrip("]").isdigit() else -1
+    return f"{name} {names[index]}" if 0 <= index < len(names) else label
+
+
+def known_before(item: EstimateLike, known: PhysicalParams) -> float | None:
+    """What a physical parameter was before; None for other numbers."""
+    if item.name not in PhysicalParams.names():
+        return None
+    values = getattr(known, item.name)[0]
+    return float(np.mean(values) if item.index is None else np.atleast_1d(values)[item.index])
+
+
+def number(value: float, width: float) -> str:
+    """A number with as many digits as its interval is worth: two of half the interval's width.
+
+    Args:
+        value: the number.
+        width: of its interval; NaN, if there is none.
+    """
+    if not (math.isfinite(width) and width > 0 and math.isfinite(value)):
+        return f"{value:.4g}"
+    digits = 1 - math.floor(math.log10(width / 2))
+    return f"{value:.{min(max(digits, 0), 9)}f}"

@@ -1,0 +1,177 @@
+"""The report of an identification that was made by hand, so that what it must say is known."""
+
+from __future__ import annotations
+
+import base64
+import re
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from surefoot import __version__
+from surefoot.identify.result import Check, Estimate, Identification, Series
+from surefoot.report.identification import identification_figure, page, write_report
+from surefoot.report.identification_parts import full_name, index_names, known_before, number
+from surefoot.robot import PhysicalParams, RobotDescription
+
+PNG = b"\x89PNG"
+
+
+@pytest.fixture(scope="module")
+def robot() -> RobotDescription:
+    return RobotDescription.load("minitaur")
+
+
+@pytest.fixture(scope="module")
+def known(robot: RobotDescription) -> PhysicalParams:
+    return PhysicalParams.nominal(robot)
+
+
+def identification(motors: bool = True) -> Identification:
+    """What a motor experiment could tell; without `motors`, what one on the ground could."""
+    rng = np.random.default_rng(2)
+    estimates = [
+        Estimate("torque_constant", 0.0921, 0.0004, "N m/A"),
+        Estimate("resistance", 0.2031, 0.003, "Ohm"),
+        Estimate("servo_kp", 0.982, 0.006, "1/rad"),
+        Estimate("servo_kd", 0.0153, 0.0001, "s/rad"),
+        Estimate("servo_latency", 0.00312, 3e-5, "s"),
+        Estimate("control_latency", 0.0181, 3e-5, "s"),
+        Estimate("leg_mass_ratio", 1.04, 0.02, "1"),
+        Estimate("leg_inertia_ratio", 1.0, 0.3, "1", told=False),
+        Estimate("imu_bias", 0.0121, 0.002, "rad", 0),
+        Estimate("imu_bias", -0.0043, 0.002, "rad", 1),
+        Estimate("voltage", 15.71, 0.02, "V", low=0.0),
+    ]
+    if motors:
+        for name, middle, spread, unit in (("motor_strength", 0.93, 0.04, "1"), ("motor_friction", 0.02, 0.006, "N m")):
+            for motor, value in enumerate(rng.normal(middle, spread, 8)):
+                estimates.append(Estimate(name, value, spread / 8, unit, motor, motor != 5, low=0.0))
+    time = np.linspace(0.0, 3.0, 1500)
+    angle = 1.7 + 0.3 * np.sin(2 * np.pi * (0.5 + time) * time)
+    current = np.arange(1.0, 40.0, 2.0)
+    torque = 3.5 * np.tanh(current / 25)
+    series = (
+        Series("front_left_1_motor, not fitted", "time [s]", "angle [rad]", time, angle + 0.004 * rng.normal(size=1500),
+               np.roll(angle, 8), angle),
+        Series("front_left_1_motor, not fitted", "time [s]", "torque [N m]", time, np.gradient(angle, time) / 3,
+               np.roll(np.gradient(angle, time) / 2.6, 8), np.gradient(angle, time) / 3.01),
+        Series("torque of a motor of nominal strength", "current [A]", "torque [N m]", current,
+               torque + 0.05 * rng.normal(size=len(current)), np.full(len(current), np.nan), torque, points=True),
+    )  # fmt: skip
+    return Identification(
+        "motor",
+        "minitaur",
+        tuple(estimates),
+        (Check("motor angles", 21.3, 2.1, "mrad"), Check("motor torques", 0.31, 0.043, "N m")),
+        (("resistance", "torque_constant", -0.93), ("motor_strength[2]", "motor_friction[2]", 0.84)),
+        ("back_right_2_motor never moves & tells <nothing>",),
+        series if motors else (),
+        {"torque_gain": [0.0] * 8},
+        "ab" * 32,
+        "2026-11-21T20:00:00+00:00",
+    )
+
+
+class Page(HTMLParser):
+    """Texts of the cells, and everything that a page would load."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.loads: list[str] = []
+        self.rows: list[list[str]] = []
+        self.feed(text)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.loads += [str(value) for name, value in attrs if name in ("src", "href")]
+        if tag not in ("meta", "img"):
+            self.open.append(tag)
+        if tag == "tr":
+            self.rows.append([])
+        if tag in ("td", "th"):
+            self.rows[-1].append("")
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        if self.open and "tr" in self.open:
+            self.rows[-1][-1] += data
+
+
+def test_both_files_are_written(robot: RobotDescription, known: PhysicalParams, tmp_path: Path):
+    picture, html = write_report(identification(), robot, known, tmp_path / "a" / "b", "runs/recording.npz")
+    assert (picture.name, html.name) == ("report.png", "report.html")
+    assert picture.read_bytes().startswith(PNG)
+    text = html.read_text(encoding="utf-8")
+    found = Page(text)
+    assert found.open == []
+    # It holds its picture and loads nothing.
+    (source,) = found.loads
+    assert base64.b64decode(source.removeprefix("data:image/png;base64,")) == picture.read_bytes()
+    assert not re.search(r"https?:|url\(|<script|<link", text)
+
+
+def test_what_the_page_says(robot: RobotDescription, known: PhysicalParams):
+    text = page(identification(), robot, known, PNG, "runs/recording.npz")
+    rows: dict[str, list[str]] = {}
+    for row in Page(text).rows:
+        rows.setdefault(row[0], row[1:])
+    assert rows["resistance"] == ["0.1860", "0.2031", "0.1972 to 0.2090", "Ohm"]
+    assert rows["leg_inertia_ratio"] == ["1", "not told", "", ""]
+    assert rows["imu_bias pitch"] == ["0.0000", "-0.0043", "-0.0082 to -0.0004", "rad"]
+    motors = [rows[f"motor_strength {name.removesuffix('_motor')}"] for name in robot.motor_names]
+    assert [row[1] == "not told" for row in motors] == [motor == 5 for motor in range(8)]
+    assert rows["motor angles"] == ["21.3", "2.1", "mrad"]
+    assert rows["data"] == ["runs/recording.npz"]
+    assert rows["SHA-256"] == ["ab" * 32]
+    assert rows["surefoot"] == [__version__]
+    assert "back_right_2_motor never moves &amp; tells &lt;nothing&gt;" in text
+    assert "24 of 27 numbers are told by the data." in text
+
+
+def test_what_there_is_not_has_no_section(robot: RobotDescription, known: PhysicalParams, tmp_path: Path):
+    bare = Identification("latency", "minitaur", (Estimate("servo_latency", 0.003, 1e-4, "s"),))
+    text = page(bare, robot, known, PNG)
+    assert re.findall("<h2>(.*?)</h2>", text) == ["Estimates", "Pictures", "Data"]
+    for number_, found in enumerate((bare, identification(motors=False), Identification("mass", "minitaur", ()))):
+        path = identification_figure(found, robot, known, tmp_path / f"{number_}.png")
+        assert path.read_bytes().startswith(PNG)
+
+
+def test_indices_have_names(robot: RobotDescription):
+    assert full_name("voltage", robot) == "voltage"
+    assert full_name("motor_strength[0]", robot) == f"motor_strength {robot.motor_names[0].removesuffix('_motor')}"
+    assert full_name("torque_gain[7]", robot) == f"torque_gain {robot.motor_names[7].removesuffix('_motor')}"
+    assert full_name("imu_bias[1]", robot) == "imu_bias pitch"
+    assert full_name("base_offset[2]", robot) == "base_offset z"
+    assert full_name("base_offset[7]", robot) == "base_offset[7]"
+    assert index_names("voltage", robot) == ()
+
+
+def test_what_was_known(robot: RobotDescription, known: PhysicalParams):
+    given = known.with_values(robot, motor_strength=np.linspace(0.9, 1.04, 8))
+    assert known_before(Estimate("motor_strength", 1.0, 0.1, "1", 2), given) == pytest.approx(0.94)
+    assert known_before(Estimate("motor_strength", 1.0, 0.1, "1"), given) == pytest.approx(0.97)
+    assert known_before(Estimate("voltage", 1.0, 0.1, "V"), given) == robot.actuator.voltage
+    assert known_before(Estimate("torque_gain", 1.0, 0.1, "1", 2), given) is None
+
+
+@pytest.mark.parametrize(
+    ("value", "width", "said"),
+    [
+        (0.94321, 0.02, "0.943"),
+        (15.4, 4.0, "15.4"),
+        (1234.5, 300.0, "1234"),
+        (0.0021234, 4e-5, "0.002123"),
+        (1 / 3, float("nan"), "0.3333"),
+        (1 / 3, 0.0, "0.3333"),
+        (float("nan"), 1.0, "nan"),
+        (1e-12, 1e-13, "0.000000000"),
+    ],
+)
+def test_a_number_has_the_digits_that_its_interval_is_worth(value: float, width: float, said: str):
+    assert number(value, width) == said
