@@ -38,7 +38,10 @@ def test_a_recording_of_one_world_against_the_models_in_another(
 @pytest.mark.parametrize(
     ("words", "told"),
     [
-        (["tail"], "'tail' is no experiment; choices: motor-figure"),
+        (
+            ["tail"],
+            "'tail' is no experiment; choices: latency, motor, mass, contact, motor-figure, or --from-trace FOLDER",
+        ),
         (["motor-figure", "--motor", "tail"], "motor 'tail' does not exist"),
         (["motor-figure", "--out", "motor.pdf"], "must end in .png"),
         (["motor-figure", "--frequency", "0"], "frequency is 0; it must be over 0"),

@@ -167,10 +167,11 @@ def test_what_was_known(robot: RobotDescription, known: PhysicalParams):
         (15.4, 4.0, "15.4"),
         (1234.5, 300.0, "1234"),
         (0.0021234, 4e-5, "0.002123"),
+        (0.0, 1e-9, "0"),
         (1 / 3, float("nan"), "0.3333"),
         (1 / 3, 0.0, "0.3333"),
         (float("nan"), 1.0, "nan"),
-        (1e-12, 1e-13, "0.000000000"),
+        (1.2345e-8, 1e-9, "1.23e-08"),
     ],
 )
 def test_a_number_has_the_digits_that_its_interval_is_worth(value: float, width: float, said: str):

@@ -15,6 +15,9 @@ from surefoot.robot import PhysicalParams, RobotDescription
 
 Array = NDArray[np.float64]
 
+_DIGITS = 6
+"""Most digits behind the point; numbers that need more are written with powers of ten."""
+
 
 class EstimateLike(Protocol):
     """A number that was found, as `identify.result.Estimate`."""
@@ -128,4 +131,4 @@ def number(value: float, width: float) -> str:
     if not (math.isfinite(width) and width > 0 and math.isfinite(value)):
         return f"{value:.4g}"
     digits = 1 - math.floor(math.log10(width / 2))
-    return f"{value:.{min(max(digits, 0), 9)}f}"
+    return f"{value:.{max(digits, 0)}f}" if digits <= _DIGITS else f"{value:.3g}"

@@ -1,0 +1,98 @@
+"""`surefoot identify motor-figure`: one motor follows a sine, or a recording, with both models of the motor."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+
+import tyro
+
+from surefoot.cli.evaluate import Settings
+from surefoot.cli.parsing import parse
+from surefoot.errors import SurefootError
+
+
+@dataclass(frozen=True)
+class MotorFigureCommand:
+    """Let one motor of the robot on its rack follow a sine with both models of the motor, and draw what it did.
+
+    With --log the targets are the recording's, its measured angles are drawn, and errors are told against them.
+    Without, errors are told against the target: how far each model lags, which no recording has confirmed.
+    """
+
+    log: Path | None = None
+    """Recording: a CSV file with the columns time [s], target [rad], angle [rad]."""
+    out: Path = Path("motor_figure.png")
+    """Figure to write (.png)."""
+    motor: str | None = None
+    """Name of the motor; the robot's first one, if not given."""
+    amplitude: float = 0.3
+    """Amplitude of the sine [rad], if no log is given."""
+    frequency: float = 3.0
+    """Frequency of the sine [Hz], if no log is given."""
+    duration: float = 1.0
+    """Length of the sine [s], if no log is given."""
+    record: Path | None = None
+    """Write what the DC motor did as a log (.csv), for a model of it somewhere else."""
+    settings: Settings = ()
+    """Physical parameters that differ from the robot's, such as resistance=0.2."""
+    robot: str = "minitaur"
+    """Name or folder of the robot."""
+    world: str = "mujoco"
+    """Where to run: mujoco or bullet."""
+    json: bool = False
+    """Print one JSON object."""
+
+
+def main(argv: list[str]) -> int:
+    """Run the command with the words after its name; returns the exit code."""
+    command = parse(MotorFigureCommand, argv, "surefoot identify motor-figure", config=(tyro.conf.FlagCreatePairsOff,))
+    if command.out.suffix.lower() != ".png":
+        raise SurefootError(f"figure {command.out}: the name must end in .png")
+    for name in ("frequency", "duration"):
+        if not getattr(command, name) > 0:
+            raise SurefootError(f"{name} is {getattr(command, name):g}; it must be over 0")
+    import_module("matplotlib")
+    from surefoot.cli.policies import find_world
+    from surefoot.identify.motor_figure import MotorLog, motor_index, run_motor_experiment
+    from surefoot.report.motor_figure import STYLES, motor_figure
+    from surefoot.robot import RobotDescription, parse_settings
+
+    robot = RobotDescription.load(command.robot)
+    make_world = find_world(command.world)
+    motor = command.motor or robot.motor_names[0]
+    middle = float(robot.resting_angles[motor_index(robot, motor)])
+    if command.log is not None:
+        log = MotorLog.read(command.log)
+    else:
+        step = robot.timing.control_step
+        log = MotorLog.sine(middle, command.amplitude, command.frequency, command.duration, step)
+    params = parse_settings([word for group in command.settings for word in group])
+    experiment = run_motor_experiment(robot, make_world, log, motor, params)
+    errors = {name: experiment.error(name) for name in experiment.angle}
+    title = f"{motor} of {robot.name} on the rack, in {command.world}"
+    against = log.name if command.log is not None else "target"
+    motor_figure(command.out, log.time, log.target, log.angle, experiment.angle, errors, title)
+    files = [command.out]
+    if command.record is not None:
+        files.append(MotorLog(log.name, log.time, log.target, experiment.angle["dc"]).write(command.record))
+    if command.json:
+        print(
+            json.dumps(
+                {
+                    "motor": motor,
+                    "robot": robot.name,
+                    "world": command.world,
+                    "against": against,
+                    "rms_error": errors,
+                    "files": [str(file) for file in files],
+                }
+            )
+        )
+        return 0
+    for name, error in errors.items():
+        print(f"{STYLES[name][1]}: {error:.4f} rad RMS from {against}")
+    print(f"wrote {', '.join(map(str, files))}")
+    return 0

@@ -1,0 +1,188 @@
+"""What an identification found: its progress, tables, files."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import math
+import sys
+from collections.abc import Callable, Iterator
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+from rich.box import SIMPLE_HEAD
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from surefoot.errors import SurefootError, choices
+from surefoot.identify.overlay import Known, overlay, write_known
+from surefoot.identify.result import Estimate, Identification
+from surefoot.report.identification import full_name, known_before, number, write_report
+from surefoot.robot import RobotDescription
+
+_NEEDED = {"mujoco": "sim", "numba": "sim", "scipy": "sim", "matplotlib": "report"}
+
+
+def check_installed(otherwise: str = "") -> None:
+    """Refuse to begin where a fit is going to lack a library.
+
+    Args:
+        otherwise: command that works without.
+
+    Raises:
+        SurefootError: names library and extra.
+    """
+    for module, extra in _NEEDED.items():
+        try:
+            import_module(module)
+        except ImportError:
+            instead = f"; {otherwise} records without it" if otherwise else ""
+            raise SurefootError(
+                f"the fit needs {module}, which is not installed: pip install 'surefoot[{extra}]'{instead}"
+            ) from None
+
+
+@contextlib.contextmanager
+def fitting(what: str) -> Iterator[Callable[[str, float], None]]:
+    """Give a function that is told how a fit goes: a line that changes on a terminal, lines elsewhere; on stderr."""
+    console = Console(stderr=True, highlight=False, soft_wrap=True)
+
+    def text(step: str, cost: float) -> str:
+        return f"fit of {what}: {step}" + (f", residuals {math.sqrt(cost):.3g} sigma" if cost >= 0 else "")
+
+    if not console.is_terminal:
+        yield lambda step, cost: print(f"surefoot: {text(step, cost)}", file=sys.stderr, flush=True)
+        return
+    with console.status(f"fit of {what}") as status:
+        yield lambda step, cost: status.update(Text(text(step, cost)))
+
+
+def write(
+    robot: RobotDescription, known: Known, found: Identification, params: Path, folder: Path, source: str
+) -> list[Path]:
+    """Write the file of what is known now, and the report; returns the files.
+
+    Args:
+        robot: its description.
+        known: what was known before.
+        found: what the data told.
+        params: file of parameters.
+        folder: for the report.
+        source: where the data come from.
+    """
+    # First what took a robot and a fit to get; a figure can be drawn again.
+    files = [write_known(params, robot, overlay(known, found, robot, source))]
+    return [*files, *write_report(found, robot, known.params, folder, source)]
+
+
+def tell(
+    robot: RobotDescription,
+    known: Known,
+    found: Identification,
+    files: list[Path],
+    more: dict[str, Any],
+    as_json: bool,
+) -> None:
+    """Print what was found, as tables or as one JSON object.
+
+    Args:
+        robot: its description.
+        known: what was known before.
+        found: what the data told.
+        files: that were written.
+        more: what else the JSON object has.
+        as_json: which of the two.
+    """
+    if as_json:
+        print(json.dumps(as_mapping(robot, known, found) | more | {"files": [str(file) for file in files]}))
+        return
+    console = Console(highlight=False, emoji=False)
+    console.print(_estimates(robot, known, found))
+    if found.checks:
+        console.print(_checks(found))
+    lines = [
+        f"{full_name(one, robot)} and {full_name(other, robot)} can hardly be told apart (correlation {value:+.2f})"
+        for one, other, value in found.correlations
+    ]
+    for line in [*lines, *(f"note: {note}" for note in found.notes)]:
+        console.print(line, markup=False, soft_wrap=True)
+    console.print(f"wrote {choices(map(str, files))}", markup=False, soft_wrap=True)
+
+
+def _estimates(robot: RobotDescription, known: Known, found: Identification) -> Table:
+    table = _table(f"{found.experiment}: {robot.name}", "parameter", "known" if known.given else "sheet", "found",
+                   "95 % interval", "unit")  # fmt: skip
+    groups: dict[str, list[Estimate]] = {}
+    for item in found.estimates:
+        groups.setdefault(item.name, []).append(item)
+    for name, items in groups.items():
+        unit = items[0].unit if items[0].unit != "1" else ""
+        if items[0].index is not None:
+            table.add_row(Text(name), "", "", "", unit)
+            unit = ""
+        for item in items:
+            label = name if item.index is None else "  " + full_name(item.label, robot).removeprefix(name).strip()
+            table.add_row(Text(label), *_cells(item, known), unit, style=None if item.told else "dim")
+    return table
+
+
+def _cells(item: Estimate, known: Known) -> tuple[str, str, str]:
+    """What was known, what was found and its interval."""
+    before, (low, high) = known_before(item, known.params), item.interval
+    width = high - low if item.told else math.nan
+    was = "-" if before is None else number(before, width)
+    if not item.told:
+        return was, "not told", ""
+    return was, number(item.value, width), f"{number(low, width)} to {number(high, width)}"
+
+
+def _checks(found: Identification) -> Table:
+    table = _table("RMS error on data that were not fitted", "quantity", "before", "after", "unit")
+    for check in found.checks:
+        table.add_row(Text(check.what), f"{check.before:.3g}", f"{check.after:.3g}", check.unit)
+    return table
+
+
+def _table(title: str, first: str, *others: str) -> Table:
+    """A table that fits 80 columns: texts at both ends, numbers between."""
+    table = Table(title=title, title_justify="left", title_style="bold", box=SIMPLE_HEAD, pad_edge=False)
+    table.add_column(first, overflow="fold")
+    for name in others:
+        table.add_column(name, justify="left" if name == others[-1] else "right", overflow="fold")
+    return table
+
+
+def as_mapping(robot: RobotDescription, known: Known, found: Identification) -> dict[str, Any]:
+    """What was found, for JSON: numbers that are not finite are null."""
+    return {
+        "experiment": found.experiment,
+        "robot": found.robot,
+        "date": found.date,
+        "digest": found.digest,
+        "estimates": [
+            {
+                "name": item.name,
+                "index": item.index,
+                "label": full_name(item.label, robot),
+                "before": _finite(known_before(item, known.params)),
+                "value": _finite(item.value),
+                "interval": [_finite(end) for end in item.interval],
+                "unit": item.unit,
+                "told": item.told,
+            }
+            for item in found.estimates
+        ],
+        "checks": [
+            {"what": one.what, "before": _finite(one.before), "after": _finite(one.after), "unit": one.unit}
+            for one in found.checks
+        ],
+        "correlations": [[*pair[:2], _finite(pair[2])] for pair in found.correlations],
+        "notes": list(found.notes),
+        "sensors": found.sensors,
+    }
+
+
+def _finite(value: float | None) -> float | None:
+    return float(value) if value is not None and math.isfinite(value) else None
