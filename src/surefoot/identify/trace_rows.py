@@ -1,0 +1,146 @@
+"""Rows of recorded runs: what each tells of which time, and how motors moved in between.
+
+What a trace's row of the time t tells is, with control latency L_c, servo latency L_s and an age a of its torque:
+
+    motor_angle, motor_velocity     of t - L_c
+    motor_torque                    of t - a, when a servo step began: back-EMF with the speed of then,
+                                    the servo with angles and speeds of t - a - L_s
+    target                          held until t; the row before has the one of t - a, if a is over the control step
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surefoot.deploy.connection import LEAD
+from surefoot.robot import RobotDescription
+from surefoot.task.trace import EpisodeTrace
+
+Array = NDArray[np.float64]
+Rows = NDArray[np.int64]
+
+_READINGS = 4
+
+
+@dataclass(frozen=True)
+class Reporting:
+    """When the torque of a row was given."""
+
+    age: float
+    """Time from then to the row's [s]."""
+    spread: float
+    """Standard deviation of what is not known about it, and so about latencies [s]."""
+
+
+IN_REAL_TIME = 5e-4
+"""Standard deviation of times in real time [s]: half a servo step either way, and what commands come early or late. In
+runs of an emulator in real time latencies were found up to 1.1 ms off."""
+
+
+def reportings(robot: RobotDescription, trace: EpisodeTrace) -> tuple[Reporting, ...]:
+    """What is possible for a trace.
+
+    A simulation, and a robot in lockstep, tell at the control step's end the torque of the servo step that ended then.
+    A robot in real time tells `LEAD` earlier the torque of the servo step that ended last, which began one to two servo
+    steps before.
+    """
+    step = robot.timing.servo_step
+    together = Reporting(step, 0.0)
+    return (together, Reporting(LEAD + 1.5 * step, IN_REAL_TIME)) if "firmware" in trace.meta else (together,)
+
+
+class Course:
+    """How a trace's motors moved between its readings.
+
+    Between two readings the angle is the polynomial of degree 7 that has the angles and speeds of four, two before and
+    two after, as Hermite's of degree 3 has those of two. A speed is the last servo step's difference of angles over its
+    length dt, in simulations and from encoders alike, and so the polynomial's slope dt / 2 before.
+
+    Args:
+        robot: its description.
+        trace: T readings of M motors.
+    """
+
+    def __init__(self, robot: RobotDescription, trace: EpisodeTrace) -> None:
+        self.time, self.step = trace.time, float(trace.meta["control_step"])
+        self.back = 0.5 * robot.timing.servo_step / self.step
+        """Half a servo step, in control steps."""
+        readings = np.arange(max(len(self.time) - _READINGS + 1, 0))[:, None] + np.arange(_READINGS)
+        self.first = _READINGS // 2 - 1
+        """Reading before the first interval that has a polynomial."""
+        at = (self.time[readings] - self.time[readings[:, [self.first]]]) / self.step
+        powers = np.arange(2 * _READINGS)
+        angles = at[:, :, None] ** powers
+        slopes = powers * (at[:, :, None] - self.back) ** np.maximum(powers - 1, 0)
+        given = np.concatenate([trace.motor_angle[readings], trace.motor_velocity[readings] * self.step], axis=1)
+        self.coefficients = np.linalg.solve(np.concatenate([angles, slopes], axis=1), given)
+        """Of rising powers of the time since an interval's start, in control steps (T - 3, 8, M)."""
+
+    def at(self, time: Array) -> tuple[Array, Array]:
+        """Angles [rad] and speeds [rad/s] (n, M) at times (n,) [s]."""
+        interval = np.clip(
+            np.searchsorted(self.time, time, side="right") - 1, self.first, self.first + len(self.coefficients) - 1
+        )
+        x = ((time - self.time[interval]) / self.step)[:, None]
+        angle, slope = 0.0, 0.0
+        for power in range(2 * _READINGS - 1, -1, -1):
+            terms = self.coefficients[interval - self.first, power]
+            angle = angle * x + terms
+            if power:
+                slope = slope * (x - self.back) + power * terms
+        return angle, slope / self.step  # type: ignore[return-value]
+
+
+@dataclass(frozen=True, eq=False)
+class Piece:
+    """Rows of one trace."""
+
+    trace: EpisodeTrace
+    course: Course
+    rows: Rows
+    """Which of them are compared (n,)."""
+    number: int
+    """Of the trace."""
+    reporting: Reporting
+
+    @property
+    def target(self) -> Array:
+        """Motor angles that were asked for when the torques were given (n, M) [rad]."""
+        late = int(np.floor(self.reporting.age / self.trace.meta["control_step"] + 1e-6))
+        return self.trace.target[self.rows - late]
+
+    @property
+    def torque(self) -> Array:
+        """Reported torques (n, M) [N m]."""
+        return self.trace.motor_torque[self.rows]
+
+    def motion(self, age: float, control_latency: float) -> tuple[Array, Array]:
+        """Angles [rad] and speeds [rad/s] (n, M) `age` [s] before the torques were given."""
+        return self.course.at(self.trace.time[self.rows] + control_latency - self.reporting.age - age)
+
+
+def usable_rows(trace: EpisodeTrace, earliest: float, latest: float) -> Rows:
+    """Rows of a trace around which readings follow each other as they should.
+
+    Args:
+        trace: the trace.
+        earliest: how long before a row the first reading may be that it is compared with [s].
+        latest: how long after it the last one may be [s].
+    """
+    step = float(trace.meta["control_step"])
+    count = trace.num_steps
+    broken = np.zeros(count, np.bool_)
+    broken[1:] |= np.abs(np.diff(trace.time) - step) > 0.25 * step
+    # Rows of missed steps, and the one before them, hold the state of the step that came after them.
+    missed = np.array([k for k in trace.meta.get("missed_steps", []) if 0 < k < count], np.int64)
+    broken[missed] = broken[missed - 1] = True
+    told = np.concatenate([trace.motor_angle, trace.motor_velocity, trace.motor_torque], axis=1)
+    broken[1:] |= (np.diff(told, axis=0) == 0).all(axis=1)
+    # A polynomial needs two readings on either side.
+    before, after = (int(np.ceil(reach / step)) + _READINGS // 2 for reach in (earliest, latest))
+    bad = np.concatenate([[0], np.cumsum(broken)])
+    rows = np.arange(before, count - after)
+    return rows[bad[rows + after + 1] == bad[rows - before]] if len(rows) else rows

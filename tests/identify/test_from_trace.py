@@ -1,0 +1,331 @@
+"""Motors' and delays' parameters from recorded runs: robots whose truth is known, and data that are refused."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+import pytest
+
+from surefoot.errors import SurefootError
+from surefoot.identify.actuator_model import VOLTAGE_CHANGE, ActuatorModel
+from surefoot.identify.fitting import Unknown, jacobian_of
+from surefoot.identify.from_trace import fit_traces
+from surefoot.identify.result import Identification
+from surefoot.identify.trace_rows import Course, Piece, reportings, usable_rows
+from surefoot.identify.trace_unknowns import NAMES, USUAL
+from surefoot.robot import PhysicalParams, RobotDescription
+from surefoot.task.trace import EpisodeTrace
+from surefoot.world.interface import WorldConfig
+from surefoot.world.sim_world import SimWorld
+
+ROBOT = RobotDescription.load("minitaur")
+NOMINAL = PhysicalParams.nominal(ROBOT)
+STRENGTHS = (1.1, 0.85, 1.0, 0.9, 1.15, 0.95, 1.05, 0.8)
+HIDDEN = NOMINAL.with_values(
+    ROBOT,
+    motor_strength=np.array(STRENGTHS)[None],
+    torque_constant=0.101,
+    resistance=0.175,
+    voltage=15.0,
+    servo_latency=0.0041,
+    control_latency=0.0124,
+    motor_friction=0.02,
+)
+BATTERY_KNOWN = tuple(name for name in USUAL if name != "voltage")
+AT_15_V = NOMINAL.with_values(ROBOT, voltage=15.0)
+
+
+def swinging(time: float, legs: int = 4) -> tuple[np.ndarray, np.ndarray]:
+    """Swing and extension of legs that move smoothly, each at a rate of its own, hard enough to saturate motors."""
+    phase = 2 * np.pi * time * (4.0 + 0.5 * np.arange(legs)) + np.arange(legs)
+    return 0.8 * np.sin(phase), 1.8 + 0.6 * np.cos(1.7 * phase)
+
+
+def record(
+    params: PhysicalParams = HIDDEN,
+    seconds: float = 4.0,
+    moves: Callable[[float], tuple[np.ndarray, np.ndarray]] = swinging,
+    rack: bool = True,
+    start: float = 0.0,
+    **meta: Any,
+) -> EpisodeTrace:
+    """A robot that is asked for motor angles, recorded as `evaluate.rollout` does."""
+    world = SimWorld(ROBOT, 1, params, config=WorldConfig(rack=rack, thermal_protection=False))
+    step = float(params.control_step[0])
+    rows: dict[str, list[np.ndarray]] = {}
+    for k in range(round(seconds / step)):
+        target = ROBOT.leg_to_motor_angles(*moves(start + k * step))
+        readings, truth = world.step(target[None]), world.truth()
+        row = {
+            "time": readings.time,
+            "roll_pitch_yaw": readings.roll_pitch_yaw,
+            "angular_velocity_base": readings.angular_velocity_base,
+            "motor_angle": readings.motor_angle,
+            "motor_velocity": readings.motor_velocity,
+            "motor_torque": truth.motor_torque,
+            "target": target[None],
+            "energy": truth.energy,
+        }
+        for name, value in row.items():
+            rows.setdefault(name, []).append(value[0].copy())
+    count = len(rows["time"])
+    unknown = {"base_position_world": (count + 1, 3), "base_quat_world": (count + 1, 4), "foot_contact": (count, 4)}
+    return EpisodeTrace(
+        **{name: np.array(values) for name, values in rows.items()},
+        **{name: np.full(shape, np.nan) for name, shape in unknown.items()},
+        observation=np.zeros((count, 1)),
+        feedback=np.zeros((count, 8)),
+        meta={
+            "robot": "minitaur",
+            "world": "mujoco",
+            "control_step": step,
+            "leg_names": list(ROBOT.leg_names),
+            "motor_names": list(ROBOT.motor_names),
+            "observation_names": ["none"],
+            "ended": "time",
+            **meta,
+        },
+    )
+
+
+def read_badly(trace: EpisodeTrace, seed: int) -> EpisodeTrace:
+    """The trace with the emulator's noise; torques' gains are drawn by the hundreds of the seed."""
+    rng, gains = np.random.default_rng(seed), np.random.default_rng(seed // 100)
+    shape, encoder = trace.motor_angle.shape, 2 * np.pi / 2**14
+    return replace(
+        trace,
+        motor_angle=np.round(trace.motor_angle / encoder) * encoder,
+        motor_velocity=trace.motor_velocity + 0.05 * rng.standard_normal(shape),
+        motor_torque=trace.motor_torque * (1 + 0.01 * gains.standard_normal(shape[1]))
+        + 0.02 * rng.standard_normal(shape),
+    )
+
+
+@lru_cache(maxsize=1)
+def clean() -> EpisodeTrace:
+    """One recording without noise."""
+    return record()
+
+
+def errors_of(found: Identification, params: PhysicalParams = HIDDEN) -> dict[str, float]:
+    """Relative error of each number."""
+    errors = {}
+    for item in found.estimates:
+        truth = getattr(params, item.name)[0]
+        errors[item.label] = item.value / float(truth if item.index is None else truth[item.index]) - 1
+    return errors
+
+
+def test_perfect_readings_give_hidden_values_back() -> None:
+    found = fit_traces(ROBOT, [clean()], BATTERY_KNOWN, AT_15_V)
+    errors = errors_of(found)
+    assert len(errors) == 12
+    assert all(item.told for item in found.estimates)
+    assert max(map(abs, errors.values())) < 0.01, errors
+    check = found.checks[0]
+    assert check.after < 0.01 < 0.1 < check.before
+    params = found.params(ROBOT, AT_15_V)
+    assert params.motor_strength[0] == pytest.approx(STRENGTHS, rel=0.01)
+    assert params.voltage[0] == 15.0
+    assert len(found.digest) == 64
+
+
+def test_gains_are_told_where_they_are_asked_for() -> None:
+    hidden = HIDDEN.with_values(ROBOT, servo_kp=1.2, servo_kd=0.018)
+    names = ("motor_strength", "servo_kp", "servo_kd")
+    known = hidden.with_values(ROBOT, servo_kp=1.0, servo_kd=0.015, motor_strength=1.0)
+    found = fit_traces(ROBOT, [record(hidden)], names, known)
+    assert max(map(abs, errors_of(found, hidden).values())) < 0.01
+    assert found.found() == names
+
+
+def test_intervals_hold_the_truth_of_noisy_runs_on_the_ground() -> None:
+    def trotting(time: float) -> tuple[np.ndarray, np.ndarray]:
+        turn = 2 * np.pi * 2.0 * time + np.pi * np.array([0, 1, 1, 0])
+        return 0.35 * np.sin(turn), 2.0 + 0.35 * np.cos(turn)
+
+    hidden = HIDDEN.with_values(ROBOT, base_mass_ratio=1.15, contact_friction=0.7)
+    traces = [
+        read_badly(record(hidden, 4.0, trotting, rack=False, start=0.1 * k, date=f"2026-11-2{k}"), 700 + k)
+        for k in range(3)
+    ]
+    found = fit_traces(ROBOT, traces, None, NOMINAL)
+    for item in found.estimates:
+        truth = getattr(hidden, item.name)[0]
+        low, high = item.interval
+        assert low < float(truth if item.index is None else truth[item.index]) < high, item
+    # Without a known voltage only ratios to it are told, and it says so.
+    assert not found.estimate("voltage").told
+    assert any("voltage of 16 V" in note for note in found.notes)
+    ratio = found.estimate("torque_constant").value / found.estimate("resistance").value
+    assert ratio == pytest.approx(0.101 / 0.175, rel=0.05)
+    assert found.estimate("resistance").deviation > 0.03 * 0.175
+    assert found.estimate("servo_latency").deviation < 0.001
+    assert found.date == "2026-11-22"
+    assert found.checks[0].after < 0.03
+    known = fit_traces(ROBOT, traces, BATTERY_KNOWN, AT_15_V)
+    assert known.estimate("resistance").deviation < 0.02 * 0.175
+    assert all(item.told for item in known.estimates)
+
+
+def test_torque_reports_errors_widen_the_intervals_of_strengths() -> None:
+    found = fit_traces(ROBOT, [clean()], ("motor_strength",), HIDDEN.with_values(ROBOT, motor_strength=1.0))
+    for item in found.estimates:
+        assert item.deviation >= 0.01 * item.value
+        assert item.value == pytest.approx(STRENGTHS[item.index or 0], rel=0.005)
+
+
+def test_a_motor_that_never_moves_is_not_told() -> None:
+    def one_leg_still(time: float) -> tuple[np.ndarray, np.ndarray]:
+        swing, extension = swinging(time)
+        return np.where(np.arange(4) == 1, 0.0, swing), np.where(np.arange(4) == 1, 2.0, extension)
+
+    trace = record(moves=one_leg_still)
+    # Its legs have settled after a while.
+    found = fit_traces(ROBOT, [cut(trace, 100)], BATTERY_KNOWN, AT_15_V)
+    still = {int(k) for k in ROBOT.leg_motor_index[1]}
+    for motor in range(8):
+        item = found.estimate("motor_strength", motor)
+        assert item.told == (motor not in still)
+        if motor in still:
+            assert item.value == 1.0
+            assert item.deviation > 0.15
+            assert any(ROBOT.motor_names[motor] in note and "never moves" in note for note in found.notes)
+    assert found.estimate("resistance").value == pytest.approx(0.175, rel=0.01)
+
+
+def test_motors_at_their_limit_tell_no_latencies() -> None:
+    weak = HIDDEN.with_values(ROBOT, resistance=0.02, servo_kp=10.0)
+    found = fit_traces(ROBOT, [record(weak)], BATTERY_KNOWN, AT_15_V.with_values(ROBOT, resistance=0.02, servo_kp=10.0))
+    often = [note for note in found.notes if "greatest torque" in note]
+    assert often
+    assert found.estimate("motor_strength", 0).value == pytest.approx(STRENGTHS[0], rel=0.03)
+
+
+def test_one_trace_or_several_are_split() -> None:
+    both = fit_traces(ROBOT, [clean(), record(start=2.0)], BATTERY_KNOWN, AT_15_V)
+    assert max(map(abs, errors_of(both).values())) < 0.01
+    alone = fit_traces(ROBOT, [clean()], BATTERY_KNOWN, AT_15_V)
+    assert alone.series[0].x[0] > 0.7 * 4.0
+    assert both.series[0].x[0] < 0.2
+    assert both.digest != alone.digest
+
+
+def cut(trace: EpisodeTrace, first: int, last: int | None = None) -> EpisodeTrace:
+    """Some rows of a trace; its time goes on as it was."""
+    rows = slice(first, last)
+    names = ("time", "roll_pitch_yaw", "angular_velocity_base", "motor_angle", "motor_velocity", "motor_torque")
+    names += ("observation", "feedback", "target", "energy", "foot_contact", "foot_position_world", "true_motor_angle")
+    count = len(trace.time[rows])
+    return replace(
+        trace,
+        **{name: getattr(trace, name)[rows] for name in names},
+        base_position_world=trace.base_position_world[: count + 1],
+        base_quat_world=trace.base_quat_world[: count + 1],
+    )
+
+
+def test_gaps_are_left_out_and_told() -> None:
+    whole = clean()
+    keep = np.r_[0:200, 203 : whole.num_steps]
+    parts = [cut(whole, 0, 200), cut(whole, 203)]
+    names = ("roll_pitch_yaw", "angular_velocity_base", "motor_angle", "motor_velocity", "motor_torque", "target")
+    names += ("observation", "feedback", "energy", "foot_contact", "foot_position_world", "true_motor_angle")
+    joined = replace(
+        parts[0],
+        time=whole.time[keep],
+        **{name: np.concatenate([getattr(part, name) for part in parts]) for name in names},
+        base_position_world=np.full((len(keep) + 1, 3), np.nan),
+        base_quat_world=np.full((len(keep) + 1, 4), np.nan),
+    )
+    found = fit_traces(ROBOT, [joined], BATTERY_KNOWN, AT_15_V)
+    assert max(map(abs, errors_of(found).values())) < 0.01
+    assert any("time jumps 1 times, first at 1.20 s" in note for note in found.notes)
+    rows = usable_rows(joined, 0.012, 0.024)
+    assert not set(rows) & set(range(194, 204))
+    missed = replace(whole, meta={**whole.meta, "missed_steps": [300]})
+    assert not set(usable_rows(missed, 0.012, 0.024)) & set(range(294, 305))
+    assert any("1 control steps were missed" in n for n in fit_traces(ROBOT, [missed], USUAL, AT_15_V).notes)
+
+
+@pytest.mark.parametrize(
+    ("change", "names", "said"),
+    [
+        (
+            {},
+            ("motor_strength", "imu_bias"),
+            "traces do not tell .imu_bias.; choices: motor_strength",
+        ),
+        ({}, (), "nothing is to be found; choices: "),
+        ({"robot": "other"}, None, "trace 1 of 1: is of robot 'other', not of 'minitaur'"),
+        ({"dry_run": True}, None, "trace 1 of 1: is of a dry run"),
+        ({"actuator": "constraint"}, None, "motors of kind 'constraint'; only DC motors"),
+    ],
+)
+def test_refusals(change: dict[str, Any], names: tuple[str, ...] | None, said: str) -> None:
+    trace = replace(clean(), meta={**clean().meta, **change})
+    with pytest.raises(SurefootError, match=said):
+        fit_traces(ROBOT, [trace], names, NOMINAL)
+
+
+def test_too_little_is_refused() -> None:
+    with pytest.raises(SurefootError, match="there are no traces"):
+        fit_traces(ROBOT, [], None, NOMINAL)
+    with pytest.raises(SurefootError, match=r"1\.\d+ s without gaps, of 1\.98 s; 2 s or more"):
+        fit_traces(ROBOT, [cut(clean(), 0, 330)], None, NOMINAL)
+    with pytest.raises(SurefootError, match=r"0\.00 s without gaps"):
+        fit_traces(ROBOT, [cut(clean(), 0, 2)], None, NOMINAL)
+    still = record(moves=lambda _: (np.zeros(4), np.full(4, 2.0)), rack=False)
+    with pytest.raises(SurefootError, match=r"no motor moves by 0\.03 rad"):
+        fit_traces(ROBOT, [cut(still, 100)], None, NOMINAL)
+
+
+def test_known_names() -> None:
+    assert set(USUAL) < set(NAMES) <= set(PhysicalParams.names())
+
+
+def test_course_follows_a_polynomial_whose_slope_is_told_half_a_step_late() -> None:
+    trace = cut(clean(), 0, 20)
+    turns = np.polynomial.Polynomial([0.3, 2.0, -40.0, 300.0])
+    half = 0.5 * ROBOT.timing.servo_step
+    ones = np.ones(8)
+    trace = replace(
+        trace,
+        motor_angle=turns(trace.time)[:, None] * ones,
+        motor_velocity=turns.deriv()(trace.time - half)[:, None] * ones,
+    )
+    at = np.array([0.0301, 0.0333, 0.06, 0.0999])
+    angle, speed = Course(ROBOT, trace).at(at)
+    assert angle[:, 3] == pytest.approx(turns(at), abs=1e-9)
+    assert speed[:, 3] == pytest.approx(turns.deriv()(at - half), abs=1e-6)
+
+
+def test_a_robot_in_real_time_may_tell_torques_earlier() -> None:
+    simulated, told = clean(), replace(clean(), meta={**clean().meta, "firmware": "some 1.0"})
+    assert [way.age for way in reportings(ROBOT, simulated)] == [0.001]
+    assert [way.age for way in reportings(ROBOT, told)] == pytest.approx([0.001, 0.0065])
+    late = Piece(told, Course(ROBOT, told), np.array([10, 11]), 0, reportings(ROBOT, told)[1])
+    assert np.array_equal(late.target, told.target[[9, 10]])
+    # Which it did is found from the data: here torques are of the control step's end.
+    found = fit_traces(ROBOT, [told], BATTERY_KNOWN, AT_15_V)
+    assert max(map(abs, errors_of(found).values())) < 0.01
+
+
+def test_unknowns_of_one_colour_touch_what_belongs_to_them() -> None:
+    traces = [clean(), record(seconds=1.0)]
+    pieces = [
+        Piece(trace, Course(ROBOT, trace), np.arange(20, 60), number, reportings(ROBOT, trace)[0])
+        for number, trace in enumerate(traces)
+    ]
+    unknowns = [Unknown("motor_strength", 1.0, 0.0, 2.0, 1e-6, motor, colour=0) for motor in range(8)]
+    unknowns.append(Unknown(VOLTAGE_CHANGE, 0.0, -3.0, 3.0, 1e-5, 1, colour=1))
+    values = np.array([u.start for u in unknowns])
+    together = ActuatorModel(ROBOT, pieces, unknowns, AT_15_V, np.ones(8, np.bool_))
+    apart = ActuatorModel(ROBOT, pieces, [replace(u, colour=None) for u in unknowns], AT_15_V, np.ones(8, np.bool_))
+    residuals = together.residuals(values[None])[0]
+    assert np.array_equal(jacobian_of(together, values, residuals), jacobian_of(apart, values, residuals))
+    assert len(residuals) == len(together.blocks) == 2 * 40 * 8
