@@ -28,8 +28,6 @@ from surefoot.robot import RobotDescription
 
 PLACES = {True: "hang free, its legs in the air", False: "sit on flat ground with a metre of room"}
 """Where the robot must be, by whether it is an experiment for the rack."""
-_ANGLE = 1e-4
-"""Angles [rad] closer than this are the same: they travel as 32-bit numbers."""
 _PERIOD = 0.05
 """How far the robot's servo period may be from the data sheet's, as a share."""
 
@@ -67,33 +65,33 @@ def run_experiment(session: Session, plan: Plan, robot: RobotDescription, path: 
         raise SurefootError(
             f"motors will move and the robot must {PLACES[plan.rack]}; without a terminal, say so with --yes"
         )
-    with _greeted(session, plan, robot) as connection:
-        _show_plan(session, plan, robot)
+    with _greeted(session, robot) as connection:
+        _show_plan(session, plan, connection.handshake)
         if not asks:
             recording = _run(session, connection, plan, robot)
             recording.save(path)
             return recording
     # A robot does not wait for slow answers: it is greeted anew.
     _ask(plan)
-    with _greeted(session, plan, robot) as connection:
+    with _greeted(session, robot) as connection:
         recording = _run(session, connection, plan, robot)
         recording.save(path)
     return recording
 
 
 @contextlib.contextmanager
-def _greeted(session: Session, plan: Plan, robot: RobotDescription) -> Iterator[RobotConnection]:
+def _greeted(session: Session, robot: RobotDescription) -> Iterator[RobotConnection]:
     connection = open_connection(session.port, robot.num_motors, session.lockstep, session.baud)
     try:
-        check_robot(connection.connect(), plan, robot)
+        check_robot(connection.connect(), robot)
         yield connection
     finally:
         with contextlib.suppress(LinkLostError, OSError):
             connection.close()
 
 
-def check_robot(handshake: Handshake, plan: Plan, robot: RobotDescription) -> None:
-    """Refuse a robot that is not the one of the data sheet, or that can't do what the plan asks for.
+def check_robot(handshake: Handshake, robot: RobotDescription) -> None:
+    """Refuse a robot that is not the one of the data sheet.
 
     Raises:
         SurefootError: says what differs.
@@ -116,21 +114,19 @@ def check_robot(handshake: Handshake, plan: Plan, robot: RobotDescription) -> No
             f"the robot's servos step every {1e3 * handshake.servo_period:g} ms; the data sheet says {1e3 * period:g} "
             f"ms, and it must be within {_PERIOD:.0%}"
         )
-    room = np.minimum(plan.angle_low - handshake.angle_low, handshake.angle_high - plan.angle_high)
-    worst = int(np.argmin(room))
-    if room[worst] < -_ANGLE:
-        raise SurefootError(
-            f"{robot.motor_names[worst]} would be sent to {plan.angle_low[worst]:.2f} to {plan.angle_high[worst]:.2f} "
-            f"rad; the robot takes {handshake.angle_low[worst]:.2f} to {handshake.angle_high[worst]:.2f}"
-        )
 
 
-def _show_plan(session: Session, plan: Plan, robot: RobotDescription) -> None:
+def _show_plan(session: Session, plan: Plan, handshake: Handshake | None) -> None:
     """Say what is going to happen."""
     console = Console(stderr=session.quiet, highlight=False, soft_wrap=True, emoji=False)
     limits = plan.limits
+    name, low, high = "the robot", plan.angle_low, plan.angle_high
+    if handshake is not None:
+        # What a robot does not take is not sent to it.
+        name = handshake.robot
+        low, high = np.maximum(low, handshake.angle_low), np.minimum(high, handshake.angle_high)
     place = "on its rack, legs in the air" if plan.rack else "on flat ground"
-    head = f"{plan.experiment} experiment with {robot.name} {place}, {plan.duration:.0f} s and a second at rest"
+    head = f"{plan.experiment} experiment with {name} {place}, {plan.duration:.0f} s and a second at rest"
     table = Table(title=head, title_justify="left", title_style="bold")
     for name, justify in (("phase", "left"), ("time", "right"), ("what the robot does", "left")):
         table.add_column(name, justify="right" if justify == "right" else "left")
@@ -138,11 +134,10 @@ def _show_plan(session: Session, plan: Plan, robot: RobotDescription) -> None:
         table.add_row(*map(Text, row))
     console.print(table)
     pwm = f"; duty without servo at most {plan.largest_duty:g}" if plan.largest_duty else ""
+    console.print(f"motor angles from {low.min():.2f} to {high.max():.2f} rad{pwm}", markup=False)
     console.print(
-        f"asked for: motor angles from {plan.angle_low.min():.2f} to {plan.angle_high.max():.2f} rad{pwm}", markup=False
-    )
-    console.print(
-        f"ends with damped motors when a motor is {limits.angle_room:g} rad beyond that, gives more than "
+        f"ends with damped motors when a motor leaves {plan.angle_low.min() - limits.angle_room:.2f} to "
+        f"{plan.angle_high.max() + limits.angle_room:.2f} rad, gives more than "
         f"{limits.torque:g} N m for {limits.torque_time:g} s or is hotter than {limits.temperature:g} degC, after "
         f"{limits.duration:g} s, or with Ctrl-C",
         markup=False,

@@ -159,8 +159,8 @@ def _motors(ax: Axes, items: Sequence[EstimateLike], robot: RobotDescription, kn
     ax.tick_params(axis="x", length=0)
     ax.grid(visible=False, axis="x")
     unit = "" if items[0].unit == "1" else f" ({items[0].unit})"
-    ax.set_title(f"{_spoken(items[0].name).capitalize()}{unit}", fontweight="bold")
-    ax.set_title("dashed: known before", loc="right", fontsize=7.5, color=QUIET)
+    ax.set_title(f"{_spoken(items[0].name).capitalize()}{unit}", fontweight="bold", pad=18.0)
+    ax.text(0.0, 1.03, "dashed: known before", transform=ax.transAxes, fontsize=7.5, color=QUIET)
     ax.margins(y=0.15)
 
 
