@@ -2,9 +2,9 @@
 
     python benchmarks/identification.py --seeds 1-10 --worlds mujoco bullet --out build/identification.jsonl
 
-Each draw is a process of its own (`surefoot emulate --hidden-seed`), on its rack and then on the ground; experiments and
-fits see what comes over the link and nothing else. The hidden values are read when everything has been found. Told are
-the share of hidden values within their 95 % intervals, median errors, and the time that robot and fits took.
+Each draw is a process of its own (`surefoot emulate --hidden-seed`), on its rack and then on the ground; experiments
+and fits see what comes over the link and nothing else. The hidden values are read when everything has been found.
+Told are the share of hidden values within their 95 % intervals, median errors, and the time that robot and fits took.
 """
 
 from __future__ import annotations

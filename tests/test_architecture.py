@@ -23,7 +23,7 @@ ARROWS: dict[str, set[str]] = {
     "learn": {"task", "policy"},
     "policy": {"robot"},
     "evaluate": {"task", "policy", "world", "robot"},
-    "identify": {"world", "deploy", "robot", "actuator"},
+    "identify": {"world", "deploy", "robot", "actuator", "task.trace"},
     "deploy": {
         *("robot", "policy", "world.interface"),
         *("task.reference", "task.observation", "task.gait", "task.trace", "task.partial_trace"),

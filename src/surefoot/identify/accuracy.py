@@ -8,7 +8,13 @@ from __future__ import annotations
 
 RELATIVE = 0.005
 """Of a value."""
-LESS_SURE = {"torque_constant": 0.01, "servo_kp": 0.01, "leg_mass_ratio": 0.01, "leg_inertia_ratio": 0.02, "base_inertia_ratio": 0.02}
+LESS_SURE = {
+    "torque_constant": 0.01,
+    "servo_kp": 0.01,
+    "leg_mass_ratio": 0.01,
+    "leg_inertia_ratio": 0.02,
+    "base_inertia_ratio": 0.02,
+}
 """Of values that the engines disagree about more."""
 ABSOLUTE = {
     "servo_latency": 6e-5,

@@ -1,8 +1,8 @@
 """The one adapter between surefoot's models and the libraries that fit them.
 
-Smooth models go to MuJoCo's least squares (`mujoco.minimize`, the solver of `mujoco.sysid`), which takes residuals of
-many candidates at once; rough ones first to CMA-ES (`cma`). What comes back has intervals that count how residuals hang
-together in time, correlations, and what the data do not tell.
+Models go to MuJoCo's least squares (`mujoco.minimize`, the solver of `mujoco.sysid`), which takes residuals of many
+candidates at once. What comes back has intervals that count how residuals hang together in time, correlations, and what
+the data do not tell.
 """
 
 from __future__ import annotations
@@ -99,7 +99,7 @@ class Fit:
 
     @property
     def correlation(self) -> Array:
-        """(n, n)"""
+        """Of what is not known about two values (n, n), from -1 to 1."""
         scale = np.maximum(self.deviation, 1e-300)
         return self.covariance / np.outer(scale, scale)
 
@@ -256,39 +256,3 @@ def _covariance(
     larger = np.maximum(np.diag(sandwich), np.diag(inverse))
     stretch = np.sqrt(larger / np.maximum(np.diag(sandwich), 1e-300))
     return sandwich * np.outer(stretch, stretch)
-
-
-def fit_rough(model: Model, start: Array, spread: Array, seed: int, evaluations: int, population: int) -> Array:
-    """Values (n,) that CMA-ES finds, for models whose residuals have steps or several valleys; no intervals.
-
-    Args:
-        model: what to fit.
-        start: values (n,) to begin with.
-        spread: standard deviation (n,) of the first candidates.
-        seed: of the search.
-        evaluations: candidates at most.
-        population: candidates tried at once.
-    """
-    import cma
-
-    low, high = (np.array([getattr(u, side) for u in model.unknowns]) for side in ("low", "high"))
-    known, middle, width = _with_priors(model)
-    options = {
-        "seed": seed + 1,  # 0 means the clock there
-        "verbose": -9,
-        "maxfevals": evaluations,
-        "popsize": population,
-        "bounds": [((low - start) / spread).tolist(), ((high - start) / spread).tolist()],
-        "tolx": 1e-3,
-    }
-    search = cma.CMAEvolutionStrategy(np.zeros(len(start)), 1.0, options)
-    while not search.stop():
-        candidates = search.ask()
-        values = start + np.array(candidates) * spread
-        residuals = model.residuals(values)
-        cost = (
-            np.mean(residuals**2, axis=1)
-            + np.sum(((values[:, known] - middle) / width) ** 2, axis=1) / (residuals.shape[1])
-        )
-        search.tell(candidates, np.where(np.isfinite(cost), cost, 1e9).tolist())
-    return start + np.asarray(search.result.xbest) * spread

@@ -5,8 +5,8 @@ the torques that they reported, along the angles and speeds that were read. A pa
 on.
 
 Torques depend on voltage, torque constant and resistance through U / R and K_t / R alone: whoever wants all three gets
-them for a voltage as it was known before, and intervals that count what is not known about that. Masses and inertias
-are not told: impacts on the feet come and go between two readings.
+them for a voltage as it was known before, and intervals that count what is not known about that. The base's mass is
+told by a steady walk, for legs of a known mass (`identify.trace_mass`).
 """
 
 from __future__ import annotations
@@ -26,22 +26,26 @@ from surefoot.identify.recording import digest_of
 from surefoot.identify.registry import Tell
 from surefoot.identify.result import Check, Estimate, Identification, Series
 from surefoot.identify.trace_notes import notes_on_estimates, notes_on_traces
-from surefoot.identify.trace_rows import Course, Piece, Reporting, reportings, usable_rows
+from surefoot.identify.trace_mass import walking_mass
+from surefoot.identify.trace_rows import (
+    Course,
+    Piece,
+    Reporting,
+    check_length,
+    check_traces,
+    pieces_of,
+    reportings,
+    split,
+)
 from surefoot.identify.trace_unknowns import LATENCIES, NAMES, SPREAD, USUAL, latency_valleys, unknowns_of
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.task.trace import EpisodeTrace
 
 Array = NDArray[np.float64]
 
-LEAST = 2.0
-"""Least length of all traces together that is fitted [s]."""
 INTERPOLATED = 1.5e-4
 """Least standard deviation of latencies that are found between readings 6 ms apart [s], as in runs of emulated
 robots."""
-LONGEST = 40.0
-"""Length [s] beyond which rows are left out evenly: more would cost time and tell little."""
-HELD_OUT = 0.25
-"""Share of the traces, or of the one trace's time, that is not fitted."""
 STILL = 0.03
 """Range of angles [rad] below which a motor does not move, so that it does not tell its strength."""
 
@@ -71,18 +75,18 @@ def fit_traces(
         raise SurefootError(f"traces do not tell '{bad[0]}'; choices: {choices(NAMES)}")
     if not wanted:
         raise SurefootError(f"nothing is to be found; choices: {choices(NAMES)}")
-    _check_traces(robot, traces)
+    check_traces(robot, traces)
     bounds = {
         name: robot.allowed[name] if name in wanted else (float(getattr(known, name)[0]),) * 2 for name in LATENCIES
     }
     courses = [Course(robot, trace) for trace in traces]
     choice = None
     for kind in range(max(len(reportings(robot, trace)) for trace in traces)):
-        pieces = _pieces(robot, traces, courses, bounds, kind)
-        _check_length(traces, pieces)
-        valleys = latency_valleys(robot, _split(pieces)[0], bounds, known)
+        pieces = pieces_of(robot, traces, courses, bounds, kind)
+        check_length(traces, pieces)
+        valleys = latency_valleys(robot, split(pieces)[0], bounds, known)
         if choice is None or valleys[0][0] < choice[0][0][0]:
-            choice = valleys, *_split(pieces)
+            choice = valleys, *split(pieces)
     if choice is None:
         raise RuntimeError("no way of reporting")
     valleys, fitted, held = choice
@@ -90,6 +94,7 @@ def fit_traces(
     if not moving.any():
         raise SurefootError(f"no motor moves by {STILL:g} rad or more in the traces; give traces of a robot that walks")
     notes = notes_on_traces(robot, traces, fitted + held, moving, wanted)
+    estimates: list[Estimate] = []
     fit, noise = _fit(robot, wanted, known, valleys, moving, fitted, tell)
     told = {u.label: bool(t) for u, t in zip(fit.unknowns, fit.told, strict=True)}
     final = _settled(robot, fit, told, fitted, known, moving, noise)
@@ -116,61 +121,6 @@ def fit_traces(
         digest_of(arrays),
         str(next((trace.meta["date"] for trace in reversed(traces) if trace.meta.get("date")), "")),
     )
-
-
-def _check_traces(robot: RobotDescription, traces: Sequence[EpisodeTrace]) -> None:
-    if not traces:
-        raise SurefootError("there are no traces; give one or more")
-    for number, trace in enumerate(traces):
-        meta, who = trace.meta, f"trace {number + 1} of {len(traces)}"
-        if meta["robot"] != robot.name or tuple(meta["motor_names"]) != robot.motor_names:
-            raise SurefootError(f"{who}: is of robot '{meta['robot']}', not of '{robot.name}' with its motors")
-        if meta.get("dry_run"):
-            raise SurefootError(f"{who}: is of a dry run: its targets were never sent; give runs of an armed robot")
-        if meta.get("actuator", "dc") != "dc":
-            raise SurefootError(f"{who}: has motors of kind '{meta['actuator']}'; only DC motors ('dc') can be fitted")
-
-
-def _check_length(traces: Sequence[EpisodeTrace], pieces: Sequence[Piece]) -> None:
-    usable = sum(len(piece.rows) * piece.trace.meta["control_step"] for piece in pieces)
-    if usable < LEAST:
-        whole = sum(trace.duration for trace in traces)
-        raise SurefootError(
-            f"traces have {usable:.2f} s without gaps, of {whole:.2f} s; {LEAST:g} s or more are needed"
-        )
-
-
-def _pieces(
-    robot: RobotDescription,
-    traces: Sequence[EpisodeTrace],
-    courses: Sequence[Course],
-    bounds: dict[str, tuple[float, float]],
-    kind: int,
-) -> list[Piece]:
-    """Usable rows of all traces, with the same ones for every latency within the bounds."""
-    pieces = []
-    for number, trace in enumerate(traces):
-        ways = reportings(robot, trace)
-        reporting = ways[min(kind, len(ways) - 1)]
-        earliest = reporting.age + bounds["servo_latency"][1] - bounds["control_latency"][0]
-        rows = usable_rows(trace, max(earliest, reporting.age), bounds["control_latency"][1])
-        pieces.append(Piece(trace, courses[number], rows, number, reporting))
-    return pieces
-
-
-def _split(pieces: Sequence[Piece]) -> tuple[list[Piece], list[Piece]]:
-    """What is fitted, thinned out if it is long, and what is kept back."""
-    pieces = [piece for piece in pieces if len(piece.rows)]
-    if len(pieces) == 1:
-        cut = round((1 - HELD_OUT) * len(pieces[0].rows))
-        parts = [replace(pieces[0], rows=rows) for rows in (pieces[0].rows[:cut], pieces[0].rows[cut:])]
-        fitted, held = parts[:1], parts[1:]
-    else:
-        last = max(round(HELD_OUT * len(pieces)), 1)
-        fitted, held = list(pieces[:-last]), list(pieces[-last:])
-    length = sum(len(piece.rows) * piece.trace.meta["control_step"] for piece in fitted)
-    every = max(int(np.ceil(length / LONGEST)), 1)
-    return [replace(piece, rows=piece.rows[::every]) for piece in fitted], held
 
 
 def _fit(
@@ -201,11 +151,12 @@ def _fit(
         start = np.array([servo if u.name == "servo_latency" else u.start for u in unknowns])
         fits.append(fitted(unknowns, start, NOISE, f"latencies near {1e3 * late:.0f} and {1e3 * servo:.0f} ms"))
     best = min(fits, key=whole_cost)
-    # What the model can't explain counts as noise, or it would be taken for knowledge.
-    left = float(np.sqrt(np.mean(best.residuals**2))) * NOISE / EXPLAINED
-    if left < 1.15:
+    # What the model can't explain counts as noise, or it would be taken for knowledge. Noise of readings is in what is
+    # always left; what comes on top does not average out, and so counts for more than its share.
+    grown = NOISE * (np.sqrt(np.mean(best.residuals**2)) * NOISE / EXPLAINED) ** 2
+    if grown < 1.2 * NOISE:
         return best, NOISE
-    return fitted(best.unknowns, best.values, NOISE * left, "once more"), NOISE * left
+    return fitted(best.unknowns, best.values, float(grown), "once more"), float(grown)
 
 
 def _settled(

@@ -39,7 +39,7 @@ class Phase:
 class ExperimentLimits:
     """When an experiment ends early, with motors damped."""
 
-    angle_room: float = 0.5
+    angle_room: float = 0.7
     """How far [rad] a motor may be beyond the angles that the plan asks for."""
     torque: float = 2.8
     """Torque [N m] that a motor may give for `torque_time`; the Minitaur's own protection takes 2.45 for a second."""

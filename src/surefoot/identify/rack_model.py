@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -32,7 +33,7 @@ class Noise:
     """[N m]"""
 
 
-def params_of(base: PhysicalParams, unknowns: list[Unknown], values: Array) -> PhysicalParams:
+def params_of(base: PhysicalParams, unknowns: Sequence[Unknown], values: Array) -> PhysicalParams:
     """Physical parameters, a row for each candidate (K, n), from one row of `base`."""
     count = len(values)
     params = base.rows(np.zeros(count, np.int64))
@@ -72,7 +73,8 @@ class RackModel:
         every: int = 3,
         replayer: Replayer | None = None,
     ) -> None:
-        self.robot, self.recording, self.unknowns, self.base = robot, recording, unknowns, base
+        self.robot, self.recording, self.base = robot, recording, base
+        self.unknowns: Sequence[Unknown] = unknowns
         self.noise, self.every, self.stretches = noise or Noise(), every, stretches
         self.replayer = replayer or Replayer(robot, len(unknowns) + 1, rack=True)
         self._gains = [i for i, u in enumerate(unknowns) if u.name == TORQUE_GAIN]

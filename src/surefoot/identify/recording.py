@@ -67,8 +67,10 @@ class Recording:
     temperature: Array
     """Of the motors (T, M) [degC]."""
     meta: dict[str, Any]
-    """What can be written as JSON: schema, experiment, robot, motor_names, rack, phases (name, mode, use, duration), mode_changes (host's time
-    [s] of sending, and mode, of all arming and disarming), ended (`COMPLETE`, or why not), lead (s), servo_period (s), frames (sent, missing, damaged), rest_voltage (V), date, digest."""
+    """What can be written as JSON: schema, experiment, robot, firmware, motor_names, rack, phases (name, mode, use,
+    duration), mode_changes (the host's time [s] of sending, and mode, of all arming and disarming), ended (`COMPLETE`,
+    or why not), period and lead (s), servo_period (s), resting_states (how many came before motors were armed), frames
+    (received, missing, damaged), date, digest."""
 
     @property
     def num_motors(self) -> int:
@@ -93,7 +95,7 @@ class Recording:
 
     @cached_property
     def arrival(self) -> Array:
-        """When each command came to the robot (C,) [s]: what states tell; for others, as long after sending as usual."""
+        """When each command came to the robot (C,) [s]: what states tell, else as long after sending as usual."""
         return np.where(np.isfinite(self._told), self._told, self.sent_time + self.way)
 
     @cached_property

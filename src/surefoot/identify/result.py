@@ -1,4 +1,4 @@
-"""What an identification found: estimates with intervals, what the data do not tell, and how well it holds elsewhere."""
+"""What an identification found: estimates with intervals, what data do not tell, and how well it holds elsewhere."""
 
 from __future__ import annotations
 

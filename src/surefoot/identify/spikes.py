@@ -36,8 +36,8 @@ class Spikes:
 def measure_spikes(recording: Recording) -> Spikes:
     """Fit each motor's answer to each spike.
 
-    A torque from 0 to T gives a free motor the way v (t^2 / 2T) until T and v (t - T/2) later; braking adds c (t - T)^2.
-    Readings of time t are as they were at t - age.
+    A torque from 0 to T gives a free motor the way v (t^2 / 2T) until T and v (t - T/2) later; braking adds
+    c (t - T)^2. Readings of time t are as they were at t - age.
     """
     dt = float(recording.meta["servo_period"])
     ages, hosts, tried = [], [], 0

@@ -1,4 +1,4 @@
-"""A recording of a robot on the ground as motion and feet forces: readings put to one time, smoothed, differentiated."""
+"""A robot on the ground as motion and forces on its feet: readings put to one time, smoothed, differentiated."""
 
 from __future__ import annotations
 

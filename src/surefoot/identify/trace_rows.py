@@ -10,18 +10,26 @@ What a trace's row of the time t tells is, with control latency L_c, servo laten
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.deploy.connection import LEAD
+from surefoot.errors import SurefootError
 from surefoot.robot import RobotDescription
 from surefoot.task.trace import EpisodeTrace
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
 
+LEAST = 2.0
+"""Least length of all traces together that is fitted [s]."""
+LONGEST = 40.0
+"""Length [s] beyond which rows are left out evenly: more would cost time and tell little."""
+HELD_OUT = 0.25
+"""Share of the traces, or of the one trace's time, that is not fitted."""
 _READINGS = 4
 
 
@@ -144,3 +152,68 @@ def usable_rows(trace: EpisodeTrace, earliest: float, latest: float) -> Rows:
     bad = np.concatenate([[0], np.cumsum(broken)])
     rows = np.arange(before, count - after)
     return rows[bad[rows + after + 1] == bad[rows - before]] if len(rows) else rows
+
+
+def check_traces(robot: RobotDescription, traces: Sequence[EpisodeTrace]) -> None:
+    """Refuse traces whose torques can't be those of the robot's motors.
+
+    Raises:
+        SurefootError: no traces, or of another robot, a dry run, or other motors.
+    """
+    if not traces:
+        raise SurefootError("there are no traces; give one or more")
+    for number, trace in enumerate(traces):
+        meta, who = trace.meta, f"trace {number + 1} of {len(traces)}"
+        if meta["robot"] != robot.name or tuple(meta["motor_names"]) != robot.motor_names:
+            raise SurefootError(f"{who}: is of robot '{meta['robot']}', not of '{robot.name}' with its motors")
+        if meta.get("dry_run"):
+            raise SurefootError(f"{who}: is of a dry run: its targets were never sent; give runs of an armed robot")
+        if meta.get("actuator", "dc") != "dc":
+            raise SurefootError(f"{who}: has motors of kind '{meta['actuator']}'; only DC motors ('dc') can be fitted")
+
+
+def check_length(traces: Sequence[EpisodeTrace], pieces: Sequence[Piece]) -> None:
+    """Refuse too little.
+
+    Raises:
+        SurefootError: less than `LEAST`.
+    """
+    usable = sum(len(piece.rows) * piece.trace.meta["control_step"] for piece in pieces)
+    if usable < LEAST:
+        whole = sum(trace.duration for trace in traces)
+        raise SurefootError(
+            f"traces have {usable:.2f} s without gaps, of {whole:.2f} s; {LEAST:g} s or more are needed"
+        )
+
+
+def pieces_of(
+    robot: RobotDescription,
+    traces: Sequence[EpisodeTrace],
+    courses: Sequence[Course],
+    bounds: dict[str, tuple[float, float]],
+    kind: int,
+) -> list[Piece]:
+    """Usable rows of all traces, with the same ones for every latency within the bounds."""
+    pieces = []
+    for number, trace in enumerate(traces):
+        ways = reportings(robot, trace)
+        reporting = ways[min(kind, len(ways) - 1)]
+        earliest = reporting.age + bounds["servo_latency"][1] - bounds["control_latency"][0]
+        rows = usable_rows(trace, max(earliest, reporting.age), bounds["control_latency"][1])
+        pieces.append(Piece(trace, courses[number], rows, number, reporting))
+    return pieces
+
+
+def split(pieces: Sequence[Piece]) -> tuple[list[Piece], list[Piece]]:
+    """What is fitted, thinned out if it is long, and what is kept back."""
+    pieces = [piece for piece in pieces if len(piece.rows)]
+    if len(pieces) == 1:
+        cut = round((1 - HELD_OUT) * len(pieces[0].rows))
+        parts = [replace(pieces[0], rows=rows) for rows in (pieces[0].rows[:cut], pieces[0].rows[cut:])]
+        fitted, held = parts[:1], parts[1:]
+    else:
+        last = max(round(HELD_OUT * len(pieces)), 1)
+        fitted, held = list(pieces[:-last]), list(pieces[-last:])
+    length = sum(len(piece.rows) * piece.trace.meta["control_step"] for piece in fitted)
+    every = max(int(np.ceil(length / LONGEST)), 1)
+    return [replace(piece, rows=piece.rows[::every]) for piece in fitted], held

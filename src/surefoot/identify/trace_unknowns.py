@@ -15,14 +15,15 @@ from surefoot.identify.rack_model import TORQUE_GAIN
 from surefoot.identify.trace_rows import Piece
 from surefoot.robot import PhysicalParams, RobotDescription
 
+MASS = "base_mass_ratio"
 NAMES = (
     *("motor_strength", "torque_constant", "resistance", "voltage"),
-    *("servo_kp", "servo_kd", "servo_latency", "control_latency"),
+    *("servo_kp", "servo_kd", "servo_latency", "control_latency", MASS),
 )
 """Physical parameters that traces can tell."""
-USUAL = tuple(name for name in NAMES if name not in ("servo_kp", "servo_kd"))
+USUAL = tuple(name for name in NAMES if name not in ("servo_kp", "servo_kd", MASS))
 """Those that are found if nothing else is said: gains are numbers that somebody gave the firmware, and unless duties
-are often at their limit traces tell gains times U / R only."""
+are often at their limit traces tell gains times U / R only. The base's mass takes legs whose mass is known."""
 LATENCIES = ("control_latency", "servo_latency")
 SPREAD = 0.2
 """Relative standard deviation of what was known before, for a robot that is not what its data sheet says."""

@@ -1,4 +1,4 @@
-"""The contact experiment's fit: friction from dragged feet, stiffness and damping from how the body nods on soft ones."""
+"""The contact experiment's fit: friction from dragged feet, stiffness and damping from a body that nods on them."""
 
 from __future__ import annotations
 
@@ -80,8 +80,9 @@ def _friction(robot: RobotDescription, standing: Standing, forces: Forces) -> tu
     deviation = float(np.hypot(np.hypot(spread, own) / np.sqrt(len(found)), SURE * value))
     x = np.array(down)
     order = np.argsort(x)[:: max(len(x) // 400, 1)]
-    series = Series("dragged feet", "weight on the foot, against its motion [N]", "force along the ground [N]", x[order],
-                    np.array(along)[order], np.full(len(order), np.nan), value * x[order], points=True)  # fmt: skip
+    labels = "dragged feet", "weight on the foot, against its motion [N]", "force along the ground [N]"
+    nothing = np.full(len(order), np.nan)
+    series = Series(*labels, x[order], np.array(along)[order], nothing, value * x[order], points=True)
     return Estimate("contact_friction", value, deviation, "1", None, True, low, high), (series,)
 
 
@@ -107,7 +108,7 @@ def _sliding_speed(robot: RobotDescription, standing: Standing, forces: Forces) 
 
 
 def _compliance(robot: RobotDescription, standing: Standing, forces: Forces) -> tuple[Estimate, Estimate, Series]:
-    """F = k d + b dd/dt for differences between front and back feet: the base's own height is not known, and not needed.
+    """F = k d + b dd/dt for differences of front and back feet: the base's own height is not known, and not needed.
 
     How much deeper front feet are than back feet follows from the base's pitch, which the gyro tells, and the legs'
     lengths.
@@ -128,8 +129,9 @@ def _compliance(robot: RobotDescription, standing: Standing, forces: Forces) -> 
     low, high = robot.allowed["contact_stiffness"]
     stiffness, damping = (float(np.hypot(s, SURE * v)) for s, v in zip(spread, values, strict=True))
     time = standing.time[used] - standing.time[used][0]
-    series = Series("difference of front and back feet", "time [s]", "force [N]", time, _quick(more, step)[used],
-                    columns[used] @ [robot.contact.stiffness, robot.contact.damping], columns[used] @ values)  # fmt: skip
+    sheet, fitted = columns[used] @ [robot.contact.stiffness, robot.contact.damping], columns[used] @ values
+    labels = "difference of front and back feet, nodding", "time [s]", "force [N]"
+    series = Series(*labels, time, _quick(more, step)[used], sheet, fitted)
     told = bool(stiffness < 0.3 * values[0])
     return (
         Estimate("contact_stiffness", float(values[0]), stiffness, "N/m", None, told, low, high),

@@ -38,8 +38,8 @@ def fit_latency(
     spikes = measure_spikes(recording)
     if len(spikes.age) < FEWEST:
         raise SurefootError(
-            f"only {len(spikes.age)} of {spikes.tried} answers to spikes are clear; at least {FEWEST} are needed: do the "
-            f"motors move at all?"
+            f"only {len(spikes.age)} of {spikes.tried} answers to spikes are clear; at least {FEWEST} are needed: "
+            f"do the motors move at all?"
         )
     lead = float(recording.meta["lead"])
     fitted = [k for k, phase in enumerate(recording.meta["phases"]) if phase["use"] == "fit"]
@@ -55,9 +55,9 @@ def fit_latency(
             f"{1e3 * found.value:.1f} ms"
         )
     notes.append(
-        f"readings are {1e3 * direct[0].value:.2f} ms old when the robot sends them; from sending a spike to reading of "
-        f"the motion {1e3 * direct[1].value:.2f} ms pass at this computer ({len(spikes.age)} of {spikes.tried} spikes "
-        f"answered clearly); control_latency counts {1e3 * lead:g} ms from sending to use"
+        f"readings are {1e3 * direct[0].value:.2f} ms old when the robot sends them; from sending a spike to reading "
+        f"of the motion {1e3 * direct[1].value:.2f} ms pass at this computer ({len(spikes.age)} of {spikes.tried} "
+        f"spikes answered clearly); control_latency counts {1e3 * lead:g} ms from sending to use"
     )
     return Identification(
         "latency",

@@ -161,7 +161,8 @@ def fit_motor(
         if unknown.name == TORQUE_GAIN and unknown.index is not None:
             gains[unknown.index] = fit.values[i]
     found = Identification("motor", robot.name, tuple(estimates)).params(robot, known)
-    checks, series = (), ()
+    checks: tuple[Check, ...] = ()
+    series: tuple[Series, ...] = ()
     if checked:
         checks, series = _check(robot, recording, known, found, gains, stretch_of(recording, checked[0], checked[-1]))
     series = (*series, _curve(robot, recording, model, fit, known, found, gains))
