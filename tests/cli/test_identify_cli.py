@@ -1,13 +1,32 @@
+"""`surefoot identify` as a user gives it, on emulated robots that are processes."""
+
 from __future__ import annotations
 
 import json
+import os
+import pty
+import signal
+import subprocess
+import sys
+import time
+import tomllib
+from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 
+from surefoot.cli.identify_run import check_robot
 from surefoot.cli.main import main
+from surefoot.emulator.limits import Limits, introduction
+from surefoot.errors import SurefootError
+from surefoot.robot import RobotDescription
+from surefoot.robot.params_file import read_params
 
 SHORT = ["--duration", "0.1"]
+SUREFOOT = (sys.executable, "-m", "surefoot")
 
 
 def test_motor_figure_without_a_log(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -42,6 +61,22 @@ def test_a_recording_of_one_world_against_the_models_in_another(
             ["tail"],
             "'tail' is no experiment; choices: latency, motor, mass, contact, motor-figure, or --from-trace FOLDER",
         ),
+        (["motor"], "give one of them; none is given"),
+        (["motor", "--port", "x", "--recording", "y"], "give one of them; both is given"),
+        (["motor", "--recording", "x", "--yes"], "--recording and --yes don't go together"),
+        (["motor", "--recording", "x", "--record-only"], "--recording and --record-only don't go together"),
+        (["motor", "--port", "x", "--record-only", "--params", "a.toml"], "--record-only and --params don't go"),
+        (["motor", "--port", "x", "--params", "a.txt"], "params a.txt: the name must end in .toml"),
+        (["motor", "--recording", "none"], "recording none: can't be read: No such file"),
+        (["motor", "--port", "/dev/none", "--yes"], "/dev/none"),
+        (["motor", "--port", "/dev/none", "--robot", "cat"], "robot 'cat': no such robot"),
+        (
+            ["motor", "--port", "/dev/none"],
+            "motors will move and the robot must hang free, its legs in the air; without",
+        ),
+        (["mass", "--port", "/dev/none", "--record-only"], "the robot must sit on flat ground with a metre of room"),
+        (["--from-trace", "none"], "trace folder none does not exist"),
+        (["--from-trace=none"], "trace folder none does not exist"),
         (["motor-figure", "--motor", "tail"], "motor 'tail' does not exist"),
         (["motor-figure", "--out", "motor.pdf"], "must end in .png"),
         (["motor-figure", "--frequency", "0"], "frequency is 0; it must be over 0"),
@@ -59,7 +94,308 @@ def test_what_does_not_fit_is_told_in_one_line(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     assert main(["identify", *words]) == 2
-    error = capsys.readouterr().err
+    error = "".join(line for line in capsys.readouterr().err.splitlines(True) if "warning" not in line)
     assert told in error
     assert error.count("\n") == 1
     assert not list(tmp_path.iterdir())
+
+
+def test_without_words_all_experiments_are_told(capsys: pytest.CaptureFixture[str]):
+    assert main(["identify"]) == 2
+    told = capsys.readouterr()
+    assert main(["identify", "--help"]) == 0
+    assert capsys.readouterr().out == told.err
+    for name in ("latency", "motor", "mass", "contact", "--from-trace FOLDER", "motor-figure"):
+        assert f"\n  {name}  " in told.err
+
+
+# --- experiments on a robot -------------------------------------------------------------------------------
+
+
+class Emulator:
+    """A `surefoot emulate --lockstep` process; `port` is its pseudo-terminal."""
+
+    def __init__(self, folder: Path, *words: str) -> None:
+        folder.mkdir(exist_ok=True)
+        self.port = folder / f"port_{len(list(folder.iterdir()))}"
+        self.log = (folder / f"{self.port.name}.log").open("w")
+        command = [*SUREFOOT, "emulate", "--lockstep", "--link", str(self.port), *words]
+        self.process = subprocess.Popen(command, stdout=self.log, stderr=self.log)
+        end = time.monotonic() + 60
+        while not self.port.exists():
+            assert self.process.poll() is None, Path(self.log.name).read_text()
+            assert time.monotonic() < end, "the emulator does not start"
+            time.sleep(0.05)
+
+    def stop(self) -> None:
+        self.process.terminate()
+        self.process.wait(30)
+        self.log.close()
+
+
+@pytest.fixture
+def emulate(tmp_path: Path) -> Iterator[Callable[..., Emulator]]:
+    """Start emulators that end with the test."""
+    pytest.importorskip("mujoco")
+    started: list[Emulator] = []
+
+    def start(*words: str) -> Emulator:
+        started.append(Emulator(tmp_path / "emulators", *words))
+        return started[-1]
+
+    yield start
+    for emulator in started:
+        emulator.stop()
+
+
+@pytest.fixture(scope="module")
+def hanging(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Emulator]:
+    """A robot on its rack that several tests use."""
+    pytest.importorskip("mujoco")
+    emulator = Emulator(tmp_path_factory.mktemp("hanging"), "--rack")
+    yield emulator
+    emulator.stop()
+
+
+ON_THE_ROBOTS_COMPUTER = """
+import sys
+
+class Absent:
+    def find_spec(self, name, path=None, target=None):
+        absent = {"mujoco", "numba", "gymnasium", "scipy", "cma", "pybullet", "torch", "onnx", "matplotlib", "PIL"}
+        if name.split(".")[0] in absent:
+            raise ModuleNotFoundError(f"the robot's computer has no {name}", name=name)
+
+sys.meta_path.insert(0, Absent())
+from surefoot.cli.main import main
+sys.exit(main(sys.argv[1:]))
+"""
+
+
+def run(words: list[object], bare: bool = False) -> subprocess.CompletedProcess[str]:
+    """Run `surefoot identify` as a process; `bare`: on a computer that has only the bare install."""
+    begin = [sys.executable, "-c", ON_THE_ROBOTS_COMPUTER] if bare else [*SUREFOOT]
+    return subprocess.run([*begin, "identify", *map(str, words)], capture_output=True, text=True, timeout=200)
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, subprocess.CompletedProcess[str]]:
+    """Folder of an experiment that was recorded on the robot's computer, and what was said."""
+    pytest.importorskip("mujoco")
+    folder = tmp_path_factory.mktemp("contact")
+    emulator = Emulator(folder / "emulator", "--set", "contact_friction=0.7")
+    try:
+        words = ["contact", "--port", emulator.port, "--lockstep", "--yes", "--record-only", "--out", folder / "run"]
+        return folder / "run", run(words, bare=True)
+    finally:
+        emulator.stop()
+
+
+def test_recording_needs_the_bare_install_only(recorded: tuple[Path, subprocess.CompletedProcess[str]]):
+    folder, done = recorded
+    assert done.returncode == 0, done.stderr
+    assert [path.name for path in folder.iterdir()] == ["recording.npz"]
+    assert done.stdout.startswith("contact experiment with minitaur on flat ground, ")
+    for told in ("swing legs out", "hop x 4", "ends with damped motors when a motor leaves", "N m for 0.4 s"):
+        assert told in done.stdout
+    assert f"contact experiment recorded: {folder / 'recording.npz'}" in done.stdout
+    assert f"to fit it: surefoot identify contact --recording {folder}" in done.stdout
+    # A line a phase, where there is no terminal; nothing but plain text.
+    lines = [line for line in done.stderr.splitlines() if line.startswith("surefoot: ")]
+    assert lines[0].startswith("surefoot: swing legs out, 1 of ")
+    assert lines[0].endswith(" s left")
+    assert "\x1b" not in done.stdout + done.stderr
+
+
+def test_a_recording_is_never_written_over(recorded: tuple[Path, subprocess.CompletedProcess[str]]):
+    folder, _ = recorded
+    before = (folder / "recording.npz").read_bytes()
+    done = run(["contact", "--port", "/dev/none", "--yes", "--record-only", "--out", folder])
+    assert done.returncode == 2
+    assert done.stderr == (
+        f"surefoot: error: {folder / 'recording.npz'} exists and is not written over; give another folder with --out\n"
+    )
+    assert (folder / "recording.npz").read_bytes() == before
+
+
+def test_a_recording_is_fitted(recorded: tuple[Path, subprocess.CompletedProcess[str]], tmp_path: Path):
+    folder, _ = recorded
+    params, out = tmp_path / "known" / "robot.toml", tmp_path / "out"
+    params.parent.mkdir()
+    params.write_text('[params]\nvoltage = 15.5\nmotor_strength = 0.98\n[note]\nby = "hand"\n')
+    done = run(["contact", "--recording", folder, "--params", params, "--out", out])
+    assert done.returncode == 0, done.stderr
+    assert "surefoot: warning: contact should come after motor and mass, and " in done.stderr
+    assert " contact_friction " in done.stdout
+    assert f"wrote {params}, {out / 'report.png'}, {out / 'report.html'}" in done.stdout
+    robot = RobotDescription.load("minitaur")
+    found = read_params(params, robot)
+    assert {"voltage", "motor_strength", "contact_friction"} <= set(found.given)
+    assert (found.params.voltage[0], found.tables["note"]) == (15.5, {"by": "hand"})
+    low, high = found.tables["intervals"]["contact_friction"]
+    assert low <= found.params.contact_friction[0] <= high
+    assert found.params.contact_friction[0] == pytest.approx(0.7, abs=0.2)
+    told = found.tables["identified"]["contact"]
+    assert told["file"] == str(folder / "recording.npz")
+    assert found.tables["told_by"]["contact_friction"] == "contact"
+    assert (out / "report.png").read_bytes().startswith(b"\x89PNG")
+    assert told["data"] in (out / "report.html").read_text()
+    # Once more, with what is known now, as one object; without --params beside the report.
+    done = run(["contact", "--recording", folder / "recording.npz", "--json", "--out", tmp_path / "again"])
+    assert done.returncode == 0, done.stderr
+    again: dict[str, Any] = json.loads(done.stdout)
+    assert again["digest"] == told["data"]
+    assert again["lacks"] == ["motor", "mass"]
+    assert again["files"][0] == str(tmp_path / "again" / "robot.toml")
+    (friction,) = (item for item in again["estimates"] if item["name"] == "contact_friction")
+    assert friction["interval"][0] <= friction["value"] <= friction["interval"][1]
+    assert friction["before"] == robot.contact.friction
+    assert "contact_friction" in tomllib.loads((tmp_path / "again" / "robot.toml").read_text())["params"]
+
+
+def test_a_recording_of_another_experiment(recorded: tuple[Path, subprocess.CompletedProcess[str]]):
+    folder, _ = recorded
+    done = run(["motor", "--recording", folder])
+    assert done.returncode == 2
+    assert "recording.npz: is of experiment contact, not motor" in done.stderr
+
+
+def test_a_computer_that_can_not_fit_says_so_before_anything_moves(hanging: Emulator, tmp_path: Path):
+    words = ["latency", "--port", hanging.port, "--lockstep", "--yes", "--out", tmp_path / "out"]
+    done = run(words, bare=True)
+    assert done.returncode == 2
+    assert "the fit needs mujoco, which is not installed: pip install 'surefoot[sim]'; surefoot identify latency" in (
+        done.stderr
+    )
+    assert "--record-only records without it" in done.stderr
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("as_json", [False, True])
+def test_ctrl_c_ends_it_and_keeps_what_was_recorded(hanging: Emulator, tmp_path: Path, as_json: bool):
+    out = tmp_path / "out"
+    words = ["motor", "--port", hanging.port, "--lockstep", "--yes", "--record-only", "--out", out]
+    process = subprocess.Popen(
+        [*SUREFOOT, "identify", *map(str, words), *(["--json"] if as_json else [])],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    assert process.stderr is not None
+    for line in process.stderr:
+        if "surefoot: chirp, " in line:
+            process.send_signal(signal.SIGINT)
+            break
+    said, errors = process.communicate(timeout=60)
+    assert process.returncode == 3
+    with np.load(out / "recording.npz") as file:
+        ended = json.loads(str(file["meta"]))["ended"]
+    assert ended == "stopped by the operator (in phase 'chirp')"
+    if as_json:
+        told = json.loads(said)
+        assert (told["ended"], told["recording"]) == (ended, str(out / "recording.npz"))
+    else:
+        assert f": {ended}; recorded until then: {out / 'recording.npz'}" in errors
+        assert "to fit it" not in said
+    # What was stopped is not fitted later either.
+    done = run(["motor", "--recording", out])
+    assert done.returncode == 2
+    assert "did not come to its end: stopped by the operator" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("fault", "why"),
+    [
+        ("other-robot", "the robot says that it is 'not-minitaur', and the data sheet is of 'minitaur'"),
+        ("other-order", "motor 0 is '"),
+        ("slow-servo", "the robot's servos step every 2 ms; the data sheet says 1 ms"),
+    ],
+)
+def test_another_robot_is_refused(emulate: Callable[..., Emulator], tmp_path: Path, fault: str, why: str):
+    port = emulate("--rack", "--fault", fault).port
+    done = run(["motor", "--port", port, "--lockstep", "--yes", "--record-only", "--out", tmp_path / "out"])
+    assert done.returncode == 2
+    assert why in done.stderr
+    assert done.stderr.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_motor_with_another_sign_is_refused():
+    robot = RobotDescription.load("minitaur")
+    said = introduction(robot, Limits(), "", robot.timing.servo_step)
+    check_robot(said, robot)
+    signs = np.array(said.motor_signs, float)
+    signs[3] *= -1
+    with pytest.raises(SurefootError, match=f"^{robot.motor_names[3]} has sign "):
+        check_robot(replace(said, motor_signs=signs), robot)
+
+
+@pytest.mark.parametrize(("answer", "code"), [(b"n\n", 2), (b"\n", 2), (b"yes\n", 0)])
+def test_a_terminal_is_asked(hanging: Emulator, tmp_path: Path, answer: bytes, code: int):
+    ours, theirs = pty.openpty()
+    process = subprocess.Popen(
+        [*SUREFOOT, "identify", "latency", "--port", str(hanging.port), "--lockstep", "--record-only", "--out", "out"],
+        stdin=theirs,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        cwd=tmp_path,
+    )
+    os.write(ours, answer)
+    said, errors = (text.decode() for text in process.communicate(timeout=60))
+    os.close(ours)
+    os.close(theirs)
+    assert process.returncode == code, errors
+    # The plan comes first, then the question.
+    assert "motor angles from " in said
+    assert "Motors will move. Does the robot hang free, its legs in the air? [y/N] " in errors
+    assert ("not begun; nothing has moved" in errors) == (code == 2)
+    assert (tmp_path / "out" / "recording.npz").exists() == (code == 0)
+
+
+def test_what_should_come_before_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    pytest.importorskip("matplotlib")
+    monkeypatch.chdir(tmp_path)
+    Path("known.toml").write_text("[params]\n[identified.motor]\ndate = 2026-01-01\n")
+    words = ["identify", "contact", "--port", "/dev/none", "--yes"]
+    assert main(words) == 2
+    assert "contact should come after motor and mass, and no --params FILE is given" in capsys.readouterr().err
+    assert main([*words, "--params", "known.toml"]) == 2
+    assert "contact should come after mass, and known.toml has no results of it" in capsys.readouterr().err
+    assert main(["identify", "latency", *words[2:], "--params", "new.toml"]) == 2
+    assert "warning" not in capsys.readouterr().err
+
+
+# --- recorded runs ----------------------------------------------------------------------------------------
+
+
+def test_runs_that_were_recorded_tell_too(tmp_path: Path):
+    pytest.importorskip("mujoco")
+    pytest.importorskip("matplotlib")
+    traces, out = tmp_path / "traces", tmp_path / "out"
+    words = [
+        "evaluate",
+        "trot",
+        "--episodes",
+        "2",
+        "--out",
+        str(traces),
+        "--threads",
+        "1",
+        "--set",
+        "motor_strength=0.9",
+    ]
+    assert main(words) == 0
+    done = run(["--from-trace", traces, "--fit", "motor_strength", "--out", out, "--json"])
+    assert done.returncode == 0, done.stderr
+    told = json.loads(done.stdout)
+    assert told["experiment"] == "traces"
+    assert told["traces"] == [str(traces / f"episode_00{i}.npz") for i in range(2)]
+    found = tomllib.loads((out / "robot.toml").read_text())
+    assert set(found["params"]) == {"motor_strength"}
+    assert np.mean(found["params"]["motor_strength"]) == pytest.approx(0.9, abs=0.03)
+    assert found["identified"]["traces"]["file"] == str(traces)
+    done = run(["--from-trace", traces, "--fit", "contact_friction"])
+    assert done.returncode == 2
+    assert "traces do not tell 'contact_friction'; choices: motor_strength" in done.stderr
