@@ -100,7 +100,7 @@ def _intervals(ax: Axes, items: Sequence[EstimateLike], robot: RobotDescription,
         else:
             said = f"{number(item.value, width)}  ({number(low, width)} to {number(high, width)}){unit}"
             if before is None or before == 0:
-                was = "nothing was known" if before is None else "was 0"
+                was = "no parameter" if before is None else "was 0"
                 ax.text(0.5, place, was, transform=ax.get_yaxis_transform(), **_SMALL, color=QUIET)
             else:
                 low, value, high = (100 * (x / before - 1) for x in (low, item.value, high))
