@@ -1,4 +1,4 @@
-"""The contact experiment: feet that carry little are dragged, the robot hops and nods on its soft feet."""
+"""The contact experiment: feet that carry little are dragged, the robot drops and nods on its soft feet."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.deploy.poses import pose
-from surefoot.identify.experiments.ground import STANCE, ends, hop, legs_pose, rocking, sides, sitting_down, standing_up
+from surefoot.identify.experiments.ground import STANCE, drop, ends, legs_pose, rocking, sides, sitting_down, standing_up
 from surefoot.identify.plan import Phase, Plan, Signal
 from surefoot.robot import RobotDescription
 
@@ -20,19 +20,19 @@ DRAG, STROKE, DRAGGING = 0.25, 1.0, 4.0
 
 
 def contact_plan(robot: RobotDescription, seed: int = 0) -> Plan:
-    """Drag one diagonal pair of feet, then the other; hop and nod."""
+    """Drag one diagonal pair of feet, then the other; drop and nod."""
     nod = rocking(robot, ends(robot), 0.12, 1.0, 5.0, 4.0)
     roll = rocking(robot, sides(robot), 0.08, 1.0, 4.0, 3.0)
     what = f"two feet, made light, are dragged {DRAG:g} rad to and fro"
     phases = (
         *standing_up(robot),
-        hop(robot),
+        drop(robot),
         Phase("drag", what, DRAGGING, _dragging(robot, 1.0)),
-        hop(robot),
+        drop(robot),
         Phase("drag", what, DRAGGING, _dragging(robot, -1.0)),
-        hop(robot),
+        drop(robot),
         Phase("nod", "front and back legs 0.12 rad against each other, from 1 to 5 Hz", 4.0, nod),
-        hop(robot),
+        drop(robot),
         Phase("rock", "left and right legs 0.08 rad against each other, from 1 to 4 Hz", 3.0, roll),
         sitting_down(robot),
     )

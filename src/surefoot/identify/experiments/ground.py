@@ -1,4 +1,4 @@
-"""What experiments on the ground share: standing up, hopping, rocking, sitting down."""
+"""What experiments on the ground share: standing up, dropping, rocking, sitting down."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ Array = NDArray[np.float64]
 
 STANCE = 1.7
 """Extension [rad] in which the robot stands."""
-CROUCH, JUMP = 1.45, 2.3
-"""Extensions [rad] from which it hops, and to which it pushes off."""
-HOP = 1.4
-"""Length of a hop [s]."""
+HIGH, LOW = 2.0, 1.5
+"""Extensions [rad] from which it drops, and to which it draws its legs in."""
+DROP = 1.4
+"""Length of a drop [s]."""
 
 
 def legs_pose(robot: RobotDescription, swing: Array | float, extension: Array | float) -> Array:
@@ -75,16 +75,16 @@ def sitting_down(robot: RobotDescription) -> Phase:
     return Phase("sit down", "the robot sits down", 1.5, go_to(sit, 1.5), use="way")
 
 
-def hop(robot: RobotDescription, use: Use = "fit") -> Phase:
-    """A hop of a few centimetres. Whatever the feet pushed against each other before, they land without."""
-    stand, crouch, jump = (pose(robot, 0.0, extension) for extension in (STANCE, CROUCH, JUMP))
+def drop(robot: RobotDescription, use: Use = "fit") -> Phase:
+    """The robot rises and lets itself fall by drawing its legs in at once; motors and soft feet catch it."""
+    stand, high, low = (pose(robot, 0.0, extension) for extension in (STANCE, HIGH, LOW))
 
     def signal(t: float, start: Array) -> Array:
         if t < 0.5:
-            return between(start, crouch, t / 0.4)
-        return jump if t < 0.6 else stand
+            return between(start, high, t / 0.4)
+        return low if t < 1.0 else between(low, stand, (t - 1.0) / 0.3)
 
-    return Phase("hop", "the robot hops and lands on all feet", HOP, signal, use=use)
+    return Phase("drop", "the robot rises, and drops by some centimetres", DROP, signal, use=use)
 
 
 def rocking(

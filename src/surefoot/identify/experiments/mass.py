@@ -1,11 +1,11 @@
-"""The mass experiment: the robot stands, squats, hops and nods; the forces on its feet tell what it weighs."""
+"""The mass experiment: the robot stands, squats, drops and nods; the forces on its feet tell what it weighs."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from surefoot.deploy.poses import pose
-from surefoot.identify.experiments.ground import STANCE, ends, hop, rocking, sitting_down, standing_up
+from surefoot.identify.experiments.ground import STANCE, drop, ends, rocking, sitting_down, standing_up
 from surefoot.identify.experiments.signals import hold
 from surefoot.identify.plan import Phase, Plan
 from surefoot.robot import RobotDescription
@@ -23,15 +23,15 @@ def mass_plan(robot: RobotDescription, seed: int = 0) -> Plan:
     other = rocking(robot, ends(robot), 0.1, 4.0, 1.5, 3.0)
     phases = (
         *standing_up(robot),
-        hop(robot),
+        drop(robot),
         Phase("stand still", "the robot stands still", 1.0, hold(stand)),
         Phase("squat slowly", f"every leg {SQUAT:g} rad longer and shorter, twice", 4.0, squat),
         Phase("squat fast", "every leg 0.2 rad longer and shorter, from 1 to 3 Hz", 3.0, fast),
-        hop(robot),
+        drop(robot),
         Phase("nod", f"front and back legs {NOD:g} rad against each other, from 1 to 5 Hz", 5.0, nod),
-        hop(robot),
+        drop(robot),
         Phase("stand still", "the robot stands still", 1.0, hold(stand)),
-        hop(robot, use="check"),
+        drop(robot, use="check"),
         Phase("nod back", "front and back legs 0.1 rad against each other, from 4 to 1.5 Hz", 3.0, other, use="check"),
         sitting_down(robot),
     )

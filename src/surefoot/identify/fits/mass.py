@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 
 STILL = ("stand still", "squat slowly")
 """Phases in which nothing is fast: what the feet carry on average is the weight."""
-TURNING = ("hop", "nod")
+TURNING = ("nod",)
 """Phases in which the base turns fast about y."""
 ROUNDS = 4
 STANDS = 0.3
@@ -140,7 +140,7 @@ def _check(
     robot: RobotDescription, standing: Standing, before: PhysicalParams, after: PhysicalParams
 ) -> tuple[tuple[Check, ...], tuple[Series, ...]]:
     """How well forces on the feet and motion fit in phases that were not fitted."""
-    kept = standing.during("hop", "nod back", use="check")
+    kept = standing.during("nod back", use="check")
     if not kept.any():
         return (), ()
     carried, lacking, moments = [], [], []
