@@ -45,6 +45,12 @@ def swinging(time: float, legs: int = 4) -> tuple[np.ndarray, np.ndarray]:
     return 0.8 * np.sin(phase), 1.8 + 0.6 * np.cos(1.7 * phase)
 
 
+def trotting(time: float) -> tuple[np.ndarray, np.ndarray]:
+    """Swing and extension of a trot on the ground."""
+    turn = 2 * np.pi * 3.0 * time + np.pi * np.array([0, 1, 1, 0])
+    return 0.3 * np.sin(turn), 1.6 + 0.25 * np.cos(turn)
+
+
 def record(
     params: PhysicalParams = HIDDEN,
     seconds: float = 4.0,
@@ -144,10 +150,6 @@ def test_gains_are_told_where_they_are_asked_for() -> None:
 
 
 def test_intervals_hold_the_truth_of_noisy_runs_on_the_ground() -> None:
-    def trotting(time: float) -> tuple[np.ndarray, np.ndarray]:
-        turn = 2 * np.pi * 2.0 * time + np.pi * np.array([0, 1, 1, 0])
-        return 0.35 * np.sin(turn), 2.0 + 0.35 * np.cos(turn)
-
     hidden = HIDDEN.with_values(ROBOT, base_mass_ratio=1.15, contact_friction=0.7)
     traces = [
         read_badly(record(hidden, 4.0, trotting, rack=False, start=0.1 * k, date=f"2026-11-2{k}"), 700 + k)
@@ -198,12 +200,14 @@ def test_a_motor_that_never_moves_is_not_told() -> None:
     assert found.estimate("resistance").value == pytest.approx(0.175, rel=0.01)
 
 
-def test_motors_at_their_limit_tell_no_latencies() -> None:
-    weak = HIDDEN.with_values(ROBOT, resistance=0.02, servo_kp=10.0)
-    found = fit_traces(ROBOT, [record(weak)], BATTERY_KNOWN, AT_15_V.with_values(ROBOT, resistance=0.02, servo_kp=10.0))
-    often = [note for note in found.notes if "greatest torque" in note]
-    assert often
-    assert found.estimate("motor_strength", 0).value == pytest.approx(STRENGTHS[0], rel=0.03)
+def test_a_motor_at_its_limit_tells_its_strength_alone() -> None:
+    trace = clean()
+    target, torque = trace.target.copy(), trace.motor_torque.copy()
+    target[:, 0], torque[:, 0] = 9.0, 3.5 * 1.1
+    found = fit_traces(ROBOT, [replace(trace, target=target, motor_torque=torque)], BATTERY_KNOWN, AT_15_V)
+    assert any(f"{ROBOT.motor_names[0]} gives its greatest torque in 100 %" in note for note in found.notes)
+    assert sum("greatest torque" in note for note in found.notes) == 1
+    assert max(map(abs, errors_of(found).values())) < 0.01
 
 
 def test_one_trace_or_several_are_split() -> None:
@@ -282,6 +286,33 @@ def test_too_little_is_refused() -> None:
     still = record(moves=lambda _: (np.zeros(4), np.full(4, 2.0)), rack=False)
     with pytest.raises(SurefootError, match=r"no motor moves by 0\.03 rad"):
         fit_traces(ROBOT, [cut(still, 100)], None, NOMINAL)
+
+
+@pytest.mark.parametrize("ratio", [0.8, 1.3])
+def test_a_walk_tells_the_mass_of_the_base(ratio: float) -> None:
+    hidden = HIDDEN.with_values(ROBOT, base_mass_ratio=ratio, leg_mass_ratio=1.1)
+    known = AT_15_V.with_values(ROBOT, leg_mass_ratio=1.1)
+    found = fit_traces(ROBOT, [read_badly(record(hidden, 6.0, trotting, rack=False), 300)], NAMES, known)
+    mass = found.estimate("base_mass_ratio")
+    low, high = mass.interval
+    assert low < ratio < high
+    assert mass.deviation < 0.04
+    assert any("weighs" in note and "leg_mass_ratio is 1.1" in note for note in found.notes)
+    # Nothing else needs to be looked for.
+    alone = fit_traces(ROBOT, [record(hidden, 6.0, trotting, rack=False)], ("base_mass_ratio",), hidden)
+    assert alone.found() == ("base_mass_ratio",)
+    assert alone.estimate("base_mass_ratio").value == pytest.approx(ratio, rel=0.04)
+
+
+def test_a_mass_needs_long_walks_on_the_ground() -> None:
+    with pytest.raises(SurefootError, match=r"base_mass_ratio: no trace has 3 s upright"):
+        fit_traces(ROBOT, [record(seconds=3.0)], ("base_mass_ratio",), HIDDEN)
+    walk = record(seconds=6.0)
+    fallen = replace(walk, roll_pitch_yaw=walk.roll_pitch_yaw + np.where(walk.time > 3.5, 1.0, 0.0)[:, None])
+    with pytest.raises(SurefootError, match=r"base_mass_ratio: no trace has 3 s upright"):
+        fit_traces(ROBOT, [fallen], ("base_mass_ratio",), HIDDEN)
+    with pytest.raises(SurefootError, match=r"base_mass_ratio: the feet carry -?\d\.\d\d kg"):
+        fit_traces(ROBOT, [record(seconds=6.5)], ("base_mass_ratio",), HIDDEN)
 
 
 def test_known_names() -> None:

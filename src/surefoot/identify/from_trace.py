@@ -25,8 +25,8 @@ from surefoot.identify.fitting import Fit, Unknown, fit_least_squares
 from surefoot.identify.recording import digest_of
 from surefoot.identify.registry import Tell
 from surefoot.identify.result import Check, Estimate, Identification, Series
-from surefoot.identify.trace_notes import notes_on_estimates, notes_on_traces
 from surefoot.identify.trace_mass import walking_mass
+from surefoot.identify.trace_notes import notes_on_estimates, notes_on_traces
 from surefoot.identify.trace_rows import (
     Course,
     Piece,
@@ -37,7 +37,7 @@ from surefoot.identify.trace_rows import (
     reportings,
     split,
 )
-from surefoot.identify.trace_unknowns import LATENCIES, NAMES, SPREAD, USUAL, latency_valleys, unknowns_of
+from surefoot.identify.trace_unknowns import LATENCIES, MASS, NAMES, SPREAD, USUAL, latency_valleys, unknowns_of
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.task.trace import EpisodeTrace
 
@@ -86,35 +86,51 @@ def fit_traces(
         check_length(traces, pieces)
         valleys = latency_valleys(robot, split(pieces)[0], bounds, known)
         if choice is None or valleys[0][0] < choice[0][0][0]:
-            choice = valleys, *split(pieces)
+            choice = valleys, pieces
     if choice is None:
         raise RuntimeError("no way of reporting")
-    valleys, fitted, held = choice
+    valleys, pieces = choice
+    fitted, held = split(pieces)
     moving = np.ptp(np.concatenate([piece.trace.motor_angle for piece in fitted]), axis=0) > STILL
     if not moving.any():
         raise SurefootError(f"no motor moves by {STILL:g} rad or more in the traces; give traces of a robot that walks")
-    notes = notes_on_traces(robot, traces, fitted + held, moving, wanted)
-    estimates: list[Estimate] = []
-    fit, noise = _fit(robot, wanted, known, valleys, moving, fitted, tell)
+    notes = notes_on_traces(robot, traces, [*fitted, *held], moving, wanted)
+    motors = [name for name in wanted if name != MASS]
+    fit, noise = _fit(robot, motors, known, valleys, moving, fitted, tell)
     told = {u.label: bool(t) for u, t in zip(fit.unknowns, fit.told, strict=True)}
     final = _settled(robot, fit, told, fitted, known, moving, noise)
-    estimates = _estimates(robot, wanted, known, fit, final, told, moving, fitted[0].reporting)
+    estimates = _estimates(robot, motors, known, fit, final, told, moving, fitted[0].reporting)
     found = Identification("traces", robot.name, tuple(estimates)).params(robot, known)
     checks, series = _check(robot, held, known, found, final, moving)
+    if MASS in wanted:
+        mass = walking_mass(robot, pieces, found)
+        estimates.append(
+            Estimate(MASS, mass.base_ratio, with_floor(MASS, mass.base_ratio, mass.deviation), "1", None, True, 0.0)
+        )
+        notes.append(
+            f"the robot weighs {mass.total:.2f} kg in all; {MASS} is what the base has of it if leg_mass_ratio is "
+            f"{float(known.leg_mass_ratio[0]):g}, as it was known"
+        )
     notes += notes_on_estimates(estimates, wanted, held)
     arrays = {
         f"{number:06d} {name}": getattr(trace, name)
         for number, trace in enumerate(traces)
         for name in ("time", "motor_angle", "motor_velocity", "motor_torque", "target")
     }
+    # What does not come from the fit, such as errors of the torques' reports, is no motor's business but its own.
+    whole = {item.label: item.deviation**2 for item in estimates}
+    covariance = fit.covariance.copy()
+    np.fill_diagonal(
+        covariance, [whole.get(u.label, v) for u, v in zip(fit.unknowns, np.diag(covariance), strict=True)]
+    )
+    pairs = replace(fit, covariance=covariance).strongest_correlations(20)
+    pairs = [pair for pair in pairs if {label.partition("[")[0] for label in pair[:2]} <= set(NAMES)]
     return Identification(
         "traces",
         robot.name,
         tuple(estimates),
         checks,
-        tuple(pair for pair in fit.strongest_correlations(20) if {w.partition("[")[0] for w in pair[:2]} <= set(NAMES))[
-            :5
-        ],
+        tuple(pairs[:5]),
         tuple(notes),
         series,
         {},
