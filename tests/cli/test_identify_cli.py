@@ -271,15 +271,11 @@ def test_a_computer_that_can_not_fit_says_so_before_anything_moves(hanging: Emul
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.parametrize("as_json", [False, True])
-def test_ctrl_c_ends_it_and_keeps_what_was_recorded(hanging: Emulator, tmp_path: Path, as_json: bool):
+def test_ctrl_c_ends_it_and_keeps_what_was_recorded(hanging: Emulator, tmp_path: Path):
     out = tmp_path / "out"
-    words = ["motor", "--port", hanging.port, "--lockstep", "--yes", "--record-only", "--out", out]
+    words = ["motor", "--port", hanging.port, "--lockstep", "--yes", "--out", out]
     process = subprocess.Popen(
-        [*SUREFOOT, "identify", *map(str, words), *(["--json"] if as_json else [])],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
+        [*SUREFOOT, "identify", *map(str, words)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     )
     assert process.stderr is not None
     for line in process.stderr:
@@ -291,12 +287,9 @@ def test_ctrl_c_ends_it_and_keeps_what_was_recorded(hanging: Emulator, tmp_path:
     with np.load(out / "recording.npz") as file:
         ended = json.loads(str(file["meta"]))["ended"]
     assert ended == "stopped by the operator (in phase 'chirp')"
-    if as_json:
-        told = json.loads(said)
-        assert (told["ended"], told["recording"]) == (ended, str(out / "recording.npz"))
-    else:
-        assert f": {ended}; recorded until then: {out / 'recording.npz'}" in errors
-        assert "to fit it" not in said
+    assert f": {ended}; recorded until then: {out / 'recording.npz'}" in errors
+    assert "to fit it" not in said
+    assert [path.name for path in out.iterdir()] == ["recording.npz"]
     # What was stopped is not fitted later either.
     done = run(["motor", "--recording", out])
     assert done.returncode == 2
@@ -333,23 +326,42 @@ def test_a_motor_with_another_sign_is_refused():
 @pytest.mark.parametrize(("answer", "code"), [(b"n\n", 2), (b"\n", 2), (b"yes\n", 0)])
 def test_a_terminal_is_asked(hanging: Emulator, tmp_path: Path, answer: bytes, code: int):
     ours, theirs = pty.openpty()
+    words = ("latency", "--port", str(hanging.port), "--lockstep", "--record-only", "--out", "out", "--json")
     process = subprocess.Popen(
-        [*SUREFOOT, "identify", "latency", "--port", str(hanging.port), "--lockstep", "--record-only", "--out", "out"],
-        stdin=theirs,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        cwd=tmp_path,
+        [*SUREFOOT, "identify", *words], stdin=theirs, stdout=subprocess.PIPE, stderr=subprocess.PIPE, cwd=tmp_path
     )
     os.write(ours, answer)
     said, errors = (text.decode() for text in process.communicate(timeout=60))
     os.close(ours)
     os.close(theirs)
     assert process.returncode == code, errors
-    # The plan comes first, then the question.
-    assert "motor angles from " in said
-    assert "Motors will move. Does the robot hang free, its legs in the air? [y/N] " in errors
+    # The plan comes first, then the question; stdout is the object's alone.
+    question = errors.index("Motors will move. Does the robot hang free, its legs in the air? [y/N] ")
+    assert 0 < errors.index("motor angles from ") < question
     assert ("not begun; nothing has moved" in errors) == (code == 2)
     assert (tmp_path / "out" / "recording.npz").exists() == (code == 0)
+    if code == 0:
+        told = json.loads(said)
+        assert (told["experiment"], told["ended"]) == ("latency", "complete")
+        assert told["recording"] == "out/recording.npz"
+    else:
+        assert said == ""
+
+
+@pytest.mark.slow
+def test_from_a_robot_to_a_file_of_its_parameters(emulate: Callable[..., Emulator], tmp_path: Path):
+    true = {"control_latency": 0.0173, "servo_latency": 0.0036}
+    port = emulate("--rack", "--set", *(f"{name}={value}" for name, value in true.items())).port
+    params = tmp_path / "robot.toml"
+    words = ["latency", "--port", port, "--lockstep", "--yes", "--params", params, "--out", tmp_path / "out"]
+    done = run([*words])
+    assert done.returncode == 0, done.stderr
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {"recording.npz", "report.png", "report.html"}
+    assert max(map(len, done.stdout.splitlines()[-12:-3])) <= 80
+    found = read_params(params, RobotDescription.load("minitaur"))
+    for name, value in true.items():
+        low, high = found.tables["intervals"][name]
+        assert low - 0.3 * (high - low) < value < high + 0.3 * (high - low), name
 
 
 def test_what_should_come_before_is_told(

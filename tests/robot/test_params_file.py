@@ -117,6 +117,17 @@ when = 2026-01-02T03:04:05Z
     assert read_params(path, robot).given == ()
 
 
+def test_numbers_of_arrays_are_numbers(robot, tmp_path):
+    given = {
+        "a": np.float64(0.1),
+        "b": [np.float32(0.5), np.int64(3)],
+        "c": np.bool_(True),
+        "d": {"e": np.float64("inf")},
+    }
+    path = write_params(tmp_path / "p.toml", robot, PhysicalParams.nominal(robot), {"found": given}, ())
+    assert read_params(path, robot).tables["found"] == {"a": 0.1, "b": [0.5, 3], "c": True, "d": {"e": np.inf}}
+
+
 def test_what_toml_cannot_hold_is_refused(robot, tmp_path):
     with pytest.raises(SurefootError, match="can't hold None"):
         write_params(tmp_path / "p.toml", robot, PhysicalParams.nominal(robot), {"a": {"b": None}})

@@ -162,6 +162,8 @@ def _text(text: str) -> str:
 
 def _toml(value: Any) -> str:
     """A number, a truth, a text, a date, or a list or inline table of them, as TOML writes it."""
+    if isinstance(value, np.generic):
+        value = value.item()
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, int):
