@@ -22,6 +22,7 @@ from surefoot.cli.identify_run import check_robot
 from surefoot.cli.main import main
 from surefoot.emulator.limits import Limits, introduction
 from surefoot.errors import SurefootError
+from surefoot.identify.registry import EXPERIMENTS
 from surefoot.robot import RobotDescription
 from surefoot.robot.params_file import read_params
 
@@ -196,13 +197,17 @@ def test_recording_needs_the_bare_install_only(recorded: tuple[Path, subprocess.
     assert done.returncode == 0, done.stderr
     assert [path.name for path in folder.iterdir()] == ["recording.npz"]
     assert done.stdout.startswith("contact experiment with minitaur on flat ground, ")
-    for told in ("swing legs out", "hop x 4", "ends with damped motors when a motor leaves", "N m for 0.4 s"):
+    phases = [phase.name for phase in EXPERIMENTS["contact"].plan(RobotDescription.load("minitaur")).phases]
+    several = next(name for name in phases if phases.count(name) > 1)
+    counted = f"{several} x {phases.count(several)}"
+    for told in (phases[0], counted, "ends with damped motors when a motor leaves", "N m for 0.4 s"):
         assert told in done.stdout
     assert f"contact experiment recorded: {folder / 'recording.npz'}" in done.stdout
     assert f"to fit it: surefoot identify contact --recording {folder}" in done.stdout
     # A line a phase, where there is no terminal; nothing but plain text.
     lines = [line for line in done.stderr.splitlines() if line.startswith("surefoot: ")]
-    assert lines[0].startswith("surefoot: swing legs out, 1 of ")
+    assert [line.partition(", ")[0] for line in lines] == [f"surefoot: {name}" for name in phases]
+    assert lines[0].startswith(f"surefoot: {phases[0]}, 1 of {len(phases)}, ")
     assert lines[0].endswith(" s left")
     assert "\x1b" not in done.stdout + done.stderr
 
@@ -273,20 +278,21 @@ def test_a_computer_that_can_not_fit_says_so_before_anything_moves(hanging: Emul
 
 def test_ctrl_c_ends_it_and_keeps_what_was_recorded(hanging: Emulator, tmp_path: Path):
     out = tmp_path / "out"
+    phase = EXPERIMENTS["motor"].plan(RobotDescription.load("minitaur")).phases[3].name
     words = ["motor", "--port", hanging.port, "--lockstep", "--yes", "--out", out]
     process = subprocess.Popen(
         [*SUREFOOT, "identify", *map(str, words)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     )
     assert process.stderr is not None
     for line in process.stderr:
-        if "surefoot: chirp, " in line:
+        if f"surefoot: {phase}, 4 of " in line:
             process.send_signal(signal.SIGINT)
             break
     said, errors = process.communicate(timeout=60)
     assert process.returncode == 3
     with np.load(out / "recording.npz") as file:
         ended = json.loads(str(file["meta"]))["ended"]
-    assert ended == "stopped by the operator (in phase 'chirp')"
+    assert ended == f"stopped by the operator (in phase '{phase}')"
     assert f": {ended}; recorded until then: {out / 'recording.npz'}" in errors
     assert "to fit it" not in said
     assert [path.name for path in out.iterdir()] == ["recording.npz"]
