@@ -91,6 +91,21 @@ def test_each_legs_pose_goes_to_its_own_motors(robot: RobotDescription):
     np.testing.assert_allclose(angles, [1.7, 2.3, 2, 2, 2, 2, 2, 2])
 
 
+def test_legs_are_mounted_where_their_motors_are(robot: RobotDescription):
+    # Rails are .1265 to the side and .0185 below; motors .2375 before and behind, .0275 to both sides of the rail.
+    expected = [[0.2375, 0.1265], [-0.2375, 0.1265], [0.2375, -0.1265], [-0.2375, -0.1265]]
+    np.testing.assert_allclose(robot.leg_mounts, [[*place, -0.0185] for place in expected], atol=1e-12)
+    assert robot.leg_mounts.shape == (len(robot.legs), 3)
+
+
+def test_legs_move_with_what_they_are_mounted_on(folder: Path):
+    text = (folder / "minitaur.urdf").read_text()
+    (folder / "minitaur.urdf").write_text(text.replace('xyz="0 0.1265 -0.0185"', 'xyz="0.1 0.2 0.3"'))
+    mounts = RobotDescription.load(folder).leg_mounts
+    np.testing.assert_allclose(mounts[:2], [[0.3375, 0.2, 0.3], [-0.1375, 0.2, 0.3]], atol=1e-12)
+    np.testing.assert_allclose(mounts[2:], [[0.2375, -0.1265, -0.0185], [-0.2375, -0.1265, -0.0185]], atol=1e-12)
+
+
 def test_resting_pose(robot: RobotDescription):
     np.testing.assert_allclose(robot.resting_angles, np.full(8, 2.0))
 

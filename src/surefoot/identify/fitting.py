@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 CONFIDENCE = 1.959964
 """Standard deviations on either side that hold 95 % of a normal distribution."""
 SMALL = 1e-5
-"""Relative gain of an iteration below which a fit has settled."""
+"""Relative gain that a step must promise, or the fit has settled."""
 UNTOLD = 0.7
 """Share of a parameter's prior spread, or of a quarter of its bounds, beyond which the data are said not to tell it."""
 
@@ -180,17 +180,30 @@ def fit_least_squares(
 
     def residual(x: Array) -> Array:
         values = (x * scale[:, None]).T
-        return np.concatenate([model.residuals(values), (values[:, known] - middle) / spread], axis=1).T.copy()
+        r = np.concatenate([model.residuals(values), (values[:, known] - middle) / spread], axis=1).T.copy()
+        if here:
+            settle(x, r)
+        return r
+
+    def settle(x: Array, r: Array) -> None:
+        """End a fit whose next step promises next to nothing; the solver would try ever smaller ones."""
+        begun, then, slopes = here[0]
+        change = slopes @ (x - begun)
+        before = float(np.sum(then**2))
+        if -float(np.sum((2 * then + change) * change)) < SMALL * before:
+            settled[:] = [x if np.sum(r**2) < before else begun]
+            raise _SettledError
 
     def jacobian(x: Array, r: Array) -> Array:
         values, count = x[:, 0] * scale, len(r) - len(known)
         whole = np.zeros((len(r), len(scale)))
         whole[:count] = jacobian_of(model, values, r[:count, 0])
         whole[count + np.arange(len(known)), known] = 1 / spread
-        jacobians[:] = [whole]
-        return whole * scale
+        here[:] = [(x, r, whole * scale)]
+        return here[0][2]
 
-    jacobians: list[Array] = []
+    here: list[tuple[Array, Array, Array]] = []
+    settled: list[Array] = []
     begin = residual((first / scale)[:, None])
     if not np.isfinite(begin).all():
         raise SurefootError("the model breaks down where the fit begins; check robot and recording")
@@ -201,8 +214,6 @@ def fit_least_squares(
         trace[:] = log
         if tell is not None:
             tell(len(log), 2 * float(log[-1].objective) / len(begin))
-        if len(log) > 1 and log[-2].objective - log[-1].objective < SMALL * log[-1].objective:
-            raise _SettledError
 
     try:
         x, _ = minimize.least_squares(
@@ -216,12 +227,13 @@ def fit_least_squares(
             x_scale="jac",
         )
     except _SettledError:
-        x = trace[-1].candidate
+        x = settled[0]
+    here.clear()
     values = np.asarray(x).ravel() * scale
     final = residual((values / scale)[:, None])[:, 0]
     count = len(final) - len(known)
     own = jacobian_of(model, values, final[:count])
-    covariance = _covariance(own, final[:count], model.blocks, known, spread, len(unknowns))
+    covariance = _covariance(own, final[:count], model.blocks, known, spread, high - low)
     return Fit(
         unknowns,
         values,
@@ -234,16 +246,17 @@ def fit_least_squares(
 
 
 def _covariance(
-    jacobian: Array, residuals: Array, blocks: NDArray[np.int64], known: NDArray[np.int64], spread: Array, n: int
+    jacobian: Array, residuals: Array, blocks: NDArray[np.int64], known: NDArray[np.int64], spread: Array, width: Array
 ) -> Array:
     """H^-1 (sum over blocks of g g' + prior) H^-1, with a block's gradient g = J' r and H = J' J + prior.
 
     White, Econometrica 48 (1980), by blocks of time as in Newey and West (1987): right also where residuals of
     neighbouring times hang together, as those of a model that is a little wrong do. It is never taken to be less than
-    H^-1 itself, which is what independent residuals of unit size give.
+    H^-1 itself, which is what independent residuals of unit size give. What the data do not touch is open within the
+    bounds' width: as a prior that takes nothing from what they do tell.
     """
-    prior = np.zeros((n, n))
-    prior[known, known] = spread**-2.0
+    prior = np.diag(width**-2.0)
+    prior[known, known] += spread**-2.0
     hessian = jacobian.T @ jacobian + prior
     weighted = jacobian * residuals[:, None]
     order = np.argsort(blocks, kind="stable")
@@ -251,7 +264,7 @@ def _covariance(
     gradients = np.add.reduceat(weighted[order], edges, axis=0)
     count = len(edges)
     middle = gradients.T @ gradients * (count / max(count - 1, 1)) + prior
-    inverse = np.linalg.pinv(hessian, hermitian=True)
+    inverse = np.linalg.inv(hessian * np.outer(width, width)) * np.outer(width, width)
     sandwich = inverse @ middle @ inverse
     larger = np.maximum(np.diag(sandwich), np.diag(inverse))
     stretch = np.sqrt(larger / np.maximum(np.diag(sandwich), 1e-300))

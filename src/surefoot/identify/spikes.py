@@ -66,11 +66,13 @@ def measure_spikes(recording: Recording) -> Spikes:
 def _first_motion(since: Array, angles: Array, speeds: Array, length: float) -> tuple[Array, NDArray[np.bool_]]:
     """Age at which the fit of each motor's readings (T, M) is best (M,) [s], and whether it clearly moved."""
     found, clear = np.zeros(angles.shape[1]), np.zeros(angles.shape[1], np.bool_)
-    quiet = since < length
+    quiet = since <= 0
+    before = np.median(speeds[quiet], axis=0)
+    # Of all motors: a handful of readings of one tell their noise badly.
+    noise = float(np.std(speeds[quiet] - before)) + 1e-9
     for motor in range(angles.shape[1]):
         # Where its speed has half of what the spike gives it: about when it began to move.
-        gained = np.abs(speeds[:, motor] - np.median(speeds[quiet, motor]))
-        noise = float(np.std(speeds[quiet, motor])) + 1e-9
+        gained = np.abs(speeds[:, motor] - before[motor])
         at = int(np.argmax(gained > gained.max() / 2))
         rough = float(since[at])
         if gained.max() < CLEAR * noise or rough < 0:

@@ -1,0 +1,183 @@
+"""Every experiment, from its first command to its last: what a robot takes, and no jumps but where it says so."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from surefoot.deploy.poses import sitting
+from surefoot.deploy.wire.messages import Mode
+from surefoot.emulator.limits import Limits, introduction
+from surefoot.identify.experiments import contact, ground
+from surefoot.identify.experiments.ground import ends, legs_pose, rocking, sides, standing_up
+from surefoot.identify.experiments.latency import DUTY, SPIKE_EVERY, latency_plan
+from surefoot.identify.experiments.motor import PULSE, motor_plan
+from surefoot.identify.experiments.signals import FADE, sweep
+from surefoot.identify.plan import Phase, Plan
+from surefoot.identify.registry import EXPERIMENTS
+from surefoot.robot import RobotDescription
+
+PERIOD = 0.002
+JUMPS = ("steps", "drop", "hop")
+"""Phases that ask for more than a motor can follow, on purpose."""
+LARGEST = 0.4
+"""Largest jump of a target anywhere else [rad]."""
+
+
+@pytest.fixture(scope="module")
+def plans(robot: RobotDescription) -> dict[str, Plan]:
+    return {name: experiment.plan(robot) for name, experiment in EXPERIMENTS.items()}
+
+
+def asked(phase: Phase, start: NDArray[np.float64]) -> NDArray[np.float64]:
+    """All that a phase asks for (T, M), one command a period; the last one holds at its end."""
+    assert np.isfinite(phase.signal(phase.duration, start)).all()
+    return np.array([phase.signal(k * PERIOD, start) for k in range(round(phase.duration / PERIOD))])
+
+
+def begun(robot: RobotDescription, name: str) -> NDArray[np.float64]:
+    """Angles in which a robot may lie or hang when it is armed."""
+    poses = {
+        "sits": sitting(robot),
+        "lies": legs_pose(robot, [1.3, -1.2, 1.1, 1.4], 0.8),
+        "folded": legs_pose(robot, 0.0, 0.2),
+        "hangs": legs_pose(robot, 0.0, 2.6),
+    }
+    return poses[name]
+
+
+@pytest.mark.parametrize("lies", ["sits", "lies", "folded", "hangs"])
+@pytest.mark.parametrize("name", EXPERIMENTS)
+def test_a_robot_can_follow(name: str, lies: str, plans: dict[str, Plan], robot: RobotDescription):
+    plan, said = plans[name], introduction(robot, Limits(), "", robot.timing.servo_step)
+    before = begun(robot, lies)
+    for phase in plan.phases:
+        if phase.mode == Mode.PWM:
+            duties = asked(phase, np.zeros(robot.num_motors))
+            assert np.isfinite(duties).all()
+            assert np.abs(duties).max() <= plan.largest_duty + 1e-12
+            # The last command holds until the robot is let go.
+            np.testing.assert_array_equal(duties[-1], 0.0)
+            continue
+        angles = np.clip(asked(phase, before), said.angle_low, said.angle_high)
+        assert np.isfinite(angles).all(), phase.name
+        if phase.name not in JUMPS:
+            # Also after a phase of duties, which ends near where it began.
+            jumps = np.abs(np.diff(np.vstack([before, angles]), axis=0))
+            assert jumps.max() < LARGEST, phase.name
+            assert jumps[1:].max(initial=0.0) < 0.1, phase.name
+        before = angles[-1]
+
+
+def test_no_clipping_is_needed_to_stand_or_sit(plans: dict[str, Plan], robot: RobotDescription):
+    said = introduction(robot, Limits(), "", robot.timing.servo_step)
+    for plan in plans.values():
+        before = sitting(robot)
+        for phase in plan.phases:
+            if phase.mode == Mode.POSITION:
+                angles = asked(phase, before)
+                assert np.all(angles >= said.angle_low), phase.name
+                assert np.all(angles <= said.angle_high), phase.name
+                before = angles[-1]
+
+
+def test_experiments_are_short(plans: dict[str, Plan]):
+    assert list(plans) == list(EXPERIMENTS)
+    assert max(plan.duration for plan in plans.values()) < 120
+    assert sum(plan.duration for plan in plans.values()) < 600
+    for plan in plans.values():
+        assert any(phase.use == "fit" for phase in plan.phases)
+        assert all(phase.duration > 0 and phase.what for phase in plan.phases)
+    # Motor and mass keep a part back, on which the fit is tried.
+    assert all(any(phase.use == "check" for phase in plans[name].phases) for name in ("motor", "mass"))
+
+
+def test_a_seed_draws_other_steps_and_pulses(robot: RobotDescription):
+    nobody = np.zeros(robot.num_motors)
+    for make in (motor_plan, latency_plan):
+        one, other = make(robot, 0), make(robot, 1)
+        steps = [next(p for p in plan.phases if p.name == "steps") for plan in (one, other)]
+        assert np.abs(steps[0].signal(0.1, nobody) - steps[1].signal(0.1, nobody)).max() > 0.01
+
+
+def test_pulses_go_there_and_back(robot: RobotDescription):
+    phase = next(p for p in motor_plan(robot).phases if p.name == "PWM pulses")
+    nobody = np.zeros(robot.num_motors)
+    values = [phase.signal((k + 0.5) * PULSE, nobody) for k in range(6)]
+    assert np.all(np.abs(values[0]) > 0)
+    # A unit there, two back, one there: a free motor ends at rest where it began. Then it runs out.
+    for value, factor in zip(values, (1, -1, -1, 1, 0, 0), strict=True):
+        np.testing.assert_array_equal(value, factor * values[0])
+
+
+def test_a_spike_is_one_command(robot: RobotDescription):
+    phase = next(p for p in latency_plan(robot).phases if p.name == "spikes")
+    duties = asked(phase, np.zeros(robot.num_motors))
+    driven = np.flatnonzero(np.abs(duties).max(axis=1))
+    np.testing.assert_array_equal(driven, [0, round(SPIKE_EVERY / PERIOD)])
+    np.testing.assert_allclose(np.abs(duties[driven]), DUTY)
+    np.testing.assert_array_equal(duties[driven[0]], -duties[driven[1]])
+
+
+def test_legs_of_the_ground(robot: RobotDescription):
+    # Order: front left, back left, front right, back right.
+    assert ends(robot).tolist() == [1, -1, 1, -1]
+    assert sides(robot).tolist() == [1, 1, -1, -1]
+    angles = legs_pose(robot, [0.1, 0, 0, 0], ground.STANCE)
+    swing, extension = robot.motor_to_leg_pose(angles)
+    np.testing.assert_allclose(swing, [0.1, 0, 0, 0], atol=1e-12)
+    np.testing.assert_allclose(extension, ground.STANCE)
+
+
+def test_rocking_is_around_standing(robot: RobotDescription):
+    signal = rocking(robot, ends(robot), 0.12, 1.0, 4.0, 2.0)
+    nobody, stand = np.zeros(8), legs_pose(robot, 0.0, ground.STANCE)
+    np.testing.assert_allclose(signal(0.0, nobody), stand)
+    np.testing.assert_allclose(signal(2.0, nobody), stand, atol=1e-12)
+    for t in np.arange(0.0, 2.0, 0.05):
+        swing, extension = robot.motor_to_leg_pose(signal(t, nobody))
+        np.testing.assert_allclose(swing, 0.0, atol=1e-12)
+        # Front legs are longer by as much as back legs are shorter.
+        np.testing.assert_allclose(extension - ground.STANCE, (extension[0] - ground.STANCE) * ends(robot), atol=1e-12)
+        assert abs(extension[0] - ground.STANCE) <= 0.12 + 1e-12
+
+
+def test_a_sweep_of_one_frequency_is_a_sine():
+    turned, faded = sweep(1.0, 2.0, 2.0, 3.0)
+    assert turned == pytest.approx(4 * np.pi)
+    assert faded == 1.0
+    assert sweep(FADE / 2, 2.0, 2.0, 3.0)[1] == pytest.approx(0.5)
+    assert sweep(3.0, 2.0, 2.0, 3.0)[1] == 0.0
+    # From 1 to 4 Hz in 2 s the frequency grows as 4^(t / 2), whose integral is 3 / ln 2.
+    assert sweep(2.0, 1.0, 4.0, 2.0)[0] == pytest.approx(2 * np.pi * 3 / np.log(2))
+
+
+def test_legs_that_slid_out_are_drawn_in_from_their_side(robot: RobotDescription):
+    out, unfold, draw_in = standing_up(robot)[:3]
+    start = legs_pose(robot, [1.0, -0.9, 0.1, 0.0], 0.4)
+    swing, extension = robot.motor_to_leg_pose(out.signal(1.0, start))
+    np.testing.assert_allclose(swing, [ground.SPREAD, -ground.SPREAD, 0.1, 0.0], atol=1e-12)
+    np.testing.assert_allclose(extension, 0.4)
+    flat = unfold.signal(1.0, out.signal(1.0, start))
+    np.testing.assert_allclose(robot.motor_to_leg_pose(flat)[0], swing, atol=1e-12)
+    np.testing.assert_allclose(robot.motor_to_leg_pose(flat)[1], ground.SIT_EXTENSION)
+    np.testing.assert_allclose(draw_in.signal(1.0, flat), sitting(robot), atol=1e-12)
+
+
+def test_a_diagonal_is_dragged_while_the_other_stands(robot: RobotDescription):
+    drags = [phase for phase in EXPERIMENTS["contact"].plan(robot).phases if phase.name == "drag"]
+    stand = legs_pose(robot, 0.0, ground.STANCE)
+    moved = []
+    for phase in drags:
+        angles = asked(phase, stand)
+        np.testing.assert_allclose(angles[0], stand, atol=1e-12)
+        np.testing.assert_allclose(angles[-1], stand, atol=1e-3)
+        swing, extension = robot.motor_to_leg_pose(angles)
+        moving = np.ptp(swing, axis=0) > 1e-9
+        moved.append(moving.tolist())
+        np.testing.assert_allclose(np.abs(swing).max(axis=0)[moving], contact.DRAG, rtol=0.01)
+        np.testing.assert_allclose(
+            ground.STANCE - extension.min(axis=0), np.where(moving, contact.LIFT, 0.0), atol=1e-9
+        )
+    assert moved == [[True, False, False, True], [False, True, True, False]]

@@ -1,0 +1,223 @@
+"""Fits whose answers are known by hand; what their intervals say, and what they must not say."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from surefoot.errors import SurefootError
+
+pytest.importorskip("mujoco")
+
+from surefoot.identify.fitting import (
+    CONFIDENCE,
+    Unknown,
+    fit_least_squares,
+    jacobian_of,
+)
+
+Array = NDArray[np.float64]
+
+
+def unknown(name: str = "a", start: float = 0.0, **more: float | int | None) -> Unknown:
+    return replace(Unknown(name, start, -1000.0, 1000.0, 1e-3), **more)
+
+
+class Linear:
+    """Residuals A x - y; counts the candidates that it is asked for."""
+
+    def __init__(self, matrix: Array, data: Array, unknowns: list[Unknown], blocks: Array | None = None) -> None:
+        self.matrix, self.data, self.unknowns = np.asarray(matrix, float), np.asarray(data, float), unknowns
+        self.blocks = np.arange(len(data)) if blocks is None else np.asarray(blocks, np.int64)
+        self.candidates = 0
+
+    def residuals(self, values: Array) -> Array:
+        self.candidates += len(values)
+        return values @ self.matrix.T - self.data
+
+    def touched(self, k: int) -> NDArray[np.bool_] | None:
+        return self.matrix[:, k] != 0
+
+
+class Decay:
+    """Values a exp(-b t), measured with unit noise."""
+
+    time = np.linspace(0.0, 3.0, 60)
+
+    def __init__(self, data: Array) -> None:
+        self.data, self.blocks = data, np.arange(60)
+        self.unknowns = [Unknown("a", 20.0, 1.0, 100.0, 1e-5), Unknown("b", 0.5, 0.01, 10.0, 1e-6)]
+
+    def residuals(self, values: Array) -> Array:
+        return values[:, :1] * np.exp(-values[:, 1:] * self.time) - self.data
+
+    def touched(self, k: int) -> None:
+        return None
+
+
+def line(scatter: float) -> Linear:
+    """a + b x through three points; what is left over is -1/2, 1, -1/2 times `scatter`."""
+    x = np.array([-1.0, 0.0, 1.0])
+    data = 3.0 + 2.5 * x + scatter * np.array([0.5, -1.0, 0.5])
+    return Linear(np.stack([np.ones(3), x], axis=1), data, [unknown("a"), unknown("b")])
+
+
+def test_a_line_through_three_points():
+    fit = fit_least_squares(line(1.0))
+    np.testing.assert_allclose(fit.values, [3.0, 2.5], atol=1e-7)
+    np.testing.assert_allclose(fit.residuals, [-0.5, 1.0, -0.5], atol=1e-6)
+    assert fit.cost == pytest.approx(0.5)
+    # At a = b = 0 residuals are minus the data: -1, -2, -6.
+    assert fit.start_cost == pytest.approx((1 + 4 + 36) / 3)
+    # Residuals are smaller than their noise was said to be: H^-1 counts, H = diag(3, 2).
+    np.testing.assert_allclose(fit.covariance, np.diag([1 / 3, 1 / 2]), atol=1e-5)
+    np.testing.assert_allclose(fit.deviation, [3**-0.5, 2**-0.5], rtol=1e-4)
+    assert (fit.at("b"), fit.told.all(), fit.strongest_correlations()) == (1, True, [])
+
+
+def test_residuals_larger_than_their_noise_count():
+    # Gradients are J_i r_i: sums of squares 16 (1/4 + 1 + 1/4) and 16 (1/4 + 1/4), 3 of 2 blocks free; H = diag(3, 2).
+    fit = fit_least_squares(line(4.0))
+    np.testing.assert_allclose(np.diag(fit.covariance), [24 * 1.5 / 9, 8 * 1.5 / 4], rtol=1e-4)
+
+
+def test_a_prior_is_a_row():
+    # Four measurements of 2 and a prior of 0 +- 1/2, which weighs as much as four: halfway.
+    model = Linear(np.ones((4, 1)), np.full(4, 2.0), [unknown(prior=0.5)])
+    fit = fit_least_squares(model)
+    assert fit.values[0] == pytest.approx(1.0)
+    assert len(fit.residuals) == 4
+    # H = 4 + 4; four gradients of -1, 4 of 3 blocks free, and the prior's own 4.
+    assert fit.covariance[0, 0] == pytest.approx((4 * 4 / 3 + 4) / 64, rel=1e-4)
+
+
+def test_a_prior_holds_what_the_data_do_not_touch():
+    model = Linear([[1.0, 0.0]] * 4, np.full(4, 2.0), [unknown("a"), unknown("b", 0.3, prior=0.1)])
+    fit = fit_least_squares(model)
+    np.testing.assert_allclose(fit.values, [2.0, 0.3], atol=1e-6)
+    assert fit.deviation[1] == pytest.approx(0.1, rel=1e-4)
+    assert fit.told.tolist() == [True, False]
+
+
+def test_bounds_hold():
+    model = Linear(np.ones((4, 1)), np.full(4, 2.0), [unknown(high=1.5)])
+    assert fit_least_squares(model).values[0] == pytest.approx(1.5, abs=1e-9)
+    # A start beyond them begins at them.
+    assert fit_least_squares(model, np.array([7.0])).start_cost == pytest.approx(0.25)
+
+
+def test_unknowns_of_one_colour_are_tried_at_once():
+    rng = np.random.default_rng(2)
+    matrix = np.zeros((12, 4))
+    matrix[:6, :2], matrix[6:, 2:] = rng.normal(size=(2, 6, 2))
+    plain = [unknown(name) for name in "abcd"]
+    coloured = [replace(u, colour=k % 2) for k, u in enumerate(plain)]
+    at = np.array([1.0, 2.0, 3.0, 1000.0])
+    jacobians, tried = [], []
+    for unknowns in (plain, coloured):
+        model = Linear(matrix, np.zeros(12), unknowns)
+        jacobians.append(jacobian_of(model, at, matrix @ at))
+        tried.append(model.candidates)
+    assert tried == [4, 2]
+    np.testing.assert_allclose(jacobians[0], matrix, atol=1e-6)
+    np.testing.assert_allclose(jacobians[0], jacobians[1], atol=1e-8)
+
+
+def test_a_derivative_at_a_bound_looks_inward():
+    asked: list[float] = []
+
+    class Watched(Linear):
+        def residuals(self, values: Array) -> Array:
+            asked.extend(values[:, 0])
+            return super().residuals(values)
+
+    model = Watched([[2.0]], np.zeros(1), [unknown(high=5.0)])
+    np.testing.assert_allclose(jacobian_of(model, np.array([5.0]), np.array([10.0])), [[2.0]])
+    assert asked == [4.999]
+
+
+def test_residuals_that_hang_together_count_once():
+    # 20 blocks of 10 equal residuals, +1 or -1: they tell the mean as 20 measurements do, not as 200.
+    offsets = np.repeat(np.tile([1.0, -1.0], 10), 10)
+    blocks = np.repeat(np.arange(20), 10)
+    together = fit_least_squares(Linear(np.ones((200, 1)), offsets, [unknown()], blocks))
+    apart = fit_least_squares(Linear(np.ones((200, 1)), offsets, [unknown()]))
+    assert together.covariance[0, 0] == pytest.approx(1 / 20 * 20 / 19, rel=1e-4)
+    assert apart.covariance[0, 0] == pytest.approx(1 / 200 * 200 / 199, rel=1e-4)
+
+
+def test_white_residuals_of_unit_size_give_what_the_hessian_says():
+    rng = np.random.default_rng(5)
+    matrix, blocks = rng.normal(size=(20_000, 3)), np.arange(20_000) // 100
+    fit = fit_least_squares(Linear(matrix, rng.normal(size=20_000), [unknown(name) for name in "abc"], blocks))
+    inverse = np.sqrt(np.diag(np.linalg.inv(matrix.T @ matrix)))
+    assert np.all(fit.deviation >= inverse * (1 - 1e-6))
+    np.testing.assert_allclose(fit.deviation, inverse, rtol=0.15)
+
+
+def test_what_the_data_do_not_touch_is_not_told():
+    model = Linear([[1.0, 0.0]] * 9, np.full(9, 2.0), [unknown("a"), unknown("b", 0.3, low=0.0, high=1.0)])
+    fit = fit_least_squares(model)
+    assert fit.values[0] == pytest.approx(2.0)
+    assert fit.values[1] == pytest.approx(0.3)
+    assert fit.told.tolist() == [True, False]
+    assert fit.deviation[0] == pytest.approx(1 / 3, rel=1e-4)
+    assert fit.deviation[1] == pytest.approx(1.0, rel=1e-3)
+
+
+def test_two_that_only_appear_as_a_sum():
+    matrix = np.array([[1.0, 1.0, 0.0]] * 10 + [[0.0, 0.0, 1.0]] * 10)
+    bounded = [unknown(name, low=-10.0, high=10.0, index=3 if name == "b" else None) for name in "abc"]
+    data = np.full(20, 2.0) + np.tile([1.0, -1.0], 10)
+    fit = fit_least_squares(Linear(matrix, data, bounded))
+    assert fit.values[0] + fit.values[1] == pytest.approx(2.0, abs=1e-4)
+    assert fit.told.tolist() == [False, False, True]
+    assert fit.correlation[0, 1] == pytest.approx(-1.0, abs=1e-2)
+    ((first, second, strength),) = fit.strongest_correlations()
+    assert (first, second) == ("a", "b[3]")
+    assert strength < -0.99
+    # Their sum is known as well as if it were one, from ten values: half of the 20 blocks tell of it.
+    total = np.array([1.0, 1.0, 0.0])
+    assert np.sqrt(total @ fit.covariance @ total) == pytest.approx(0.1**0.5, rel=0.05)
+
+
+def test_ninety_five_of_a_hundred_intervals_hold_the_truth():
+    rng, truth = np.random.default_rng(7), np.array([30.0, 0.8])
+    clean = truth[0] * np.exp(-truth[1] * Decay.time)
+    inside = []
+    for _ in range(200):
+        fit = fit_least_squares(Decay(clean + rng.normal(size=60)))
+        inside.append(np.abs(fit.values - truth) <= CONFIDENCE * fit.deviation)
+    share = np.mean(inside)
+    assert 0.92 <= share <= 0.985, share
+
+
+def test_a_fit_that_has_settled_ends_at_once():
+    # Finite differences of a rounded model: no step helps any more, and none must be tried again and again.
+    rng = np.random.default_rng(3)
+
+    class Rounded(Decay):
+        tried = 0
+
+        def residuals(self, values: Array) -> Array:
+            self.tried += len(values)
+            return np.round(super().residuals(values), 7)
+
+    told: list[tuple[int, float]] = []
+    model = Rounded(30.0 * np.exp(-0.8 * Decay.time) + rng.normal(size=60))
+    fit = fit_least_squares(model, tell=lambda k, cost: told.append((k, cost)))
+    assert model.tried < 40
+    assert [k for k, _ in told] == list(range(1, fit.iterations + 1))
+    costs = [cost for _, cost in told]
+    assert costs == sorted(costs, reverse=True)
+    assert fit.cost <= costs[-1] * (1 + 1e-9)
+    assert costs[0] == pytest.approx(fit.start_cost)
+
+
+def test_a_model_that_breaks_down_is_refused():
+    model = Linear(np.ones((4, 1)), np.full(4, np.nan), [unknown()])
+    with pytest.raises(SurefootError, match="breaks down where the fit begins"):
+        fit_least_squares(model)

@@ -1,0 +1,158 @@
+"""Forces on the feet of simulated robots, whose masses and motions are known."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+pytest.importorskip("mujoco")
+
+from surefoot.deploy.poses import pose
+from surefoot.identify.inverse_dynamics import GRAVITY, Forces, InverseDynamics, Motion
+from surefoot.identify.standing import regress
+from surefoot.robot import PhysicalParams, RobotDescription
+from surefoot.world.sim_world import SimWorld
+
+STANCE = 1.7
+STEP = 0.001
+
+
+def params(robot: RobotDescription, **values: float) -> PhysicalParams:
+    """Feet are read and driven each millisecond; a servo of few delays keeps fast motions smooth."""
+    return PhysicalParams.nominal(robot).with_values(robot, control_step=STEP, control_latency=0.0, **values)
+
+
+def still(world: SimWorld) -> Motion:
+    now, rest = world.truth(), np.zeros((1, 3))
+    return Motion(
+        motor_angle=now.motor_angle, motor_velocity=0 * now.motor_angle, motor_acceleration=0 * now.motor_angle,
+        motor_torque=now.motor_torque, roll_pitch=now.roll_pitch_yaw[:, :2], angular_velocity=rest,
+        angular_acceleration=rest,
+    )  # fmt: skip
+
+
+def standing(robot: RobotDescription, uneven: float = 0.0, **values: float) -> SimWorld:
+    """At rest; with `uneven` the front legs are so much longer."""
+    world = SimWorld(robot, 1, params(robot, **values))
+    front = np.where(robot.leg_mounts[:, 0] > 0, uneven, 0.0)
+    target = robot.leg_to_motor_angles(np.zeros(4), STANCE + front)
+    begin = world.truth().motor_angle[0]
+    for k in range(6000):
+        world.step((begin + (target - begin) * min(k / 2000, 1.0))[None])
+    assert np.abs(world.truth().motor_velocity).max() < 1e-3
+    return world
+
+
+def pressed(world: SimWorld) -> np.ndarray:
+    """Vertical forces (4,) [N] of feet at rest: how deep they are, times their stiffness."""
+    depth = world.robot.leg_geometry.foot_radius - world.foot_positions()[0, :, 2]
+    return depth * world.params.contact_stiffness[0]
+
+
+@pytest.mark.parametrize("uneven", [0.0, 0.15])
+def test_feet_carry_the_weight_of_a_standing_robot(robot: RobotDescription, uneven: float):
+    world = standing(robot, uneven)
+    dynamics = InverseDynamics(robot, world.params)
+    assert dynamics.mass == pytest.approx(robot.urdf.total_mass)
+    found = dynamics.forces(still(world))
+    pitch = world.truth().roll_pitch_yaw[0, 1]
+    assert abs(pitch) == pytest.approx(0.0, abs=2e-3) if uneven == 0 else abs(pitch) > 0.02
+    # The base's frame is tilted: up of the world is (-sin, cos) of x and z there.
+    upward = found.force[0] @ [-np.sin(pitch), np.cos(pitch)]
+    along = found.force[0] @ [np.cos(pitch), np.sin(pitch)]
+    assert upward.sum() == pytest.approx(robot.urdf.total_mass * GRAVITY, rel=1e-3)
+    assert abs(along.sum()) < 0.05
+    np.testing.assert_allclose(upward, pressed(world), rtol=5e-3)
+    # Nothing moves, and nothing is lacking: forces hold the robot, moments cancel.
+    np.testing.assert_allclose(found.needed[0], 0.0, atol=0.05)
+    assert abs(found.turning[0]) < 1e-9
+
+
+def test_a_heavier_base_is_in_the_forces_whatever_it_was_taken_for(robot: RobotDescription):
+    world = standing(robot, base_mass_ratio=1.3, leg_mass_ratio=0.9)
+    light = InverseDynamics(robot, params(robot))
+    true = InverseDynamics(robot, world.params)
+    base = sum(robot.urdf.links[name].mass for name in robot.urdf.fixed_to(robot.base))
+    legs = robot.urdf.total_mass - base
+    assert true.mass == pytest.approx(1.3 * base + 0.9 * legs)
+    for dynamics, exact in ((true, 1e-3), (light, 0.03)):
+        total = dynamics.forces(still(world)).force[0, :, 1].sum()
+        assert total == pytest.approx(true.mass * GRAVITY, rel=exact)
+
+
+@pytest.fixture(scope="module")
+def nodding(robot: RobotDescription) -> dict[float, Motion]:
+    """Robots that nod and squat, with ratios of the base's inertia of 1 and 2: what they did in each servo step.
+
+    An engine goes from one speed to the next with the forces of now: accelerations are those of the step that begins.
+    """
+    motions = {}
+    for ratio in (1.0, 2.0):
+        world = SimWorld(robot, 1, params(robot, base_inertia_ratio=ratio, motor_friction=0.0))
+        ends = np.where(robot.leg_mounts[:, 0] > 0, 1.0, -1.0)
+        rows = []
+        for k in range(2600):
+            share, time = min(k / 800, 1.0), max(k * STEP - 1.2, 0.0)
+            swell = 0.1 * ends * np.sin(2 * np.pi * 3.5 * time) + 0.05 * np.sin(2 * np.pi * 1.5 * time)
+            extension = 2.0 + (STANCE - 2.0) * share + min(time / 0.3, 1.0) * swell
+            target = robot.leg_to_motor_angles(np.zeros(4), extension)
+            before = world.truth()
+            rate = world.drive.now[0, -3:].copy()
+            world.step(target[None])
+            after = world.truth()
+            if time > 0.4:
+                rows.append(
+                    (
+                        before.motor_angle[0], before.motor_velocity[0],
+                        (after.motor_velocity[0] - before.motor_velocity[0]) / STEP, after.motor_torque[0],
+                        before.roll_pitch_yaw[0, :2], rate, (world.drive.now[0, -3:] - rate) / STEP,
+                    )
+                )  # fmt: skip
+        motions[ratio] = Motion(*(np.array(column)[::3] for column in zip(*rows, strict=True)))
+    return motions
+
+
+def forces(robot: RobotDescription, motion: Motion, **values: float) -> Forces:
+    return InverseDynamics(robot, params(robot, **values)).forces(motion)
+
+
+def test_nothing_is_lacking_with_the_true_masses(robot: RobotDescription, nodding: dict[float, Motion]):
+    for ratio, motion in nodding.items():
+        found = forces(robot, motion, base_inertia_ratio=ratio)
+        assert np.std(found.turning) > 0.2
+        assert np.std(found.needed[:, 2]) < 0.05 * np.std(found.turning)
+        # What moves up and down needs the force that the feet give beyond the weight.
+        carried = found.force[:, :, 1].sum(axis=1)
+        assert np.mean(carried) == pytest.approx(robot.urdf.total_mass * GRAVITY, rel=0.03)
+        np.testing.assert_allclose(carried, found.weight[:, 1] + found.needed[:, 1], atol=0.3)
+
+
+def test_another_inertia_is_told_by_what_is_lacking(robot: RobotDescription, nodding: dict[float, Motion]):
+    for true, taken in ((1.0, 1.0), (2.0, 1.0), (1.0, 2.0)):
+        found = forces(robot, nodding[true], base_inertia_ratio=taken)
+        columns = np.stack([found.turning, np.ones_like(found.turning)], axis=1)
+        values, _ = regress(columns, -found.needed[:, 2], np.arange(len(columns)) // 50)
+        # Beside what it was taken for.
+        assert taken * (1 + values[0]) == pytest.approx(true, rel=0.03)
+
+
+def test_the_base_with_all_that_is_fixed_to_it(robot: RobotDescription):
+    one, other = InverseDynamics(robot, params(robot)), InverseDynamics(robot, params(robot, base_inertia_ratio=2.0))
+    np.testing.assert_allclose(other.base_inertia, 2 * one.base_inertia)
+    # About y: the body, whose centre is 50 mm before its origin, and two rails 18.5 mm below; about their centre.
+    masses, places = np.array([3.353, 1.32, 1.32]), np.array([[0.05, 0.0], [0.0, -0.0185], [0.0, -0.0185]])
+    centre = masses @ places / masses.sum()
+    about_y = 0.027262 + 2 * 0.040913 + masses @ np.sum((places - centre) ** 2, axis=1)
+    assert one.base_inertia[1, 1] == pytest.approx(about_y, rel=1e-4)
+
+
+def test_feet_are_where_the_legs_hold_them(robot: RobotDescription):
+    motion = still(standing(robot))
+    symmetric = Motion(
+        **{**vars(motion), "motor_angle": pose(robot, 0.0, STANCE)[None], "roll_pitch": np.zeros((1, 2))}
+    )
+    foot = forces(robot, symmetric).foot[0]
+    np.testing.assert_allclose(foot[:, 1], foot[0, 1], atol=1e-6)
+    assert -0.3 < foot[0, 1] < -0.1
+    # Under the legs' mounts, to a few millimetres: their lower links are not of one length.
+    np.testing.assert_allclose(foot[:, 0], robot.leg_mounts[:, 0], atol=0.03)

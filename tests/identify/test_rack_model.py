@@ -1,0 +1,115 @@
+"""Residuals of a robot on its rack, and a small fit of them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+pytest.importorskip("mujoco")
+
+from surefoot.identify.fitting import CONFIDENCE, Unknown, fit_least_squares
+from surefoot.identify.rack_model import TORQUE_GAIN, Noise, RackModel, params_of
+from surefoot.identify.recording import Recording
+from surefoot.identify.replay import Replayer, stretch_of
+from surefoot.robot import PhysicalParams, RobotDescription
+
+UNKNOWNS = [
+    Unknown("resistance", 0.186, 0.02, 5.0, 1e-6),
+    Unknown("motor_strength", 1.0, 0.0, 2.0, 1e-6, 0, colour=0),
+    Unknown("motor_friction", 0.0, 0.0, 0.5, 1e-6, 7, colour=0),
+    Unknown(TORQUE_GAIN, 0.0, -0.5, 0.5, 1e-4, 2, 0.01, colour=1),
+]
+
+
+@pytest.fixture(scope="module")
+def nominal(robot: RobotDescription) -> PhysicalParams:
+    return PhysicalParams.nominal(robot)
+
+
+@pytest.fixture(scope="module")
+def replayer(robot: RobotDescription) -> Replayer:
+    return Replayer(robot, 2, rack=True)
+
+
+@pytest.fixture(scope="module")
+def model(robot: RobotDescription, recorded: Recording, nominal: PhysicalParams, replayer: Replayer) -> RackModel:
+    """Of the nominal robot, whose sensors are as bad as a robot's: a sweep, steps, the way back, and duties."""
+    whole = stretch_of(recorded, 1, 4)
+    # Before the sweep it had not quite come to rest.
+    kept = whole.state_time > 0.4
+    stretch = replace(whole, state_time=whole.state_time[kept], states=whole.states[kept])
+    return RackModel(robot, recorded, [stretch], UNKNOWNS, nominal, replayer=replayer)
+
+
+def test_values_go_to_their_places(nominal: PhysicalParams):
+    values = np.array([[0.2, 0.8, 0.01, 0.3], [0.3, 0.9, 0.02, 0.3]])
+    params = params_of(nominal, UNKNOWNS, values)
+    np.testing.assert_array_equal(params.resistance, [0.2, 0.3])
+    np.testing.assert_array_equal(params.motor_strength[:, 0], [0.8, 0.9])
+    np.testing.assert_array_equal(params.motor_strength[:, 1:], 1.0)
+    np.testing.assert_array_equal(params.motor_friction[:, 7], [0.01, 0.02])
+    np.testing.assert_array_equal(params.motor_friction[:, :7], 0.0)
+    # One for all motors.
+    every = params_of(nominal, [Unknown("motor_friction", 0.0, 0.0, 0.5, 1e-6)], np.array([[0.04]]))
+    np.testing.assert_array_equal(every.motor_friction, np.full((1, 8), 0.04))
+    np.testing.assert_array_equal(nominal.motor_friction, 0.0)
+
+
+def test_residuals_of_the_true_robot_are_noise(model: RackModel):
+    start = np.array([[u.start for u in UNKNOWNS]])
+    angle, velocity, torque = np.sqrt(np.mean(model.residuals(start).reshape(3, -1) ** 2, axis=1))
+    # Angles are read in steps of 2 pi / 2^14, which is a deviation of 1.1e-4 rad.
+    assert angle == pytest.approx(1.1e-4 / Noise().angle, rel=0.2)
+    assert velocity == pytest.approx(1.0, rel=0.15)
+    assert torque == pytest.approx(1.0, rel=0.5)
+    assert model.blocks.shape == model.residuals(start)[0].shape
+
+
+def test_only_its_own_leg_feels_a_motor(model: RackModel, robot: RobotDescription):
+    values = np.tile([u.start for u in UNKNOWNS], (4, 1))
+    values[1, 1], values[2, 2], values[3, 3] = 0.9, 0.02, 0.1
+    still, *moved = model.residuals(values)
+    for k, residuals in zip((1, 2, 3), moved, strict=True):
+        # The engine solves for all loops at once: other legs feel rounding, 1e-5 of a reading's noise.
+        touched, changed = model.touched(k), np.abs(residuals - still) > 1e-5
+        np.testing.assert_array_equal(changed & ~touched, False)
+        by_motor = changed.reshape(3, -1, 8).any(axis=1)
+        pair = next(p for p in robot.leg_motor_index.tolist() if UNKNOWNS[k].index in p)
+        if UNKNOWNS[k].name == TORQUE_GAIN:
+            # The report's error alone changes: the robot does not move otherwise.
+            assert np.argwhere(by_motor).tolist() == [[2, 2]]
+        else:
+            assert by_motor[:, pair].all()
+            assert touched.reshape(3, -1, 8)[0, 0].nonzero()[0].tolist() == sorted(pair)
+    assert model.touched(0) is None
+
+
+def test_more_candidates_than_robots(model: RackModel):
+    values = np.tile([u.start for u in UNKNOWNS], (3, 1))
+    values[:, 0] = [0.186, 0.2, 0.25]
+    together = model.residuals(values)
+    for row in range(3):
+        np.testing.assert_array_equal(model.residuals(values[row : row + 1])[0], together[row])
+
+
+def test_the_nearest_latency(model: RackModel):
+    assert model.best_latency(np.arange(0.0, 0.041, 0.002)) == pytest.approx(0.020)
+
+
+def test_a_fit_finds_what_the_sheet_has_wrong(model: RackModel, robot: RobotDescription, replayer: Replayer):
+    """The robot is nominal; where the fit begins, resistance, a motor and the readings' age are not."""
+    unknowns = [
+        replace(UNKNOWNS[0], start=0.25),
+        replace(UNKNOWNS[1], start=0.85),
+        Unknown("control_latency", 0.018, 0.0, 0.1, 1e-8),
+    ]
+    begun = RackModel(robot, model.recording, model.stretches, unknowns, model.base, every=4, replayer=replayer)
+    fit = fit_least_squares(begun)
+    reach = CONFIDENCE * fit.deviation * 1.5
+    assert fit.start_cost > 10 * fit.cost
+    assert np.all(np.abs(fit.values - [0.186, 1.0, 0.020]) < reach)
+    assert fit.told.all()
+    assert reach[0] < 0.004
+    assert reach[2] < 2e-4

@@ -1,0 +1,166 @@
+"""A recording of a robot whose parameters are known is repeated by simulated robots that have them."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+pytest.importorskip("mujoco")
+
+from surefoot.deploy.connection import open_connection
+from surefoot.deploy.display import PlainLines
+from surefoot.deploy.wire.messages import Mode
+from surefoot.errors import SurefootError
+from surefoot.identify.driver import run_plan
+from surefoot.identify.plan import Plan
+from surefoot.identify.recording import COMPLETE, Recording
+from surefoot.identify.replay import HELD, Replayed, Replayer, Stretch, stretch_of
+from surefoot.robot import PhysicalParams, RobotDescription
+
+TRUTH = {
+    "motor_strength": 0.9,
+    "motor_friction": 0.02,
+    "motor_viscous_friction": 0.002,
+    "resistance": 0.2,
+    "voltage": 15.0,
+    "servo_latency": 0.004,
+    "control_latency": 0.0173,
+    "leg_inertia_ratio": 1.2,
+}
+
+
+@pytest.fixture(scope="module")
+def ideal(robot: RobotDescription, make_plan: Callable[..., Plan]) -> Iterator[Recording]:
+    """A robot on its rack with ideal sensors: unfold, a sweep, steps, centre, duties, centre, a sweep."""
+    words = ["--lockstep", "--rack", "--ideal-sensors", "--set", *(f"{name}={value}" for name, value in TRUTH.items())]
+    process = subprocess.Popen(
+        [sys.executable, "-m", "surefoot", "emulate", *words],
+        stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True,
+    )  # fmt: skip
+    try:
+        connection = open_connection(process.stdout.readline().split()[-1], robot.num_motors, lockstep=True)
+        connection.connect()
+        recording = run_plan(connection, make_plan(), robot, PlainLines())
+        connection.close()
+    finally:
+        process.terminate()
+        process.wait(30)
+        process.stdout.close()
+    assert recording.meta["ended"] == COMPLETE
+    return recording
+
+
+@pytest.fixture(scope="module")
+def truth(robot: RobotDescription) -> PhysicalParams:
+    return PhysicalParams.nominal(robot).with_values(robot, **TRUTH)
+
+
+@pytest.fixture(scope="module")
+def stretch(ideal: Recording) -> Stretch:
+    return stretch_of(ideal, 1, 6)
+
+
+@pytest.fixture(scope="module")
+def one(robot: RobotDescription) -> Replayer:
+    return Replayer(robot, 1, rack=True)
+
+
+@pytest.fixture(scope="module")
+def told(one: Replayer, stretch: Stretch, truth: PhysicalParams) -> Replayed:
+    return one.run(stretch, truth)
+
+
+def test_a_stretch_holds_all_that_the_robot_was_told(stretch: Stretch, ideal: Recording):
+    # Sweep, steps and centre, then let go, armed for duties, let go, armed for servos that first hold what they find.
+    changes = np.flatnonzero(np.diff(stretch.kind, prepend=-9))
+    position, pwm, off = int(Mode.POSITION), int(Mode.PWM), int(Mode.DISARMED)
+    assert stretch.kind[changes].tolist()[:6] == [position, off, pwm, off, HELD, position]
+    assert stretch.order_tick[0] == 0
+    assert np.all(np.diff(stretch.order_tick) >= 0)
+    assert stretch.ticks == len(stretch.voltage)
+    np.testing.assert_array_equal(stretch.voltage, 15.0)
+    np.testing.assert_array_equal(stretch.start, ideal.sent_value[ideal.sent_phase == 1][0])
+    np.testing.assert_allclose(np.diff(stretch.state_time), np.diff(ideal.time[stretch.states]), atol=1e-12)
+    assert stretch.lead == 0.0
+    assert stretch.duration == pytest.approx(2.5, abs=0.3)
+
+
+def test_a_replay_with_the_true_parameters_is_the_recording(told: Replayed, stretch: Stretch, ideal: Recording):
+    # The robot had just unfolded, the replay's robots have rested: both are at one after some tenths of a second.
+    settled = stretch.state_time > 0.4
+    kept = stretch.states[settled]
+    assert np.ptp(ideal.motor_angle[kept], axis=0).min() > 0.2
+    # To the resolution of a state's numbers.
+    assert np.abs(told.motor_angle[0][settled] - ideal.motor_angle[kept]).max() < 2e-6
+    assert np.abs(told.motor_velocity[0][settled] - ideal.motor_velocity[kept]).max() < 1e-3
+    assert np.abs(told.motor_torque[0][settled] - ideal.motor_torque[kept]).max() < 2e-3
+    # On a rack the base stands still.
+    np.testing.assert_allclose(told.roll_pitch_yaw, 0.0, atol=1e-9)
+    np.testing.assert_allclose(told.angular_velocity_base, 0.0, atol=1e-9)
+
+
+def test_other_parameters_are_another_motion(
+    one: Replayer, stretch: Stretch, ideal: Recording, robot: RobotDescription
+):
+    nominal = one.run(stretch, PhysicalParams.nominal(robot))
+    error = nominal.motor_angle[0] - ideal.motor_angle[stretch.states]
+    assert np.sqrt(np.mean(error**2)) > 5e-3
+
+
+def test_another_control_latency_is_the_same_motion_shifted(
+    one: Replayer, told: Replayed, stretch: Stretch, truth: PhysicalParams, robot: RobotDescription
+):
+    # States come every 2 ms: with 4 ms more each tells what the second before it did.
+    late = truth.with_values(robot, control_latency=TRUTH["control_latency"] + 0.004)
+    shifted = one.run(stretch, late)
+    for name in ("motor_angle", "motor_velocity"):
+        ours, before = getattr(shifted, name)[0], getattr(told, name)[0]
+        np.testing.assert_allclose(ours[12:], before[10:-2], atol=1e-3)
+    # Torques are of now, whatever the readings' age.
+    np.testing.assert_array_equal(shifted.motor_torque, told.motor_torque)
+    ages = np.array([TRUTH["control_latency"], TRUTH["control_latency"] + 0.004, 0.0])
+    together = one.read_late(stretch, truth, ages)
+    np.testing.assert_array_equal(together[0], told.motor_angle[0])
+    np.testing.assert_array_equal(together[1], shifted.motor_angle[0])
+    # What is read at once is what the next servo step finds.
+    assert np.abs(together[2][:-10] - told.motor_angle[0][:-10]).max() > 0.05
+
+
+def test_a_lead_takes_from_the_age(
+    one: Replayer, told: Replayed, stretch: Stretch, truth: PhysicalParams, robot: RobotDescription
+):
+    late = truth.with_values(robot, control_latency=TRUTH["control_latency"] + 0.005)
+    ahead = one.run(replace(stretch, lead=0.005), late)
+    np.testing.assert_allclose(ahead.motor_angle, told.motor_angle, atol=1e-9)
+    # No reading is of a time to come.
+    soon = one.run(replace(stretch, lead=1.0), truth)
+    np.testing.assert_array_equal(soon.motor_angle[0], one.read_late(stretch, truth, np.zeros(1))[0])
+
+
+def test_rows_of_a_batch_do_not_feel_each_other(
+    told: Replayed, ideal: Recording, truth: PhysicalParams, robot: RobotDescription, one: Replayer
+):
+    short = stretch_of(ideal, 3, 5)
+    rows = truth.rows([0, 0, 0])
+    rows.motor_strength[1], rows.servo_latency[2], rows.leg_mass_ratio[2] = 0.6, 0.001, 1.3
+    three = Replayer(robot, 3, rack=True)
+    together, turned = three.run(short, rows), three.run(short, rows.rows([2, 0, 1]))
+    pair = three.run(short, rows.rows([1, 2]))
+    for name in vars(together):
+        values = getattr(together, name)
+        assert len(values) == 3
+        np.testing.assert_array_equal(getattr(turned, name), values[[2, 0, 1]])
+        np.testing.assert_array_equal(getattr(pair, name), values[[1, 2]])
+        for row in range(3):
+            np.testing.assert_array_equal(getattr(one.run(short, rows.rows([row])), name)[0], values[row])
+    assert np.abs(together.motor_angle[0] - together.motor_angle[1]).max() > 1e-3
+
+
+def test_a_stretch_needs_commands(ideal: Recording):
+    with pytest.raises(SurefootError, match="no commands of phases 9 to 11"):
+        stretch_of(ideal, 9, 11)

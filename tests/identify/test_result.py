@@ -1,0 +1,74 @@
+"""What an identification found: intervals, and what goes into a robot's parameters."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from surefoot.identify.accuracy import with_floor
+from surefoot.identify.result import Estimate, Identification
+from surefoot.robot import PhysicalParams, RobotDescription
+
+
+def found(*estimates: Estimate) -> Identification:
+    return Identification("motor", "minitaur", estimates)
+
+
+def test_an_interval_is_clipped_to_what_is_possible():
+    assert Estimate("a", 2.0, 0.5, "1").interval == pytest.approx((2 - 1.959964 / 2, 2 + 1.959964 / 2))
+    low, high = Estimate("motor_friction", 0.01, 0.02, "N m", 3, low=0.0, high=0.04).interval
+    assert (low, high) == (0.0, 0.04)
+
+
+def test_labels():
+    assert Estimate("resistance", 0.2, 0.1, "Ohm").label == "resistance"
+    assert Estimate("motor_friction", 0.2, 0.1, "N m", 0).label == "motor_friction[0]"
+
+
+def test_params_get_what_was_found(robot: RobotDescription):
+    base = PhysicalParams.nominal(robot, 3).with_values(robot, motor_strength=0.7)
+    result = found(
+        Estimate("resistance", 0.21, 0.01, "Ohm"),
+        Estimate("motor_strength", 0.8, 0.01, "1", 2),
+        Estimate("motor_strength", 0.9, 0.4, "1", 3, told=False),
+        Estimate("motor_friction", -0.01, 0.01, "N m", 1),
+        Estimate("imu_bias", 0.02, 0.01, "rad", 1),
+        Estimate("motor_viscous_friction", 0.003, 0.001, "N m s/rad"),
+        Estimate("total_mass", 8.0, 0.1, "kg"),
+        Estimate("torque_constant", 0.2, 0.1, "N m/A", told=False),
+    )
+    params = result.params(robot, base)
+    assert params.num_envs == 1
+    assert params.resistance[0] == 0.21
+    # The fourth motor's strength is not told: it stays, as all that was not asked for does.
+    np.testing.assert_array_equal(params.motor_strength[0], [0.7, 0.7, 0.8, 0.7, 0.7, 0.7, 0.7, 0.7])
+    # Below what the robot allows is at its bound.
+    assert params.motor_friction[0, 1] == 0.0
+    np.testing.assert_array_equal(params.imu_bias[0], [0.0, 0.02])
+    np.testing.assert_array_equal(params.motor_viscous_friction[0], np.full(8, 0.003))
+    assert params.torque_constant[0] == robot.actuator.torque_constant
+    np.testing.assert_array_equal(base.motor_strength, np.full((3, 8), 0.7))
+    assert result.found() == (
+        "resistance",
+        "motor_strength",
+        "motor_friction",
+        "imu_bias",
+        "motor_viscous_friction",
+    )
+
+
+def test_estimates_are_found_by_name_and_index():
+    result = found(Estimate("motor_strength", 0.8, 0.1, "1", 2), Estimate("resistance", 0.2, 0.1, "Ohm"))
+    assert result.estimate("motor_strength", 2).value == 0.8
+    with pytest.raises(KeyError, match=r"motor_strength\[1\]"):
+        result.estimate("motor_strength", 1)
+    with pytest.raises(KeyError, match="voltage"):
+        result.estimate("voltage")
+
+
+def test_no_interval_is_narrower_than_a_simulator_can_know():
+    # 3-4-5: .5 % of 6 is .03.
+    assert with_floor("resistance", 6.0, 0.04) == pytest.approx(0.05)
+    assert with_floor("torque_constant", 3.0, 0.04) == pytest.approx(0.05)
+    assert with_floor("motor_friction", 0.0, 0.0) == pytest.approx(2e-4)
+    assert with_floor("motor_strength", 0.0, 0.3) == pytest.approx(0.3)

@@ -1,0 +1,67 @@
+"""Blocks of time, regression by blocks, and angles from a slow IMU and a fast gyro."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+pytest.importorskip("mujoco")
+
+from surefoot.identify.standing import LEVELLING, STEP, _levelled, _smooth, block_deviation, regress
+
+
+def test_a_mean_is_known_to_what_its_blocks_differ_by():
+    # Means 1 and 3 of two blocks: they spread by sqrt(2), their mean by sqrt(2) / sqrt(2).
+    assert block_deviation(np.array([1.0, 1.0, 3.0, 3.0]), np.array([0, 0, 1, 1])) == pytest.approx(1.0)
+    # What differs within a block does not count.
+    assert block_deviation(np.array([0.0, 2.0, 2.0, 4.0]), np.array([0, 0, 1, 1])) == pytest.approx(1.0)
+    assert block_deviation(np.array([1.0, 2.0]), np.array([4, 4])) == float("inf")
+
+
+def test_a_regression_by_blocks():
+    ones, values, blocks = np.ones((4, 1)), np.array([1.0, 1.0, 3.0, 3.0]), np.array([0, 0, 1, 1])
+    found, covariance = regress(ones, values, blocks)
+    assert found[0] == pytest.approx(2.0)
+    # Gradients -2 and 2; two blocks less one coefficient; H = 4.
+    assert covariance[0, 0] == pytest.approx((4 + 4) * 2 / 16)
+
+
+def test_a_regression_on_two_columns():
+    x = np.array([-1.0, 0.0, 1.0, 2.0, 5.0])
+    columns = np.stack([x, np.ones(5)], axis=1)
+    found, covariance = regress(columns, 3.0 * x - 2.0, np.arange(5))
+    np.testing.assert_allclose(found, [3.0, -2.0], atol=1e-12)
+    np.testing.assert_allclose(covariance, 0.0, atol=1e-20)
+    # A column that is not there tells nothing, and disturbs nothing.
+    with_none, _ = regress(np.column_stack([columns, np.zeros(5)]), 3.0 * x - 2.0, np.arange(5))
+    np.testing.assert_allclose(with_none, [3.0, -2.0, 0.0], atol=1e-12)
+
+
+def test_fast_turns_follow_the_gyro_and_slow_ones_the_imu():
+    rng, time = np.random.default_rng(3), np.arange(0.0, 8.0, STEP)
+    fast, slow = 0.1 * np.sin(2 * np.pi * 3 * time), 0.03
+    tilt = slow + fast + rng.normal(0.0, 0.05, len(time))
+    # The gyro: what changes, exactly, from one value to the next.
+    rate = np.diff(fast, prepend=fast[0]) / STEP
+    found = _levelled(np.stack([tilt, np.zeros_like(tilt)], axis=1), np.stack([rate, np.zeros_like(rate)], axis=1))
+    error = found[:, 0] - slow - fast
+    # The start is a mean of noise and of the motion; then noise of 50 mrad is averaged over some 1000 values.
+    assert abs(error[0]) < 0.06
+    assert np.abs(error[2000:]).max() < 0.012
+    assert np.std(tilt - slow - fast) > 0.045
+    np.testing.assert_array_equal(found[:, 1], 0.0)
+
+
+def test_a_gyros_constant_error_stays_small():
+    # Drawn back with a time constant T, an error of the rate b leaves an angle of b T (1 - exp(-t / T)).
+    time, bias = np.arange(0.0, 6.0, STEP), 0.01
+    found = _levelled(np.zeros((len(time), 2)), np.full((len(time), 2), bias))
+    expected = bias * LEVELLING * (1 - np.exp(-(time + STEP) / LEVELLING))
+    np.testing.assert_allclose(found[:, 0], expected, atol=1e-4)
+
+
+def test_smoothing_leaves_cubics():
+    time = np.arange(0.0, 0.2, STEP)
+    values = np.stack([time**3 - time, np.full_like(time, 4.0)], axis=1)
+    np.testing.assert_allclose(_smooth(values), values, atol=1e-12)
+    np.testing.assert_allclose(_smooth(values, 1), np.stack([3 * time**2 - 1, 0 * time], axis=1), atol=1e-9)
