@@ -82,6 +82,8 @@ class Driver:
         self._strained = np.zeros(robot.num_motors)
         self._target: Array | None = None
         self._started = 0.0
+        self._low, self._high = plan.angle_low, plan.angle_high
+        self._why = ""
 
     def run(self) -> Recording:
         """Watch the robot at rest, go through all phases, let the robot go; what was recorded, however it ended.
@@ -91,7 +93,7 @@ class Driver:
         Raises:
             SurefootError: the robot does not arm.
         """
-        connection, ended = self.connection, COMPLETE
+        connection, ended, resting = self.connection, COMPLETE, 0
         counts, decoded = connection.link.counts, connection.link.decoder.counts
         before = counts.missing, decoded.damaged
         connection.on_state = lambda state, sent, came: self._states.append((state, sent, came))
@@ -99,11 +101,17 @@ class Driver:
         try:
             Arming(connection, self.handshake, self.period).keep_talking(lambda: False, REST)
             resting = len(self._states)
+            # Legs on a rack hang down, and those of a robot that lies are folded: there the way to the plan begins.
+            angle = connection.last_state().motor_angle
+            self._low, self._high = np.minimum(self._low, angle), np.maximum(self._high, angle)
             self._through_phases()
-        except ExperimentStoppedError as stopped:
+        except (ExperimentStoppedError, LinkLostError) as stopped:
             ended = str(stopped)
-        except LinkLostError as lost:
-            ended = str(lost)
+        except SurefootError as refused:
+            # What was recorded before a robot refuses to be armed once more is kept.
+            if not self._sent:
+                raise
+            ended = str(refused)
         finally:
             connection.on_state = None
         frames = {"missing": counts.missing - before[0], "damaged": decoded.damaged - before[1]}
@@ -146,7 +154,7 @@ class Driver:
             nonlocal start
             if start is None:
                 start = state.motor_angle.copy() if phase.mode == Mode.POSITION else np.zeros(self.robot.num_motors)
-            self._check(state)
+            self._check(state, phase)
             asked = phase.signal(k * self.period, start)
             return np.clip(asked, low, high) if phase.mode == Mode.POSITION else np.clip(asked, -1.0, 1.0)
 
@@ -159,19 +167,26 @@ class Driver:
         if verdict.act is Act.SIT:
             loop.damp()
         if verdict.act is not Act.GO:
-            raise ExperimentStoppedError(f"{verdict.text} (in phase '{phase.name}')")
+            raise ExperimentStoppedError(f"{self._why or verdict.text} (in phase '{phase.name}')")
 
-    def _check(self, state: State) -> None:
+    def _check(self, state: State, phase: Phase) -> None:
         """Stop when a limit of the plan is passed.
 
         Raises:
             ExperimentStoppedError: says which.
         """
+        self._why = self._passed(state, phase)
+        if self._why:
+            raise ExperimentStoppedError(self._why)
+
+    def _passed(self, state: State, phase: Phase) -> str:
+        """Which limit of the plan is passed; nothing, if none is."""
         plan, limits, names = self.plan, self.plan.limits, self.robot.motor_names
-        beyond = np.maximum(plan.angle_low - state.motor_angle, state.motor_angle - plan.angle_high)
+        low, high = (self._low, self._high) if phase.use == "way" else (plan.angle_low, plan.angle_high)
+        beyond = np.maximum(low - state.motor_angle, state.motor_angle - high)
         worst = int(np.argmax(beyond))
         if self._sent and beyond[worst] > limits.angle_room:
-            raise ExperimentStoppedError(
+            return (
                 f"{names[worst]} is at {state.motor_angle[worst]:.2f} rad, {beyond[worst]:.2f} beyond what was asked "
                 f"for; at most {limits.angle_room:g}"
             )
@@ -179,16 +194,13 @@ class Driver:
         self._strained = np.where(strained, self._strained + self.period, 0.0)
         worst = int(np.argmax(self._strained))
         if self._strained[worst] > limits.torque_time:
-            raise ExperimentStoppedError(
-                f"{names[worst]} gave more than {limits.torque:g} N m for {limits.torque_time:g} s"
-            )
+            return f"{names[worst]} gave more than {limits.torque:g} N m for {limits.torque_time:g} s"
         worst = int(np.argmax(state.temperature))
         if state.temperature[worst] > limits.temperature:
-            raise ExperimentStoppedError(
-                f"{names[worst]} has {state.temperature[worst]:.0f} degC; at most {limits.temperature:g}"
-            )
+            return f"{names[worst]} has {state.temperature[worst]:.0f} degC; at most {limits.temperature:g}"
         if self.connection.clock.now() - self._started > limits.duration:
-            raise ExperimentStoppedError(f"it took more than {limits.duration:g} s")
+            return f"it took more than {limits.duration:g} s"
+        return ""
 
     def _recording(self, ended: str, frames: dict[str, int], resting: int) -> Recording:
         motors = self.robot.num_motors

@@ -178,8 +178,13 @@ def fit_least_squares(
     known, middle, spread = _with_priors(model)
     first = np.clip(np.array([u.start for u in unknowns]) if start is None else start, low, high)
 
+    def values_of(x: Array) -> Array:
+        # The solver's bounds hold to rounding: a friction of -1e-19 is none.
+        within: Array = np.clip(np.asarray(x).T * scale, low, high)
+        return within
+
     def residual(x: Array) -> Array:
-        values = (x * scale[:, None]).T
+        values = values_of(x)
         r = np.concatenate([model.residuals(values), (values[:, known] - middle) / spread], axis=1).T.copy()
         if here:
             settle(x, r)
@@ -195,7 +200,7 @@ def fit_least_squares(
             raise _SettledError
 
     def jacobian(x: Array, r: Array) -> Array:
-        values, count = x[:, 0] * scale, len(r) - len(known)
+        values, count = values_of(x)[0], len(r) - len(known)
         whole = np.zeros((len(r), len(scale)))
         whole[:count] = jacobian_of(model, values, r[:count, 0])
         whole[count + np.arange(len(known)), known] = 1 / spread
@@ -229,7 +234,7 @@ def fit_least_squares(
     except _SettledError:
         x = settled[0]
     here.clear()
-    values = np.asarray(x).ravel() * scale
+    values = values_of(np.asarray(x).ravel())
     final = residual((values / scale)[:, None])[:, 0]
     count = len(final) - len(known)
     own = jacobian_of(model, values, final[:count])

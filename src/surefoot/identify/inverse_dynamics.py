@@ -156,7 +156,8 @@ class InverseDynamics:
         jacobians = []
         for geom in self._feet:
             whole = np.zeros((3, model.nv))
-            point = data.geom_xpos[geom]
+            # The ground pushes at the lowest point of a foot's round end.
+            point = data.geom_xpos[geom] - [0.0, 0.0, model.geom_size[geom, 0]]
             mujoco.mj_jac(model, data, whole, None, point, int(model.geom_bodyid[geom]))
             jacobians.append(whole @ transform)
         turn = data.xmat[self.base].reshape(3, 3)

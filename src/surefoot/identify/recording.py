@@ -78,6 +78,11 @@ class Recording:
         return self.sent_value.shape[1]
 
     @property
+    def period(self) -> float:
+        """Time between two commands, and between two states [s]."""
+        return float(self.meta["period"])
+
+    @property
     def duration(self) -> float:
         """Robot time from the first state to the last [s]."""
         return float(self.time[-1] - self.time[0]) if len(self.time) else 0.0

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import savgol_filter
 
-from surefoot.actuator.motor import motor_friction
+from surefoot.actuator.motor import motor_current, motor_friction, motor_torque
+from surefoot.actuator.servo import servo_duty
 from surefoot.identify.inverse_dynamics import Forces, InverseDynamics, Motion
 from surefoot.identify.recording import Recording
 from surefoot.robot import PhysicalParams, RobotDescription
@@ -24,6 +25,8 @@ SMOOTH = 15
 """Values that a cubic is fitted to, for smoothing and derivatives (Savitzky and Golay 1964): 30 ms, up to 20 Hz."""
 LEVELLING = 2.0
 """Time constant [s] with which the angles that the gyro adds up are drawn to those of the IMU, whose noise is large."""
+ROUNDING = 2e-5
+"""Resolution of times in states [s], twice."""
 BLOCK = 0.5
 """Length [s] of the blocks of time within which errors may hang together."""
 
@@ -71,11 +74,9 @@ def stand(robot: RobotDescription, recording: Recording, params: PhysicalParams,
     def at(values: Array, shift: float) -> Array:
         return np.stack([np.interp(grid + shift, times, column) for column in values.T], axis=1)
 
-    # A reported torque is that of the servo step before: its middle is half a step earlier.
-    half = float(recording.meta["servo_period"]) / 2
     gains = 1 + np.asarray(sensors.get("torque_gain", np.zeros(robot.num_motors)))
     velocity = at(recording.motor_velocity, age)
-    torque = at(recording.motor_torque, half) / gains
+    torque = at(recording.motor_torque / gains + _since_command(robot, recording, params, age), recording.period / 2)
     torque = torque + motor_friction(velocity, params.motor_friction[0], params.motor_viscous_friction[0])
     resting = slice(0, max(int(recording.meta["resting_states"]), 1))
     rate = at(recording.angular_velocity_base, age) - recording.angular_velocity_base[resting].mean(axis=0)
@@ -98,6 +99,44 @@ def stand(robot: RobotDescription, recording: Recording, params: PhysicalParams,
         tuple(phase["name"] for phase in phases),
         tuple(phase["use"] for phase in phases),
     )
+
+
+def _since_command(robot: RobotDescription, recording: Recording, params: PhysicalParams, age: float) -> Array:
+    """By how much torques were larger, on average since the state before, than those reported (T, M) [N m].
+
+    A state tells the torque of the last servo step. When a command has come, torques jump, and then fall as the motor
+    follows: the last step has the least of it, always to the same side. The servo's own law tells the difference.
+    """
+    dt, times = float(recording.meta["servo_period"]), recording.time
+    count = max(round(recording.period / dt), 1)
+    latency = float(params.servo_latency[0])
+
+    def at(values: Array, moment: Array) -> Array:
+        return np.stack([np.interp(moment + age, times, column) for column in values.T], axis=1)
+
+    steps = []
+    for back in range(count, 0, -1):
+        begins = times - back * dt
+        order = np.clip(np.searchsorted(recording.arrival, begins + ROUNDING, side="right") - 1, 0, None)
+        seen = begins - latency
+        duty = servo_duty(
+            recording.sent_value[order],
+            at(recording.motor_angle, seen),
+            at(recording.motor_velocity, seen),
+            params.servo_kp[0],
+            params.servo_kd[0],
+        )
+        current = motor_current(
+            duty,
+            at(recording.motor_velocity, begins),
+            recording.voltage[:, None],
+            params.torque_constant[0],
+            params.resistance[0],
+            robot.actuator.voltage_clip,
+        )
+        steps.append(motor_torque(current, params.motor_strength[0], *robot.torque_table))
+    difference: Array = np.mean(steps, axis=0) - steps[-1]
+    return difference
 
 
 def _smooth(values: Array, derivative: int = 0) -> Array:

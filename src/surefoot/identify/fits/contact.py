@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from surefoot.errors import SurefootError
 from surefoot.identify.experiments.ground import ends, sides
-from surefoot.identify.fits.mass import check_stands
+from surefoot.identify.fits.mass import check_feet, check_stands
 from surefoot.identify.inverse_dynamics import Forces
 from surefoot.identify.quality import check_recording
 from surefoot.identify.recording import Recording
@@ -24,7 +25,7 @@ SLIDING = 0.15
 LEAST = 2.0
 """Force [N] with which a foot must touch the ground to count."""
 FEWEST = 40
-"""Values with a sliding foot that are needed."""
+"""Values with a sliding foot, and with all feet on the ground, that are needed."""
 SURE = 0.04
 """What friction, stiffness and damping are known to at best, of their value: the legs' masses, torques and the feet's
 roundness are in all forces."""
@@ -43,7 +44,8 @@ def fit_contact(
     notes = list(check_recording(recording, robot))
     standing = stand(robot, recording, known, sensors)
     check_stands(standing)
-    forces, _ = forces_of(robot, standing, known)
+    forces, dynamics = forces_of(robot, standing, known)
+    check_feet(standing, forces, dynamics)
     friction, points = _friction(robot, standing, forces)
     if not friction.told:
         notes.append("feet that were dragged did not slide: their friction is not told")
@@ -124,6 +126,11 @@ def _compliance(robot: RobotDescription, standing: Standing, forces: Forces) -> 
     step = STEP * THIN
     columns = np.stack([_quick(deeper, step), _quick(np.gradient(deeper, step), step)], axis=1)
     used = standing.during("nod") & (forces.force[:, :, 1].min(axis=1) > LEAST)
+    if used.sum() < FEWEST:
+        raise SurefootError(
+            f"all feet touch the ground in only {used.sum()} of the values while the robot nods; at least {FEWEST} are "
+            "needed: run it again"
+        )
     values, covariance = regress(columns[used], _quick(more, step)[used], standing.blocks[used])
     spread = np.sqrt(np.diag(covariance))
     low, high = robot.allowed["contact_stiffness"]

@@ -49,6 +49,7 @@ def fit_mass(
     params = known.rows(np.zeros(1, np.int64))
     for k in range(ROUNDS):
         forces, dynamics = forces_of(robot, standing, params)
+        check_feet(standing, forces, dynamics)
         weight = forces.force[still, :, 1].sum(axis=1)
         base = float(dynamics.model.body_mass[dynamics.base])
         total, legs = float(weight.mean()) / GRAVITY, dynamics.mass - base
@@ -93,6 +94,22 @@ def check_stands(standing: Standing) -> None:
     tilt = float(np.percentile(np.abs(standing.motion.roll_pitch[used]), 99))
     if tilt > STANDS:
         raise SurefootError(f"the robot tilts by {tilt:.2f} rad; one that stands stays within {STANDS:g}: run it again")
+
+
+def check_feet(standing: Standing, forces: Forces, dynamics: InverseDynamics) -> None:
+    """Refuse a robot that something else than its feet holds.
+
+    Raises:
+        SurefootError: with what its feet carry.
+    """
+    used = np.isin(standing.phase, [k for k, use in enumerate(standing.uses) if use != "way"])
+    carried = float(forces.force[used, :, 1].sum(axis=1).mean()) / GRAVITY
+    legs = dynamics.mass - float(dynamics.model.body_mass[dynamics.base])
+    if not carried > legs:
+        raise SurefootError(
+            f"the feet carry {carried:.2f} kg in the mean, less than the legs' {legs:.2f} kg: the robot must stand on its "
+            "feet; run it again"
+        )
 
 
 def _within(robot: RobotDescription, name: str, factor: float, params: PhysicalParams) -> float:
