@@ -109,6 +109,22 @@ def test_bounds_hold():
     assert fit_least_squares(model, np.array([7.0])).start_cost == pytest.approx(0.25)
 
 
+def test_a_model_is_never_asked_beyond_its_bounds():
+    class Strict(Linear):
+        def residuals(self, values: Array) -> Array:
+            low, high = (np.array([getattr(u, side) for u in self.unknowns]) for side in ("low", "high"))
+            assert np.all((low <= values) & (values <= high)), values
+            return super().residuals(values)
+
+    # Steps that are no power of two: numbers of steps are rounded on their way to the solver and back.
+    rng = np.random.default_rng(4)
+    for _ in range(30):
+        bounds = [(-float(a), float(b)) for a, b in rng.uniform(0.1, 0.9, (3, 2))]
+        unknowns = [unknown(str(k), low=a, high=b, step=1e-6 / 3) for k, (a, b) in enumerate(bounds)]
+        fit = fit_least_squares(Strict(rng.normal(size=(9, 3)), 10 * rng.normal(size=9), unknowns))
+        assert np.all((fit.values >= [a for a, _ in bounds]) & (fit.values <= [b for _, b in bounds]))
+
+
 def test_unknowns_of_one_colour_are_tried_at_once():
     rng = np.random.default_rng(2)
     matrix = np.zeros((12, 4))

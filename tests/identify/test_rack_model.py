@@ -9,8 +9,9 @@ import pytest
 
 pytest.importorskip("mujoco")
 
+from surefoot.errors import SurefootError
 from surefoot.identify.fitting import CONFIDENCE, Unknown, fit_least_squares
-from surefoot.identify.rack_model import TORQUE_GAIN, Noise, RackModel, params_of
+from surefoot.identify.rack_model import TORQUE_GAIN, Noise, RackModel, moving_legs, params_of
 from surefoot.identify.recording import Recording
 from surefoot.identify.replay import Replayer, stretch_of
 from surefoot.robot import PhysicalParams, RobotDescription
@@ -84,6 +85,26 @@ def test_only_its_own_leg_feels_a_motor(model: RackModel, robot: RobotDescriptio
             assert by_motor[:, pair].all()
             assert touched.reshape(3, -1, 8)[0, 0].nonzero()[0].tolist() == sorted(pair)
     assert model.touched(0) is None
+
+
+def test_a_leg_whose_motor_never_moves_is_left_out(model: RackModel, robot: RobotDescription, replayer: Replayer):
+    def stuck(*motors: int) -> Recording:
+        angle = model.recording.motor_angle.copy()
+        angle[:, motors] = 1.7
+        return replace(model.recording, motor_angle=angle)
+
+    # Motor 3 is of the back left leg, as is motor 2.
+    assert moving_legs(robot, model.recording).tolist() == list(range(8))
+    assert moving_legs(robot, stuck(3)).tolist() == [0, 1, 4, 5, 6, 7]
+    less = RackModel(robot, stuck(3), model.stretches, UNKNOWNS, model.base, replayer=replayer)
+    start = np.array([[u.start for u in UNKNOWNS]])
+    whole = model.residuals(start).reshape(3, -1, 8)
+    np.testing.assert_array_equal(less.residuals(start).reshape(3, -1, 6), whole[:, :, [0, 1, 4, 5, 6, 7]])
+    np.testing.assert_array_equal(less.blocks.reshape(3, -1, 6)[0, :, 0], model.blocks.reshape(3, -1, 8)[0, :, 0])
+    assert not less.touched(3).any()
+    assert less.touched(1).reshape(3, -1, 6).any(axis=(0, 1)).tolist() == [True, True, False, False, False, False]
+    with pytest.raises(SurefootError, match="every leg has a motor that never moves"):
+        moving_legs(robot, stuck(0, 2, 4, 6))
 
 
 def test_more_candidates_than_robots(model: RackModel):

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from surefoot.errors import SurefootError
 from surefoot.identify.fitting import Unknown
 from surefoot.identify.recording import Recording
 from surefoot.identify.replay import Replayer, Stretch
@@ -48,8 +49,21 @@ def params_of(base: PhysicalParams, unknowns: Sequence[Unknown], values: Array) 
     return params
 
 
+def moving_legs(robot: RobotDescription, recording: Recording) -> NDArray[np.int64]:
+    """Motors of legs both of whose motors move: beside one that stands still the other one does something else too.
+
+    Raises:
+        SurefootError: there is no such leg.
+    """
+    still = recording.still_motors
+    kept = [motor for pair in robot.leg_motor_index.tolist() if still.isdisjoint(pair) for motor in pair]
+    if not kept:
+        raise SurefootError("every leg has a motor that never moves: the data tell nothing")
+    return np.array(sorted(kept))
+
+
 class RackModel:
-    """Residuals of angles, speeds and torques of a robot on its rack.
+    """Residuals of angles, speeds and torques of a robot on its rack; legs with a motor that never moves are left out.
 
     Args:
         robot: its description.
@@ -78,12 +92,12 @@ class RackModel:
         self.noise, self.every, self.stretches = noise or Noise(), every, stretches
         self.replayer = replayer or Replayer(robot, len(unknowns) + 1, rack=True)
         self._gains = [i for i, u in enumerate(unknowns) if u.name == TORQUE_GAIN]
-        motors = robot.num_motors
+        self.kept = moving_legs(robot, recording)
         times = np.concatenate([stretch.state_time[::every] + 1e3 * k for k, stretch in enumerate(stretches)])
-        shape = (3, len(times), motors)
+        shape = (3, len(times), len(self.kept))
         self.blocks = np.broadcast_to((times / BLOCK).astype(np.int64)[None, :, None], shape).ravel()
-        self._motor = np.broadcast_to(np.arange(motors), shape).ravel()
-        self._leg = np.empty(motors, np.int64)
+        self._motor = np.broadcast_to(self.kept, shape).ravel()
+        self._leg = np.empty(robot.num_motors, np.int64)
         for leg, pair in enumerate(robot.leg_motor_index):
             self._leg[pair] = leg
 
@@ -99,7 +113,7 @@ class RackModel:
         return (parts / noise).reshape(len(values), -1)
 
     def errors(self, values: Array) -> Array:
-        """Simulated less recorded angles [rad], speeds [rad/s] and torques [N m] (K, 3, T, M) of K candidates."""
+        """Simulated less recorded angles [rad], speeds [rad/s], torques [N m] (K, 3, T, kept motors) of candidates."""
         size = self.replayer.num_envs
         return np.concatenate([self._errors(values[k : k + size]) for k in range(0, len(values), size)])
 
@@ -122,7 +136,7 @@ class RackModel:
                     axis=1,
                 )
             )
-        return np.concatenate(parts, axis=2)
+        return np.concatenate(parts, axis=2)[..., self.kept]
 
     def best_latency(self, latencies: Array) -> float:
         """Control latency [s] whose readings are nearest, all else as in `base`: only the reading differs."""
@@ -130,5 +144,6 @@ class RackModel:
         for stretch in self.stretches:
             kept = stretch.states[:: self.every]
             angles = self.replayer.read_late(stretch, self.base, latencies)[:, :: self.every]
-            costs += np.mean((angles - self.recording.motor_angle[kept]) ** 2, axis=(1, 2))
+            errors = (angles - self.recording.motor_angle[kept])[..., self.kept]
+            costs += np.mean(errors**2, axis=(1, 2))
         return float(latencies[np.argmin(costs)])

@@ -107,8 +107,8 @@ def check_feet(standing: Standing, forces: Forces, dynamics: InverseDynamics) ->
     legs = dynamics.mass - float(dynamics.model.body_mass[dynamics.base])
     if not carried > legs:
         raise SurefootError(
-            f"the feet carry {carried:.2f} kg in the mean, less than the legs' {legs:.2f} kg: the robot must stand on its "
-            "feet; run it again"
+            f"the feet carry {carried:.2f} kg in the mean, less than the legs' {legs:.2f} kg: the robot must stand on "
+            "its feet; run it again"
         )
 
 

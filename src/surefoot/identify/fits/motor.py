@@ -44,7 +44,7 @@ def motor_unknowns(
         robot: its legs and what it allows.
         known: one row.
         latency: control latency to begin with [s].
-        still: motors that did not move.
+        still: motors that did not move, and those beside them.
     """
     unknowns = []
     sizes = {
@@ -89,7 +89,8 @@ def fit_on_rack(
     latency = scan.best_latency(LATENCIES)
     if tell is not None:
         tell(f"control latency is about {1e3 * latency:.0f} ms", float("nan"))
-    unknowns = motor_unknowns(robot, known, latency, recording.still_motors)
+    still = frozenset(range(robot.num_motors)) - frozenset(scan.kept.tolist())
+    unknowns = motor_unknowns(robot, known, latency, still)
     noise = Noise()
     replayer = Replayer(robot, len({u.colour for u in unknowns if u.colour is not None}) + 10, rack=True)
     start, fit, model = None, None, None
@@ -230,18 +231,21 @@ def _curve(
     """Torque over current: what motors reported while they got a duty, less their own strength, beside the sheet's."""
     stretch = model.stretches[0]
     latency = float(found.control_latency[0])
+    motors = model.kept
     order = np.searchsorted(stretch.order_tick * robot.timing.servo_step, stretch.state_time - 1e-4) - 1
     driven = stretch.kind[order] == Mode.PWM
     kept = stretch.states[driven]
     # A state's speeds are older than its torques by the control latency.
     later = recording.time[kept] + latency
-    speed = np.stack([np.interp(later, recording.time, column) for column in recording.motor_velocity.T], axis=1)
+    speed = np.stack(
+        [np.interp(later, recording.time, column) for column in recording.motor_velocity.T[motors]], axis=1
+    )
     before = np.maximum(kept - 1, 0)
     current = motor_current(
-        stretch.order[order][driven], speed, recording.voltage[before][:, None], found.torque_constant[0],
+        stretch.order[order][driven][:, motors], speed, recording.voltage[before][:, None], found.torque_constant[0],
         found.resistance[0], robot.actuator.voltage_clip,
     )  # fmt: skip
-    torque = np.abs(recording.motor_torque[kept]) / (found.motor_strength[0] * (1 + gains))
+    torque = np.abs(recording.motor_torque[kept][:, motors]) / (found.motor_strength[0] * (1 + gains))[motors]
     magnitude = np.abs(current).ravel()
     edges = np.arange(0.0, magnitude.max() + 2.0, 2.0)
     place = np.digitize(magnitude, edges) - 1

@@ -1,0 +1,275 @@
+"""Fits of short experiments on emulated robots, whose parameters are known here and not to them."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+pytest.importorskip("mujoco")
+
+from surefoot.deploy.connection import open_connection
+from surefoot.deploy.display import PlainLines
+from surefoot.errors import SurefootError
+from surefoot.identify.driver import run_plan
+from surefoot.identify.fits.motor import fit_on_rack, motor_unknowns, rack_estimates
+from surefoot.identify.plan import Plan
+from surefoot.identify.recording import COMPLETE, Recording
+from surefoot.identify.registry import EXPERIMENTS
+from surefoot.identify.replay import stretch_of
+from surefoot.identify.result import Identification
+from surefoot.robot import PhysicalParams, RobotDescription
+
+RACK = {
+    "motor_strength": 0.9,
+    "motor_friction": 0.02,
+    "motor_viscous_friction": 0.002,
+    "torque_constant": 0.09,
+    "resistance": 0.2,
+    "servo_latency": 0.004,
+    "control_latency": 0.0173,
+    "leg_mass_ratio": 1.1,
+    "leg_inertia_ratio": 1.2,
+}
+GROUND = {
+    "base_mass_ratio": 1.15,
+    "base_inertia_ratio": 1.3,
+    "contact_friction": 0.7,
+    "contact_stiffness": 2000.0,
+}
+Short = dict[str, float]
+"""Lengths [s] of phases by name; of equal names the first `count` ones are kept."""
+
+
+def shortened(plan: Plan, lengths: Short, counts: dict[str, int]) -> Plan:
+    """A plan with some of its phases, and of these not all to their end."""
+    seen: dict[str, int] = {}
+    phases = []
+    for phase in plan.phases:
+        seen[phase.name] = seen.get(phase.name, 0) + 1
+        if phase.name in lengths and seen[phase.name] <= counts.get(phase.name, 1):
+            phases.append(replace(phase, duration=lengths[phase.name]))
+    return replace(plan, phases=tuple(phases))
+
+
+def record(robot: RobotDescription, params: dict[str, float], *plans: Plan, rack: bool) -> list[Recording]:
+    """Experiments on one emulated robot with ideal sensors, in a process of its own."""
+    words = ["--lockstep", "--ideal-sensors", *(["--rack"] if rack else [])]
+    words += ["--set", *(f"{name}={value}" for name, value in params.items())]
+    process = subprocess.Popen(
+        [sys.executable, "-m", "surefoot", "emulate", *words],
+        stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True,
+    )  # fmt: skip
+    recordings = []
+    try:
+        port = process.stdout.readline().split()[-1]
+        for plan in plans:
+            connection = open_connection(port, robot.num_motors, lockstep=True)
+            connection.connect()
+            recordings.append(run_plan(connection, plan, robot, PlainLines()))
+            connection.close()
+            assert recordings[-1].meta["ended"] == COMPLETE
+    finally:
+        process.terminate()
+        process.wait(30)
+        process.stdout.close()
+    return recordings
+
+
+@pytest.fixture(scope="module")
+def nominal(robot: RobotDescription) -> PhysicalParams:
+    return PhysicalParams.nominal(robot)
+
+
+@pytest.fixture(scope="module")
+def rack(robot: RobotDescription) -> tuple[Recording, Recording]:
+    """Parts of the motor and of the latency experiment."""
+    motor = shortened(
+        EXPERIMENTS["motor"].plan(robot),
+        {"unfold": 1.5, "hold": 0.4, "steps": 1.5, "centre": 0.5, "PWM pulses": 0.24, "chirp back": 1.0},
+        {"centre": 3, "PWM pulses": 2},
+    )
+    latency = shortened(
+        EXPERIMENTS["latency"].plan(robot),
+        {"unfold": 1.5, "hold": 0.3, "spikes": 0.24, "centre": 0.5, "chirp": 0.6, "steps": 0.5},
+        {"spikes": 2, "centre": 2},
+    )
+    one, other = record(robot, RACK, motor, latency, rack=True)
+    return one, other
+
+
+def ground(robot: RobotDescription, name: str, lengths: Short, counts: dict[str, int]) -> Plan:
+    plan = EXPERIMENTS[name].plan(robot)
+    first = next(k for k, phase in enumerate(plan.phases) if phase.use != "way")
+    ways = {phase.name: phase.duration for phase in plan.phases[:first]}
+    return shortened(plan, ways | lengths, counts)
+
+
+MASS = {"drop": 1.4, "stand still": 1.0, "squat slowly": 2.0, "nod": 5.0, "nod back": 1.0}
+
+
+@pytest.fixture(scope="module")
+def massive(robot: RobotDescription) -> Recording:
+    """Most of the mass experiment, of a robot that is heavier than it was described."""
+    return record(robot, GROUND, ground(robot, "mass", MASS, {}), rack=False)[0]
+
+
+@pytest.fixture(scope="module")
+def dragging(robot: RobotDescription) -> Recording:
+    """Most of the contact experiment, of the same robot."""
+    plan = ground(robot, "contact", {"drop": 1.4, "drag": 4.0, "nod": 4.0}, {"drop": 3, "drag": 2})
+    return record(robot, GROUND, plan, rack=False)[0]
+
+
+@pytest.fixture(scope="module")
+def motors(robot: RobotDescription, rack: tuple[Recording, Recording], nominal: PhysicalParams) -> Identification:
+    return EXPERIMENTS["motor"].fit(robot, rack[0], nominal)
+
+
+def test_a_robots_motors_are_found(motors: Identification, rack: tuple[Recording, Recording]):
+    within = {
+        "torque_constant": 2e-3, "resistance": 2e-3, "leg_mass_ratio": 5e-3, "leg_inertia_ratio": 5e-3,
+        "motor_strength": 1e-3, "servo_latency": 0.01, "control_latency": 1e-3, "motor_friction": 0.02,
+        "motor_viscous_friction": 0.05,
+    }  # fmt: skip
+    for name, tolerance in within.items():
+        found = [item for item in motors.estimates if item.name == name]
+        assert len(found) == (8 if name.startswith("motor") else 1)
+        for item in found:
+            assert item.value == pytest.approx(RACK[name], rel=tolerance), item.label
+            assert item.interval[0] < RACK[name] < item.interval[1], item.label
+            assert item.told
+    assert motors.estimate("servo_kp").value == pytest.approx(1.0, rel=2e-3)
+    assert motors.estimate("servo_kd").value == pytest.approx(0.015, rel=2e-3)
+    assert motors.estimate("voltage").value == pytest.approx(16.0, abs=1e-3)
+    assert (motors.experiment, motors.robot, motors.digest) == ("motor", "minitaur", rack[0].digest)
+
+
+def test_what_was_not_fitted_is_repeated(motors: Identification):
+    assert [check.what for check in motors.checks] == ["motor angles", "motor speeds", "motor torques"]
+    for check in motors.checks:
+        assert check.after < 0.05 * check.before
+    # Torque over current is the sheet's, as the robot's is.
+    curve = motors.series[-1]
+    assert curve.points
+    assert len(curve.x) > 5
+    np.testing.assert_allclose(curve.measured, curve.after, atol=0.05)
+
+
+def test_sensors_for_later_fits(motors: Identification):
+    np.testing.assert_allclose(motors.sensors["torque_gain"], 0.0, atol=2e-3)
+    assert motors.sensors["torque_accuracy"] == pytest.approx(0.01 / 8**0.5)
+
+
+def test_a_motor_that_never_moves_is_not_told_and_neither_is_its_leg(
+    robot: RobotDescription, rack: tuple[Recording, Recording], nominal: PhysicalParams
+):
+    angle, velocity = rack[0].motor_angle.copy(), rack[0].motor_velocity.copy()
+    angle[:, 3], velocity[:, 3] = 1.7, 0.0
+    recording = replace(rack[0], motor_angle=angle, motor_velocity=velocity)
+    assert recording.still_motors == {3}
+    known = nominal.with_values(robot, **RACK)
+    assert not [u for u in motor_unknowns(robot, known, 0.0173, recording.still_motors) if u.index == 3]
+    # It is a motor of the back left leg, with motor 2.
+    fit, _ = fit_on_rack(robot, recording, stretch_of(recording, 1, 2), known, None)
+    estimates = rack_estimates(robot, fit, known)
+    untold = [item for item in estimates if not item.told and item.index is not None]
+    names = ("motor_strength", "motor_friction", "motor_viscous_friction")
+    assert [(item.name, item.index) for item in untold] == [(name, motor) for motor in (2, 3) for name in names]
+    # What was known is left there, and the others are found as before.
+    assert [item.value for item in untold] == [0.9, 0.02, 0.002] * 2
+    # Only servos moved: with all of these twice as large a motor would do the same.
+    value = {item.name: item.value for item in estimates if item.index is None}
+    scaled = ["torque_constant", "resistance", "servo_kp", "servo_kd"]
+    assert [item.name for item in estimates if not item.told and item.index is None] == scaled
+    for name, true in zip(scaled, (0.09, 0.2, 1.0, 0.015), strict=True):
+        assert value[name] / value["resistance"] == pytest.approx(true / 0.2, rel=0.02)
+    assert any({"resistance", "servo_kp"} <= set(pair) for pair in fit.strongest_correlations())
+    assert len(estimates) == 8 + 3 * 8
+    for motor in (0, 1, 4, 5, 6, 7):
+        (strength,) = [item for item in estimates if (item.name, item.index) == ("motor_strength", motor)]
+        assert strength.told
+        assert strength.value == pytest.approx(0.9, rel=0.01)
+
+
+def test_latencies_are_found_twice(
+    robot: RobotDescription, rack: tuple[Recording, Recording], motors: Identification, nominal: PhysicalParams
+):
+    said: list[str] = []
+    known = motors.params(robot, nominal)
+    found = EXPERIMENTS["latency"].fit(robot, rack[1], known, motors.sensors, lambda text, cost: said.append(text))
+    assert found.estimate("control_latency").value == pytest.approx(RACK["control_latency"], abs=5e-5)
+    assert found.estimate("servo_latency").value == pytest.approx(RACK["servo_latency"], abs=5e-5)
+    # An engine's step moves a motor as far in its first step as it should have in 1.4 of them.
+    for name in ("spike_at_robot", "spike_at_host"):
+        assert found.estimate(name).value == pytest.approx(RACK["control_latency"], abs=1e-3)
+    assert set(found.found()) == {"control_latency", "servo_latency", "voltage"}
+    assert said[0].startswith("control latency is about")
+    assert any("spikes answered clearly" in note for note in found.notes)
+
+
+def test_a_robot_that_answers_no_spikes_is_refused(
+    robot: RobotDescription, rack: tuple[Recording, Recording], nominal: PhysicalParams
+):
+    weak = replace(rack[1], meta={**rack[1].meta, "phases": [dict(phase) for phase in rack[1].meta["phases"]]})
+    for phase in weak.meta["phases"]:
+        phase["name"] = phase["name"].replace("spikes", "silence")
+    with pytest.raises(SurefootError, match="only 0 of 0 answers to spikes are clear; at least 8"):
+        EXPERIMENTS["latency"].fit(robot, weak, nominal)
+
+
+def test_a_heavier_robot_is_weighed(robot: RobotDescription, massive: Recording, nominal: PhysicalParams):
+    found = EXPERIMENTS["mass"].fit(robot, massive, nominal)
+    assert found.estimate("base_mass_ratio").value == pytest.approx(1.15, rel=0.02)
+    base = sum(robot.urdf.links[name].mass for name in robot.urdf.fixed_to(robot.base))
+    total = robot.urdf.total_mass + 0.15 * base
+    weight = found.estimate("total_mass")
+    assert weight.value == pytest.approx(total, rel=0.01)
+    assert weight.interval[0] < total < weight.interval[1]
+    inertia = found.estimate("base_inertia_ratio")
+    assert inertia.told
+    assert inertia.value == pytest.approx(1.3, rel=0.05)
+    # The body's centre is 50 mm before the base's origin, and has 3.353 of 5.993 kg; legs are alike before and behind.
+    assert found.estimate("centre_of_mass_x").value == pytest.approx(0.05 * 3.353 * 1.15 / total, abs=2e-3)
+    assert found.estimate("centre_of_mass_y").value == pytest.approx(0.0, abs=2e-3)
+    assert [check.what for check in found.checks] == ["weight on the feet", "moment about y"]
+    assert all(check.after < check.before for check in found.checks)
+    assert any("the motors were not identified before" in note for note in found.notes)
+    assert set(found.found()) == {"base_mass_ratio", "base_inertia_ratio"}
+
+
+def test_feet_are_found(robot: RobotDescription, dragging: Recording, nominal: PhysicalParams):
+    known = nominal.with_values(robot, base_mass_ratio=1.15, base_inertia_ratio=1.3)
+    found = EXPERIMENTS["contact"].fit(robot, dragging, known)
+    friction, stiffness = found.estimate("contact_friction"), found.estimate("contact_stiffness")
+    assert friction.value == pytest.approx(0.7, rel=0.05)
+    assert stiffness.value == pytest.approx(2000.0, rel=0.08)
+    assert found.estimate("contact_damping").value == pytest.approx(100.0, rel=0.3)
+    for item, true in ((friction, 0.7), (stiffness, 2000.0)):
+        assert item.told
+        assert item.interval[0] < true < item.interval[1]
+    assert set(found.found()) == {"contact_friction", "contact_stiffness"}
+
+
+@pytest.mark.parametrize("name", ["mass", "contact"])
+def test_a_robot_on_its_side_is_refused(
+    name: str, robot: RobotDescription, request: pytest.FixtureRequest, nominal: PhysicalParams
+):
+    recording = request.getfixturevalue({"mass": "massive", "contact": "dragging"}[name])
+    lying = replace(recording, roll_pitch_yaw=recording.roll_pitch_yaw + np.array([1.4, 0.0, 0.0]))
+    with pytest.raises(SurefootError, match=r"tilts by 1\.\d\d rad; one that stands stays within 0\.3"):
+        EXPERIMENTS[name].fit(robot, lying, nominal)
+
+
+@pytest.mark.parametrize("name", ["mass", "contact"])
+def test_a_robot_that_does_not_stand_on_its_feet_is_refused(
+    name: str, robot: RobotDescription, request: pytest.FixtureRequest, nominal: PhysicalParams
+):
+    """Its belly lies on something: its motors carry nothing."""
+    recording = request.getfixturevalue({"mass": "massive", "contact": "dragging"}[name])
+    lying = replace(recording, motor_torque=recording.motor_torque * 0.02)
+    with pytest.raises(SurefootError, match="feet carry"):
+        EXPERIMENTS[name].fit(robot, lying, nominal)
