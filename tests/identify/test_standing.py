@@ -2,12 +2,24 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 pytest.importorskip("mujoco")
 
-from surefoot.identify.standing import LEVELLING, STEP, _levelled, _smooth, block_deviation, regress
+from surefoot.identify.standing import (
+    LEVELLING,
+    STEP,
+    Standing,
+    _levelled,
+    _since_command,
+    _smooth,
+    block_deviation,
+    regress,
+)
+from surefoot.robot import PhysicalParams, RobotDescription
 
 
 def test_a_mean_is_known_to_what_its_blocks_differ_by():
@@ -65,3 +77,32 @@ def test_smoothing_leaves_cubics():
     values = np.stack([time**3 - time, np.full_like(time, 4.0)], axis=1)
     np.testing.assert_allclose(_smooth(values), values, atol=1e-12)
     np.testing.assert_allclose(_smooth(values, 1), np.stack([3 * time**2 - 1, 0 * time], axis=1), atol=1e-9)
+
+
+def test_values_of_phases_by_name_and_use():
+    names, uses = ("stand", "nod", "nod"), ("way", "fit", "check")
+    standing = Standing(np.arange(6) * 0.3, np.array([0, 0, 1, 1, 2, 2]), None, names, uses)
+    assert standing.during("nod").tolist() == [False, False, True, True, False, False]
+    assert standing.during("nod", use="check").tolist() == [False, False, False, False, True, True]
+    assert not standing.during("stand").any()
+    # Blocks of half a second: 0 and .3; .6 and .9; 1.2; 1.5.
+    assert standing.blocks.tolist() == [0, 0, 1, 1, 2, 3]
+
+
+def test_the_last_servo_step_has_the_least_of_a_command(robot: RobotDescription):
+    """A motor turns at 1 rad/s and is held by a servo; states come every 2 ms, each of them before a command."""
+    time = np.arange(100) * 0.002
+    turning = np.tile((1.7 + time)[:, None], (1, 8))
+    recording = SimpleNamespace(
+        meta={"servo_period": 0.001}, period=0.002, time=time, arrival=time, voltage=np.full(100, 16.0),
+        sent_value=np.full((100, 8), 1.82), motor_angle=turning, motor_velocity=np.ones((100, 8)),
+    )  # fmt: skip
+    nominal = PhysicalParams.nominal(robot)
+    # Of two steps the second has 1 mrad less to go: .001 of 16 V, at .186 Ohm and, up to 10 A, .1 N m/A. On average
+    # they have half of that more than the second.
+    expected = 0.001 * 16 / 0.186 * 0.1 / 2
+    found = _since_command(robot, recording, nominal, 0.0)
+    np.testing.assert_allclose(found[20:], expected, rtol=1e-6)
+    # A motor that stands has equal torques in both.
+    still = SimpleNamespace(**vars(recording) | {"motor_angle": turning * 0, "motor_velocity": turning * 0})
+    np.testing.assert_allclose(_since_command(robot, still, nominal, 0.0)[20:], 0.0, atol=1e-12)

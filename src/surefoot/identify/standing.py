@@ -51,7 +51,7 @@ class Standing:
         return (self.time / BLOCK).astype(np.int64)
 
     def during(self, *names: str, use: str = "fit") -> NDArray[np.bool_]:
-        """Values in phases of these names and this use (T,); their first .1 s, in which they begin, left out."""
+        """Values in phases of these names and this use (T,)."""
         wanted = [k for k, name in enumerate(self.names) if name in names and self.uses[k] == use]
         inside: NDArray[np.bool_] = np.isin(self.phase, wanted)
         return inside
