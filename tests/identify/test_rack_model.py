@@ -116,7 +116,7 @@ def test_more_candidates_than_robots(model: RackModel):
 
 
 def test_the_nearest_latency(model: RackModel):
-    assert model.best_latency(np.arange(0.0, 0.041, 0.002)) == pytest.approx(0.020)
+    assert model.latency_valleys(np.arange(0.0, 0.041, 0.002))[0] == pytest.approx(0.020)
 
 
 def test_a_fit_finds_what_the_sheet_has_wrong(model: RackModel, robot: RobotDescription, replayer: Replayer):

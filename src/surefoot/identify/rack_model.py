@@ -138,12 +138,17 @@ class RackModel:
             )
         return np.concatenate(parts, axis=2)[..., self.kept]
 
-    def best_latency(self, latencies: Array) -> float:
-        """Control latency [s] whose readings are nearest, all else as in `base`: only the reading differs."""
+    def latency_valleys(self, latencies: Array) -> list[float]:
+        """Control latencies [s] whose readings are nearer than those of their neighbours, the nearest one first.
+
+        All else is as in `base`: only the reading differs, so that one simulation serves for all.
+        """
         costs = np.zeros(len(latencies))
         for stretch in self.stretches:
             kept = stretch.states[:: self.every]
             angles = self.replayer.read_late(stretch, self.base, latencies)[:, :: self.every]
             errors = (angles - self.recording.motor_angle[kept])[..., self.kept]
             costs += np.mean(errors**2, axis=(1, 2))
-        return float(latencies[np.argmin(costs)])
+        padded = np.pad(costs, 1, constant_values=np.inf)
+        lowest = np.flatnonzero((costs <= padded[:-2]) & (costs <= padded[2:]))
+        return latencies[lowest[np.argsort(costs[lowest])]].tolist()

@@ -6,7 +6,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.deploy.poses import pose
-from surefoot.identify.experiments.ground import STANCE, drop, ends, legs_pose, rocking, sides, sitting_down, standing_up
+from surefoot.identify.experiments.ground import (
+    STANCE,
+    drop,
+    ends,
+    legs_pose,
+    rocking,
+    sides,
+    sitting_down,
+    standing_up,
+)
 from surefoot.identify.plan import Phase, Plan, Signal
 from surefoot.robot import RobotDescription
 
