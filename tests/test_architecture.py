@@ -43,6 +43,10 @@ ROBOT_SIDE = [
     "surefoot.cli.policies",
     "surefoot.cli.doctor",
     "surefoot.cli.deploy",
+    "surefoot.cli.identify",
+    "surefoot.identify.driver",
+    "surefoot.identify.registry",
+    "surefoot.identify.experiments.contact",
 ]
 NOT_ON_THE_ROBOT = {
     *("mujoco", "numba", "llvmlite", "gymnasium", "scipy", "pybullet"),

@@ -25,7 +25,7 @@ class Link:
 
 @dataclass(frozen=True)
 class Joint:
-    """One joint, by name, type, the links that it joins, its axis in the child's frame and its place in the parent's."""
+    """One joint: name, type, the links that it joins, its axis in the child's frame, and its place in the parent's."""
 
     name: str
     kind: str
