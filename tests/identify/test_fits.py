@@ -207,7 +207,7 @@ def test_latencies_are_found_twice(
     for name in ("spike_at_robot", "spike_at_host"):
         assert found.estimate(name).value == pytest.approx(RACK["control_latency"], abs=1e-3)
     assert set(found.found()) == {"control_latency", "servo_latency", "voltage"}
-    assert said[0].startswith("control latency is about")
+    assert said[0].startswith("starting from a control latency of")
     assert any("spikes answered clearly" in note for note in found.notes)
 
 
