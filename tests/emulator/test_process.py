@@ -136,7 +136,12 @@ def test_hosts_come_and_go_and_the_robot_never_blocks(emulate, robot):
 @pytest.mark.parametrize("lockstep", [False, True])
 def test_it_ends_cleanly_when_asked_to(emulate, tmp_path, number, lockstep):
     link = tmp_path / "robot"
-    process = emulate("--link", str(link), *(["--lockstep"] if lockstep else []))
+    # Whoever runs the tests without a terminal may ignore hangups, and children inherit that.
+    before = signal.signal(number, signal.SIG_DFL)
+    try:
+        process = emulate("--link", str(link), *(["--lockstep"] if lockstep else []))
+    finally:
+        signal.signal(number, before)
     assert os.path.realpath(link) == process.path
     process.popen.send_signal(number)
     assert process.popen.wait(timeout=20) == 0
