@@ -354,22 +354,6 @@ def test_a_terminal_is_asked(hanging: Emulator, tmp_path: Path, answer: bytes, c
         assert said == ""
 
 
-@pytest.mark.slow
-def test_from_a_robot_to_a_file_of_its_parameters(emulate: Callable[..., Emulator], tmp_path: Path):
-    true = {"control_latency": 0.0173, "servo_latency": 0.0036}
-    port = emulate("--rack", "--set", *(f"{name}={value}" for name, value in true.items())).port
-    params = tmp_path / "robot.toml"
-    words = ["latency", "--port", port, "--lockstep", "--yes", "--params", params, "--out", tmp_path / "out"]
-    done = run([*words])
-    assert done.returncode == 0, done.stderr
-    assert {path.name for path in (tmp_path / "out").iterdir()} == {"recording.npz", "report.png", "report.html"}
-    assert max(map(len, done.stdout.splitlines()[-12:-3])) <= 80
-    found = read_params(params, RobotDescription.load("minitaur"))
-    for name, value in true.items():
-        low, high = found.tables["intervals"][name]
-        assert low - 0.3 * (high - low) < value < high + 0.3 * (high - low), name
-
-
 def test_what_should_come_before_is_told(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ):
