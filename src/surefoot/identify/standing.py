@@ -152,7 +152,8 @@ def _levelled(tilt: Array, rate: Array) -> Array:
         now = now + STEP * rate[k]
         now = now + (tilt[k] - now) * STEP / LEVELLING
         out[k] = now
-    return out
+    # A constant error of the gyro has become one of the angles; the IMU has none in the mean.
+    return out + (tilt - out).mean(axis=0)
 
 
 def forces_of(robot: RobotDescription, standing: Standing, params: PhysicalParams) -> tuple[Forces, InverseDynamics]:

@@ -143,7 +143,9 @@ def _centre(
     carried = forces.force[still, :, 1]
     total = carried.sum(axis=1)
     forward = (forces.foot[still, :, 0] * carried - forces.foot[still, :, 1] * forces.force[still, :, 0]).sum(axis=1)
-    left = (robot.leg_mounts[:, 1] * carried).sum(axis=1)
+    # A robot that leans is held up sideways too, at its feet: below the centre of mass by about their own depth.
+    leaning = np.tan(standing.motion.roll_pitch[still, 0]) * -forces.foot[still, :, 1].mean(axis=1)
+    left = (robot.leg_mounts[:, 1] * carried).sum(axis=1) + leaning * total
     reach = np.abs(robot.leg_mounts[:, :2]).mean(axis=0)
     estimates = []
     for axis, moment in enumerate((forward, left)):
