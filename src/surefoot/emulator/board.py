@@ -118,7 +118,8 @@ class Board:
 
     def _steps_until(self, moment: float) -> int:
         """Servo steps that can be gone through at once, the last one ending at `moment` or before."""
-        if self.stride == 1:
+        if self.stride == 1 or self._order is not None:
+            # The step that is under way keeps its order; what has come meanwhile acts from the next one on.
             return 1
         first = self.next_step
         possible = min(self.stride, int(moment - first) // self._step + 1)
