@@ -24,6 +24,7 @@ import numpy as np
 
 from surefoot.actuator.motor import motor_torque
 from surefoot.deploy.connection import open_connection
+from surefoot.deploy.loop import Silent
 from surefoot.identify.driver import PERIOD, run_plan
 from surefoot.identify.recording import COMPLETE
 from surefoot.identify.registry import EXPERIMENTS
@@ -40,22 +41,6 @@ HIDDEN = (
 the servo's latency."""
 ORDER = ("motor", "mass", "contact", "latency")
 """The motor experiment first: the battery's voltage is that of a robot just switched on."""
-
-
-class Quiet:
-    """Watches and says nothing."""
-
-    def phase(self, name: str, duration: float) -> None:
-        pass
-
-    def tick(self, snapshot: object) -> None:
-        pass
-
-    def warn(self, text: str) -> None:
-        pass
-
-    def recording(self, text: str) -> None:
-        pass
 
 
 def one_draw(robot: RobotDescription, world: str, seed: int) -> dict[str, Any]:
@@ -76,7 +61,7 @@ def one_draw(robot: RobotDescription, world: str, seed: int) -> dict[str, Any]:
                 port = process.stdout.readline().split()[-1] if process.stdout is not None else ""
                 connection = open_connection(port, robot.num_motors, lockstep=True)
                 connection.connect(state_period=PERIOD)
-                recording = run_plan(connection, experiment.plan(robot), robot, Quiet())
+                recording = run_plan(connection, experiment.plan(robot), robot, Silent())
                 connection.close()
             finally:
                 process.send_signal(signal.SIGINT)

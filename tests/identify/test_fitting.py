@@ -13,11 +13,11 @@ from surefoot.errors import SurefootError
 pytest.importorskip("mujoco")
 
 from surefoot.identify.fitting import (
-    CONFIDENCE,
     Unknown,
     fit_least_squares,
     jacobian_of,
 )
+from surefoot.identify.result import CONFIDENCE
 
 Array = NDArray[np.float64]
 

@@ -10,10 +10,11 @@ import pytest
 pytest.importorskip("mujoco")
 
 from surefoot.errors import SurefootError
-from surefoot.identify.fitting import CONFIDENCE, Unknown, fit_least_squares
+from surefoot.identify.fitting import Unknown, fit_least_squares
 from surefoot.identify.rack_model import TORQUE_GAIN, Noise, RackModel, moving_legs, params_of
 from surefoot.identify.recording import Recording
 from surefoot.identify.replay import Replayer, stretch_of
+from surefoot.identify.result import CONFIDENCE
 from surefoot.robot import PhysicalParams, RobotDescription
 
 UNKNOWNS = [

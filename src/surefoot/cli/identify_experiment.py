@@ -156,10 +156,8 @@ def _fit(
     folder: Path,
 ) -> int:
     from surefoot.cli.identify_results import check_installed, fitting, tell, write
-    from surefoot.identify.quality import check_recording
 
     check_installed()
-    check_recording(recording, robot)
     with fitting(experiment.name) as say:
         found = experiment.fit(robot, recording, known.params, known.sensors, say)
     params = command.params or folder / "robot.toml"

@@ -78,6 +78,22 @@ class Watch(Protocol):
         ...
 
 
+class Silent:
+    """Watches and says nothing."""
+
+    def phase(self, name: str, duration: float) -> None:
+        """Nothing is said."""
+
+    def tick(self, snapshot: Snapshot) -> None:
+        """Nothing is said."""
+
+    def warn(self, text: str) -> None:
+        """Nothing is said."""
+
+    def recording(self, text: str) -> None:
+        """Nothing is said."""
+
+
 class ControlLoop:
     """Ticks of one run.
 

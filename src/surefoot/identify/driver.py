@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import datetime
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -245,10 +244,7 @@ def run_plan(
     plan: Plan,
     robot: RobotDescription,
     watch: Watch,
-    on_start: Callable[[], None] | None = None,
 ) -> Recording:
     """Run a plan on a greeted robot, with the operator's signals heard."""
     with StopSignals() as operator:
-        if on_start is not None:
-            on_start()
         return Driver(connection, plan, robot, operator, watch).run()

@@ -19,8 +19,6 @@ from surefoot.errors import SurefootError
 
 Array = NDArray[np.float64]
 
-CONFIDENCE = 1.959964
-"""Standard deviations on either side that hold 95 % of a normal distribution."""
 SMALL = 1e-5
 """Relative gain that a step must promise, or the fit has settled."""
 UNTOLD = 0.7

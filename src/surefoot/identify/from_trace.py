@@ -207,7 +207,7 @@ def _estimates(
     deviations = {u.label: float(d) for u, d in zip(fit.unknowns, fit.deviation, strict=True)}
     estimates = []
     for name in wanted:
-        unit = PhysicalParams.__dataclass_fields__[name].metadata["unit"]
+        unit = PhysicalParams.unit(name)
         low, high = robot.allowed[name]
         for index in range(robot.num_motors) if name == "motor_strength" else (None,):
             label = name if index is None else f"{name}[{index}]"

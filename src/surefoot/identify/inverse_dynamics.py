@@ -90,6 +90,8 @@ class InverseDynamics:
         turn = quat.reshape(3, 3)
         self.base_inertia = turn @ np.diag(model.body_inertia[base]) @ turn.T
         """Of the base about its centre of mass, base frame (3, 3) [kg m2]."""
+        self.base_mass = float(model.body_mass[base])
+        """Of the base and all that is fixed to it [kg]."""
         self._feet = foot_geoms(robot, model)
         self._motor = np.array([model.joint(name).dofadr[0] for name in robot.motor_names])
         self._motor_q = np.array([model.joint(name).qposadr[0] for name in robot.motor_names])
@@ -185,11 +187,9 @@ class InverseDynamics:
         whole = reduced[:, :3] @ acceleration + reduced[:, 3:] @ known + still
         pushed = sum(jacobian.T @ (plane @ force) for jacobian, force in zip(jacobians, forces, strict=True))
         down = np.zeros(model.nv)
-        speed_before = data.qvel.copy()
         data.qvel[:] = 0.0
         mujoco.mj_comVel(model, data)
         mujoco.mj_rne(model, data, 0, down)
-        data.qvel[:] = speed_before
         weight = transform.T @ down
         out.weight[t] = [*(plane.T @ weight[:3]), weight[4]]
         # What the base's rows lack: about y of the base it is the base's own turning that may be wrong.

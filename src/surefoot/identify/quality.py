@@ -64,11 +64,6 @@ def _bad(text: str) -> SurefootError:
     return SurefootError(f"the recording can't be fitted: {text}")
 
 
-def _fitted(recording: Recording) -> list[int]:
-    """Phases that are fitted, or kept back to try a fit on."""
-    return [k for k, phase in enumerate(recording.meta["phases"]) if phase["use"] in ("fit", "check")]
-
-
 def _finite(recording: Recording, robot: RobotDescription) -> None:
     for name in ("time", "host_time", "sent_time", "roll_pitch_yaw", "angular_velocity_base", "voltage"):
         if not np.isfinite(getattr(recording, name)).all():
@@ -84,7 +79,7 @@ def _whole(recording: Recording) -> None:
     if recording.duration < LEAST:
         raise _bad(f"it has {recording.duration:.1f} s of states; at least {LEAST:g}")
     phases, period = recording.meta["phases"], float(recording.meta["period"])
-    for k in _fitted(recording):
+    for k in recording.phases("fit", "check"):
         states = recording.phase_states(k)
         expected = float(phases[k]["duration"]) / period
         share = (states.stop - states.start) / expected
@@ -120,7 +115,7 @@ def _lost(recording: Recording) -> tuple[str, ...]:
     if share > LOST:
         raise _bad(f"{gone} frames, {share:.1%}, were lost or damaged on the link; at most {LOST:.0%}")
     period, lost, states = float(recording.meta["period"]), 0, 0
-    for k in _fitted(recording):
+    for k in recording.phases("fit", "check"):
         gaps = np.diff(recording.time[recording.phase_states(k)]) / period
         lost += int(np.sum(np.maximum(np.round(gaps[gaps > GAP]) - 1, 0)))
         states += len(gaps)
@@ -144,7 +139,7 @@ def _still(recording: Recording, robot: RobotDescription) -> tuple[str, ...]:
 def _readings(recording: Recording, robot: RobotDescription) -> None:
     """Readings that stand still while their motor moves, or is asked to."""
     moved, worked = _asked(recording)
-    phases = [recording.phase_states(k) for k in _fitted(recording)]
+    phases = [recording.phase_states(k) for k in recording.phases("fit", "check")]
     fitted = np.concatenate([np.arange(part.start, part.stop) for part in phases]) if phases else np.arange(0)
     period = float(recording.meta["period"])
     for motor in sorted(set(range(recording.num_motors)) - recording.still_motors):
@@ -184,7 +179,7 @@ def _asked(recording: Recording) -> tuple[Mask, Mask]:
     worked = moved.copy()
     period = float(recording.meta["period"])
     back = max(round(_STANDS / period), 1)
-    for k in _fitted(recording):
+    for k in recording.phases("fit", "check"):
         states = recording.phase_states(k)
         order = np.searchsorted(recording.arrival, recording.time[states], side="right") - 1
         value = recording.sent_value[np.clip(order, 0, None)]

@@ -23,6 +23,8 @@ Array = NDArray[np.float64]
 SCHEMA = 1
 STILL = 0.002
 """Standard deviation of an angle [rad] below which a motor has not moved: a few steps of its encoder."""
+CLOCK = 2e-5
+"""Resolution of the times in states [s], twice."""
 COMPLETE = "complete"
 _META = (
     *("schema", "experiment", "robot", "motor_names", "rack", "phases", "mode_changes", "ended", "period", "lead"),
@@ -82,6 +84,14 @@ class Recording:
         """Time between two commands, and between two states [s]."""
         return float(self.meta["period"])
 
+    def phases(self, *uses: str) -> list[int]:
+        """Indices of the phases of some uses: fit, check or way."""
+        return [k for k, phase in enumerate(self.meta["phases"]) if phase["use"] in uses]
+
+    def servo_step(self, times: Array) -> NDArray[np.int64]:
+        """Number of the first servo step that begins at times [s] or later, by the robot's clock."""
+        return np.ceil((times - CLOCK) / float(self.meta["servo_period"])).astype(np.int64)
+
     @property
     def duration(self) -> float:
         """Robot time from the first state to the last [s]."""
@@ -119,9 +129,8 @@ class Recording:
     def still_motors(self) -> frozenset[int]:
         """Motors whose angles hardly change while they are experimented with: nothing can be told of them."""
         driven = np.zeros(len(self.time), np.bool_)
-        for k, phase in enumerate(self.meta["phases"]):
-            if phase["use"] == "fit":
-                driven[self.phase_states(k)] = True
+        for k in self.phases("fit"):
+            driven[self.phase_states(k)] = True
         spread = self.motor_angle[driven].std(axis=0) if driven.any() else np.zeros(self.num_motors)
         return frozenset(np.flatnonzero(spread < STILL).tolist())
 

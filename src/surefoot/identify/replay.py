@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from surefoot.deploy.wire.messages import Mode
 from surefoot.errors import SurefootError
-from surefoot.identify.recording import Recording
+from surefoot.identify.recording import CLOCK, Recording
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.world.interface import WorldConfig
 from surefoot.world.sim_world import SimWorld
@@ -33,8 +33,6 @@ SETTLE = 0.6
 """Time [s] for which simulated robots hold the first command before the recording begins."""
 HELD = -1
 """An order: the servos hold the angles that they find, as they do from arming to the first command."""
-_CLOCK = 2e-5
-"""Resolution of the times in states [s], twice."""
 
 
 @dataclass(frozen=True)
@@ -78,25 +76,25 @@ def stretch_of(recording: Recording, first: int, last: int) -> Stretch:
     mine = np.flatnonzero((recording.sent_phase >= first) & (recording.sent_phase <= last))
     if len(mine) < 2:
         raise SurefootError(f"the recording has no commands of phases {first} to {last}")
-    begins = np.ceil((recording.arrival[mine] - _CLOCK) / dt).astype(np.int64)
+    begins = recording.servo_step(recording.arrival[mine])
     modes = [phase["mode"] for phase in recording.meta["phases"]]
     kind = np.array([int(modes[int(phase)]) for phase in recording.sent_phase[mine]], np.int64)
     orders = recording.sent_value[mine]
     for sent, mode in recording.meta["mode_changes"]:
-        tick = int(np.ceil((sent + recording.way - _CLOCK) / dt))
+        tick = int(recording.servo_step(sent + recording.way))
         if begins[0] < tick <= begins[-1]:
             place = int(np.searchsorted(begins, tick, side="right"))
             begins = np.insert(begins, place, tick)
             orders = np.insert(orders, place, 0.0, axis=0)
             kind = np.insert(kind, place, {Mode.POSITION: HELD, Mode.PWM: Mode.PWM}.get(mode, Mode.DISARMED))
     states = np.flatnonzero(
-        (recording.time >= recording.arrival[mine[0]]) & (recording.time <= recording.arrival[mine[-1]] + _CLOCK)
+        (recording.time >= recording.arrival[mine[0]]) & (recording.time <= recording.arrival[mine[-1]] + CLOCK)
     )
     origin = int(begins[0])
     state_time = recording.time[states] - origin * dt
     ticks = int(np.floor(state_time[-1] / dt + 1e-6)) + 1
     # The voltage falls when a command makes the current jump: what a step had is told by the state that follows.
-    following = np.searchsorted(recording.time, (origin + np.arange(ticks)) * dt - _CLOCK)
+    following = np.searchsorted(recording.time, (origin + np.arange(ticks)) * dt - CLOCK)
     return Stretch(
         order_tick=begins - origin,
         order=orders,

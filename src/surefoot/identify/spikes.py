@@ -7,10 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from surefoot.deploy.wire.messages import Mode
 from surefoot.identify.recording import Recording
 
 Array = NDArray[np.float64]
 
+SPIKES = ("spikes", Mode.PWM)
+"""Name and mode of the phases that have spikes."""
 WINDOW = 0.014
 """Time after the first motion [s] whose readings are fitted; later the spike's speed has faded."""
 BEFORE = 0.010
@@ -42,19 +45,15 @@ def measure_spikes(recording: Recording) -> Spikes:
     dt = float(recording.meta["servo_period"])
     ages, hosts, tried = [], [], 0
     driven = np.abs(recording.sent_value).max(axis=1) > 0
-    modes = np.array([phase["mode"] for phase in recording.meta["phases"]])
-    names = [phase["name"] for phase in recording.meta["phases"]]
-    spikes = [
-        c
-        for c in np.flatnonzero(driven[:-1])
-        if names[int(recording.sent_phase[c])] == "spikes" and modes[int(recording.sent_phase[c])] == 2
-    ]
-    for c in spikes:
-        begin = np.ceil((recording.arrival[c] - 2e-5) / dt) * dt
-        length = np.ceil((recording.arrival[c + 1] - 2e-5) / dt) * dt - begin
+    groups = [k for k, phase in enumerate(recording.meta["phases"]) if (phase["name"], phase["mode"]) == SPIKES]
+    for c in np.flatnonzero(driven[:-1] & np.isin(recording.sent_phase[:-1], groups)):
+        begin, end = dt * recording.servo_step(recording.arrival[c : c + 2])
         kept = (recording.time > begin - BEFORE) & (recording.time < begin + LONGEST + WINDOW)
         best, moved = _first_motion(
-            recording.time[kept] - begin, recording.motor_angle[kept], recording.motor_velocity[kept], float(length)
+            recording.time[kept] - begin,
+            recording.motor_angle[kept],
+            recording.motor_velocity[kept],
+            float(end - begin),
         )
         tried += len(best)
         told = np.interp(begin + best, recording.time, recording.host_time) - recording.sent_time[c]

@@ -11,8 +11,9 @@ from scipy.signal import savgol_filter
 
 from surefoot.actuator.motor import motor_current, motor_friction, motor_torque
 from surefoot.actuator.servo import servo_duty
-from surefoot.identify.inverse_dynamics import Forces, InverseDynamics, Motion
-from surefoot.identify.recording import Recording
+from surefoot.errors import SurefootError
+from surefoot.identify.inverse_dynamics import GRAVITY, Forces, InverseDynamics, Motion
+from surefoot.identify.recording import CLOCK, Recording
 from surefoot.robot import PhysicalParams, RobotDescription
 
 Array = NDArray[np.float64]
@@ -25,8 +26,8 @@ SMOOTH = 15
 """Values that a cubic is fitted to, for smoothing and derivatives (Savitzky and Golay 1964): 30 ms, up to 20 Hz."""
 LEVELLING = 2.0
 """Time constant [s] with which the angles that the gyro adds up are drawn to those of the IMU, whose noise is large."""
-ROUNDING = 2e-5
-"""Resolution of times in states [s], twice."""
+STANDS = 0.3
+"""Roll or pitch [rad] beyond which a robot does not stand."""
 BLOCK = 0.5
 """Length [s] of the blocks of time within which errors may hang together."""
 
@@ -50,6 +51,12 @@ class Standing:
         """Number of the block of time of each value (T,)."""
         return (self.time / BLOCK).astype(np.int64)
 
+    @property
+    def looked_at(self) -> NDArray[np.bool_]:
+        """Values in phases that do not only lead from pose to pose (T,)."""
+        inside: NDArray[np.bool_] = np.isin(self.phase, [k for k, use in enumerate(self.uses) if use != "way"])
+        return inside
+
     def during(self, *names: str, use: str = "fit") -> NDArray[np.bool_]:
         """Values in phases of these names and this use (T,)."""
         wanted = [k for k, name in enumerate(self.names) if name in names and self.uses[k] == use]
@@ -66,7 +73,7 @@ def stand(robot: RobotDescription, recording: Recording, params: PhysicalParams,
         params: control latency and motor friction count here; one row.
         sensors: torque_gain of the motors' torque reports, if known.
     """
-    fitted = np.isin(recording.sent_phase, [k for k, p in enumerate(recording.meta["phases"]) if p["use"] != "way"])
+    fitted = np.isin(recording.sent_phase, recording.phases("fit", "check"))
     times, age = recording.time, max(float(params.control_latency[0]) - float(recording.meta["lead"]), 0.0)
     first, last = recording.arrival[fitted][[0, -1]]
     grid = np.arange(max(first, times[0]), min(last, times[-1] - age - STEP), STEP)
@@ -101,6 +108,32 @@ def stand(robot: RobotDescription, recording: Recording, params: PhysicalParams,
     )
 
 
+def check_stands(standing: Standing) -> None:
+    """Refuse a robot that fell or never stood up.
+
+    Raises:
+        SurefootError: with its tilt.
+    """
+    tilt = float(np.percentile(np.abs(standing.motion.roll_pitch[standing.looked_at]), 99))
+    if tilt > STANDS:
+        raise SurefootError(f"the robot tilts by {tilt:.2f} rad; one that stands stays within {STANDS:g}: run it again")
+
+
+def check_feet(standing: Standing, forces: Forces, dynamics: InverseDynamics) -> None:
+    """Refuse a robot that something else than its feet holds.
+
+    Raises:
+        SurefootError: with what its feet carry.
+    """
+    carried = float(forces.force[standing.looked_at, :, 1].sum(axis=1).mean()) / GRAVITY
+    legs = dynamics.mass - dynamics.base_mass
+    if not carried > legs:
+        raise SurefootError(
+            f"the feet carry {carried:.2f} kg in the mean, less than the legs' {legs:.2f} kg: the robot must stand on "
+            "its feet; run it again"
+        )
+
+
 def _since_command(robot: RobotDescription, recording: Recording, params: PhysicalParams, age: float) -> Array:
     """By how much torques were larger, on average since the state before, than those reported (T, M) [N m].
 
@@ -117,7 +150,7 @@ def _since_command(robot: RobotDescription, recording: Recording, params: Physic
     steps = []
     for back in range(count, 0, -1):
         begins = times - back * dt
-        order = np.clip(np.searchsorted(recording.arrival, begins + ROUNDING, side="right") - 1, 0, None)
+        order = np.clip(np.searchsorted(recording.arrival, begins + CLOCK, side="right") - 1, 0, None)
         seen = begins - latency
         duty = servo_duty(
             recording.sent_value[order],

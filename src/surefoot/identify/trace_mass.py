@@ -68,9 +68,9 @@ def walking_mass(robot: RobotDescription, pieces: Sequence[Piece], params: Physi
             f"base_mass_ratio: no trace has {LEAST:g} s upright after its first {START:g} s; give longer walks, "
             "or leave it out"
         )
-    light, heavy = (InverseDynamics(robot, replace(params, base_mass_ratio=np.array([ratio]))) for ratio in (1.0, 2.0))
-    rest, base = _mass(light), _mass(heavy) - _mass(light)
-    rest -= base
+    light = InverseDynamics(robot, replace(params, base_mass_ratio=np.ones(1)))
+    base = light.base_mass
+    rest = light.mass - base
     every = max(sum(len(piece.rows) for piece in usable) // _ROWS, 1)
     means, spreads, lengths = [], [], []
     for piece in usable:
@@ -103,10 +103,6 @@ def _walk(piece: Piece) -> Piece | None:
     rows = piece.rows[(trace.time[piece.rows] > START) & (piece.rows < end)]
     length = float(np.ptp(trace.time[rows])) if len(rows) else 0.0
     return replace(piece, rows=rows) if length >= LEAST else None
-
-
-def _mass(dynamics: InverseDynamics) -> float:
-    return float(np.sum(dynamics.model.body_mass))
 
 
 def _vertical_force(dynamics: InverseDynamics, piece: Piece, params: PhysicalParams, every: int) -> tuple[Array, Array]:

@@ -10,10 +10,9 @@ from pathlib import Path
 
 from surefoot import __version__
 from surefoot.files import whole_file
+from surefoot.identify.result import Estimate, Identification
 from surefoot.report.identification_figure import identification_figure
 from surefoot.report.identification_parts import (
-    EstimateLike,
-    IdentificationLike,
     full_name,
     known_before,
     number,
@@ -33,7 +32,7 @@ code { font-size: .85em; overflow-wrap: anywhere; }
 
 
 def write_report(
-    found: IdentificationLike, robot: RobotDescription, known: PhysicalParams, folder: Path, source: str = ""
+    found: Identification, robot: RobotDescription, known: PhysicalParams, folder: Path, source: str = ""
 ) -> list[Path]:
     """Write `report.png` and `report.html`; returns both.
 
@@ -53,7 +52,7 @@ def write_report(
 
 
 def page(
-    found: IdentificationLike, robot: RobotDescription, known: PhysicalParams, picture: bytes, source: str = ""
+    found: Identification, robot: RobotDescription, known: PhysicalParams, picture: bytes, source: str = ""
 ) -> str:
     """The page as HTML: it loads nothing from elsewhere.
 
@@ -98,7 +97,7 @@ def _row(cells: Sequence[str], kinds: str, tag: str = "td") -> str:
     )
 
 
-def _estimates(estimates: Sequence[EstimateLike], robot: RobotDescription, known: PhysicalParams) -> str:
+def _estimates(estimates: Sequence[Estimate], robot: RobotDescription, known: PhysicalParams) -> str:
     rows = [_row(("parameter", "before", "found", "95 % interval", "unit"), "tnnnt", "th")]
     for item in estimates:
         width = item.interval[1] - item.interval[0]
@@ -120,7 +119,7 @@ def _estimates(estimates: Sequence[EstimateLike], robot: RobotDescription, known
     return "\n".join(rows)
 
 
-def _checks(found: IdentificationLike) -> str:
+def _checks(found: Identification) -> str:
     if not found.checks:
         return ""
     head = _row(("RMS error of", "before", "after", "unit"), "tnnt", "th")
@@ -129,7 +128,7 @@ def _checks(found: IdentificationLike) -> str:
     )
 
 
-def _correlations(found: IdentificationLike, robot: RobotDescription) -> str:
+def _correlations(found: Identification, robot: RobotDescription) -> str:
     return "".join(
         _row((full_name(one, robot), full_name(other, robot), f"{value:+.2f}"), "ttn")
         for one, other, value in found.correlations

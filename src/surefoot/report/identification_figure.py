@@ -10,11 +10,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from surefoot.identify.result import Estimate, Identification, Series
 from surefoot.report.figures import BLUE, INK, LEG_COLORS, ORANGE, QUIET, _figure, _spoken
 from surefoot.report.identification_parts import (
-    EstimateLike,
-    IdentificationLike,
-    SeriesLike,
     full_name,
     index_names,
     known_before,
@@ -35,7 +33,7 @@ _MOST = 2000
 
 
 def identification_figure(
-    found: IdentificationLike, robot: RobotDescription, known: PhysicalParams, path: str | Path
+    found: Identification, robot: RobotDescription, known: PhysicalParams, path: str | Path
 ) -> Path:
     """Draw what was found.
 
@@ -77,9 +75,9 @@ def identification_figure(
     return Path(path)
 
 
-def _sorted(estimates: Sequence[EstimateLike]) -> tuple[list[EstimateLike], list[list[EstimateLike]]]:
+def _sorted(estimates: Sequence[Estimate]) -> tuple[list[Estimate], list[list[Estimate]]]:
     """Single numbers, those of axes among them, and groups of motors."""
-    groups: dict[str, list[EstimateLike]] = {}
+    groups: dict[str, list[Estimate]] = {}
     for item in estimates:
         groups.setdefault(item.name, []).append(item)
     several = [group for group in groups.values() if group[0].index is not None and len(group) > 3]
@@ -87,7 +85,7 @@ def _sorted(estimates: Sequence[EstimateLike]) -> tuple[list[EstimateLike], list
     return single, several
 
 
-def _intervals(ax: Axes, items: Sequence[EstimateLike], robot: RobotDescription, known: PhysicalParams) -> None:
+def _intervals(ax: Axes, items: Sequence[Estimate], robot: RobotDescription, known: PhysicalParams) -> None:
     """Draw intervals in percent of what was known; what was 0 or unknown has its numbers only."""
     reach = 1.0
     for place, item in enumerate(items):
@@ -118,7 +116,7 @@ def _intervals(ax: Axes, items: Sequence[EstimateLike], robot: RobotDescription,
     ax.set_title("Single numbers", fontweight="bold")
 
 
-def _correlations(ax: Axes, found: IdentificationLike, robot: RobotDescription) -> None:
+def _correlations(ax: Axes, found: Identification, robot: RobotDescription) -> None:
     """Draw how far pairs of numbers can't be told apart: at +1 or -1 not at all."""
     pairs = found.correlations
     for place, (one, other, value) in enumerate(pairs):
@@ -135,7 +133,7 @@ def _correlations(ax: Axes, found: IdentificationLike, robot: RobotDescription) 
     ax.set_title("Hardly told apart", fontweight="bold")
 
 
-def _motors(ax: Axes, items: Sequence[EstimateLike], robot: RobotDescription, known: PhysicalParams) -> None:
+def _motors(ax: Axes, items: Sequence[Estimate], robot: RobotDescription, known: PhysicalParams) -> None:
     """Draw one number of each motor with its interval, over what was known."""
     count = max(item.index or 0 for item in items) + 1
     names = index_names(items[0].name, robot)
@@ -164,7 +162,7 @@ def _motors(ax: Axes, items: Sequence[EstimateLike], robot: RobotDescription, kn
     ax.margins(y=0.15)
 
 
-def _series(ax: Axes, series: SeriesLike) -> None:
+def _series(ax: Axes, series: Series) -> None:
     """Draw what was measured, and what is simulated with what was known and with what was found."""
     every = max(math.ceil(len(series.x) / _MOST), 1)
     x = np.asarray(series.x, float)[::every]

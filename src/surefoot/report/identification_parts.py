@@ -1,98 +1,17 @@
-"""What reports need of an identification, and how they call and write its numbers."""
-
-# ruff: noqa: D102 -- the properties are the fields of the dataclasses that each protocol names
+"""How reports of an identification call and write its numbers."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from surefoot.identify.result import Estimate
 from surefoot.robot import PhysicalParams, RobotDescription
-
-Array = NDArray[np.float64]
 
 _DIGITS = 6
 """Most digits behind the point; numbers that need more are written with powers of ten."""
-
-
-class EstimateLike(Protocol):
-    """A number that was found, as `identify.result.Estimate`."""
-
-    @property
-    def name(self) -> str: ...
-    @property
-    def value(self) -> float: ...
-    @property
-    def unit(self) -> str: ...
-    @property
-    def index(self) -> int | None: ...
-    @property
-    def told(self) -> bool: ...
-    @property
-    def label(self) -> str: ...
-    @property
-    def interval(self) -> tuple[float, float]: ...
-
-
-class CheckLike(Protocol):
-    """Errors before and after, as `identify.result.Check`."""
-
-    @property
-    def what(self) -> str: ...
-    @property
-    def before(self) -> float: ...
-    @property
-    def after(self) -> float: ...
-    @property
-    def unit(self) -> str: ...
-
-
-class SeriesLike(Protocol):
-    """Something measured and simulated, as `identify.result.Series`."""
-
-    @property
-    def title(self) -> str: ...
-    @property
-    def x_label(self) -> str: ...
-    @property
-    def y_label(self) -> str: ...
-    @property
-    def x(self) -> Array: ...
-    @property
-    def measured(self) -> Array: ...
-    @property
-    def before(self) -> Array: ...
-    @property
-    def after(self) -> Array: ...
-    @property
-    def points(self) -> bool: ...
-
-
-class IdentificationLike(Protocol):
-    """What was found, as `identify.result.Identification`."""
-
-    @property
-    def experiment(self) -> str: ...
-    @property
-    def robot(self) -> str: ...
-    @property
-    def estimates(self) -> Sequence[EstimateLike]: ...
-    @property
-    def checks(self) -> Sequence[CheckLike]: ...
-    @property
-    def correlations(self) -> Sequence[tuple[str, str, float]]: ...
-    @property
-    def notes(self) -> Sequence[str]: ...
-    @property
-    def series(self) -> Sequence[SeriesLike]: ...
-    @property
-    def digest(self) -> str: ...
-    @property
-    def date(self) -> str: ...
 
 
 def index_names(name: str, robot: RobotDescription) -> tuple[str, ...]:
@@ -113,7 +32,7 @@ def full_name(label: str, robot: RobotDescription) -> str:
     return f"{name} {names[index]}" if 0 <= index < len(names) else label
 
 
-def known_before(item: EstimateLike, known: PhysicalParams) -> float | None:
+def known_before(item: Estimate, known: PhysicalParams) -> float | None:
     """What a physical parameter was before; None for other numbers."""
     if item.name not in PhysicalParams.names():
         return None

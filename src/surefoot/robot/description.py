@@ -320,7 +320,7 @@ class RobotDescription:
         low, high = self.allowed[name]
         bad = np.asarray(values)[~((values >= low) & (values <= high))]
         if bad.size:
-            unit = PhysicalParams.__dataclass_fields__[name].metadata["unit"]
+            unit = PhysicalParams.unit(name)
             raise SurefootError(
                 f"{source}{name} is {bad.flat[0]:g}; {self.name} allows {low:g} to {high:g} (unit: {unit})"
             )

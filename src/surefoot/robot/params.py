@@ -59,6 +59,11 @@ class PhysicalParams:
         return [item.name for item in fields(cls)]
 
     @classmethod
+    def unit(cls, name: str) -> str:
+        """Unit of a parameter; 1 for ratios."""
+        return str(cls.__dataclass_fields__[name].metadata["unit"])
+
+    @classmethod
     def nominal(cls, robot: RobotDescription, num_envs: int = 1) -> PhysicalParams:
         """The parameters that the robot's description states, for `num_envs` robots."""
         nominal = robot.nominal_params()

@@ -119,7 +119,7 @@ def write_params(
     lines += ["", "[params]"]
     for name in PhysicalParams.names() if names is None else names:
         value = np.asarray(getattr(params, name)[0])
-        unit = PhysicalParams.__dataclass_fields__[name].metadata["unit"]
+        unit = PhysicalParams.unit(name)
         lines.append(f"{name} = {_toml(value.tolist())}  # {unit}")
     for key, value in others.items():
         if _is_table(value):

@@ -141,7 +141,7 @@ def check_ranges(config: RandomizeConfig, robot: RobotDescription) -> None:
         for name in ROWS[row].params:
             low, high = robot.allowed[name]
             if not (low <= given[0] and given[1] <= high):
-                unit = PhysicalParams.__dataclass_fields__[name].metadata["unit"]
+                unit = PhysicalParams.unit(name)
                 raise SurefootError(
                     f"randomize.{row} is [{given[0]:g}, {given[1]:g}]; "
                     f"{robot.name} allows {name} from {low:g} to {high:g} (unit: {unit})"

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from surefoot.deploy.arming import Arming
 from surefoot.deploy.connection import RobotConnection
 from surefoot.deploy.doctor.rest import Sample
-from surefoot.deploy.loop import ControlLoop, Snapshot
+from surefoot.deploy.loop import ControlLoop, Silent
 from surefoot.deploy.pacer import Timing
 from surefoot.deploy.poses import between, sitting
 from surefoot.deploy.safety import Act, Guard, Verdict
@@ -42,22 +42,6 @@ def _may_sit(error: BaseException) -> bool:
 
 class _Strayed(RuntimeError):
     """A motor is not where it was sent."""
-
-
-class _Silent:
-    """Watches and says nothing."""
-
-    def phase(self, name: str, duration: float) -> None:
-        pass
-
-    def tick(self, snapshot: Snapshot) -> None:
-        pass
-
-    def warn(self, text: str) -> None:
-        pass
-
-    def recording(self, text: str) -> None:
-        pass
 
 
 @dataclass(frozen=True)
@@ -106,7 +90,7 @@ class Mover:
         self.strayed: tuple[int, float] | None = None
         """Motor that left its way, and by how much [rad]."""
         guard = Guard(limits or SafetyLimits(), control_step, connection.session)
-        self._loop = ControlLoop(connection, control_step, guard, operator, _Silent(), Timing(0))
+        self._loop = ControlLoop(connection, control_step, guard, operator, Silent(), Timing(0))
         self._samples: list[Sample] = []
 
     # Arming and its end.

@@ -9,13 +9,12 @@ from numpy.typing import NDArray
 
 from surefoot.errors import SurefootError
 from surefoot.identify.experiments.ground import ends, sides
-from surefoot.identify.fits.mass import check_feet, check_stands
 from surefoot.identify.inverse_dynamics import Forces
 from surefoot.identify.quality import check_recording
 from surefoot.identify.recording import Recording
 from surefoot.identify.registry import Tell
 from surefoot.identify.result import Estimate, Identification, Series
-from surefoot.identify.standing import STEP, THIN, Standing, forces_of, regress, stand
+from surefoot.identify.standing import STEP, THIN, Standing, check_feet, check_stands, forces_of, regress, stand
 from surefoot.robot import PhysicalParams, RobotDescription
 
 Array = NDArray[np.float64]

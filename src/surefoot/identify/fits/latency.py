@@ -42,7 +42,7 @@ def fit_latency(
             f"do the motors move at all?"
         )
     lead = float(recording.meta["lead"])
-    fitted = [k for k, phase in enumerate(recording.meta["phases"]) if phase["use"] == "fit"]
+    fitted = recording.phases("fit")
     stretch = stretch_of(recording, fitted[0], fitted[-1])
     fit, _ = fit_on_rack(robot, recording, stretch, known, tell, every=3)
     kept = ("servo_latency", "control_latency")

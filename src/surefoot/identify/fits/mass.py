@@ -7,15 +7,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.errors import SurefootError
 from surefoot.identify.accuracy import with_floor
 from surefoot.identify.fits.motor import GAIN
-from surefoot.identify.inverse_dynamics import GRAVITY, Forces, InverseDynamics
+from surefoot.identify.inverse_dynamics import GRAVITY, Forces
 from surefoot.identify.quality import check_recording
 from surefoot.identify.recording import Recording
 from surefoot.identify.registry import Tell
 from surefoot.identify.result import Check, Estimate, Identification, Series
-from surefoot.identify.standing import Standing, block_deviation, forces_of, regress, stand
+from surefoot.identify.standing import Standing, block_deviation, check_feet, check_stands, forces_of, regress, stand
 from surefoot.robot import PhysicalParams, RobotDescription
 
 Array = NDArray[np.float64]
@@ -25,8 +24,6 @@ STILL = ("stand still", "squat slowly")
 TURNING = ("nod",)
 """Phases in which the base turns fast about y."""
 ROUNDS = 4
-STANDS = 0.3
-"""Roll or pitch [rad] beyond which a robot does not stand."""
 SEEN = 0.15
 """Standard deviation of what is told of the base's inertia, in shares of it, beyond which it is not told."""
 
@@ -51,7 +48,7 @@ def fit_mass(
         forces, dynamics = forces_of(robot, standing, params)
         check_feet(standing, forces, dynamics)
         weight = forces.force[still, :, 1].sum(axis=1)
-        base = float(dynamics.model.body_mass[dynamics.base])
+        base = dynamics.base_mass
         total, legs = float(weight.mean()) / GRAVITY, dynamics.mass - base
         columns, lacking = _turning(standing, forces, turning)
         found, covariance = regress(columns, lacking, standing.blocks[turning])
@@ -84,34 +81,6 @@ def fit_mass(
     )  # fmt: skip
 
 
-def check_stands(standing: Standing) -> None:
-    """Refuse a robot that fell or never stood up.
-
-    Raises:
-        SurefootError: with its tilt.
-    """
-    used = np.isin(standing.phase, [k for k, use in enumerate(standing.uses) if use != "way"])
-    tilt = float(np.percentile(np.abs(standing.motion.roll_pitch[used]), 99))
-    if tilt > STANDS:
-        raise SurefootError(f"the robot tilts by {tilt:.2f} rad; one that stands stays within {STANDS:g}: run it again")
-
-
-def check_feet(standing: Standing, forces: Forces, dynamics: InverseDynamics) -> None:
-    """Refuse a robot that something else than its feet holds.
-
-    Raises:
-        SurefootError: with what its feet carry.
-    """
-    used = np.isin(standing.phase, [k for k, use in enumerate(standing.uses) if use != "way"])
-    carried = float(forces.force[used, :, 1].sum(axis=1).mean()) / GRAVITY
-    legs = dynamics.mass - float(dynamics.model.body_mass[dynamics.base])
-    if not carried > legs:
-        raise SurefootError(
-            f"the feet carry {carried:.2f} kg in the mean, less than the legs' {legs:.2f} kg: the robot must stand on "
-            "its feet; run it again"
-        )
-
-
 def _within(robot: RobotDescription, name: str, factor: float, params: PhysicalParams) -> float:
     """A factor that leaves a ratio within what the robot allows."""
     low, high = robot.allowed[name]
@@ -121,7 +90,7 @@ def _within(robot: RobotDescription, name: str, factor: float, params: PhysicalP
 
 def _estimate(robot: RobotDescription, name: str, value: float, deviation: float, told: bool = True) -> Estimate:
     low, high = robot.allowed[name]
-    unit = PhysicalParams.__dataclass_fields__[name].metadata["unit"]
+    unit = PhysicalParams.unit(name)
     return Estimate(name, value, with_floor(name, value, deviation), unit, None, told, low, high)
 
 
@@ -168,7 +137,7 @@ def _check(
         carried.append(abs(float(forces.force[kept, :, 1].sum(axis=1).mean()) - GRAVITY * dynamics.mass))
         left = forces.needed[kept, 2]
         lacking.append(float(np.std(left)))
-        moments.append((forces.turning[kept], _pushed(forces, dynamics)[kept]))
+        moments.append((forces.turning[kept], _pushed(forces)[kept]))
     time = standing.time[kept] - standing.time[kept][0]
     measured = moments[1][1] - np.mean(moments[1][1] - moments[1][0])
     series = Series(
@@ -181,6 +150,6 @@ def _check(
     ), (series,)
 
 
-def _pushed(forces: Forces, dynamics: InverseDynamics) -> Array:
+def _pushed(forces: Forces) -> Array:
     """Moment about y (T,) [N m] that forces on the feet leave for the base's own turning."""
     return forces.turning - forces.needed[:, 2]

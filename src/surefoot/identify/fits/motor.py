@@ -143,7 +143,7 @@ def rack_estimates(robot: RobotDescription, fit: Fit, known: PhysicalParams) -> 
     for i, unknown in enumerate(fit.unknowns):
         if unknown.name == TORQUE_GAIN:
             continue
-        unit = PhysicalParams.__dataclass_fields__[unknown.name].metadata["unit"]
+        unit = PhysicalParams.unit(unknown.name)
         value = float(fit.values[i])
         estimates.append(
             Estimate(
@@ -162,7 +162,7 @@ def rack_estimates(robot: RobotDescription, fit: Fit, known: PhysicalParams) -> 
         for name in ("motor_strength", "motor_friction", "motor_viscous_friction"):
             if (name, motor) not in fitted:
                 low, high = robot.allowed[name]
-                unit = PhysicalParams.__dataclass_fields__[name].metadata["unit"]
+                unit = PhysicalParams.unit(name)
                 value = float(getattr(known, name)[0, motor])
                 estimates.append(Estimate(name, value, (high - low) / 4, unit, motor, False, low, high))
     return estimates
@@ -177,9 +177,7 @@ def fit_motor(
         SurefootError: data too poor to tell anything.
     """
     notes = list(check_recording(recording, robot))
-    use = [phase["use"] for phase in recording.meta["phases"]]
-    fitted = [k for k, word in enumerate(use) if word == "fit"]
-    checked = [k for k, word in enumerate(use) if word == "check"]
+    fitted, checked = recording.phases("fit"), recording.phases("check")
     stretch = stretch_of(recording, fitted[0], fitted[-1])
     fit, model = fit_on_rack(robot, recording, stretch, known, tell)
     estimates = [*rack_estimates(robot, fit, known), *imu_estimates(recording), rest_voltage(recording)]
@@ -192,7 +190,7 @@ def fit_motor(
     series: tuple[Series, ...] = ()
     if checked:
         checks, series = _check(robot, recording, known, found, gains, stretch_of(recording, checked[0], checked[-1]))
-    series = (*series, _curve(robot, recording, model, fit, known, found, gains))
+    series = (*series, _curve(robot, recording, model, found, gains))
     untold = [e.label for e in estimates if not e.told]
     if untold:
         notes.append(f"the data do not tell {', '.join(untold)}")
@@ -249,8 +247,6 @@ def _curve(
     robot: RobotDescription,
     recording: Recording,
     model: RackModel,
-    fit: Fit,
-    known: PhysicalParams,
     found: PhysicalParams,
     gains: Array,
 ) -> Series:
