@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -20,8 +21,8 @@ from surefoot.world.interface import SimulationFactory
 PACKAGE = Path(__file__).resolve().parents[1]
 SHELVES = (PACKAGE / "policies", PACKAGE.parents[1] / "policies")
 """Where policies that ship lie: in an installed package, and in the repository."""
-WORLDS = ("mujoco", "bullet")
-SIDE_BY_SIDE = {"mujoco": 0, "bullet": 128}
+WORLDS = ("mujoco", "bullet", "bullet-published", "ensemble")
+SIDE_BY_SIDE = {"mujoco": 0, "bullet": 128, "bullet-published": 128, "ensemble": 128}
 """Robots that many episodes are best run with at a time, 0 for all: Bullet takes some 33 MB for each."""
 
 
@@ -54,13 +55,18 @@ def find_world(name: str) -> SimulationFactory:
     """
     if name not in WORLDS:
         raise SurefootError(f"world '{name}' does not exist; choices: {choices(WORLDS)}")
-    if name == "bullet":
+    if name != "mujoco":
         # Its processes import it when the world is made; that would be too late for a plain word.
         if find_spec("pybullet") is None:
             raise ModuleNotFoundError("No module named 'pybullet'", name="pybullet")
+        from surefoot.evaluate.ensemble import ensemble_world
         from surefoot.world.process_world import bullet_world
 
-        return bullet_world
+        return {
+            "bullet": bullet_world,
+            "bullet-published": partial(bullet_world, published=True),
+            "ensemble": ensemble_world,
+        }[name]
     from surefoot.world.sim_world import SimWorld
 
     return SimWorld

@@ -70,7 +70,7 @@ class Timing:
 
 @dataclass(frozen=True)
 class ContactData:
-    """Foot against ground: friction coefficients, stiffness [N/m] and damping [N s/m]."""
+    """Foot against ground: friction coefficient, spinning friction [m], stiffness [N/m] and damping [N s/m]."""
 
     friction: float
     spinning_friction: float
@@ -181,7 +181,8 @@ class RobotDescription:
         body_length = sheet.number("body_length")
         if not body_length > 0:
             raise sheet.error("body_length", f"is {body_length:g}", "it must be over 0 m")
-        allowed = sheet.table("allowed", *PhysicalParams.names())
+        allowed, defaults = sheet.table("allowed"), PhysicalParams.default_bounds()
+        allowed.allow_only(*PhysicalParams.names(), optional=tuple(defaults))
         return cls(
             name=sheet.text("name"),
             folder=folder,
@@ -199,7 +200,9 @@ class RobotDescription:
             actuator=_read_actuator(sheet),
             timing=sheet.table("timing").dataclass(Timing, positive=("servo_step", "control_step")),
             contact=sheet.table("contact").dataclass(ContactData, positive=("friction", "stiffness", "damping")),
-            allowed={name: allowed.range(name) for name in PhysicalParams.names()},
+            allowed={
+                name: allowed.range(name) if name in allowed.data else defaults[name] for name in PhysicalParams.names()
+            },
         )
 
     def _check_legs(self, sheet_path: Path) -> None:
@@ -307,8 +310,9 @@ class RobotDescription:
             "control_step": timing.control_step,
             "contact_friction": self.contact.friction,
             "contact_stiffness": self.contact.stiffness,
-            "imu_bias": 0.0,
-            "imu_noise": 0.0,
+            "contact_spinning_friction": self.contact.spinning_friction,
+            **dict.fromkeys(("knee_friction", "knee_play", "floor_unevenness"), 0.0),
+            **dict.fromkeys(("imu_bias", "imu_noise", "imu_mount"), 0.0),
         }
 
     def check_allowed(self, name: str, values: NDArray[np.float64], source: str = "") -> None:

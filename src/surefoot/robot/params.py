@@ -16,8 +16,9 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 
-def _row(unit: str, meaning: str, width: str = "one") -> Any:
-    return field(metadata={"unit": unit, "meaning": meaning, "width": width})
+def _row(unit: str, meaning: str, width: str = "one", bounds: tuple[float, float] | None = None) -> Any:
+    """Declare a parameter; with `bounds`, a robot's sheet need not say what is allowed."""
+    return field(metadata={"unit": unit, "meaning": meaning, "width": width, "bounds": bounds})
 
 
 @dataclass(frozen=True)
@@ -45,8 +46,17 @@ class PhysicalParams:
     control_step: Array = _row("s", "time between two commands of the policy")
     contact_friction: Array = _row("1", "lateral friction coefficient of the feet")
     contact_stiffness: Array = _row("N/m", "stiffness of the feet against the ground")
+    contact_spinning_friction: Array = _row(
+        "m", "torque with which a foot resists turning about the normal, to the normal force", bounds=(0.0, 0.5)
+    )
+    knee_friction: Array = _row("N m", "Coulomb friction in each knee joint; Bullet only", bounds=(0.0, 0.5))
+    knee_play: Array = _row("m", "radial clearance of the pins that close the loops; Bullet only", bounds=(0.0, 0.005))
+    floor_unevenness: Array = _row("m", "standard deviation of the floor's height; Bullet only", bounds=(0.0, 0.02))
     imu_bias: Array = _row("rad", "constant error of roll and pitch", "roll, pitch")
     imu_noise: Array = _row("rad", "standard deviation of the white noise on roll and pitch")
+    imu_mount: Array = _row(
+        "rad", "roll, pitch and yaw of the IMU against the base", "roll, pitch, yaw", bounds=(-0.5, 0.5)
+    )
 
     @property
     def num_envs(self) -> int:
@@ -64,12 +74,18 @@ class PhysicalParams:
         return str(cls.__dataclass_fields__[name].metadata["unit"])
 
     @classmethod
+    def default_bounds(cls) -> dict[str, tuple[float, float]]:
+        """Bounds by name, of the parameters for which a robot's sheet need not give them."""
+        bounds = {item.name: item.metadata["bounds"] for item in fields(cls)}
+        return {name: value for name, value in bounds.items() if value is not None}
+
+    @classmethod
     def nominal(cls, robot: RobotDescription, num_envs: int = 1) -> PhysicalParams:
         """The parameters that the robot's description states, for `num_envs` robots."""
         nominal = robot.nominal_params()
         values = {}
         for item in fields(cls):
-            width = {"one": (), "motors": (robot.num_motors,), "roll, pitch": (2,)}[item.metadata["width"]]
+            width = {"one": (), "motors": (robot.num_motors,), "roll, pitch": (2,), "roll, pitch, yaw": (3,)}[item.metadata["width"]]
             values[item.name] = np.full((num_envs, *width), nominal[item.name], dtype=np.float64)
         return cls(**values)
 

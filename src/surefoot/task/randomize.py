@@ -52,6 +52,11 @@ ROWS: dict[str, Row] = {
     "resistance": Row(("resistance",)),
     "servo_latency": Row(("servo_latency",)),
     "contact_stiffness": Row(("contact_stiffness",), apart=True),
+    "spinning_friction": Row(("contact_spinning_friction",), apart=True),
+    "knee_friction": Row(("knee_friction",), apart=True),
+    "knee_play": Row(("knee_play",), apart=True),
+    "floor_unevenness": Row(("floor_unevenness",), apart=True),
+    "imu_mount": Row(("imu_mount",), each=True, apart=True),
 }
 """Every row that can be drawn. New ones go to the end and draw apart, so that the others' draws stay what they were."""
 
@@ -88,6 +93,16 @@ class RandomizeConfig:
     """Age of what the servo sees [s]; not in the paper's table."""
     contact_stiffness: Range = None
     """Stiffness of the feet against the ground [N/m]; not in the paper's table."""
+    spinning_friction: Range = None
+    """Spinning friction of the feet [m]; not in the paper's table."""
+    knee_friction: Range = None
+    """Coulomb friction of the knees [N m]; Bullet only, not in the paper's table."""
+    knee_play: Range = None
+    """Radial clearance of the pins that close the loops [m]; Bullet only, not in the paper's table."""
+    floor_unevenness: Range = None
+    """Standard deviation of the floor's height [m]; Bullet only, not in the paper's table."""
+    imu_mount: Range = None
+    """Roll, pitch and yaw of the IMU against the base, each its own [rad]; not in the paper's table."""
 
     def __post_init__(self) -> None:
         """Refuse reversed ranges and bounds that are no finite numbers."""
@@ -201,7 +216,8 @@ class Randomizer:
     @property
     def columns(self) -> list[str]:
         """Names of the numbers of `scaled`, in order."""
-        parts = {"motor_strength": self._motor_names, "imu_bias": ("roll", "pitch")}
+        angles = ("roll", "pitch", "yaw")
+        parts = {"motor_strength": self._motor_names, "imu_bias": angles[:2], "imu_mount": angles}
         names = []
         for name, (row, _) in self._places.items():
             if self._varies(row):

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import weakref
 from types import ModuleType
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +21,17 @@ from numpy.typing import NDArray
 from surefoot.errors import SurefootError
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.world.bullet_import import import_pybullet
-from surefoot.world.bullet_model import open_client, scale_masses, set_foot_contact
+from surefoot.world.bullet_model import (
+    PUBLISHED,
+    BulletSettings,
+    centre_pins,
+    lay_floor,
+    move_pins,
+    open_client,
+    scale_masses,
+    set_foot_contact,
+    set_knee_friction,
+)
 from surefoot.world.bullet_tick import (
     JOINTS,
     OMEGA,
@@ -41,6 +52,17 @@ MAX_ROBOTS = 256
 """Robots in one process; PyBullet has room for 1024 clients. Each takes some 33 MB of memory."""
 
 
+class _Setup(NamedTuple):
+    """What a client has of a robot's physical parameters."""
+
+    contact: tuple[float, float, float]
+    """Friction coefficient, stiffness [N/m] and spinning friction [m] of the feet."""
+    ratios: tuple[float, float, float, float] = (1.0, 1.0, 1.0, 1.0)
+    """Mass of base and legs, inertia of base and legs, to the description's."""
+    knee_friction: float = 0.0
+    floor_unevenness: float = 0.0
+
+
 def _disconnect(p: ModuleType, clients: list[int]) -> None:
     for client in clients:
         p.disconnect(client)
@@ -53,6 +75,7 @@ class BulletEngine:
         robot: what to simulate.
         drive: shared servo, motor and sensor arrays; its first axis is the number of robots.
         config: actuator and rack. An engine steps its robots one after another: see `process_world` for several cores.
+        settings: how Bullet solves bodies and contacts.
 
     Raises:
         SurefootError: more robots than a process can hold, or a robot that Bullet reads otherwise than it is.
@@ -61,8 +84,15 @@ class BulletEngine:
 
     name = "bullet"
 
-    def __init__(self, robot: RobotDescription, drive: Drive, config: WorldConfig | None = None) -> None:
+    def __init__(
+        self,
+        robot: RobotDescription,
+        drive: Drive,
+        config: WorldConfig | None = None,
+        settings: BulletSettings | None = None,
+    ) -> None:
         self.robot, self.drive, self._config = robot, drive, config or WorldConfig()
+        self._settings = settings or BulletSettings()
         num_envs = len(drive.ticks)
         if num_envs > MAX_ROBOTS:
             raise SurefootError(f"num_envs is {num_envs}; one process holds up to {MAX_ROBOTS} robots in Bullet")
@@ -70,12 +100,14 @@ class BulletEngine:
         self._clients: list[int] = []
         weakref.finalize(self, _disconnect, self._p, self._clients)
         for _ in range(num_envs):
-            client, self.model = open_client(robot, self._config)
+            client, self.model = open_client(robot, self._config, self._settings)
             self._clients.append(client)
         model = self.model
         self._joints = list(range(model.num_joints))
-        self._ratios = [(1.0, 1.0, 1.0, 1.0)] * num_envs
-        self._contact = [self._nominal_contact] * num_envs
+        self._setups = [self._nominal_setup] * num_envs
+        self._grounds = [model.ground] * num_envs
+        self._play = [0.0] * num_envs
+        self._pins = np.zeros((num_envs, len(model.pins), 3))
         self._spoilt = np.zeros(num_envs, np.bool_)
         sign = robot.motor_sign.astype(np.float64)
         self._layout = Layout(sign, model.base_quat, model.rack)
@@ -157,8 +189,10 @@ class BulletEngine:
         if pushed:  # Bullet forgets a force after a step, and when torques are set
             p.applyExternalForce(body, -1, self._force[i].tolist(), seen[:3].tolist(), p.WORLD_FRAME, client)
         p.stepSimulation(client)
+        if self._play[i]:
+            move_pins(p, client, model, self._play[i], self._pins[i])
         seen[:] = self._read(i, motors)
-        points = p.getContactPoints(body, model.ground, physicsClientId=client)
+        points = p.getContactPoints(body, self._grounds[i], physicsClientId=client)
         for leg in {self._feet[point[3]] for point in points if point[9] > 0.0 and point[3] in self._feet}:
             self.drive.contact_ticks[i, leg] += 1.0
 
@@ -207,9 +241,10 @@ class BulletEngine:
     def get_state(self, i: int) -> Array:
         """Everything that decides robot `i`'s further motion in the engine: its row and the force on its base.
 
-        Contacts that Bullet remembers are forgotten here and when the state is set, so that both go on alike.
+        Contacts that Bullet remembers are forgotten here and when the state is set, and pins with play are centred, so
+        that both go on alike.
         """
-        self._forget_contacts(i)
+        self._forget(i)
         return np.concatenate([self._rows[i], self._force[i]])
 
     def set_state(self, i: int, state: Array) -> None:
@@ -225,19 +260,21 @@ class BulletEngine:
         angles, speeds = row[JOINTS : JOINTS + joints].tolist(), row[JOINTS + joints :].tolist()
         for joint in self._joints:
             p.resetJointState(body, joint, angles[joint], speeds[joint], client)
-        self._forget_contacts(i)
+        self._forget(i)
         self.diverged[i] = False
 
     def _replace_client(self, i: int) -> None:
         """Bullet's search for contacts does not recover from positions that are no numbers."""
         self._p.disconnect(self._clients[i])
-        self._clients[i], _ = open_client(self.robot, self._config)
-        self._spoilt[i] = False
-        contact, ratios = self._contact[i], self._ratios[i]
-        self._contact[i], self._ratios[i] = self._nominal_contact, (1.0, 1.0, 1.0, 1.0)
-        self._apply(i, contact, ratios)
+        self._clients[i], model = open_client(self.robot, self._config, self._settings)
+        self._spoilt[i], self._grounds[i] = False, model.ground
+        setup, self._setups[i] = self._setups[i], self._nominal_setup
+        self._apply(i, setup)
 
-    def _forget_contacts(self, i: int) -> None:
+    def _forget(self, i: int) -> None:
+        if self._pins[i].any():
+            self._pins[i] = 0.0
+            centre_pins(self._p, self._clients[i], self.model)
         # A link that gets its collision filter again is taken out of Bullet's pairs, and put back.
         for link in (-1, *self.model.feet):
             self._p.setCollisionFilterGroupMask(self.model.body, link, 1, -1, self._clients[i])
@@ -257,29 +294,43 @@ class BulletEngine:
         """Set the force [N] on the base's centre of mass, in the world frame."""
         self._force[i] = force_world
 
+    def raise_base(self, i: int, height: float) -> None:
+        """Move the base of robot `i` up by a height [m]."""
+        if not self.model.rack:
+            self._rows[i, 2] += height
+            self._write_base(i)
+
     def set_params(self, i: int, params: PhysicalParams, row: int) -> None:
-        """Apply masses, inertias, friction and stiffness of the feet of `params[row]` to robot `i`."""
-        ratios = (
-            float(params.base_mass_ratio[row]),
-            float(params.leg_mass_ratio[row]),
-            float(params.base_inertia_ratio[row]),
-            float(params.leg_inertia_ratio[row]),
+        """Apply masses, inertias, knees, floor and the feet's contact of `params[row]` to robot `i`."""
+        contact, ratios = (
+            [float(getattr(params, name)[row]) for name in names]
+            for names in (
+                ("contact_friction", "contact_stiffness", "contact_spinning_friction"),
+                ("base_mass_ratio", "leg_mass_ratio", "base_inertia_ratio", "leg_inertia_ratio"),
+            )
         )
-        self._apply(i, (float(params.contact_friction[row]), float(params.contact_stiffness[row])), ratios)
+        knee_friction, unevenness = float(params.knee_friction[row]), float(params.floor_unevenness[row])
+        self._apply(i, _Setup((*contact,), (*ratios,), knee_friction, unevenness))
+        self._forget(i)
+        self._play[i] = float(params.knee_play[row])
 
     @property
-    def _nominal_contact(self) -> tuple[float, float]:
-        """The sheet's friction coefficient and stiffness [N/m] of the feet, which every new client has."""
-        return self.robot.contact.friction, self.robot.contact.stiffness
+    def _nominal_setup(self) -> _Setup:
+        """What every new client has."""
+        contact = self.robot.contact
+        return _Setup((contact.friction, contact.stiffness, contact.spinning_friction))
 
-    def _apply(self, i: int, contact: tuple[float, float], ratios: tuple[float, float, float, float]) -> None:
-        p, model, client = self._p, self.model, self._clients[i]
-        if self._contact[i] != contact:
-            set_foot_contact(p, client, model, *contact)
-            self._contact[i] = contact
-        if self._ratios[i] != ratios:
-            scale_masses(p, client, model, *ratios)
-            self._ratios[i] = ratios
+    def _apply(self, i: int, setup: _Setup) -> None:
+        p, model, client, now = self._p, self.model, self._clients[i], self._setups[i]
+        if now.contact != setup.contact:
+            set_foot_contact(p, client, model, *setup.contact)
+        if now.ratios != setup.ratios:
+            scale_masses(p, client, model, *setup.ratios)
+        if now.knee_friction != setup.knee_friction:
+            set_knee_friction(p, client, model, setup.knee_friction)
+        if now.floor_unevenness != setup.floor_unevenness:
+            self._grounds[i] = lay_floor(p, client, self._grounds[i], setup.floor_unevenness)
+        self._setups[i] = setup
 
     def base(self) -> Array:
         """Base position [m], quaternion (w x y z) and velocity [m/s], all in the world frame, (N, 10)."""
@@ -304,3 +355,8 @@ class BulletEngine:
 def bullet_engine(robot: RobotDescription, drive: Drive, config: WorldConfig) -> BulletEngine:
     """The Bullet engine, as a world takes it."""
     return BulletEngine(robot, drive, config)
+
+
+def published_bullet_engine(robot: RobotDescription, drive: Drive, config: WorldConfig) -> BulletEngine:
+    """The Bullet engine with the settings of the simulator that was published with the Minitaur."""
+    return BulletEngine(robot, drive, config, PUBLISHED)

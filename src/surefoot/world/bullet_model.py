@@ -6,6 +6,8 @@ import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
+from typing import Literal
+from xml.etree import ElementTree
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,8 +15,9 @@ from numpy.typing import NDArray
 from surefoot.errors import SurefootError
 from surefoot.robot import RobotDescription
 from surefoot.world.bullet_import import import_pybullet, quiet
+from surefoot.world.bullet_tick import rotations
 from surefoot.world.drive import RACK_HEIGHT
-from surefoot.world.fused_urdf import FusedUrdf, fuse_urdf, write_fused
+from surefoot.world.fused_urdf import FusedUrdf, frame_of, fuse_urdf, write_fused
 from surefoot.world.interface import WorldConfig
 
 Array = NDArray[np.float64]
@@ -26,10 +29,51 @@ With 50, loops stay closed within .02 mm on a slow trot (.09 mm with constraint 
 and a trot is within .6 mm of one with 1000 for a second. With 10, a step costs 17 % less, but constraint motors open
 the loops by 1.2 mm, and the robot ends elsewhere.
 """
+PIN_LOAD = 1.0
+"""Load [N] at which a pin with play has moved half of its clearance; it smooths the change from side to side."""
+PIN_FOLLOWS = 0.2
+"""Share of its way that such a pin goes in a step of 1 ms: .1 kg at 5 N crosses half a millimetre in some 5 ms."""
+FLOOR_CELL = 0.1
+"""Distance [m] of the points at which an uneven floor has its heights, linear between."""
+FLOOR_CELLS = 400
+"""Points of an uneven floor to each side: 40 m, with the robot in the middle; the floor ends there."""
 LOOP_ERP = 0.2
 """Share of a loop's gap that is closed in a step."""
 _SPEED_CUT = 1e6
 """Bullet cuts all generalized speeds at this [m/s, rad/s]; its own 100 would stop motors, and hide a divergence."""
+
+
+@dataclass(frozen=True)
+class BulletSettings:
+    """Settings of Bullet that decide how bodies and contacts are solved."""
+
+    solver_iterations: int = SOLVER_ITERATIONS
+    """Iterations of the constraint solver, at most."""
+    cone_friction: bool = True
+    """A cone of friction; without it Bullet takes a pyramid and solves no spinning friction."""
+    gravity: float = 9.81
+    """[m/s2]"""
+    feet: Literal["sphere", "shank"] = "sphere"
+    """What feet stand on: the sphere of the URDF, or the lower link as a box that ends at the foot."""
+
+
+PUBLISHED = BulletSettings(cone_friction=False, gravity=10.0, feet="shank")
+"""The simulator that was published with the Minitaur's description (pybullet_envs, minitaur_gym_env): no cone friction,
+300 solver iterations over 6 steps, gravity 10 m/s2, lower links as boxes."""
+
+
+@dataclass(frozen=True)
+class Pin:
+    """A constraint that closes a loop."""
+
+    constraint: int
+    """Number of the constraint."""
+    link: int
+    """Its second link."""
+    place: Array
+    """Its place in that link's inertial frame [m], (3,)."""
+    axis: Array
+    """Unit vector (3,) along the pin in that frame: forces along it do not move the pin in its bore."""
 
 
 @dataclass(frozen=True)
@@ -60,15 +104,22 @@ class BulletModel:
     """Orientation of the base's inertial frame in the base link's frame, (4,), w x y z."""
     mass: dict[str, tuple[float, Array]]
     """Nominal mass [kg] and principal moments [kg m2] of each fused link."""
+    pins: list[Pin]
+    """One for each loop."""
 
     @property
     def num_joints(self) -> int:
         """Number of joints, motors and knees."""
         return len(self.joints)
 
+    @property
+    def knees(self) -> list[int]:
+        """Indices of the joints without a motor."""
+        return [joint for joint in self.joints.values() if joint not in self.motors]
 
-def open_client(robot: RobotDescription, config: WorldConfig) -> tuple[int, BulletModel]:
-    """A new client with the robot over a ground plane at z = 0, gravity 9.81 m/s2, motors off.
+
+def open_client(robot: RobotDescription, config: WorldConfig, settings: BulletSettings) -> tuple[int, BulletModel]:
+    """A new client with the robot over a ground plane at z = 0, motors off.
 
     Raises:
         SurefootError: Bullet has no room for another client, or reads other masses than the file has.
@@ -82,21 +133,24 @@ def open_client(robot: RobotDescription, config: WorldConfig) -> tuple[int, Bull
         if client < 0:
             raise SurefootError("Bullet has no room for another robot in this process; simulate fewer at once")
         try:
-            return client, _load(p, client, robot, config)
+            return client, _load(p, client, robot, config, settings)
         except Exception:
             p.disconnect(client)
             raise
 
 
-def _load(p: ModuleType, client: int, robot: RobotDescription, config: WorldConfig) -> BulletModel:
+def _load(
+    p: ModuleType, client: int, robot: RobotDescription, config: WorldConfig, settings: BulletSettings
+) -> BulletModel:
     fused = fuse_urdf(robot.urdf, visuals=False)
     base, base_frame = fused.place[robot.base]
     if base != robot.urdf.root:
         raise SurefootError(f"{robot.urdf.path}: base '{robot.base}' moves against root '{robot.urdf.root}'")
     p.setTimeStep(robot.timing.servo_step, physicsClientId=client)
-    p.setGravity(0, 0, -9.81, physicsClientId=client)
+    p.setGravity(0, 0, -settings.gravity, physicsClientId=client)
     p.setPhysicsEngineParameter(
-        numSolverIterations=SOLVER_ITERATIONS,
+        numSolverIterations=settings.solver_iterations,
+        enableConeFriction=int(settings.cone_friction),
         numSubSteps=0,
         erp=LOOP_ERP,
         deterministicOverlappingPairs=1,
@@ -104,10 +158,11 @@ def _load(p: ModuleType, client: int, robot: RobotDescription, config: WorldConf
     )
     ground = p.createMultiBody(0, p.createCollisionShape(p.GEOM_PLANE, physicsClientId=client), physicsClientId=client)
     p.changeDynamics(ground, -1, lateralFriction=1.0, restitution=0.0, physicsClientId=client)
+    text = fused.text if settings.feet == "sphere" else _with_shanks(fused, robot)
     with tempfile.TemporaryDirectory() as folder:
         try:
             body = p.loadURDF(
-                str(write_fused(fused.text, Path(folder))),
+                str(write_fused(text, Path(folder))),
                 [0, 0, RACK_HEIGHT],
                 useFixedBase=config.rack,
                 flags=p.URDF_USE_INERTIA_FROM_FILE,
@@ -121,7 +176,7 @@ def _load(p: ModuleType, client: int, robot: RobotDescription, config: WorldConf
     joints = {info[1].decode(): info[0] for info in infos}
     links = {base: -1} | {info[12].decode(): info[0] for info in infos}
     feet = [links[fused.place[leg.foot][0]] for leg in robot.legs]
-    shapes = [_foot_shape(p, client, robot, body, link) for link in feet]
+    shapes = [_foot_sphere(fused, robot, leg.foot) for leg in robot.legs]
     _, axes = fused.bodies[base].principal()
     at_base = np.linalg.inv(base_frame)
     model = BulletModel(
@@ -139,30 +194,52 @@ def _load(p: ModuleType, client: int, robot: RobotDescription, config: WorldConf
         base_centre=(at_base @ [*fused.bodies[base].centre, 1.0])[:3],
         base_quat=quaternion(at_base[:3, :3] @ axes),
         mass={name: (item.mass, item.principal()[0]) for name, item in fused.bodies.items()},
+        pins=[],
     )
     _set_up_dynamics(p, client, model)
-    _close_loops(p, client, model)
+    model.pins.extend(_close_loops(p, client, model))
     check_masses(p, client, model, model.mass)
     return model
 
 
-def _foot_shape(p: ModuleType, client: int, robot: RobotDescription, body: int, link: int) -> tuple[Array, float]:
-    """Centre [m] in the link's inertial frame and radius [m] of a foot's sphere."""
-    spheres = [
-        shape for shape in p.getCollisionShapeData(body, link, physicsClientId=client) if shape[2] == p.GEOM_SPHERE
-    ]
+def _foot_sphere(fused: FusedUrdf, robot: RobotDescription, link: str) -> tuple[Array, float]:
+    """Return the centre [m] of a foot's sphere in its link's inertial frame, and its radius [m]."""
+    name, _ = fused.place[link]
+    found = ElementTree.fromstring(fused.text).findall(f"link[@name='{name}']/collision")
+    spheres = [(item.find("geometry/sphere"), frame_of(item.find("origin"))) for item in found]
+    spheres = [(sphere, frame) for sphere, frame in spheres if sphere is not None]
     if len(spheres) != 1:
         raise SurefootError(f"{robot.urdf.path}: a foot has {len(spheres)} spheres to stand on; Bullet needs one")
-    return np.array(spheres[0][5]), spheres[0][3][0]
+    sphere, frame = spheres[0]
+    assert sphere is not None
+    body = fused.bodies[name]
+    centre: Array = body.principal()[1].T @ (frame[:3, 3] - body.centre)
+    return centre, float(sphere.get("radius", ""))
+
+
+def _with_shanks(fused: FusedUrdf, robot: RobotDescription) -> str:
+    """The fused URDF with feet that are boxes: each lower link as wide as it looks and as long as to its foot."""
+    tree = ElementTree.fromstring(fused.text)
+    seen = ElementTree.parse(robot.urdf.path).getroot()
+    length = robot.leg_geometry.foot
+    for leg in robot.legs:
+        box = seen.find(f"link[@name='{leg.foot}']/visual/geometry/box")
+        link = tree.find(f"link[@name='{fused.place[leg.foot][0]}']")
+        if box is None or link is None:
+            raise SurefootError(f"{robot.urdf.path}: link '{leg.foot}' has no box to look at, whose width a shank takes")
+        for old in link.findall("collision"):
+            link.remove(old)
+        shape = ElementTree.SubElement(link, "collision")
+        ElementTree.SubElement(shape, "origin", xyz=f"0 0 {length / 2}", rpy="0 0 0")
+        width, depth, _ = box.get("size", "").split()
+        ElementTree.SubElement(
+            ElementTree.SubElement(shape, "geometry"), "box", size=f"{width} {depth} {length}"
+        )
+    return ElementTree.tostring(tree, encoding="unicode")
 
 
 def _set_up_dynamics(p: ModuleType, client: int, model: BulletModel) -> None:
-    """No damping, no default motors, the feet's contact; only feet meet the ground softly.
-
-    Spinning friction c bounds the torque about the normal by c f_n: a length [m], and with the sheet's .3 m so much
-    that a foot does not turn on the spot at all. A robot that rolls to one side turns its feet about the vertical when
-    its legs swing, and has to drag them. The MuJoCo world knows no such friction.
-    """
+    """No damping, no default motors, the feet's contact; only feet meet the ground softly."""
     for link in model.links.values():
         p.changeDynamics(
             model.body,
@@ -181,17 +258,21 @@ def _set_up_dynamics(p: ModuleType, client: int, model: BulletModel) -> None:
     p.setJointMotorControlArray(
         model.body, list(range(count)), p.VELOCITY_CONTROL, forces=[0.0] * count, physicsClientId=client
     )
-    set_foot_contact(p, client, model, model.robot.contact.friction, model.robot.contact.stiffness)
+    contact = model.robot.contact
+    set_foot_contact(p, client, model, contact.friction, contact.stiffness, contact.spinning_friction)
 
 
-def set_foot_contact(p: ModuleType, client: int, model: BulletModel, friction: float, stiffness: float) -> None:
-    """Give the feet a friction coefficient and a stiffness [N/m]; spinning friction and damping are the sheet's."""
+def set_foot_contact(
+    p: ModuleType, client: int, model: BulletModel, friction: float, stiffness: float, spinning: float
+) -> None:
+    """Give the feet a friction coefficient, a stiffness [N/m] and a spinning friction [m]; damping is the sheet's."""
     for link in model.feet:
         p.changeDynamics(
             model.body,
             link,
             lateralFriction=friction,
-            spinningFriction=model.robot.contact.spinning_friction,
+            # Bullet takes it as a length: it bounds the torque about the normal by this times the normal force.
+            spinningFriction=spinning,
             contactStiffness=stiffness,
             # Bullet takes a stiffness only together with a damping.
             contactDamping=model.robot.contact.damping,
@@ -199,7 +280,82 @@ def set_foot_contact(p: ModuleType, client: int, model: BulletModel, friction: f
         )
 
 
-def _close_loops(p: ModuleType, client: int, model: BulletModel) -> None:
+def set_knee_friction(p: ModuleType, client: int, model: BulletModel, friction: float) -> None:
+    """Give all knees Coulomb friction [N m]: a joint motor that seeks speed 0 with so much torque at most."""
+    count = len(model.knees)
+    p.setJointMotorControlArray(
+        model.body, model.knees, p.VELOCITY_CONTROL, forces=[friction] * count, physicsClientId=client
+    )
+
+
+def move_pins(p: ModuleType, client: int, model: BulletModel, play: float, shift: Array) -> None:
+    """Move pins with play in their bores, as the forces through them have it after a step.
+
+    A pin of radial clearance r lies against its bore on the side to which the force F across it points, and goes from
+    side to side when that changes: u = r F / (|F| + F_0), followed with a delay.
+
+    Args:
+        p: PyBullet.
+        client: number of the client.
+        model: its robot.
+        play: r [m].
+        shift: displacement u of each pin in its bore, in its link's inertial frame (L, 3) [m]; updated.
+    """
+    turns = rotations(
+        np.array(
+            [
+                state[1]
+                for state in p.getLinkStates(model.body, [pin.link for pin in model.pins], physicsClientId=client)
+            ]
+        )
+    )
+    for k, pin in enumerate(model.pins):
+        # Bullet states the force on the first link, where the bore is; the pin feels the opposite.
+        force = -turns[k].T @ p.getConstraintState(pin.constraint, physicsClientId=client)
+        force -= pin.axis * (pin.axis @ force)
+        shift[k] += PIN_FOLLOWS * (play * force / (np.linalg.norm(force) + PIN_LOAD) - shift[k])
+        place = pin.place - shift[k]
+        p.changeConstraint(pin.constraint, jointChildPivot=place.tolist(), physicsClientId=client)
+
+
+def centre_pins(p: ModuleType, client: int, model: BulletModel) -> None:
+    """Put all pins back in the middle of their bores."""
+    for pin in model.pins:
+        p.changeConstraint(pin.constraint, jointChildPivot=pin.place.tolist(), physicsClientId=client)
+
+
+def lay_floor(p: ModuleType, client: int, ground: int, unevenness: float) -> int:
+    """Replace the ground by one whose heights have a standard deviation [m]; return its number.
+
+    The same unevenness gives the same floor. Its heights are independent at points `FLOOR_CELL` apart; it is level
+    where robots start.
+    """
+    p.removeBody(ground, physicsClientId=client)
+    if unevenness == 0.0:
+        shape, height = p.createCollisionShape(p.GEOM_PLANE, physicsClientId=client), 0.0
+    else:
+        seed = int(np.float64(unevenness).view(np.uint64))
+        draws = np.clip(np.random.default_rng(seed).standard_normal((FLOOR_CELLS, FLOOR_CELLS)), -3.0, 3.0)
+        middle = slice(FLOOR_CELLS // 2 - 5, FLOOR_CELLS // 2 + 5)
+        draws[middle, middle] = 0.0
+        heights = unevenness * draws
+        shape = p.createCollisionShape(
+            p.GEOM_HEIGHTFIELD,
+            meshScale=[FLOOR_CELL, FLOOR_CELL, 1.0],
+            heightfieldData=heights.ravel().tolist(),
+            numHeightfieldRows=FLOOR_CELLS,
+            numHeightfieldColumns=FLOOR_CELLS,
+            physicsClientId=client,
+        )
+        # Bullet puts the middle between the lowest and the highest point at the body's origin.
+        height = float(heights.min() + heights.max()) / 2
+    number: int = p.createMultiBody(0, shape, basePosition=[0.0, 0.0, height], physicsClientId=client)
+    p.changeDynamics(number, -1, lateralFriction=1.0, restitution=0.0, physicsClientId=client)
+    return number
+
+
+def _close_loops(p: ModuleType, client: int, model: BulletModel) -> list[Pin]:
+    pins = []
     for loop in model.robot.loops:
         ends, places = [], []
         for link, point in zip(loop.links, loop.points, strict=True):
@@ -208,9 +364,12 @@ def _close_loops(p: ModuleType, client: int, model: BulletModel) -> None:
             _, axes = model.fused.bodies[name].principal()
             ends.append(model.links[name])
             places.append((axes.T @ (in_link - model.fused.bodies[name].centre)).tolist())
-        p.createConstraint(
+        along = next(joint.axis for joint in model.robot.urdf.joints.values() if joint.child == name)
+        number = p.createConstraint(
             model.body, ends[0], model.body, ends[1], p.JOINT_POINT2POINT, [0, 0, 0], *places, physicsClientId=client
         )
+        pins.append(Pin(number, ends[1], np.array(places[1]), axes.T @ along))
+    return pins
 
 
 def check_masses(p: ModuleType, client: int, model: BulletModel, mass: dict[str, tuple[float, Array]]) -> None:

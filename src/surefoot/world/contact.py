@@ -2,10 +2,14 @@
 
     normal      f_n = max(0, K d + B d')                     d: how deep the foot is in the ground [m]
     tangential  f_t = -(K_t s + B_t v), |f_t| <= mu f_n       s: stretch of the sole since it took hold [m]
+    spinning    t_n = -c f_n sat(w / w_0)                     w: angular velocity about the normal [rad/s]
 
 While the foot holds, s follows its motion; when it slides, K_t s is cut back to mu f_n. A
 standing foot therefore sticks and does not creep. This is the spring-slider of Cundall and Strack (1979, "A discrete
 numerical model for granular assemblies").
+
+The spinning coefficient c is a length: rubber that touches with even pressure on a patch of radius a resists turning on
+the spot with up to 2/3 mu a for each Newton of normal force (Coulomb friction, integrated over the patch).
 
 Why not MuJoCo's own contact: its soft constraints tie the friction's stiffness to the normal one. With the measured
 stiffness and damping of these feet (3000 N/m, 100 N s/m), a foot in a pyramidal friction cone creeps at 0.2 m/s under
@@ -24,6 +28,8 @@ Array = NDArray[np.float64]
 
 TANGENTIAL_DAMPING = 0.5
 """B_t / B. The sole's stiffness along the ground is taken as that into the ground; neither was measured."""
+SPIN_SPEED = 0.1
+"""Angular velocity w_0 [rad/s] at which a foot that turns on the spot meets its full resistance."""
 
 
 @njit(cache=True, forceinline=True)
@@ -70,6 +76,18 @@ def foot_force_kernel(
     if held > bound:
         stretch[0] *= bound / held
         stretch[1] *= bound / held
+
+
+@njit(cache=True, forceinline=True)
+def spinning_torque_kernel(normal: float, spin: float, coefficient: float) -> float:
+    """Torque of the ground on one foot about the normal, t_n [N m].
+
+    Args:
+        normal: normal force f_n [N].
+        spin: angular velocity w of the foot about the normal, up [rad/s].
+        coefficient: spinning friction c [m].
+    """
+    return -coefficient * normal * min(max(spin / SPIN_SPEED, -1.0), 1.0)
 
 
 def foot_force(

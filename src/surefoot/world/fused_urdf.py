@@ -85,7 +85,7 @@ def _vector(element: ElementTree.Element | None, key: str) -> Array:
     return np.array([float(word) for word in text.split()])
 
 
-def _frame(element: ElementTree.Element | None) -> Array:
+def frame_of(element: ElementTree.Element | None) -> Array:
     """The (4, 4) frame of an <origin>, or of none."""
     frame = np.eye(4)
     frame[:3, :3] = rotation(*_vector(element, "rpy"))
@@ -104,7 +104,7 @@ def _origin(frame: Array) -> ElementTree.Element:
 
 def _rigid_body(link: ElementTree.Element) -> RigidBody:
     """Mass, centre and inertia of a link of the file, in the link's own frame."""
-    frame = _frame(link.find("inertial/origin"))
+    frame = frame_of(link.find("inertial/origin"))
     inertia_element, mass_element = link.find("inertial/inertia"), link.find("inertial/mass")
     # `read_urdf` has refused links without.
     assert inertia_element is not None
@@ -141,7 +141,7 @@ def _places(joints: list[ElementTree.Element], root: str) -> dict[str, tuple[str
             child = joint.find("child").get("link", "")  # type: ignore[union-attr]
             top, frame = place[parent]
             fixed = joint.get("type") == "fixed"
-            place[child] = (top, frame @ _frame(joint.find("origin"))) if fixed else (child, np.eye(4))
+            place[child] = (top, frame @ frame_of(joint.find("origin"))) if fixed else (child, np.eye(4))
             waiting.append(child)
     return place
 
@@ -199,7 +199,7 @@ def _inertial(body: RigidBody) -> ElementTree.Element:
 def _move(element: ElementTree.Element, frame: Array) -> None:
     """Put an element with an <origin> from its link's frame into another, in which the link's is `frame`."""
     origin = element.find("origin")
-    moved = frame @ _frame(origin)
+    moved = frame @ frame_of(origin)
     if origin is not None:
         element.remove(origin)
     element.insert(0, _origin(moved))

@@ -17,6 +17,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from surefoot.errors import SurefootError
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.world.drive import Drive, racked_bases
 from surefoot.world.interface import WorldConfig
@@ -30,6 +31,8 @@ Index = NDArray[np.int64]
 _STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 _CHUNK = 8
 """Robots a thread takes at a time: few enough that robots with long control steps do not leave a core idle."""
+BULLET_ONLY = ("knee_friction", "knee_play", "floor_unevenness")
+"""Physical parameters that this engine does not model."""
 _MASS_FIELDS = ("body_mass", "body_inertia", "body_subtreemass", "body_invweight0", "dof_M0", "dof_invweight0")
 """Arrays of a MuJoCo model that depend on masses and inertias, `mj_setConst`'s results included."""
 
@@ -111,6 +114,7 @@ class MujocoEngine:
             foot_radius=model.geom_size[self._feet, 0].copy(),
             friction=np.full(len(self.datas), robot.contact.friction),
             stiffness=np.full(len(self.datas), robot.contact.stiffness),
+            spinning=np.full(len(self.datas), robot.contact.spinning_friction),
             damping=robot.contact.damping,
             stretch=np.zeros((len(self.datas), len(self._feet), 2)),
             num_qpos=model.nq,
@@ -170,6 +174,11 @@ class MujocoEngine:
         stretch[...] = state[-stretch.size :].reshape(stretch.shape)
         self.diverged[i] = False
 
+    def raise_base(self, i: int, height: float) -> None:
+        """Move the base of robot `i` up by a height [m]."""
+        if self._native.base_qpos >= 0:
+            self.datas[i].qpos[self._native.base_qpos + 2] += height
+
     def set_base_velocity(self, i: int, linear_world: Array, angular_base: Array) -> None:
         """Set the base's velocity [m/s] in the world and angular velocity [rad/s] in the base frame."""
         if self._native.base_dof < 0:
@@ -183,9 +192,17 @@ class MujocoEngine:
         self.datas[i].xfrc_applied[self._base, :3] = force_world
 
     def set_params(self, i: int, params: PhysicalParams, row: int) -> None:
-        """Apply masses, inertias, friction and stiffness of the feet of `params[row]` to robot `i`."""
+        """Apply masses, inertias and the feet's contact of `params[row]` to robot `i`.
+
+        Raises:
+            SurefootError: a parameter that only Bullet models.
+        """
+        for name in BULLET_ONLY:
+            if (value := float(getattr(params, name)[row])) != 0.0:
+                raise SurefootError(f"{name} is {value:g}; MuJoCo's world does not model it: take 0, or world bullet")
         self._native.friction[i] = params.contact_friction[row]
         self._native.stiffness[i] = params.contact_stiffness[row]
+        self._native.spinning[i] = params.contact_spinning_friction[row]
         ratios = (
             params.base_mass_ratio[row],
             params.leg_mass_ratio[row],

@@ -11,7 +11,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from surefoot.world.contact import foot_force_kernel
+from surefoot.world.contact import foot_force_kernel, spinning_torque_kernel
 from surefoot.world.drive import SPEED_LIMIT, Drive, constraint_tick, record, roll_pitch_yaw, servo_tick
 from surefoot.world.native import call_step, doubles, pointers
 
@@ -52,6 +52,7 @@ class Native(NamedTuple):
     foot_radius: Array
     friction: Array
     stiffness: Array
+    spinning: Array
     damping: float
     stretch: Array
     num_qpos: int
@@ -135,6 +136,8 @@ def _feet_on_ground(native: Native, drive: Drive, i: int, velocity: Array, force
         applied[6 * b + 3] = y * force[2] - z * force[1]
         applied[6 * b + 4] = z * force[0] - x * force[2]
         applied[6 * b + 5] = x * force[1] - y * force[0]
+        if force[2] > 0.0:
+            applied[6 * b + 5] += spinning_torque_kernel(force[2], cvel[6 * b + 2], native.spinning[i])
 
 
 @njit(cache=True, forceinline=True)

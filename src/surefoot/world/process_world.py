@@ -208,15 +208,19 @@ def bullet_world(
     params: PhysicalParams | None = None,
     seed: int = 0,
     config: WorldConfig | None = None,
+    published: bool = False,
 ) -> Simulation:
     """Simulated robots in Bullet: in this process if one is enough, else on `config.threads` processes.
+
+    With `published`, Bullet has the settings of the simulator that was published with the Minitaur.
 
     Raises:
         SurefootError: as `SimWorld`, or more robots than so many processes can hold.
         ModuleNotFoundError: PyBullet is not installed.
     """
-    from surefoot.world.bullet_engine import MAX_ROBOTS, bullet_engine
+    from surefoot.world.bullet_engine import MAX_ROBOTS, bullet_engine, published_bullet_engine
 
+    engine = published_bullet_engine if published else bullet_engine
     config = config or WorldConfig()
     processes = processes_for(num_envs, config)
     if num_envs > MAX_ROBOTS * processes:
@@ -224,5 +228,5 @@ def bullet_world(
             f"num_envs is {num_envs}; Bullet holds up to {MAX_ROBOTS} robots in each of {processes} processes"
         )
     if processes == 1:
-        return SimWorld(robot, num_envs, params, seed, config, bullet_engine)
-    return ProcessWorld(robot, num_envs, params, seed, config, bullet_engine)
+        return SimWorld(robot, num_envs, params, seed, config, engine)
+    return ProcessWorld(robot, num_envs, params, seed, config, engine)

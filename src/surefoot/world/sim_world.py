@@ -13,6 +13,7 @@ from surefoot.errors import SurefootError
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.seeding import generators
 from surefoot.world.drive import Drive, new_drive, read_delayed, record, set_drive_params
+from surefoot.world.imu import read_by_mounted_imu
 from surefoot.world.interface import Readings, Truth, WorldConfig
 
 Array = NDArray[np.float64]
@@ -41,6 +42,9 @@ class Engine(Protocol):
 
     def set_state(self, i: int, state: Array) -> None:
         """Put robot `i` into a state, and mark it sound again."""
+
+    def raise_base(self, i: int, height: float) -> None:
+        """Move the base of robot `i` up by a height [m]."""
 
     def set_base_velocity(self, i: int, linear_world: Array, angular_base: Array) -> None:
         """Set the base's velocities [m/s], [rad/s]."""
@@ -117,6 +121,9 @@ class SimWorld:
         legs = len(robot.legs)
         swing, extension = self.config.rest or robot.rest
         self.resting_angles = robot.leg_to_motor_angles(np.full(legs, swing), np.full(legs, extension))
+        # How deep nominal feet stand in the ground: weight over stiffness of all feet [m].
+        self._weight = 9.81 * robot.urdf.total_mass / legs
+        self._sunk = self._weight / robot.contact.stiffness
         self._settled = self._settle(engine)
         self._imu_streams = generators(seed, "imu noise", first + num_envs)[first:]
         self._start_streams = generators(seed, "start", first + num_envs)[first:]
@@ -169,6 +176,8 @@ class SimWorld:
         self._draw_noise(rows)
         for i in rows:
             self.engine.set_state(i, self._settled)
+            if rise := self._sunk - self._weight / float(self.params.contact_stiffness[i]):
+                self.engine.raise_base(i, rise)
             if config.start_linear_speed or config.start_angular_speed:
                 draw = self._start_streams[i].uniform(-1, 1, 6)
                 self.engine.set_base_velocity(
@@ -206,7 +215,9 @@ class SimWorld:
         motors = self.robot.num_motors
         out = np.empty_like(self.drive.now)
         read_delayed(self.drive, self.params.control_latency, out)
-        angles = out[:, 2 * motors : 2 * motors + 3]
+        angles, rates = out[:, 2 * motors : 2 * motors + 3], out[:, 2 * motors + 3 :]
+        if self.params.imu_mount.any():
+            angles[:], rates[:] = read_by_mounted_imu(angles, rates, self.params.imu_mount)
         angles[:, :2] += self.params.imu_bias
         if self.params.imu_noise.any():
             noise = self._noise[np.arange(self.num_envs), self._control_steps % _NOISE_BLOCK]
@@ -214,7 +225,7 @@ class SimWorld:
         return Readings(
             time=np.asarray(self.drive.ticks * self.robot.timing.servo_step, np.float64),
             roll_pitch_yaw=angles,
-            angular_velocity_base=out[:, 2 * motors + 3 :],
+            angular_velocity_base=rates,
             motor_angle=out[:, :motors],
             motor_velocity=out[:, motors : 2 * motors],
         )

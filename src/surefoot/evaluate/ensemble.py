@@ -1,0 +1,55 @@
+"""An ensemble of robots that nobody has seen: what stands for reality where there is no robot.
+
+Robot k of a batch is the same one in every batch, drawn once from the table of ranges `ensemble`: all of table I of the
+paper, motors, servo and feet, and friction and play in the knees, an uneven floor and an IMU that is not mounted along
+the base, which no policy here is trained with.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from surefoot.errors import SurefootError
+from surefoot.robot import PhysicalParams, RobotDescription
+from surefoot.task.hidden import draw_hidden
+from surefoot.task.randomize import load_ranges
+from surefoot.world.interface import Simulation, WorldConfig
+
+RANGES = "ensemble"
+ROBOTS = 20
+"""Different robots; robot 20 of a batch is robot 0 again."""
+FIRST_SEED = 1
+
+
+def ensemble_params(robot: RobotDescription, num_envs: int) -> PhysicalParams:
+    """Return the physical parameters of the first `num_envs` robots of the ensemble, one row each."""
+    ranges = load_ranges(RANGES).ranges
+    drawn = [draw_hidden(robot, ranges, FIRST_SEED + k) for k in range(min(ROBOTS, num_envs))]
+    rows = {name: np.concatenate([getattr(one, name) for one in drawn]) for name in PhysicalParams.names()}
+    return PhysicalParams(**rows).rows(np.arange(num_envs) % ROBOTS)
+
+
+def ensemble_world(
+    robot: RobotDescription,
+    num_envs: int,
+    params: PhysicalParams | None = None,
+    seed: int = 0,
+    config: WorldConfig | None = None,
+) -> Simulation:
+    """Return robots of the ensemble in Bullet, with the control steps of `params`.
+
+    Raises:
+        SurefootError: other parameters than the control step that are not nominal: the robots have their own.
+        ModuleNotFoundError: PyBullet is not installed.
+    """
+    from surefoot.world.process_world import bullet_world
+
+    nominal = PhysicalParams.nominal(robot, num_envs)
+    given = nominal if params is None else params
+    for name in PhysicalParams.names():
+        if name != "control_step" and not np.array_equal(getattr(given, name), getattr(nominal, name)):
+            raise SurefootError(f"{name} is given; robots of the ensemble have their own: leave it out, or world bullet")
+    hidden = replace(ensemble_params(robot, num_envs), control_step=given.control_step)
+    return bullet_world(robot, num_envs, hidden, seed, config)
