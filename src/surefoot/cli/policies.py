@@ -62,11 +62,12 @@ def find_world(name: str) -> SimulationFactory:
         from surefoot.evaluate.ensemble import ensemble_world
         from surefoot.world.process_world import bullet_world
 
-        return {
+        worlds: dict[str, SimulationFactory] = {
             "bullet": bullet_world,
             "bullet-published": partial(bullet_world, published=True),
             "ensemble": ensemble_world,
-        }[name]
+        }
+        return worlds[name]
     from surefoot.world.sim_world import SimWorld
 
     return SimWorld

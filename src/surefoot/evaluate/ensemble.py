@@ -50,6 +50,8 @@ def ensemble_world(
     given = nominal if params is None else params
     for name in PhysicalParams.names():
         if name != "control_step" and not np.array_equal(getattr(given, name), getattr(nominal, name)):
-            raise SurefootError(f"{name} is given; robots of the ensemble have their own: leave it out, or world bullet")
+            raise SurefootError(
+                f"{name} is given; robots of the ensemble have their own: leave it out, or world bullet"
+            )
     hidden = replace(ensemble_params(robot, num_envs), control_step=given.control_step)
     return bullet_world(robot, num_envs, hidden, seed, config)

@@ -29,7 +29,7 @@ def write_gap_tables(comparison: Comparison, folder: Path) -> list[Path]:
     """Write gap_groups.csv and gap_differences.csv, with the top policies and with all of them, and gap_runs.csv.
 
     Units are those of `MEASURES`; `error` is a standard error over runs, `low` and `high` are the ends of an interval
-    over policies. What is not known is empty.
+    over policies and robots. What is not known is empty.
 
     Returns:
         the paths.
@@ -37,11 +37,17 @@ def write_gap_tables(comparison: Comparison, folder: Path) -> list[Path]:
     best, every = _parts(comparison).values()
     measured = [f"{world}_{name}{end}" for world in _PARTS for name in MEASURES for end in ("", "_error")]
     header = ["group", "label", "policies", "seeds", "runs", *measured, "gap", "gap_error"]
-    header += ["policies_gap", "policies_low", "policies_high", *(f"{part}_balanced" for part in _PARTS), "away_far"]
+    header += ["interval_gap", "interval_low", "interval_high", *(f"{part}_balanced" for part in _PARTS), "away_far"]
     header += ["away_least_distance"]
     groups = [_group_row(which, group) for name in best for which, group in (("top", best[name]), ("all", every[name]))]
     differences = [
-        [which, other.name, base.name, *_numbers(change.runs), *map(text, vars(change.policies).values())]
+        [
+            which,
+            other.name,
+            base.name,
+            *_numbers(change.runs),
+            *map(text, (*vars(change.crossed).values(), *vars(change.away).values())),
+        ]
         for which, found in (("top", best), ("all", every))
         for one, two in comparison.present_pairs()
         for base, other in [(found[one.name], found[two.name])]
@@ -56,7 +62,8 @@ def write_gap_tables(comparison: Comparison, folder: Path) -> list[Path]:
         for part, world in (("home", policy.home), ("described", policy.away[1]), ("away", policy.away[0]))
         for run in range(len(world))
     ]
-    changed = "policies,group,against,difference,error,policies_difference,policies_low,policies_high"
+    changed = "policies,group,against,difference,error,interval_difference,interval_low,interval_high"
+    changed += ",away_difference,away_low,away_high"
     columns = "group,seed,top,part,world,run,return,distance,speed,power,steps,balanced,far"
     return [
         write_table(folder / "gap_groups.csv", ",".join(header), groups),
@@ -75,7 +82,8 @@ def gap_summary(comparison: Comparison) -> dict[str, Any]:
                     "group": two.name,
                     "against": one.name,
                     "runs": estimate_mapping(change.runs),
-                    "policies": interval_mapping(change.policies),
+                    "interval": interval_mapping(change.crossed),
+                    "away": interval_mapping(change.away),
                 }
                 for one, two in comparison.present_pairs()
                 for change in [gap_difference(groups[one.name], groups[two.name])]

@@ -1,8 +1,9 @@
 """The reality gaps of groups of policies: their runs pooled as Tan et al. 2018 pool them, and their policies as units.
 
 The paper takes the three best of a group to the robot, runs each three times, and gives the mean of the nine runs with
-one standard error. Three runs of one policy are no independent ones, though: what a policy does badly, it does badly
-three times. So the policies' own gaps, one number each, stand beside it.
+one standard error. Runs of one policy are no independent ones, though: what a policy does badly, it does badly in all
+of them, and what is hard on one robot is hard for all policies. So intervals over policies and robots stand beside it:
+run k of every policy away is on robot k.
 """
 
 from __future__ import annotations
@@ -16,29 +17,13 @@ from numpy.typing import NDArray
 from surefoot.evaluate.comparison import Comparison, GroupResult
 from surefoot.evaluate.gap import Estimate, PolicyGap, Runs, known
 from surefoot.evaluate.kinds import gap_of
-from surefoot.evaluate.statistics import Interval, t_interval, welch_interval
+from surefoot.evaluate.statistics import Interval, crossed_interval
 
 Array = NDArray[np.float64]
 FAR = 3.0
 """A run goes far over this [m]; the paper tells so of nine runs on the robot."""
 MEASURES = {"returns": "m", "speed": "m/s", "distance": "m", "power": "W", "steps": ""}
 """What is averaged over runs, with its unit."""
-
-
-@dataclass(frozen=True)
-class ShortRun:
-    """A run away that did not keep its balance for the whole episode, or did not go far."""
-
-    seed: int
-    """Seed of the policy's training."""
-    run: int
-    """Number of the run, from 0."""
-    steps: int
-    """Control steps until its end."""
-    distance: float
-    """How far it went [m]."""
-    balanced: bool
-    """Whether it kept its balance for the whole episode."""
 
 
 @dataclass(frozen=True)
@@ -75,29 +60,19 @@ class GroupGap:
         return self.home.estimate("returns") - self.away.estimate("returns")
 
     @property
-    def policy_gaps(self) -> Array:
-        """Each policy's own mean return at home less that away [m], (P,)."""
-        return np.array([policy.gap(policy.away[0].world).mean for policy in self.policies])
+    def gaps(self) -> Array:
+        """Each policy's mean return at home less its return in each run away [m], (P, R)."""
+        return np.array([policy.home.estimate("returns").mean - policy.away[0].returns for policy in self.policies])
 
     @property
     def interval(self) -> Interval:
-        """The mean of the policies' gaps [m], with Student's interval over policies."""
-        return t_interval(self.policy_gaps)
+        """The mean gap [m], with its interval over policies and over robots (or starts) away."""
+        return crossed_interval(self.gaps)
 
     @property
     def far(self) -> int:
         """How many runs away went far."""
         return int((self.away.distance > FAR).sum())
-
-    @property
-    def short_runs(self) -> list[ShortRun]:
-        """Runs away that ended early or did not go far."""
-        return [
-            ShortRun(seed, run, int(runs.steps[run]), float(runs.distance[run]), bool(runs.balanced[run]))
-            for seed, runs in ((seed, policy.away[0]) for seed, policy in zip(self.seeds, self.policies, strict=True))
-            for run in range(len(runs))
-            if not (runs.balanced[run] and runs.distance[run] > FAR)
-        ]
 
 
 def gap_groups(comparison: Comparison, count: int | None = None) -> dict[str, GroupGap]:
@@ -126,13 +101,17 @@ class GapDifference:
 
     runs: Estimate
     """Difference of the gaps [m], with the standard error over runs."""
-    policies: Interval
-    """Difference of the policies' mean gaps [m], with Welch's interval over policies."""
+    crossed: Interval
+    """The same [m], with its interval over policies and over robots (or starts) away."""
+    away: Interval
+    """Difference of the returns away [m], with the same interval."""
 
 
 def gap_difference(base: GroupGap, other: GroupGap) -> GapDifference:
     """The gap of `other` less that of `base`."""
-    return GapDifference(other.gap - base.gap, welch_interval(other.policy_gaps, base.policy_gaps))
+    away, base_away = (np.array([policy.away[0].returns for policy in group.policies]) for group in (other, base))
+    crossed = crossed_interval(other.gaps, base.gaps)
+    return GapDifference(other.gap - base.gap, crossed, crossed_interval(away, base_away))
 
 
 def gap_mapping(group: GroupGap) -> dict[str, Any]:
@@ -145,7 +124,7 @@ def gap_mapping(group: GroupGap) -> dict[str, Any]:
         "away": {name: estimate_mapping(away.estimate(name)) for name in MEASURES},
         "described": {name: estimate_mapping(group.described.estimate(name)) for name in MEASURES},
         "gap": estimate_mapping(group.gap),
-        "gap_over_policies": interval_mapping(group.interval),
+        "gap_interval": interval_mapping(group.interval),
         "balanced_home": int(home.balanced.sum()),
         "balanced_away": int(away.balanced.sum()),
         "far_away": group.far,

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from surefoot.errors import SurefootError, choices
+from surefoot.evaluate.ensemble import ROBOTS
 from surefoot.evaluate.gap import PolicyGap, Runs, away_task, home_task
 from surefoot.evaluate.metrics import episode_metrics, summarize
 from surefoot.evaluate.rollout import run_episodes
@@ -122,9 +123,10 @@ def _sensitivity(
 def _gap(
     policy: PolicyRuntime, task: TaskConfig, find_world: FindWorld, settings: dict[str, Any], threads: int
 ) -> Evaluated:
-    """A few runs at home, and as many in another world with the robot as its data sheet describes it.
+    """Some runs at home, and as many in another world, one on each of its robots.
 
-    As many again with that robot in the engine of home tell what motors and delays take before another engine does.
+    As many again in the engine of home, with the robot as its data sheet describes it, tell what motors and delays
+    take before anything else does.
     """
     home, away = settings["home"], settings["away"]
     parts = {
@@ -223,9 +225,9 @@ KINDS: dict[str, Kind] = {
         ),
     ),
     "gap": Kind(
-        "3 runs in the policy's own simulator and 3 in another one, with the motors and delays of the robot's data "
-        "sheet there; none with pushes, each from a start of its own",
-        {"home": "mujoco", "away": "bullet", "described": True, "episodes": 3, "seed": GAP_SEED},
+        f"a run on each of the ensemble's {ROBOTS} robots in Bullet, and as many in the policy's own simulator and "
+        "there with the robot of the data sheet; none with pushes, each from a start of its own",
+        {"home": "mujoco", "away": "ensemble", "described": True, "episodes": ROBOTS, "seed": GAP_SEED},
         ("home", "away"),
         _gap,
         (

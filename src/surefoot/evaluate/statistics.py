@@ -6,6 +6,7 @@ The numbers are taken as drawn independently from normal distributions.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -74,16 +75,47 @@ def welch_interval(values: ArrayLike, base: ArrayLike, confidence: float = CONFI
     difference = float(first.mean() - second.mean())
     if len(first) < 2 or len(second) < 2:
         return Interval(difference, math.nan, math.nan)
-    parts = [float(array.var(ddof=1)) / len(array) for array in (first, second)]
+    return _satterthwaite(difference, (first, second), confidence)
+
+
+def crossed_interval(values: ArrayLike, base: ArrayLike | None = None, confidence: float = CONFIDENCE) -> Interval:
+    """Return the mean of a table of numbers, or its difference to another's, over rows and columns drawn by chance.
+
+    Rows are policies, of which each table has its own; columns are robots, the same in both tables. The variance of
+    the mean is that of the row means over their number, for each table, plus that of the column means (of the tables'
+    differences) over theirs; what rows and columns have together is counted twice, so that the interval is rather too
+    wide. Degrees of freedom are those of Satterthwaite. With fewer than two rows or columns there is no interval.
+
+    Args:
+        values: numbers (P, R).
+        base: what they are compared with (Q, R); nothing, if not given.
+        confidence: chance that the interval covers the true mean or difference.
+
+    Raises:
+        SurefootError: no numbers, ones that are not finite, columns that do not fit, or a confidence not between 0
+            and 1.
+    """
+    tables = [np.asarray(table, np.float64) for table in ((values,) if base is None else (values, base))]
+    if any(table.ndim != 2 for table in tables) or len({table.shape[1] for table in tables}) != 1:
+        raise SurefootError(f"tables of shapes {[table.shape for table in tables]}; they need the same columns")
+    rows = [_checked(table.mean(axis=1), confidence) for table in tables]
+    columns = tables[0].mean(axis=0) - (tables[1].mean(axis=0) if base is not None else 0.0)
+    mean, samples = float(columns.mean()), [*rows, columns]
+    if min(map(len, samples)) < 2:
+        return Interval(mean, math.nan, math.nan)
+    return _satterthwaite(mean, samples, confidence)
+
+
+def _satterthwaite(mean: float, samples: Sequence[NDArray[np.float64]], confidence: float) -> Interval:
+    """The interval of a sum of means of independent samples, whose variances need not be alike."""
+    parts = [float(sample.var(ddof=1)) / len(sample) for sample in samples]
     total = sum(parts)
     if total == 0:
-        return Interval(difference, difference, difference)
+        return Interval(mean, mean, mean)
     # As shares of the whole, so that variances of any size square without running out of range.
-    freedom = 1 / sum(
-        (part / total) ** 2 / (len(array) - 1) for part, array in zip(parts, (first, second), strict=True)
-    )
+    freedom = 1 / sum((part / total) ** 2 / (len(sample) - 1) for part, sample in zip(parts, samples, strict=True))
     half = _quantile(confidence, freedom) * math.sqrt(total)
-    return Interval(difference, difference - half, difference + half)
+    return Interval(mean, mean - half, mean + half)
 
 
 def _quantile(confidence: float, freedom: float) -> float:

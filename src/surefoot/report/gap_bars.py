@@ -51,8 +51,8 @@ def gap_bars(groups: Sequence[GroupGap], path: str | Path, title: str = "") -> P
         ax.tick_params(axis="x", length=0)
         ax.grid(visible=False, axis="x")
         ax.set_ylabel("return (m)")
-        away = groups[0].away.world.capitalize()
-        for color, name in ((HOME, "in its own simulator"), (AWAY, f"in {away}")):
+        away = {"ensemble": "on the ensemble's robots"}.get(groups[0].away.world, f"in {groups[0].away.world}")
+        for color, name in ((HOME, "in its own simulator"), (AWAY, away)):
             ax.bar(0, 0, color=color, alpha=0.75, label=name)
         ax.plot([], [], "o", color=INK, markersize=4.0, label="run kept its balance")
         ax.plot([], [], "x", color=INK, markersize=4.5, label="run fell")

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from surefoot.evaluate.comparison import Comparison, GroupResult
+from surefoot.evaluate.ensemble import ROBOTS
 from surefoot.evaluate.gap import Estimate, plus_minus
-from surefoot.evaluate.gap_groups import FAR, GapDifference, GroupGap, ShortRun, gap_difference, gap_groups
+from surefoot.evaluate.gap_groups import FAR, GapDifference, GroupGap, gap_difference, gap_groups
 from surefoot.evaluate.kinds import KINDS
 from surefoot.evaluate.statistics import CONFIDENCE, Interval, plain
 from surefoot.report.gap_bars import gap_bars
@@ -70,8 +71,6 @@ def gap_text(comparison: Comparison) -> list[str]:
         parts += _paper(comparison.finding(section.asked))
         parts += [_top_head(comparison, section), _group_table(section.top)]
         parts += [
-            f"Which runs away kept balance for the whole episode and went over {FAR:g} m:",
-            "\n".join(_short_runs(group) for group in section.top),
             *_weak(section.top),
         ]
         if not section.whole:
@@ -100,18 +99,17 @@ def _meaning(comparison: Comparison, sections: Sequence[_Section]) -> list[str]:
     few = sorted({len(group.policies) for section in sections for group in section.top})
     parts = [
         f"At home is the simulator that a policy was trained in: {_engine(home)} with the motors and delays of its own "
-        f"task. Away is {_engine(away)} with the motors and delays of the robot's data sheet, whatever the policy was "
-        "trained with: it stands where the paper has its robot. Between the two stands that robot, as described, in "
-        f"{_engine(home)}: what is lost from home to there is the motors' and delays' doing, and what is lost from "
-        "there to away that of the other engine. A gap is the mean return at home less the mean return "
-        "away: above zero where a policy does worse than its own simulator says. Nothing is pushed and nothing drawn.",
+        f"task. Away is {_engine(away)}. Between the two stands the robot as its data sheet describes it, in "
+        f"{_engine(home)}: what is lost from home to there is the motors' and delays' doing. A gap is the mean return "
+        "at home less the mean return away: above zero where a policy does worse than its own simulator says. Nothing "
+        "is pushed.",
         f"As in the paper (Tan et al. 2018, section VI-C), the top {_count(comparison.top)} policies of each group are "
         f"taken, those with the highest return in their own simulator, and each is run {_count(settings['episodes'])} "
         f"times in each world. They are chosen by {nominal['episodes']} other episodes, so that the runs at home owe "
         "nothing to the choice. Numbers with ± are means over all these runs with one standard error. Runs of one "
-        "policy are not independent of each other, nor are a policy's runs at home and away, so that this error is the "
-        "paper's, but tells little of other policies; numbers with brackets take the policies as units, one mean gap "
-        f"each, with an interval of {CONFIDENCE:.0%} confidence (Student's t for a group, Welch's for a difference).",
+        "policy are not independent of each other, nor are those on one robot, so that this error is the paper's, but "
+        "tells little of other policies and robots; numbers with brackets have an interval of "
+        f"{CONFIDENCE:.0%} confidence over policies and robots, both taken as drawn by chance.",
     ]
     if few[0] < comparison.top:
         parts.append(f"**Some groups have fewer than {_count(comparison.top)} evaluated policies yet.**")
@@ -126,7 +124,7 @@ def _top_head(comparison: Comparison, section: _Section) -> str:
 
 def _group_table(groups: Sequence[GroupGap]) -> str:
     header = ["group", "seeds", "return at home (m)", "as described (m)", "return away (m)"]
-    header += ["gap (m)", "gap, over policies (m)"]
+    header += ["gap (m)", "gap, over policies and robots (m)"]
     header += ["speed at home, away (m/s)", "distance away, least (m)", "power away (W)"]
     header += ["balanced at home, as described, away", f"over {FAR:g} m away"]
     lines = []
@@ -141,21 +139,6 @@ def _group_table(groups: Sequence[GroupGap]) -> str:
         line.append(", ".join(f"{int(runs.balanced.sum())} of {len(runs)}" for runs in (home, group.described, away)))
         lines.append([*line, f"{group.far} of {len(away)}"])
     return table(header, lines)
-
-
-def _short_runs(group: GroupGap) -> str:
-    """Which runs away ended early or went no three metres."""
-    short, runs = group.short_runs, len(group.away)
-    if not short:
-        return f"- **{group.label}**: all {_count(runs)} did."
-    told = [f"seed {one.seed} run {one.run} {_ending(one)}" for one in short]
-    return f"- **{group.label}**: {_part(len(short))} of {_count(runs)} did not: {'; '.join(told)}."
-
-
-def _ending(run: ShortRun) -> str:
-    if run.balanced:
-        return f"kept balance and went {run.distance:.2f} m"
-    return f"fell after {run.steps} steps at {run.distance:.2f} m"
 
 
 def _weak(groups: Sequence[GroupGap]) -> list[str]:
@@ -186,7 +169,8 @@ def _changes(comparison: Comparison, pairs: Sequence[tuple[GroupResult, GroupRes
 
 def _of(change: GapDifference) -> str:
     over_runs = f"{plus_minus(change.runs, sign=True)} m over runs"
-    return f"the gap is {_larger(change.runs)} ({over_runs}; {_units(change.policies)})"
+    away = f"the return away changes by {plain(change.away, sign=True)} m"
+    return f"the gap is {_larger(change.runs)} ({over_runs}; {_units(change.crossed)}); {away}"
 
 
 def _larger(change: Estimate) -> str:
@@ -196,9 +180,9 @@ def _larger(change: Estimate) -> str:
 
 def _units(change: Interval) -> str:
     if not change.known:
-        return "too few policies for an interval"
+        return "too few policies or robots for an interval"
     covers = "includes" if change.covers_zero else "does not include"
-    return f"over policies {plain(change, sign=True)} m, which {covers} zero"
+    return f"over policies and robots {plain(change, sign=True)} m, which {covers} zero"
 
 
 def _paper(finding: str) -> list[str]:
@@ -215,7 +199,12 @@ def _part(number: int) -> str:
 
 
 def _engine(world: str) -> str:
-    return {"mujoco": "MuJoCo", "bullet": "Bullet"}.get(world, world)
+    return {
+        "mujoco": "MuJoCo",
+        "bullet": "Bullet with the robot's data sheet",
+        "ensemble": f"an ensemble of {ROBOTS} robots in Bullet, each with hidden parameters, friction and play in its "
+        "knees, an uneven floor and an IMU mounted askew: it stands where the paper has its robot",
+    }.get(world, world)
 
 
 def _title(name: str) -> str:

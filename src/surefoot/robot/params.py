@@ -83,9 +83,10 @@ class PhysicalParams:
     def nominal(cls, robot: RobotDescription, num_envs: int = 1) -> PhysicalParams:
         """The parameters that the robot's description states, for `num_envs` robots."""
         nominal = robot.nominal_params()
+        widths = {"one": (), "motors": (robot.num_motors,), "roll, pitch": (2,), "roll, pitch, yaw": (3,)}
         values = {}
         for item in fields(cls):
-            width = {"one": (), "motors": (robot.num_motors,), "roll, pitch": (2,), "roll, pitch, yaw": (3,)}[item.metadata["width"]]
+            width = widths[item.metadata["width"]]
             values[item.name] = np.full((num_envs, *width), nominal[item.name], dtype=np.float64)
         return cls(**values)
 

@@ -55,9 +55,9 @@ MAX_ROBOTS = 256
 class _Setup(NamedTuple):
     """What a client has of a robot's physical parameters."""
 
-    contact: tuple[float, float, float]
+    contact: tuple[float, ...]
     """Friction coefficient, stiffness [N/m] and spinning friction [m] of the feet."""
-    ratios: tuple[float, float, float, float] = (1.0, 1.0, 1.0, 1.0)
+    ratios: tuple[float, ...] = (1.0, 1.0, 1.0, 1.0)
     """Mass of base and legs, inertia of base and legs, to the description's."""
     knee_friction: float = 0.0
     floor_unevenness: float = 0.0
@@ -310,7 +310,7 @@ class BulletEngine:
             )
         )
         knee_friction, unevenness = float(params.knee_friction[row]), float(params.floor_unevenness[row])
-        self._apply(i, _Setup((*contact,), (*ratios,), knee_friction, unevenness))
+        self._apply(i, _Setup(tuple(contact), tuple(ratios), knee_friction, unevenness))
         self._forget(i)
         self._play[i] = float(params.knee_play[row])
 

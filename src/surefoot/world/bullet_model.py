@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tempfile
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from types import ModuleType
 from typing import Literal
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 from surefoot.errors import SurefootError
 from surefoot.robot import RobotDescription
 from surefoot.world.bullet_import import import_pybullet, quiet
-from surefoot.world.bullet_tick import rotations
+from surefoot.world.bullet_tick import pin_kernel
 from surefoot.world.drive import RACK_HEIGHT
 from surefoot.world.fused_urdf import FusedUrdf, frame_of, fuse_urdf, write_fused
 from surefoot.world.interface import WorldConfig
@@ -29,10 +30,6 @@ With 50, loops stay closed within .02 mm on a slow trot (.09 mm with constraint 
 and a trot is within .6 mm of one with 1000 for a second. With 10, a step costs 17 % less, but constraint motors open
 the loops by 1.2 mm, and the robot ends elsewhere.
 """
-PIN_LOAD = 1.0
-"""Load [N] at which a pin with play has moved half of its clearance; it smooths the change from side to side."""
-PIN_FOLLOWS = 0.2
-"""Share of its way that such a pin goes in a step of 1 ms: .1 kg at 5 N crosses half a millimetre in some 5 ms."""
 FLOOR_CELL = 0.1
 """Distance [m] of the points at which an uneven floor has its heights, linear between."""
 FLOOR_CELLS = 400
@@ -111,6 +108,16 @@ class BulletModel:
     def num_joints(self) -> int:
         """Number of joints, motors and knees."""
         return len(self.joints)
+
+    @cached_property
+    def pin_axes(self) -> Array:
+        """Unit vectors along the pins in their links' inertial frames, (L, 3)."""
+        return np.array([pin.axis for pin in self.pins])
+
+    @cached_property
+    def pin_places(self) -> Array:
+        """Places of the pins in their links' inertial frames [m], (L, 3)."""
+        return np.array([pin.place for pin in self.pins])
 
     @property
     def knees(self) -> list[int]:
@@ -226,15 +233,15 @@ def _with_shanks(fused: FusedUrdf, robot: RobotDescription) -> str:
         box = seen.find(f"link[@name='{leg.foot}']/visual/geometry/box")
         link = tree.find(f"link[@name='{fused.place[leg.foot][0]}']")
         if box is None or link is None:
-            raise SurefootError(f"{robot.urdf.path}: link '{leg.foot}' has no box to look at, whose width a shank takes")
+            raise SurefootError(
+                f"{robot.urdf.path}: link '{leg.foot}' has no box to look at, whose width a shank takes"
+            )
         for old in link.findall("collision"):
             link.remove(old)
         shape = ElementTree.SubElement(link, "collision")
         ElementTree.SubElement(shape, "origin", xyz=f"0 0 {length / 2}", rpy="0 0 0")
         width, depth, _ = box.get("size", "").split()
-        ElementTree.SubElement(
-            ElementTree.SubElement(shape, "geometry"), "box", size=f"{width} {depth} {length}"
-        )
+        ElementTree.SubElement(ElementTree.SubElement(shape, "geometry"), "box", size=f"{width} {depth} {length}")
     return ElementTree.tostring(tree, encoding="unicode")
 
 
@@ -289,33 +296,22 @@ def set_knee_friction(p: ModuleType, client: int, model: BulletModel, friction: 
 
 
 def move_pins(p: ModuleType, client: int, model: BulletModel, play: float, shift: Array) -> None:
-    """Move pins with play in their bores, as the forces through them have it after a step.
-
-    A pin of radial clearance r lies against its bore on the side to which the force F across it points, and goes from
-    side to side when that changes: u = r F / (|F| + F_0), followed with a delay.
+    """Move pins with play in their bores, as the forces through them have it after a step; see `pin_kernel`.
 
     Args:
         p: PyBullet.
         client: number of the client.
         model: its robot.
-        play: r [m].
-        shift: displacement u of each pin in its bore, in its link's inertial frame (L, 3) [m]; updated.
+        play: radial clearance [m].
+        shift: displacement of each pin in its bore, in its link's inertial frame (L, 3) [m]; updated.
     """
-    turns = rotations(
-        np.array(
-            [
-                state[1]
-                for state in p.getLinkStates(model.body, [pin.link for pin in model.pins], physicsClientId=client)
-            ]
-        )
-    )
-    for k, pin in enumerate(model.pins):
-        # Bullet states the force on the first link, where the bore is; the pin feels the opposite.
-        force = -turns[k].T @ p.getConstraintState(pin.constraint, physicsClientId=client)
-        force -= pin.axis * (pin.axis @ force)
-        shift[k] += PIN_FOLLOWS * (play * force / (np.linalg.norm(force) + PIN_LOAD) - shift[k])
-        place = pin.place - shift[k]
-        p.changeConstraint(pin.constraint, jointChildPivot=place.tolist(), physicsClientId=client)
+    pins = model.pins
+    states = p.getLinkStates(model.body, [pin.link for pin in pins], physicsClientId=client)
+    # Bullet states the force on the first link, where the bore is; the pin feels the opposite.
+    forces = np.array([p.getConstraintState(pin.constraint, physicsClientId=client) for pin in pins])
+    pin_kernel(np.array([state[1] for state in states]), -forces, model.pin_axes, play, shift)
+    for place, pin in zip((model.pin_places - shift).tolist(), pins, strict=True):
+        p.changeConstraint(pin.constraint, jointChildPivot=place, physicsClientId=client)
 
 
 def centre_pins(p: ModuleType, client: int, model: BulletModel) -> None:

@@ -7,6 +7,7 @@ then speeds of its joints.
 
 from __future__ import annotations
 
+import math
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -20,6 +21,10 @@ Index = NDArray[np.int64]
 
 VELOCITY, OMEGA, JOINTS = 7, 10, 13
 """Where in a row these begin."""
+PIN_LOAD = 1.0
+"""Load [N] at which a pin with play has moved half of its clearance; it smooths the change from side to side."""
+PIN_FOLLOWS = 0.2
+"""Share of its way that such a pin goes in a step of 1 ms: .1 kg at 5 N crosses half a millimetre in some 5 ms."""
 
 
 class Layout(NamedTuple):
@@ -124,6 +129,34 @@ def between(
                 applied[i, m] = layout.sign[m] * drive.torque[i, m]
                 if not np.isfinite(applied[i, m]):
                     diverged[i], left[i] = True, 0
+
+
+@njit(cache=True)
+def pin_kernel(quats: Array, forces: Array, axes: Array, play: float, shift: Array) -> None:
+    """Move pins with play for one step: where each lies in its bore.
+
+    A pin of radial clearance r lies against its bore on the side to which the force F across it points, and goes from
+    side to side when that changes: u = r F / (|F| + F_0), followed with a delay.
+
+    Args:
+        quats: orientations of the pins' links in the world (L, 4), x y z w.
+        forces: forces on the pins in the world frame (L, 3) [N].
+        axes: unit vectors along the pins in their links' frames (L, 3).
+        play: r [m].
+        shift: u in the links' frames (L, 3) [m]; updated.
+    """
+    for k in range(len(quats)):
+        x, y, z, w = -quats[k, 0], -quats[k, 1], -quats[k, 2], quats[k, 3]
+        fx, fy, fz = forces[k]
+        # World to link, by the conjugate quaternion: F + 2 v x (v x F + w F).
+        ax, ay, az = y * fz - z * fy + w * fx, z * fx - x * fz + w * fy, x * fy - y * fx + w * fz
+        fx, fy, fz = fx + 2 * (y * az - z * ay), fy + 2 * (z * ax - x * az), fz + 2 * (x * ay - y * ax)
+        along = fx * axes[k, 0] + fy * axes[k, 1] + fz * axes[k, 2]
+        fx, fy, fz = fx - along * axes[k, 0], fy - along * axes[k, 1], fz - along * axes[k, 2]
+        reach = play / (math.sqrt(fx * fx + fy * fy + fz * fz) + PIN_LOAD)
+        shift[k, 0] += PIN_FOLLOWS * (reach * fx - shift[k, 0])
+        shift[k, 1] += PIN_FOLLOWS * (reach * fy - shift[k, 1])
+        shift[k, 2] += PIN_FOLLOWS * (reach * fz - shift[k, 2])
 
 
 def rotations(quats_xyzw: Array) -> Array:
