@@ -219,7 +219,11 @@ class Deployment:
         return outcome
 
     def _come_to_rest(self, moves: Moves, running: bool) -> Verdict:
-        verdict = moves.stop() if running else moves.sit_down()
+        if running:
+            verdict = moves.stop()
+        else:
+            # A robot that still lies would stall its motors to sit: it is let go as it is.
+            verdict = moves.sit_down() if moves.risen else GO
         return moves.disarm() if verdict.act is Act.GO and not self.dry_run else verdict
 
     def close(self) -> None:
