@@ -201,6 +201,19 @@ def test_a_killed_host_leaves_its_run_behind(emulator, tmp_path):
     assert found.num_steps == trace.num_steps
 
 
+@pytest.mark.parametrize("until", ["surefoot: lay legs flat", "surefoot: run"])
+def test_a_killed_host_loses_the_robot_to_the_next_one(emulator, tmp_path, until):
+    port = emulator()
+    process = start_deploy(port, "--duration", "60", "--out", str(tmp_path), until=until)
+    process.kill()
+    process.communicate(timeout=PATIENCE)
+    words = [sys.executable, "-m", "surefoot", "doctor", "trot", "--port", port, "--lockstep"]
+    looked = subprocess.run(words, capture_output=True, text=True, timeout=PATIENCE)
+    assert looked.returncode == 0, looked.stdout + looked.stderr
+    done = deploy(port, "--duration", "0.1", "--out", str(tmp_path))
+    assert done.returncode == 0, done.stderr
+
+
 def test_motion_capture_that_is_missing_costs_only_the_base(emulator, tmp_path):
     done = deploy(
         emulator(), "--duration", "0.3", "--out", str(tmp_path), "--motion-capture", str(tmp_path / "none.csv")
