@@ -152,9 +152,7 @@ class Deployment:
             raise SurefootError("the robot was not greeted")
         if self.operator.stops:
             return Outcome("stopped", "operator", "stopped before anything moved", False)
-        angle = contract.task.get("fall_angle")
-        tilt = float(angle) if isinstance(angle, int | float) and angle > 0 else None
-        guard = Guard(self.limits, contract.control_step, self.connection.session, tilt)
+        guard = Guard(self.limits, contract.control_step, self.connection.session, contract.task.get("fall_angle"))
         loop = ControlLoop(
             self.connection, contract.control_step, guard, self.operator, self.watch, timing, self.dry_run
         )
