@@ -87,6 +87,8 @@ def test_json_states_kind_and_schema(contract: Contract):
         ({"task": {"max_steps": 10**12}}, "task.max_steps is 1000000000000; it must be a number from 1 to 1e.06"),
         ({"task": {"max_steps": "long"}}, "task.max_steps is 'long'; it must be a number"),
         ({"task": {"params": {"control_latency": [0.02]}}}, r"params.control_latency is \[0.02\]; it must be a number"),
+        ({"task": {"energy_weight": "x"}}, "task.energy_weight is 'x'; it must be a number from 0 to 1e.06 m/J"),
+        ({"reference": {"swing": {"amplitude": 10**300}}}, "it holds 10{39}; whole numbers must be below 2.64"),
         ({"task": {"params": [0.02]}}, r"task.params is \[0.02\]; it must be a table"),
         ({"colour": "red"}, "contract.colour is no key"),
         ({"columns": []}, "the policy sees nothing"),

@@ -28,7 +28,11 @@ RANGES = {
     "voltage": (1.0, 1e3, "V"),
 }
 """What is assumed of a robot: least value, greatest value and unit, whatever the robot. Data sheets allow less."""
-TASK_RANGES = {"fall_angle": (1e-3, math.pi, "rad"), "max_steps": (1, 1_000_000, "control steps")}
+TASK_RANGES = {
+    "fall_angle": (1e-3, math.pi, "rad"),
+    "max_steps": (1, 1_000_000, "control steps"),
+    "energy_weight": (0.0, 1e6, "m/J"),
+}
 """Numbers of the task that a deployment uses."""
 _ANGLE = 2 * math.pi
 
@@ -175,7 +179,9 @@ def _finite(text: str) -> float:
 
 
 def _whole(text: str) -> int:
-    _finite(text)
+    """A whole number of JSON, of 64 bits: arrays can't hold longer ones."""
+    if abs(_finite(text)) >= 2.0**64:
+        raise ValueError(f"it holds {text:.40}; whole numbers must be below 2^64")
     return int(text)
 
 
