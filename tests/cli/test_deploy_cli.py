@@ -16,6 +16,8 @@ import numpy as np
 import pytest
 
 from surefoot.evaluate.recorded import find_traces
+from surefoot.policy.contract import METADATA_KEY
+from surefoot.policy.digest import DIGEST_KEY, stamped
 from surefoot.policy.runtime import PolicyRuntime
 from surefoot.task.partial_trace import recover
 from surefoot.task.trace import EpisodeTrace
@@ -201,6 +203,19 @@ def test_a_killed_host_leaves_its_run_behind(emulator, tmp_path):
     assert found.num_steps == trace.num_steps
 
 
+@pytest.mark.parametrize("until", ["surefoot: lay legs flat", "surefoot: run"])
+def test_a_killed_host_loses_the_robot_to_the_next_one(emulator, tmp_path, until):
+    port = emulator()
+    process = start_deploy(port, "--duration", "60", "--out", str(tmp_path), until=until)
+    process.kill()
+    process.communicate(timeout=PATIENCE)
+    words = [sys.executable, "-m", "surefoot", "doctor", "trot", "--port", port, "--lockstep"]
+    looked = subprocess.run(words, capture_output=True, text=True, timeout=PATIENCE)
+    assert looked.returncode == 0, looked.stdout + looked.stderr
+    done = deploy(port, "--duration", "0.1", "--out", str(tmp_path))
+    assert done.returncode == 0, done.stderr
+
+
 def test_motion_capture_that_is_missing_costs_only_the_base(emulator, tmp_path):
     done = deploy(
         emulator(), "--duration", "0.3", "--out", str(tmp_path), "--motion-capture", str(tmp_path / "none.csv")
@@ -228,6 +243,32 @@ def test_what_cannot_be_done_is_told_in_one_line(words, match):
     assert done.returncode == 2
     assert match in done.stderr.splitlines()[-1]
     assert "Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("words", "change", "match"),
+    [
+        (["deploy", "--port", "x"], {"control_latency": float("nan")}, "contract: is not JSON: it holds NaN"),
+        (["deploy", "--port", "x"], {"task": {"fall_angle": 1e9}}, "task.fall_angle is 1000000000.0; it must be"),
+        (["evaluate"], {"control_latency": -0.02}, "contract: control_latency is -0.02; it must be a number from 0 to"),
+    ],
+)
+def test_a_contract_with_a_number_out_of_range_is_refused(tmp_path, repository, words, change, match):
+    onnx = pytest.importorskip("onnx")
+    model = onnx.load(repository / "policies" / "trot.onnx")
+    properties = {one.key: one.value for one in model.metadata_props if one.key != DIGEST_KEY}
+    contract = json.loads(properties[METADATA_KEY])
+    properties[METADATA_KEY] = json.dumps(contract | change | {"task": contract["task"] | change.get("task", {})})
+    onnx.helper.set_model_props(model, properties)
+    file = tmp_path / "edited.onnx"
+    file.write_bytes(stamped(model.SerializeToString()))
+    command, *rest = words
+    done = subprocess.run(
+        [sys.executable, "-m", "surefoot", command, str(file), *rest], capture_output=True, text=True, timeout=PATIENCE
+    )
+    assert done.returncode == 2
+    (said,) = done.stderr.splitlines()
+    assert match in said
 
 
 def test_a_robot_that_says_nothing_is_told_in_one_line(tmp_path):

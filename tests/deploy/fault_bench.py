@@ -397,6 +397,8 @@ class Scenario:
     """The robot is in the middle of a frame when the host comes."""
     fresh: bool = False
     """The robot was just switched on; always so, if it has faults."""
+    sunk: float = 0.0
+    """How long the robot has been sinking onto its belly [s]; after 1 s its legs are folded beside it."""
 
 
 SCENARIOS = {
@@ -418,6 +420,14 @@ SCENARIOS = {
     "SIGINT": Scenario(duration=LONG, signals=((RUNNING, signal.SIGINT),)),
     "SIGTERM": Scenario(duration=LONG, signals=((RUNNING, signal.SIGTERM),)),
     "SIGINT twice": Scenario(duration=LONG, signals=((RUNNING, signal.SIGINT), (RUNNING + 0.1, signal.SIGINT))),
+    **{
+        name: Scenario(duration=LONG, signals=((when, number),), fresh=True, sunk=1.0)
+        for name, when, number in (
+            ("SIGINT while it arms", 0.0, signal.SIGINT),
+            ("SIGTERM while it lies", 0.05, signal.SIGTERM),
+            ("SIGHUP while it lies", 0.5, signal.SIGHUP),
+        )
+    },
     "terminal": Scenario(duration=LONG, terminal=True),
     "disk full": Scenario(disk=8_000, duration=0.6),
 }
@@ -454,6 +464,8 @@ def play(scenario: Scenario, folder: Path, policies: Path, robot: Robot) -> Ende
         policies: folder of policies.
         robot: with the faults of the scenario.
     """
+    if scenario.sunk:
+        _settle(robot, scenario.sunk)
     cable = Cable(robot.path, scenario.chatter)
     options = ("--duration", str(scenario.duration))
     file = policies / f"{scenario.policy}.onnx"
@@ -513,11 +525,11 @@ def _in_a_terminal(cable: Cable, folder: Path, *options: str) -> Ended:
     return Ended.read(int(code.read_text()), folder)
 
 
-def _settle(robot: Robot) -> None:
+def _settle(robot: Robot, seconds: float = 3.0) -> None:
     """Let a robot that was damped in the middle of a step come to rest."""
     somebody = Client(robot.path, OTHER)
     somebody.send(Hello(OTHER, 0.1))
-    somebody.pass_time(3.0)
+    somebody.pass_time(seconds)
     somebody.send(Bye(OTHER))
     somebody.pass_time(0.0)
     os.close(somebody.file)

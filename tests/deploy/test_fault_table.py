@@ -750,6 +750,16 @@ def test_row_9_a_signal_or_a_terminal_that_closes(ended, scenario):
     assert ended.record.of_host(Damp) == []
 
 
+@scenarios("SIGINT while it arms", "SIGTERM while it lies", "SIGHUP while it lies")
+def test_row_9_a_robot_that_still_lies_is_let_go(ended):
+    assert ended.outcome == (0, "stopped", "operator")
+    assert ended.run["what"] == "stopped by the operator"
+    assert ended.said[-2:] == ["surefoot: lay legs flat (1.0 s)", "surefoot: disarm"]
+    assert ended.record.left == AT_EASE
+    assert ended.record.of_host(Damp) == []
+    assert min(frame.message.voltage for frame in ended.record.of_robot(State)) > 15.0
+
+
 @scenarios("SIGINT twice")
 def test_row_9_ctrl_c_twice(ended):
     assert ended.outcome == (3, "stopped", "operator")

@@ -10,7 +10,7 @@ import pytest
 
 from surefoot.deploy.controller import Controller
 from surefoot.deploy.deployment import Deployment
-from surefoot.deploy.moves import REST, UP
+from surefoot.deploy.moves import FLAT, FOLD, PAUSE, REST, UP
 from surefoot.deploy.pacer import Timing
 from surefoot.deploy.poses import pose, sitting
 from surefoot.deploy.recording.keeping import Keeper
@@ -260,7 +260,7 @@ def test_the_operator_lets_the_robot_sit(deploy, toy, stop):
     assert 10 <= kept.trace.num_steps <= 40
 
 
-@pytest.mark.parametrize("when", [0.5, UP + 0.5])
+@pytest.mark.parametrize("when", [FLAT + FOLD + PAUSE + 0.2, UP + 0.5])
 def test_the_operator_asks_twice_and_motors_are_damped(when, deploy, toy, stop):
     stop.at, stop.again = when, when + 0.2
     outcome, _, _ = deploy(steps=300)
@@ -268,10 +268,24 @@ def test_the_operator_asks_twice_and_motors_are_damped(when, deploy, toy, stop):
     assert toy.firmware.reason == Reason.HOST
 
 
-def test_the_operator_stops_while_the_robot_stands_up(deploy, toy, stop):
-    stop.at = 0.5
+@pytest.mark.parametrize(
+    ("when", "phases"),
+    [
+        (0.01, ["arm", "lay legs flat", "disarm"]),
+        (0.5, ["lay legs flat", "disarm"]),
+        (FLAT + 0.9, ["draw legs in", "disarm"]),
+        (FLAT + FOLD + 0.2, ["sit", "disarm"]),
+        (FLAT + FOLD + PAUSE + 0.2, ["stand up", "sit down", "disarm"]),
+        (UP - 0.1, ["stand", "sit down", "disarm"]),
+    ],
+)
+def test_the_operator_stops_before_the_policy_runs(when, phases, deploy, toy, stop, watch):
+    stop.at = when
     outcome, kept, _ = deploy()
-    assert (outcome.ended, outcome.safe) == ("stopped", False)
+    assert (outcome.ended, outcome.reason, outcome.safe) == ("stopped", "operator", False)
+    # Only a robot that has begun to rise from sitting sits down; one that still lies is let go at once.
+    assert watch.phases[-len(phases) :] == phases
+    assert not sent(toy, Damp)
     assert kept.trace is None
     assert not kept.lost
     assert toy.firmware.mode == Mode.DISARMED

@@ -236,6 +236,46 @@ def test_in_lockstep_a_second_host_may_have_another_clock(emulate, pick):
     np.testing.assert_allclose(np.diff(times), 0.010, atol=1e-9)
 
 
+def armed_in_lockstep(process, pick):
+    host = process.host()
+    host.send(Hello(ME, 0.010), 0.0)
+    host.run_to(0.010)
+    host.send(Arm(ME, int(Mode.POSITION), STEP, STEP), 0.010)
+    assert pick["states"](host.run_to(0.020))[-1].message.mode == Mode.POSITION
+    return host
+
+
+def test_in_lockstep_a_host_that_is_gone_loses_the_robot(emulate, pick):
+    process = emulate("--lockstep")
+    first = armed_in_lockstep(process, pick)
+    process.hosts.remove(first)
+    first.send(Ping(9), 0.030)  # its last words are heard
+    first.close()
+    time.sleep(1.0)
+    second = process.host()
+    second.send(Hello(OTHER, 0.010), 7.0)
+    second.run_to(7.010)
+    (greeting,) = (frame for frame in second.frames if isinstance(frame.message, Handshake))
+    # The watchdog saw to the motors, and a second of silence to the operator, in robot time.
+    assert greeting.time == pytest.approx(0.030 + 1.0, abs=0.011)
+    state = pick["states"](second.run_to(7.020))[-1].message
+    assert (state.session, state.mode, state.reason) == (OTHER, Mode.DISARMED, Reason.TIMEOUT)
+
+
+def test_in_lockstep_a_host_that_is_slow_keeps_the_robot(emulate, pick):
+    process = emulate("--lockstep")
+    first = armed_in_lockstep(process, pick)
+    second = process.host()
+    for at in (50.0, 50.1, 60.0):
+        second.send(Hello(OTHER, 0.010), at)
+        assert second.of(Fault).message.reason == Reason.BUSY
+    second.close()
+    process.hosts.remove(second)
+    # Neither the stranger's clock nor that on the wall is the robot's.
+    (state,) = pick["states"](first.run_to(0.026))
+    assert (state.time, state.message.session, state.message.mode) == (0.022, ME, Mode.POSITION)
+
+
 def test_motors_take_a_duty(emulate, pick):
     host = emulate("--lockstep", "--rack", "--ideal-sensors").host()
     host.send(Hello(ME, 0.010), 0.0)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -71,7 +72,24 @@ def test_json_states_kind_and_schema(contract: Contract):
         ({"low": [0.0]}, "low has 1 numbers; it must have 8"),
         ({"low": [9.0] * 8}, r"bounds of swing.front_left are \[9, 0.333333\]"),
         ({"motor_signs": [2.0] * 8}, "each must be 1 or -1"),
-        ({"control_step": 0.0}, "control_step is 0; it must be over 0 s"),
+        ({"control_step": 0.0}, "control_step is 0.0; it must be a number from 0.0001 to 1 s"),
+        ({"control_latency": -0.001}, "control_latency is -0.001; it must be a number from 0 to 1 s"),
+        ({"servo_latency": 3}, "servo_latency is 3.0; it must be a number from 0 to 1 s"),
+        ({"servo_kp": -1.0}, "servo_kp is -1.0; it must be a number from 0 to 1000 duty/rad"),
+        ({"servo_kd": 1e300}, "servo_kd is 1e.300; it must be a number from 0 to 1000 duty s/rad"),
+        ({"voltage": 0.0}, "voltage is 0.0; it must be a number from 1 to 1000 V"),
+        ({"rest": [0.0, 1e9]}, "rest is 1000000000.0; it must be a number from -6.28319 to 6.28319 rad"),
+        ({"high": [1e9] * 8}, r"bounds of swing.front_left are \[-0.1, 1e.09\]; the lower one first, both within 2 pi"),
+        ({"task": {"fall_angle": 1e9}}, "task.fall_angle is 1000000000.0; it must be a number from 0.001 to 3.14"),
+        ({"task": {"fall_angle": 0}}, "task.fall_angle is 0; it must be a number"),
+        ({"task": {"fall_angle": None}}, "task.fall_angle is None; it must be a number"),
+        ({"task": {"fall_angle": True}}, "task.fall_angle is True; it must be a number"),
+        ({"task": {"max_steps": 10**12}}, "task.max_steps is 1000000000000; it must be a number from 1 to 1e.06"),
+        ({"task": {"max_steps": "long"}}, "task.max_steps is 'long'; it must be a number"),
+        ({"task": {"params": {"control_latency": [0.02]}}}, r"params.control_latency is \[0.02\]; it must be a number"),
+        ({"task": {"energy_weight": "x"}}, "task.energy_weight is 'x'; it must be a number from 0 to 1e.06 m/J"),
+        ({"reference": {"swing": {"amplitude": 10**300}}}, "it holds 10{39}; whole numbers must be below 2.64"),
+        ({"task": {"params": [0.02]}}, r"task.params is \[0.02\]; it must be a table"),
         ({"colour": "red"}, "contract.colour is no key"),
         ({"columns": []}, "the policy sees nothing"),
     ],
@@ -81,6 +99,15 @@ def test_what_does_not_fit_is_refused(contract: Contract, change: dict, message:
     with pytest.raises(SurefootError, match=message) as caught:
         Contract.from_json(json.dumps(data))
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("number", ["NaN", "-Infinity", "1e400", "1" + 400 * "0"])
+@pytest.mark.parametrize("where", ["control_latency", "voltage", "history", "fall_angle", "speed_mean"])
+def test_a_number_that_is_not_finite_is_refused_wherever_it_stands(contract: Contract, where: str, number: str):
+    whole = replace(contract, task={"fall_angle": 0.5}, figures={"speed_mean": 0.5}).to_json()
+    text = re.sub(rf'("{where}": )[0-9.]+', rf"\g<1>{number}", whole)
+    with pytest.raises(SurefootError, match=f"^contract: is not JSON: it holds {number[:40]}; numbers must be finite$"):
+        Contract.from_json(text)
 
 
 @pytest.mark.parametrize("text", ["", "{", "[]", "null", '"surefoot-policy"', "{}"])

@@ -208,7 +208,7 @@ def _run(command: EmulateCommand, board: Board, faults: dict[str, Fault]) -> int
     def end(number: int, frame: FrameType | None) -> None:
         summary.stop = True
 
-    port = PtyPort(command.link)
+    port = PtyPort(command.link, held=not command.lockstep)
     onlookers: list[MotionCapture | EmulateViewer] = []
     ending = [signal.SIGINT, signal.SIGTERM]
     if signal.getsignal(signal.SIGHUP) != signal.SIG_IGN:  # nohup: go on when the terminal is closed

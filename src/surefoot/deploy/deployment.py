@@ -152,9 +152,7 @@ class Deployment:
             raise SurefootError("the robot was not greeted")
         if self.operator.stops:
             return Outcome("stopped", "operator", "stopped before anything moved", False)
-        angle = contract.task.get("fall_angle")
-        tilt = float(angle) if isinstance(angle, int | float) and angle > 0 else None
-        guard = Guard(self.limits, contract.control_step, self.connection.session, tilt)
+        guard = Guard(self.limits, contract.control_step, self.connection.session, contract.task.get("fall_angle"))
         loop = ControlLoop(
             self.connection, contract.control_step, guard, self.operator, self.watch, timing, self.dry_run
         )
@@ -219,7 +217,11 @@ class Deployment:
         return outcome
 
     def _come_to_rest(self, moves: Moves, running: bool) -> Verdict:
-        verdict = moves.stop() if running else moves.sit_down()
+        if running:
+            verdict = moves.stop()
+        else:
+            # A robot that still lies would stall its motors to sit: it is let go as it is.
+            verdict = moves.sit_down() if moves.risen else GO
         return moves.disarm() if verdict.act is Act.GO and not self.dry_run else verdict
 
     def close(self) -> None:

@@ -49,6 +49,8 @@ class Moves:
         self.robot, self.contract = controller.robot, controller.contract
         self.arming = Arming(connection, handshake, self.contract.control_step)
         self.standing = pose(self.robot, *self.contract.rest)
+        self.risen = False
+        """Whether the robot has begun to rise from sitting: only then does it need to sit down again."""
 
     def _state(self) -> State:
         return self.connection.last_state()
@@ -107,6 +109,7 @@ class Moves:
             ("stand up", drawn, stand, RISE),
             ("stand", stand, stand, HOLD),
         ):
+            self.risen = self.risen or phase == "stand up"
             verdict = self._go(phase, start, end, duration)
             if verdict.act is not Act.GO:
                 return verdict

@@ -83,6 +83,11 @@ class Firmware:
         """Whether motors follow commands."""
         return self.mode in ARMED
 
+    def is_taken(self, now: int) -> bool:
+        """Whether the robot has an operator who may keep it."""
+        silent = now - self.watch.last_heard > microseconds(self.limits.owner_timeout)
+        return bool(self.owner) and (self.armed or not silent)
+
     def take(self) -> list[Frame]:
         """What there is to send, oldest first; it is the caller's now."""
         said, self._out = self._out, []
@@ -144,8 +149,7 @@ class Firmware:
             self.owner, self.next_state = 0, None
 
     def _greet_stranger(self, now: int, frame: Frame, hello: Hello) -> None:
-        silent = now - self.watch.last_heard > microseconds(self.limits.owner_timeout)
-        if self.owner and (self.armed or not silent):
+        if self.is_taken(now):
             self._refuse(now, hello.session, Reason.BUSY, "another operator has the robot")
             return
         self._disarm(now)

@@ -20,6 +20,10 @@ SLIP = 50_000
 """Lag [us] beyond which robot time is let slip instead of being caught up."""
 _TELL_EVERY = 1.0
 _IDLE = 0.05
+_LOOK = 0.005
+"""Time [s] between two looks whether a host has opened the port, in lockstep."""
+_PIECE = 10_000
+"""Robot time [us] that passes at once while nobody has the port open, in lockstep."""
 _PATIENCE = 2.0
 _BREATH = 1e-3
 """Pause [s] when robot time slips: a process that may run before all others must not keep the processor."""
@@ -137,9 +141,13 @@ class Lockstep:
     A frame's time comes first: the robot runs as far, and says what there is to say, before it hears the frame. So who
     sends a ping and has its pong, has all that the robot said until then.
 
+    A host that dies sends no frames any more, and time would stand still: the robot would stay armed, and be its
+    operator's, for good. So when the last host has closed the port, time goes on by itself until another operator may
+    have the robot. A host that is only slow keeps its port open, and its robot.
+
     Args:
         board: the robot; its line takes no time.
-        port: where its line ends.
+        port: where its line ends; it must not be held.
         summary: kept up to date; its `stop` ends the loop.
     """
 
@@ -155,11 +163,22 @@ class Lockstep:
         started, used = time.monotonic(), time.process_time()
         end = None if until is None else round(until * 1e6)
         while not summary.stop and (end is None or board.now < end):
-            if port.wait(_IDLE) and (data := port.read()):
+            if port.deserted():
+                self._pass_time_alone()
+                time.sleep(_LOOK)  # there is nothing to wait for that would wake us up
+            elif port.wait(_IDLE) and (data := port.read()):
                 self._hear(data)
         summary.robot_time = board.now / 1e6
         summary.real_time = time.monotonic() - started
         summary.processor_time = time.process_time() - used
+
+    def _pass_time_alone(self) -> None:
+        """Let robot time go on until another operator may have the robot; nobody hears what it says meanwhile."""
+        board = self._board
+        while board.firmware.is_taken(board.now) and not self._summary.stop:
+            self._time.now = board.now + _PIECE
+            board.run_to(self._time.now)
+            board.said()
 
     def _hear(self, data: bytes) -> None:
         """Take bytes up to each zero, one after another; those that complete a frame first move time."""
@@ -170,8 +189,10 @@ class Lockstep:
             del self._open[: end + 1]
             for frame in self._clock.feed(piece):
                 session = getattr(frame.message, "session", 0)
-                time_of_frame = self._time.follow(microseconds(frame.time), session, board.firmware.owner)
-                board.run_to(time_of_frame)
+                firmware = board.firmware
+                if not firmware.armed or session in (0, firmware.owner):
+                    # Frames of a stranger must not make an armed robot miss its operator's commands.
+                    board.run_to(self._time.follow(microseconds(frame.time), session, firmware.owner))
             board.hear(board.now, piece)
             board.run_to(board.now)
             if said := board.said():

@@ -17,17 +17,22 @@ class PtyPort:
 
     Args:
         link: symbolic link to make, which is removed when the port is closed.
+        held: keep the hosts' end open here too, so that it is not noticed when the last host closes it.
 
     Raises:
         SurefootError: something stands where the link is to be.
     """
 
-    def __init__(self, link: Path | None = None) -> None:
-        self._master, self._slave = os.openpty()
-        # The slave's end stays open here, so that the master never reads an end of file when a host leaves.
-        tty.setraw(self._slave)
+    def __init__(self, link: Path | None = None, held: bool = True) -> None:
+        self._master, slave = os.openpty()
+        tty.setraw(slave)
         os.set_blocking(self._master, False)
-        self.path = os.ttyname(self._slave)
+        self.path = os.ttyname(slave)
+        self._slave = slave if held else None
+        if not held:
+            os.close(slave)
+        self._hangup = select.poll()
+        self._hangup.register(self._master, select.POLLIN)
         self.unread = 0
         """Frames dropped because nobody read what came before them."""
         self._link = link
@@ -43,8 +48,13 @@ class PtyPort:
         """What hosts have written since."""
         try:
             return os.read(self._master, _CHUNK)
-        except BlockingIOError:
+        except OSError:  # nothing there, or nobody
             return b""
+
+    def deserted(self) -> bool:
+        """Whether no host has the port open, and all that hosts have written is read; never so, if it is held."""
+        events = sum(event for _, event in self._hangup.poll(0))
+        return bool(events & select.POLLHUP) and not events & select.POLLIN
 
     def wait(self, timeout: float) -> bool:
         """Wait until something can be read, at most so long [s]; whether it can."""
@@ -59,10 +69,13 @@ class PtyPort:
                 if patience <= 0 or not select.select([], [self._master], [], patience)[1]:
                     self.unread += 1
                     return
+            except OSError:  # a host has just left a port that is not held
+                return
 
     def close(self) -> None:
         """Hang up, and remove the link."""
         if self._link is not None:
             self._link.unlink(missing_ok=True)
         os.close(self._master)
-        os.close(self._slave)
+        if self._slave is not None:
+            os.close(self._slave)

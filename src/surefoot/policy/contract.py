@@ -19,6 +19,22 @@ KIND = "surefoot-policy"
 SCHEMA = 1
 METADATA_KEY = "surefoot"
 """Property of the ONNX file that holds the contract."""
+RANGES = {
+    "control_step": (1e-4, 1.0, "s"),
+    "servo_latency": (0.0, 1.0, "s"),
+    "control_latency": (0.0, 1.0, "s"),
+    "servo_kp": (0.0, 1e3, "duty/rad"),
+    "servo_kd": (0.0, 1e3, "duty s/rad"),
+    "voltage": (1.0, 1e3, "V"),
+}
+"""What is assumed of a robot: least value, greatest value and unit, whatever the robot. Data sheets allow less."""
+TASK_RANGES = {
+    "fall_angle": (1e-3, math.pi, "rad"),
+    "max_steps": (1, 1_000_000, "control steps"),
+    "energy_weight": (0.0, 1e6, "m/J"),
+}
+"""Numbers of the task that a deployment uses."""
+_ANGLE = 2 * math.pi
 
 
 @dataclass(frozen=True)
@@ -99,10 +115,25 @@ class Contract:
             raise SurefootError(f"contract: motor_signs is {list(self.motor_signs)}; each must be 1 or -1")
         bounds = zip(self.action_names, self.low, self.high, strict=True)
         for name, low, high in bounds:
-            if not (math.isfinite(low) and math.isfinite(high) and low <= high):
-                raise SurefootError(f"contract: bounds of {name} are [{low:g}, {high:g}]; finite, the lower one first")
-        if not (math.isfinite(self.control_step) and self.control_step > 0):
-            raise SurefootError(f"contract: control_step is {self.control_step:g}; it must be over 0 s")
+            if not -_ANGLE <= low <= high <= _ANGLE:
+                raise SurefootError(
+                    f"contract: bounds of {name} are [{low:g}, {high:g}]; the lower one first, both within 2 pi rad"
+                )
+        self._check_ranges()
+
+    def _check_ranges(self) -> None:
+        params = self.task.get("params") or {}
+        if not isinstance(params, dict):
+            raise SurefootError(f"contract: task.params is {params!r:.40}; it must be a table")
+        for value in self.rest:
+            _check_range("rest", value, -_ANGLE, _ANGLE, "rad")
+        for name, limits in RANGES.items():
+            _check_range(name, getattr(self, name), *limits)
+            if name in params:
+                _check_range(f"task.params.{name}", params[name], *limits)
+        for name, limits in TASK_RANGES.items():
+            if name in self.task:
+                _check_range(f"task.{name}", self.task[name], *limits)
 
     @property
     def width(self) -> int:
@@ -122,7 +153,7 @@ class Contract:
             SurefootError: no JSON, no contract, one of another schema, or one that does not fit.
         """
         try:
-            data = json.loads(text)
+            data = json.loads(text, parse_constant=_finite, parse_float=_finite, parse_int=_whole)
         except ValueError as error:
             raise SurefootError(f"contract: is not JSON: {error}") from error
         if not isinstance(data, dict) or data.pop("kind", None) != KIND:
@@ -131,6 +162,27 @@ class Contract:
         if schema != SCHEMA:
             raise SurefootError(f"contract: has schema {schema!r}; this surefoot reads schema {SCHEMA}")
         return from_mapping(cls, data, "contract")
+
+
+def _check_range(name: str, value: Any, low: float, high: float, unit: str) -> None:
+    """Refuse what is no number from `low` to `high`."""
+    if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:
+        raise SurefootError(f"contract: {name} is {value!r:.40}; it must be a number from {low:g} to {high:g} {unit}")
+
+
+def _finite(text: str) -> float:
+    """A number of JSON; what it says of NaN and numbers that are too large is an error."""
+    value = float(text)
+    if not math.isfinite(value):
+        raise ValueError(f"it holds {text:.40}; numbers must be finite")
+    return value
+
+
+def _whole(text: str) -> int:
+    """A whole number of JSON, of 64 bits: arrays can't hold longer ones."""
+    if abs(_finite(text)) >= 2.0**64:
+        raise ValueError(f"it holds {text:.40}; whole numbers must be below 2^64")
+    return int(text)
 
 
 def plain(value: Any) -> Any:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
@@ -123,13 +124,15 @@ class TaskConfig:
 
     def __post_init__(self) -> None:
         """Refuse what no task can be."""
-        if self.max_steps < 1:
-            raise SurefootError(f"max_steps is {self.max_steps}; an episode has 1 control step or more")
+        if not 1 <= self.max_steps <= 1_000_000:
+            raise SurefootError(f"max_steps is {self.max_steps}; an episode has 1 to 1,000,000 control steps")
         if self.history < 1:
             raise SurefootError(f"history is {self.history}; the policy sees 1 observation or more")
         for name in ("fall_angle", "energy_weight", "start_linear_speed", "start_angular_speed"):
             if not getattr(self, name) >= 0:
                 raise SurefootError(f"{name} is {getattr(self, name):g}; it must not be below 0")
+        if self.fall_angle > math.pi:
+            raise SurefootError(f"fall_angle is {self.fall_angle:g}; an angle of roll or pitch is at most pi rad")
 
     def nominal(self, robot: RobotDescription) -> PhysicalParams:
         """Physical parameters of the task's robot where nothing is drawn, one row.
