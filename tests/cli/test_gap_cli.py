@@ -24,6 +24,7 @@ from surefoot.cli.main import main
 from surefoot.cli.policies import find_policy
 from surefoot.errors import SurefootError
 from surefoot.policy.contract import METADATA_KEY
+from surefoot.policy.digest import stamped
 from surefoot.robot import RobotDescription
 from surefoot.task.trace import EpisodeTrace
 
@@ -34,13 +35,13 @@ RUNS = ["run_000.npz", "run_001.npz", "run_002.npz"]
 
 
 def rewrite(policy: str, path: Path, change: Callable[[dict[str, Any]], None]) -> Path:
-    """A policy that ships with another contract, and without the digest that would tell."""
+    """A policy that ships with another contract, and a digest that fits."""
     model = onnx.load(find_policy(policy))
     (entry,) = (entry for entry in model.metadata_props if entry.key == METADATA_KEY)
     contract = json.loads(entry.value)
     change(contract)
     onnx.helper.set_model_props(model, {METADATA_KEY: json.dumps(contract)})
-    onnx.save(model, path)
+    path.write_bytes(stamped(model.SerializeToString()))
     return path
 
 
@@ -49,8 +50,14 @@ def policies(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Folder with trot.onnx and gallop.onnx, whose episodes last 60 control steps; the trot has constraint motors."""
     folder = tmp_path_factory.mktemp("policies")
     rewrite("gallop", folder / "gallop.onnx", lambda contract: contract["task"].update(max_steps=60))
-    ideal = {"max_steps": 60, "actuator": "constraint", "params": {"control_latency": 0.0, "servo_latency": 0.0}}
-    rewrite("trot", folder / "trot.onnx", lambda contract: contract["task"].update(ideal))
+    latencies = {"control_latency": 0.0, "servo_latency": 0.0}
+    ideal = {"max_steps": 60, "actuator": "constraint", "params": latencies}
+
+    def make_ideal(contract: dict[str, Any]) -> None:
+        contract["task"].update(ideal)
+        contract.update(latencies)
+
+    rewrite("trot", folder / "trot.onnx", make_ideal)
     return folder
 
 

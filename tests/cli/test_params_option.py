@@ -310,7 +310,7 @@ def test_a_policy_with_another_control_step_keeps_it(here: Path, capsys: pytest.
     model = onnx.load(find_policy("trot"))
     (entry,) = (entry for entry in model.metadata_props if entry.key == METADATA_KEY)
     contract = json.loads(entry.value)
-    contract["control_step"] = 0.008
+    contract.update(control_step=0.008, voltage=14.0)
     contract["task"].update(max_steps=20, params={"control_step": 0.008, "voltage": 14.0})
     onnx.helper.set_model_props(model, {METADATA_KEY: json.dumps(contract)})
     onnx.save(model, here / "slow.onnx")

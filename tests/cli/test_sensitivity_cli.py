@@ -128,6 +128,7 @@ def test_what_does_not_fit_is_refused(words: tuple[str, ...], parts: tuple[str, 
 def test_policies_for_different_robots_are_refused(tmp_path: Path):
     onnx = pytest.importorskip("onnx")
     from surefoot.policy.contract import METADATA_KEY
+    from surefoot.policy.digest import stamped
     from surefoot.robot import RobotDescription
 
     robot = tmp_path / "maxitaur"
@@ -141,9 +142,8 @@ def test_policies_for_different_robots_are_refused(tmp_path: Path):
     (entry,) = (entry for entry in model.metadata_props if entry.key == METADATA_KEY)
     contract = json.loads(entry.value)
     contract["robot"], contract["task"]["robot"] = "maxitaur", str(robot)
-    # The digest goes too: it would tell that the contract is another one.
     onnx.helper.set_model_props(model, {METADATA_KEY: json.dumps(contract)})
-    onnx.save(model, tmp_path / "other.onnx")
+    (tmp_path / "other.onnx").write_bytes(stamped(model.SerializeToString()))
     done = surefoot("gallop", tmp_path / "other.onnx", *SHORT, cwd=tmp_path)
     refused(done, "policy 'trot' is for robot 'maxitaur' and 'gallop' for 'minitaur'", "the same robot")
     assert not (tmp_path / "sensitivity").exists()

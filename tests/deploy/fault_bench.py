@@ -385,6 +385,8 @@ class Scenario:
     """Of the policy's part [s]."""
     signals: tuple[tuple[float, int], ...] = ()
     """Signals that the host gets: when [s], after arming, and which."""
+    raises: bool = False
+    """What runs the policy raises an exception when the body pitches faster than .5 rad/s."""
     disk: int = 0
     """Bytes that a file may have; 0: as many as it likes."""
     terminal: bool = False
@@ -407,7 +409,8 @@ SCENARIOS = {
         name: Scenario((f"{name}={RUNNING}",), duration=LONG)
         for name in ("stale-state", "repeat-sequence", "backward-sequence", "unplug", "tilt")
     },
-    **{name: Scenario(policy=name, duration=LONG) for name in ("nan", "infinite", "exception")},
+    **{name: Scenario(policy=name, duration=LONG) for name in ("nan", "infinite")},
+    "exception": Scenario(raises=True, duration=LONG),
     "leaning": Scenario(policy="leaning", duration=LONG, fresh=True),
     **{name: Scenario((name,)) for name in ("other-robot", "other-order", "other-gains", "other-schema")},
     "battery-low": Scenario((f"battery-low=13.6@{UP - 0.5}",), duration=LONG),
@@ -444,6 +447,18 @@ import os, resource, sys
 resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[1]), resource.RLIM_INFINITY))
 os.execv(sys.argv[2], sys.argv[2:])
 """
+_RAISING = """
+import sys
+from surefoot.cli.main import main
+from surefoot.policy.runtime import PolicyRuntime
+feedback = PolicyRuntime.feedback
+def breaking(self, observation):
+    if observation[0, 3] > 0.5:
+        raise RuntimeError("index out of data bounds")
+    return feedback(self, observation)
+PolicyRuntime.feedback = breaking
+sys.exit(main(sys.argv[4:]))  # after python -m surefoot
+"""
 _TERMINAL = """
 import os, subprocess, sys
 terminal = os.open(sys.argv[1], os.O_RDWR)  # it leads a session, so this terminal is now the session's
@@ -471,6 +486,8 @@ def play(scenario: Scenario, folder: Path, policies: Path, robot: Robot) -> Ende
     file = policies / f"{scenario.policy}.onnx"
     policy = str(file) if file.exists() else scenario.policy
     before = (sys.executable, "-c", _SMALL_FILES, str(scenario.disk)) if scenario.disk else ()
+    if scenario.raises:
+        before = (sys.executable, "-c", _RAISING)
     try:
         if scenario.terminal:
             ended = _in_a_terminal(cable, folder, *options)

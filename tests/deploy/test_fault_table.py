@@ -118,28 +118,22 @@ def policies(tmp_path_factory: pytest.TempPathFactory) -> Path:
     from onnx import helper, numpy_helper
 
     folder = tmp_path_factory.mktemp("policies")
-    numbers: dict[str, Any] = {
-        "column": np.array([3], np.int64),
-        "limit": np.array([0.5], np.float32),
-        "zero": np.array([0.0], np.float32),
-        "tiny": np.array([1e-30], np.float32),
-        "many": np.array([1e6], np.float32),
+    numbers = {
+        "pitch_rate": [[0.0, 0.0, 0.0, -1.0]],
+        "limit": [0.5],
+        "zero": [0.0],
+        "tiny": [1e-30],
     }
-    left = [("Gather", "observation column", "rate", {"axis": 1}), ("Sub", "limit rate", "left", {})]
+    left = [
+        ("Gemm", "observation pitch_rate limit", "left", {"transB": 1}),
+        ("Relu", "left", "left_only", {}),
+    ]
     ways: dict[str, list[tuple[str, str, str, dict[str, Any]]]] = {
-        "nan": [("Log", "left", "log", {}), ("Mul", "log zero", "extra", {})],
+        "nan": [("Div", "left_only left_only", "ratio", {}), ("Mul", "ratio zero", "extra", {})],
         "infinite": [
-            ("Relu", "left", "left_only", {}),
-            ("Reciprocal", "left_only", "large", {}),
+            ("Sigmoid", "left", "some", {}),
+            ("Div", "some left_only", "large", {}),
             ("Mul", "large tiny", "extra", {}),
-        ],
-        # A row of a table that has one row.
-        "exception": [
-            ("Neg", "left", "over", {}),
-            ("Relu", "over", "over_only", {}),
-            ("Mul", "over_only many", "row", {}),
-            ("Cast", "row", "whole_row", {"to": onnx.TensorProto.INT64}),
-            ("Gather", "zero whole_row", "extra", {"axis": 0}),
         ],
     }
 
@@ -151,7 +145,9 @@ def policies(tmp_path_factory: pytest.TempPathFactory) -> Path:
         model = onnx.load(TROT)
         graph = model.graph
         graph.node[-1].output[0] = "plain"
-        graph.initializer.extend(numpy_helper.from_array(value, key) for key, value in numbers.items())
+        graph.initializer.extend(
+            numpy_helper.from_array(np.array(value, np.float32), key) for key, value in numbers.items()
+        )
         for kind, inputs, output, how in (*left, *nodes, ("Add", "plain extra", "feedback", {})):
             graph.node.append(helper.make_node(kind, inputs.split(), [output], **how))
         write(model, name)

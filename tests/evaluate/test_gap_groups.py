@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from surefoot.evaluate.comparison import Comparison
 from surefoot.evaluate.gap_group_tables import gap_summary
@@ -33,14 +34,17 @@ def test_the_top_policies_are_those_with_the_highest_return_at_home(gap_comparis
     assert gap_groups(replace(gap_comparison(), groups=(lucky,)), 2)["a"].seeds == (0, 4)
 
 
-def test_a_gap_has_an_error_over_runs_and_an_interval_over_policies(
+def test_a_gap_has_an_error_over_runs_and_an_interval_over_policies_and_robots(
     gap_comparison: MakeComparison,
 ) -> None:
     group = gap_groups(gap_comparison(), 3)["a"]
-    # Policies' gaps 1.4, 1.3 and 1.2 m: t(.975, 2) = 4.302653 times .1 / sqrt 3 to either side.
-    np.testing.assert_allclose(group.policy_gaps, [1.4, 1.3, 1.2])
+    # Policies' gaps are 1.4, 1.3 and 1.2 m, robots' 1.6, 1.3 and 1.0 m: variances of both means are .01 / 3 and .09 / 3.
+    np.testing.assert_allclose(group.gaps.mean(axis=1), [1.4, 1.3, 1.2])
+    np.testing.assert_allclose(group.gaps.mean(axis=0), [1.6, 1.3, 1.0])
     assert group.interval.mean == pytest.approx(1.3)
-    assert group.interval.high - 1.3 == pytest.approx(4.302653 * 0.1 / math.sqrt(3), rel=1e-6)
+    freedom = 1 / ((0.01 / 0.1) ** 2 / 2 + (0.09 / 0.1) ** 2 / 2)
+    half = stats.t.ppf(0.975, freedom) * math.sqrt(0.1 / 3)
+    assert group.interval.high - 1.3 == pytest.approx(half, rel=1e-6)
     home = [level + d for level in (2.8, 2.6, 2.4) for d in (-0.1, 0.0, 0.1)]
     away = [level + d for level in (1.4, 1.3, 1.2) for d in (-0.3, 0.0, 0.3)]
     # With the robot as described, half of that is lost already.
@@ -54,20 +58,13 @@ def test_differences_of_gaps_join_the_errors_of_four_means(gap_comparison: MakeC
     change = gap_difference(groups["a"], groups["b"])
     assert change.runs.mean == pytest.approx(-1.3)
     assert change.runs.error == pytest.approx(math.hypot(groups["a"].gap.error, groups["b"].gap.error))
-    # The policies of b agree, so all that varies are the three of a.
-    assert change.policies.mean == pytest.approx(-1.3)
-    assert change.policies.high + 1.3 == pytest.approx(4.302653 * 0.1 / math.sqrt(3), rel=1e-6)
-
-
-def test_runs_that_end_early_or_go_no_three_metres_are_named(gap_comparison: MakeComparison) -> None:
-    groups = gap_groups(gap_comparison(), 3)
-    assert groups["b"].short_runs == []
-    assert groups["b"].far == 9
-    short = groups["a"].short_runs
-    # None of a's runs goes three metres; of seed 2 two fall, of the others one.
-    assert len(short) == 9
-    assert [(one.seed, one.run) for one in short if not one.balanced] == [(4, 2), (3, 2), (2, 1), (2, 2)]
-    assert (short[-1].seed, short[-1].steps, short[-1].distance) == (2, 250, pytest.approx(2.0))
+    # The policies of b agree, and robots do what they do to both: all that varies are the three of a.
+    assert change.crossed.mean == pytest.approx(-1.3)
+    columns = groups["b"].gaps.mean(axis=0) - groups["a"].gaps.mean(axis=0)
+    parts = [0.01 / 3, np.var(columns, ddof=1) / 3]
+    freedom = sum(parts) ** 2 / sum(part**2 / 2 for part in parts)
+    half = stats.t.ppf(0.975, freedom) * math.sqrt(sum(parts))
+    assert change.crossed.high + 1.3 == pytest.approx(half, rel=1e-6)
 
 
 def test_tables_hold_groups_pairs_and_every_run(tmp_path: Path, gap_comparison: MakeComparison) -> None:
@@ -116,5 +113,5 @@ def test_one_policy_has_no_interval(gap_comparison: MakeComparison) -> None:
     assert not group.interval.known
     assert math.isfinite(group.gap.error)
     told = gap_summary(study)["top"]
-    assert told["groups"]["a"]["gap_over_policies"] == {"mean": pytest.approx(1.0), "low": None, "high": None}
+    assert told["groups"]["a"]["gap_interval"] == {"mean": pytest.approx(1.0), "low": None, "high": None}
     json.dumps(told, allow_nan=False)

@@ -70,16 +70,17 @@ class Rollouts:
         self, policy: Any, task: TaskConfig, episodes: int, make: Any, seed: int, threads: int, **names: str
     ) -> list[EpisodeTrace]:
         self.asked.append({"task": task, "episodes": episodes, "make": make, "seed": seed, "threads": threads, **names})
-        far = {"mujoco": 3.5, "bullet": 1.5}[names["world_name"]]
-        fell = names["world_name"] == "bullet"
+        far = {"mujoco": 3.5, "ensemble": 1.5}[names["world_name"]]
+        fell = names["world_name"] == "ensemble"
         made = [trace(names["world_name"], far + 0.1 * i) for i in range(episodes - 1)]
         return [*made, trace(names["world_name"], 0.5, 60, "fall" if fell else "time")]
 
 
 @pytest.fixture
 def rollouts(monkeypatch: pytest.MonkeyPatch) -> Rollouts:
-    made = Rollouts()
+    made, gap = Rollouts(), KINDS["gap"]
     monkeypatch.setattr(kinds, "run_episodes", made)
+    monkeypatch.setitem(KINDS, "gap", replace(gap, settings={**gap.settings, "episodes": 3}))
     return made
 
 
@@ -115,7 +116,7 @@ def test_gap_runs_are_at_home_and_on_the_robot_of_the_data_sheet(rollouts: Rollo
     home, described, away = rollouts.asked
     assert (described["make"], described["task"]) == (home["make"], away["task"])
     assert (home["make"], home["world_name"]) == ("makes mujoco", "mujoco")
-    assert (away["make"], away["world_name"]) == ("makes bullet", "bullet")
+    assert (away["make"], away["world_name"]) == ("makes ensemble", "ensemble")
     assert (home["task"].actuator, home["task"].params) == ("constraint", baseline().params)
     assert (away["task"].actuator, away["task"].params) == ("dc", {})
     for asked in rollouts.asked:
@@ -127,9 +128,9 @@ def test_gap_runs_are_at_home_and_on_the_robot_of_the_data_sheet(rollouts: Rollo
     assert {world: len(traces) for world, traces in found.traces.items()} == {
         "mujoco": 3,
         "mujoco-described": 3,
-        "bullet": 3,
+        "ensemble": 3,
     }
-    assert Runs.from_mapping(found.result["away"]).to_mapping() == Runs.of_traces(found.traces["bullet"]).to_mapping()
+    assert Runs.from_mapping(found.result["away"]).to_mapping() == Runs.of_traces(found.traces["ensemble"]).to_mapping()
     json.dumps(found.result, allow_nan=False)
 
 
@@ -145,7 +146,7 @@ def test_figures_of_a_gap_are_means_over_its_runs(rollouts: Rollouts) -> None:
     assert figures["gap_distance"] == pytest.approx(3.6 / 3)
     assert figures["gap_speed"] == pytest.approx((1.5 / 0.6 + 1.6 / 0.6 + 0.5 / 0.36) / 3)
     assert figures["gap_power"] == pytest.approx(2 / 0.006)
-    assert gap_of(result, "walker").gap("bullet").mean == pytest.approx(4.0 / 3)
+    assert gap_of(result, "walker").gap("ensemble").mean == pytest.approx(4.0 / 3)
 
 
 def test_every_kind_names_worlds_that_its_settings_have() -> None:
@@ -153,7 +154,7 @@ def test_every_kind_names_worlds_that_its_settings_have() -> None:
         "nominal": ("mujoco",),
         "table1": ("mujoco",),
         "sensitivity": ("mujoco",),
-        "gap": ("mujoco", "bullet"),
+        "gap": ("mujoco", "ensemble"),
     }
     with pytest.raises(SurefootError, match="'luck' is no kind of evaluation; choices: nominal, table1"):
         kinds_of(("luck",))
@@ -168,15 +169,15 @@ def policy(tmp_path: Path, repository: Path) -> Path:
 
 def test_a_gap_is_measured_once_and_its_runs_are_kept(policy: Path, rollouts: Rollouts) -> None:
     folder = policy.parent / "evaluations" / "gap"
-    (folder / "bullet").mkdir(parents=True)
-    (folder / "bullet" / "run_007.npz").write_bytes(b"of an evaluation before")
+    (folder / "ensemble").mkdir(parents=True)
+    (folder / "ensemble" / "run_007.npz").write_bytes(b"of an evaluation before")
     assert study.kept(policy, "gap") is None
     result = study.evaluate(policy, "gap", find_world)
     names = [
-        f"{world}/run_{number:03d}.npz" for world in ("bullet", "mujoco-described", "mujoco") for number in range(3)
+        f"{world}/run_{number:03d}.npz" for world in ("ensemble", "mujoco-described", "mujoco") for number in range(3)
     ]
     assert sorted(str(path.relative_to(folder)) for path in folder.rglob("*.npz")) == names
-    back = Runs.of_traces([EpisodeTrace.load(path) for path in sorted((folder / "bullet").iterdir())])
+    back = Runs.of_traces([EpisodeTrace.load(path) for path in sorted((folder / "ensemble").iterdir())])
     assert back.to_mapping() == result["away"]
     assert study.evaluate(policy, "gap", find_world) == study.kept(policy, "gap") == result
     assert len(rollouts.asked) == 3

@@ -11,7 +11,7 @@ pytest.importorskip("scipy")
 from scipy import stats
 
 from surefoot.errors import SurefootError
-from surefoot.evaluate.statistics import Interval, plain, t_interval, welch_interval
+from surefoot.evaluate.statistics import Interval, crossed_interval, plain, t_interval, welch_interval
 
 
 def test_t_interval_of_three_numbers_by_hand() -> None:
@@ -93,3 +93,29 @@ def test_plain_text() -> None:
     assert plain(Interval(-0.301, -0.5, 0.1), 1, sign=True) == "-0.3 [-0.5, +0.1]"
     assert plain(Interval(-0.001, -0.004, 0.003), 2, sign=True) == "0.00 [0.00, 0.00]"
     assert plain(t_interval([2.0])) == "2.00"
+
+
+def test_a_table_has_an_interval_over_its_rows_and_columns() -> None:
+    # Rows 1, 2, 3 and columns 0, 2: variances of the means are 1 / 3 and 2 / 2, together 4 / 3.
+    values = np.array([1.0, 2.0, 3.0])[:, None] + np.array([-1.0, 1.0])
+    interval = crossed_interval(values)
+    freedom = (4 / 3) ** 2 / ((1 / 3) ** 2 / 2 + 1.0)
+    assert interval.mean == pytest.approx(2.0)
+    assert interval.high - 2.0 == pytest.approx(stats.t.ppf(0.975, freedom) * math.sqrt(4 / 3))
+    # What columns do to both tables cancels; rows are each table's own.
+    change = crossed_interval(values + 5.0, values)
+    assert change.mean == pytest.approx(5.0)
+    assert change.high - 5.0 == pytest.approx(stats.t.ppf(0.975, 4) * math.sqrt(2 / 3))
+    assert not crossed_interval(values[:1]).known
+    with pytest.raises(SurefootError, match="same columns"):
+        crossed_interval(values, values[:, :1])
+
+
+def test_an_interval_over_rows_and_columns_covers_the_truth() -> None:
+    rng, hits = np.random.default_rng(3), 0
+    for _ in range(400):
+        table = rng.normal(size=(5, 1)) + 2 * rng.normal(size=(1, 20)) + rng.normal(size=(5, 20))
+        interval = crossed_interval(table)
+        hits += interval.low <= 0 <= interval.high
+    # 95 % of 400, within three standard errors below; the interval is rather too wide.
+    assert hits >= 367

@@ -8,6 +8,7 @@ import os
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 
@@ -145,6 +146,37 @@ def test_one_flipped_bit_is_found(tmp_path: Path) -> None:
     path.write_bytes(content)
     with pytest.raises(SurefootError, match="broken"):
         read_checkpoint(path)
+
+
+class Intruder:
+    """Runs a command when it is unpickled."""
+
+    def __init__(self, command: str) -> None:
+        self.command = command
+
+    def __reduce__(self) -> tuple[object, tuple[str]]:
+        return os.system, (self.command,)
+
+
+@pytest.mark.parametrize("inside", ["array", "table"])
+def test_a_checkpoint_that_would_run_code_is_refused(tmp_path: Path, inside: str) -> None:
+    """With a digest that fits: whoever writes such a file writes that too."""
+    bad, path, mark = Intruder(f"touch {tmp_path / 'was-here'}"), tmp_path / "a.ckpt", tmp_path / "was-here"
+    write_checkpoint(path, {"steps": np.array([bad], object) if inside == "array" else bad})
+    with pytest.raises(SurefootError, match=r"a\.ckpt: is no checkpoint that surefoot wrote") as error:
+        read_checkpoint(path)
+    assert "\n" not in str(error.value)
+    assert not mark.exists()
+
+
+@pytest.mark.parametrize("kind", [bool, np.int64, np.float32, np.float64])
+def test_arrays_come_back_to_the_last_bit(tmp_path: Path, kind: type) -> None:
+    state = {"array": np.arange(6).reshape(2, 3).astype(kind), "stream": np.random.default_rng(3).bit_generator.state}
+    write_checkpoint(tmp_path / "a.ckpt", state)
+    again = read_checkpoint(tmp_path / "a.ckpt")
+    assert again["array"].dtype == state["array"].dtype
+    assert np.array_equal(again["array"], state["array"])
+    assert again["stream"] == state["stream"]
 
 
 def test_folder_of_another_version_is_refused(whole: TrainingRun, tmp_path: Path) -> None:

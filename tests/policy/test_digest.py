@@ -16,10 +16,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from surefoot.cli.policies import find_policy
+from surefoot.cli.policies import SHELVES, find_policy
 from surefoot.errors import SurefootError
 from surefoot.policy.contract import METADATA_KEY
 from surefoot.policy.digest import DIGEST_KEY, check_digest, main, read_parts, stamped
+from surefoot.policy.protobuf import field
 from surefoot.policy.runtime import PolicyRuntime
 
 # A ModelProto worked by hand: ir_version 8 (field 1, varint), graph "abc" (field 7), opset (field 8, skipped), and
@@ -79,9 +80,64 @@ def test_what_has_no_contract_is_not_stamped():
         stamped(GRAPH)
 
 
-@pytest.mark.parametrize("name", ["trot", "gallop", "trot-robust", "gallop-robust"])
-def test_the_policies_that_ship_have_a_digest_that_fits(name: str):
-    assert PolicyRuntime.load(find_policy(name)).digest == read_parts(find_policy(name).read_bytes()).digest
+SHIPPED = sorted(path for shelf in SHELVES for path in shelf.glob("*.onnx"))
+
+
+@pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.stem)
+def test_the_policies_that_ship_have_a_digest_that_fits(path: Path):
+    assert PolicyRuntime.load(path).digest == read_parts(path.read_bytes()).digest
+
+
+def test_some_policies_ship():
+    assert {"trot", "gallop"} <= {path.stem for path in SHIPPED}
+
+
+def test_every_damage_to_the_digest_is_found():
+    """A digest that is there, in whatever state, is never taken for one that is not."""
+    data = stamped(MODEL)
+    for at in range(len(MODEL), len(data)):
+        for bit in range(8):
+            damaged = data[:at] + bytes([data[at] ^ 1 << bit]) + data[at + 1 :]
+            with pytest.raises(SurefootError):
+                check_digest(damaged)
+        if at > len(MODEL):
+            with pytest.raises(SurefootError, match="is damaged or not ONNX"):
+                check_digest(data[:at])
+
+
+DIGEST = read_parts(MODEL).digest.encode()
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "message"),
+    [
+        (b"surefoot-digest", b"", "its digest is damaged: it must be 64 hexadecimal digits"),
+        (b"surefoot-digest", DIGEST[:-1], "its digest is damaged"),
+        (b"surefoot-digest", DIGEST.upper(), "its digest is damaged"),
+        (b"surefoot-digest", b"\xff" * 64, "its digest is damaged"),
+        (b"surefoot-digest", b"0" * 64, "its digest does not fit"),
+        (b"surefoot-digesu", DIGEST, "property 'surefoot-digesu' that surefoot does not write"),
+        (b"surefoot", b"{}", "property 'surefoot' that surefoot does not write, or has it twice"),
+    ],
+)
+def test_a_damaged_digest_is_told(name: bytes, value: bytes, message: str):
+    with pytest.raises(SurefootError, match=message):
+        check_digest(MODEL + field(14, field(1, name) + field(2, value)))
+
+
+@pytest.mark.parametrize(
+    "more", [field(25, b"function"), field(6, b"note"), GRAPH, bytes([5 << 3, 1]), field(8, b"\x10\x11")]
+)
+def test_what_surefoot_does_not_write_beside_graph_and_contract_is_refused(more: bytes):
+    """Nothing but what the digest covers may decide what is computed."""
+    with pytest.raises(SurefootError, match="not ONNX as surefoot writes it: its model has"):
+        check_digest(stamped(MODEL) + more)
+
+
+@pytest.mark.parametrize("opset", [b"\x10\x10", b"\x0a\x02me\x10\x11", b""])
+def test_operators_of_another_set_are_refused(opset: bytes):
+    with pytest.raises(SurefootError, match="operators of another set or version"):
+        check_digest(stamped(GRAPH + CONTRACT) + field(8, opset))
 
 
 def changed(path: Path, edit: Callable[[Any], None]) -> Path:

@@ -147,7 +147,10 @@ def test_another_kind_of_file_is_refused(tmp_path: Path):
 
 
 def change(policy_file: Path, path: Path, edit: object) -> Path:
+    """Edit a policy that has no digest: with it the file would be refused sooner."""
     model = onnx.load(policy_file)
+    (contract,) = (p for p in model.metadata_props if p.key == METADATA_KEY)
+    onnx.helper.set_model_props(model, {METADATA_KEY: contract.value})
     edit(model)  # type: ignore[operator]
     onnx.save(model, path)
     return path
@@ -176,16 +179,21 @@ def test_a_graph_that_contradicts_its_contract_is_refused(policy_file: Path, tmp
 
 def test_feedback_that_is_not_finite_is_refused(policy_file: Path, tmp_path: Path):
     def edit(model: object) -> None:
+        large = {"minus_one": 1.0, "half_width": 3e38, "middle": 3e38}
         for tensor in model.graph.initializer:  # type: ignore[attr-defined]
-            if tensor.name == "middle":
-                tensor.CopyFrom(onnx.numpy_helper.from_array(np.full((1, 8), np.nan, np.float32), "middle"))
-        # Without its digest, as an older export; with it the file would be refused sooner.
-        (prop,) = (p for p in model.metadata_props if p.key == METADATA_KEY)  # type: ignore[attr-defined]
-        onnx.helper.set_model_props(model, {prop.key: prop.value})
+            if tensor.name in large:
+                tensor.raw_data = np.full(tuple(tensor.dims), large[tensor.name], np.float32).tobytes()
 
     runtime = PolicyRuntime.load(change(policy_file, tmp_path / "p.onnx", edit))
     with pytest.raises(SurefootError, match="not finite"):
         runtime.feedback(np.zeros((1, 4)))
+
+
+def test_a_network_that_could_not_be_loaded_is_not_written(trainer: Trainer, tmp_path: Path, monkeypatch):
+    monkeypatch.setattr("surefoot.policy.network.MAX_WIDTH", 15)
+    with pytest.raises(SurefootError, match=r"p\.onnx: constant 'weight_0' has shape \(16, 4\).*it is not written"):
+        export_policy(trainer.policy, "elu", make_contract(trainer.env), tmp_path / "p.onnx")
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_failed_export_leaves_the_old_file(policy_file: Path, tmp_path: Path):

@@ -23,7 +23,7 @@ def params(robot: RobotDescription) -> PhysicalParams:
 
 @pytest.mark.parametrize("name", PhysicalParams.names())
 def test_every_array_has_a_row_for_each_robot(params: PhysicalParams, name: str):
-    width = (8,) if name in PER_MOTOR else (2,) if name == "imu_bias" else ()
+    width = (8,) if name in PER_MOTOR else {"imu_bias": (2,), "imu_mount": (3,)}.get(name, ())
     value = getattr(params, name)
     assert value.shape == (5, *width)
     assert value.dtype == np.float64
@@ -45,6 +45,11 @@ def test_every_array_has_a_row_for_each_robot(params: PhysicalParams, name: str)
         ("control_step", 0.006),
         ("contact_friction", 1.0),
         ("contact_stiffness", 3000.0),
+        ("contact_spinning_friction", 0.004),
+        ("knee_friction", 0.0),
+        ("knee_play", 0.0),
+        ("floor_unevenness", 0.0),
+        ("imu_mount", 0.0),
         ("imu_bias", 0.0),
         ("imu_noise", 0.0),
     ],

@@ -47,6 +47,11 @@ MORE = {
     "resistance": (0.15, 0.22),
     "servo_latency": (0.0, 0.010),
     "contact_stiffness": (1500.0, 6000.0),
+    "spinning_friction": (0.002, 0.006),
+    "knee_friction": (0.0, 0.02),
+    "knee_play": (0.0001, 0.0005),
+    "floor_unevenness": (0.001, 0.004),
+    "imu_mount": (-0.02, 0.02),
 }
 FULL = RandomizeConfig(**TABLE_1, **MORE)
 NUMBERS = {
@@ -55,6 +60,7 @@ NUMBERS = {
     "inertia": 2,  # base, legs
     "motor_strength": 8,  # each motor
     "imu_bias": 2,  # roll, pitch
+    "imu_mount": 3,  # roll, pitch, yaw
 }
 """How many numbers an episode draws from each row."""
 
@@ -101,12 +107,12 @@ def test_draws_are_uniform_over_the_range(many, row):
 
 def test_all_numbers_are_independent(many):
     drawn = np.array([np.concatenate([numbers(params, row) for row in ROWS], axis=1) for params in many])
-    assert drawn.shape == (40, 100, 24)
-    between = np.corrcoef(drawn.reshape(4000, 24), rowvar=False) - np.eye(24)
+    assert drawn.shape == (40, 100, 31)
+    between = np.corrcoef(drawn.reshape(4000, 31), rowvar=False) - np.eye(31)
     # The standard error of a correlation of 4000 pairs is .016; this is four of them.
     assert np.abs(between).max() < 0.064
     for first, second in ((drawn[:-1], drawn[1:]), (drawn[:, :-1], drawn[:, 1:])):  # episodes, and robots, in a row
-        for k in range(24):
+        for k in range(31):
             assert abs(np.corrcoef(first[..., k].ravel(), second[..., k].ravel())[0, 1]) < 0.064
 
 
@@ -753,7 +759,10 @@ def test_ranges_that_cannot_be_are_refused(robot, ranges, pieces):
 def test_a_table_that_is_not_there_is_refused(tmp_path: Path):
     with pytest.raises(SurefootError) as caught:
         load_ranges("tabel1")
-    assert str(caught.value) == "randomize 'tabel1' does not exist; choices: none, table1, or the path of a YAML file"
+    assert (
+        str(caught.value)
+        == "randomize 'tabel1' does not exist; choices: ensemble, none, table1, or the path of a YAML file"
+    )
     with pytest.raises(SurefootError, match="does not exist"):
         load_ranges(str(tmp_path))
     (tmp_path / "bad.yaml").write_text("mass: [1.2, 0.8]\n")

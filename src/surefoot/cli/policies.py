@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -10,8 +11,10 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from surefoot.cli.simulator import Simulator, check_params
+from surefoot.configuration import to_mapping
+from surefoot.deploy.contract_task import contradiction, other_gains, unreadable_observation
 from surefoot.errors import SurefootError, choices
-from surefoot.policy.contract import check_robot
+from surefoot.policy.contract import Contract, check_robot
 from surefoot.policy.runtime import PolicyRuntime
 from surefoot.robot import RobotDescription, parse_settings
 from surefoot.task.config import TaskConfig
@@ -80,8 +83,10 @@ def load_policy(path: Path, robot: str | None) -> tuple[PolicyRuntime, RobotDesc
         path: the policy file.
         robot: name or folder of the robot; the one of the policy's task, if not given.
 
+    Says on stderr that a policy has no digest.
+
     Raises:
-        SurefootError: a file that is no policy, or one for another robot.
+        SurefootError: a file that is no policy, one for another robot, or one whose contract is not what would be run.
     """
     from surefoot.evaluate.rollout import task_from_contract
 
@@ -90,8 +95,35 @@ def load_policy(path: Path, robot: str | None) -> tuple[PolicyRuntime, RobotDesc
     if robot is not None:
         task = replace(task, robot=robot)
     description = RobotDescription.load(task.robot)
-    check_robot(policy.contract, description)
+    _check_contract(policy.contract, description, task)
+    if policy.digest is None:
+        print(
+            f"surefoot: policy file {path}: is unsigned: it has no digest, so nothing shows that network and contract "
+            "belong together; for simulation only, deploy refuses it",
+            file=sys.stderr,
+        )
     return policy, description, task
+
+
+def _check_contract(contract: Contract, robot: RobotDescription, task: TaskConfig) -> None:
+    """Refuse a policy whose contract says otherwise than a simulation of its task does, as `deploy` refuses it.
+
+    Raises:
+        SurefootError: with the first difference.
+    """
+    check_robot(contract, robot)
+    # With all that the task leaves to defaults, for that is what is simulated.
+    whole, params = replace(contract, task=to_mapping(task)), task.nominal(robot)
+    why = (
+        unreadable_observation(contract, robot)
+        or contradiction(whole, robot)
+        or other_gains(contract, float(params.servo_kp[0]), float(params.servo_kd[0]))
+    )
+    if why is not None:
+        raise SurefootError(
+            f"policy '{contract.name}' must not run on {robot.name}: {why}; the contract was edited or is of another "
+            "task: export the policy again"
+        )
 
 
 @dataclass(frozen=True)

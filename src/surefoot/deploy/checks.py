@@ -11,19 +11,23 @@ from itertools import product
 
 import numpy as np
 
-from surefoot.deploy.contract_task import contradiction
+from surefoot.deploy.contract_task import (
+    GAIN_TOLERANCE,
+    contradiction,
+    gains_of,
+    near,
+    other_gains,
+    unreadable_observation,
+)
 from surefoot.deploy.findings import Finding, refusal
 from surefoot.deploy.wire.messages import Handshake
 from surefoot.errors import SurefootError, choices
 from surefoot.policy.contract import Contract
 from surefoot.robot import RobotDescription
-from surefoot.task.observation import PARTS, Observer
 from surefoot.task.reference import make_reference
 
 __all__ = ["Finding", "check_contract", "refusal"]
 
-GAIN_TOLERANCE = 0.05
-"""How far the robot's servo gains and servo period may be from what the policy was trained with, as a share."""
 WATCHDOG_STEPS = 3
 """Control steps that the robot's watchdog must bear: a late command is held for two."""
 _STEP_SHARE = 0.1
@@ -119,25 +123,18 @@ def _legs(given: _Given) -> Finding:
 
 
 def _gains(given: _Given) -> Finding:
-    contract, handshake = given.contract, given.handshake
-    told = f"kp {handshake.servo_kp:g} and kd {handshake.servo_kd:g}"
-    asked = f"kp {contract.servo_kp:g} and kd {contract.servo_kd:g}"
-    if _near(handshake.servo_kp, contract.servo_kp) and _near(handshake.servo_kd, contract.servo_kd):
-        return Finding("servo gains", True, told, value=handshake.servo_kp)
-    return Finding(
-        "servo gains",
-        False,
-        f"the robot's servos have {told}; the policy was trained with {asked}, and each must be within "
-        f"{GAIN_TOLERANCE:.0%}",
-        f"set {asked} in the firmware, or train with servo_kp {handshake.servo_kp:g} and servo_kd "
-        f"{handshake.servo_kd:g}",
-        handshake.servo_kp,
-    )
+    contract, (kp, kd) = given.contract, (given.handshake.servo_kp, given.handshake.servo_kd)
+    why = other_gains(contract, kp, kd)
+    if why is None:
+        return Finding("servo gains", True, gains_of(kp, kd), value=kp)
+    asked = gains_of(contract.servo_kp, contract.servo_kd)
+    todo = f"set {asked} in the firmware, or train with servo_kp {kp:g} and servo_kd {kd:g}"
+    return Finding("servo gains", False, why, todo, kp)
 
 
 def _servo_period(given: _Given) -> Finding:
     theirs, ours = given.handshake.servo_period, given.robot.timing.servo_step
-    if _near(theirs, ours):
+    if near(theirs, ours):
         return Finding("servo period", True, f"{1e3 * theirs:g} ms", value=theirs)
     return Finding(
         "servo period",
@@ -201,31 +198,11 @@ def _angles(given: _Given) -> Finding:
 
 
 def _observation(given: _Given) -> Finding:
-    contract, name = given.contract, "observation"
-    names = tuple(part.name for part in contract.observation)
-    todo = "export the policy with a surefoot of this version"
-    try:
-        observer = Observer(given.robot, names)
-    except SurefootError as error:
-        return Finding(name, False, str(error), todo)
-    if tuple(observer.columns) != contract.columns:
-        pairs = zip(contract.columns, observer.columns, strict=False)
-        index, (theirs, ours) = next(
-            ((i, pair) for i, pair in enumerate(pairs) if pair[0] != pair[1]),
-            (0, (f"{len(contract.columns)} columns", f"{len(observer.columns)} columns")),
-        )
-        why = f"column {index} is '{theirs}' in the policy and '{ours}' on this robot; they must be the same"
-        return Finding(name, False, why, todo)
-    for part in contract.observation:
-        theirs, ours = f"{part.unit}, {part.frame}", f"{PARTS[part.name].unit}, {PARTS[part.name].frame}"
-        if theirs != ours:
-            why = f"'{part.name}' is in {theirs} for the policy and in {ours} here; they must be the same"
-            return Finding(name, False, why, todo)
-    return Finding(name, True, f"{choices(names)}: all can be read from the robot's states")
-
-
-def _near(one: float, other: float) -> bool:
-    return abs(one - other) <= GAIN_TOLERANCE * abs(other) + 1e-9
+    why = unreadable_observation(given.contract, given.robot)
+    if why is not None:
+        return Finding("observation", False, why, "export the policy with a surefoot of this version")
+    names = [part.name for part in given.contract.observation]
+    return Finding("observation", True, f"{choices(names)}: all can be read from the robot's states")
 
 
 def _consistent(given: _Given) -> Finding:

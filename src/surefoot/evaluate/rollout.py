@@ -15,6 +15,7 @@ from surefoot.policy.contract import Contract
 from surefoot.robot.params_file import param_values
 from surefoot.task.config import TaskConfig
 from surefoot.task.env import LocomotionEnv
+from surefoot.task.reference import make_reference
 from surefoot.task.trace import EpisodeTrace
 from surefoot.world.interface import SimulationFactory
 
@@ -34,13 +35,14 @@ def task_from_contract(contract: Contract) -> TaskConfig:
     """The task that a policy was made for; a reference read from a file then comes from the contract itself.
 
     Raises:
-        SurefootError: a task that this surefoot doesn't know.
+        SurefootError: a task that this surefoot doesn't know, or a table that is none.
     """
     task = from_mapping(TaskConfig, contract.task, f"policy '{contract.name}': task")
     reference = contract.reference
     if reference is not None and reference.get("kind") == "table":
-        rows = {part: {leg: tuple(row) for leg, row in reference[part].items()} for part in ("swing", "extension")}
-        table = replace(task.reference, file=None, period=float(reference["period"]), rows=rows)
+        table_data = make_reference(reference, contract.leg_names).to_dict()
+        rows = {part: {leg: tuple(row) for leg, row in table_data[part].items()} for part in ("swing", "extension")}
+        table = replace(task.reference, file=None, period=table_data["period"], rows=rows)
         task = replace(task, reference=table)
     return task
 

@@ -14,6 +14,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 
 from surefoot import __version__
@@ -24,6 +25,9 @@ from surefoot.learn.config import TrainConfig
 
 FORMAT = 3
 _MAGIC = b"surefoot checkpoint 1\n"
+_KINDS = (bool, np.int64, np.float32, np.float64)
+_ARRAYS: list[Any] = [np.zeros(0).__reduce__()[0], np.ndarray, np.dtype, *(type(np.dtype(kind)) for kind in _KINDS)]
+"""What a checkpoint holds besides tensors, tables and numbers: NumPy's arrays of these kinds of numbers."""
 _PACKAGES = ("mujoco", "numpy", "numba", "torch", "rsl-rl-lib", "gymnasium", "onnx", "onnxruntime")
 
 
@@ -54,7 +58,7 @@ def read_checkpoint(path: Path) -> dict[str, Any]:
     """Read a checkpoint written by `write_checkpoint`.
 
     Raises:
-        SurefootError: it is missing, cut off, damaged, or no checkpoint.
+        SurefootError: it is missing, cut off, damaged, or no checkpoint; or it holds what could run code.
     """
     try:
         content = path.read_bytes()
@@ -65,7 +69,13 @@ def read_checkpoint(path: Path) -> dict[str, Any]:
     digest, _, payload = content[len(_MAGIC) :].partition(b"\n")
     if hashlib.sha256(payload).hexdigest().encode() != digest:
         raise SurefootError(f"{path}: the checkpoint is broken (cut off or damaged): its digest does not match")
-    state: dict[str, Any] = torch.load(io.BytesIO(payload), weights_only=False)
+    try:
+        with torch.serialization.safe_globals(_ARRAYS):
+            state: dict[str, Any] = torch.load(io.BytesIO(payload), weights_only=True)
+    except Exception as error:  # torch's errors have no common class of their own.
+        raise SurefootError(
+            f"{path}: is no checkpoint that surefoot wrote: it holds more than numbers, arrays and tables of them"
+        ) from error
     return state
 
 

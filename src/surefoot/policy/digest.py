@@ -7,7 +7,10 @@ checked, found right, and be wrong. So an export writes the SHA-256 of both as o
 
 `graph` are the bytes of field 7 of the ONNX file's `ModelProto` as they stand in the file: operators, normalizer,
 weights, bounds. The robot's computer has no `onnx` package and onnxruntime does not give these bytes out, so a walk
-over the top level of the protobuf message finds them (https://protobuf.dev/programming-guides/encoding).
+over the top level of the protobuf message finds them. Whatever else a model could have there (functions, other
+properties, another version of the operators) is refused, so that nothing beside the two decides what is computed.
+
+Who changes a file can write a new digest too: it shows accidents and stale exports, and is no signature.
 
 `python -m surefoot.policy.digest FILE...` adds the digest to files that were written without one.
 """
@@ -15,19 +18,23 @@ over the top level of the protobuf message finds them (https://protobuf.dev/prog
 from __future__ import annotations
 
 import hashlib
+import re
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from surefoot.errors import SurefootError
 from surefoot.files import whole_file
 from surefoot.policy.contract import METADATA_KEY
+from surefoot.policy.network import MAX_BYTES, OPSET
+from surefoot.policy.protobuf import BYTES, MANY, NUMBER, field, message
 
 DIGEST_KEY = "surefoot-digest"
 """Property of the ONNX file that holds the digest, in hexadecimal."""
-_GRAPH, _PROPERTIES, _KEY, _VALUE = 7, 14, 1, 2
-_VARINT, _EIGHT_BYTES, _LENGTH, _FOUR_BYTES = 0, 1, 2, 5
+_GRAPH, _OPSET, _PROPERTIES, _KEY, _VALUE = 7, 8, 14, 1, 2
+_MODEL = {1: NUMBER, 2: BYTES, 3: BYTES, _GRAPH: BYTES, _OPSET: BYTES, _PROPERTIES: MANY}
+"""Fields of a model: version of the format, who wrote it, and these."""
 MISMATCH = (
     "its digest does not fit: the network or the contract was changed after the export, so that the contract may no "
     "longer say what the network does; export the policy again"
@@ -36,7 +43,7 @@ MISMATCH = (
 
 @dataclass(frozen=True)
 class Parts:
-    """What the digest is made of, as it stands in the file."""
+    """What the digest is made of, as it stands in the file, and the digest."""
 
     graph: bytes
     """The computation, with all of its constants."""
@@ -56,30 +63,43 @@ class Parts:
 
 
 def read_parts(data: bytes) -> Parts:
-    """Graph and metadata of an ONNX file.
+    """Graph and metadata of a policy file.
 
     Raises:
-        SurefootError: the bytes are no protobuf message.
+        SurefootError: the bytes are no ONNX file, or hold more than surefoot writes.
     """
-    graph, properties = b"", {}
-    for number, value in _fields(data):
-        if number == _GRAPH:
-            # A message that stands twice is one message: protobuf joins them.
-            graph += value
-        elif number == _PROPERTIES:
-            entry = dict(_fields(value))
-            properties[entry.get(_KEY, b"").decode(errors="replace")] = entry.get(_VALUE, b"")
-    return Parts(graph, properties)
+    if len(data) > MAX_BYTES:
+        raise SurefootError(f"has over {MAX_BYTES >> 20} MiB; no policy is that large")
+    model = message(data, "model", _MODEL)
+    for opset in model[_OPSET]:
+        entry = message(opset, "operator set", {1: BYTES, 2: NUMBER})
+        if entry[1] not in ([], [b""]) or entry[2] != [OPSET]:
+            raise SurefootError(f"has operators of another set or version; surefoot reads ONNX's version {OPSET}")
+    properties = {}
+    for value in model[_PROPERTIES]:
+        entry = message(value, "property", {_KEY: BYTES, _VALUE: BYTES})
+        name = b"".join(entry[_KEY]).decode(errors="replace")
+        if name in properties or name not in (METADATA_KEY, DIGEST_KEY):
+            raise SurefootError(
+                f"has a property {name[:40]!r} that surefoot does not write, or has it twice; contract or digest may "
+                "be damaged: export the policy again"
+            )
+        properties[name] = b"".join(entry[_VALUE])
+    return Parts(b"".join(model[_GRAPH]), properties)
 
 
 def check_digest(data: bytes) -> str | None:
     """The digest of a policy file; None if it was written without one.
 
     Raises:
-        SurefootError: the digest does not fit what the file holds.
+        SurefootError: the digest is damaged, or does not fit what the file holds.
     """
     parts = read_parts(data)
-    if parts.stated is not None and parts.stated != parts.digest:
+    if parts.stated is None:
+        return None
+    if not re.fullmatch("[0-9a-f]{64}", parts.stated):
+        raise SurefootError("its digest is damaged: it must be 64 hexadecimal digits; export the policy again")
+    if parts.stated != parts.digest:
         raise SurefootError(MISMATCH)
     return parts.stated
 
@@ -96,54 +116,7 @@ def stamped(data: bytes) -> bytes:
         return data
     pairs = ((_KEY, DIGEST_KEY.encode()), (_VALUE, read_parts(data).digest.encode()))
     # Fields of a protobuf message may stand in any order: one more property goes to the end.
-    return data + _field(_PROPERTIES, b"".join(_field(number, value) for number, value in pairs))
-
-
-def _field(number: int, value: bytes) -> bytes:
-    return _varint(number << 3 | _LENGTH) + _varint(len(value)) + value
-
-
-def _varint(number: int) -> bytes:
-    out = bytearray()
-    while number > 0x7F:
-        out.append(number & 0x7F | 0x80)
-        number >>= 7
-    return bytes([*out, number])
-
-
-def _fields(data: bytes) -> Iterator[tuple[int, bytes]]:
-    """Number and bytes of each field of a message that has a length; the others are passed over."""
-    at = 0
-    while at < len(data):
-        tag, at = _read_varint(data, at)
-        kind = tag & 7
-        if kind == _VARINT:
-            _, at = _read_varint(data, at)
-            continue
-        if kind == _LENGTH:
-            size, at = _read_varint(data, at)
-        elif kind in (_EIGHT_BYTES, _FOUR_BYTES):
-            size = 8 if kind == _EIGHT_BYTES else 4
-        else:
-            raise SurefootError(f"is damaged or not ONNX: byte {at} starts no field")
-        if at + size > len(data):
-            raise SurefootError(f"is damaged or not ONNX: cut off at byte {len(data)}")
-        if kind == _LENGTH:
-            yield tag >> 3, data[at : at + size]
-        at += size
-
-
-def _read_varint(data: bytes, at: int) -> tuple[int, int]:
-    """A number of seven bits a byte, the lowest first, and where the next thing stands."""
-    number = 0
-    for place in range(10):
-        if at + place >= len(data):
-            break
-        byte = data[at + place]
-        number |= (byte & 0x7F) << 7 * place
-        if byte < 0x80:
-            return number, at + place + 1
-    raise SurefootError(f"is damaged or not ONNX: byte {at} starts no number")
+    return data + field(_PROPERTIES, b"".join(field(number, value) for number, value in pairs))
 
 
 def main(words: Sequence[str] | None = None) -> int:

@@ -13,11 +13,10 @@ from onnx import TensorProto, helper, numpy_helper
 from surefoot.errors import SurefootError, choices
 from surefoot.files import whole_file
 from surefoot.policy.contract import METADATA_KEY, Contract
-from surefoot.policy.digest import stamped
+from surefoot.policy.digest import read_parts, stamped
+from surefoot.policy.network import INPUT, OPSET, OUTPUT, check_network
 
-OPSET = 17
 IR_VERSION = 8
-INPUT, OUTPUT = "observation", "feedback"
 ACTIVATIONS = {"elu": "Elu", "relu": "Relu", "tanh": "Tanh", "selu": "Selu", "swish": "swish"}
 
 Layer = tuple[NDArray[np.float32], NDArray[np.float32]]
@@ -132,12 +131,14 @@ def export_policy(actor: Any, activation: str, contract: Contract, path: str | P
     if hasattr(actor.obs_normalizer, "_mean"):
         normalizer = actor.obs_normalizer
         mean, scale = _array(normalizer._mean)[0], _array(normalizer._std)[0] + np.float32(normalizer.eps)
-    if not all(np.isfinite(array).all() for array in (mean, scale, *(array for layer in layers for array in layer))):
-        raise SurefootError(f"policy file {path}: the network holds numbers that are not finite; it is not written")
-    model = build_model(layers, mean, scale, activation, contract)
+    data = build_model(layers, mean, scale, activation, contract).SerializeToString()
+    try:
+        check_network(read_parts(data).graph)
+    except SurefootError as error:
+        raise SurefootError(f"policy file {path}: {error}; it is not written") from error
     path.parent.mkdir(parents=True, exist_ok=True)
     with whole_file(path) as file:
-        file.write(stamped(model.SerializeToString()))
+        file.write(stamped(data))
     return path
 
 

@@ -6,12 +6,17 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import onnxruntime
 from numpy.typing import ArrayLike, NDArray
 
 from surefoot.errors import SurefootError
+from surefoot.native_output import stdout_to_stderr
 from surefoot.policy.contract import METADATA_KEY, Contract
-from surefoot.policy.digest import check_digest
+from surefoot.policy.digest import check_digest, read_parts
+from surefoot.policy.network import INPUT, MAX_BYTES, OUTPUT, check_network
+
+with stdout_to_stderr():
+    # It warns of processors and devices that it does not know while it is loaded, not only when it is asked something.
+    import onnxruntime
 
 
 class PolicyRuntime:
@@ -36,32 +41,27 @@ class PolicyRuntime:
         """
         path = Path(path)
         try:
-            data = path.read_bytes()
+            with path.open("rb") as file:
+                data = file.read(MAX_BYTES + 1)
         except OSError as error:
             raise SurefootError(f"policy file {path}: can't be read: {error.strerror}") from error
         if not data:
             raise SurefootError(f"policy file {path}: is empty; a policy is an ONNX file that surefoot exported")
         try:
-            session = onnxruntime.InferenceSession(data, _options(), providers=["CPUExecutionProvider"])
-            metadata = session.get_modelmeta().custom_metadata_map
+            contract, digest = _read(data)
+        except (ValueError, OverflowError, RecursionError) as error:
+            raise SurefootError(f"policy file {path}: {error}") from error
+        try:
+            with stdout_to_stderr():
+                session = onnxruntime.InferenceSession(data, _options(), providers=["CPUExecutionProvider"])
         except Exception as error:  # onnxruntime's errors have no common class of their own.
             reason = " ".join(str(error).split()).rsplit(" : ", 1)[-1]
             raise SurefootError(f"policy file {path}: is damaged or not ONNX: {reason}") from error
-        if METADATA_KEY not in metadata:
-            raise SurefootError(f"policy file {path}: has no contract; surefoot runs only policies that it exported")
-        try:
-            contract = Contract.from_json(metadata[METADATA_KEY])
-        except SurefootError as error:
-            raise SurefootError(f"policy file {path}: {error}") from error
         for what, found, name, width in (
-            ("input", session.get_inputs(), "observation", contract.width),
-            ("output", session.get_outputs(), "feedback", len(contract.action_names)),
+            ("input", session.get_inputs(), INPUT, contract.width),
+            ("output", session.get_outputs(), OUTPUT, len(contract.action_names)),
         ):
             _check_end(path, what, found, name, width)
-        try:
-            digest = check_digest(data)
-        except SurefootError as error:
-            raise SurefootError(f"policy file {path}: {error}") from error
         return cls(session, contract, digest)
 
     def feedback(self, observation: ArrayLike) -> NDArray[np.float64]:
@@ -78,12 +78,29 @@ class PolicyRuntime:
             raise SurefootError(
                 f"observation '{self.contract.columns[column]}' is not finite; every reading must be a number"
             )
-        (raw,) = self._session.run(None, {"observation": np.ascontiguousarray(given)})
+        (raw,) = self._session.run(None, {INPUT: np.ascontiguousarray(given)})
         if not np.isfinite(raw).all():
             raise SurefootError(f"policy '{self.contract.name}' gave feedback that is not finite; it can't be run")
         # 32-bit numbers may miss a bound by a rounding.
         bounded: NDArray[np.float64] = np.clip(np.asarray(raw, np.float64), self._low, self._high)
         return bounded
+
+
+def _read(data: bytes) -> tuple[Contract, str | None]:
+    """Contract and digest of a policy file, checked with its network before anything of it is run.
+
+    Raises:
+        SurefootError, ValueError, OverflowError, RecursionError: what the file holds is no policy.
+    """
+    parts = read_parts(data)
+    if METADATA_KEY not in parts.properties:
+        raise SurefootError("has no contract; surefoot runs only policies that it exported")
+    digest = check_digest(data)
+    check_network(parts.graph)
+    contract = Contract.from_json(parts.properties[METADATA_KEY].decode())
+    if "file" in (contract.reference or {}):
+        raise SurefootError("contract: reference names a file; a policy holds the rows of its table itself")
+    return contract, digest
 
 
 def _options() -> onnxruntime.SessionOptions:
@@ -92,6 +109,8 @@ def _options() -> onnxruntime.SessionOptions:
     options.intra_op_num_threads = options.inter_op_num_threads = 1
     options.execution_mode = onnxruntime.ExecutionMode.ORT_SEQUENTIAL
     options.log_severity_level = 4
+    # Or else a file that has onnxruntime's own format hidden in it would be run as that, not as what was checked.
+    options.add_session_config_entry("session.load_model_format", "ONNX")
     return options
 
 

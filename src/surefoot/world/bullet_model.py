@@ -14,8 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.errors import SurefootError
+from surefoot.native_output import quiet
 from surefoot.robot import RobotDescription
-from surefoot.world.bullet_import import import_pybullet, quiet
+from surefoot.world.bullet_import import import_pybullet
 from surefoot.world.bullet_tick import pin_kernel
 from surefoot.world.drive import RACK_HEIGHT
 from surefoot.world.fused_urdf import FusedUrdf, frame_of, fuse_urdf, write_fused

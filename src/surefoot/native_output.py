@@ -1,0 +1,46 @@
+"""What C code prints, kept away from the user's stdout: there stand results, and with `--json` one object alone."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+
+@contextmanager
+def stdout_to_stderr() -> Iterator[None]:
+    """What is printed to stdout goes to stderr, as notes of a library that is loaded."""
+    with _turned((1,), 2):
+        yield
+
+
+@contextmanager
+def quiet() -> Iterator[None]:
+    """Nothing that C code prints reaches the user's stdout or stderr."""
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    try:
+        with _turned((1, 2), nowhere):
+            yield
+    finally:
+        os.close(nowhere)
+
+
+@contextmanager
+def _turned(descriptors: tuple[int, ...], to: int) -> Iterator[None]:
+    for stream in (sys.stdout, sys.stderr):
+        if stream is not None:
+            stream.flush()
+    saved = [os.dup(descriptor) for descriptor in descriptors]
+    try:
+        for descriptor in descriptors:
+            os.dup2(to, descriptor)
+        yield
+    finally:
+        if sys.stdout is not None:
+            sys.stdout.flush()
+        ctypes.CDLL(None).fflush(None)  # C keeps what it prints to a pipe until later
+        for descriptor, was in zip(descriptors, saved, strict=True):
+            os.dup2(was, descriptor)
+            os.close(was)

@@ -1,0 +1,104 @@
+"""What the network of a policy file may be: checked before onnxruntime gets to see the file.
+
+ONNX can loop for ever and make gigabytes out of ten bytes. What surefoot exports is a multilayer perceptron: each
+node takes the result of an earlier one, and constants that lie in the file. So a network costs no more memory than
+its file, and no more time than its weights have numbers.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from surefoot.errors import SurefootError, choices
+from surefoot.policy.protobuf import BYTES, MANY, NUMBER, NUMBERS, message
+
+OPSET = 17
+"""Version of the operators' definitions that surefoot writes and reads."""
+INPUT, OUTPUT = "observation", "feedback"
+OPERATORS = {
+    **{"Sub": 2, "Div": 2, "Mul": 2, "Add": 2, "Gemm": 3, "Clip": 3},
+    **{"Elu": 1, "Relu": 1, "Tanh": 1, "Selu": 1, "Sigmoid": 1},
+}
+"""Operators that a network may have, and how many inputs each takes."""
+MAX_BYTES = 64 * 2**20
+"""Size of a policy file; those of the gaits that ship have some 90 kB."""
+MAX_NODES = 128
+MAX_WIDTH = 16384
+"""Rows or columns of a constant."""
+_GRAPH = {1: MANY, 2: BYTES, 5: MANY, 11: MANY, 12: MANY}
+_NODE = {1: MANY, 2: MANY, 3: BYTES, 4: BYTES, 5: MANY}
+_ATTRIBUTE = {1: BYTES, 3: NUMBER, 20: NUMBER}
+_TENSOR = {1: NUMBERS, 2: NUMBER, 8: BYTES, 9: BYTES}
+_FLOAT = 1
+_TRANSPOSED = {1: [b"transB"], 3: [1], 20: [2]}
+"""The one attribute that surefoot writes: a Gemm's weights are (out, in)."""
+
+
+def check_network(graph: bytes) -> None:
+    """Refuse a network that surefoot could not have exported.
+
+    Args:
+        graph: ONNX's `GraphProto`, as it stands in the file.
+
+    Raises:
+        SurefootError: another operator or attribute, constants of another type or not finite, or too many or too large.
+    """
+    parts = message(graph, "graph", _GRAPH)
+    if len(parts[1]) > MAX_NODES:
+        raise SurefootError(f"its network has {len(parts[1])} nodes; at most {MAX_NODES} are allowed")
+    shapes: dict[bytes, tuple[int, ...]] = {}
+    for tensor in parts[5]:
+        name, shape = _constant(tensor)
+        if name in shapes:
+            raise SurefootError(f"its network has constant {_shown(name)} twice")
+        shapes[name] = shape
+    results = {INPUT.encode()}
+    for node in parts[1]:
+        result = _node(node, shapes, results)
+        if result in results or result in shapes:
+            raise SurefootError(f"its network has value {_shown(result)} twice")
+        results.add(result)
+
+
+def _constant(tensor: bytes) -> tuple[bytes, tuple[int, ...]]:
+    """Name and shape of a constant."""
+    parts = message(tensor, "constant", _TENSOR)
+    name, shape, data = b"".join(parts[8]), tuple(parts[1]), b"".join(parts[9])
+    if len(shape) > 2 or any(not 0 < size <= MAX_WIDTH for size in shape):
+        raise SurefootError(
+            f"constant {_shown(name)} has shape {shape}; at most 2 dimensions of 1 to {MAX_WIDTH} are allowed"
+        )
+    if parts[2] != [_FLOAT] or len(data) != 4 * math.prod(shape):
+        raise SurefootError(f"constant {_shown(name)} does not hold 32-bit numbers for its shape {shape}")
+    if not np.isfinite(np.frombuffer(data, "<f4")).all():
+        raise SurefootError(f"constant {_shown(name)} holds numbers that are not finite")
+    return name, shape
+
+
+def _node(node: bytes, shapes: dict[bytes, tuple[int, ...]], results: set[bytes]) -> bytes:
+    """Check a node; returns the name of its result."""
+    parts = message(node, "node", _NODE)
+    kind = b"".join(parts[4]).decode(errors="replace")
+    inputs, outputs = parts[1], parts[2]
+    if kind not in OPERATORS:
+        raise SurefootError(f"its network has operator {kind[:40]!r}; allowed are {choices(OPERATORS)}")
+    if len(inputs) != OPERATORS[kind] or len(outputs) != 1 or inputs[0] not in results:
+        raise SurefootError(f"its network has a {kind} that surefoot could not have written: see its inputs")
+    weights = inputs[1:2] if kind == "Gemm" else []
+    for name in inputs[1:]:
+        if name not in shapes and (name not in results or kind == "Gemm"):
+            raise SurefootError(f"its network has a {kind} of {_shown(name)}, which is no value that it can take")
+        # More than one row beside the batch would make the result as large as both together.
+        if math.prod(shapes.get(name, ())[:-1]) > 1 and name not in weights:
+            raise SurefootError(f"its network has a {kind} of {_shown(name)}, which has more than one row")
+    attributes = [message(attribute, "attribute", _ATTRIBUTE) for attribute in parts[5]]
+    if attributes != ([_TRANSPOSED] if kind == "Gemm" else []):
+        raise SurefootError(f"its network has a {kind} with other attributes than surefoot writes")
+    return bytes(outputs[0])
+
+
+def _shown(name: bytes) -> str:
+    """A name from a file, safe to print."""
+    return repr(name[:40].decode(errors="replace"))

@@ -1,0 +1,93 @@
+"""Reads protobuf messages strictly: the robot's computer has no `onnx` package.
+
+A message may hold the fields that its layout names, and nothing else: what this reader would pass over, onnxruntime
+might heed (https://protobuf.dev/programming-guides/encoding).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from surefoot.errors import SurefootError
+
+VARINT, EIGHT_BYTES, LENGTH, FOUR_BYTES = 0, 1, 2, 5
+NUMBER, NUMBERS, BYTES, MANY = (VARINT, False), (VARINT, True), (LENGTH, False), (LENGTH, True)
+"""Kinds of fields: an integer, several, one run of bytes (text or a message), several."""
+MOST = 1024
+"""How often a field that may repeat stands in a message at most."""
+
+Layout = Mapping[int, tuple[int, bool]]
+
+
+def message(data: bytes, name: str, layout: Layout) -> dict[int, list[Any]]:
+    """All values of each field of a message, in order; a field that it lacks has none.
+
+    Args:
+        data: the message.
+        name: what it is called when it is refused.
+        layout: kind of each field that it may have, by number.
+
+    Raises:
+        SurefootError: no message, a field that is not in the layout or of another kind, or one too often.
+    """
+    found: dict[int, list[Any]] = {number: [] for number in layout}
+    for number, wire, value in _fields(data):
+        if number not in layout or layout[number][0] != wire:
+            raise SurefootError(f"is damaged or not ONNX as surefoot writes it: its {name} has a field {number}.{wire}")
+        found[number].append(value)
+        if len(found[number]) > (MOST if layout[number][1] else 1):
+            raise SurefootError(
+                f"is damaged or not ONNX as surefoot writes it: its {name} has field {number} more than "
+                f"{len(found[number]) - 1} times"
+            )
+    return found
+
+
+def field(number: int, value: bytes) -> bytes:
+    """A field that holds bytes, as it stands in a message."""
+    return _varint(number << 3 | LENGTH) + _varint(len(value)) + value
+
+
+def _varint(number: int) -> bytes:
+    out = bytearray()
+    while number > 0x7F:
+        out.append(number & 0x7F | 0x80)
+        number >>= 7
+    return bytes([*out, number])
+
+
+def _fields(data: bytes) -> Iterator[tuple[int, int, int | bytes]]:
+    """Number, wire type and value of each field of a message."""
+    at = 0
+    while at < len(data):
+        start = at
+        tag, at = _read_varint(data, at)
+        wire = tag & 7
+        if wire == VARINT:
+            value, at = _read_varint(data, at)
+            yield tag >> 3, wire, value
+            continue
+        if wire == LENGTH:
+            size, at = _read_varint(data, at)
+        elif wire in (EIGHT_BYTES, FOUR_BYTES):
+            size = 8 if wire == EIGHT_BYTES else 4
+        else:
+            raise SurefootError(f"is damaged or not ONNX: byte {start} starts no field")
+        if at + size > len(data):
+            raise SurefootError(f"is damaged or not ONNX: cut off at byte {len(data)}")
+        yield tag >> 3, wire, data[at : at + size]
+        at += size
+
+
+def _read_varint(data: bytes, at: int) -> tuple[int, int]:
+    """A number of seven bits a byte, the lowest first, and where the next thing stands."""
+    number = 0
+    for place in range(10):
+        if at + place >= len(data):
+            break
+        byte = data[at + place]
+        number |= (byte & 0x7F) << 7 * place
+        if byte < 0x80:
+            return number, at + place + 1
+    raise SurefootError(f"is damaged or not ONNX: byte {at} starts no number")
