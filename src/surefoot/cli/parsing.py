@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import io
 import re
-from collections.abc import Sequence
+import typing
+from collections.abc import Iterator, Sequence
 from typing import Any, TypeVar
 
 import tyro
 
+from surefoot.configuration import check_bounds
 from surefoot.errors import SurefootError
 
 T = TypeVar("T")
@@ -26,8 +29,9 @@ def parse(kind: type[T], words: Sequence[str], prog: str, default: T | None = No
         config: tyro's configuration markers.
 
     Raises:
-        SurefootError: words that do not fit, in one line; tyro would draw a box.
+        SurefootError: words that do not fit, in one line; tyro would draw a box. Numbers out of their fields' bounds.
     """
+    _check_lists(kind, words)
     said = io.StringIO()
     given: dict[str, Any] = {} if default is None else {"default": default}
     try:
@@ -42,4 +46,29 @@ def parse(kind: type[T], words: Sequence[str], prog: str, default: T | None = No
         text = re.sub(r"\s*For full helptext, (see|run) ", f"; for every option: {prog} --help ", text)
         text = re.sub(r"( --help) .*$", r"\1", text)
         raise SurefootError(text) from None
+    check_bounds(parsed)
     return parsed
+
+
+def _check_lists(kind: type, words: Sequence[str]) -> None:
+    """Refuse an option that takes several values and has none: tyro would take that for an empty list.
+
+    Raises:
+        SurefootError: with the option.
+    """
+    options = set(_list_options(kind))
+    for word, after in zip(words, [*words[1:], "--"], strict=False):
+        if word.replace("_", "-") in options and after.startswith("--"):
+            raise SurefootError(f"{word} has no value; it takes one or more")
+
+
+def _list_options(kind: type, prefix: str = "--") -> Iterator[str]:
+    """Options of a dataclass that take any number of values."""
+    hints = typing.get_type_hints(kind, include_extras=True)
+    for name, hint in typing.get_type_hints(kind).items():
+        given = [meta.name for meta in getattr(hints[name], "__metadata__", ()) if getattr(meta, "name", None)]
+        option = f"{prefix}{given[0] if given else name.replace('_', '-')}"
+        if dataclasses.is_dataclass(hint):
+            yield from _list_options(typing.cast("type", hint), f"{option}.")
+        elif typing.get_origin(hint) is dict or typing.get_args(hint)[-1:] == (...,):
+            yield option

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.errors import SurefootError, choices
-from surefoot.files import whole_file
+from surefoot.files import check_readable, whole_file
 from surefoot.robot import RobotDescription
 
 Array = NDArray[np.float64]
@@ -171,6 +171,7 @@ def load_recording(path: Path, robot: RobotDescription, experiment: str | None =
     """
     names = {item.name for item in fields(Recording)} - {"meta"}
     try:
+        check_readable(path)
         with np.load(path, allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}
         meta = json.loads(str(arrays.pop("meta")))
