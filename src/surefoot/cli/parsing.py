@@ -7,7 +7,7 @@ import dataclasses
 import io
 import re
 import typing
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import Any, TypeVar
 
 import tyro
@@ -56,19 +56,25 @@ def _check_lists(kind: type, words: Sequence[str]) -> None:
     Raises:
         SurefootError: with the option.
     """
-    options = set(_list_options(kind))
+    hints = options(kind)
     for word, after in zip(words, [*words[1:], "--"], strict=False):
-        if word.replace("_", "-") in options and after.startswith("--"):
+        hint = hints.get(word.replace("_", "-"))
+        listed = typing.get_origin(hint) is dict or typing.get_args(hint)[-1:] == (...,)
+        if listed and after.startswith("--"):
             raise SurefootError(f"{word} has no value; it takes one or more")
 
 
-def _list_options(kind: type, prefix: str = "--") -> Iterator[str]:
-    """Options of a dataclass that take any number of values."""
+def options(kind: type, prefix: str = "--") -> dict[str, Any]:
+    """The options of a dataclass with the types of their values, by name, as tyro makes them; positional words too."""
+    found: dict[str, Any] = {}
     hints = typing.get_type_hints(kind, include_extras=True)
     for name, hint in typing.get_type_hints(kind).items():
-        given = [meta.name for meta in getattr(hints[name], "__metadata__", ()) if getattr(meta, "name", None)]
+        marks = getattr(hints[name], "__metadata__", ())
+        given = [mark.name for mark in marks if getattr(mark, "name", None)]
         option = f"{prefix}{given[0] if given else name.replace('_', '-')}"
         if dataclasses.is_dataclass(hint):
-            yield from _list_options(typing.cast("type", hint), f"{option}.")
-        elif typing.get_origin(hint) is dict or typing.get_args(hint)[-1:] == (...,):
-            yield option
+            within = prefix if tyro.conf.OmitArgPrefixes in marks else f"{option}."
+            found |= options(typing.cast("type", hint), within)
+        else:
+            found[option] = hint
+    return found
