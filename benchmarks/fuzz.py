@@ -161,26 +161,23 @@ class Fuzz:
         root: an empty folder.
         seed: of everything.
         limit: time of a processor [s] that a case may take.
+        kinds: names of kinds to choose from; all, if empty.
     """
 
-    def __init__(self, root: Path, seed: int, limit: float = LIMIT) -> None:
+    def __init__(self, root: Path, seed: int, limit: float = LIMIT, kinds: Sequence[str] = ()) -> None:
         self.seed, self.limit = seed, limit
         self.seeds, self.place = root / "seeds", root / "a" / "b" / "case"
         self.root = root
         self.seeds.mkdir()
-        make_seeds(self.seeds)
+        self.kinds = kinds or tuple(KINDS)
+        make_seeds(self.seeds, {word.lstrip("@") for kind in self.kinds for word in KINDS[kind].words if "@" in word})
         self._seeds_state = _state(self.seeds)
         self._options: dict[str, list[str]] = {}
 
-    def run(self, number: int, only: Sequence[str] = ()) -> Case:
-        """Run the case of a number.
-
-        Args:
-            number: of the case.
-            only: names of kinds to choose from; all, if empty.
-        """
+    def run(self, number: int) -> Case:
+        """Run the case of a number."""
         rng = random.Random(f"{self.seed} {number}")
-        name = rng.choice([kind for kind in KINDS if not only or kind in only])
+        name = rng.choice(self.kinds)
         kind = KINDS[name]
         shutil.rmtree(self.root / "a", ignore_errors=True)
         self.place.mkdir(parents=True)
@@ -474,8 +471,13 @@ def _policy(content: bytes, rng: random.Random) -> bytes:
     return made
 
 
-def make_seeds(folder: Path) -> None:
-    """Write the files that cases damage, each of which works as it is."""
+def make_seeds(folder: Path, wanted: set[str]) -> None:
+    """Write the files that cases damage, each of which works as it is.
+
+    Args:
+        folder: an empty one.
+        wanted: names of the files that are read; those that take a simulation are made only then.
+    """
     import onnx
 
     from surefoot.cli.policies import find_policy
@@ -515,21 +517,21 @@ def make_seeds(folder: Path) -> None:
     log = "".join(f"{0.006 * k:.3f},{1.5 + 0.01 * k:.3f},{1.5 + 0.009 * k:.3f}\n" for k in range(12))
     (folder / "log.csv").write_text("time,target,angle\n" + log)
     _make_recording(folder / "recording.npz", robot)
-    place = folder / "made"
-    place.mkdir()
-    for words in (
-        ("evaluate", "../policy.onnx", "--episodes", "1", "--out", ".", "--threads", "1"),
-        ("train", "../task.yaml", *TINY, "--runs", "."),
-    ):
-        code, _, said = _run(words, place, 300.0)
-        if code != 0:
-            raise RuntimeError(f"a command that should work does not: {' '.join(words)}\n{said}")
-    (place / "episode_000.npz").rename(folder / "trace.npz")
-    (run,) = (path.parent for path in place.glob("*/*/run.json"))
-    for name in ("policy.onnx", "evaluation.json"):
-        (run / name).unlink(missing_ok=True)
-    run.rename(folder / "run")
-    shutil.rmtree(place)
+    if "trace.npz" in wanted:
+        _work(folder, "evaluate", "policy.onnx", "--episodes", "1", "--out", "made", "--threads", "1")
+        (folder / "made" / "episode_000.npz").rename(folder / "trace.npz")
+    if any(name.startswith("run/") for name in wanted):
+        _work(folder, "train", "task.yaml", *TINY, "--runs", "made")
+        (run,) = (path.parent for path in folder.glob("made/*/*/run.json"))
+        run.rename(folder / "run")
+    shutil.rmtree(folder / "made", ignore_errors=True)
+
+
+def _work(place: Path, *words: str) -> None:
+    """Run a command that makes seeds."""
+    code, _, said = _run(words, place, 100.0)
+    if code != 0:
+        raise RuntimeError(f"a command that should work does not: {' '.join(words)}\n{said}")
 
 
 def _make_recording(path: Path, robot: Any) -> None:
@@ -591,9 +593,9 @@ def main() -> int:
     wrong = 0
     numbers = [options.case] if options.case is not None else range(options.first, options.first + options.cases)
     with tempfile.TemporaryDirectory(prefix="surefoot-fuzz-") as folder:
-        fuzz = Fuzz(Path(folder), options.seed, options.limit)
+        fuzz = Fuzz(Path(folder), options.seed, options.limit, options.kind)
         for number in numbers:
-            case = fuzz.run(number, options.kind)
+            case = fuzz.run(number)
             codes[case.kind]["wrong" if case.wrong else f"exit {case.code}"] += 1
             if options.case is not None:
                 print(case.said)

@@ -11,8 +11,8 @@ import pytest
 for module in ("mujoco", "torch", "onnx", "matplotlib", "imageio_ffmpeg"):
     pytest.importorskip(module)
 
-QUICK = ("study", "study options", "params", "policy to deploy", "trace fit options", "recording", "deploy options",
-         "doctor options", "identify options", "run's papers")  # fmt: skip
+QUICK = ("study", "study options", "params", "policy to deploy", "recording", "deploy options",
+         "doctor options", "identify options")  # fmt: skip
 """Kinds of cases that hardly ever simulate anything."""
 
 
