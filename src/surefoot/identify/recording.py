@@ -164,7 +164,7 @@ def digest_of(arrays: dict[str, Array]) -> str:
 
 
 def _misfit(arrays: dict[str, Any], meta: dict[str, Any], motors: int) -> str:
-    """Name of an array of another shape or type than a recording's, or of an entry of another type; empty if all fit."""
+    """What does not fit a recording in shape or type: name of an array or of an entry; empty if all do."""
     commands, states = np.shape(arrays["sent_number"])[:1], np.shape(arrays["time"])[:1]
     widths = dict.fromkeys(("sent_value", "motor_angle", "motor_velocity", "motor_torque", "temperature"), (motors,))
     widths |= dict.fromkeys(("roll_pitch_yaw", "angular_velocity_base"), (3,))
