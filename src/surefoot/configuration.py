@@ -3,19 +3,155 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
+import math
+import tomllib
 import types
 import typing
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeVar
 
 import yaml
 
-from surefoot.errors import SurefootError, choices
+from surefoot.errors import SurefootError, choices, quoted
+from surefoot.files import read_configuration
 
 T = TypeVar("T")
 
 _KIND = {float: "a number", int: "a whole number", str: "text", bool: "true or false", type(None): "nothing"}
+_DEPTH = 50
+"""Tables and lists in each other that a file of YAML may have; other readers end at Python's own limit."""
+_NODES = 200_000
+"""Values that a file of YAML may have, each as often as an alias repeats it."""
+_TEXT = 4096
+"""Characters that a text may have."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Within:
+    """Bounds of a field: `Annotated[float, Within(0, 1)]`; they hold for each number in lists and tables too."""
+
+    least: float
+    """Least number that is allowed."""
+    greatest: float
+    """Greatest number that is allowed."""
+    above: bool = False
+    """Whether the least number itself is refused."""
+
+    def check(self, where: str, value: Any) -> None:
+        """Refuse numbers out of bounds, and texts that no file or path can hold.
+
+        Args:
+            where: name of the value, for the message.
+            value: a number, a text, or lists and tables of them; anything else is left alone.
+
+        Raises:
+            SurefootError: with name, value and rule.
+        """
+        if isinstance(value, Mapping):
+            for key, item in value.items():
+                self.check(f"{where}.{key}", item)
+        elif isinstance(value, list | tuple):
+            for place, item in enumerate(value):
+                self.check(f"{where}[{place}]", item)
+        elif isinstance(value, str):
+            if len(value) > _TEXT or "\0" in value or any("\ud800" <= letter <= "\udfff" for letter in value):
+                rule = f"it must be Unicode text of {_TEXT} characters at most, none of them NUL"
+                raise SurefootError(f"{where} is {quoted(value)}; {rule}")
+        elif isinstance(value, int | float) and not isinstance(value, bool):
+            rule = self._broken(value)
+            if rule:
+                shown = f"{value:g}" if isinstance(value, float) else quoted(value)
+                raise SurefootError(f"{where} is {shown}; it must be {rule}")
+
+    def _broken(self, value: float) -> str:
+        """The rule that a number does not keep; empty if it keeps all."""
+        if isinstance(value, float) and math.isnan(value):
+            return "a finite number"
+        if value < self.least or (self.above and value == self.least):
+            return f"over {self.least:.15g}" if self.above else f"{self.least:.15g} or more"
+        return f"{self.greatest:.15g} or less" if value > self.greatest else ""
+
+
+_ANY = Within(-1e15, 1e15)
+"""Bounds of fields that have none of their own."""
+
+Seed = Annotated[int, Within(0, 2**32 - 1)]
+"""The seed of random numbers."""
+Threads = Annotated[int, Within(0, 1024)]
+"""Number of threads; 0 means one a core."""
+Duration = Annotated[float, Within(0, 3600, above=True)]
+"""Length of a run [s]."""
+
+
+def check_bounds(config: Any, where: str = "") -> None:
+    """Refuse a dataclass with a number out of its field's bounds, which `Within` gives, or that is not finite.
+
+    Args:
+        config: the dataclass; those in it are not looked into.
+        where: the way to it, for error messages.
+
+    Raises:
+        SurefootError: with the way to the number, the number and the rule.
+    """
+    for name, within in _bounds(config.__class__).items():
+        within.check(f"{where}.{name}" if where else name, getattr(config, name))
+
+
+@functools.cache
+def _bounds(kind: type) -> dict[str, Within]:
+    """The bounds of each field of a dataclass."""
+    hints = typing.get_type_hints(kind, include_extras=True)
+    return {item.name: _within(hints[item.name]) or _ANY for item in dataclasses.fields(kind)}
+
+
+def _within(hint: Any) -> Within | None:
+    for given in getattr(hint, "__metadata__", ()):
+        if isinstance(given, Within):
+            return given
+    args = typing.get_args(hint)[:1] if hasattr(hint, "__metadata__") else typing.get_args(hint)
+    return next((found for arg in args if (found := _within(arg)) is not None), None)
+
+
+def is_number(value: Any) -> bool:
+    """Whether a value is a finite number, small enough for a floating point number."""
+    try:
+        return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+    except OverflowError:
+        return False
+
+
+class _Loader(yaml.SafeLoader):
+    """Reads YAML without dates, which are text here, and refuses values that grow beyond all measure."""
+
+    yaml_implicit_resolvers = {  # noqa: RUF012, as PyYAML has it
+        first: [rule for rule in rules if rule[0] != "tag:yaml.org,2002:timestamp"]
+        for first, rules in yaml.SafeLoader.yaml_implicit_resolvers.items()
+    }
+
+    def __init__(self, text: str) -> None:
+        super().__init__(text)
+        self._depth = 0
+        self._sizes: dict[int, int] = {}
+
+    def compose_node(self, parent: Any, index: Any) -> Any:
+        """Compose a value, and refuse one that is too deep, too large or holds itself."""
+        self._depth += 1
+        if self._depth > _DEPTH:
+            raise yaml.YAMLError(f"it is nested more than {_DEPTH} deep")
+        alias = self.check_event(yaml.AliasEvent)
+        node: Any = super().compose_node(parent, index)
+        self._depth -= 1
+        if alias and id(node) not in self._sizes:
+            raise yaml.YAMLError("it holds a value that holds itself")
+        if not alias:
+            parts = [] if isinstance(node.value, str) else node.value
+            inner = [part for pair in parts for part in pair] if isinstance(node, yaml.MappingNode) else parts
+            self._sizes[id(node)] = 1 + sum(self._sizes[id(part)] for part in inner)
+        if self._sizes[id(node)] > _NODES:
+            raise yaml.YAMLError(f"it holds more than {_NODES} values")
+        return node
 
 
 def read_yaml(path: Path) -> dict[str, Any]:
@@ -25,14 +161,35 @@ def read_yaml(path: Path) -> dict[str, Any]:
         SurefootError: it can't be read, is not YAML, or holds something else.
     """
     try:
-        data = yaml.safe_load(path.read_text(encoding="utf-8"))
+        loader = _Loader(read_configuration(path).decode("utf-8"))
+        try:
+            data = loader.get_single_data()
+        finally:
+            loader.dispose()
     except OSError as error:
         raise SurefootError(f"{path}: can't be read: {error.strerror}") from error
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
+    # PyYAML raises all of these for values that do not fit their tags, such as `!!int x`.
+    except (yaml.YAMLError, ValueError, LookupError, AttributeError, TypeError) as error:
         raise SurefootError(f"{path}: is not YAML: {' '.join(str(error).split())}") from error
     if not isinstance(data, dict):
         raise SurefootError(f"{path}: holds {type(data).__name__}; it must be a table of keys and values")
     return data
+
+
+def read_toml(path: Path) -> tuple[dict[str, Any], bytes]:
+    """Read a TOML file; returns it with the bytes that were read.
+
+    Raises:
+        OSError: it can't be read, is no regular file or too large.
+        SurefootError: it is not TOML.
+    """
+    content = read_configuration(path)
+    try:
+        return tomllib.loads(content.decode("utf-8")), content
+    except RecursionError:
+        raise SurefootError(f"{path}: is not TOML: it is nested too deep") from None
+    except ValueError as error:
+        raise SurefootError(f"{path}: is not TOML: {error}") from error
 
 
 def from_mapping(kind: type[T], data: Mapping[str, Any], where: str = "", base: T | None = None) -> T:
@@ -51,7 +208,7 @@ def from_mapping(kind: type[T], data: Mapping[str, Any], where: str = "", base: 
     names = [item.name for item in dataclasses.fields(kind)]  # type: ignore[arg-type]
     if not isinstance(data, Mapping):
         raise SurefootError(
-            f"{where or kind.__name__} is {data!r}; it must be a table with keys out of: {choices(names)}"
+            f"{where or kind.__name__} is {quoted(data)}; it must be a table with keys out of: {choices(names)}"
         )
     for key in data:
         if key not in names:
@@ -66,7 +223,9 @@ def from_mapping(kind: type[T], data: Mapping[str, Any], where: str = "", base: 
             values[item.name] = getattr(base, item.name)
         elif item.default is dataclasses.MISSING and item.default_factory is dataclasses.MISSING:
             raise SurefootError(f"{way} is missing; it must be given")
-    return kind(**values)
+    made = kind(**values)
+    check_bounds(made, where)
+    return made
 
 
 def _convert(hint: Any, value: Any, where: str, base: Any) -> Any:
@@ -75,7 +234,7 @@ def _convert(hint: Any, value: Any, where: str, base: Any) -> Any:
         return from_mapping(hint, value, where, base)  # type: ignore[arg-type]
     if origin is typing.Literal:
         if value not in typing.get_args(hint):
-            raise SurefootError(f"{where} is {value!r}; choices: {choices(typing.get_args(hint))}")
+            raise SurefootError(f"{where} is {quoted(value)}; choices: {choices(typing.get_args(hint))}")
         return value
     if origin in (typing.Union, types.UnionType):
         for option in typing.get_args(hint):
@@ -83,16 +242,17 @@ def _convert(hint: Any, value: Any, where: str, base: Any) -> Any:
                 return _convert(option, value, where, base)
             except SurefootError:
                 continue
-        raise SurefootError(f"{where} is {value!r}; it must be {' or '.join(_name(x) for x in typing.get_args(hint))}")
+        wanted = " or ".join(map(_name, typing.get_args(hint)))
+        raise SurefootError(f"{where} is {quoted(value)}; it must be {wanted}")
     if origin is tuple:
         args = typing.get_args(hint)
         if not isinstance(value, list | tuple) or (args[-1] is not Ellipsis and len(value) != len(args)):
-            raise SurefootError(f"{where} is {value!r}; it must be {_name(hint)}")
+            raise SurefootError(f"{where} is {quoted(value)}; it must be {_name(hint)}")
         kinds = [args[0]] * len(value) if args[-1] is Ellipsis else args
         return tuple(_convert(kinds[k], item, f"{where}[{k}]", None) for k, item in enumerate(value))
     if origin is dict:
         if not isinstance(value, Mapping):
-            raise SurefootError(f"{where} is {value!r}; it must be a table")
+            raise SurefootError(f"{where} is {quoted(value)}; it must be a table")
         return {
             str(key): _convert(typing.get_args(hint)[1], item, f"{where}.{key}", None) for key, item in value.items()
         }
@@ -100,10 +260,13 @@ def _convert(hint: Any, value: Any, where: str, base: Any) -> Any:
         return value
     is_bool = isinstance(value, bool)
     if hint is float and isinstance(value, int | float) and not is_bool:
-        return float(value)
+        try:
+            return float(value)
+        except OverflowError:
+            raise SurefootError(f"{where} is {quoted(value)}; it must be a finite number") from None
     if isinstance(value, hint) and is_bool == (hint is bool):
         return value
-    raise SurefootError(f"{where} is {value!r}; it must be {_name(hint)}")
+    raise SurefootError(f"{where} is {quoted(value)}; it must be {_name(hint)}")
 
 
 def _name(hint: Any) -> str:

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import re
+import reprlib
 from collections.abc import Iterable
+from typing import Any
 
 
 class SurefootError(ValueError):
@@ -20,6 +23,36 @@ def at_least(name: str, number: float, least: int) -> None:
     """
     if number < least:
         raise SurefootError(f"{name} is {number}; it must be {least} or more")
+
+
+def check_name(what: str, name: str) -> None:
+    """Refuse a name that is not safe as the name of a file or folder.
+
+    Args:
+        what: what is so called, for the message.
+        name: the name.
+
+    Raises:
+        SurefootError: with the name and the rule.
+    """
+    if not re.fullmatch(r"[A-Za-z0-9_][A-Za-z0-9_-]{0,99}", name):
+        raise SurefootError(
+            f"{what} is {quoted(name)}; a name has letters, digits, - and _ only, does not start with -, and has 1 to "
+            "100 characters, since a file or folder is so called"
+        )
+
+
+_QUOTES = reprlib.Repr()
+_QUOTES.maxlevel = 3
+_QUOTES.maxlist = _QUOTES.maxtuple = _QUOTES.maxdict = 10
+_QUOTES.maxstring = _QUOTES.maxother = 100
+_QUOTES.maxlong = 40
+
+
+def quoted(value: Any) -> str:
+    """Return a value as messages quote it: as Python writes it, shortened where it is long or deep."""
+    text = _QUOTES.repr(value)
+    return text if len(text) <= 200 else f"{text[:200]}..."
 
 
 def choices(names: Iterable[str]) -> str:

@@ -1,15 +1,68 @@
-"""Files that appear whole or not at all, tables among them."""
+"""Files that are read within limits, and files that appear whole or not at all, tables among them."""
 
 from __future__ import annotations
 
 import csv
+import errno
 import io
 import json
 import os
+import re
+import stat
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, BinaryIO
+
+CONFIGURATION_BYTES = 1 << 18
+"""Size of the largest configuration file that is read."""
+DATA_BYTES = 1 << 30
+"""Size of the largest file of data that is read, unpacked."""
+_PARTIAL = re.compile(r"\..+\.(\d+)\.tmp")
+"""Names of files under way, with the number of the process that writes them."""
+
+
+def check_readable(path: Path, limit: int = DATA_BYTES) -> None:
+    """Refuse to read what may have no end: anything but a regular file, and a file that is too large.
+
+    Raises:
+        OSError: one of these, or the file can't be found.
+    """
+    found = path.stat()
+    if stat.S_ISDIR(found.st_mode):
+        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
+    if not stat.S_ISREG(found.st_mode):
+        raise OSError(errno.EINVAL, "it is no regular file", str(path))
+    if found.st_size > limit:
+        raise OSError(errno.EFBIG, f"it has {found.st_size} bytes; at most {limit} are read", str(path))
+
+
+def read_configuration(path: Path) -> bytes:
+    """Read a configuration file, which is a regular file of `CONFIGURATION_BYTES` at most.
+
+    Raises:
+        OSError: it is another thing, is larger, or can't be read.
+    """
+    check_readable(path, CONFIGURATION_BYTES)
+    with path.open("rb") as file:
+        # A file of /proc says that it has 0 bytes.
+        content = file.read(CONFIGURATION_BYTES + 1)
+    if len(content) > CONFIGURATION_BYTES:
+        raise OSError(errno.EFBIG, f"it is larger than the {CONFIGURATION_BYTES} bytes that are read", str(path))
+    return content
+
+
+def remove_abandoned(folder: Path) -> None:
+    """Remove the files that `whole_file` had under way in a folder when their processes were killed."""
+    for path in folder.glob(".*.tmp"):
+        if (found := _PARTIAL.fullmatch(path.name)) is None:
+            continue
+        try:
+            os.kill(int(found[1]), 0)
+        except (ProcessLookupError, OverflowError):
+            path.unlink(missing_ok=True)
+        except PermissionError:
+            continue  # It runs, as another user's.
 
 
 @contextmanager

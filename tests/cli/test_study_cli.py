@@ -238,7 +238,7 @@ def test_a_world_that_there_is_not_is_refused_before_training(
 BAD = [
     (["tiny.yaml", "--workers", "-1"], "workers is -1; it must be 0"),
     (["tiny.yaml", "--only", "fast"], "group 'fast' is not in the study; groups: plain, drawn"),
-    (["tiny.yaml", "--seeds", "1", "1"], "seeds is .1, 1.; it takes 1 or more, none below 0 and none twice"),
+    (["tiny.yaml", "--seeds", "1", "1"], "seeds is .1, 1.; it takes 1 or more, none twice"),
     (["tiny.yaml", "--train-only", "--report-only"], "--train-only and --report-only leave nothing to do"),
     (["tiny.yaml", "--report-only"], "runs/tiny: no run of the study is finished and evaluated"),
     (["none.yaml"], "none.yaml: can't be read"),

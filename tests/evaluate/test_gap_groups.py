@@ -38,7 +38,7 @@ def test_a_gap_has_an_error_over_runs_and_an_interval_over_policies_and_robots(
     gap_comparison: MakeComparison,
 ) -> None:
     group = gap_groups(gap_comparison(), 3)["a"]
-    # Policies' gaps are 1.4, 1.3 and 1.2 m, robots' 1.6, 1.3 and 1.0 m: variances of both means are .01 / 3 and .09 / 3.
+    # Policies' gaps are 1.4, 1.3, 1.2 m and robots' 1.6, 1.3, 1.0 m: variances of the means are .01 / 3 and .09 / 3.
     np.testing.assert_allclose(group.gaps.mean(axis=1), [1.4, 1.3, 1.2])
     np.testing.assert_allclose(group.gaps.mean(axis=0), [1.6, 1.3, 1.0])
     assert group.interval.mean == pytest.approx(1.3)

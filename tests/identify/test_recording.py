@@ -113,3 +113,28 @@ def test_data_that_were_changed(recorded: Recording, robot: RobotDescription, tm
 def test_an_experiment_that_was_stopped(recorded: Recording, robot: RobotDescription, tmp_path: Path):
     path = saved(recorded, tmp_path / "recording.npz", ended="stopped by the operator")
     assert refused(path, robot).endswith("did not come to its end: stopped by the operator")
+
+
+@pytest.mark.parametrize(
+    ("change", "odd"),
+    [
+        ({"phases": [[]]}, "meta.phases"),
+        ({"phases": 3}, "meta.phases"),
+        ({"mode_changes": [0.1]}, "meta.mode_changes"),
+        ({"frames": []}, "meta.frames"),
+        ({"resting_states": [1]}, "meta.resting_states"),
+        ({"period": 10**400}, "meta.period"),
+        ({"servo_period": 0}, "meta.servo_period"),
+        ({"ended": None}, "meta.ended"),
+    ],
+)
+def test_an_entry_of_another_type(recorded: Recording, robot: RobotDescription, tmp_path: Path, change: Any, odd: str):
+    assert f"{odd} does not fit" in refused(saved(recorded, tmp_path / "a.npz", **change), robot)
+
+
+@pytest.mark.parametrize("odd", ["time", "sent_value", "roll_pitch_yaw", "mode"])
+def test_an_array_of_another_shape_or_type(recorded: Recording, robot: RobotDescription, tmp_path: Path, odd: str):
+    whole = getattr(recorded, odd)
+    for k, array in enumerate((whole[:-1], whole.reshape(-1, 1), whole.astype("?"), whole.astype("U5"), np.array(0.0))):
+        path = saved(replace(recorded, **{odd: array}), tmp_path / f"{k}.npz")
+        assert "does not fit" in refused(path, robot)

@@ -220,7 +220,7 @@ def test_full_disk_under_the_log_is_told_in_one_line(whole: TrainingRun) -> None
     [
         ({"num_envs": 0}, "num_envs is 0; it must be 1 or more"),
         ({"steps": -5}, "steps is -5; it must be 1 or more"),
-        ({"seed": -1}, "seed is -1; it must not be below 0"),
+        ({"seed": -1}, "seed is -1; it must be 0 or more"),
         ({"num_envs": 1, "steps_per_update": 2}, "each minibatch needs one or more"),
         ({"ppo": {"lr": 1}}, "ppo.lr is no key; keys: policy_hidden"),
         ({"ppo": {"epochs": "many"}}, "ppo.epochs is 'many'; it must be a whole number"),

@@ -212,3 +212,8 @@ def test_a_failure_leaves_no_half_file(walker, tmp_path: Path) -> None:
     with pytest.raises(RuntimeError, match="no text"):
         render_video(shapes, poses, times, tmp_path / "run.mp4", fps=10, size=SIZE, overlay=fails)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_where_no_file_can_be_made_is_told_without_ffmpegs_command(walker) -> None:
+    with pytest.raises(SurefootError, match=r"^video /proc/x\.mp4: can't be written: No such file or directory$"):
+        render_video(*walker, "/proc/x.mp4")

@@ -110,10 +110,10 @@ def test_any_control_step_gets_every_push(step):
     [
         ({"duration": 0.0}, "pushes.duration is 0 s"),
         ({"duration": 1.2}, "below pushes.period 1.2 s"),
-        ({"force": (220.0, 130.0)}, "pushes.force is [220.0, 130.0]; lower then upper"),
-        ({"probability": 1.5}, "pushes.probability is 1.5; it must be from 0 to 1"),
-        ({"force": (-1.0, 130.0)}, "neither below 0 N"),
-        ({"period": float("nan")}, "pushes.duration is 0.06 s"),
+        ({"force": (220.0, 130.0)}, "pushes.force is [220.0, 130.0]; the lower bound must come first"),
+        ({"probability": 1.5}, "pushes.probability is 1.5; it must be 1 or less"),
+        ({"force": (-1.0, 130.0)}, "pushes.force[0] is -1; it must be 0 or more"),
+        ({"period": float("nan")}, "pushes.period is nan; it must be a finite number"),
     ],
 )
 def test_pushes_that_cannot_be_are_refused(values, piece):

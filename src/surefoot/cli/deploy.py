@@ -17,7 +17,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 
 from surefoot.cli.parsing import parse
-from surefoot.errors import SurefootError, at_least
+from surefoot.configuration import Duration, Within
+from surefoot.errors import SurefootError
 
 if TYPE_CHECKING:
     from surefoot.deploy.deployment import Deployment, Outcome
@@ -40,9 +41,9 @@ class DeployCommand:
     """Path of a policy file (.onnx), or the name of a policy that ships with surefoot."""
     port: str
     """Serial port of the robot, such as /dev/ttyUSB0, or the emulator's pseudo-terminal."""
-    duration: float | None = None
+    duration: Duration | None = None
     """Time for which the policy runs [s]; its episode's, if not given."""
-    runs: int = 1
+    runs: Annotated[int, Within(1, 10_000)] = 1
     """How many runs, one after another; the robot sits in between."""
     out: Path | None = None
     """Folder for traces (run_000.npz and so on); `deploy`, if not given. A dry run keeps none if this is not given."""
@@ -56,16 +57,13 @@ class DeployCommand:
     """Name of the world, for the traces."""
     lockstep: bool = False
     """The port is an emulator's that was started with --lockstep."""
-    baud: int = 921_600
+    baud: Annotated[int, Within(9600, 100_000_000)] = 921_600
     """Bits a second."""
 
 
 def main(argv: list[str]) -> int:
     """Run the command with the words after its name; returns the exit code."""
     command = parse(DeployCommand, argv, "surefoot deploy", config=(tyro.conf.FlagCreatePairsOff,))
-    at_least("runs", command.runs, 1)
-    if command.duration is not None and not 0 < command.duration < math.inf:
-        raise SurefootError(f"duration is {command.duration:g}; it must be a finite number over 0 s")
     if command.out is not None and command.out.exists() and not command.out.is_dir():
         raise SurefootError(f"out is {command.out}; it must be a folder")
     from surefoot.cli.policies import find_policy

@@ -14,11 +14,12 @@ from rich.text import Text
 
 from surefoot.cli.parsing import parse
 from surefoot.cli.policies import find_policy
+from surefoot.configuration import Within
 from surefoot.deploy.connection import open_connection
 from surefoot.deploy.doctor.examination import Examination, examine
 from surefoot.deploy.findings import Finding
 from surefoot.deploy.link import BAUD, LinkLostError
-from surefoot.errors import SurefootError, at_least
+from surefoot.errors import SurefootError
 from surefoot.policy.runtime import PolicyRuntime
 from surefoot.robot import RobotDescription
 
@@ -49,11 +50,11 @@ class DoctorCommand:
     """The robot is an emulator that runs with --lockstep."""
     robot: str | None = None
     """Name or folder of the robot's description; the policy's, if not given."""
-    baud: int = BAUD
+    baud: Annotated[int, Within(9600, 100_000_000)] = BAUD
     """Bits a second of a serial port."""
-    pings: int = Examination.pings
+    pings: Annotated[int, Within(10, 100_000)] = Examination.pings
     """Pings that the link is measured with."""
-    steps: int = Examination.steps
+    steps: Annotated[int, Within(10, 100_000)] = Examination.steps
     """Control steps and inferences that this computer is measured with."""
     json: bool = False
     """Print one JSON object."""
@@ -62,8 +63,6 @@ class DoctorCommand:
 def main(argv: list[str]) -> int:
     """Run the command with the words after its name; returns the exit code."""
     command = parse(DoctorCommand, argv, "surefoot doctor", config=(tyro.conf.FlagCreatePairsOff,))
-    at_least("pings", command.pings, 10)
-    at_least("steps", command.steps, 10)
     if command.rack and command.ground:
         raise SurefootError("--rack and --ground don't go together; a robot hangs or sits: give one")
     policy = PolicyRuntime.load(find_policy(command.policy))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import math
 import signal
 import sys
 from dataclasses import dataclass
@@ -15,6 +14,7 @@ import tyro
 
 from surefoot.cli.evaluate import Settings
 from surefoot.cli.parsing import parse
+from surefoot.configuration import Seed, Within
 from surefoot.errors import SurefootError
 
 if TYPE_CHECKING:
@@ -51,7 +51,7 @@ class EmulateCommand:
     """File of physical parameters (.toml); the robot's own, if not given."""
     settings: Settings = ()
     """Physical parameters that differ, such as motor_strength=0.8."""
-    hidden_seed: int | None = None
+    hidden_seed: Seed | None = None
     """Draw physical parameters that nobody is told."""
     hidden_out: Path | None = None
     """File (.toml) to write them to, for checking later."""
@@ -63,15 +63,15 @@ class EmulateCommand:
     """Hold the base in the air."""
     ideal_sensors: bool = False
     """Encoders and IMU without quantization, noise and drift, a battery that does not sag."""
-    seed: int = 0
+    seed: Seed = 0
     """Seed of noise, and of faults at random."""
-    baud: float = 921600.0
+    baud: Annotated[float, Within(0, 1e8)] = 921600.0
     """Bits a second of the serial line, in real time; 0: bytes take no time."""
     link: Path | None = None
     """Symbolic link to the pseudo-terminal, removed at the end."""
     motion_capture: Path | None = None
     """File (.csv) for what a motion capture system sees of the robot, 200 times a second."""
-    duration: float | None = None
+    duration: Annotated[float, Within(0, 1e7, above=True)] | None = None
     """End after so much robot time [s]."""
     viewer: bool = False
     """Show the robot in a window."""
@@ -114,20 +114,12 @@ def _print_faults() -> None:
 
 
 def _check(command: EmulateCommand) -> None:
-    for name in ("duration", "baud"):
-        value = getattr(command, name)
-        if value is not None and not (math.isfinite(value) and (value > 0 or (name == "baud" and value == 0))):
-            raise SurefootError(f"{name} is {value:g}; it must be over 0")
     if command.baud and command.baud < 9600:
         raise SurefootError(f"baud is {command.baud:g}; it must be 9600 or more, or 0")
     if command.hidden_out is not None and command.hidden_seed is None:
         raise SurefootError("hidden_out needs hidden parameters; give --hidden-seed too")
     if command.hidden_seed is not None and (command.params is not None or command.settings):
         raise SurefootError("hidden_seed draws the parameters; it does not go with --params and --set")
-    for name in ("seed", "hidden_seed"):
-        value = getattr(command, name)
-        if value is not None and value < 0:
-            raise SurefootError(f"{name} is {value}; it must be 0 or more")
     for name, suffix in (("hidden_out", ".toml"), ("motion_capture", ".csv")):
         path = getattr(command, name)
         if path is None:

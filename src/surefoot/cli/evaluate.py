@@ -13,7 +13,8 @@ import tyro
 from surefoot.cli.parsing import parse
 from surefoot.cli.ranges import take_ranges
 from surefoot.cli.simulator import Simulator, SimulatorOptions
-from surefoot.errors import SurefootError, at_least
+from surefoot.configuration import Seed, Threads, Within
+from surefoot.errors import SurefootError
 from surefoot.task.randomize import RandomizeConfig
 
 if TYPE_CHECKING:
@@ -40,13 +41,13 @@ class EvaluateCommand:
     """Path of a policy file (.onnx), or the name of a policy that ships with surefoot."""
     trace: tuple[Path, ...] = ()
     """Recorded runs instead of a policy: trace files (.npz), or folders of them."""
-    episodes: int = 20
+    episodes: Annotated[int, Within(1, 10_000)] = 20
     """Episodes to run, side by side."""
     pushes: bool = False
     """Push the robot at random, as its task says how; without this nothing pushes."""
     settings: Settings = ()
     """Physical parameters that differ from the task's, such as motor_strength=0.8."""
-    seed: int = 1
+    seed: Seed = 1
     """The one seed."""
     json: bool = False
     """Print one JSON object instead of a table."""
@@ -60,7 +61,7 @@ class EvaluateCommand:
     """Name or folder of the robot; the one of the policy's task, if not given."""
     out: Path | None = None
     """Folder for traces (.npz), a footfall diagram and an episode plot (.png)."""
-    threads: int = 0
+    threads: Threads = 0
     """Threads of the simulation; 0 means one a core."""
 
 
@@ -73,8 +74,6 @@ def main(argv: list[str]) -> int:
         return _recorded(command, bool(ranges.ranges))
     if command.policy is None:
         raise SurefootError("no POLICY and no --trace is given; give one of them")
-    for name, number, least in (("episodes", command.episodes, 1), ("threads", command.threads, 0)):
-        at_least(name, number, least)
     from surefoot.cli.policies import adjust_task, find_policy, find_world, load_policy
     from surefoot.evaluate.metrics import summarize
 

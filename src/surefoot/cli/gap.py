@@ -12,10 +12,11 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import tyro
 
 from surefoot.cli.evaluate import Settings
-from surefoot.cli.gap_sides import Side, check_heeded, check_lengths, check_sides, folder_name, labels
+from surefoot.cli.gap_sides import Side, check_heeded, check_lengths, check_sides, labels
 from surefoot.cli.parsing import parse
 from surefoot.cli.simulator import Simulator
-from surefoot.errors import SurefootError, at_least
+from surefoot.configuration import Duration, Seed, Threads, Within
+from surefoot.errors import SurefootError, check_name
 
 if TYPE_CHECKING:
     from surefoot.cli.policies import Candidate
@@ -46,9 +47,9 @@ class GapCommand:
         tyro.conf.arg(name="to", metavar="WORLD | trace FOLDER"),
     ] = ()
     """Another world: mujoco or bullet, or recorded traces; as often as you like."""
-    runs: int = 3
+    runs: Annotated[int, Within(1, 10_000)] = 3
     """Runs of each policy in each world."""
-    duration: float | None = None
+    duration: Duration | None = None
     """Length of a run [s], the same in all worlds; that of the policy's task, if not given."""
     params: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
     """File of a robot's physical parameters (.toml): that robot is simulated on all sides, at home too."""
@@ -70,23 +71,19 @@ class GapCommand:
     """Actuator in the worlds of --to; dc: servo and DC motor; constraint: the position motor of physics engines."""
     pushes: bool = False
     """Push the robot at random in all worlds, as its task says how; without this nothing pushes."""
-    seed: int = 1
+    seed: Seed = 1
     """The one seed: run i starts alike in every world."""
     out: Path = Path("gap")
     """Folder for traces (.npz), tables (.csv) and the figure (.png)."""
     json: bool = False
     """Print one JSON object instead of a table."""
-    threads: int = 0
+    threads: Threads = 0
     """Threads, or processes, of a simulation; 0 means one a core."""
 
 
 def main(argv: list[str]) -> int:
     """Run the command with the words after its name; returns the exit code."""
     command = parse(GapCommand, argv, "surefoot gap", config=(tyro.conf.FlagCreatePairsOff,))
-    for name, number, least in (("runs", command.runs, 1), ("seed", command.seed, 0), ("threads", command.threads, 0)):
-        at_least(name, number, least)
-    if command.duration is not None and not 0 < command.duration < math.inf:
-        raise SurefootError(f"duration is {command.duration:g} s; it must be over 0")
     if not command.policies:
         raise SurefootError("no policy is given; give one or more .onnx files, or names of policies that ship")
     home, away = Side.of_words("--from", command.home), [Side.of_words("--to", words) for words in command.away]
@@ -101,7 +98,7 @@ def main(argv: list[str]) -> int:
     ):
         if given:
             check_heeded(option, sides)
-    from surefoot.cli.policies import distinct_names, find_policy, find_world, load_policies
+    from surefoot.cli.policies import find_policy, find_world, load_policies
     from surefoot.evaluate.recorded import by_policy, find_traces, world_of
     from surefoot.evaluate.sensitivity import episode_duration
 
@@ -116,19 +113,20 @@ def main(argv: list[str]) -> int:
     named = labels(worlds, (home, *away))
     for one, (at_home, _) in zip(candidates, tasks, strict=True):
         check_lengths([trace for given in recorded.values() for trace in given[one.name]], episode_duration(at_home))
+    for one in candidates:
+        check_name("policy name", one.name)
     import_module("matplotlib")
     command.out.mkdir(parents=True, exist_ok=True)
-    folders = distinct_names(cleaned := [folder_name(name) for name in names], cleaned)
     runs: dict[tuple[str, str], Recorded] = {}
-    for one, folder, (at_home, elsewhere) in zip(candidates, folders, tasks, strict=True):
+    for one, (at_home, elsewhere) in zip(candidates, tasks, strict=True):
         for number, (side, label) in enumerate(zip((home, *away), named, strict=True)):
             if side in recorded:
                 runs[one.name, label] = recorded[side][one.name]
             else:
                 task = elsewhere if number else at_home
-                place = command.out / folder / label
+                place = command.out / one.name / label
                 runs[one.name, label] = _run(command, one, task, side.world, makers[side], place)
-    return _tell(command, candidates, tasks, robot.name, (home, *away), named, folders, runs)
+    return _tell(command, candidates, tasks, robot.name, (home, *away), named, runs)
 
 
 def _tasks(command: GapCommand, task: TaskConfig, robot: RobotDescription) -> tuple[TaskConfig, TaskConfig]:
@@ -190,7 +188,6 @@ def _tell(
     robot: str,
     sides: tuple[Side, ...],
     named: list[str],
-    folders: list[str],
     runs: dict[tuple[str, str], Recorded],
 ) -> int:
     """Measure the runs; write tables and figure, and print what came out."""
@@ -211,9 +208,9 @@ def _tell(
         write_runs_csv(command.out / "runs.csv", gaps, places),
         gap_figure(gaps, command.out / "gap.png", pooled),
     ]
-    for one, folder in zip(candidates, folders, strict=True):
+    for one in candidates:
         traces = {label: [trace for _, trace in runs[one.name, label]] for label in named}
-        files.append(side_by_side(traces, command.out / folder / "runs.png", one.name))
+        files.append(side_by_side(traces, command.out / one.name / "runs.png", one.name))
     if not command.json:
         print_table(whole, named[0], files)
         return 0

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -111,8 +110,3 @@ def labels(worlds: Sequence[str], sides: Sequence[Side]) -> list[str]:
             name, number = f"{stem}-{number}", number + 1
         taken.append(name)
     return taken
-
-
-def folder_name(name: str) -> str:
-    """A policy's name as a folder's: whatever a path could trip over becomes a hyphen."""
-    return re.sub(r"[^\w.-]+", "-", name).strip(".-") or "policy"

@@ -10,10 +10,12 @@ import json
 import sys
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 import tyro
 
 from surefoot.cli.parsing import parse
+from surefoot.configuration import Within
 from surefoot.deploy.link import BAUD
 from surefoot.errors import SurefootError
 from surefoot.identify.overlay import Known, read_known
@@ -50,7 +52,7 @@ class ExperimentCommand:
     """Do not ask before motors move."""
     lockstep: bool = False
     """The robot is an emulator that runs with --lockstep."""
-    baud: int = BAUD
+    baud: Annotated[int, Within(9600, 100_000_000)] = BAUD
     """Bits a second of a serial port."""
     robot: str = "minitaur"
     """Name or folder of the robot's description."""

@@ -6,11 +6,13 @@ import json
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
+from typing import Annotated
 
 import tyro
 
 from surefoot.cli.evaluate import Settings
 from surefoot.cli.parsing import parse
+from surefoot.configuration import Duration, Within
 from surefoot.errors import SurefootError
 
 
@@ -28,11 +30,11 @@ class MotorFigureCommand:
     """Figure to write (.png)."""
     motor: str | None = None
     """Name of the motor; the robot's first one, if not given."""
-    amplitude: float = 0.3
+    amplitude: Annotated[float, Within(-10, 10)] = 0.3
     """Amplitude of the sine [rad], if no log is given."""
-    frequency: float = 3.0
+    frequency: Annotated[float, Within(0, 1000, above=True)] = 3.0
     """Frequency of the sine [Hz], if no log is given."""
-    duration: float = 1.0
+    duration: Duration = 1.0
     """Length of the sine [s], if no log is given."""
     record: Path | None = None
     """Write what the DC motor did as a log (.csv), for a model of it somewhere else."""
@@ -51,9 +53,6 @@ def main(argv: list[str]) -> int:
     command = parse(MotorFigureCommand, argv, "surefoot identify motor-figure", config=(tyro.conf.FlagCreatePairsOff,))
     if command.out.suffix.lower() != ".png":
         raise SurefootError(f"figure {command.out}: the name must end in .png")
-    for name in ("frequency", "duration"):
-        if not getattr(command, name) > 0:
-            raise SurefootError(f"{name} is {getattr(command, name):g}; it must be over 0")
     import_module("matplotlib")
     from surefoot.cli.policies import find_world
     from surefoot.identify.motor_figure import MotorLog, motor_index, run_motor_experiment

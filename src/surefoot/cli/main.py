@@ -22,6 +22,8 @@ COMMANDS = {
     "sensitivity": ("surefoot.cli.sensitivity", "find which physical parameters break a policy"),
     "gap": ("surefoot.cli.gap", "measure what policies lose in another world, or on a robot"),
 }
+_LONGEST = 2000
+"""Characters of an error that are told."""
 _EXTRAS = {
     "sim": ("mujoco", "numba", "llvmlite", "gymnasium", "scipy"),
     "train": ("torch", "tensordict", "rsl_rl", "onnx", "tensorboard"),
@@ -45,6 +47,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 0
     if words[0] not in COMMANDS:
         return _fail(f"'{words[0]}' is no command; commands: {choices(COMMANDS)}")
+    # Such words could be neither printed nor kept in a file.
+    if not all(word.isprintable() for word in words):
+        return _fail("the words hold characters that can't be printed; give them in UTF-8, without control characters")
     try:
         code: int = importlib.import_module(COMMANDS[words[0]][0]).main(words[1:])
         sys.stdout.flush()
@@ -70,7 +75,12 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _fail(message: str) -> int:
-    print(f"surefoot: error: {' '.join(message.split())}", file=sys.stderr)
+    line = " ".join(message.split())
+    if len(line) > _LONGEST:
+        line = f"{line[:_LONGEST]} ..."
+    # What a file holds must not steer the terminal.
+    line = "".join(letter if letter.isprintable() else "?" for letter in line)
+    print(f"surefoot: error: {line}", file=sys.stderr)
     return 2
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -13,6 +12,7 @@ import tyro
 from surefoot.cli.evaluate import Settings
 from surefoot.cli.parsing import parse
 from surefoot.cli.simulator import Simulator, SimulatorOptions
+from surefoot.configuration import Duration, Seed
 from surefoot.errors import SurefootError
 
 if TYPE_CHECKING:
@@ -25,7 +25,7 @@ class PlayCommand:
 
     policy: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="POLICY")]
     """Path of a policy file (.onnx), or the name of a policy that ships with surefoot."""
-    seconds: float = 6.0
+    seconds: Duration = 6.0
     """How long the robot runs, in simulated time."""
     out: Path | None = None
     """MP4 to write, display or not; POLICY.mp4 here, if not given and there is no display."""
@@ -33,7 +33,7 @@ class PlayCommand:
     """Push the robot at random, as its task says how; without this nothing pushes."""
     settings: Settings = ()
     """Physical parameters that differ from the task's, such as motor_strength=0.8."""
-    seed: int = 1
+    seed: Seed = 1
     """The one seed."""
     world: str = "mujoco"
     """Where to run: mujoco or bullet."""
@@ -47,8 +47,6 @@ def main(argv: list[str]) -> int:
     """Run the command with the words after its name; returns the exit code."""
     config = (tyro.conf.FlagCreatePairsOff,)
     command = parse(PlayCommand, argv, "surefoot play", config=config)
-    if not (command.seconds > 0 and math.isfinite(command.seconds)):
-        raise SurefootError(f"seconds is {command.seconds:g}; it must be over 0")
     if command.out is not None and command.out.suffix.lower() != ".mp4":
         raise SurefootError(f"video {command.out}: the name must end in .mp4")
     from surefoot.cli.policies import adjust_task, find_policy, find_world, load_policy

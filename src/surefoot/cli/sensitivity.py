@@ -12,7 +12,8 @@ import tyro
 
 from surefoot.cli.parsing import parse
 from surefoot.cli.simulator import Simulator, SimulatorOptions, check_params
-from surefoot.errors import SurefootError, at_least
+from surefoot.configuration import Duration, Seed, Threads, Within
+from surefoot.errors import SurefootError
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -36,15 +37,15 @@ class SensitivityCommand:
     """Folder for tables (.csv) and figures (.png)."""
     ranges: str = "table1"
     """Rows to vary and their ranges: the name of a table, or a YAML file."""
-    values: int = 10
+    values: Annotated[int, Within(2, 1000)] = 10
     """Values of each row, evenly spaced, the ends of its range included."""
-    episodes: int = 8
+    episodes: Annotated[int, Within(1, 10_000)] = 8
     """Episodes in each world."""
-    duration: float | None = None
+    duration: Duration | None = None
     """Length of an episode [s], the same in all worlds; the longest of the policies' tasks, if not given."""
     pushes: bool = False
     """Push the robot at random, as its task says how; without this nothing pushes."""
-    seed: int = 1
+    seed: Seed = 1
     """The one seed."""
     json: bool = False
     """Print one JSON object instead of tables."""
@@ -52,23 +53,15 @@ class SensitivityCommand:
     """Where to run: mujoco or bullet."""
     simulator: SimulatorOptions = Simulator()
     """Another simulator than the policies' own, as the nominal world."""
-    threads: int = 0
+    threads: Threads = 0
     """Threads of the simulation; 0 means one a core."""
 
 
 def main(argv: list[str]) -> int:
     """Run the command with the words after its name; returns the exit code."""
     command = parse(SensitivityCommand, argv, "surefoot sensitivity", config=(tyro.conf.FlagCreatePairsOff,))
-    for name, number, least in (
-        ("episodes", command.episodes, 1),
-        ("values", command.values, 2),
-        ("threads", command.threads, 0),
-    ):
-        at_least(name, number, least)
     if not command.policies:
         raise SurefootError("no policy is given; give one or more .onnx files, or names of policies that ship")
-    if command.duration is not None and not command.duration > 0:
-        raise SurefootError(f"duration is {command.duration:g} s; it must be over 0")
     from surefoot.cli.policies import SIDE_BY_SIDE, find_policy, find_world, load_policies
     from surefoot.task.randomize import check_ranges, load_ranges
 

@@ -14,7 +14,7 @@ import tyro
 from rich.console import Console
 
 from surefoot.cli.parsing import parse
-from surefoot.configuration import to_mapping
+from surefoot.configuration import Seed, Threads, to_mapping
 from surefoot.errors import SurefootError
 from surefoot.learn.study import StudyConfig, StudyRun, load_study, study_runs
 from surefoot.learn.workers import Job, Outcome, run_jobs
@@ -34,9 +34,9 @@ class StudyCommand:
     """Folder for tables, figures and the report; results/NAME if not given."""
     runs: Path | None = None
     """Folder for the runs; runs/NAME if not given."""
-    workers: int = 0
+    workers: Threads = 0
     """Trainings side by side, each with one thread; 0 means one a core."""
-    seeds: tuple[int, ...] = ()
+    seeds: tuple[Seed, ...] = ()
     """Seeds in place of the file's."""
     only: tuple[str, ...] = ()
     """Groups to train and evaluate; all if not given. The report covers whatever is there."""
@@ -51,8 +51,6 @@ class StudyCommand:
 def main(argv: list[str]) -> int:
     """Run the command with the words after its name; returns the exit code."""
     command = parse(StudyCommand, argv, "surefoot study", config=(tyro.conf.FlagCreatePairsOff,))
-    if command.workers < 0:
-        raise SurefootError(f"workers is {command.workers}; it must be 0 (one a core) or more")
     if command.train_only and command.report_only:
         raise SurefootError("--train-only and --report-only leave nothing to do; give one of them, or neither")
     from surefoot.cli.study_results import check_kinds, evaluate_runs, report

@@ -5,15 +5,10 @@ The request comes as one line of JSON on standard input, figures go as lines of 
 
 from __future__ import annotations
 
-import fcntl
 import json
 import math
-import os
 import signal
 import sys
-import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -45,8 +40,10 @@ def main() -> int:
     request = json.loads(sys.stdin.readline())
     config = from_mapping(TrainConfig, request["config"])
     run = StudyRun(request["group"], config, Path(request["path"]))
+    from surefoot.learn.run_folder import alone
+
     try:
-        with _alone(run.path):
+        with alone(run.path, PATIENCE):
             return 0 if _train(run, lambda: asked[0] or orphaned()) else STOPPED
     except SurefootError as error:
         print(error, file=sys.stderr)
@@ -87,31 +84,6 @@ def _tell(figures: UpdateFigures, evaluation: Evaluation | None) -> None:
     if evaluation is not None:
         event["evaluation"] = asdict(evaluation)
     print(json.dumps(event), flush=True)
-
-
-@contextmanager
-def _alone(path: Path) -> Iterator[None]:
-    """Hold a folder so that no other process trains in it.
-
-    Raises:
-        SurefootError: another process keeps it.
-    """
-    with (path / "lock").open("a+") as lock:
-        end = time.monotonic() + PATIENCE
-        while True:
-            try:
-                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                break
-            except BlockingIOError:
-                if time.monotonic() > end:
-                    raise SurefootError(
-                        f"{path}: another process trains in this folder; wait for it, or end it"
-                    ) from None
-                time.sleep(0.2)
-        lock.truncate(0)
-        lock.write(f"{os.getpid()}\n")
-        lock.flush()
-        yield
 
 
 if __name__ == "__main__":

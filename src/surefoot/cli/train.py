@@ -83,25 +83,23 @@ def _parse(argv: list[str]) -> tuple[TrainConfig, Path]:
 def _train(config: TrainConfig | None, path: Path) -> int:
     from surefoot.learn.progress import TrainingProgress
     from surefoot.learn.run import TrainingRun
-    from surefoot.learn.run_folder import RunFolder
+    from surefoot.learn.run_folder import RunFolder, alone
     from surefoot.world.sim_world import SimWorld
 
     console = Console()
     resume = config is None
-    if config is None:
-        folder, config = RunFolder.open(path)
-        run = TrainingRun(config, folder, SimWorld, resume=True)
-    else:
-        folder = RunFolder.create(config, path)
-        run = TrainingRun(config, folder, SimWorld)
-    console.print(f"{'Going on with' if resume else 'Training'} {config.task.name} in {folder.path}", soft_wrap=True)
-    with TrainingProgress(config, console, run.trainer.steps) as progress, _Stop(console) as stop:
-        run.run(progress.update, stop.asked)
-    if not run.finished:
-        console.print(f"Stopped and saved at {run.trainer.steps:,} steps. To go on:", highlight=False)
-        console.print(f"  surefoot train --resume {folder.path}", soft_wrap=True, highlight=False)
-        return 130
-    finish(run, folder, console)
+    folder, config = RunFolder.open(path) if config is None else (RunFolder.create(config, path), config)
+    with alone(folder.path):
+        run = TrainingRun(config, folder, SimWorld, resume=resume)
+        begun = "Going on with" if resume else "Training"
+        console.print(f"{begun} {config.task.name} in {folder.path}", soft_wrap=True)
+        with TrainingProgress(config, console, run.trainer.steps) as progress, _Stop(console) as stop:
+            run.run(progress.update, stop.asked)
+        if not run.finished:
+            console.print(f"Stopped and saved at {run.trainer.steps:,} steps. To go on:", highlight=False)
+            console.print(f"  surefoot train --resume {folder.path}", soft_wrap=True, highlight=False)
+            return 130
+        finish(run, folder, console)
     return 0
 
 

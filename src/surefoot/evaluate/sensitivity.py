@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from surefoot.errors import SurefootError, at_least
 from surefoot.evaluate.rollout import Policy
 from surefoot.robot import PhysicalParams, RobotDescription
-from surefoot.task.config import TaskConfig
+from surefoot.task.config import MOST_STEPS, TaskConfig
 from surefoot.task.env import LocomotionEnv
 from surefoot.task.randomize import ROWS, RandomizeConfig, check_ranges, load_ranges, row_values
 from surefoot.world.interface import Simulation, SimulationFactory, WorldConfig
@@ -205,7 +205,7 @@ def run_sensitivity(
         randomize=RandomizeConfig(),
         pushes=replace(task.pushes, enabled=pushes, probability=1.0),
         # Every robot ends by its own number of control steps, which the environment knows nothing about.
-        max_steps=np.iinfo(np.int64).max,
+        max_steps=MOST_STEPS,
     )
     batch = max(robots // episodes - 1, 1) if robots else len(worlds)
     parts: list[tuple[Array, Flags, Array]] = []

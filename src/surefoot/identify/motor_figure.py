@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.errors import SurefootError, choices
+from surefoot.files import check_readable
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.world.interface import ACTUATORS, SimulationFactory, WorldConfig
 
@@ -59,6 +60,7 @@ class MotorLog:
             SurefootError: a file that can't be read or is no such table.
         """
         try:
+            check_readable(path)
             with path.open(newline="", encoding="utf-8") as file:
                 rows = list(csv.DictReader(file))
         except OSError as error:

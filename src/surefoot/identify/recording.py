@@ -14,8 +14,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from surefoot.configuration import is_number
 from surefoot.errors import SurefootError, choices
-from surefoot.files import whole_file
+from surefoot.files import check_readable, whole_file
 from surefoot.robot import RobotDescription
 
 Array = NDArray[np.float64]
@@ -162,6 +163,39 @@ def digest_of(arrays: dict[str, Array]) -> str:
     return total.hexdigest()
 
 
+def _misfit(arrays: dict[str, Any], meta: dict[str, Any], motors: int) -> str:
+    """What does not fit a recording in shape or type: name of an array or of an entry; empty if all do."""
+    commands, states = np.shape(arrays["sent_number"])[:1], np.shape(arrays["time"])[:1]
+    widths = dict.fromkeys(("sent_value", "motor_angle", "motor_velocity", "motor_torque", "temperature"), (motors,))
+    widths |= dict.fromkeys(("roll_pitch_yaw", "angular_velocity_base"), (3,))
+    for name, array in arrays.items():
+        rows = commands if name.startswith("sent_") else states
+        if len(rows) != 1 or array.shape != (*rows, *widths.get(name, ())) or array.dtype != np.float64:
+            return name
+
+    def numbers(*values: Any) -> bool:
+        return all(map(is_number, values))
+
+    phases, changes, frames = (meta[name] for name in ("phases", "mode_changes", "frames"))
+    right = {
+        "phases": isinstance(phases, list)
+        and all(
+            isinstance(phase, dict)
+            and all(isinstance(phase.get(key), str) for key in ("name", "use"))
+            and numbers(phase.get("mode"), phase.get("duration"))
+            for phase in phases
+        ),
+        "mode_changes": isinstance(changes, list)
+        and all(isinstance(change, list) and len(change) == 2 and numbers(*change) for change in changes),
+        "frames": isinstance(frames, dict) and numbers(*(frames.get(x) for x in ("received", "missing", "damaged"))),
+        "resting_states": isinstance(meta["resting_states"], int) and 0 <= meta["resting_states"] < 10**9,
+        "lead": numbers(meta["lead"]),
+    }
+    right |= {name: numbers(meta[name]) and meta[name] > 0 for name in ("period", "servo_period")}
+    right |= {name: isinstance(meta[name], str) for name in ("experiment", "ended", "date", "digest")}
+    return next((f"meta.{name}" for name, fits in right.items() if not fits), "")
+
+
 def load_recording(path: Path, robot: RobotDescription, experiment: str | None = None) -> Recording:
     """Read a recording.
 
@@ -171,6 +205,7 @@ def load_recording(path: Path, robot: RobotDescription, experiment: str | None =
     """
     names = {item.name for item in fields(Recording)} - {"meta"}
     try:
+        check_readable(path)
         with np.load(path, allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}
         meta = json.loads(str(arrays.pop("meta")))
@@ -186,10 +221,12 @@ def load_recording(path: Path, robot: RobotDescription, experiment: str | None =
     missing = [key for key in _META if key not in meta] + sorted(names ^ set(arrays))
     if missing:
         raise SurefootError(f"recording {path}: missing or unknown: {choices(missing)}")
-    if meta["robot"] != robot.name or tuple(meta["motor_names"]) != tuple(robot.motor_names):
+    if meta["robot"] != robot.name or meta["motor_names"] != list(robot.motor_names):
         raise SurefootError(f"recording {path}: is of robot '{meta['robot']}', not of '{robot.name}' with its motors")
     if experiment is not None and meta["experiment"] != experiment:
         raise SurefootError(f"recording {path}: is of experiment {meta['experiment']}, not {experiment}")
+    if odd := _misfit(arrays, meta, robot.num_motors):
+        raise SurefootError(f"recording {path}: {odd} does not fit; it must be what surefoot wrote")
     if digest_of(arrays) != meta["digest"]:
         raise SurefootError(f"recording {path}: was changed after it was made: its digest does not fit")
     if meta["ended"] != COMPLETE:

@@ -2,21 +2,27 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
-from surefoot.configuration import from_mapping
-from surefoot.errors import SurefootError, at_least
+from surefoot.configuration import Seed, Threads, Within, check_bounds, from_mapping
+from surefoot.errors import SurefootError, check_name, quoted
 from surefoot.task.config import TaskConfig, load_task
+
+Layers = tuple[Annotated[int, Within(1, 10_000)], ...]
+"""Units of the hidden layers of a network."""
+Steps = Annotated[int, Within(1, 10**12)]
+"""Control steps of all robots together."""
 
 
 @dataclass(frozen=True)
 class PPOConfig:
     """Proximal policy optimization (Schulman et al. 2017), as rsl_rl has it."""
 
-    policy_hidden: tuple[int, ...] = (185, 95)
+    policy_hidden: Layers = (185, 95)
     """Hidden layers of the policy network; the paper's for the gallop."""
-    value_hidden: tuple[int, ...] = (128, 128)
+    value_hidden: Layers = (128, 128)
     """Hidden layers of the value network."""
     activation: Literal["elu", "relu", "tanh", "selu", "swish"] = "elu"
     """Activation of the hidden layers."""
@@ -24,35 +30,39 @@ class PPOConfig:
     """Let the value network see the simulation's true state; it is not needed once training is over."""
     symmetry: bool = False
     """Learn from every sample's mirror image too: for robots and reference gaits that are left-right symmetric."""
-    init_std: float = 0.6
+    init_std: Annotated[float, Within(0, 100, above=True)] = 0.6
     """Standard deviation of the first policy's actions, in half widths of the feedback's bounds."""
-    epochs: int = 5
+    epochs: Annotated[int, Within(1, 1000)] = 5
     """Passes over the samples of an update."""
-    minibatches: int = 4
+    minibatches: Annotated[int, Within(1, 1_000_000)] = 4
     """Parts that a pass is split into."""
-    learning_rate: float = 1e-3
+    learning_rate: Annotated[float, Within(0, 1, above=True)] = 1e-3
     """Adam's learning rate at the start."""
     schedule: Literal["adaptive", "fixed"] = "adaptive"
     """adaptive: the learning rate follows the Kullback-Leibler divergence of the updates."""
-    desired_kl: float = 0.01
+    desired_kl: Annotated[float, Within(0, 100, above=True)] = 0.01
     """Divergence that the adaptive schedule aims at."""
-    gamma: float = 0.99
+    gamma: Annotated[float, Within(0, 1)] = 0.99
     """Discount factor for a control step."""
-    lam: float = 0.95
+    lam: Annotated[float, Within(0, 1)] = 0.95
     """Lambda of the generalized advantage estimate."""
-    clip: float = 0.2
+    clip: Annotated[float, Within(0, 100, above=True)] = 0.2
     """Clip range of the probability ratio, and of the value."""
-    value_coefficient: float = 1.0
+    value_coefficient: Annotated[float, Within(0, 1e6)] = 1.0
     """Weight of the value loss."""
-    entropy_coefficient: float = 0.003
+    entropy_coefficient: Annotated[float, Within(0, 1e6)] = 0.003
     """Weight of the entropy bonus."""
-    max_grad_norm: float = 1.0
+    max_grad_norm: Annotated[float, Within(0, 1e6, above=True)] = 1.0
     """Gradients are clipped to this norm."""
-    fall_cost: float = 0.0
+    fall_cost: Annotated[float, Within(0, 1e6)] = 0.0
     """Return [m] that a fall takes away in learning, besides what could have come after it; the paper's is 0. Figures
     are reported without it."""
-    reward_scale: float = 50.0
+    reward_scale: Annotated[float, Within(0, 1e6, above=True)] = 50.0
     """Rewards are multiplied by this for learning; figures are reported unscaled."""
+
+    def __post_init__(self) -> None:
+        """Refuse numbers out of bounds."""
+        check_bounds(self, "ppo")
 
 
 @dataclass(frozen=True)
@@ -63,23 +73,23 @@ class TrainConfig:
     """What is to be learned."""
     name: str = "run"
     """Name of the run; its folder carries it."""
-    seed: int = 0
+    seed: Seed = 0
     """The one seed of the run."""
-    steps: int = 7_000_000
+    steps: Steps = 7_000_000
     """Control steps of all robots together; the paper's budget."""
-    num_envs: int = 128
+    num_envs: Annotated[int, Within(1, 100_000)] = 128
     """Robots that are simulated side by side."""
-    steps_per_update: int = 64
+    steps_per_update: Annotated[int, Within(1, 100_000)] = 64
     """Control steps of each robot between two updates of the policy."""
-    evaluate_every: int = 500_000
+    evaluate_every: Steps = 500_000
     """Control steps between two evaluations of the deterministic policy."""
-    evaluation_episodes: int = 8
+    evaluation_episodes: Annotated[int, Within(1, 10_000)] = 8
     """Episodes of such an evaluation."""
-    checkpoint_every: int = 1_000_000
+    checkpoint_every: Steps = 1_000_000
     """Control steps between two checkpoints that are kept."""
-    threads: int = 0
+    threads: Threads = 0
     """Threads of the simulation; 0 means one a core. The result does not depend on it."""
-    learning_threads: int = 0
+    learning_threads: Threads = 0
     """Threads of the learning; 0 means one a core. Sums are rounded in an order that depends on it: with a number,
     machines with more or fewer cores learn the same."""
     start_from: str | None = None
@@ -90,17 +100,8 @@ class TrainConfig:
 
     def __post_init__(self) -> None:
         """Refuse what no run can be."""
-        for key in (
-            "steps",
-            "num_envs",
-            "steps_per_update",
-            "evaluate_every",
-            "evaluation_episodes",
-            "checkpoint_every",
-        ):
-            at_least(key, getattr(self, key), 1)
-        if self.seed < 0:
-            raise SurefootError(f"seed is {self.seed}; it must not be below 0")
+        check_name("name", self.name)
+        check_bounds(self)
         if self.samples_per_update < self.ppo.minibatches:
             raise SurefootError(
                 f"num_envs {self.num_envs} x steps_per_update {self.steps_per_update} gives fewer samples than "
@@ -125,8 +126,10 @@ def load_train_config(task: str) -> TrainConfig:
         SurefootError: no such task, or a file that does not fit.
     """
     task_config, train = load_task(task)
-    data: dict[str, Any] = {"name": task_config.name, **train}
     try:
+        if not isinstance(train, Mapping):
+            raise SurefootError(f"it is {quoted(train)}; it must be a table of keys and values")
+        data: dict[str, Any] = {"name": task_config.name, **train}
         return from_mapping(TrainConfig, data, base=TrainConfig(task=task_config))
     except SurefootError as error:
         raise SurefootError(f"{task}: train: {error}") from None

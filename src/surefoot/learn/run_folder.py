@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fcntl
 import hashlib
 import io
 import json
@@ -10,6 +11,8 @@ import platform
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -20,7 +23,7 @@ import torch
 from surefoot import __version__
 from surefoot.configuration import from_mapping, read_yaml, write_yaml
 from surefoot.errors import SurefootError
-from surefoot.files import read_json_lines, whole_file
+from surefoot.files import read_configuration, read_json_lines, remove_abandoned, whole_file
 from surefoot.learn.config import TrainConfig
 
 FORMAT = 3
@@ -77,6 +80,41 @@ def read_checkpoint(path: Path) -> dict[str, Any]:
             f"{path}: is no checkpoint that surefoot wrote: it holds more than numbers, arrays and tables of them"
         ) from error
     return state
+
+
+@contextmanager
+def alone(path: Path, patience: float = 0.0) -> Iterator[None]:
+    """Hold a run's folder so that no other process trains in it, and remove what killed ones had under way there.
+
+    Args:
+        path: the folder.
+        patience: how long [s] to wait for another process to leave.
+
+    Raises:
+        SurefootError: another process keeps it, or nothing can be written there.
+    """
+    try:
+        lock = (path / "lock").open("a+")
+    except OSError as error:
+        raise SurefootError(f"{path}: can't be trained in: {error.strerror}") from error
+    with lock:
+        end = time.monotonic() + patience
+        while True:
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                break
+            except BlockingIOError:
+                if time.monotonic() >= end:
+                    raise SurefootError(
+                        f"{path}: another process trains in this folder; wait for it, or end it"
+                    ) from None
+                time.sleep(0.2)
+        lock.truncate(0)
+        lock.write(f"{os.getpid()}\n")
+        lock.flush()
+        for folder in (path, path / "checkpoints"):
+            remove_abandoned(folder)
+        yield
 
 
 def _git_revision() -> str | None:
@@ -159,11 +197,11 @@ class RunFolder:
         """
         about_path = path / "run.json"
         try:
-            about = json.loads(about_path.read_text(encoding="utf-8"))
+            about = json.loads(read_configuration(about_path))
             written = about["format"]
         except OSError:
             raise SurefootError(f"{path}: is no run folder; one has run.json and config.yaml") from None
-        except (ValueError, KeyError, TypeError):
+        except (ValueError, KeyError, TypeError, RecursionError):
             raise SurefootError(f"{about_path}: is damaged; it must be the JSON that surefoot wrote") from None
         if written != FORMAT:
             raise SurefootError(

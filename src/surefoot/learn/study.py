@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import itertools
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
-from surefoot.configuration import from_mapping, read_yaml, write_yaml
-from surefoot.errors import SurefootError, choices
+from surefoot.configuration import Seed, Within, check_bounds, from_mapping, read_yaml, write_yaml
+from surefoot.errors import SurefootError, check_name, choices
 from surefoot.files import read_json_lines
 from surefoot.learn.config import TrainConfig, load_train_config
 from surefoot.task.config import preset_names
@@ -54,7 +53,7 @@ class StudyConfig:
     """Name of the study; its folders carry it."""
     task: str = "trot"
     """Base of every group: a preset, or the path of a task's file, counted from the study's file."""
-    seeds: tuple[int, ...] = (0, 1, 2)
+    seeds: tuple[Seed, ...] = (0, 1, 2)
     """A training for each, in every group."""
     train: dict[str, Any] = field(default_factory=dict)
     """What all groups share and the task does not say: any field of TrainConfig."""
@@ -62,7 +61,7 @@ class StudyConfig:
     """Kinds of evaluation of every trained policy."""
     compare: tuple[tuple[str, str], ...] = ()
     """Pairs of groups whose difference is reported, the second against the first; every pair, if empty."""
-    top: int = 3
+    top: Annotated[int, Within(1, 1000)] = 3
     """How many policies of a group, those with the highest return in their own simulator, tell its reality gap."""
     bars: dict[str, tuple[str, ...]] = field(default_factory=dict)
     """Groups whose reality gaps are drawn side by side, by the name of the figure."""
@@ -74,17 +73,13 @@ class StudyConfig:
         if not self.groups:
             raise SurefootError("groups is empty; a study has 1 group or more")
         for what in (self.name, *self.groups, *self.bars):
-            if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_.-]*", what):
-                raise SurefootError(
-                    f"name '{what}': letters, digits, _ - and . only, since a file or folder is so called"
-                )
-        if not self.seeds or min(self.seeds) < 0 or len(set(self.seeds)) < len(self.seeds):
-            raise SurefootError(f"seeds is {list(self.seeds)}; it takes 1 or more, none below 0 and none twice")
+            check_name("name", what)
+        check_bounds(self)
+        if not self.seeds or len(set(self.seeds)) < len(self.seeds):
+            raise SurefootError(f"seeds is {list(self.seeds)}; it takes 1 or more, none twice")
         for name in (name for pair in self.compare for name in pair):
             if name not in self.groups:
                 raise SurefootError(f"compare: '{name}' is no group of the study; groups: {choices(self.groups)}")
-        if self.top < 1:
-            raise SurefootError(f"top is {self.top}; it must be 1 policy or more")
         for name, groups in self.bars.items():
             self._check_set(f"bars.{name}", groups)
         told = [set(groups) for groups in (*self.bars.values(), *self.pairs)]

@@ -137,11 +137,15 @@ def render_video(
         output_params=["-crf", str(quality), "-preset", "veryfast", "-movflags", "+faststart"],
     )
     try:
+        # Where no file can be made, ffmpeg would say so by its whole command.
+        temporary.touch()
         writer.send(None)
         for frame in film.frames(clock, size):
             writer.send(frame.tobytes())
         writer.close()
         os.replace(temporary, path)
+    except OSError as error:
+        raise SurefootError(f"video {path}: can't be written: {error.strerror or 'ffmpeg failed'}") from error
     finally:
         writer.close()
         temporary.unlink(missing_ok=True)

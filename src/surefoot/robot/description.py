@@ -6,14 +6,14 @@ a robot that ships with surefoot or the path of such a folder.
 
 from __future__ import annotations
 
-import tomllib
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from surefoot.errors import SurefootError, choices
+from surefoot.configuration import read_toml
+from surefoot.errors import SurefootError, check_name, choices
 from surefoot.robot.leg import FiveBar, leg_to_motor, motor_to_leg
 from surefoot.robot.params import PhysicalParams
 from surefoot.robot.sheet import Sheet
@@ -119,9 +119,9 @@ class RobotDescription:
                 f"robot '{robot}': no such robot and no folder with a robot.toml; robots: {choices(cls.available())}"
             )
         try:
-            data = tomllib.loads(sheet_path.read_text(encoding="utf-8"))
-        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-            raise SurefootError(f"{sheet_path}: is not TOML: {error}") from error
+            data, _ = read_toml(sheet_path)
+        except OSError as error:
+            raise SurefootError(f"{sheet_path}: can't be read: {error.strerror}") from error
         description = cls._from_sheet(Sheet(sheet_path, data), folder)
         description._check_legs(sheet_path)
         return description
@@ -132,6 +132,7 @@ class RobotDescription:
             *("name", "urdf", "base", "body_length", "motors", "legs", "leg_geometry", "loops"),
             *("leg_space", "actuator", "timing", "contact", "allowed"),
         )
+        check_name(f"{sheet.path}: name", sheet.text("name"))
         urdf = read_urdf(folder / sheet.text("urdf"))
         links, joints = list(urdf.links), list(urdf.joints)
         base = sheet.one_of("base", links)

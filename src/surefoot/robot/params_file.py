@@ -12,7 +12,6 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-import tomllib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from datetime import date, time
@@ -21,7 +20,8 @@ from typing import Any
 
 import numpy as np
 
-from surefoot.errors import SurefootError
+from surefoot.configuration import is_number, read_toml
+from surefoot.errors import SurefootError, quoted
 from surefoot.files import whole_file
 from surefoot.robot.description import RobotDescription
 from surefoot.robot.params import PhysicalParams
@@ -71,12 +71,11 @@ def read_params(path: Path, robot: RobotDescription) -> ParamsFile:
             robot does not have.
     """
     try:
-        content = path.read_bytes()
-        data = tomllib.loads(content.decode("utf-8"))
+        data, content = read_toml(path)
     except OSError as error:
         raise SurefootError(f"parameters {path}: {error.strerror}") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise SurefootError(f"parameters {path}: is not TOML: {error}") from error
+    except SurefootError as error:
+        raise SurefootError(f"parameters {error}") from None
     table = data.pop("params", None)
     if not isinstance(table, dict):
         raise SurefootError(f"parameters {path}: has no table [params]; it holds NAME = number or list")
@@ -84,8 +83,9 @@ def read_params(path: Path, robot: RobotDescription) -> ParamsFile:
         raise SurefootError(f"parameters {path}: are for robot '{data['robot']}', not for '{robot.name}'")
     for name, value in table.items():
         numbers = value if isinstance(value, list) else [value]
-        if not numbers or not all(isinstance(x, int | float) and not isinstance(x, bool) for x in numbers):
-            raise SurefootError(f"parameters {path}: params.{name} is {value!r}; it must be a number or a list of such")
+        if not numbers or not all(map(is_number, numbers)):
+            rule = "it must be a finite number or a list of such"
+            raise SurefootError(f"parameters {path}: params.{name} is {quoted(value)}; {rule}")
     try:
         params = PhysicalParams.nominal(robot).with_values(robot, **table)
     except SurefootError as error:

@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import MISSING, dataclass, fields
 from pathlib import Path
 from typing import Any, TypeVar
 
-from surefoot.errors import SurefootError, choices
+from surefoot.configuration import is_number
+from surefoot.errors import SurefootError, choices, quoted
 
 T = TypeVar("T")
 Point = tuple[float, float, float]
-
-
-def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
 
 
 @dataclass(frozen=True)
@@ -48,7 +44,7 @@ class Sheet:
         """The table under a key, with exactly the keys given (any, if none is given)."""
         value = self._get(key)
         if not isinstance(value, dict):
-            raise self.error(key, f"is {value!r}", "it must be a table")
+            raise self.error(key, f"is {quoted(value)}", "it must be a table")
         table = Sheet(self.path, value, f"{self.prefix}{key}.")
         if keys:
             table.allow_only(*keys)
@@ -58,7 +54,7 @@ class Sheet:
         """The list of tables under a key, each with exactly the keys given."""
         value = self._get(key)
         if not isinstance(value, list) or not all(isinstance(item, dict) for item in value):
-            raise self.error(key, f"is {value!r}", "it must be a list of tables")
+            raise self.error(key, f"is {quoted(value)}", "it must be a list of tables")
         tables = [Sheet(self.path, item, f"{self.prefix}{key}.") for item in value]
         for table in tables:
             table.allow_only(*keys)
@@ -68,7 +64,7 @@ class Sheet:
         """A string."""
         value = self._get(key)
         if not isinstance(value, str):
-            raise self.error(key, f"is {value!r}", "it must be text")
+            raise self.error(key, f"is {quoted(value)}", "it must be text")
         return value
 
     def one_of(self, key: str, names: Sequence[str]) -> str:
@@ -82,9 +78,9 @@ class Sheet:
         """A list of different strings."""
         value = self._get(key)
         if not isinstance(value, list) or not all(isinstance(item, str) for item in value):
-            raise self.error(key, f"is {value!r}", "it must be a list of names")
+            raise self.error(key, f"is {quoted(value)}", "it must be a list of names")
         if len(set(value)) != len(value) or not value:
-            raise self.error(key, f"is {value!r}", "it must have names, and none twice")
+            raise self.error(key, f"is {quoted(value)}", "it must have names, and none twice")
         return value
 
     def names(self, key: str, valid: Sequence[str], count: int | None = None) -> list[str]:
@@ -100,15 +96,15 @@ class Sheet:
     def number(self, key: str) -> float:
         """A number."""
         value = self._get(key)
-        if not _is_number(value):
-            raise self.error(key, f"is {value!r}", "it must be a finite number")
+        if not is_number(value):
+            raise self.error(key, f"is {quoted(value)}", "it must be a finite number")
         return float(value)
 
     def numbers(self, key: str, count: int | None = None) -> list[float]:
         """A list of numbers, of a given length."""
         value = self._get(key)
-        if not isinstance(value, list) or not all(map(_is_number, value)):
-            raise self.error(key, f"is {value!r}", "it must be a list of finite numbers")
+        if not isinstance(value, list) or not all(map(is_number, value)):
+            raise self.error(key, f"is {quoted(value)}", "it must be a list of finite numbers")
         if count is not None and len(value) != count:
             raise self.error(key, f"has {len(value)} numbers", f"it must have {count}")
         return [float(item) for item in value]
@@ -120,10 +116,10 @@ class Sheet:
             isinstance(value, list)
             and len(value) == 2
             and all(isinstance(point, list) and len(point) == 3 for point in value)
-            and all(_is_number(x) for point in value for x in point)
+            and all(is_number(x) for point in value for x in point)
         ):
             rule = "it must be two points of three finite numbers"
-            raise self.error(key, f"of table {index + 1} is {value!r}", rule)
+            raise self.error(key, f"of table {index + 1} is {quoted(value)}", rule)
         (a, b, c), (d, e, f) = value
         return (float(a), float(b), float(c)), (float(d), float(e), float(f))
 

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from surefoot.errors import SurefootError, choices
+from surefoot.files import read_configuration
 
 
 @dataclass(frozen=True)
@@ -85,7 +86,7 @@ def read_urdf(path: Path) -> Urdf:
         SurefootError: the file can't be read, is not a URDF, or a mass or inertia is not that of a body.
     """
     try:
-        robot = ElementTree.parse(path).getroot()
+        robot = ElementTree.fromstring(read_configuration(path))
     except OSError as error:
         raise SurefootError(f"{path}: can't be read: {error.strerror}") from error
     except ElementTree.ParseError as error:

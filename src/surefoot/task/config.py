@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
-from surefoot.configuration import from_mapping, read_yaml
-from surefoot.errors import SurefootError, choices
+from surefoot.configuration import Within, check_bounds, from_mapping, read_yaml
+from surefoot.errors import SurefootError, check_name, choices
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.robot.params_file import ParamValue
 from surefoot.task.observation import IMU_AND_MOTORS_12D
@@ -17,6 +17,9 @@ from surefoot.task.randomize import RandomizeConfig, with_ranges
 from surefoot.task.reward import ENERGY_WEIGHT
 
 _PRESETS = Path(__file__).parent / "presets"
+
+MOST_STEPS = 1_000_000
+"""Control steps of the longest episode: hours."""
 
 PerLeg = float | dict[str, float]
 
@@ -47,7 +50,7 @@ class ReferenceConfig:
     """Extension of the legs, for kind sine."""
     file: str | None = None
     """CSV or NPZ file with columns swing_LEG and extension_LEG, for kind table."""
-    period: float | None = None
+    period: Annotated[float, Within(0, 3600, above=True)] | None = None
     """Time [s] in which the table is gone through once."""
     rows: dict[str, dict[str, tuple[float, ...]]] | None = None
     """The table itself, in place of `file`: under swing and extension, each leg's poses [rad]."""
@@ -75,7 +78,8 @@ class FeedbackConfig:
     """Least and greatest feedback on each leg's extension."""
 
     def __post_init__(self) -> None:
-        """Refuse reversed bounds."""
+        """Refuse reversed bounds, and bounds that are not finite."""
+        check_bounds(self, "feedback")
         for name, (low, high) in (("swing", self.swing), ("extension", self.extension)):
             if not low <= high:
                 raise SurefootError(f"feedback.{name} is [{low:g}, {high:g}]; the lower bound must come first")
@@ -91,7 +95,7 @@ class TaskConfig:
     """Name of a robot that ships with surefoot, or the path of a robot's folder."""
     observations: tuple[str, ...] = IMU_AND_MOTORS_12D
     """Parts of the observation, in order."""
-    history: int = 1
+    history: Annotated[int, Within(1, 100)] = 1
     """How many of the last observations the policy sees, the newest first."""
     reference: ReferenceConfig = field(default_factory=ReferenceConfig)
     """The open loop part of the gait."""
@@ -99,11 +103,11 @@ class TaskConfig:
     """Bounds of the policy's part."""
     rest: tuple[float, float] | None = None
     """Swing and extension [rad] in which the robot settles first; the middle of commands if not given."""
-    energy_weight: float = ENERGY_WEIGHT
+    energy_weight: Annotated[float, Within(0, 1e6)] = ENERGY_WEIGHT
     """w of the reward [m/J]."""
-    fall_angle: float = 0.5
+    fall_angle: Annotated[float, Within(0, math.pi)] = 0.5
     """Roll or pitch [rad] beyond which an episode ends."""
-    max_steps: int = 1000
+    max_steps: Annotated[int, Within(1, MOST_STEPS)] = 1000
     """Control steps of an episode."""
     pushes: PushConfig = field(default_factory=PushConfig)
     """Random pushes on the base."""
@@ -117,22 +121,15 @@ class TaskConfig:
     """dc: servo and DC motor; constraint: the position motor of physics engines, the paper's baseline."""
     thermal_protection: bool = False
     """Switch off motors that overheat."""
-    start_linear_speed: float = 0.05
+    start_linear_speed: Annotated[float, Within(0, 100)] = 0.05
     """An episode starts with a random base velocity, each component up to this [m/s]."""
-    start_angular_speed: float = 0.1
+    start_angular_speed: Annotated[float, Within(0, 100)] = 0.1
     """An episode starts with a random angular velocity, each component up to this [rad/s]."""
 
     def __post_init__(self) -> None:
         """Refuse what no task can be."""
-        if not 1 <= self.max_steps <= 1_000_000:
-            raise SurefootError(f"max_steps is {self.max_steps}; an episode has 1 to 1,000,000 control steps")
-        if self.history < 1:
-            raise SurefootError(f"history is {self.history}; the policy sees 1 observation or more")
-        for name in ("fall_angle", "energy_weight", "start_linear_speed", "start_angular_speed"):
-            if not getattr(self, name) >= 0:
-                raise SurefootError(f"{name} is {getattr(self, name):g}; it must not be below 0")
-        if self.fall_angle > math.pi:
-            raise SurefootError(f"fall_angle is {self.fall_angle:g}; an angle of roll or pitch is at most pi rad")
+        check_name("name", self.name)
+        check_bounds(self)
 
     def nominal(self, robot: RobotDescription) -> PhysicalParams:
         """Physical parameters of the task's robot where nothing is drawn, one row.

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.errors import SurefootError
+from surefoot.files import check_readable
 from surefoot.task.trace import EpisodeTrace
 
 Array = NDArray[np.float64]
@@ -111,6 +112,7 @@ def recover(path: str | Path) -> EpisodeTrace:
     """
     path = Path(path)
     try:
+        check_readable(path)
         data = path.read_bytes()
     except OSError as error:
         raise SurefootError(f"partial trace {path}: can't be read: {error.strerror}") from error

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
+from surefoot.configuration import Within, check_bounds
 from surefoot.errors import SurefootError
 from surefoot.seeding import generators
 
@@ -19,25 +21,24 @@ class PushConfig:
 
     enabled: bool = False
     """Whether robots are pushed at all."""
-    period: float = 1.2
+    period: Annotated[float, Within(0, 3600, above=True)] = 1.2
     """Time from one push to the next [s]; the first comes after one period."""
     duration: float = 0.06
     """How long a push lasts [s]."""
-    force: tuple[float, float] = (130.0, 220.0)
+    force: Annotated[tuple[float, float], Within(0, 1e6)] = (130.0, 220.0)
     """Least and greatest force [N]."""
-    probability: float = 1.0
+    probability: Annotated[float, Within(0, 1)] = 1.0
     """Chance that a push that is due is given; the paper gives every one."""
 
     def __post_init__(self) -> None:
         """Refuse pushes that can't be."""
+        check_bounds(self, "pushes")
         if not 0 < self.duration < self.period:
             raise SurefootError(
                 f"pushes.duration is {self.duration:g} s; it must be over 0 and below pushes.period {self.period:g} s"
             )
-        if not 0 <= self.probability <= 1:
-            raise SurefootError(f"pushes.probability is {self.probability:g}; it must be from 0 to 1")
-        if not 0 <= self.force[0] <= self.force[1]:
-            raise SurefootError(f"pushes.force is {list(self.force)}; lower then upper bound, neither below 0 N")
+        if self.force[0] > self.force[1]:
+            raise SurefootError(f"pushes.force is {list(self.force)}; the lower bound must come first")
 
 
 class Pusher:

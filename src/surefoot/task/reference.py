@@ -15,7 +15,9 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from surefoot.errors import SurefootError, choices
+from surefoot.configuration import is_number
+from surefoot.errors import SurefootError, choices, quoted
+from surefoot.files import check_readable
 
 Array = NDArray[np.float64]
 
@@ -181,15 +183,15 @@ def make_reference(data: Mapping[str, Any] | None, legs: tuple[str, ...], folder
 
 def _only(data: Mapping[str, Any], where: str, keys: tuple[str, ...]) -> None:
     if not isinstance(data, Mapping):
-        raise SurefootError(f"{where} is {data!r}; it must be a table with keys out of: {choices(keys)}")
+        raise SurefootError(f"{where} is {quoted(data)}; it must be a table with keys out of: {choices(keys)}")
     for key in data:
         if key not in keys:
             raise SurefootError(f"{where}.{key} is no key; keys: {choices(keys)}")
 
 
 def _number(value: Any, where: str) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
-        raise SurefootError(f"{where} is {value!r}; it must be a finite number")
+    if not is_number(value):
+        raise SurefootError(f"{where} is {quoted(value)}; it must be a finite number")
     return float(value)
 
 
@@ -228,7 +230,7 @@ def _table(data: Mapping[str, Any], legs: tuple[str, ...], folder: Path | None) 
             _only(data.get(part, {}), f"reference.{part}", legs)
             try:
                 parts.append(np.array([data[part][leg] for leg in legs], dtype=np.float64).T)
-            except (KeyError, ValueError, TypeError):
+            except (KeyError, ValueError, TypeError, OverflowError):
                 raise SurefootError(
                     f"reference.{part} must give one list of numbers, equally long, for {choices(legs)}"
                 ) from None
@@ -247,6 +249,7 @@ def _read_table(path: Path, legs: tuple[str, ...]) -> tuple[Array, Array]:
     columns = [f"{part}_{leg}" for part in ("swing", "extension") for leg in legs]
     rule = f"a table has columns {choices(columns)}"
     try:
+        check_readable(path)
         if path.suffix == ".npz":
             with np.load(path) as archive:
                 table = {name: np.atleast_1d(archive[name]).astype(float) for name in archive.files}

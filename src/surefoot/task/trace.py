@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from surefoot.errors import SurefootError, choices
-from surefoot.files import whole_file
+from surefoot.files import DATA_BYTES, check_readable, whole_file
 
 SCHEMA = 1
 ENDINGS = ("time", "fall", "fault", "stopped")
@@ -243,6 +243,7 @@ def _plain(value: object) -> object:
 
 def _read_members(path: Path) -> dict[str, NDArray[Any]]:
     """Read every array of an .npz file whole, so that each member's checksum is verified."""
+    check_readable(path)
     with path.open("rb") as file:
         start = file.read(2)
         if not start:
@@ -251,6 +252,8 @@ def _read_members(path: Path) -> dict[str, NDArray[Any]]:
             raise ValueError("not an .npz file")
         file.seek(0)
         with zipfile.ZipFile(file) as archive:
+            if sum(member.file_size for member in archive.infolist()) > DATA_BYTES:
+                raise ValueError(f"it unpacks to more than {DATA_BYTES} bytes")
             return {
                 name.removesuffix(".npy"): np.lib.format.read_array(BytesIO(archive.read(name)))
                 for name in archive.namelist()

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from surefoot.errors import SurefootError, choices
+from surefoot.files import check_readable
 
 Array = NDArray[np.float64]
 
@@ -27,6 +28,7 @@ def read_capture(path: Path) -> dict[str, Array]:
         SurefootError: no such file, or one without the columns or with less than two rows.
     """
     try:
+        check_readable(path)
         lines = path.read_text(encoding="utf-8").splitlines()
     except (OSError, UnicodeDecodeError) as error:
         reason = error.strerror if isinstance(error, OSError) else "is not text"

@@ -1,0 +1,616 @@
+"""Commands with options and files that went bad, thousands of them: what does not end in one plain line is told.
+
+Each case takes a command that works, changes words of it or damages the file that it reads, and runs it in a process
+of its own. Wrong is a traceback, a case that does not end in time, an exit code that is not documented, an exit code 2
+without its line, or a file written anywhere but where the words say. A case is told by seed and number and depends on
+nothing else: `--seed S --case N` runs it once more and shows what it printed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import importlib
+import io
+import json
+import math
+import os
+import random
+import re
+import shutil
+import signal
+import sys
+import tempfile
+import time
+import traceback
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+LIMIT = 10.0
+"""Time of a processor [s] that a case may take."""
+PATIENCE = 12.0
+"""How much longer it may take by the clock, on a computer with other things to do."""
+UNCAUGHT = 70
+"""Exit code of a case that ended with a traceback."""
+NUMBERS = (
+    *("nan", "inf", "-inf", "1e30", "-1e30", "1e-300", "1e400", "-1", "0", "1", "2", "0.5", "-0.0", "3.7", "9" * 23),
+    *("1" + "0" * 400, "9" * 6000, "-" + "9" * 6000, "0x10", "1e", "\uff11"),
+)
+WORDS = (
+    *("", " ", "-", "--", "x", "true", "none", "null", "[", "{}", "[]", "../../x", "/", ".", "..", "/dev/zero"),
+    *("/dev/null", "/proc/x", "/proc/self/mem", "\u00e9", "\udc80", "\x1b[2J", "x" * 5000, "a b", "%s", "=", "a=b"),
+    *("mujoco", "trot", "minitaur", "table1", "2020-01-01", "seeds", "&a [*a]", "!!int x", "*a", "- - -"),
+)
+TINY = (
+    *("--num-envs", "2", "--steps-per-update", "4", "--steps", "8", "--evaluate-every", "8", "--evaluation-episodes"),
+    *("1", "--task.max-steps", "4", "--threads", "1", "--learning-threads", "1", "--ppo.minibatches", "1"),
+)
+OUT = ("--out", "--runs", "--hidden-out", "--link", "--record", "--motion-capture", "--params")
+"""Options that name files to be written."""
+CODES = {"study": {1, 130}, "train": {130}, "deploy": {3}, "doctor": {3}, "identify": {3}}
+"""Exit codes that are documented besides 0 and 2."""
+
+
+@dataclass(frozen=True)
+class Kind:
+    """Cases of one kind: a command that works, and what is damaged."""
+
+    words: tuple[str, ...]
+    """The command. `@file` stands for a file of the seeds as it is, `@@file` for one that is damaged."""
+    options: str = ""
+    """Where the command's options are declared, as MODULE:CLASS; words are changed then."""
+    keep: int = 1
+    """Words at the beginning that stay what they are."""
+
+
+RUN = ("--threads", "1", "--out", "out")
+KINDS = {
+    "train options": Kind(("train", "trot", *TINY, "--runs", "out"), "learn.config:TrainConfig", 2),
+    "evaluate options": Kind(("evaluate", "@policy.onnx", "--episodes", "1", *RUN), "cli.evaluate:EvaluateCommand"),
+    "gap options": Kind(
+        ("gap", "@policy.onnx", "--to", "mujoco", "--runs", "1", "--duration", "0.03", *RUN), "cli.gap:GapCommand"
+    ),
+    "sensitivity options": Kind(
+        (
+            "sensitivity",
+            "@policy.onnx",
+            "--values",
+            "2",
+            "--episodes",
+            "1",
+            "--duration",
+            "0.03",
+            "--ranges",
+            "@ranges.yaml",
+            *RUN,
+        ),
+        "cli.sensitivity:SensitivityCommand",
+    ),
+    "play options": Kind(("play", "@policy.onnx", "--seconds", "0.03", "--out", "out/a.mp4"), "cli.play:PlayCommand"),
+    "study options": Kind(
+        ("study", "@study.yaml", "--report-only", "--runs", "out/runs", "--out", "out/report"), "cli.study:StudyCommand"
+    ),
+    "deploy options": Kind(
+        ("deploy", "@policy.onnx", "--port", "nowhere", "--duration", "0.03", "--out", "out"),
+        "cli.deploy:DeployCommand",
+    ),
+    "doctor options": Kind(("doctor", "@policy.onnx", "--port", "nowhere"), "cli.doctor:DoctorCommand"),
+    "identify options": Kind(
+        ("identify", "motor", "--recording", "@recording.npz", "--params", "out/robot.toml", "--out", "out"),
+        "cli.identify_experiment:ExperimentCommand",
+        2,
+    ),
+    "motor figure options": Kind(
+        ("identify", "motor-figure", "--duration", "0.03", "--out", "out/a.png"),
+        "cli.identify_motor_figure:MotorFigureCommand",
+        2,
+    ),
+    "trace fit options": Kind(
+        ("identify", "--from-trace", "@trace.npz", "--out", "out"), "cli.identify_traces:TracesCommand", 3
+    ),
+    "emulate options": Kind(("emulate", "--duration", "0.02"), "cli.emulate:EmulateCommand", 3),
+    "task": Kind(("train", "@@task.yaml", *TINY, "--runs", "out")),
+    "table of poses": Kind(("train", "table.yaml", *TINY, "--runs", "out", "--task.reference.file", "@@poses.csv")),
+    "ranges": Kind(("evaluate", "@policy.onnx", "--episodes", "1", "--randomize", "@@ranges.yaml", *RUN)),
+    "study": Kind(("study", "@@study.yaml", "--report-only", "--runs", "out/runs", "--out", "out/report")),
+    "sheet": Kind(("evaluate", "@policy.onnx", "--episodes", "1", "--robot", "@@robot/robot.toml", *RUN)),
+    "urdf": Kind(("evaluate", "@policy.onnx", "--episodes", "1", "--robot", "@@robot/minitaur.urdf", *RUN)),
+    "params": Kind(("evaluate", "@policy.onnx", "--episodes", "1", "--params", "@@params.toml", *RUN)),
+    "policy": Kind(("evaluate", "@@policy.onnx", "--episodes", "1", *RUN)),
+    "policy to deploy": Kind(("deploy", "@@policy.onnx", "--port", "nowhere", "--out", "out")),
+    "trace": Kind(("evaluate", "--trace", "@@trace.npz", "--out", "out")),
+    "trace in a gap": Kind(
+        ("gap", "@policy.onnx", "--from", "trace", "@trace.npz", "--to", "trace", "@@trace.npz", "--out", "out")
+    ),
+    "recording": Kind(
+        ("identify", "latency", "--recording", "@@recording.npz", "--params", "out/robot.toml", "--out", "out")
+    ),
+    "motor log": Kind(("identify", "motor-figure", "--log", "@@log.csv", "--out", "out/a.png")),
+    "run folder": Kind(("train", "--resume", "@@run/config.yaml")),
+    "run's papers": Kind(("train", "--resume", "@@run/run.json")),
+    "checkpoint": Kind(("train", "--resume", "@@run/checkpoints/latest.ckpt")),
+}
+NEEDS_A_FOLDER = {"robot", "run"}
+"""Folders of seeds that commands take whole."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """One case, and what came of it."""
+
+    number: int
+    kind: str
+    words: tuple[str, ...]
+    code: int = 0
+    """Exit code, or minus the signal that ended it."""
+    seconds: float = 0.0
+    said: str = ""
+    wrong: str = ""
+    """What is wrong; empty if nothing is."""
+
+
+class Fuzz:
+    """Cases in a folder of their own.
+
+    Args:
+        root: an empty folder.
+        seed: of everything.
+        limit: time of a processor [s] that a case may take.
+        kinds: names of kinds to choose from; all, if empty.
+    """
+
+    def __init__(self, root: Path, seed: int, limit: float = LIMIT, kinds: Sequence[str] = ()) -> None:
+        self.seed, self.limit = seed, limit
+        self.seeds, self.place = root / "seeds", root / "a" / "b" / "case"
+        self.root = root
+        self.seeds.mkdir()
+        self.kinds = kinds or tuple(KINDS)
+        make_seeds(self.seeds, {word.lstrip("@") for kind in self.kinds for word in KINDS[kind].words if "@" in word})
+        self._seeds_state = _state(self.seeds)
+        self._options: dict[str, list[str]] = {}
+
+    def run(self, number: int) -> Case:
+        """Run the case of a number."""
+        rng = random.Random(f"{self.seed} {number}")
+        name = rng.choice(self.kinds)
+        kind = KINDS[name]
+        shutil.rmtree(self.root / "a", ignore_errors=True)
+        self.place.mkdir(parents=True)
+        words = [self._word(word, rng) for word in kind.words]
+        (self.place / "table.yaml").write_text("reference: {kind: table, period: 0.5, file: none.csv}\n")
+        if kind.options:
+            words = self._changed(words, kind, rng)
+        before = _state(self.root)
+        code, seconds, said = _run(words, self.place, self.limit)
+        case = Case(number, name, tuple(words), code, seconds, said)
+        return replace(case, wrong=self._judge(case, before))
+
+    def _word(self, word: str, rng: random.Random) -> str:
+        """A word with its file made, damaged where it is to be."""
+        if not word.startswith("@"):
+            return word
+        name = word.lstrip("@")
+        top = Path(name).parts[0]
+        if not word.startswith("@@"):
+            return str(self.seeds / name)
+        if top in NEEDS_A_FOLDER:
+            shutil.copytree(self.seeds / top, self.place / top)
+        damage(self.seeds / name, self.place / name, rng)
+        return top if top in NEEDS_A_FOLDER else name
+
+    def _changed(self, words: list[str], kind: Kind, rng: random.Random) -> list[str]:
+        """Words with up to three changes."""
+        if kind.options not in self._options:
+            module, name = kind.options.split(":")
+            declared = getattr(importlib.import_module(f"surefoot.{module}"), name)
+            from surefoot.cli.parsing import options
+
+            # A video or an emulator for a window, and experiments with a robot, are no matter of words.
+            self._options[kind.options] = [option for option in options(declared) if option != "--viewer"]
+        words = list(words)
+        for _ in range(rng.choice((1, 1, 1, 2, 3))):
+            option = rng.choice(self._options[kind.options])
+            value = rng.choice(NUMBERS if rng.random() < 0.6 else WORDS)
+            places = [k for k in range(kind.keep, len(words)) if not words[k].startswith("--")]
+            what = rng.random()
+            if what < 0.25 and places:
+                words[rng.choice(places)] = value
+            elif what < 0.35 and places:
+                del words[rng.choice(places)]
+            elif what < 0.4:
+                words.append(value)
+            elif what < 0.45:
+                words.append(option)
+            elif what < 0.5:
+                words.append(f"{option}={value}")
+            elif option in words[kind.keep :]:
+                words[words.index(option, kind.keep) + 1 :][:1] = [value]
+            else:
+                words += [option, value, *([rng.choice(NUMBERS)] if rng.random() < 0.2 else [])]
+        return words
+
+    def _judge(self, case: Case, before: dict[str, tuple[int, int]]) -> str:
+        """What is wrong with a case; empty if nothing is."""
+        allowed = {0, 2, *CODES.get(case.words[0], set())}
+        if case.seconds > self.limit:
+            return f"takes more than {self.limit:g} s"
+        if case.code == UNCAUGHT or "Traceback (most recent" in case.said:
+            return f"a traceback: {case.said.strip().splitlines()[-1][:200]}"
+        if case.code not in allowed:
+            return f"exit code {case.code}"
+        lines = [line for line in case.said.splitlines() if line.startswith("surefoot: error: ")]
+        if case.code == 2 and len(lines) != 1:
+            return f"exit code 2 with {len(lines)} lines that say why"
+        after = _state(self.root)
+        if self._seeds_state != _state(self.seeds):
+            return "a file that is read was written"
+        named = [self.place / "run" / name for name in ("", "x")][:1] if "--resume" in case.words else []
+        for option, value in zip(case.words, case.words[1:], strict=False):
+            if option in OUT and "\0" not in value:
+                named.append(Path(os.path.normpath(self.place / value)))
+            elif (found := option.partition("="))[0] in OUT:
+                named.append(Path(os.path.normpath(self.place / found[2])))
+        for path in sorted(set(before.items()) ^ set(after.items())):
+            changed = self.root / path[0]
+            if not any(place == changed or place in changed.parents or changed in place.parents for place in named):
+                return f"writes {path[0]}"
+        return ""
+
+
+def _state(folder: Path) -> dict[str, tuple[int, int]]:
+    """Sizes and times of change of all files in a folder, by their names in it; folders stand with zeros."""
+    found = {}
+    for path in folder.rglob("*"):
+        about = path.lstat()
+        found[str(path.relative_to(folder))] = (0, 0) if path.is_dir() else (about.st_size, about.st_mtime_ns)
+    return found
+
+
+def _run(words: Sequence[str], place: Path, limit: float) -> tuple[int, float, str]:
+    """Run a command in a child of this process, which has imported everything.
+
+    Returns:
+        exit code, time of a processor that it took [s], infinite if it had to be killed, and output.
+    """
+    with tempfile.TemporaryFile() as output:
+        child = os.fork()
+        if child == 0:
+            _child(words, place, output.fileno())
+        end, killed = time.monotonic() + limit * PATIENCE, False
+        while True:
+            done, status, used = os.wait4(child, os.WNOHANG)
+            if done:
+                break
+            if time.monotonic() > end:
+                killed, end = True, math.inf
+                os.kill(child, signal.SIGKILL)
+            time.sleep(0.01)
+        with contextlib.suppress(ProcessLookupError, PermissionError):
+            os.killpg(child, signal.SIGKILL)  # What it may have left running.
+        output.seek(0)
+        seconds = math.inf if killed else used.ru_utime + used.ru_stime
+        return os.waitstatus_to_exitcode(status), seconds, output.read(1 << 20).decode(errors="replace")
+
+
+def _child(words: Sequence[str], place: Path, output: int) -> None:
+    """Be a case; does not return."""
+    code = UNCAUGHT
+    try:
+        os.setsid()
+        os.chdir(place)
+        nowhere = os.open(os.devnull, os.O_RDONLY)
+        for target, source in ((0, nowhere), (1, output), (2, output)):
+            os.dup2(source, target)
+        sys.stdin = io.TextIOWrapper(io.FileIO(0, "r", closefd=False))
+        sys.stdout = io.TextIOWrapper(io.FileIO(1, "w", closefd=False), encoding="utf-8", write_through=True)
+        sys.stderr = io.TextIOWrapper(
+            io.FileIO(2, "w", closefd=False), encoding="utf-8", errors="backslashreplace", write_through=True
+        )
+        from surefoot.cli import train
+        from surefoot.cli.main import main
+
+        # Figures and a video of each training would take most of the time.
+        train.finish = lambda *_: {}
+        try:
+            code = main(list(words))
+        except SystemExit as stop:
+            code = stop.code if isinstance(stop.code, int) else 0 if stop.code is None else 1
+        except BaseException:
+            traceback.print_exc()
+        sys.stdout.flush()
+    except BaseException:
+        traceback.print_exc()
+    finally:
+        os._exit(code)
+
+
+# --- files ------------------------------------------------------------------------------------------------
+
+
+def damage(source: Path, target: Path, rng: random.Random) -> None:
+    """Write a damaged copy of a file: bytes, words and numbers, or what stands in it, changed one to four times."""
+    content = source.read_bytes()
+    inside: Callable[[bytes, random.Random], bytes] | None = {".npz": _archive, ".onnx": _policy}.get(source.suffix)
+    if inside is not None and rng.random() < 0.7:
+        content = inside(content, rng)
+    elif source.suffix in (".npz", ".onnx", ".ckpt"):
+        content = _bytes(content, rng)
+    else:
+        for _ in range(rng.choice((1, 1, 2, 4))):
+            content = _bytes(content, rng) if rng.random() < 0.15 else _text(content, rng)
+    target.parent.mkdir(parents=True, exist_ok=True)
+    target.write_bytes(content)
+
+
+def _bytes(content: bytes, rng: random.Random) -> bytes:
+    data = bytearray(content)
+    at = rng.randrange(len(data) + 1)
+    what = rng.randrange(5)
+    if what == 0:
+        return bytes(data[:at])
+    if what == 1:
+        del data[at : at + rng.randrange(1, 100)]
+    elif what == 2:
+        data[at:at] = rng.randbytes(rng.randrange(1, 100))
+    elif what == 3:
+        data[at:at] = data[at : at + rng.randrange(1, 1000)]
+    else:
+        for _ in range(rng.randrange(1, 20)):
+            data[rng.randrange(max(len(data), 1)) : 0] = b""
+            if data:
+                data[rng.randrange(len(data))] ^= 1 << rng.randrange(8)
+    return bytes(data)
+
+
+def _text(content: bytes, rng: random.Random) -> bytes:
+    text = content.decode(errors="surrogateescape")
+    numbers = list(re.finditer(r"(?<![\w.])-?\d[\d.eE+-]*", text))
+    words = list(re.finditer(r"[A-Za-z_][\w.-]*", text))
+    lines = text.splitlines(keepends=True)
+    what = rng.random()
+    if what < 0.45 and numbers:
+        found = rng.choice(numbers)
+        text = text[: found.start()] + rng.choice(NUMBERS if rng.random() < 0.8 else WORDS) + text[found.end() :]
+    elif what < 0.7 and words:
+        found = rng.choice(words)
+        text = text[: found.start()] + rng.choice(WORDS if rng.random() < 0.7 else NUMBERS) + text[found.end() :]
+    elif lines:
+        at = rng.randrange(len(lines))
+        rest = lines[:at] + lines[at + 1 :]
+        if what < 0.85:
+            rest[at:at] = [] if what < 0.78 else [lines[at]] * 2
+        elif what < 0.9:
+            rest[at:at] = [f"{rng.choice(WORDS)}: {rng.choice((*WORDS, *NUMBERS))}\n", lines[at]]
+        else:
+            other = rng.randrange(len(lines))
+            rest[at:at] = [lines[other]]
+        text = "".join(rest)
+    return text.encode(errors="surrogateescape" if "\udc80" not in text else "replace")
+
+
+def _leaf(value: Any, rng: random.Random) -> Any:
+    """JSON with one value in it, at any depth, replaced, dropped or put under another name."""
+    if isinstance(value, dict) and value and rng.random() < 0.9:
+        key = rng.choice(list(value))
+        if (what := rng.random()) < 0.1:
+            return {name: item for name, item in value.items() if name != key}
+        if what < 0.2:
+            return {**value, rng.choice(WORDS[4:]): value[key]}
+        return {**value, key: _leaf(value[key], rng)}
+    if isinstance(value, list) and value and rng.random() < 0.8:
+        at = rng.randrange(len(value))
+        return [*value[:at], *([] if rng.random() < 0.2 else [_leaf(value[at], rng)]), *value[at + 1 :]]
+    return rng.choice(
+        (None, True, 0, -1, 1, 2, 0.5, 1e30, 10**400, float("nan"), float("inf"), "", "x", "../../x", "\x1b[2J",
+         "\udc80", [], {}, [[]], [0] * 10, "x" * 5000, {"a": {"b": [None]}})
+    )  # fmt: skip
+
+
+def _archive(content: bytes, rng: random.Random) -> bytes:
+    """An archive of arrays with another meta or another array."""
+    with np.load(io.BytesIO(content)) as archive:
+        arrays = dict(archive)
+    name = "meta" if rng.random() < 0.6 else rng.choice(sorted(arrays))
+    if name == "meta":
+        arrays[name] = np.array(json.dumps(_leaf(json.loads(str(arrays[name])), rng)))
+    else:
+        array, what = arrays[name], rng.randrange(7)
+        if what == 0:
+            array = array[: rng.randrange(len(array))]
+        elif what == 1:
+            array = array.reshape(-1)
+        elif what == 2:
+            array = np.full_like(array, rng.choice((np.nan, np.inf, -1e30, 0.0, 1e308)))
+        elif what == 3:
+            array = array.astype(rng.choice(("U5", "c16", "i1", "?", "f2")))
+        elif what == 4:
+            array = np.array(rng.choice((0.0, "x")))
+        elif what == 5:
+            array = array[::-1]
+        else:
+            array = array.copy()
+            array.reshape(-1)[rng.randrange(array.size)] = rng.choice((np.nan, np.inf, 1e30, -1.0, 0.0))
+        arrays[name] = array
+        if rng.random() < 0.1:
+            del arrays[name]
+    if "sent_number" in arrays and rng.random() < 0.8:
+        arrays = _signed(arrays)
+    file = io.BytesIO()
+    np.savez_compressed(file, **arrays)  # type: ignore[arg-type]
+    return file.getvalue()
+
+
+def _signed(arrays: dict[str, Any]) -> dict[str, Any]:
+    """A recording's arrays with the digest that belongs to them, where they have one."""
+    from surefoot.identify.recording import digest_of
+
+    try:
+        meta = json.loads(str(arrays["meta"]))
+        meta["digest"] = digest_of({name: array for name, array in arrays.items() if name != "meta"})
+    except (KeyError, TypeError, ValueError):
+        return arrays
+    return {**arrays, "meta": np.array(json.dumps(meta))}
+
+
+def _policy(content: bytes, rng: random.Random) -> bytes:
+    """A policy with another contract, and without the digest that would tell."""
+    import onnx
+
+    from surefoot.policy.contract import METADATA_KEY
+
+    model = onnx.load(io.BytesIO(content))
+    (entry,) = (entry for entry in model.metadata_props if entry.key == METADATA_KEY)
+    text = json.dumps(_leaf(json.loads(entry.value), rng))
+    onnx.helper.set_model_props(model, {METADATA_KEY: text})
+    made: bytes = model.SerializeToString()
+    return made
+
+
+def make_seeds(folder: Path, wanted: set[str]) -> None:
+    """Write the files that cases damage, each of which works as it is.
+
+    Args:
+        folder: an empty one.
+        wanted: names of the files that are read; those that take a simulation are made only then.
+    """
+    import onnx
+
+    from surefoot.cli.policies import find_policy
+    from surefoot.policy.contract import METADATA_KEY
+    from surefoot.robot import RobotDescription
+
+    model = onnx.load(find_policy("trot"))
+    (entry,) = (entry for entry in model.metadata_props if entry.key == METADATA_KEY)
+    contract = json.loads(entry.value)
+    contract["task"]["max_steps"] = 5
+    onnx.helper.set_model_props(model, {METADATA_KEY: json.dumps(contract)})
+    onnx.save(model, folder / "policy.onnx")
+    robot = RobotDescription.load("minitaur")
+    shutil.copytree(robot.folder, folder / "robot")
+    (folder / "params.toml").write_text(
+        'robot = "minitaur"\n[params]\nvoltage = 15.4\nimu_bias = [0.01, 0.02]\nmotor_strength = 0.9\n'
+        '[sensors]\nage = 0.001\n[identified.motor]\ndate = "2020-01-01"\n'
+    )
+    (folder / "ranges.yaml").write_text("mass: [0.9, 1.1]\nvoltage: [14.0, 16.0]\nlatency: null\n")
+    (folder / "task.yaml").write_text(
+        "name: mine\nrobot: minitaur\nobservations: [roll, pitch, roll_rate, pitch_rate, motor_angles]\nhistory: 2\n"
+        "reference:\n  kind: sine\n  swing: {amplitude: 0.3, frequency: 2.0, phase: 0.5, offset: 0.0}\n"
+        "  extension: {amplitude: 0.2, frequency: 2.0, offset: 1.6}\nfeedback: {swing: [-0.2, 0.2], extension: [-0.2, "
+        "0.2]}\nenergy_weight: 0.005\nfall_angle: 0.5\nmax_steps: 4\npushes: {enabled: true, period: 1.2, duration: "
+        "0.06, force: [10, 20]}\nrandomize: table1\nparams: {voltage: 15.0}\nactuator: dc\ntrain:\n  seed: 3\n"
+        "  ppo: {gamma: 0.99, policy_hidden: [8, 8], learning_rate: 0.001}\n"
+    )
+    (folder / "study.yaml").write_text(
+        "name: tiny\ntask: trot\nseeds: [0, 1]\ntrain: {steps: 100, ppo: {gamma: 0.99}}\ngroups:\n"
+        "  plain: {label: a, train: {task: {pushes: {enabled: false}, randomize: none}}}\n"
+        "  drawn: {label: b, train: {task: {randomize: table1}}}\nevaluate: [nominal, gap]\ncompare: [[plain, drawn]]\n"
+        "bars: {both: [plain, drawn]}\nfindings: [{groups: [plain, drawn], text: nothing}]\n"
+    )
+    header = [f"{part}_{leg}" for part in ("swing", "extension") for leg in robot.leg_names]
+    rows = [[0.1 * k] * 4 + [1.6] * 4 for k in range(4)]
+    (folder / "poses.csv").write_text("\n".join(",".join(map(str, row)) for row in (header, *rows)) + "\n")
+    log = "".join(f"{0.006 * k:.3f},{1.5 + 0.01 * k:.3f},{1.5 + 0.009 * k:.3f}\n" for k in range(12))
+    (folder / "log.csv").write_text("time,target,angle\n" + log)
+    _make_recording(folder / "recording.npz", robot)
+    if "trace.npz" in wanted:
+        _work(folder, "evaluate", "policy.onnx", "--episodes", "1", "--out", "made", "--threads", "1")
+        (folder / "made" / "episode_000.npz").rename(folder / "trace.npz")
+    if any(name.startswith("run/") for name in wanted):
+        _work(folder, "train", "task.yaml", *TINY, "--runs", "made")
+        (run,) = (path.parent for path in folder.glob("made/*/*/run.json"))
+        run.rename(folder / "run")
+    shutil.rmtree(folder / "made", ignore_errors=True)
+
+
+def _work(place: Path, *words: str) -> None:
+    """Run a command that makes seeds."""
+    code, _, said = _run(words, place, 100.0)
+    if code != 0:
+        raise RuntimeError(f"a command that should work does not: {' '.join(words)}\n{said}")
+
+
+def _make_recording(path: Path, robot: Any) -> None:
+    """Write a recording of some tenths of a second in which all motors turn to and fro."""
+    from surefoot.identify.recording import COMPLETE, SCHEMA, Recording, digest_of
+
+    count, motors = 500, robot.num_motors
+    time_, columns = 0.006 * np.arange(count), {"roll_pitch_yaw": 3, "angular_velocity_base": 3, "": motors}
+    wide = ("sent_value", "motor_angle", "motor_velocity", "motor_torque", "temperature", *columns)
+    arrays: dict[str, Any] = {}
+    for item in fields(Recording):
+        if item.name in ("time", "host_time", "sent_time"):
+            arrays[item.name] = time_ + 0.001
+        elif item.name in ("command", "sent_number"):
+            arrays[item.name] = np.arange(float(count))
+        elif item.name in wide:
+            width = columns.get(item.name, motors)
+            arrays[item.name] = 1.5 + 0.3 * np.sin(20 * time_)[:, None] * np.ones(width)
+        elif item.name != "meta":
+            arrays[item.name] = np.full(count, 16.0 if item.name == "voltage" else 0.0)
+    meta = {
+        **{"schema": SCHEMA, "experiment": "latency", "robot": robot.name, "motor_names": list(robot.motor_names)},
+        **{"rack": True, "mode_changes": [[0.0, 1]], "ended": COMPLETE, "period": 0.006, "lead": 0.0},
+        "phases": [{"name": "steps", "mode": "position", "use": "fit", "duration": 3.0}],
+        **{"servo_period": 0.001, "resting_states": 5, "frames": {"received": count, "missing": 0, "damaged": 0}},
+        **{"date": "2020-01-01", "digest": digest_of(arrays)},
+    }
+    Recording(**arrays, meta=meta).save(path)
+
+
+def warm_up() -> None:
+    """Import all commands, so that the processes of the cases need not."""
+    from surefoot.cli.main import COMMANDS
+
+    for module, _ in COMMANDS.values():
+        importlib.import_module(module)
+    for module in (
+        *("cli.results", "cli.study_results", "cli.progress", "learn.run", "learn.progress", "learn.export"),
+        *("world.sim_world", "report.video", "report.figures", "report.gap_figures", "report.sensitivity_figures"),
+        *("evaluate.gap", "identify.from_trace", "cli.identify_experiment", "cli.identify_traces"),
+        *("cli.identify_motor_figure", "cli.identify_results", "emulator.process", "report.motor_figure"),
+    ):
+        importlib.import_module(f"surefoot.{module}")
+
+
+def main() -> int:
+    """Run cases and tell what is wrong; returns 1 if anything is."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
+    parser.add_argument("--cases", type=int, default=3000, help="how many")
+    parser.add_argument("--seed", type=int, default=0, help="of everything")
+    parser.add_argument("--case", type=int, help="run this one only, and show what it printed")
+    parser.add_argument("--first", type=int, default=0, help="number of the first case")
+    parser.add_argument("--limit", type=float, default=LIMIT, help="time of a processor that a case may take [s]")
+    parser.add_argument("--kind", action="append", default=[], choices=KINDS, help="only cases of this kind")
+    options = parser.parse_args()
+    os.environ.setdefault("MPLBACKEND", "Agg")
+    warm_up()
+    codes: dict[str, Counter[str]] = {name: Counter() for name in KINDS}
+    wrong = 0
+    numbers = [options.case] if options.case is not None else range(options.first, options.first + options.cases)
+    with tempfile.TemporaryDirectory(prefix="surefoot-fuzz-") as folder:
+        fuzz = Fuzz(Path(folder), options.seed, options.limit, options.kind)
+        for number in numbers:
+            case = fuzz.run(number)
+            codes[case.kind]["wrong" if case.wrong else f"exit {case.code}"] += 1
+            if options.case is not None:
+                print(case.said)
+            if case.wrong or options.case is not None:
+                wrong += bool(case.wrong)
+                shown = " ".join(repr(word if len(word) < 80 else f"{word[:60]}...") for word in case.words)
+                print(f"seed {options.seed} case {number} ({case.kind}, {case.seconds:.1f} s): {case.wrong or 'fine'}")
+                print(f"    {shown}", flush=True)
+    for name, counter in codes.items():
+        if counter:
+            told = ", ".join(f"{count} {what}" for what, count in sorted(counter.items()))
+            print(f"{name:<22}{sum(counter.values()):>6} cases: {told}")
+    print(f"{wrong} of {len(numbers)} cases are wrong")
+    return 1 if wrong else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

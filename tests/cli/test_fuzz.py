@@ -1,0 +1,25 @@
+"""A few cases of `benchmarks/fuzz.py`, in a process of their own since each is forked from one without threads."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+for module in ("mujoco", "torch", "onnx", "matplotlib", "imageio_ffmpeg"):
+    pytest.importorskip(module)
+
+QUICK = ("study", "study options", "params", "policy to deploy", "recording", "deploy options",
+         "doctor options", "identify options")  # fmt: skip
+"""Kinds of cases that hardly ever simulate anything."""
+
+
+@pytest.mark.slow
+def test_nothing_ends_with_a_traceback_or_not_at_all(repository: Path):
+    kinds = [word for kind in QUICK for word in ("--kind", kind)]
+    words = [sys.executable, "benchmarks/fuzz.py", "--cases", "60", "--seed", "0", *kinds]
+    done = subprocess.run(words, cwd=repository, capture_output=True, text=True, timeout=280, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "0 of 60 cases are wrong" in done.stdout

@@ -1,0 +1,70 @@
+"""Words of the command line that do not fit are told in one line, before anything is simulated."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("mujoco")
+
+from surefoot.cli.main import main
+
+FAR = [
+    ("train trot --seed 12345678901234567890123", "seed is 12345678901234567890123; it must be 4294967295 or less"),
+    ("train trot --ppo.gamma nan", "ppo.gamma is nan; it must be a finite number"),
+    ("train trot --ppo.gamma 2", "ppo.gamma is 2; it must be 1 or less"),
+    ("train trot --learning-threads -1", "learning_threads is -1; it must be 0 or more"),
+    ("train trot --task.history 1000000000", "history is 1000000000; it must be 100 or less"),
+    ("train trot --ppo.policy-hidden", "--ppo.policy-hidden has no value"),
+    ("train trot --name ../../x", "name is '../../x'; a name has letters"),
+    ("train trot --task.name ../../x", "name is '../../x'; a name has letters"),
+    ("train name.yaml", "name.yaml: name is '../../x'; a name has letters"),
+    ("train digits.yaml", "digits.yaml: is not YAML"),
+    ("train large.yaml", "fall_angle is 1000000"),
+    ("train list.yaml", "list.yaml: train: it is [1]; it must be a table"),
+    ("study name.yaml", "name is '../../x'; a name has letters"),
+    ("evaluate trot --trace", "--trace has no value; it takes one or more"),
+    ("evaluate trot --seed -1", "seed is -1; it must be 0 or more"),
+    ("evaluate trot --params /dev/zero", "parameters /dev/zero: it is no regular file"),
+    ("evaluate trot --params pipe", "parameters pipe: it is no regular file"),
+    ("play trot --seconds 1e30", "seconds is 1e+30; it must be 3600 or less"),
+    ("sensitivity trot --values 1000000000", "values is 1000000000; it must be 1000 or less"),
+    ("sensitivity trot --duration 1e30", "duration is 1e+30; it must be 3600 or less"),
+    ("gap trot --to mujoco --duration 1e30", "duration is 1e+30; it must be 3600 or less"),
+    ("deploy trot --port none --duration 1e30", "duration is 1e+30; it must be 3600 or less"),
+    ("emulate --duration 1e30", "duration is 1e+30; it must be 10000000 or less"),
+    ("evaluate \udc80", "the words hold characters that can't be printed"),
+]
+
+
+@pytest.mark.timeout(60)
+@pytest.mark.parametrize(("line", "said"), FAR, ids=[line.encode(errors="replace").decode() for line, _ in FAR])
+def test_what_is_out_of_bounds_is_refused_at_once(
+    line: str, said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    if line.startswith(("train", "study")):
+        pytest.importorskip("torch")
+    monkeypatch.chdir(tmp_path)
+    Path("name.yaml").write_text("name: ../../x\ngroups: {a: {}}\n" if "study" in line else "name: ../../x\n")
+    Path("digits.yaml").write_text(f"fall_angle: {'9' * 6000}\n")
+    Path("large.yaml").write_text(f"fall_angle: 1{'0' * 400}\n")
+    Path("list.yaml").write_text("train: [1]\n")
+    os.mkfifo("pipe")
+    before = sorted(tmp_path.iterdir())
+    assert main(line.split(" ")) == 2
+    told = capsys.readouterr()
+    assert (told.out, told.err.count("\n")) == ("", 1)
+    assert told.err.startswith("surefoot: error: ")
+    assert said in told.err
+    assert sorted(tmp_path.iterdir()) == before
+
+
+def test_an_error_is_one_short_line_that_steers_no_terminal(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    path = tmp_path / "a.yaml"
+    path.write_text(f'"\\e[2J{"x" * 100_000}": 1\n')
+    assert main(["evaluate", "trot", "--randomize", str(path)]) == 2
+    told = capsys.readouterr().err
+    assert len(told) < 2500
+    assert "\033" not in told

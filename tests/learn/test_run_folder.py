@@ -1,0 +1,48 @@
+"""One process trains in a folder, and what killed ones left there is removed."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("torch")
+
+from surefoot.cli.main import main
+from surefoot.errors import SurefootError
+from surefoot.learn.config import TrainConfig
+from surefoot.learn.run_folder import RunFolder, alone
+
+
+def test_a_folder_is_held_by_one_at_a_time(tmp_path: Path):
+    told = "another process trains in this folder"
+    with alone(tmp_path), pytest.raises(SurefootError, match=told), alone(tmp_path, patience=0.1):
+        pass
+    with alone(tmp_path):
+        pass
+
+
+def test_a_second_resume_is_refused_in_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    folder = RunFolder.create_at(TrainConfig(), tmp_path / "run")
+    before = sorted(folder.path.rglob("*"))
+    with alone(folder.path):
+        assert main(["train", "--resume", str(folder.path)]) == 2
+    told = capsys.readouterr()
+    assert told.out == ""
+    assert (
+        told.err == f"surefoot: error: {folder.path}: another process trains in this folder; wait for it, or end it\n"
+    )
+    assert sorted(folder.path.rglob("*")) == sorted([*before, folder.path / "lock"])
+
+
+def test_what_a_killed_run_had_under_way_is_removed(tmp_path: Path):
+    folder = RunFolder.create_at(TrainConfig(), tmp_path / "run")
+    dead = subprocess.Popen([sys.executable, "-c", ""])
+    dead.wait()
+    left = [folder.checkpoints / f".fresh.ckpt.{dead.pid}.tmp", folder.path / f".figures.jsonl.{dead.pid}.tmp"]
+    for path in left:
+        path.touch()
+    with alone(folder.path):
+        assert not any(path.exists() for path in left)

@@ -1,0 +1,108 @@
+"""YAML and TOML that are hostile, and bounds of fields."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Any
+
+import pytest
+
+from surefoot.configuration import Within, check_bounds, from_mapping, is_number, read_toml, read_yaml
+from surefoot.errors import SurefootError
+
+
+def yaml(folder: Path, text: str) -> dict[str, Any]:
+    (folder / "a.yaml").write_text(text)
+    return read_yaml(folder / "a.yaml")
+
+
+BOMB = "a0: &a0 [x]\n" + "".join(f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 9)}]\n" for i in range(1, 12))
+MERGES = "a0: &a0 {x: 1}\n" + "".join(f"a{i}: &a{i} {{<<: [{', '.join([f'*a{i - 1}'] * 9)}]}}\n" for i in range(1, 12))
+
+
+@pytest.mark.timeout(20)
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (BOMB, "it holds more than 200000 values"),
+        (MERGES, "it holds more than 200000 values"),
+        ("a: &a [*a]", "a value that holds itself"),
+        ("a: " + "[" * 5000 + "]" * 5000, "it is nested more than 50 deep"),
+        ("a: " + "9" * 6000, "is not YAML"),
+        ("a: !!timestamp x", "is not YAML"),
+        ("a: !!int x", "is not YAML"),
+        ("a: !!bool x", "is not YAML"),
+    ],
+    ids=["aliases", "merges", "itself", "deep", "digits", "date", "int", "bool"],
+)
+def test_hostile_yaml_is_refused_in_one_line(tmp_path: Path, text: str, said: str):
+    with pytest.raises(SurefootError, match=said) as caught:
+        yaml(tmp_path, text)
+    assert len(str(caught.value)) < 500
+
+
+def test_dates_are_text(tmp_path: Path):
+    assert yaml(tmp_path, "a: 2020-01-01\nb: 2020-13-45\n") == {"a": "2020-01-01", "b": "2020-13-45"}
+
+
+def test_aliases_and_merges_in_measure_are_read(tmp_path: Path):
+    assert yaml(tmp_path, "a: &a {x: 1}\nb: {<<: *a, y: 2}\nc: *a\n") == {
+        "a": {"x": 1},
+        "b": {"x": 1, "y": 2},
+        "c": {"x": 1},
+    }
+
+
+@pytest.mark.parametrize("text", ["a = " + "[" * 5000 + "]" * 5000, "a = " + "9" * 6000, "a", "\xff"])
+def test_hostile_toml_is_refused_in_one_line(tmp_path: Path, text: str):
+    (tmp_path / "a.toml").write_text(text, encoding="latin-1")
+    with pytest.raises(SurefootError, match=r"a\.toml: is not TOML"):
+        read_toml(tmp_path / "a.toml")
+
+
+@dataclass(frozen=True)
+class Config:
+    """Fields of all kinds."""
+
+    number: Annotated[float, Within(0, 1, above=True)] = 0.5
+    count: Annotated[int, Within(1, 10)] | None = None
+    units: tuple[Annotated[int, Within(1, 10)], ...] = ()
+    free: float = 0.0
+    word: str = ""
+    anything: dict[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Refuse what is out of bounds."""
+        check_bounds(self, "c")
+
+
+@pytest.mark.parametrize(
+    ("values", "said"),
+    [
+        ({"number": float("nan")}, "c.number is nan; it must be a finite number"),
+        ({"number": 0.0}, "c.number is 0; it must be over 0"),
+        ({"number": 2.0}, "c.number is 2; it must be 1 or less"),
+        ({"count": 0}, "c.count is 0; it must be 1 or more"),
+        ({"units": (3, 11)}, r"c.units\[1\] is 11; it must be 10 or less"),
+        ({"free": float("inf")}, "c.free is inf; it must be 1e.15 or less"),
+        ({"count": 10**400}, "c.count is 1000.*000; it must be 10 or less"),
+        ({"anything": {"a": [10**400]}}, r"c.anything.a\[0\] is 1000"),
+        ({"word": "a\0b"}, "c.word is .* Unicode text"),
+        ({"word": "x" * 5000}, "c.word is .* 4096 characters"),
+        ({"word": "\udc80"}, "c.word is .* Unicode text"),
+    ],
+)
+def test_what_is_out_of_bounds_is_refused(values: dict[str, Any], said: str):
+    with pytest.raises(SurefootError, match=f"^{said}"):
+        Config(**values)
+
+
+def test_what_is_within_bounds_is_taken():
+    Config(number=1.0, count=10, units=(1, 10), free=-1e15, word="\u00e9", anything={"a": [True, None, 1]})
+
+
+def test_a_number_too_large_for_a_float_is_refused():
+    with pytest.raises(SurefootError, match=r"^free is 1000.* it must be a finite number"):
+        from_mapping(Config, {"free": 10**400})
+    assert not is_number(10**400)
