@@ -17,8 +17,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from surefoot.actuator.compiled import kernel
 
 Array = NDArray[np.float64]
 
@@ -26,7 +27,7 @@ TANGENTIAL_DAMPING = 0.5
 """B_t / B. The sole's stiffness along the ground is taken as that into the ground; neither was measured."""
 
 
-@njit(cache=True, forceinline=True)
+@kernel
 def foot_force_kernel(
     depth: float,
     velocity: Array,
