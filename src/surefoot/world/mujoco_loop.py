@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from surefoot.actuator.compiled import kernel
 from surefoot.world.contact import foot_force_kernel
 from surefoot.world.drive import SPEED_LIMIT, Drive, constraint_tick, record, roll_pitch_yaw, servo_tick
-from surefoot.world.native import call_step, doubles, pointers
+from surefoot.world.native import call_step, doubles, pointers, take_number
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -187,11 +187,17 @@ def _run(native: Native, drive: Drive, i: int, servo_steps: int, model: int, vel
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def advance(
-    native: Native, drive: Drive, servo_steps: Index, diverged: NDArray[np.bool_], worker: int, first: int, last: int
+    native: Native, drive: Drive, servo_steps: Index, diverged: NDArray[np.bool_], worker: int, counter: Index
 ) -> None:
-    """Run robots first to last (not included) for their number of servo steps, on a thread's model."""
+    """Run robots for their number of servo steps on a thread's model, until none is left.
+
+    Threads share a counter (1,) of the robots that were taken: whoever is done with a robot takes the next.
+    """
     velocity, force = np.zeros(3), np.zeros(3)
-    for i in range(first, last):
+    while True:
+        i = take_number(counter.ctypes.data)
+        if i >= len(servo_steps):
+            return
         if servo_steps[i] == 0:
             continue
         _load_masses(native, worker, i)
