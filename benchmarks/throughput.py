@@ -1,7 +1,8 @@
-"""Physics steps per second of each layer of surefoot, as ratios to MuJoCo alone on the same motion, in one run.
+"""Physics steps per second of each layer of surefoot, as ratios to MuJoCo alone on the same motion.
 
-    bare    `mujoco.rollout` on all cores, many steps a call, replaying the forces recorded from the layers below: the
-            same model goes through the same motion
+    bare    `mj_step` alone, called from a compiled loop that puts in the forces recorded from the world: the same
+            robots go through the same motion, to the last bit
+    rollout the same by `mujoco.rollout`, which reads all forces and writes all states
     world   `SimWorld.step`: servo, motor, delays, foot contact and sensors around every physics step
     env     `LocomotionEnv.step` with the policy file deciding
     drawn   the same with all of table I but the control step drawn anew at every reset
@@ -10,7 +11,10 @@
     train+  the same with all of table I drawn
     authors one process a core of the authors' PyBullet environment, where `pybullet` is installed
 
-Each layer is timed in turns, several rounds; the median is reported.
+Bare, world and env take turns of one control step of all robots, some milliseconds each, so that whatever else the
+machine does meets all of them alike. Then come the longer ones: a second or more of each, in turns too. With one
+thread, the default, time is the process's time on a processor; with more it is the wall's. Ratios are medians over
+turns, with quartiles.
 """
 
 from __future__ import annotations
@@ -22,6 +26,7 @@ import statistics
 import subprocess
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -29,7 +34,8 @@ from typing import Any
 import mujoco
 import mujoco.rollout
 import numpy as np
-from rounds import measure, median_ratio
+from numba import njit
+from rounds import measure, ratio_quartiles
 
 from surefoot.cli.policies import find_policy
 from surefoot.evaluate.rollout import task_from_contract
@@ -40,32 +46,121 @@ from surefoot.task.config import TaskConfig
 from surefoot.task.env import LocomotionEnv
 from surefoot.task.randomize import RandomizeConfig, load_ranges
 from surefoot.world.mujoco_model import build_model
+from surefoot.world.native import call_step, doubles, function_address
 from surefoot.world.sim_world import SimWorld
 
+STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 PHYSICS = mujoco.mjtState.mjSTATE_FULLPHYSICS
 FORCES = int(mujoco.mjtState.mjSTATE_QFRC_APPLIED) | int(mujoco.mjtState.mjSTATE_XFRC_APPLIED)
 
 
+@njit(nogil=True)
+def _replay(step, model, data, places, forces, robots, steps):  # type: ignore[no-untyped-def]
+    """Step some robots with the forces recorded for them; with `step` 0 only put the forces in."""
+    for i in range(robots[0], robots[1]):
+        for k in range(steps[0], steps[1]):
+            for j in range(places.shape[1]):
+                doubles(places[i, j])[0] = forces[i, k, j]
+            if step:
+                call_step(step, model, data[i])
+
+
+class Bare:
+    """MuJoCo alone: the robots of a world with the forces that this world put on them, recorded."""
+
+    def __init__(self, env: LocomotionEnv, threads: int) -> None:
+        self.world: Any = env.world
+        self.threads, self.pool = threads, ThreadPoolExecutor(threads)
+        self.model = build_model(env.robot)
+        self.datas = [mujoco.MjData(self.model) for _ in range(env.num_envs)]
+        self.step = function_address("mj_step")
+        self.addresses = np.array([data._address for data in self.datas], np.int64)
+        native = self.world.engine._native
+        xfrc = (6 * native.foot_body[:, None] + np.arange(6)).ravel()
+        self.places = np.array(
+            [
+                np.concatenate(
+                    [data.qfrc_applied.ctypes.data + 8 * native.motor_dof, data.xfrc_applied.ctypes.data + 8 * xfrc]
+                )
+                for data in self.datas
+            ]
+        )
+
+    def record(self, targets: np.ndarray, servo_steps: int) -> None:
+        """Step the world with these targets, one servo step at a time, and keep its states and forces."""
+        world, model, datas = self.world, self.world.engine.models[0], self.world.engine.datas
+        control_step = world.params.control_step.copy()
+        world.params.control_step[:] = world.robot.timing.servo_step
+        self.initial = self._states(datas, STATE)
+        self.physics, self.warmstart = self._states(datas, PHYSICS), np.array([data.qacc_warmstart for data in datas])
+        self.forces = np.empty((len(datas), len(targets) * servo_steps, mujoco.mj_stateSize(model, FORCES)))
+        for k, target in enumerate(np.repeat(targets, servo_steps, axis=0)):
+            world.step(target)
+            self.forces[:, k] = self._states(datas, FORCES)
+        self.final = np.array([data.qpos for data in datas])
+        world.params.control_step[:] = control_step
+        native, nv = world.engine._native, model.nv
+        xfrc = (6 * native.foot_body[:, None] + np.arange(6)).ravel()
+        self.compact = np.ascontiguousarray(self.forces[:, :, np.concatenate([native.motor_dof, nv + xfrc])])
+
+    def _states(self, datas: list[Any], kind: int) -> np.ndarray:
+        rows = np.empty((len(datas), mujoco.mj_stateSize(self.model, kind)))
+        for data, row in zip(datas, rows, strict=True):
+            mujoco.mj_getState(self.model, data, row, kind)
+        return rows
+
+    def restart(self) -> None:
+        """Put all robots back to where the record begins."""
+        for data, state in zip(self.datas, self.initial, strict=True):
+            mujoco.mj_setState(self.model, data, state, STATE)
+
+    def run(self, first: int, last: int, step: int | None = None) -> None:
+        """Go through the recorded servo steps from `first` to `last` (not included)."""
+        step = self.step if step is None else step
+        parts = np.linspace(0, len(self.datas), self.threads + 1).astype(int)
+
+        def work(part: int) -> None:
+            robots = (parts[part], parts[part + 1])
+            _replay(step, self.model._address, self.addresses, self.places, self.compact, robots, (first, last))
+
+        if self.threads == 1:
+            work(0)
+        else:
+            list(self.pool.map(work, range(self.threads)))
+
+
 class Bench:
-    """The layers, set up once, each with a method that runs it and returns (physics steps, seconds)."""
+    """The layers, set up once, each with a method that runs it for a turn and returns (physics steps, seconds)."""
 
     def __init__(self, num_envs: int, steps: int, threads: int) -> None:
         self.num_envs, self.steps, self.threads = num_envs, steps, threads
+        self.clock = time.process_time if threads == 1 else time.perf_counter
         self.policy = PolicyRuntime.load(find_policy("gallop"))
         task = replace(task_from_contract(self.policy.contract), start_linear_speed=0.3, start_angular_speed=1.0)
-        self.env = LocomotionEnv(task, num_envs, SimWorld, seed=1, threads=threads)
+        self.servo_env, self.env = (self._env(task, task.randomize) for _ in range(2))
         self.servo_steps = round(self.policy.contract.control_step / self.env.robot.timing.servo_step)
-        self.targets = self._warm_up_and_record_targets()
-        self.initial, self.forces, self.final = self._record_forces()
-        self.model = build_model(self.env.robot)
-        self.rollout = mujoco.rollout.Rollout(nthread=threads)
-        self.datas = [mujoco.MjData(self.model) for _ in range(threads)]
+        self.observation, _ = self.env.reset()
+        self.env_start = self.env.get_state(), self.observation
+        self.targets = self._targets()
+        self.bare_layer = Bare(self.servo_env, threads)
+        world_start = self.servo_env.world.get_state()
+        self.bare_layer.record(self.targets, self.servo_steps)
+        self.world_start = world_start
+        self.rollout_layer = mujoco.rollout.Rollout(nthread=threads)
+        self.scratch = [mujoco.MjData(self.bare_layer.model) for _ in range(threads)]
+        self.at = dict.fromkeys(("bare", "world", "env"), 0)
+        self.replay_error = self._replay_error()
+        self.copy_share = self._copy_share()
+
+    def make_long(self) -> None:
+        """Set up what the longer turns need."""
         table1 = load_ranges("table1")
-        self.drawn_env = self._env(task, replace(table1, control_step=None))
-        self.unequal_env = self._env(task, RandomizeConfig(control_step=table1.control_step))
+        self.episode_env = self._env(self.env.task, self.env.task.randomize)
+        self.drawn_env = self._env(self.env.task, replace(table1, control_step=None))
+        self.unequal_env = self._env(self.env.task, RandomizeConfig(control_step=table1.control_step))
         self.redraw_seconds = 0.0
         self._time_redraws(self.drawn_env)
-        config = replace(load_train_config("gallop"), threads=threads)
+        config = replace(load_train_config("gallop"), threads=self.threads, learning_threads=self.threads)
         self.trainer = Trainer(config, SimWorld)
         self.drawn_trainer = Trainer(replace(config, task=replace(config.task, randomize=table1)), SimWorld)
         for trainer in (self.trainer, self.drawn_trainer):
@@ -81,71 +176,108 @@ class Bench:
 
         def timed(function: Any) -> Any:
             def call(*arguments: Any) -> Any:
-                start = time.perf_counter()
+                start = self.clock()
                 result = function(*arguments)
-                self.redraw_seconds += time.perf_counter() - start
+                self.redraw_seconds += self.clock() - start
                 return result
 
             return call
 
         env.randomizer.draw, env.world.set_params = timed(draw), timed(apply)  # type: ignore[method-assign]
 
-    def _act(self, observation: np.ndarray) -> np.ndarray:
-        return self.env.gait.action(self.policy.feedback(observation))
+    def _act(self, env: LocomotionEnv, observation: np.ndarray) -> np.ndarray:
+        return env.gait.action(self.policy.feedback(observation))
 
-    def _warm_up_and_record_targets(self) -> np.ndarray:
-        observation, _ = self.env.reset(seed=1)
+    def _targets(self) -> np.ndarray:
+        """Motor angles (steps, N, M) that the policy commands; compiled code is warm afterwards."""
+        observation, _ = self.servo_env.reset()
+        world_start = self.servo_env.world.get_state()
         targets = []
         for _ in range(self.steps):
-            observation, *_ = self.env.step(self._act(observation))
-            targets.append(self.env.world.drive.target.copy())
+            observation, *_ = self.servo_env.step(self._act(self.servo_env, observation))
+            targets.append(self.servo_env.world.drive.target.copy())
+        self.servo_env.world.set_state(world_start)
         return np.array(targets)
 
-    def _record_forces(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """States and applied forces of the same motion, one servo step at a time, for the bare engine."""
-        env = self.env
-        env.reset(seed=1)
-        world = env.world
-        world.params.control_step[:] = env.robot.timing.servo_step
-        model, datas = world.engine.models[0], world.engine.datas
-        size = mujoco.mj_stateSize(model, FORCES)
-        initial = np.empty((self.num_envs, mujoco.mj_stateSize(model, PHYSICS)))
-        forces = np.empty((self.num_envs, self.steps * self.servo_steps, size))
-        for i in range(self.num_envs):
-            mujoco.mj_getState(model, datas[i], initial[i], PHYSICS)
-        for k, target in enumerate(self.targets):
-            for j in range(self.servo_steps):
-                world.step(target)
-                for i in range(self.num_envs):
-                    mujoco.mj_getState(model, datas[i], forces[i, k * self.servo_steps + j], FORCES)
-        final = np.array([data.qpos.copy() for data in datas])
-        world.params.control_step[:] = self.policy.contract.control_step
-        return initial, forces, final
+    def _replay_error(self) -> float:
+        """How far [m, rad] the replay ends from the world's motion."""
+        bare = self.bare_layer
+        bare.restart()
+        bare.run(0, self.steps * self.servo_steps)
+        return float(np.abs(np.array([data.qpos for data in bare.datas]) - bare.final).max())
+
+    def _copy_share(self) -> float:
+        """Share of the bare loop's time that putting in forces takes: at most, as it is read from cold memory."""
+        seconds = []
+        for step in (None, 0):
+            self.bare_layer.restart()
+            start = self.clock()
+            self.bare_layer.run(0, self.steps * self.servo_steps, step)
+            seconds.append(self.clock() - start)
+        return seconds[1] / seconds[0]
+
+    def _place(self, layer: str, restart: Any) -> int:
+        """Number of the control step that comes next; after the last one, the first again."""
+        k = self.at[layer]
+        if k == 0:
+            restart()
+        self.at[layer] = (k + 1) % self.steps
+        return k
 
     def bare(self) -> tuple[int, float]:
-        """MuJoCo alone."""
-        steps = self.forces.shape[1]
-        models = [self.model] * self.num_envs
-        start = time.perf_counter()
-        states, _ = self.rollout.rollout(
-            models, self.datas, self.initial, self.forces, control_spec=FORCES, nstep=steps, chunk_size=8
-        )
-        seconds = time.perf_counter() - start
-        self.replay_error = float(np.abs(states[:, -1, 1 : 1 + self.model.nq] - self.final).max())
-        return self.num_envs * steps, seconds
+        """MuJoCo alone, one control step."""
+        first = self._place("bare", self.bare_layer.restart) * self.servo_steps
+        start = self.clock()
+        self.bare_layer.run(first, first + self.servo_steps)
+        return self.num_envs * self.servo_steps, self.clock() - start
 
     def world(self) -> tuple[int, float]:
         """Servo, motor, delays, contact and sensors added."""
-        self.env.reset(seed=1)
-        world = self.env.world
-        start = time.perf_counter()
-        for target in self.targets:
-            world.step(target)
-        return self.num_envs * self.steps * self.servo_steps, time.perf_counter() - start
+        world = self.servo_env.world
+        target = self.targets[self._place("world", lambda: world.set_state(self.world_start))]
+        start = self.clock()
+        world.step(target)
+        return self.num_envs * self.servo_steps, self.clock() - start
 
     def environment(self) -> tuple[int, float]:
         """Observation, policy, reward and episodes added."""
-        return self._run(self.env)
+
+        def restart() -> None:
+            self.env.set_state(self.env_start[0])
+            self.observation = self.env_start[1]
+
+        self._place("env", restart)
+        start = self.clock()
+        self.observation, *_ = self.env.step(self._act(self.env, self.observation))
+        return self.num_envs * self.servo_steps, self.clock() - start
+
+    def whole_bare(self) -> tuple[int, float]:
+        """MuJoCo alone, all control steps."""
+        self.bare_layer.restart()
+        start = self.clock()
+        self.bare_layer.run(0, self.steps * self.servo_steps)
+        return self.num_envs * self.steps * self.servo_steps, self.clock() - start
+
+    def rollout(self) -> tuple[int, float]:
+        """What the `mujoco` package brings along to step many robots."""
+        bare = self.bare_layer
+        models = [bare.model] * self.num_envs
+        start = self.clock()
+        self.rollout_layer.rollout(
+            models,
+            self.scratch,
+            bare.physics,
+            bare.forces,
+            control_spec=FORCES,
+            nstep=bare.forces.shape[1],
+            initial_warmstart=bare.warmstart,
+            chunk_size=8,
+        )
+        return self.num_envs * self.steps * self.servo_steps, self.clock() - start
+
+    def episode(self) -> tuple[int, float]:
+        """As `environment`, in a turn as long as those of `drawn` and `unequal`, a reset of all robots included."""
+        return self._run(self.episode_env)
 
     def drawn(self) -> tuple[int, float]:
         """Physical parameters drawn at every reset added."""
@@ -160,18 +292,18 @@ class Bench:
 
     def _run(self, env: LocomotionEnv) -> tuple[int, float]:
         """As many control steps as an episode has on average here, the reset included."""
-        start = time.perf_counter()
+        start = self.clock()
         observation, _ = env.reset()
         physics = 0
         for _ in range(self.steps):
             servo_steps = env.world.drive.ticks.copy()
-            observation, *_ = env.step(self._act(observation))
+            observation, *_ = env.step(self._act(env, observation))
             went = env.world.drive.ticks - servo_steps
             physics += int(went[went > 0].sum())
-        return physics, time.perf_counter() - start
+        return physics, self.clock() - start
 
     def train(self) -> tuple[int, float]:
-        """Learning added."""
+        """Learning added: one update."""
         return self._train(self.trainer)
 
     def train_drawn(self) -> tuple[int, float]:
@@ -180,13 +312,11 @@ class Bench:
 
     def _train(self, trainer: Trainer) -> tuple[int, float]:
         world = trainer.env.world
-        start = time.perf_counter()
-        mean_steps = []
-        for _ in range(3):
-            trainer.update()
-            mean_steps.append(world.params.control_step.mean() / trainer.env.robot.timing.servo_step)
-        seconds = time.perf_counter() - start
-        return int(3 * trainer.config.samples_per_update * statistics.mean(mean_steps)), seconds
+        start = self.clock()
+        trainer.update()
+        seconds = self.clock() - start
+        servo_steps = world.params.control_step.mean() / trainer.env.robot.timing.servo_step
+        return int(trainer.config.samples_per_update * servo_steps), seconds
 
 
 def authors_rate() -> float | None:
@@ -207,47 +337,58 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     parser.add_argument("--num-envs", type=int, default=256)
-    parser.add_argument("--steps", type=int, default=100, help="control steps of each robot")
-    parser.add_argument("--rounds", type=int, default=5)
-    parser.add_argument("--threads", type=int, default=os.cpu_count() or 1)
+    parser.add_argument("--steps", type=int, default=100, help="control steps of the motion, over and over")
+    parser.add_argument("--turns", type=int, default=400, help="short turns of bare, world and env")
+    parser.add_argument("--rounds", type=int, default=5, help="long turns of all else; 0 leaves them out")
+    parser.add_argument("--threads", type=int, default=1)
     options = parser.parse_args()
     bench = Bench(options.num_envs, options.steps, options.threads)
-    layers = {
-        "bare": bench.bare,
-        "world": bench.world,
-        "env": bench.environment,
-        "drawn": bench.drawn,
-        "unequal": bench.unequal,
-        "train": bench.train,
-        "train+": bench.train_drawn,
-    }
-    rates = measure(layers, options.rounds)
-    result: dict[str, Any] = {name: statistics.median(values) for name, values in rates.items()}
-    pairs = [(name, "bare") for name in ("world", "env", "train")]
-    pairs += [("drawn", "env"), ("unequal", "env"), ("train+", "train")]
-    for name, base in pairs:
-        result[f"{name}_ratio"] = median_ratio(rates, name, base)
-    result["redraw_share"] = bench.redraw_share
-    result["replay_error_m"] = bench.replay_error
-    result["authors"] = authors_rate()
-    if result["authors"]:
-        result["env_to_authors_ratio"] = result["env"] / result["authors"]
+    groups = [({"bare": bench.bare, "world": bench.world, "env": bench.environment}, options.turns, "bare")]
+    if options.rounds:
+        bench.make_long()
+        groups += [
+            ({"bare": bench.whole_bare, "rollout": bench.rollout}, options.rounds, "bare"),
+            (
+                {"env": bench.episode, "drawn": bench.drawn, "unequal": bench.unequal},
+                options.rounds,
+                "env",
+            ),
+            ({"bare": bench.whole_bare, "train": bench.train}, 3 * options.rounds, "bare"),
+            ({"train": bench.train, "train+": bench.train_drawn}, 3 * options.rounds, "train"),
+        ]
+    result: dict[str, Any] = {}
+    lines = []
+    for layers, turns, base in groups:
+        rates = measure(layers, turns)
+        for name, values in rates.items():
+            if name in result:
+                continue
+            rate = result[name] = statistics.median(values)
+            line = f"  {name:7} {rate:>9,.0f} physics steps/s"
+            if options.threads == 1:
+                line += f" {1e6 / rate:6.2f} us"
+            if name != base:
+                low, middle, high = result[f"{name}_ratio"] = ratio_quartiles(rates, name, base)
+                line += f"  {middle:.3f} of {base} ({low:.3f} to {high:.3f})"
+            lines.append(line)
+    result |= {"replay_error": bench.replay_error, "copy_share": bench.copy_share, "authors": None}
+    if options.rounds:
+        result |= {"redraw_share": bench.redraw_share, "authors": authors_rate()}
     if options.json:
         print(json.dumps(result))
         return 0
-    print(f"{options.num_envs} robots, {options.threads} threads, median of {options.rounds} rounds")
-    for name in layers:
-        ratio = next((f"{result[f'{a}_ratio']:.2f} of {b}" for a, b in pairs if a == name), "")
-        spread = f"({min(rates[name]):,.0f} to {max(rates[name]):,.0f})"
-        print(f"  {name:7} {result[name]:>9,.0f} physics steps/s {spread:24} {ratio}")
-    print(f"  drawing and applying parameters: {100 * result['redraw_share']:.1f} % of the time of 'drawn'")
-    print(f"  the bare engine's replay ends within {result['replay_error_m']:.1e} of the world's motion")
-    if result["authors"]:
-        print(
-            f"  authors' environment {result['authors']:,.0f}; env runs {result['env_to_authors_ratio']:.0f} times that"
-        )
-    else:
-        print("  authors' environment: not run (pip install pybullet)")
+    print(f"{options.num_envs} robots, {options.threads} threads, medians of {options.turns} turns (quartiles)")
+    print(*lines, sep="\n")
+    print(
+        f"  bare ends within {bench.replay_error:.1e} of the world's motion; putting in forces is at most "
+        f"{100 * bench.copy_share:.1f} % of it"
+    )
+    if options.rounds:
+        print(f"  drawing and applying parameters: {100 * bench.redraw_share:.1f} % of the time of 'drawn'")
+        if result["authors"]:
+            print(f"  authors' environment {result['authors']:,.0f} on {os.cpu_count()} cores")
+        else:
+            print("  authors' environment: not run (pip install pybullet)")
     return 0
 
 

@@ -1,7 +1,9 @@
 """Wall time until a gallop, learned from scratch, reaches the paper's speed.
 
 From the start of training (models built, compiled code loaded) until the deterministic policy averages 1.34 m/s over
-eight full episodes without a fall. The evaluations are inside the time.
+eight full episodes without a fall. The evaluations are inside the time; few are made, as early policies only move
+while they explore: one second of a few robots tells before eight whole episodes are run. Seconds on processors are told
+beside those on the wall, for machines that do other work too.
 """
 
 from __future__ import annotations
@@ -10,13 +12,41 @@ import argparse
 import json
 import time
 from dataclasses import replace
+from functools import cache
+
+import numpy as np
 
 from surefoot.learn.config import load_train_config
 from surefoot.learn.run import evaluate_policy
 from surefoot.learn.trainer import Trainer
+from surefoot.task.env import LocomotionEnv
 from surefoot.world.sim_world import SimWorld
 
 TARGET = 1.34
+
+
+def early_speed(trainer: Trainer, seconds: float = 1.5) -> float:
+    """Speed [m/s] of the deterministic policy over an episode's first moments, standing start included.
+
+    A policy that runs at all is at speed by the last third, which alone counts.
+    """
+    env = early_env(trainer)
+    observation, _ = env.reset()
+    steps = round(seconds / env.world.params.control_step[0])
+    last = steps // 3
+    for k in range(steps):
+        observation, *_ = env.step(trainer.act(observation))
+        if k == steps - last - 1:
+            before, since = env.truth.base_position_world[:, 0], env.readings.time
+    forward = env.truth.base_position_world[:, 0] - before
+    return float(np.mean(forward / np.maximum(env.readings.time - since, 1e-9)))
+
+
+@cache
+def early_env(trainer: Trainer) -> LocomotionEnv:
+    """Few robots on the trainer's task."""
+    config = trainer.config
+    return LocomotionEnv(config.task, 4, SimWorld, config.seed, autoreset=False, threads=config.threads)
 
 
 def main() -> int:
@@ -26,7 +56,7 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--limit", type=float, default=900.0, help="give up after this many seconds")
     options = parser.parse_args()
-    start = time.perf_counter()
+    start, start_cpu = time.perf_counter(), time.process_time()
     config = replace(load_train_config("gallop"), seed=options.seed)
     trainer = Trainer(config, SimWorld)
     world, engine = trainer.env.world, trainer.env.world.engine
@@ -39,18 +69,22 @@ def main() -> int:
 
     engine.advance = timed_advance
     dt = world.params.control_step[0]
-    reached = None
+    reached, evaluations = None, 0
     while reached is None and time.perf_counter() - start < options.limit:
         figures = trainer.update()
-        # An evaluation costs as much as an update or two: only ask where exploration alone already runs.
-        if figures.reward_rate / dt > 0.35:
+        # An evaluation costs as much as an update or two: only ask where exploration alone already runs, and then
+        # where a short one says so.
+        if figures.reward_rate / dt > 0.35 and early_speed(trainer) > 0.7 * TARGET:
+            evaluations += 1
             evaluation = evaluate_policy(trainer, SimWorld, 8)
             if evaluation.speed_mean >= TARGET and evaluation.falls == 0:
                 reached = evaluation
     seconds = time.perf_counter() - start
     result = {
         "seconds": round(seconds, 1),
+        "cpu_seconds": round(time.process_time() - start_cpu, 1),
         "control_steps": trainer.steps,
+        "evaluations": evaluations,
         "physics_share": round(physics[0] / seconds, 3),
         "reached": reached is not None,
         "speed": None if reached is None else round(reached.speed_mean, 3),
@@ -62,7 +96,8 @@ def main() -> int:
         print(f"{TARGET} m/s not reached in {seconds:.0f} s and {trainer.steps:,} control steps")
     else:
         print(
-            f"{reached.speed_mean:.2f} m/s after {seconds:.1f} s and {trainer.steps:,} control steps; "
+            f"{reached.speed_mean:.2f} m/s after {seconds:.1f} s ({result['cpu_seconds']:.1f} s on processors) and "
+            f"{trainer.steps:,} control steps; {evaluations} evaluations; "
             f"{100 * result['physics_share']:.0f} % of the time was physics"
         )
     return 0 if reached else 1

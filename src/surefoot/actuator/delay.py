@@ -17,20 +17,22 @@ import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
+from surefoot.actuator.compiled import kernel
 from surefoot.errors import SurefootError
 
 Array = NDArray[np.float64]
 
 
-@njit(cache=True, forceinline=True)
+@kernel
 def push_kernel(times: Array, samples: Array, count: int, time: float, sample: Array) -> None:
     """Store the sample number `count` in one robot's ring buffers, times (H,) and samples (H, D)."""
     slot = count % len(times)
     times[slot] = time
-    samples[slot] = sample
+    for j in range(len(sample)):
+        samples[slot, j] = sample[j]
 
 
-@njit(cache=True, forceinline=True)
+@kernel
 def read_kernel(times: Array, samples: Array, count: int, time: float, width: int, out: Array) -> None:
     """Write the first `width` entries of one robot's reading at `time` to `out`, after `count` pushes.
 

@@ -60,6 +60,8 @@ class Wave:
 
     def at(self, time: ArrayLike) -> Array:
         """Values (N, L) [rad] at times (N,) [s]."""
+        if not self.amplitude.any():
+            return np.broadcast_to(self.offset, (*np.shape(time), len(self.offset)))
         angle = 2 * np.pi * np.asarray(time, float)[..., None] * self.frequency + self.phase
         return self.amplitude * np.sin(angle) + self.offset
 

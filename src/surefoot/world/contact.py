@@ -21,8 +21,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from surefoot.actuator.compiled import kernel
 
 Array = NDArray[np.float64]
 
@@ -32,7 +33,7 @@ SPIN_SPEED = 0.1
 """Angular velocity w_0 [rad/s] at which a foot that turns on the spot meets its full resistance."""
 
 
-@njit(cache=True, forceinline=True)
+@kernel
 def foot_force_kernel(
     depth: float,
     velocity: Array,
@@ -78,7 +79,7 @@ def foot_force_kernel(
         stretch[1] *= bound / held
 
 
-@njit(cache=True, forceinline=True)
+@kernel
 def spinning_torque_kernel(normal: float, spin: float, coefficient: float) -> float:
     """Torque of the ground on one foot about the normal, t_n [N m].
 

@@ -22,6 +22,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from surefoot.actuator.compiled import kernel
 from surefoot.actuator.constraint import constraint_speed_kernel, constraint_torque_kernel
 from surefoot.actuator.delay import push_kernel, read_kernel
 from surefoot.actuator.motor import (
@@ -143,7 +144,7 @@ def racked_bases(num_envs: int) -> Array:
     return np.tile([0.0, 0.0, RACK_HEIGHT, 1.0, *[0.0] * 6], (num_envs, 1))
 
 
-@njit(cache=True, forceinline=True)
+@kernel
 def roll_pitch_yaw(w: float, x: float, y: float, z: float) -> tuple[float, float, float]:
     """Euler angles [rad] of a unit quaternion: turn by yaw about z, then pitch about y, then roll about x."""
     roll = math.atan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
@@ -152,13 +153,13 @@ def roll_pitch_yaw(w: float, x: float, y: float, z: float) -> tuple[float, float
     return roll, pitch, yaw
 
 
-@njit(cache=True, forceinline=True)
+@kernel
 def record(drive: Drive, i: int) -> None:
     """The state of now of robot `i` enters its history, stamped with the robot's own time."""
     push_kernel(drive.times[i], drive.history[i], drive.ticks[i], drive.ticks[i] * drive.limits[3], drive.now[i])
 
 
-@njit(cache=True, forceinline=True)
+@kernel
 def servo_tick(drive: Drive, i: int) -> None:
     """Servo and motor of robot `i` answer the state of now, which is in the history, with `drive.torque`.
 
@@ -207,7 +208,7 @@ def servo_tick(drive: Drive, i: int) -> None:
     drive.energy[i] += dt * abs(power)
 
 
-@njit(cache=True, forceinline=True)
+@kernel
 def constraint_tick(drive: Drive, i: int) -> None:
     """Count the work of robot `i`'s constraint motors over the step that just ended.
 

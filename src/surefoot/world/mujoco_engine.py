@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import copy
 import os
-from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from typing import Any
 
 import mujoco
@@ -29,8 +29,8 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 _STATE = mujoco.mjtState.mjSTATE_INTEGRATION
-_CHUNK = 8
-"""Robots a thread takes at a time: few enough that robots with long control steps do not leave a core idle."""
+_LEAST = 8
+"""Robots a thread is worth its start for."""
 BULLET_ONLY = ("knee_friction", "knee_play", "floor_unevenness")
 """Physical parameters that this engine does not model."""
 _MASS_FIELDS = ("body_mass", "body_inertia", "body_subtreemass", "body_invweight0", "dof_M0", "dof_invweight0")
@@ -61,7 +61,7 @@ class MujocoEngine:
         self._nominal = build_model(robot, config)
         self._scratch_model = copy.copy(self._nominal)
         self._scratch = mujoco.MjData(self._scratch_model)
-        self.threads = min(config.threads or os.cpu_count() or 1, -(-num_envs // _CHUNK))
+        self.threads = min(config.threads or os.cpu_count() or 1, -(-num_envs // _LEAST))
         self.models = [copy.copy(self._nominal) for _ in range(self.threads)]
         self.datas = [mujoco.MjData(self._nominal) for _ in range(num_envs)]
         self._base = self._nominal.body(robot.base).id
@@ -144,20 +144,12 @@ class MujocoEngine:
 
     def advance(self, servo_steps: Index) -> None:
         """Run every robot for its number of servo steps (N,); those that diverge stop and are marked."""
-        if self._pool is None:
-            advance(self._native, self.drive, servo_steps, self.diverged, 0, 0, len(servo_steps))
-            return
-        # Threads take chunks as they come; drawing from an iterator is atomic under the interpreter's lock.
-        chunks = iter(range(0, len(servo_steps), _CHUNK))
-        others = [self._pool.submit(self._work, servo_steps, worker, chunks) for worker in range(1, self.threads)]
-        self._work(servo_steps, 0, chunks)
+        counter = np.zeros(1, np.int64)
+        work = partial(advance, self._native, self.drive, servo_steps, self.diverged)
+        others = [self._pool.submit(work, worker, counter) for worker in range(1, self.threads)] if self._pool else []
+        work(0, counter)
         for other in others:
             other.result()
-
-    def _work(self, servo_steps: Index, worker: int, chunks: Iterator[int]) -> None:
-        for first in chunks:
-            last = min(first + _CHUNK, len(servo_steps))
-            advance(self._native, self.drive, servo_steps, self.diverged, worker, first, last)
 
     def observe(self, i: int) -> None:
         """Write the state of robot `i` to `drive.now`."""

@@ -11,9 +11,10 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from surefoot.actuator.compiled import kernel
 from surefoot.world.contact import foot_force_kernel, spinning_torque_kernel
 from surefoot.world.drive import SPEED_LIMIT, Drive, constraint_tick, record, roll_pitch_yaw, servo_tick
-from surefoot.world.native import call_step, doubles, pointers
+from surefoot.world.native import call_step, doubles, pointers, take_number
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -59,7 +60,7 @@ class Native(NamedTuple):
     num_qvel: int
 
 
-@njit(cache=True, forceinline=True)
+@kernel
 def _load_masses(native: Native, worker: int, i: int) -> None:
     """Give the model of a thread the masses and inertias of robot `i`."""
     at = 0
@@ -70,7 +71,7 @@ def _load_masses(native: Native, worker: int, i: int) -> None:
         at += native.mass_sizes[field]
 
 
-@njit(cache=True, forceinline=True)
+@kernel
 def observe(native: Native, drive: Drive, i: int) -> bool:
     """Write robot `i`'s state to `drive.now`; false, and nothing written, if it is not finite."""
     qpos, qvel = doubles(native.qpos[i]), doubles(native.qvel[i])
@@ -95,7 +96,7 @@ def observe(native: Native, drive: Drive, i: int) -> bool:
     return True
 
 
-@njit(cache=True, forceinline=True)
+@kernel
 def _feet_on_ground(native: Native, drive: Drive, i: int, velocity: Array, force: Array) -> None:
     """Apply the ground's forces on robot `i`'s feet, for positions and velocities that MuJoCo has just computed."""
     xpos, xipos = doubles(native.geom_xpos[i]), doubles(native.body_xipos[i])
@@ -140,7 +141,7 @@ def _feet_on_ground(native: Native, drive: Drive, i: int, velocity: Array, force
             applied[6 * b + 5] += spinning_torque_kernel(force[2], cvel[6 * b + 2], native.spinning[i])
 
 
-@njit(cache=True, forceinline=True)
+@kernel
 def _seek_speeds(native: Native, drive: Drive, i: int) -> None:
     """Make the friction that MuJoCo has just set up for robot `i`'s motor joints seek `drive.end_speed`.
 
@@ -157,46 +158,54 @@ def _seek_speeds(native: Native, drive: Drive, i: int) -> None:
         limit[row] = drive.torque_limit[i, m]
 
 
-@njit(cache=True, nogil=True)
+@kernel
+def _run(native: Native, drive: Drive, i: int, servo_steps: int, model: int, velocity: Array, force: Array) -> bool:
+    """Run robot `i` for some servo steps on a thread's model; false if it diverges."""
+    drive.energy[i] = 0.0
+    drive.contact_ticks[i] = 0.0
+    applied, data = doubles(native.applied[i]), native.data[i]
+    for _ in range(servo_steps):
+        servo_tick(drive, i)
+        for m in range(len(native.motor_dof)):
+            torque = drive.torque[i, m]
+            if not np.isfinite(torque):
+                return False
+            applied[native.motor_dof[m]] = native.motor_sign[m] * torque
+        call_step(native.step1, model, data)
+        _feet_on_ground(native, drive, i, velocity, force)
+        if drive.constraint[0]:
+            _seek_speeds(native, drive, i)
+        call_step(native.step2, model, data)
+        drive.ticks[i] += 1
+        if not observe(native, drive, i):
+            return False
+        if drive.constraint[0]:
+            forces = doubles(pointers(data + native.force_row)[0])
+            for m in range(len(native.motor_dof)):
+                drive.motor_torque[i, m] = native.motor_sign[m] * forces[native.motor_row[m]]
+            constraint_tick(drive, i)
+        record(drive, i)
+    return True
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def advance(
-    native: Native, drive: Drive, servo_steps: Index, diverged: NDArray[np.bool_], worker: int, first: int, last: int
+    native: Native, drive: Drive, servo_steps: Index, diverged: NDArray[np.bool_], worker: int, counter: Index
 ) -> None:
-    """Run robots first to last (not included) for their number of servo steps, on a thread's model."""
+    """Run robots for their number of servo steps on a thread's model, until none is left.
+
+    Threads share a counter (1,) of the robots that were taken: whoever is done with a robot takes the next.
+    """
     velocity, force = np.zeros(3), np.zeros(3)
-    model = native.model[worker]
-    for i in range(first, last):
+    while True:
+        i = take_number(counter.ctypes.data)
+        if i >= len(servo_steps):
+            return
         if servo_steps[i] == 0:
             continue
         _load_masses(native, worker, i)
-        drive.energy[i] = 0.0
-        drive.contact_ticks[i] = 0.0
-        applied = doubles(native.applied[i])
-        for _ in range(servo_steps[i]):
-            if diverged[i]:
-                break
-            servo_tick(drive, i)
-            for m in range(len(native.motor_dof)):
-                torque = drive.torque[i, m]
-                if not np.isfinite(torque):
-                    diverged[i] = True
-                applied[native.motor_dof[m]] = native.motor_sign[m] * torque
-            if diverged[i]:
-                break
-            call_step(native.step1, model, native.data[i])
-            _feet_on_ground(native, drive, i, velocity, force)
-            if drive.constraint[0]:
-                _seek_speeds(native, drive, i)
-            call_step(native.step2, model, native.data[i])
-            drive.ticks[i] += 1
-            if not observe(native, drive, i):
-                diverged[i] = True
-                break
-            if drive.constraint[0]:
-                forces = doubles(pointers(native.data[i] + native.force_row)[0])
-                for m in range(len(native.motor_dof)):
-                    drive.motor_torque[i, m] = native.motor_sign[m] * forces[native.motor_row[m]]
-                constraint_tick(drive, i)
-            record(drive, i)
+        if not diverged[i]:
+            diverged[i] = not _run(native, drive, i, servo_steps[i], native.model[worker], velocity, force)
 
 
 @njit(cache=True)

@@ -81,3 +81,15 @@ def doubles(typing_context: Any, address: Any) -> Any:
         return builder.inttoptr(args[0], context.get_value_type(signature.return_type))
 
     return signature, codegen
+
+
+@intrinsic
+def take_number(typing_context: Any, address: Any) -> Any:
+    """Take the next number of a counter (int64) at an address that threads share: each gets another one."""
+    signature = types.int64(types.int64)
+
+    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        counter = builder.inttoptr(args[0], ir.PointerType(ir.IntType(64)))
+        return builder.atomic_rmw("add", counter, ir.Constant(ir.IntType(64), 1), "monotonic")
+
+    return signature, codegen

@@ -195,13 +195,19 @@ class SimWorld:
         servo step nearest to k times the control step. A robot that diverges, or is sent angles that are not
         finite, is put back to its resting pose, counted in `divergences` and marked in `truth().diverged`.
         """
-        going = np.ones(self.num_envs, np.bool_) if active is None else active
-        np.copyto(self.drive.target, target, where=going[:, None])
+        if active is None:
+            self.drive.target[...] = target
+        else:
+            np.copyto(self.drive.target, target, where=active[:, None])
         period = self.params.control_step / self.robot.timing.servo_step
         before = np.round(self._control_steps * period)
-        self._control_steps[going] += 1
-        self._draw_noise(np.flatnonzero(going & (self._control_steps % _NOISE_BLOCK == 0)))
-        self.engine.diverged |= ~np.isfinite(self.drive.target).all(axis=1)
+        self._control_steps += 1 if active is None else active
+        due = self._control_steps % _NOISE_BLOCK == 0
+        if due.any():
+            self._draw_noise(np.flatnonzero(due if active is None else due & active))
+        finite = np.isfinite(self.drive.target)
+        if not finite.all():
+            self.engine.diverged |= ~finite.all(axis=1)
         self.engine.advance((np.round(self._control_steps * period) - before).astype(np.int64))
         self._diverged = self.engine.diverged.copy()
         if self._diverged.any():
