@@ -26,6 +26,7 @@ from surefoot.task.randomize import (
     range_names,
     row_values,
 )
+from surefoot.world.mujoco_engine import BULLET_ONLY
 from surefoot.world.mujoco_model import build_model
 from surefoot.world.sim_world import SimWorld
 
@@ -469,7 +470,7 @@ def test_contact_friction_sets_where_feet_slide_and_how_they_slow():
     assert np.all(np.abs(slipped[hold]) < 0.005)
     gained = (speed[599] - speed[399]) / 0.2
     # Newton: the force is 0.2 of the weight, friction takes mu of it.
-    np.testing.assert_allclose(gained[slide], 9.81 * (0.2 - mu[slide]), rtol=0.05)
+    np.testing.assert_allclose(gained[slide], 9.81 * (0.2 - mu[slide]), rtol=0.05, atol=2e-3)
     assert np.all(ratio <= mu + 1e-9)
     np.testing.assert_allclose(ratio[slide], mu[slide], rtol=1e-9)
 
@@ -627,7 +628,7 @@ def test_a_robots_episodes_do_not_depend_on_the_batch():
 
 
 def test_a_state_taken_and_given_back_goes_on_alike():
-    table = {**TABLE_1, **MORE}
+    table = {row: bounds for row, bounds in {**TABLE_1, **MORE}.items() if row not in BULLET_ONLY}
     env, other = (
         make_env(table, num_envs=3, seed=seed, max_steps=20, start_linear_speed=0.05, history=2) for seed in (1, 2)
     )
@@ -668,7 +669,7 @@ def test_without_ranges_nothing_is_drawn(robot):
 def test_scaled_is_from_minus_one_to_one(make_randomizer, many):
     randomizer = make_randomizer()
     scaled = np.concatenate([randomizer.scaled(params) for params in many])
-    assert scaled.shape == (4000, 24)
+    assert scaled.shape == (4000, 31)
     assert np.abs(scaled).max() <= 1 + 1e-12
     assert np.all(scaled.min(axis=0) < -0.99)
     assert np.all(scaled.max(axis=0) > 0.99)
@@ -712,7 +713,7 @@ def test_the_critics_state_grows_by_what_is_drawn(ranges, width):
 
 def test_table1_is_the_papers():
     assert load_ranges("table1").ranges == TABLE_1
-    assert range_names() == ["none", "table1"]
+    assert range_names() == ["ensemble", "none", "table1"]
 
 
 def test_row_values_are_the_rows_parameters():
@@ -802,7 +803,7 @@ def test_a_tables_path_counts_from_the_tasks_file(tmp_path: Path, monkeypatch: p
 @pytest.mark.parametrize(
     ("randomize", "pieces"),
     [
-        ("randomize: tabel1", ["task.yaml: randomize '", "tabel1' does not exist; choices: none, table1"]),
+        ("randomize: tabel1", ["task.yaml: randomize '", "tabel1' does not exist; choices: ensemble, none, table1"]),
         ("randomize: {mass: [1.2, 0.8]}", ["task.yaml: randomize.mass is [1.2, 0.8]"]),
         ("randomize: {speed: [1, 2]}", ["task.yaml: randomize.speed is no key; keys: mass"]),
         ("randomize: 3", ["task.yaml: randomize is 3; it must be a table"]),

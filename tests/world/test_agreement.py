@@ -236,6 +236,23 @@ def test_a_robot_slides_alike(robot: RobotDescription, friction):
     assert slid[1] == pytest.approx(slid[0], rel=0.1)
 
 
+def test_spinning_friction_stops_a_turning_robot_alike(robot: RobotDescription):
+    # On slippery feet the robot turns on the spot; feet that resist with c f_n each take c m g t / I_zz of its speed.
+    turned = []
+    for world in both(robot, 2, contact_friction=0.05, contact_spinning_friction=[0.0, 0.1]):
+        for _ in range(20):
+            world.step(world.resting_angles)
+        for i in range(2):
+            world.engine.set_base_velocity(i, np.zeros(3), np.array([0.0, 0.0, 5.0]))
+        for _ in range(10):
+            world.step(world.resting_angles)
+        rates = world.readings().angular_velocity_base[:, 2]
+        turned.append(rates[0] - rates[1])
+    # Readings are 20 ms old, so that 40 ms tell; .27 kg m2 and the legs.
+    assert turned[0] == pytest.approx(0.1 * WEIGHT * 0.04 / 0.27, rel=0.25)
+    assert turned[1] == pytest.approx(turned[0], rel=0.15)
+
+
 @pytest.mark.parametrize(("name", "value"), [("base_mass_ratio", 1.5), ("base_inertia_ratio", 3.0)])
 def test_the_base_gets_heavier_alike(robot: RobotDescription, name, value):
     # A push from the side, in the air: mass shows in the speed, inertia in the rates.

@@ -16,9 +16,9 @@ import pytest
 from surefoot.errors import SurefootError
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.world import bullet_engine as module
-from surefoot.world.bullet_engine import bullet_engine
-from surefoot.world.bullet_model import check_masses, open_client
-from surefoot.world.bullet_tick import rotations
+from surefoot.world.bullet_engine import bullet_engine, published_bullet_engine
+from surefoot.world.bullet_model import BulletSettings, check_masses, open_client
+from surefoot.world.bullet_tick import pin_kernel, rotations
 from surefoot.world.interface import WorldConfig
 from surefoot.world.sim_world import SimWorld
 
@@ -48,6 +48,11 @@ def varied(num_envs: int) -> dict[str, np.ndarray]:
         "servo_latency": draw.uniform(0, 0.01, num_envs),
         "imu_noise": draw.uniform(0, 0.05, num_envs),
         "contact_stiffness": draw.uniform(1500, 6000, num_envs),
+        "contact_spinning_friction": draw.uniform(0.002, 0.006, num_envs),
+        "knee_friction": draw.uniform(0, 0.02, num_envs),
+        "knee_play": draw.uniform(0.0001, 0.0005, num_envs),
+        "floor_unevenness": draw.uniform(0.001, 0.004, num_envs),
+        "imu_mount": draw.uniform(-0.02, 0.02, (num_envs, 3)),
     }
 
 
@@ -83,7 +88,7 @@ def test_bullet_has_the_files_masses_and_moments_whatever_the_ratios(make_world,
 
 
 def test_other_masses_than_the_files_are_refused(robot):
-    client, model = open_client(robot, WorldConfig())
+    client, model = open_client(robot, WorldConfig(), BulletSettings())
     try:
         link = model.links["front_left_2_lower"]
         # What a mass alone does: Bullet takes the inertia of the foot's little sphere.
@@ -94,9 +99,10 @@ def test_other_masses_than_the_files_are_refused(robot):
         pybullet.disconnect(client)
 
 
-@pytest.mark.parametrize(("i", "friction", "stiffness"), [(0, 0.7, 3000.0), (1, 1.0, 5000.0)])
-def test_feet_have_their_robots_contact_and_nothing_is_damped(make_world, robot, i, friction, stiffness):
-    engine = make_world(2, contact_friction=[0.7, 1.0], contact_stiffness=[3000.0, 5000.0]).engine
+@pytest.mark.parametrize(("i", "friction", "stiffness", "spin"), [(0, 0.7, 3000.0, 0.004), (1, 1.0, 5000.0, 0.01)])
+def test_feet_have_their_robots_contact_and_nothing_is_damped(make_world, i, friction, stiffness, spin):
+    contact = {"friction": [0.7, 1.0], "stiffness": [3000.0, 5000.0], "spinning_friction": [0.004, 0.01]}
+    engine = make_world(2, **{f"contact_{name}": values for name, values in contact.items()}).engine
     client = engine._clients[i]
     for link in engine.model.links.values():
         info = pybullet.getDynamicsInfo(engine.model.body, link, client)
@@ -107,7 +113,7 @@ def test_feet_have_their_robots_contact_and_nothing_is_damped(make_world, robot,
             assert info[1] == (friction if foot else 1.0)
         assert info[5] == 0.0
         if foot:
-            assert info[6:10] == (0.0, robot.contact.spinning_friction, 100.0, stiffness)
+            assert info[6:10] == (0.0, spin, 100.0, stiffness)
     assert pybullet.getDynamicsInfo(engine.model.ground, -1, client)[1] == 1.0
 
 
@@ -196,6 +202,10 @@ def test_on_the_rack_the_base_is_still_and_its_readings_zero(make_world, trot):
         ("servo_latency", 0.0),
         ("contact_friction", 0.2),
         ("contact_stiffness", 6000.0),
+        ("contact_spinning_friction", 0.1),
+        ("knee_friction", 0.02),
+        ("knee_play", 0.0005),
+        ("floor_unevenness", 0.002),
     ],
 )
 def test_the_parameter_changes_the_motion(make_world, trot, robot, name, value):
@@ -204,6 +214,95 @@ def test_the_parameter_changes_the_motion(make_world, trot, robot, name, value):
         world.step(trot(k))
     angles = world.truth().motor_angle
     assert np.abs(angles[0] - angles[1]).max() > 1e-6
+
+
+def test_knee_friction_is_the_torque_that_knees_hold(make_world):
+    # Horizontal lower links hang on knees that hold .2 N m; each weighs .07 to .09 kg, some .1 N m about its knee.
+    for friction, fell in ((0.2, False), (0.0, True)):
+        engine = make_world(config={"rack": True}, knee_friction=friction).engine
+        client, model = engine._clients[0], engine.model
+        for pin in model.pins:
+            pybullet.removeConstraint(pin.constraint, client)
+        for joint in model.joints.values():
+            pybullet.resetJointState(model.body, joint, np.pi / 4, 0.0, client)
+        for _ in range(300):
+            pybullet.setJointMotorControlArray(
+                model.body, model.motors, pybullet.VELOCITY_CONTROL, forces=[50.0] * 8, physicsClientId=client
+            )
+            pybullet.stepSimulation(client)
+        angles = np.array([state[0] for state in pybullet.getJointStates(model.body, model.knees, client)])
+        assert np.all(np.abs(angles - np.pi / 4) < 0.05) != fell
+
+
+def test_a_pin_lies_against_its_bore_on_the_side_of_its_load():
+    # 3 N along x and 4 N along the pin: the pin goes to x, by the clearance times 3 / (3 + 1), a fifth of it a step.
+    quats, axes = np.array([[0.0, 0.0, 0.0, 1.0]]), np.array([[0.0, 1.0, 0.0]])
+    forces, shift = np.array([[3.0, 4.0, 0.0]]), np.zeros((1, 3))
+    pin_kernel(quats, forces, axes, 0.001, shift)
+    np.testing.assert_allclose(shift, [[0.2 * 0.00075, 0.0, 0.0]], atol=1e-12)
+    for _ in range(100):
+        pin_kernel(quats, forces, axes, 0.001, shift)
+    np.testing.assert_allclose(shift, [[0.00075, 0.0, 0.0]], atol=1e-9)
+    # In a link that is turned a quarter about z, the world's x is its -y, and y its x.
+    quats = np.array([[0.0, 0.0, np.sqrt(0.5), np.sqrt(0.5)]])
+    turned = np.zeros((1, 3))
+    for _ in range(100):
+        pin_kernel(quats, forces, np.array([[0.0, 0.0, 1.0]]), 0.001, turned)
+    np.testing.assert_allclose(turned, 0.001 / 6 * np.array([[4.0, -3.0, 0.0]]), atol=1e-9)
+
+
+def test_legs_with_play_give_way_under_the_robots_weight(make_world):
+    world = make_world(3, knee_play=[0.0, 0.0005, 0.001])
+    for _ in range(80):
+        world.step(world.resting_angles)
+    heights = world.truth().base_position_world[:, 2]
+    assert 0.0001 < heights[0] - heights[1] < 0.001
+    assert heights[0] - heights[2] == pytest.approx(2 * (heights[0] - heights[1]), rel=0.05)
+
+
+def test_an_uneven_floor_has_its_standard_deviation(make_world):
+    engine = make_world(3, floor_unevenness=[0.002, 0.002, 0.004]).engine
+
+    def heights(i: int) -> np.ndarray:
+        # Points of the grid, of which one lies in the middle between two cells.
+        x, y = np.meshgrid(0.1 * np.arange(10, 60) + 0.05, 0.1 * np.arange(-60, -10) + 0.05)
+        ends = [np.stack([x.ravel(), y.ravel(), np.full(x.size, z)], 1).tolist() for z in (0.5, -0.5)]
+        hits = [
+            hit
+            for k in range(0, x.size, 500)
+            for hit in pybullet.rayTestBatch(*(end[k : k + 500] for end in ends), physicsClientId=engine._clients[i])
+        ]
+        return np.array([hit[3][2] for hit in hits])
+
+    first, again, rough = (heights(i) for i in range(3))
+    assert first.std() == pytest.approx(0.002, rel=0.1)
+    assert rough.std() == pytest.approx(0.004, rel=0.1)
+    assert abs(rough.mean()) < 0.0005
+    np.testing.assert_array_equal(first, again)
+
+
+def test_robots_stand_on_feet_of_any_stiffness_from_the_start(make_world):
+    world = make_world(3, contact_stiffness=[3000.0, 1500.0, 30_000.0])
+    highest = np.zeros(3)
+    for _ in range(30):
+        world.step(world.resting_angles)
+        highest = np.maximum(highest, np.abs(world.truth().base_velocity_world[:, 2]))
+    # Sunk in by the 6 mm of soft feet, stiff ones would throw the robot up with some .8 m/s.
+    assert highest.max() < 0.05
+
+
+def test_the_published_settings_reach_bullet(robot):
+    world = SimWorld(robot, 1, engine=published_bullet_engine)
+    engine = world.engine
+    found = pybullet.getPhysicsEngineParameters(engine._clients[0])
+    assert found["gravityAccelerationZ"] == -10.0
+    for leg, link in zip(robot.legs, engine.model.feet, strict=True):
+        (shape,) = pybullet.getCollisionShapeData(engine.model.body, link, engine._clients[0])
+        assert shape[2] == pybullet.GEOM_BOX, leg
+        np.testing.assert_allclose(shape[3], (0.017, 0.009, 0.24))
+    for _ in range(40):
+        world.step(world.resting_angles)
+    assert 0.2 < world.truth().base_position_world[0, 2] < 0.3
 
 
 def test_a_push_stays_until_another_is_set(make_world):
@@ -337,7 +436,7 @@ def test_no_room_for_another_client_is_told(robot, monkeypatch):
 
     monkeypatch.setattr(pybullet, "connect", full)
     with pytest.raises(SurefootError, match="Bullet has no room for another robot in this process"):
-        open_client(robot, WorldConfig())
+        open_client(robot, WorldConfig(), BulletSettings())
 
 
 def test_a_robot_whose_feet_are_no_spheres_is_refused(robot, tmp_path):
@@ -347,13 +446,15 @@ def test_a_robot_whose_feet_are_no_spheres_is_refused(robot, tmp_path):
     )
     (tmp_path / "feetless.urdf").write_text(text)
     with pytest.raises(SurefootError, match="a foot has 0 spheres to stand on; Bullet needs one"):
-        open_client(replace(robot, urdf=replace(robot.urdf, path=tmp_path / "feetless.urdf")), WorldConfig())
+        open_client(
+            replace(robot, urdf=replace(robot.urdf, path=tmp_path / "feetless.urdf")), WorldConfig(), BulletSettings()
+        )
 
 
 def test_nothing_is_printed_but_what_the_user_prints():
     script = """
 from surefoot.robot import RobotDescription
-from surefoot.world.bullet_engine import bullet_engine
+from surefoot.world.bullet_engine import bullet_engine, published_bullet_engine
 from surefoot.world.sim_world import SimWorld
 SimWorld(RobotDescription.load("minitaur"), 1, engine=bullet_engine)
 print("mine")

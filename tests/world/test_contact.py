@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from surefoot.world.contact import TANGENTIAL_DAMPING, foot_force
+from surefoot.world.contact import TANGENTIAL_DAMPING, foot_force, spinning_torque_kernel
 
 STIFFNESS, DAMPING, STEP = 3000.0, 100.0, 0.001
 SPEED = st.floats(-5, 5)
@@ -111,3 +111,11 @@ def test_a_sliding_foot_comes_to_rest():
     assert max(reached) == pytest.approx(0.1, rel=0.05)
     assert abs(speed) < 1e-9
     assert position == pytest.approx(0.1, rel=0.06)
+
+
+def test_spinning_friction_is_a_length_times_the_normal_force():
+    assert spinning_torque_kernel(20.0, 3.0, 0.004) == pytest.approx(-0.08)
+    assert spinning_torque_kernel(20.0, -3.0, 0.004) == pytest.approx(0.08)
+    # Below .1 rad/s it falls with the speed.
+    assert spinning_torque_kernel(20.0, 0.05, 0.004) == pytest.approx(-0.04)
+    assert spinning_torque_kernel(0.0, 3.0, 0.004) == 0.0

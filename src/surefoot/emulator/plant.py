@@ -17,6 +17,7 @@ from surefoot.errors import SurefootError
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.seeding import generator
 from surefoot.world.drive import read_delayed
+from surefoot.world.imu import read_by_mounted_imu
 from surefoot.world.interface import WorldConfig
 from surefoot.world.sim_world import EngineFactory, SimWorld, mujoco_engine
 
@@ -174,10 +175,17 @@ class Plant:
         read_delayed(self.world.drive, np.array([latency - since_step]), self._row[None])
         return self._row
 
+    def _mount(self, tilt: Array, rate: Array) -> None:
+        """Turn the base's attitude and rates into the IMU's, in place."""
+        if self.params.imu_mount.any():
+            read_by_mounted_imu(tilt[None], rate[None], self.params.imu_mount)
+
     def vitals(self) -> Vitals:
         """What the microcontroller sees itself, of now."""
         now, motors = self.world.drive.now[0], self.robot.num_motors
-        roll, pitch = (now[2 * motors : 2 * motors + 2] + self._imu_bias).tolist()
+        tilt, rate = now[-6:-3].copy(), now[-3:].copy()
+        self._mount(tilt, rate)
+        roll, pitch = (tilt[:2] + self._imu_bias).tolist()
         return Vitals(
             motor_angle=now[:motors],
             tilt=max(abs(roll), abs(pitch)),
@@ -206,6 +214,7 @@ class Plant:
             angle = np.round(angle / config.encoder_step) * config.encoder_step
         if config.speed_noise:
             speed = speed + config.speed_noise * noise.standard_normal(motors)
+        self._mount(tilt, rate)
         tilt[:2] += self._imu_bias
         if self._imu_noise:
             tilt[:2] += self._imu_noise * noise.standard_normal(2)

@@ -2,27 +2,55 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
+
+from surefoot.world.drive import roll_pitch_yaw
 
 Array = NDArray[np.float64]
 
 
-def read_by_mounted_imu(roll_pitch_yaw: Array, angular_velocity_base: Array, mount: Array) -> tuple[Array, Array]:
-    """Return what an IMU reads whose frame is turned against the base.
+@njit(cache=True)
+def _quaternion(roll: float, pitch: float, yaw: float) -> tuple[float, float, float, float]:
+    """Unit quaternion w x y z of a turn by yaw about z, then pitch about y, then roll about x [rad]."""
+    cr, sr = math.cos(roll / 2), math.sin(roll / 2)
+    cp, sp = math.cos(pitch / 2), math.sin(pitch / 2)
+    cy, sy = math.cos(yaw / 2), math.sin(yaw / 2)
+    return (
+        cy * cp * cr + sy * sp * sr,
+        cy * cp * sr - sy * sp * cr,
+        cy * sp * cr + sy * cp * sr,
+        sy * cp * cr - cy * sp * sr,
+    )
+
+
+@njit(cache=True)
+def read_by_mounted_imu(attitude: Array, rates: Array, mount: Array) -> None:
+    """Turn attitudes and rates of bases into what IMUs read whose frames are turned against them.
 
     With the rotation R_b of the base in the world and R_m of the IMU in the base, the IMU's attitude is R_b R_m, and
     it reads the angular velocity R_m^T w.
 
     Args:
-        roll_pitch_yaw: attitude of the base (N, 3) [rad]; yaw about z, then pitch about y, then roll about x.
-        angular_velocity_base: w in the base frame (N, 3) [rad/s].
+        attitude: roll, pitch and yaw (N, 3) [rad]; yaw about z, then pitch about y, then roll about x; updated.
+        rates: angular velocity w in the base frame (N, 3) [rad/s]; updated.
         mount: roll, pitch and yaw of the IMU in the base frame (N, 3) [rad].
-
-    Returns:
-        roll, pitch and yaw (N, 3) [rad], and angular velocity (N, 3) [rad/s] in the IMU's frame.
     """
-    turn = Rotation.from_euler("ZYX", mount[:, ::-1])
-    seen = Rotation.from_euler("ZYX", roll_pitch_yaw[:, ::-1]) * turn
-    return seen.as_euler("ZYX")[:, ::-1], turn.inv().apply(angular_velocity_base)
+    for i in range(len(attitude)):
+        bw, bx, by, bz = _quaternion(attitude[i, 0], attitude[i, 1], attitude[i, 2])
+        w, x, y, z = _quaternion(mount[i, 0], mount[i, 1], mount[i, 2])
+        attitude[i, 0], attitude[i, 1], attitude[i, 2] = roll_pitch_yaw(
+            bw * w - bx * x - by * y - bz * z,
+            bw * x + bx * w + by * z - bz * y,
+            bw * y - bx * z + by * w + bz * x,
+            bw * z + bx * y - by * x + bz * w,
+        )
+        # Base to IMU, by the conjugate q* = (w, -u): omega - 2 u x (w omega - u x omega).
+        ox, oy, oz = rates[i, 0], rates[i, 1], rates[i, 2]
+        cx, cy, cz = w * ox - (y * oz - z * oy), w * oy - (z * ox - x * oz), w * oz - (x * oy - y * ox)
+        rates[i, 0] = ox - 2 * (y * cz - z * cy)
+        rates[i, 1] = oy - 2 * (z * cx - x * cz)
+        rates[i, 2] = oz - 2 * (x * cy - y * cx)

@@ -223,7 +223,7 @@ class SimWorld:
         read_delayed(self.drive, self.params.control_latency, out)
         angles, rates = out[:, 2 * motors : 2 * motors + 3], out[:, 2 * motors + 3 :]
         if self.params.imu_mount.any():
-            angles[:], rates[:] = read_by_mounted_imu(angles, rates, self.params.imu_mount)
+            read_by_mounted_imu(angles, rates, self.params.imu_mount)
         angles[:, :2] += self.params.imu_bias
         if self.params.imu_noise.any():
             noise = self._noise[np.arange(self.num_envs), self._control_steps % _NOISE_BLOCK]

@@ -1,0 +1,50 @@
+"""The ensemble of robots that stands for reality."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from surefoot.errors import SurefootError
+from surefoot.evaluate.ensemble import ROBOTS, ensemble_params, ensemble_world
+from surefoot.robot import PhysicalParams, RobotDescription
+from surefoot.task.randomize import ROWS, load_ranges
+from surefoot.world.interface import WorldConfig
+
+
+@pytest.fixture(scope="module")
+def robot() -> RobotDescription:
+    return RobotDescription.load("minitaur")
+
+
+def test_a_robot_is_the_same_in_every_batch_and_comes_again_after_the_last(robot: RobotDescription) -> None:
+    few, many = ensemble_params(robot, 3), ensemble_params(robot, ROBOTS + 2)
+    for name in PhysicalParams.names():
+        values = getattr(many, name)
+        np.testing.assert_array_equal(getattr(few, name), values[:3])
+        np.testing.assert_array_equal(values[ROBOTS:], values[:2])
+
+
+def test_every_robot_is_within_the_ranges_and_differs(robot: RobotDescription) -> None:
+    params = ensemble_params(robot, ROBOTS)
+    ranges = load_ranges("ensemble").ranges
+    assert set(ranges) == set(ROWS)
+    for row, (low, high) in ranges.items():
+        for name in ROWS[row].params:
+            values = getattr(params, name)
+            if name == "control_step":  # the policy's
+                assert np.all(values == 0.006)
+                continue
+            assert np.all((values >= low) & (values <= high)), name
+            assert len(np.unique(values)) >= ROBOTS, name
+
+
+def test_robots_keep_the_policys_control_step_and_take_no_other_parameters(robot: RobotDescription) -> None:
+    pytest.importorskip("pybullet")
+    nominal = PhysicalParams.nominal(robot, 2)
+    config = WorldConfig(threads=1)
+    world = ensemble_world(robot, 2, nominal.with_values(robot, control_step=0.010), 0, config)
+    assert np.all(world.params.control_step == 0.010)
+    np.testing.assert_array_equal(world.params.knee_play, ensemble_params(robot, 2).knee_play)
+    with pytest.raises(SurefootError, match="voltage is given; robots of the ensemble have their own"):
+        ensemble_world(robot, 2, nominal.with_values(robot, voltage=15.0), 0, config)
