@@ -53,6 +53,8 @@ class EmulateCommand:
     """Physical parameters that differ, such as motor_strength=0.8."""
     hidden_seed: Seed | None = None
     """Draw physical parameters that nobody is told."""
+    hidden_ranges: str = "table1"
+    """Table of ranges to draw them from; with ensemble, seeds 1 to 20 are the robots of world ensemble."""
     hidden_out: Path | None = None
     """File (.toml) to write them to, for checking later."""
     faults: FaultWords = ()
@@ -148,7 +150,7 @@ def _hidden(command: EmulateCommand, robot: RobotDescription, seed: int) -> Phys
     from surefoot.task.hidden import draw_hidden
     from surefoot.task.randomize import load_ranges
 
-    params = draw_hidden(robot, load_ranges("table1").ranges, seed)
+    params = draw_hidden(robot, load_ranges(command.hidden_ranges).ranges, seed)
     if command.hidden_out is not None:
         write_params(command.hidden_out, robot, params, {"origin": {"hidden_seed": seed}})
     return params
