@@ -184,8 +184,8 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
         """What a critic may see in simulation besides the observation: the true state of now (N, P).
 
         Base height [m] and velocity in the world [m/s], roll, pitch and yaw [rad], motor angles [rad] and
-        speeds [rad/s], phase of the reference, horizontal force of a push [100 N], and physical parameters that were drawn,
-        from -1 to 1 over their range.
+        speeds [rad/s], phase of the reference, horizontal force of a push [100 N], and physical parameters that
+        were drawn, from -1 to 1 over their range.
         """
         truth = self.truth
         parts = [
