@@ -40,7 +40,7 @@ UNITS = {
     "last_action": ("rad", "leg space"),
 }
 FOUR = ("roll", "pitch", "roll_rate", "pitch_rate")
-"""The paper's compact space (Tan et al. 2018, section VI-B)."""
+"""The paper's small space (Tan et al. 2018, section VI-B)."""
 TWELVE = (*FOUR, "motor_angles")
 """The paper's large space: the same and eight motor angles."""
 

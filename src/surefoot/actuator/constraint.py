@@ -21,7 +21,7 @@ def constraint_speed(target, angle, kp, kd, dt):  # type: ignore[no-untyped-def]
     constraints. With the servo's own gains the motor closes in on its target with the time constant k_d / k_p + dt,
     whatever it has to move, and never swings: where the servo asks for a voltage, this motor gets its way.
 
-    Source: Tan et al. 2018, eq. 2, with target speed 0. Bullet's motor for the joints of articulated bodies meets it
+    Source: Tan et al. 2018, eq. 4, with target speed 0. Bullet's motor for the joints of articulated bodies meets it
     with position gain k_p dt / (k_p dt + k_d) and velocity gain 1.
 
     Args:

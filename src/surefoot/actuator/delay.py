@@ -1,6 +1,6 @@
 """Readings that arrive late: a history of timestamped samples, read with linear interpolation.
 
-Tan et al. 2018, section IV-A: with samples (t_i, O_i), a reader at time t that suffers a latency L gets O at
+Tan et al. 2018, section V-A: with samples (t_i, O_i), a reader at time t that suffers a latency L gets O at
 t - L, interpolated between the two samples around it. Read with samples taken at t = 0, 1, 2 (in servo
 steps):
 

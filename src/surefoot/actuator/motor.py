@@ -64,7 +64,7 @@ def motor_torque_kernel(
 def motor_torque(current, strength, table_current, table_torque, torque):  # type: ignore[no-untyped-def]
     """Torque [N m] of the saturating motor: sign(I) table(|I|) strength, flat beyond the table's last point.
 
-    Source: Tan et al. 2018, section IV-A ("piece-wise linear function"), after De and Koditschek 2015.
+    Source: Tan et al. 2018, section V-A ("piece-wise linear function"), after De and Koditschek 2015.
 
     Args:
         current: armature current [A], any shape.

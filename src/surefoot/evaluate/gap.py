@@ -1,7 +1,7 @@
 """The reality gap as a number: what a policy's return loses in another world than the one that it was trained in.
 
 Koos et al. (2010, "Crossing the reality gap in evolutionary robotics by promoting transferable controllers") measure
-it by the difference between the expected return in simulation and on the robot, and Tan et al. 2018, section VI-C, do
+it by the difference between the expected return in simulation and on the robot, and Tan et al. 2018, section VI-B, do
 so with a few runs of a few policies. Here a run is a trace, wherever it comes from: of a simulation or of a robot.
 """
 

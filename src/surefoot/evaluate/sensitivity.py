@@ -1,6 +1,6 @@
 """Sensitivity of a policy to physical parameters: it is run in worlds that differ from the nominal one in one of them.
 
-After Tan et al. 2018, section VI: each parameter of table I takes evenly spaced values within its range, while all
+After Tan et al. 2018, section VI-B: each parameter of table I takes evenly spaced values within its range, while all
 others stay nominal, and the mean and standard deviation of the return over all these test worlds tell how robust a
 policy is.
 """

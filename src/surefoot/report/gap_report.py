@@ -103,7 +103,7 @@ def _meaning(comparison: Comparison, sections: Sequence[_Section]) -> list[str]:
         f"{_engine(home)}: what is lost from home to there is the motors' and delays' doing. A gap is the mean return "
         "at home less the mean return away: above zero where a policy does worse than its own simulator says. Nothing "
         "is pushed.",
-        f"As in the paper (Tan et al. 2018, section VI-C), the top {_count(comparison.top)} policies of each group are "
+        f"As in the paper (Tan et al. 2018, section VI-B), the top {_count(comparison.top)} policies of each group are "
         f"taken, those with the highest return in their own simulator, and each is run {_count(settings['episodes'])} "
         f"times in each world. They are chosen by {nominal['episodes']} other episodes, so that the runs at home owe "
         "nothing to the choice. Numbers with ± are means over all these runs with one standard error. Runs of one "

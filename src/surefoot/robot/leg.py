@@ -1,7 +1,7 @@
 r"""Leg space and the five-bar leg, in closed form.
 
 A leg's pose is (swing s, extension e) in leg space and (theta_1, theta_2) in motor space (Tan et al. 2018,
-figure 4):
+figure 3):
 
     theta_1 = e + s        theta_2 = e - s
 

@@ -30,7 +30,7 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
     """A batch of robots on one task.
 
     Observations (N, O) are raw SI readings. Actions (N, 2 L) in [-1, 1] span the feedback's bounds: the swing
-    of every leg, then the extension of every leg. Rewards are those of Tan et al. 2018, eq. 3, in metres. An
+    of every leg, then the extension of every leg. Rewards are those of Tan et al. 2018, eq. 2, in metres. An
     episode is terminated by a fall or a diverged simulation, and truncated after `max_steps`. With
     `autoreset`, a robot whose episode is over starts anew in the same step (`AutoresetMode.SAME_STEP`): the
     observation returned is the new episode's first one, and `info` holds `final_obs` and, for every episode
@@ -184,8 +184,8 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
         """What a critic may see in simulation besides the observation: the true state of now (N, P).
 
         Base height [m] and velocity in the world [m/s], roll, pitch and yaw [rad], motor angles [rad] and
-        speeds [rad/s], phase of the reference, force of a push [100 N], and physical parameters that were drawn,
-        from -1 to 1 over their range.
+        speeds [rad/s], phase of the reference, horizontal force of a push [100 N], and physical parameters that
+        were drawn, from -1 to 1 over their range.
         """
         truth = self.truth
         parts = [

@@ -14,7 +14,7 @@ Range = tuple[float, float]
 
 
 class HybridGait:
-    """Reference plus bounded feedback (Tan et al. 2018, eq. 4), from fully given to learned from scratch.
+    """Reference plus bounded feedback (Tan et al. 2018, eq. 3), from fully given to learned from scratch.
 
     Args:
         robot: legs, their order and range.

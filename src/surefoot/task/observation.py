@@ -72,9 +72,9 @@ PARTS: dict[str, Part] = {
 """Every part that an observation can have."""
 
 IMU_4D = ("roll", "pitch", "roll_rate", "pitch_rate")
-"""The paper's compact space (Tan et al. 2018, section VI-B)."""
+"""The paper's small space (Tan et al. 2018, section VI-B)."""
 IMU_AND_MOTORS_12D = (*IMU_4D, "motor_angles")
-"""The paper's large space."""
+"""The paper's large space (section IV-B)."""
 
 
 class Observer:

@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class PushConfig:
-    """When and how hard robots are pushed; defaults after Tan et al. 2018, section V."""
+    """When and how hard robots are pushed; defaults after Tan et al. 2018, section V-B."""
 
     enabled: bool = False
     """Whether robots are pushed at all."""
@@ -42,7 +42,7 @@ class PushConfig:
 
 
 class Pusher:
-    """Draws a force for each push of each robot: horizontal, uniform in direction and magnitude."""
+    """Draws a force for each push of each robot: uniform in magnitude, and in direction over the whole sphere."""
 
     def __init__(self, config: PushConfig, num_envs: int, seed: int) -> None:
         self.config = config

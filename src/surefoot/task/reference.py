@@ -1,6 +1,6 @@
 """The open loop part of a gait: a periodic reference for the swing and extension of every leg.
 
-Tan et al. 2018, eq. 4: a(t, o) = reference(t) + feedback(o).
+Tan et al. 2018, eq. 3: a(t, o) = reference(t) + feedback(o).
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """The latency experiment: on a rack, spikes of torque, and sines to see the servo's own delay.
 
-Tan et al. 2018, section IV-A, send a spike of PWM for one time step and measure how long it takes until the motor is
+Tan et al. 2018, section V-A, send a spike of PWM for one time step and measure how long it takes until the motor is
 reported to move, once at the microcontroller and once at the computer.
 """
 
