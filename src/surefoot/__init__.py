@@ -1,3 +1,3 @@
 """surefoot: agile gaits for quadruped robots, learned in simulation and carried to the robot."""
 
-__version__ = "0.5.0"
+__version__ = "0.6.0"
