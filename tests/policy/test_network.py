@@ -200,7 +200,7 @@ def test_a_file_that_is_too_large_is_refused(tmp_path: Path):
     [
         (b'{"kind": ' + b"[" * 100_000, "recursion"),
         (b"\xff{}", "utf-8"),
-        (b'{"kind": "surefoot-policy", "schema": 1, "low": [1' + b"0" * 400 + b"]}", "1000\\d*; numbers must be finite"),
+        (b'{"kind": "surefoot-policy", "schema": 1, "low": [1' + b"0" * 400 + b"]}", "000; numbers must be finite"),
     ],
 )
 def test_a_contract_that_breaks_its_reader_is_refused(contract: bytes, message: str, tmp_path: Path):
