@@ -4,7 +4,8 @@
 
 Each draw is a process of its own (`surefoot emulate --hidden-seed`), on its rack and then on the ground; experiments
 and fits see what comes over the link and nothing else. The hidden values are read when everything has been found.
-Told are the share of hidden values within their 95 % intervals, median errors, and the time that robot and fits took.
+Told are the share of hidden values within their 95 % intervals, median errors, how many values an experiment did not
+tell, which count as neither, and the time that robot and fits took.
 """
 
 from __future__ import annotations
@@ -128,33 +129,44 @@ def summary(draws: list[dict[str, Any]]) -> str:
     for draw in done:
         for row in draw["values"]:
             groups[row["experiment"], row["name"]].append({**row, "world": draw["world"]})
-    lines.append(f"{'parameter':<20} {'from':<8} {'n':>4} {'inside':>7} {'median error':>14} {'relative':>9}  worst")
-    inside = total = 0
+    lines.append(
+        f"{'parameter':<20} {'from':<8} {'n':>4} {'not told':>8} {'inside':>7} {'median error':>14} "
+        f"{'relative':>9}  worst"
+    )
     for (experiment, name), rows in groups.items():
-        errors = np.array([abs(row["found"] - row["true"]) for row in rows])
-        relative = errors / np.maximum(np.abs([row["true"] for row in rows]), 1e-12)
-        if name == "saturation_curve":
-            lines.append(f"{name:<20} {experiment:<8} {len(rows):>4} {'':>7} {'':>14} {100 * np.median(errors):>8.2f}%"
-                         f"  {100 * errors.max():.2f}%")  # fmt: skip
+        told = [row for row in rows if row["told"]]
+        line = f"{name:<20} {experiment:<8} {len(rows):>4} {len(rows) - len(told):>8} "
+        if not told:
+            lines.append(line.rstrip())
             continue
-        hits = sum(row["low"] <= row["true"] <= row["high"] for row in rows)
-        if name != "total_mass":
-            inside, total = inside + hits, total + len(rows)
+        errors = np.array([abs(row["found"] - row["true"]) for row in told])
+        if name == "saturation_curve":
+            lines.append(line + f"{'':>7} {'':>14} {100 * np.median(errors):>8.2f}%  {100 * errors.max():.2f}%")
+            continue
+        relative = errors / np.maximum(np.abs([row["true"] for row in told]), 1e-12)
+        hits = sum(row["low"] <= row["true"] <= row["high"] for row in told)
         lines.append(
-            f"{name:<20} {experiment:<8} {len(rows):>4} {hits:>7} {np.median(errors):>14.6f} "
-            f"{100 * np.median(relative):>8.2f}%  {errors.max():.6f}"
+            line + f"{hits:>7} {np.median(errors):>14.6f} {100 * np.median(relative):>8.2f}%  {errors.max():.6f}"
         )
-    lines.append(f"{inside} of {total} hidden values within their 95 % intervals: {100 * inside / max(total, 1):.1f} %")
-    for world in sorted({draw["world"] for draw in done}):
-        rows = [r for d in done if d["world"] == world for r in d["values"] if r["low"] is not None]
-        rows = [row for row in rows if row["name"] != "total_mass"]
-        hits = sum(row["low"] <= row["true"] <= row["high"] for row in rows)
-        lines.append(f"  {world}: {hits} of {len(rows)}, {100 * hits / len(rows):.1f} %")
+    hidden = [row for rows in groups.values() for row in rows if row["name"] in HIDDEN]
+    lines.append(f"hidden values within their 95 % intervals: {_inside(hidden)}")
+    lines += [
+        f"  {world}: {_inside([row for row in hidden if row['world'] == world])}"
+        for world in sorted({row["world"] for row in hidden})
+    ]
     for k, what in enumerate(("robot", "fits")):
         spent = [sum(times[k] for times in draw["times"].values()) for draw in done]
         if spent:
             lines.append(f"{what}: {np.mean(spent):.0f} s, at most {max(spent):.0f} s for a whole identification")
     return "\n".join(lines)
+
+
+def _inside(rows: list[dict[str, Any]]) -> str:
+    """How many of the values that were told lie within their intervals, and how many were not told."""
+    told = [row for row in rows if row["told"]]
+    hits = sum(row["low"] <= row["true"] <= row["high"] for row in told)
+    share = f", {100 * hits / len(told):.1f} %" if told else ""
+    return f"{hits} of {len(told)}{share}; {len(rows) - len(told)} not told"
 
 
 def main() -> None:

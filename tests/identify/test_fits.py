@@ -40,6 +40,8 @@ GROUND = {
     "contact_friction": 0.7,
     "contact_stiffness": 2000.0,
 }
+GRIPPING = {**GROUND, "contact_friction": 1.2, "motor_strength": 0.8}
+"""Feet that are hard to drag: of a heavy robot with weak motors, on a floor that holds them."""
 Short = dict[str, float]
 """Lengths [s] of phases by name; of equal names the first `count` ones are kept."""
 
@@ -119,9 +121,9 @@ def massive(robot: RobotDescription) -> Recording:
 
 @pytest.fixture(scope="module")
 def dragging(robot: RobotDescription) -> Recording:
-    """Most of the contact experiment, of the same robot."""
+    """Most of the contact experiment, of the same robot with weak motors on a floor that holds its feet."""
     plan = ground(robot, "contact", {"drop": 1.4, "drag": 4.0, "nod": 4.0}, {"drop": 3, "drag": 2})
-    return record(robot, GROUND, plan, rack=False)[0]
+    return record(robot, GRIPPING, plan, rack=False)[0]
 
 
 @pytest.fixture(scope="module")
@@ -241,17 +243,34 @@ def test_a_heavier_robot_is_weighed(robot: RobotDescription, massive: Recording,
     assert set(found.found()) == {"base_mass_ratio", "base_inertia_ratio"}
 
 
+def gripping(robot: RobotDescription, nominal: PhysicalParams) -> PhysicalParams:
+    """What experiments on motors and mass have told before of the robot whose feet are dragged."""
+    return nominal.with_values(robot, **{name: GRIPPING[name] for name in GRIPPING if not name.startswith("contact")})
+
+
 def test_feet_are_found(robot: RobotDescription, dragging: Recording, nominal: PhysicalParams):
-    known = nominal.with_values(robot, base_mass_ratio=1.15, base_inertia_ratio=1.3)
-    found = EXPERIMENTS["contact"].fit(robot, dragging, known)
+    found = EXPERIMENTS["contact"].fit(robot, dragging, gripping(robot, nominal))
     friction, stiffness = found.estimate("contact_friction"), found.estimate("contact_stiffness")
-    assert friction.value == pytest.approx(0.7, rel=0.05)
+    assert friction.value == pytest.approx(1.2, rel=0.05)
     assert stiffness.value == pytest.approx(2000.0, rel=0.08)
     assert found.estimate("contact_damping").value == pytest.approx(100.0, rel=0.3)
-    for item, true in ((friction, 0.7), (stiffness, 2000.0)):
+    for item, true in ((friction, 1.2), (stiffness, 2000.0)):
         assert item.told
         assert item.interval[0] < true < item.interval[1]
     assert set(found.found()) == {"contact_friction", "contact_stiffness"}
+
+
+def test_friction_of_feet_that_do_not_slide_is_not_told_and_stays_as_it_was(
+    robot: RobotDescription, dragging: Recording, nominal: PhysicalParams, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr("surefoot.identify.fits.contact.SLIDING", 10.0)
+    found = EXPERIMENTS["contact"].fit(robot, dragging, gripping(robot, nominal))
+    friction = found.estimate("contact_friction")
+    assert not friction.told
+    assert friction.value == nominal.contact_friction[0]
+    assert friction.interval == (0.05, 3.0)
+    assert "feet that were dragged did not slide: their friction is not told" in found.notes
+    assert set(found.found()) == {"contact_stiffness"}
 
 
 @pytest.mark.parametrize("name", ["mass", "contact"])

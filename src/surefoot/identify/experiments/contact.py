@@ -21,10 +21,10 @@ from surefoot.robot import RobotDescription
 
 Array = NDArray[np.float64]
 
-LIFT = 0.18
-"""How much shorter [rad] the legs get whose feet are dragged: they then carry about half of what they did, and motors
-move them against any floor."""
-DRAG, STROKE, DRAGGING = 0.25, 1.0, 4.0
+LIFT = 0.25
+"""How much shorter [rad] the legs get whose feet are dragged: they then carry a third to two thirds of what they
+did, and weak motors of a heavy robot still move them against friction of 1.25."""
+DRAG, STROKE, DRAGGING = 0.3, 0.7, 4.0
 """Swing [rad], time for there and back, and length of a phase [s]."""
 
 

@@ -45,7 +45,7 @@ def fit_contact(
     check_stands(standing)
     forces, dynamics = forces_of(robot, standing, known)
     check_feet(standing, forces, dynamics)
-    friction, points = _friction(robot, standing, forces)
+    friction, points = _friction(robot, standing, forces, known)
     if not friction.told:
         notes.append("feet that were dragged did not slide: their friction is not told")
     stiffness, damping, sunk = _compliance(robot, standing, forces)
@@ -56,7 +56,9 @@ def fit_contact(
     )  # fmt: skip
 
 
-def _friction(robot: RobotDescription, standing: Standing, forces: Forces) -> tuple[Estimate, tuple[Series, ...]]:
+def _friction(
+    robot: RobotDescription, standing: Standing, forces: Forces, known: PhysicalParams
+) -> tuple[Estimate, tuple[Series, ...]]:
     """Coulomb's law on feet that slide along x: F_x = -mu F_z sign(v) + c, c from errors of the torque reports."""
     low, high = robot.allowed["contact_friction"]
     speed = _sliding_speed(robot, standing, forces)
@@ -74,7 +76,8 @@ def _friction(robot: RobotDescription, standing: Standing, forces: Forces) -> tu
         along += (forces.force[slides, leg, 0] - values[1]).tolist()
         down += columns[:, 0].tolist()
     if not found:
-        return Estimate("contact_friction", float("nan"), high - low, "1", told=False, low=low, high=high), ()
+        before = float(known.contact_friction[0])
+        return Estimate("contact_friction", before, high - low, "1", told=False, low=low, high=high), ()
     value = float(np.mean(found))
     spread = float(np.std(found, ddof=1)) if len(found) > 1 else SURE * value * 2
     own = float(np.sqrt(np.mean(weights)))
