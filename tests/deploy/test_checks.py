@@ -166,7 +166,6 @@ def edited(change: dict[str, Any], policy: str = "trot") -> Contract:
         ({"rest": [0.0, 1.6]}, "extension at rest is 1.6 rad; the middle of its commands is 2 rad"),
         ({"rest": [0.0, 1.6], "task": {"rest": [0.0, 1.7]}}, "extension at rest is 1.6 rad; its task says 1.7 rad"),
         ({"task": {"feedback": [1]}}, "its task can't be read: "),
-        ({"task": {"params": {"resistance": "much"}}}, "its task can't be read: "),
         ({"rest": [0.0, 3.0]}, "extension at rest is 3 rad; a leg of minitaur allows 0.6 to 2.7"),
     ],
 )
