@@ -115,7 +115,7 @@ def test_names():
         (("trot", "--duration", "inf"), ("duration is inf; it must be 3600 or less",)),
         (("trot", "--seed", "-1"), ("seed is -1",)),
         (("trot", "--world", "moon"), ("world 'moon' does not exist; choices: mujoco",)),
-        (("trot", "--ranges", "table9"), ("'table9' does not exist; choices: none, table1",)),
+        (("trot", "--ranges", "table9"), ("'table9' does not exist; choices: ensemble, none, table1",)),
         (("trot", "--ranges", "none"), ("the table of ranges has no rows",)),
         (("trot", "--out", "/dev/null/out"), ("/dev/null",)),
         (("trot", "--colour", "red"), ("--colour",)),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from dataclasses import replace
 
 from surefoot.errors import SurefootError, choices
@@ -16,7 +17,8 @@ def ranges_help(indent: str = "  ") -> str:
     lines = HELP.format(names=choices(range_names())).splitlines()
     lines += [f"    {row:<17}{low:g} to {high:g}" for row, (low, high) in load_ranges("table1").ranges.items()]
     drawn = load_ranges("table1").ranges
-    lines.append(f"    and, in none of the tables: {choices(row for row in ROWS if row not in drawn)}")
+    others = f"and, not in table1: {choices(row for row in ROWS if row not in drawn)}"
+    lines += textwrap.wrap(others, 100, initial_indent="    ", subsequent_indent="    ")
     return "\n".join(indent + line for line in lines)
 
 
