@@ -178,12 +178,12 @@ def test_a_study_of_the_reality_gap(
 
     monkeypatch.setattr(study_results, "find_world", find_world)
     assert main(["study", "gaps.yaml", "--workers", "2"]) == 0, capsys.readouterr().err
-    assert set(asked) == {"mujoco", "bullet"}
+    assert set(asked) == {"mujoco", "ensemble"}
     for group, actuator, latency in (("baseline", "constraint", 0.0), ("improved", "dc", None)):
         folder = tmp_path / "runs/gaps" / group / "seed_0/evaluations/gap"
-        home, away = ([EpisodeTrace.load(f) for f in sorted((folder / w).iterdir())] for w in ("mujoco", "bullet"))
-        assert len(home) == len(away) == 3
-        assert {trace.meta["world"] for trace in away} == {"bullet"}
+        home, away = ([EpisodeTrace.load(f) for f in sorted((folder / w).iterdir())] for w in ("mujoco", "ensemble"))
+        assert len(home) == len(away) == 20
+        assert {trace.meta["world"] for trace in away} == {"ensemble"}
         # At home the policy's own motors and delays, away those of the data sheet.
         params = [trace.meta["params"] for trace in (home[0], away[0])]
         assert params[1]["control_latency"] > 0
@@ -202,7 +202,7 @@ def test_a_study_of_the_reality_gap(
         ]
     )
     with (out / "gap_runs.csv").open() as file:
-        assert len(list(csv.DictReader(file))) == 2 * 3 * 3
+        assert len(list(csv.DictReader(file))) == 2 * 3 * 20
     with (out / "runs.csv").open() as file:
         assert all(row["best_steps"] in ("512", "1024") for row in csv.DictReader(file))
 
@@ -223,7 +223,7 @@ def test_a_world_that_there_is_not_is_refused_before_training(
     from surefoot.cli.main import main
 
     def find_world(name: str) -> object:
-        if name == "bullet":
+        if name == "ensemble":
             raise ModuleNotFoundError("No module named 'pybullet'", name="pybullet")
         return None
 

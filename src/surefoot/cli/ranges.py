@@ -8,7 +8,7 @@ from dataclasses import replace
 from surefoot.errors import SurefootError, choices
 from surefoot.task.randomize import ROWS, RandomizeConfig, load_ranges, range_names
 
-HELP = """--randomize NAME           ranges that an episode draws its physical parameters from: {names}, or a YAML file
+HELP = """--randomize NAME           ranges that an episode draws its parameters from: {names}, or a YAML file
 --randomize.ROW LOW HIGH   another range for one row; --randomize.ROW none drops it. Rows and ranges of table1:"""
 
 
