@@ -105,7 +105,7 @@ class BulletEngine:
         model = self.model
         self._joints = list(range(model.num_joints))
         self._setups = [self._nominal_setup] * num_envs
-        self._grounds = [model.ground] * num_envs
+        self._floors = [model.ground] * num_envs
         self._play = [0.0] * num_envs
         self._pins = np.zeros((num_envs, len(model.pins), 3))
         self._spoilt = np.zeros(num_envs, np.bool_)
@@ -192,7 +192,7 @@ class BulletEngine:
         if self._play[i]:
             move_pins(p, client, model, self._play[i], self._pins[i])
         seen[:] = self._read(i, motors)
-        points = p.getContactPoints(body, self._grounds[i], physicsClientId=client)
+        points = p.getContactPoints(body, self._floors[i], physicsClientId=client)
         for leg in {self._feet[point[3]] for point in points if point[9] > 0.0 and point[3] in self._feet}:
             self.drive.contact_ticks[i, leg] += 1.0
 
@@ -267,7 +267,7 @@ class BulletEngine:
         """Bullet's search for contacts does not recover from positions that are no numbers."""
         self._p.disconnect(self._clients[i])
         self._clients[i], model = open_client(self.robot, self._config, self._settings)
-        self._spoilt[i], self._grounds[i] = False, model.ground
+        self._spoilt[i], self._floors[i] = False, model.ground
         setup, self._setups[i] = self._setups[i], self._nominal_setup
         self._apply(i, setup)
 
@@ -329,7 +329,7 @@ class BulletEngine:
         if now.knee_friction != setup.knee_friction:
             set_knee_friction(p, client, model, setup.knee_friction)
         if now.floor_unevenness != setup.floor_unevenness:
-            self._grounds[i] = lay_floor(p, client, self._grounds[i], setup.floor_unevenness)
+            self._floors[i] = lay_floor(p, client, model, self._floors[i], setup.floor_unevenness)
         self._setups[i] = setup
 
     def base(self) -> Array:

@@ -33,8 +33,10 @@ the loops by 1.2 mm, and the robot ends elsewhere.
 """
 FLOOR_CELL = 0.1
 """Distance [m] of the points at which an uneven floor has its heights, linear between."""
-FLOOR_CELLS = 400
-"""Points of an uneven floor to each side: 40 m, with the robot in the middle; the floor ends there."""
+FLOOR_CELLS = (280, 120)
+"""Points of an uneven floor along x and y: 28 m by 12 m. Bullet takes about 1 kB for each."""
+FLOOR_BEHIND = 4.0
+"""Length [m] of an uneven floor behind the place where robots start; the floor ends on all sides."""
 LOOP_ERP = 0.2
 """Share of a loop's gap that is closed in a step."""
 _SPEED_CUT = 1e6
@@ -321,33 +323,46 @@ def centre_pins(p: ModuleType, client: int, model: BulletModel) -> None:
         p.changeConstraint(pin.constraint, jointChildPivot=pin.place.tolist(), physicsClientId=client)
 
 
-def lay_floor(p: ModuleType, client: int, ground: int, unevenness: float) -> int:
-    """Replace the ground by one whose heights have a standard deviation [m]; return its number.
+def lay_floor(p: ModuleType, client: int, model: BulletModel, floor: int, unevenness: float) -> int:
+    """Give the feet a floor whose heights have a standard deviation [m]; return the number of its body.
 
     The same unevenness gives the same floor. Its heights are independent at points `FLOOR_CELL` apart; it is level
-    where robots start.
+    where robots start. All of the robot but its feet meets the plane at z = 0: a floor under every link costs time.
+
+    Args:
+        p: PyBullet.
+        client: number of the client.
+        model: its robot.
+        floor: the body that the feet stand on so far; removed, unless it is the plane.
+        unevenness: 0 for the plane.
     """
-    p.removeBody(ground, physicsClientId=client)
+    if floor != model.ground:
+        p.removeBody(floor, physicsClientId=client)
+    for link in model.feet:
+        p.setCollisionFilterPair(model.body, model.ground, link, -1, int(unevenness == 0.0), physicsClientId=client)
     if unevenness == 0.0:
-        shape, height = p.createCollisionShape(p.GEOM_PLANE, physicsClientId=client), 0.0
-    else:
-        seed = int(np.float64(unevenness).view(np.uint64))
-        draws = np.clip(np.random.default_rng(seed).standard_normal((FLOOR_CELLS, FLOOR_CELLS)), -3.0, 3.0)
-        middle = slice(FLOOR_CELLS // 2 - 5, FLOOR_CELLS // 2 + 5)
-        draws[middle, middle] = 0.0
-        heights = unevenness * draws
-        shape = p.createCollisionShape(
-            p.GEOM_HEIGHTFIELD,
-            meshScale=[FLOOR_CELL, FLOOR_CELL, 1.0],
-            heightfieldData=heights.ravel().tolist(),
-            numHeightfieldRows=FLOOR_CELLS,
-            numHeightfieldColumns=FLOOR_CELLS,
-            physicsClientId=client,
-        )
-        # Bullet puts the middle between the lowest and the highest point at the body's origin.
-        height = float(heights.min() + heights.max()) / 2
-    number: int = p.createMultiBody(0, shape, basePosition=[0.0, 0.0, height], physicsClientId=client)
+        return model.ground
+    seed, columns = int(np.float64(unevenness).view(np.uint64)), FLOOR_CELLS[1]
+    draws = np.clip(np.random.default_rng(seed).standard_normal(FLOOR_CELLS), -3.0, 3.0)
+    start = round(FLOOR_BEHIND / FLOOR_CELL)
+    draws[start - 5 : start + 5, columns // 2 - 5 : columns // 2 + 5] = 0.0
+    heights = unevenness * draws
+    shape = p.createCollisionShape(
+        p.GEOM_HEIGHTFIELD,
+        meshScale=[FLOOR_CELL, FLOOR_CELL, 1.0],
+        heightfieldData=heights.ravel(order="F").tolist(),  # the numbers along x follow each other
+        numHeightfieldRows=FLOOR_CELLS[0],
+        numHeightfieldColumns=columns,
+        physicsClientId=client,
+    )
+    # Bullet puts the middle between the first and the last point, and between the lowest and the highest, at the
+    # body's origin.
+    ahead = 0.5 * FLOOR_CELL * FLOOR_CELLS[0] - FLOOR_BEHIND
+    place = [ahead, 0.0, float(heights.min() + heights.max()) / 2]
+    number: int = p.createMultiBody(0, shape, basePosition=place, physicsClientId=client)
     p.changeDynamics(number, -1, lateralFriction=1.0, restitution=0.0, physicsClientId=client)
+    for link in set(model.links.values()) - set(model.feet):
+        p.setCollisionFilterPair(model.body, number, link, -1, 0, physicsClientId=client)
     return number
 
 
