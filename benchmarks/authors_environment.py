@@ -1,10 +1,15 @@
-"""Physics steps per second of the authors' own PyBullet environment, one process; needs `pybullet`.
+"""Physics steps per second of the authors' own PyBullet environment, or the speed of policies in it.
 
-It was written in 2018 for gym, setuptools and protobuf of its time. What it misses of them is put in place here.
+    python benchmarks/authors_environment.py
+    python benchmarks/authors_environment.py trot trot-robust
+
+One process; needs `pybullet`. It was written in 2018 for gym, setuptools and protobuf of its time. What it misses of
+them is put in place here.
 """
 
 from __future__ import annotations
 
+import argparse
 import importlib
 import os
 import sys
@@ -13,6 +18,12 @@ import types
 from typing import Any
 
 import numpy as np
+
+from surefoot.cli.policies import find_policy
+from surefoot.deploy.controller import Controller
+from surefoot.evaluate.rollout import task_from_contract
+from surefoot.policy.runtime import PolicyRuntime
+from surefoot.robot import RobotDescription
 
 
 def put_the_past_in_place() -> None:
@@ -29,24 +40,101 @@ def put_the_past_in_place() -> None:
     sys.modules["pkg_resources"] = resources
 
 
-def main(seconds: float = 5.0) -> int:
-    """Run the environment for some seconds and print its rate."""
+def make_environment(**settings: Any) -> Any:
+    """The authors' environment; settings as it takes them."""
     put_the_past_in_place()
-    try:
-        from pybullet_envs.minitaur.envs import minitaur_gym_env
+    from pybullet_envs.minitaur.envs import minitaur_gym_env
 
-        env: Any = minitaur_gym_env.MinitaurGymEnv(render=False, log_path=None)
-        env.reset()
-    except Exception as error:
-        print(f"the authors' environment does not run here: {error!r}", file=sys.stderr)
-        return 1
+    return minitaur_gym_env.MinitaurGymEnv(render=False, log_path=None, **settings)
+
+
+def measure_rate(seconds: float = 5.0) -> float:
+    """Physics steps per second with its own defaults."""
+    env = make_environment()
+    env.reset()
     steps, start = 0, time.perf_counter()
     while time.perf_counter() - start < seconds:
         _, _, done, _ = env.step(np.array([0.1 * np.sin(0.1 * steps)] * 4 + [0.0] * 4))
         steps += 1
         if done:
             env.reset()
-    print(steps * env._action_repeat / (time.perf_counter() - start))
+    rate: float = steps * env._action_repeat / (time.perf_counter() - start)
+    return rate
+
+
+def run_policy(env: Any, policy: PolicyRuntime, draw: np.random.Generator) -> tuple[float, bool]:
+    """Speed [m/s] of a policy over an episode of its task, and whether it fell.
+
+    The robot settles in the policy's pose and starts with a random velocity, as in surefoot's own episodes. Motors have
+    one order and one direction here and there.
+    """
+    contract, robot = policy.contract, RobotDescription.load(policy.contract.robot)
+    task, step, legs = task_from_contract(contract), contract.control_step, len(contract.leg_names)
+    controller = Controller(policy, robot)
+    pose = robot.leg_to_motor_angles(*(np.full(legs, angle) for angle in contract.rest))
+    env.reset(initial_motor_angles=pose.tolist(), reset_duration=0.5)
+    bullet, minitaur = env._pybullet_client, env.minitaur
+    moved = draw.uniform(-task.start_linear_speed, task.start_linear_speed, 3)
+    turned = draw.uniform(-task.start_angular_speed, task.start_angular_speed, 3)
+    bullet.resetBaseVelocity(minitaur.quadruped, moved.tolist(), turned.tolist())
+    start, k, fell = minitaur.GetBasePosition()[0], 0, False
+    while k < task.max_steps and not fell:
+        seen = np.asarray(minitaur._GetControlObservation())
+        quat = seen[24:28] / np.linalg.norm(seen[24:28])
+        base_to_world = np.array(bullet.getMatrixFromQuaternion(quat)).reshape(3, 3)
+        state: Any = types.SimpleNamespace(
+            motor_angle=seen[:8],
+            motor_velocity=seen[8:16],
+            roll_pitch_yaw=np.array(bullet.getEulerFromQuaternion(quat)),
+            angular_velocity_base=base_to_world.T @ seen[28:31],
+        )
+        minitaur.Step(controller.command(k * step, controller.observe(k * step, state)))
+        fell = bool(np.abs(minitaur.GetTrueBaseRollPitchYaw()[:2]).max() > task.fall_angle)
+        k += 1
+    return (minitaur.GetBasePosition()[0] - start) / (k * step), fell
+
+
+def measure_policies(names: list[str], episodes: int, seed: int) -> None:
+    """Print speed and falls of policies with the authors' measured robot, motor model and latencies."""
+    for name in names:
+        policy = PolicyRuntime.load(find_policy(name))
+        contract = policy.contract
+        env = make_environment(
+            urdf_version="rainbow_dash_v0",
+            accurate_motor_model_enabled=True,
+            motor_kp=contract.servo_kp,
+            motor_kd=contract.servo_kd,
+            control_latency=contract.control_latency,
+            pd_latency=contract.servo_latency,
+            control_time_step=contract.control_step,
+            action_repeat=round(contract.control_step / 0.001),
+            leg_model_enabled=False,
+        )
+        draw = np.random.default_rng(seed)
+        runs = [run_policy(env, policy, draw) for _ in range(episodes)]
+        speeds = [speed for speed, _ in runs]
+        print(
+            f"{name:<14} {np.mean(speeds):.3f} m/s ({min(speeds):.2f} to {max(speeds):.2f}), "
+            f"{sum(fell for _, fell in runs)} of {episodes} fall",
+            flush=True,
+        )
+
+
+def main() -> int:
+    """Print the environment's rate, or the speed of policies in it."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("policy", nargs="*", help="policies to run there; without any, physics steps per second")
+    parser.add_argument("--episodes", type=int, default=10)
+    parser.add_argument("--seed", type=int, default=1)
+    options = parser.parse_args()
+    try:
+        if options.policy:
+            measure_policies(options.policy, options.episodes, options.seed)
+        else:
+            print(measure_rate())
+    except ImportError as error:
+        print(f"the authors' environment does not run here: {error!r}", file=sys.stderr)
+        return 1
     return 0
 
 

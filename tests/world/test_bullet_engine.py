@@ -319,6 +319,8 @@ def test_the_published_settings_reach_bullet(robot):
     engine = world.engine
     found = pybullet.getPhysicsEngineParameters(engine._clients[0])
     assert found["gravityAccelerationZ"] == -10.0
+    (ground,) = pybullet.getCollisionShapeData(engine.model.ground, -1, engine._clients[0])
+    assert (ground[2], ground[3]) == (pybullet.GEOM_BOX, (200.0, 200.0, 10.0))
     for leg, link in zip(robot.legs, engine.model.feet, strict=True):
         (shape,) = pybullet.getCollisionShapeData(engine.model.body, link, engine._clients[0])
         assert shape[2] == pybullet.GEOM_BOX, leg
