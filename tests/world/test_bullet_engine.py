@@ -221,8 +221,8 @@ def test_knee_friction_is_the_torque_that_knees_hold(make_world):
     for friction, fell in ((0.2, False), (0.0, True)):
         engine = make_world(config={"rack": True}, knee_friction=friction).engine
         client, model = engine._clients[0], engine.model
-        for pin in model.pins:
-            pybullet.removeConstraint(pin.constraint, client)
+        for number in model.pins.constraints:
+            pybullet.removeConstraint(number, client)
         for joint in model.joints.values():
             pybullet.resetJointState(model.body, joint, np.pi / 4, 0.0, client)
         for _ in range(300):

@@ -13,9 +13,8 @@ from numpy.typing import NDArray
 
 from surefoot.errors import SurefootError, choices
 from surefoot.evaluate.footfalls import Footfalls, analyze_footfalls
+from surefoot.robot import GRAVITY
 from surefoot.task.trace import EpisodeTrace
-
-GRAVITY = 9.81  # m/s2
 
 
 @dataclass(frozen=True)

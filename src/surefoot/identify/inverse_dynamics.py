@@ -24,7 +24,6 @@ from surefoot.world.mujoco_model import build_model, foot_geoms
 
 Array = NDArray[np.float64]
 
-GRAVITY = 9.81
 _STEP = 1e-6
 
 

@@ -12,9 +12,9 @@ from scipy.signal import savgol_filter
 from surefoot.actuator.motor import motor_current, motor_friction, motor_torque
 from surefoot.actuator.servo import servo_duty
 from surefoot.errors import SurefootError
-from surefoot.identify.inverse_dynamics import GRAVITY, Forces, InverseDynamics, Motion
+from surefoot.identify.inverse_dynamics import Forces, InverseDynamics, Motion
 from surefoot.identify.recording import CLOCK, Recording
-from surefoot.robot import PhysicalParams, RobotDescription
+from surefoot.robot import GRAVITY, PhysicalParams, RobotDescription
 
 Array = NDArray[np.float64]
 

@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 from surefoot.actuator import motor_friction
 from surefoot.errors import SurefootError
 from surefoot.identify.fits.motor import GAIN
-from surefoot.identify.inverse_dynamics import GRAVITY, InverseDynamics, Motion
+from surefoot.identify.inverse_dynamics import InverseDynamics, Motion
 from surefoot.identify.trace_rows import Piece
-from surefoot.robot import PhysicalParams, RobotDescription
+from surefoot.robot import GRAVITY, PhysicalParams, RobotDescription
 
 Array = NDArray[np.float64]
 

@@ -1,7 +1,7 @@
 """What the machine is: URDF, data sheet, leg space and the physical parameters that reality may dispute."""
 
-from surefoot.robot.description import RobotDescription
+from surefoot.robot.description import GRAVITY, RobotDescription
 from surefoot.robot.leg import FiveBar, leg_to_motor, motor_to_leg
 from surefoot.robot.params import PhysicalParams, parse_settings
 
-__all__ = ["FiveBar", "PhysicalParams", "RobotDescription", "leg_to_motor", "motor_to_leg", "parse_settings"]
+__all__ = ["GRAVITY", "FiveBar", "PhysicalParams", "RobotDescription", "leg_to_motor", "motor_to_leg", "parse_settings"]

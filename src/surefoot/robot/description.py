@@ -21,6 +21,9 @@ from surefoot.robot.urdf import Urdf, read_urdf
 
 _HERE = Path(__file__).parent
 
+GRAVITY = 9.81
+"""Acceleration of free fall [m/s2]."""
+
 
 @dataclass(frozen=True)
 class Leg:

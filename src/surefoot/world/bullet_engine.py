@@ -24,10 +24,10 @@ from surefoot.world.bullet_import import import_pybullet
 from surefoot.world.bullet_model import (
     PUBLISHED,
     BulletSettings,
-    centre_pins,
     lay_floor,
     move_pins,
     open_client,
+    place_pins,
     scale_masses,
     set_foot_contact,
     set_knee_friction,
@@ -93,6 +93,7 @@ class BulletEngine:
     ) -> None:
         self.robot, self.drive, self._config = robot, drive, config or WorldConfig()
         self._settings = settings or BulletSettings()
+        self.gravity = self._settings.gravity
         num_envs = len(drive.ticks)
         if num_envs > MAX_ROBOTS:
             raise SurefootError(f"num_envs is {num_envs}; one process holds up to {MAX_ROBOTS} robots in Bullet")
@@ -107,7 +108,7 @@ class BulletEngine:
         self._setups = [self._nominal_setup] * num_envs
         self._floors = [model.ground] * num_envs
         self._play = [0.0] * num_envs
-        self._pins = np.zeros((num_envs, len(model.pins), 3))
+        self._pins = np.zeros((num_envs, len(model.pins.links), 3))
         self._spoilt = np.zeros(num_envs, np.bool_)
         sign = robot.motor_sign.astype(np.float64)
         self._layout = Layout(sign, model.base_quat, model.rack)
@@ -274,7 +275,7 @@ class BulletEngine:
     def _forget(self, i: int) -> None:
         if self._pins[i].any():
             self._pins[i] = 0.0
-            centre_pins(self._p, self._clients[i], self.model)
+            place_pins(self._p, self._clients[i], self.model.pins, self._pins[i])
         # A link that gets its collision filter again is taken out of Bullet's pairs, and put back.
         for link in (-1, *self.model.feet):
             self._p.setCollisionFilterGroupMask(self.model.body, link, 1, -1, self._clients[i])

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import tempfile
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 from types import ModuleType
 from typing import Literal
@@ -15,7 +14,7 @@ from numpy.typing import NDArray
 
 from surefoot.errors import SurefootError
 from surefoot.native_output import quiet
-from surefoot.robot import RobotDescription
+from surefoot.robot import GRAVITY, RobotDescription
 from surefoot.world.bullet_import import import_pybullet
 from surefoot.world.bullet_tick import pin_kernel
 from surefoot.world.drive import RACK_HEIGHT
@@ -51,7 +50,7 @@ class BulletSettings:
     """Iterations of the constraint solver, at most."""
     cone_friction: bool = True
     """A cone of friction; without it Bullet takes a pyramid and solves no spinning friction."""
-    gravity: float = 9.81
+    gravity: float = GRAVITY
     """[m/s2]"""
     feet: Literal["sphere", "shank"] = "sphere"
     """What feet stand on: the sphere of the URDF, or the lower link as a box that ends at the foot."""
@@ -66,17 +65,17 @@ episodes; there it never does)."""
 
 
 @dataclass(frozen=True)
-class Pin:
-    """A constraint that closes a loop."""
+class Pins:
+    """The constraints that close L loops, each with its place in its second link's inertial frame."""
 
-    constraint: int
-    """Number of the constraint."""
-    link: int
-    """Its second link."""
-    place: Array
-    """Its place in that link's inertial frame [m], (3,)."""
-    axis: Array
-    """Unit vector (3,) along the pin in that frame: forces along it do not move the pin in its bore."""
+    constraints: list[int]
+    """Numbers of the constraints."""
+    links: list[int]
+    """Their second links."""
+    places: Array
+    """Places of the pins [m], (L, 3)."""
+    axes: Array
+    """Unit vectors (L, 3) along the pins: forces along them do not move a pin in its bore."""
 
 
 @dataclass(frozen=True)
@@ -107,23 +106,12 @@ class BulletModel:
     """Orientation of the base's inertial frame in the base link's frame, (4,), w x y z."""
     mass: dict[str, tuple[float, Array]]
     """Nominal mass [kg] and principal moments [kg m2] of each fused link."""
-    pins: list[Pin]
-    """One for each loop."""
+    pins: Pins
 
     @property
     def num_joints(self) -> int:
         """Number of joints, motors and knees."""
         return len(self.joints)
-
-    @cached_property
-    def pin_axes(self) -> Array:
-        """Unit vectors along the pins in their links' inertial frames, (L, 3)."""
-        return np.array([pin.axis for pin in self.pins])
-
-    @cached_property
-    def pin_places(self) -> Array:
-        """Places of the pins in their links' inertial frames [m], (L, 3)."""
-        return np.array([pin.place for pin in self.pins])
 
     @property
     def knees(self) -> list[int]:
@@ -212,10 +200,9 @@ def _load(
         base_centre=(at_base @ [*fused.bodies[base].centre, 1.0])[:3],
         base_quat=quaternion(at_base[:3, :3] @ axes),
         mass={name: (item.mass, item.principal()[0]) for name, item in fused.bodies.items()},
-        pins=[],
+        pins=_close_loops(p, client, robot, fused, body, links),
     )
     _set_up_dynamics(p, client, model)
-    model.pins.extend(_close_loops(p, client, model))
     check_masses(p, client, model, model.mass)
     return model
 
@@ -317,18 +304,17 @@ def move_pins(p: ModuleType, client: int, model: BulletModel, play: float, shift
         shift: displacement of each pin in its bore, in its link's inertial frame (L, 3) [m]; updated.
     """
     pins = model.pins
-    states = p.getLinkStates(model.body, [pin.link for pin in pins], physicsClientId=client)
+    states = p.getLinkStates(model.body, pins.links, physicsClientId=client)
     # Bullet states the force on the first link, where the bore is; the pin feels the opposite.
-    forces = np.array([p.getConstraintState(pin.constraint, physicsClientId=client) for pin in pins])
-    pin_kernel(np.array([state[1] for state in states]), -forces, model.pin_axes, play, shift)
-    for place, pin in zip((model.pin_places - shift).tolist(), pins, strict=True):
-        p.changeConstraint(pin.constraint, jointChildPivot=place, physicsClientId=client)
+    forces = np.array([p.getConstraintState(number, physicsClientId=client) for number in pins.constraints])
+    pin_kernel(np.array([state[1] for state in states]), -forces, pins.axes, play, shift)
+    place_pins(p, client, pins, shift)
 
 
-def centre_pins(p: ModuleType, client: int, model: BulletModel) -> None:
-    """Put all pins back in the middle of their bores."""
-    for pin in model.pins:
-        p.changeConstraint(pin.constraint, jointChildPivot=pin.place.tolist(), physicsClientId=client)
+def place_pins(p: ModuleType, client: int, pins: Pins, shift: Array) -> None:
+    """Displace pins in their bores, in their links' inertial frames (L, 3) [m]."""
+    for number, place in zip(pins.constraints, (pins.places - shift).tolist(), strict=True):
+        p.changeConstraint(number, jointChildPivot=place, physicsClientId=client)
 
 
 def lay_floor(p: ModuleType, client: int, model: BulletModel, floor: int, unevenness: float) -> int:
@@ -374,22 +360,29 @@ def lay_floor(p: ModuleType, client: int, model: BulletModel, floor: int, uneven
     return number
 
 
-def _close_loops(p: ModuleType, client: int, model: BulletModel) -> list[Pin]:
-    pins = []
-    for loop in model.robot.loops:
-        ends, places = [], []
+def _close_loops(
+    p: ModuleType, client: int, robot: RobotDescription, fused: FusedUrdf, body: int, links: dict[str, int]
+) -> Pins:
+    constraints, seconds, places, axes = [], [], [], []
+    for loop in robot.loops:
+        ends, points = [], []
         for link, point in zip(loop.links, loop.points, strict=True):
-            name, frame = model.fused.place[link]
+            name, frame = fused.place[link]
             in_link = (frame @ [*point, 1.0])[:3]
-            _, axes = model.fused.bodies[name].principal()
-            ends.append(model.links[name])
-            places.append((axes.T @ (in_link - model.fused.bodies[name].centre)).tolist())
-        along = next(joint.axis for joint in model.robot.urdf.joints.values() if joint.child == name)
-        number = p.createConstraint(
-            model.body, ends[0], model.body, ends[1], p.JOINT_POINT2POINT, [0, 0, 0], *places, physicsClientId=client
+            _, turn = fused.bodies[name].principal()
+            ends.append(links[name])
+            points.append(turn.T @ (in_link - fused.bodies[name].centre))
+        along = next(joint.axis for joint in robot.urdf.joints.values() if joint.child == name)
+        at = [point.tolist() for point in points]
+        constraints.append(
+            p.createConstraint(
+                body, ends[0], body, ends[1], p.JOINT_POINT2POINT, [0, 0, 0], *at, physicsClientId=client
+            )
         )
-        pins.append(Pin(number, ends[1], np.array(places[1]), axes.T @ along))
-    return pins
+        seconds.append(ends[1])
+        places.append(points[1])
+        axes.append(turn.T @ along)
+    return Pins(constraints, seconds, np.array(places).reshape(-1, 3), np.array(axes).reshape(-1, 3))
 
 
 def check_masses(p: ModuleType, client: int, model: BulletModel, mass: dict[str, tuple[float, Array]]) -> None:

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.errors import SurefootError
-from surefoot.robot import PhysicalParams, RobotDescription
+from surefoot.robot import GRAVITY, PhysicalParams, RobotDescription
 from surefoot.world.drive import Drive, racked_bases
 from surefoot.world.interface import WorldConfig
 from surefoot.world.mujoco_loop import Native, advance, gather_base, observe
@@ -52,6 +52,7 @@ class MujocoEngine:
     """
 
     name = "mujoco"
+    gravity = GRAVITY
 
     def __init__(self, robot: RobotDescription, drive: Drive, config: WorldConfig | None = None) -> None:
         self.robot, self.drive, config = robot, drive, config or WorldConfig()

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.errors import SurefootError
-from surefoot.robot import RobotDescription
+from surefoot.robot import GRAVITY, RobotDescription
 from surefoot.world.drive import RACK_HEIGHT
 from surefoot.world.interface import WorldConfig
 
@@ -20,7 +20,7 @@ MOTOR_ITERATIONS = 50
 
 
 def build_spec(robot: RobotDescription, config: WorldConfig | None = None) -> mujoco.MjSpec:
-    """The robot over a ground plane at z = 0, its base free or on a rack, ready to compile; gravity 9.81 m/s2.
+    """The robot over a ground plane at z = 0, its base free or on a rack, ready to compile.
 
     Feet meet the ground by the law in `surefoot.world.contact`, so their geoms collide with nothing here; the
     other collision shapes of the URDF meet the ground, and not each other, by MuJoCo's own contacts.
@@ -39,6 +39,7 @@ def build_spec(robot: RobotDescription, config: WorldConfig | None = None) -> mu
     else:
         base.add_freejoint()
     option = spec.option
+    option.gravity = (0.0, 0.0, -GRAVITY)
     option.timestep = robot.timing.servo_step
     option.iterations = 4
     option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET | mujoco.mjtDisableBit.mjDSBL_ISLAND

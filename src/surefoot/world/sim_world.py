@@ -28,6 +28,7 @@ class Engine(Protocol):
     """Physics of a batch of robots; it shares the `Drive` arrays with the world."""
 
     name: str
+    gravity: float
     initial_state: Array
     diverged: NDArray[np.bool_]
 
@@ -122,7 +123,7 @@ class SimWorld:
         swing, extension = self.config.rest or robot.rest
         self.resting_angles = robot.leg_to_motor_angles(np.full(legs, swing), np.full(legs, extension))
         # How deep nominal feet stand in the ground: weight over stiffness of all feet [m].
-        self._weight = 9.81 * robot.urdf.total_mass / legs
+        self._weight = self.engine.gravity * robot.urdf.total_mass / legs
         self._sunk = self._weight / robot.contact.stiffness
         self._settled = self._settle(engine)
         self._imu_streams = generators(seed, "imu noise", first + num_envs)[first:]

@@ -9,13 +9,13 @@ from numpy.typing import NDArray
 
 from surefoot.identify.accuracy import with_floor
 from surefoot.identify.fits.motor import GAIN
-from surefoot.identify.inverse_dynamics import GRAVITY, Forces
+from surefoot.identify.inverse_dynamics import Forces
 from surefoot.identify.quality import check_recording
 from surefoot.identify.recording import Recording
 from surefoot.identify.registry import Tell
 from surefoot.identify.result import Check, Estimate, Identification, Series
 from surefoot.identify.standing import Standing, block_deviation, check_feet, check_stands, forces_of, regress, stand
-from surefoot.robot import PhysicalParams, RobotDescription
+from surefoot.robot import GRAVITY, PhysicalParams, RobotDescription
 
 Array = NDArray[np.float64]
 
