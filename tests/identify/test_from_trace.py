@@ -11,12 +11,11 @@ import numpy as np
 import pytest
 
 from surefoot.errors import SurefootError
-from surefoot.identify.actuator_model import VOLTAGE_CHANGE, ActuatorModel
 from surefoot.identify.fitting import Unknown, jacobian_of
 from surefoot.identify.from_trace import fit_traces
 from surefoot.identify.result import Identification
-from surefoot.identify.trace_rows import Course, Piece, reportings, usable_rows
-from surefoot.identify.trace_unknowns import NAMES, USUAL
+from surefoot.identify.trace_data import MotorMotion, TraceSegment, torque_timings, usable_rows
+from surefoot.identify.trace_model import NAMES, USUAL, VOLTAGE_CHANGE, TorqueModel
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.task.trace import EpisodeTrace
 from surefoot.world.interface import WorldConfig
@@ -319,7 +318,7 @@ def test_known_names() -> None:
     assert set(USUAL) < set(NAMES) <= set(PhysicalParams.names())
 
 
-def test_course_follows_a_polynomial_whose_slope_is_told_half_a_step_late() -> None:
+def test_motion_follows_a_polynomial_whose_slope_is_told_half_a_step_late() -> None:
     trace = cut(clean(), 0, 20)
     turns = np.polynomial.Polynomial([0.3, 2.0, -40.0, 300.0])
     half = 0.5 * ROBOT.timing.servo_step
@@ -330,16 +329,16 @@ def test_course_follows_a_polynomial_whose_slope_is_told_half_a_step_late() -> N
         motor_velocity=turns.deriv()(trace.time - half)[:, None] * ones,
     )
     at = np.array([0.0301, 0.0333, 0.06, 0.0999])
-    angle, speed = Course(ROBOT, trace).at(at)
+    angle, speed = MotorMotion(ROBOT, trace).at(at)
     assert angle[:, 3] == pytest.approx(turns(at), abs=1e-9)
     assert speed[:, 3] == pytest.approx(turns.deriv()(at - half), abs=1e-6)
 
 
 def test_a_robot_in_real_time_may_tell_torques_earlier() -> None:
     simulated, told = clean(), replace(clean(), meta={**clean().meta, "firmware": "some 1.0"})
-    assert [way.age for way in reportings(ROBOT, simulated)] == [0.001]
-    assert [way.age for way in reportings(ROBOT, told)] == pytest.approx([0.001, 0.0065])
-    late = Piece(told, Course(ROBOT, told), np.array([10, 11]), 0, reportings(ROBOT, told)[1])
+    assert [way.age for way in torque_timings(ROBOT, simulated)] == [0.001]
+    assert [way.age for way in torque_timings(ROBOT, told)] == pytest.approx([0.001, 0.0065])
+    late = TraceSegment(told, MotorMotion(ROBOT, told), np.array([10, 11]), 0, torque_timings(ROBOT, told)[1])
     assert np.array_equal(late.target, told.target[[9, 10]])
     # Which it did is found from the data: here torques are of the control step's end.
     found = fit_traces(ROBOT, [told], BATTERY_KNOWN, AT_15_V)
@@ -348,15 +347,15 @@ def test_a_robot_in_real_time_may_tell_torques_earlier() -> None:
 
 def test_unknowns_of_one_colour_touch_what_belongs_to_them() -> None:
     traces = [clean(), record(seconds=1.0)]
-    pieces = [
-        Piece(trace, Course(ROBOT, trace), np.arange(20, 60), number, reportings(ROBOT, trace)[0])
+    segments = [
+        TraceSegment(trace, MotorMotion(ROBOT, trace), np.arange(20, 60), number, torque_timings(ROBOT, trace)[0])
         for number, trace in enumerate(traces)
     ]
     unknowns = [Unknown("motor_strength", 1.0, 0.0, 2.0, 1e-6, motor, colour=0) for motor in range(8)]
     unknowns.append(Unknown(VOLTAGE_CHANGE, 0.0, -3.0, 3.0, 1e-5, 1, colour=1))
     values = np.array([u.start for u in unknowns])
-    together = ActuatorModel(ROBOT, pieces, unknowns, AT_15_V, np.ones(8, np.bool_))
-    apart = ActuatorModel(ROBOT, pieces, [replace(u, colour=None) for u in unknowns], AT_15_V, np.ones(8, np.bool_))
+    together = TorqueModel(ROBOT, segments, unknowns, AT_15_V, np.ones(8, np.bool_))
+    apart = TorqueModel(ROBOT, segments, [replace(u, colour=None) for u in unknowns], AT_15_V, np.ones(8, np.bool_))
     residuals = together.residuals(values[None])[0]
     assert np.array_equal(jacobian_of(together, values, residuals), jacobian_of(apart, values, residuals))
     assert len(residuals) == len(together.blocks) == 2 * 40 * 8

@@ -8,9 +8,9 @@ import pytest
 pytest.importorskip("mujoco")
 
 from surefoot.deploy.poses import pose
-from surefoot.identify.inverse_dynamics import GRAVITY, Forces, InverseDynamics, Motion
+from surefoot.identify.inverse_dynamics import Forces, InverseDynamics, Motion
 from surefoot.identify.standing import regress
-from surefoot.robot import PhysicalParams, RobotDescription
+from surefoot.robot import GRAVITY, PhysicalParams, RobotDescription
 from surefoot.world.sim_world import SimWorld
 
 STANCE = 1.7

@@ -34,7 +34,7 @@ def main(argv: list[str]) -> int:
     if word == FIGURE:
         code: int = import_module("surefoot.cli.identify_motor_figure").main(argv[1:])
     elif word.partition("=")[0] == FROM_TRACE:
-        code = import_module("surefoot.cli.identify_traces").main(argv)
+        code = import_module("surefoot.cli.identify_experiment").from_trace(argv)
     elif word in EXPERIMENTS:
         code = import_module("surefoot.cli.identify_experiment").main(word, argv[1:])
     else:

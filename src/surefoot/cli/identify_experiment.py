@@ -1,4 +1,4 @@
-"""`surefoot identify EXPERIMENT`: on a robot, or once more from what was recorded.
+"""`surefoot identify EXPERIMENT` and `surefoot identify --from-trace FOLDER`: on a robot, or from what was recorded.
 
 Exit codes: 0 done; 2 refused before anything moved, or data that tell nothing; 3 the experiment was stopped.
 """
@@ -60,29 +60,82 @@ class ExperimentCommand:
     """Print one JSON object."""
 
 
+@dataclass(frozen=True)
+class TracesCommand:
+    """Find a robot's physical parameters from traces of its runs, without an experiment.
+
+    The last runs, at least one, are kept back to try the fit on; of a single run its last quarter.
+    """
+
+    from_trace: Path
+    """Trace file (.npz), or a folder of them."""
+    fit: tuple[str, ...] = ()
+    """Physical parameters to find; all that traces tell, if not given. The others are taken as they are known."""
+    params: Path | None = None
+    """File of what is known of the robot (.toml); what is found is written to it. robot.toml in --out, if not given."""
+    out: Path | None = None
+    """Folder for the report; runs/identify/traces-TIME, if not given."""
+    robot: str | None = None
+    """Name or folder of the robot's description; the traces' robot, if not given."""
+    json: bool = False
+    """Print one JSON object."""
+
+
+def from_trace(argv: list[str]) -> int:
+    """Run `surefoot identify --from-trace` with all of its words; returns the exit code."""
+    command = parse(TracesCommand, argv, "surefoot identify", config=(tyro.conf.FlagCreatePairsOff,))
+    _check_files(command)
+    from surefoot.evaluate.recorded import find_traces
+
+    traces = find_traces(command.from_trace)
+    robot = RobotDescription.load(command.robot or str(traces[0][1].meta["robot"]))
+    known = read_known(command.params, robot)
+    from surefoot.cli.identify_results import check_installed, fitting, tell, write
+
+    check_installed()
+    from surefoot.identify.from_trace import fit_traces
+
+    with fitting("traces") as say:
+        found = fit_traces(robot, [trace for _, trace in traces], command.fit or None, known.params, say)
+    folder = command.out or _new_folder("traces")
+    files = write(robot, known, found, command.params or folder / "robot.toml", folder, str(command.from_trace))
+    tell(robot, known, found, files, {"traces": [str(path) for path, _ in traces]}, command.json)
+    return 0
+
+
 def main(name: str, argv: list[str]) -> int:
     """Run an experiment's command with the words after its name; returns the exit code."""
     command = parse(ExperimentCommand, argv, f"surefoot identify {name}", config=(tyro.conf.FlagCreatePairsOff,))
     _check(command)
     experiment, robot = EXPERIMENTS[name], RobotDescription.load(command.robot)
     known = read_known(command.params, robot)
+    from surefoot.cli.identify_results import check_installed, fitting, tell, write
+
     if command.recording is not None:
         path = command.recording / RECORDING if command.recording.is_dir() else command.recording
         recording, folder = load_recording(path, robot, name), command.out or path.parent
         _warn(command, experiment, known)
     else:
-        folder = command.out or RUNS / f"{name}-{datetime.datetime.now():%Y%m%d-%H%M%S}"
+        folder = command.out or _new_folder(name)
         path = folder / RECORDING
-        _check_free(folder, path)
+        if path.exists():
+            raise SurefootError(f"{path} exists and is not written over; give another folder with --out")
         if not command.record_only:
-            from surefoot.cli.identify_results import check_installed
-
             check_installed(f"surefoot identify {name} --record-only")
             _warn(command, experiment, known)
-        recording = _record(command, experiment, robot, path)
+        from surefoot.cli.identify_run import Session, run_experiment
+
+        session = Session(str(command.port), command.lockstep, command.baud, command.yes, command.json)
+        recording = run_experiment(session, experiment.plan(robot), robot, path)
         if recording.meta["ended"] != COMPLETE or command.record_only:
             return _tell_recording(command, recording, path)
-    return _fit(command, experiment, robot, known, recording, path, folder)
+    check_installed()
+    with fitting(name) as say:
+        found = experiment.fit(robot, recording, known.params, known.sensors, say)
+    files = write(robot, known, found, command.params or folder / "robot.toml", folder, str(path))
+    told = {"recording": str(path), "ended": COMPLETE, "lacks": list(known.lacks(experiment.before))}
+    tell(robot, known, found, files, told, command.json)
+    return 0
 
 
 def _check(command: ExperimentCommand) -> None:
@@ -96,15 +149,18 @@ def _check(command: ExperimentCommand) -> None:
                 raise SurefootError(f"--recording and --{option} don't go together; a recording needs no robot")
     if command.record_only and command.params is not None:
         raise SurefootError("--record-only and --params don't go together; what is known is needed when it is fitted")
+    _check_files(command)
+
+
+def _check_files(command: ExperimentCommand | TracesCommand) -> None:
     if command.params is not None and command.params.suffix.lower() != ".toml":
         raise SurefootError(f"params {command.params}: the name must end in .toml")
+    if command.out is not None and command.out.exists() and not command.out.is_dir():
+        raise SurefootError(f"out is {command.out}; it must be a folder")
 
 
-def _check_free(folder: Path, path: Path) -> None:
-    if folder.exists() and not folder.is_dir():
-        raise SurefootError(f"out is {folder}; it must be a folder")
-    if path.exists():
-        raise SurefootError(f"{path} exists and is not written over; give another folder with --out")
+def _new_folder(name: str) -> Path:
+    return RUNS / f"{name}-{datetime.datetime.now():%Y%m%d-%H%M%S}"
 
 
 def _warn(command: ExperimentCommand, experiment: Experiment, known: Known) -> None:
@@ -117,13 +173,6 @@ def _warn(command: ExperimentCommand, experiment: Experiment, known: Known) -> N
             "sheet stands in",
             file=sys.stderr,
         )
-
-
-def _record(command: ExperimentCommand, experiment: Experiment, robot: RobotDescription, path: Path) -> Recording:
-    from surefoot.cli.identify_run import Session, run_experiment
-
-    session = Session(str(command.port), command.lockstep, command.baud, command.yes, command.json)
-    return run_experiment(session, experiment.plan(robot), robot, path)
 
 
 def _tell_recording(command: ExperimentCommand, recording: Recording, path: Path) -> int:
@@ -146,24 +195,3 @@ def _tell_recording(command: ExperimentCommand, recording: Recording, path: Path
         if whole:
             print(f"to fit it: surefoot identify {recording.meta['experiment']} --recording {path.parent}")
     return 0 if whole else STOPPED
-
-
-def _fit(
-    command: ExperimentCommand,
-    experiment: Experiment,
-    robot: RobotDescription,
-    known: Known,
-    recording: Recording,
-    path: Path,
-    folder: Path,
-) -> int:
-    from surefoot.cli.identify_results import check_installed, fitting, tell, write
-
-    check_installed()
-    with fitting(experiment.name) as say:
-        found = experiment.fit(robot, recording, known.params, known.sensors, say)
-    params = command.params or folder / "robot.toml"
-    files = write(robot, known, found, params, folder, str(path))
-    told = {"recording": str(path), "ended": COMPLETE, "lacks": list(known.lacks(experiment.before))}
-    tell(robot, known, found, files, told, command.json)
-    return 0

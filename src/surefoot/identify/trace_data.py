@@ -1,6 +1,6 @@
-"""Rows of recorded runs: what each tells of which time, and how motors moved in between.
+"""Segments of recorded runs that can be fitted: which rows, when their torques were given, how motors moved between.
 
-What a trace's row of the time t tells is, with control latency L_c, servo latency L_s and an age a of its torque:
+A trace's row of the time t holds, with control latency L_c, servo latency L_s and an age a of its torque:
 
     motor_angle, motor_velocity     of t - L_c
     motor_torque                    of t - a, when a servo step began: back-EMF with the speed of then,
@@ -24,17 +24,21 @@ from surefoot.task.trace import EpisodeTrace
 Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
 
-LEAST = 2.0
+MIN_LENGTH = 2.0
 """Least length of all traces together that is fitted [s]."""
-LONGEST = 40.0
-"""Length [s] beyond which rows are left out evenly: more would cost time and tell little."""
+MAX_LENGTH = 40.0
+"""Length [s] beyond which rows are left out evenly: more would cost time and add little."""
 HELD_OUT = 0.25
 """Share of the traces, or of the one trace's time, that is not fitted."""
+REAL_TIME_SPREAD = 5e-4
+"""Standard deviation of times in real time [s]: half a servo step either way, and what commands come early or late. In
+runs of an emulator in real time latencies were found up to 1.1 ms off."""
 _READINGS = 4
+"""Readings of one polynomial."""
 
 
 @dataclass(frozen=True)
-class Reporting:
+class TorqueTiming:
     """When the torque of a row was given."""
 
     age: float
@@ -43,24 +47,21 @@ class Reporting:
     """Standard deviation of what is not known about it, and so about latencies [s]."""
 
 
-IN_REAL_TIME = 5e-4
-"""Standard deviation of times in real time [s]: half a servo step either way, and what commands come early or late. In
-runs of an emulator in real time latencies were found up to 1.1 ms off."""
+def torque_timings(robot: RobotDescription, trace: EpisodeTrace) -> tuple[TorqueTiming, ...]:
+    """Return what is possible for a trace.
 
-
-def reportings(robot: RobotDescription, trace: EpisodeTrace) -> tuple[Reporting, ...]:
-    """What is possible for a trace.
-
-    A simulation, and a robot in lockstep, tell at the control step's end the torque of the servo step that ended then.
-    A robot in real time tells `LEAD` earlier the torque of the servo step that ended last, which began one to two servo
-    steps before.
+    A simulation, and a robot in lockstep, report at the control step's end the torque of the servo step that ended
+    then. A robot in real time reports `LEAD` earlier the torque of the servo step that ended last, which began one to
+    two servo steps before.
     """
     step = robot.timing.servo_step
-    together = Reporting(step, 0.0)
-    return (together, Reporting(LEAD + 1.5 * step, IN_REAL_TIME)) if "firmware" in trace.meta else (together,)
+    at_end = TorqueTiming(step, 0.0)
+    if "firmware" not in trace.meta:
+        return (at_end,)
+    return at_end, TorqueTiming(LEAD + 1.5 * step, REAL_TIME_SPREAD)
 
 
-class Course:
+class MotorMotion:
     """How a trace's motors moved between its readings.
 
     Between two readings the angle is the polynomial of degree 7 that has the angles and speeds of four, two before and
@@ -74,21 +75,21 @@ class Course:
 
     def __init__(self, robot: RobotDescription, trace: EpisodeTrace) -> None:
         self.time, self.step = trace.time, float(trace.meta["control_step"])
-        self.back = 0.5 * robot.timing.servo_step / self.step
-        """Half a servo step, in control steps."""
+        self.half_servo_step = 0.5 * robot.timing.servo_step / self.step
+        """In control steps."""
         readings = np.arange(max(len(self.time) - _READINGS + 1, 0))[:, None] + np.arange(_READINGS)
         self.first = _READINGS // 2 - 1
         """Reading before the first interval that has a polynomial."""
         at = (self.time[readings] - self.time[readings[:, [self.first]]]) / self.step
         powers = np.arange(2 * _READINGS)
         angles = at[:, :, None] ** powers
-        slopes = powers * (at[:, :, None] - self.back) ** np.maximum(powers - 1, 0)
+        slopes = powers * (at[:, :, None] - self.half_servo_step) ** np.maximum(powers - 1, 0)
         given = np.concatenate([trace.motor_angle[readings], trace.motor_velocity[readings] * self.step], axis=1)
         self.coefficients = np.linalg.solve(np.concatenate([angles, slopes], axis=1), given)
         """Of rising powers of the time since an interval's start, in control steps (T - 3, 8, M)."""
 
     def at(self, time: Array) -> tuple[Array, Array]:
-        """Angles [rad] and speeds [rad/s] (n, M) at times (n,) [s]."""
+        """Return angles [rad] and speeds [rad/s] (n, M) at times (n,) [s]."""
         interval = np.clip(
             np.searchsorted(self.time, time, side="right") - 1, self.first, self.first + len(self.coefficients) - 1
         )
@@ -98,26 +99,26 @@ class Course:
             terms = self.coefficients[interval - self.first, power]
             angle = angle * x + terms
             if power:
-                slope = slope * (x - self.back) + power * terms
+                slope = slope * (x - self.half_servo_step) + power * terms
         return angle, slope / self.step  # type: ignore[return-value]
 
 
 @dataclass(frozen=True, eq=False)
-class Piece:
+class TraceSegment:
     """Rows of one trace."""
 
     trace: EpisodeTrace
-    course: Course
+    moved: MotorMotion
     rows: Rows
     """Which of them are compared (n,)."""
     number: int
     """Of the trace."""
-    reporting: Reporting
+    timing: TorqueTiming
 
     @property
     def target(self) -> Array:
         """Motor angles that were asked for when the torques were given (n, M) [rad]."""
-        late = int(np.floor(self.reporting.age / self.trace.meta["control_step"] + 1e-6))
+        late = int(np.floor(self.timing.age / self.trace.meta["control_step"] + 1e-6))
         return self.trace.target[self.rows - late]
 
     @property
@@ -126,28 +127,34 @@ class Piece:
         return self.trace.motor_torque[self.rows]
 
     def motion(self, age: float, control_latency: float) -> tuple[Array, Array]:
-        """Angles [rad] and speeds [rad/s] (n, M) `age` [s] before the torques were given."""
-        return self.course.at(self.trace.time[self.rows] + control_latency - self.reporting.age - age)
+        """Return angles [rad] and speeds [rad/s] (n, M) `age` [s] before the torques were given."""
+        return self.moved.at(self.trace.time[self.rows] + control_latency - self.timing.age - age)
+
+
+def time_jumps(trace: EpisodeTrace) -> NDArray[np.bool_]:
+    """Return the rows (T - 1,) after which time does not go on by a control step."""
+    step = float(trace.meta["control_step"])
+    return np.abs(np.diff(trace.time) - step) > 0.25 * step
 
 
 def usable_rows(trace: EpisodeTrace, earliest: float, latest: float) -> Rows:
-    """Rows of a trace around which readings follow each other as they should.
+    """Return rows of a trace around which readings follow each other without a gap.
 
     Args:
         trace: the trace.
         earliest: how long before a row the first reading may be that it is compared with [s].
         latest: how long after it the last one may be [s].
     """
-    step = float(trace.meta["control_step"])
     count = trace.num_steps
     broken = np.zeros(count, np.bool_)
-    broken[1:] |= np.abs(np.diff(trace.time) - step) > 0.25 * step
+    broken[1:] |= time_jumps(trace)
     # Rows of missed steps, and the one before them, hold the state of the step that came after them.
     missed = np.array([k for k in trace.meta.get("missed_steps", []) if 0 < k < count], np.int64)
     broken[missed] = broken[missed - 1] = True
-    told = np.concatenate([trace.motor_angle, trace.motor_velocity, trace.motor_torque], axis=1)
-    broken[1:] |= (np.diff(told, axis=0) == 0).all(axis=1)
+    readings = np.concatenate([trace.motor_angle, trace.motor_velocity, trace.motor_torque], axis=1)
+    broken[1:] |= (np.diff(readings, axis=0) == 0).all(axis=1)
     # A polynomial needs two readings on either side.
+    step = float(trace.meta["control_step"])
     before, after = (int(np.ceil(reach / step)) + _READINGS // 2 for reach in (earliest, latest))
     bad = np.concatenate([[0], np.cumsum(broken)])
     rows = np.arange(before, count - after)
@@ -172,48 +179,53 @@ def check_traces(robot: RobotDescription, traces: Sequence[EpisodeTrace]) -> Non
             raise SurefootError(f"{who}: has motors of kind '{meta['actuator']}'; only DC motors ('dc') can be fitted")
 
 
-def check_length(traces: Sequence[EpisodeTrace], pieces: Sequence[Piece]) -> None:
-    """Refuse too little.
+def make_segments(
+    robot: RobotDescription, traces: Sequence[EpisodeTrace], bounds: dict[str, tuple[float, float]], timing: int
+) -> list[TraceSegment]:
+    """Return the usable rows of all traces, the same ones for every latency within the bounds.
+
+    Args:
+        robot: their robot.
+        traces: the traces.
+        bounds: least and greatest `servo_latency` and `control_latency` [s].
+        timing: index of the traces' `torque_timings`; the last one of a trace that has fewer.
 
     Raises:
-        SurefootError: less than `LEAST`.
+        SurefootError: less than `MIN_LENGTH` in all.
     """
-    usable = sum(len(piece.rows) * piece.trace.meta["control_step"] for piece in pieces)
-    if usable < LEAST:
+    segments = []
+    for number, trace in enumerate(traces):
+        when = torque_timings(robot, trace)[: timing + 1][-1]
+        earliest = when.age + bounds["servo_latency"][1] - bounds["control_latency"][0]
+        rows = usable_rows(trace, max(earliest, when.age), bounds["control_latency"][1])
+        segments.append(TraceSegment(trace, MotorMotion(robot, trace), rows, number, when))
+    usable = _length(segments)
+    if usable < MIN_LENGTH:
         whole = sum(trace.duration for trace in traces)
         raise SurefootError(
-            f"traces have {usable:.2f} s without gaps, of {whole:.2f} s; {LEAST:g} s or more are needed"
+            f"traces have {usable:.2f} s without gaps, of {whole:.2f} s; {MIN_LENGTH:g} s or more are needed"
         )
+    return segments
 
 
-def pieces_of(
-    robot: RobotDescription,
-    traces: Sequence[EpisodeTrace],
-    courses: Sequence[Course],
-    bounds: dict[str, tuple[float, float]],
-    kind: int,
-) -> list[Piece]:
-    """Usable rows of all traces, with the same ones for every latency within the bounds."""
-    pieces = []
-    for number, trace in enumerate(traces):
-        ways = reportings(robot, trace)
-        reporting = ways[min(kind, len(ways) - 1)]
-        earliest = reporting.age + bounds["servo_latency"][1] - bounds["control_latency"][0]
-        rows = usable_rows(trace, max(earliest, reporting.age), bounds["control_latency"][1])
-        pieces.append(Piece(trace, courses[number], rows, number, reporting))
-    return pieces
-
-
-def split(pieces: Sequence[Piece]) -> tuple[list[Piece], list[Piece]]:
-    """What is fitted, thinned out if it is long, and what is kept back."""
-    pieces = [piece for piece in pieces if len(piece.rows)]
-    if len(pieces) == 1:
-        cut = round((1 - HELD_OUT) * len(pieces[0].rows))
-        parts = [replace(pieces[0], rows=rows) for rows in (pieces[0].rows[:cut], pieces[0].rows[cut:])]
-        fitted, held = parts[:1], parts[1:]
+def split_segments(segments: Sequence[TraceSegment]) -> tuple[list[TraceSegment], list[TraceSegment]]:
+    """Return what is fitted, thinned out if it is long, and what is kept back."""
+    segments = [segment for segment in segments if len(segment.rows)]
+    if len(segments) == 1:
+        (whole,) = segments
+        cut = round((1 - HELD_OUT) * len(whole.rows))
+        fitted, held = [replace(whole, rows=whole.rows[:cut])], [replace(whole, rows=whole.rows[cut:])]
     else:
-        last = max(round(HELD_OUT * len(pieces)), 1)
-        fitted, held = list(pieces[:-last]), list(pieces[-last:])
-    length = sum(len(piece.rows) * piece.trace.meta["control_step"] for piece in fitted)
-    every = max(int(np.ceil(length / LONGEST)), 1)
-    return [replace(piece, rows=piece.rows[::every]) for piece in fitted], held
+        last = max(round(HELD_OUT * len(segments)), 1)
+        fitted, held = segments[:-last], segments[-last:]
+    return thinned(fitted, max(int(np.ceil(_length(fitted) / MAX_LENGTH)), 1)), held
+
+
+def thinned(segments: Sequence[TraceSegment], every: int) -> list[TraceSegment]:
+    """Return segments with one row of so many."""
+    return [replace(segment, rows=segment.rows[::every]) for segment in segments]
+
+
+def _length(segments: Sequence[TraceSegment]) -> float:
+    """Length of all rows [s]."""
+    return sum(len(segment.rows) * segment.trace.meta["control_step"] for segment in segments)
