@@ -26,7 +26,7 @@ import numpy as np
 from surefoot.actuator.motor import motor_torque
 from surefoot.deploy.connection import open_connection
 from surefoot.deploy.loop import Silent
-from surefoot.identify.driver import PERIOD, run_plan
+from surefoot.identify.experiment_runner import PERIOD, run_plan
 from surefoot.identify.recording import COMPLETE
 from surefoot.identify.registry import EXPERIMENTS
 from surefoot.identify.result import Identification

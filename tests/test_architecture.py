@@ -44,7 +44,7 @@ ROBOT_SIDE = [
     "surefoot.cli.doctor",
     "surefoot.cli.deploy",
     "surefoot.cli.identify",
-    "surefoot.identify.driver",
+    "surefoot.identify.experiment_runner",
     "surefoot.identify.registry",
     "surefoot.identify.experiments.contact",
 ]

@@ -24,7 +24,7 @@ from typing import Any
 
 import numpy as np
 
-from surefoot.deploy.moves import UP
+from surefoot.deploy.motion import UP
 from surefoot.deploy.wire.frames import Decoder, Frame, encode_frame
 from surefoot.deploy.wire.messages import (
     Arm,

@@ -59,13 +59,13 @@ def test_the_hardware_that_is_assumed_is_the_emulators(document: str):
 
 
 def test_every_phase_of_a_run_stands_in_the_table(document: str):
-    from surefoot.deploy import moves
+    from surefoot.deploy import motion
     from surefoot.deploy.deployment import PUNCTUAL
 
     assert f"| keep time | {PUNCTUAL * 0.006:.1f} s |" in document
-    flat, fold, pause = moves.FLAT, moves.FOLD, moves.PAUSE
+    flat, fold, pause = motion.FLAT, motion.FOLD, motion.PAUSE
     assert f"| lay legs flat, draw legs in, sit | {flat + fold + pause:.1f} s |" in document
-    assert f"| stand up, stand | {moves.RISE + moves.HOLD:.1f} s |" in document
+    assert f"| stand up, stand | {motion.RISE + motion.HOLD:.1f} s |" in document
 
 
 def test_links_of_the_document_lead_somewhere(document: str, repository: Path):

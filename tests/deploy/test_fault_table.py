@@ -28,7 +28,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from surefoot.deploy.moves import UP
+from surefoot.deploy.motion import UP
 from surefoot.deploy.poses import pose, sitting
 from surefoot.deploy.wire.frames import Frame
 from surefoot.deploy.wire.messages import Arm, Bye, Damp, Disarm, Fault, Hello, Mode, Position, Reason, State

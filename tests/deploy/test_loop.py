@@ -10,7 +10,7 @@ import pytest
 
 from surefoot.deploy.controller import Controller
 from surefoot.deploy.deployment import Deployment
-from surefoot.deploy.moves import FLAT, FOLD, PAUSE, REST, UP
+from surefoot.deploy.motion import FLAT, FOLD, PAUSE, REST, UP
 from surefoot.deploy.pacer import Timing
 from surefoot.deploy.poses import pose, sitting
 from surefoot.deploy.recording.keeping import Keeper

@@ -100,7 +100,7 @@ def make_plan(robot: RobotDescription) -> Callable[..., Plan]:
 def recorded(healthy: Emulator, robot: RobotDescription, make_plan: Callable[..., Plan]) -> Recording:
     """What a healthy robot told in a whole experiment."""
     from surefoot.deploy.connection import open_connection
-    from surefoot.identify.driver import run_plan
+    from surefoot.identify.experiment_runner import run_plan
 
     connection = open_connection(str(healthy.port), robot.num_motors, lockstep=True)
     try:

@@ -17,7 +17,7 @@ from surefoot.deploy.display import PlainLines
 from surefoot.deploy.link import LinkLostError
 from surefoot.deploy.wire.messages import Mode
 from surefoot.errors import SurefootError
-from surefoot.identify.driver import run_plan
+from surefoot.identify.experiment_runner import run_plan
 from surefoot.identify.plan import ExperimentLimits, Plan
 from surefoot.identify.recording import COMPLETE, Recording, load_recording
 from surefoot.robot import RobotDescription

@@ -14,7 +14,7 @@ pytest.importorskip("mujoco")
 from surefoot.deploy.connection import open_connection
 from surefoot.deploy.display import PlainLines
 from surefoot.errors import SurefootError
-from surefoot.identify.driver import run_plan
+from surefoot.identify.experiment_runner import run_plan
 from surefoot.identify.fits.motor import fit_on_rack, motor_unknowns, rack_estimates
 from surefoot.identify.plan import Plan
 from surefoot.identify.recording import COMPLETE, Recording

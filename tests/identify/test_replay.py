@@ -16,7 +16,7 @@ from surefoot.deploy.connection import open_connection
 from surefoot.deploy.display import PlainLines
 from surefoot.deploy.wire.messages import Mode
 from surefoot.errors import SurefootError
-from surefoot.identify.driver import run_plan
+from surefoot.identify.experiment_runner import run_plan
 from surefoot.identify.plan import Plan
 from surefoot.identify.recording import COMPLETE, Recording
 from surefoot.identify.replay import HELD, Replayed, Replayer, Stretch, stretch_of

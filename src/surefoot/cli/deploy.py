@@ -109,7 +109,7 @@ def main(argv: list[str]) -> int:
 
 def _runs(command: DeployCommand, deployment: Deployment) -> tuple[list[dict[str, Any]], int]:
     """Run after run, until one ends early; returns what is to be told of each, and the exit code."""
-    from surefoot.deploy.moves import DOWN, UP
+    from surefoot.deploy.motion import DOWN, UP
     from surefoot.deploy.pacer import Timing
     from surefoot.deploy.recording.keeping import Keeper
     from surefoot.deploy.recording.partial import next_free

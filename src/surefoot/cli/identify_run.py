@@ -21,7 +21,7 @@ from surefoot.deploy.loop import Snapshot
 from surefoot.deploy.realtime import undisturbed
 from surefoot.deploy.wire.messages import Handshake
 from surefoot.errors import SurefootError
-from surefoot.identify.driver import run_plan
+from surefoot.identify.experiment_runner import run_plan
 from surefoot.identify.plan import Plan
 from surefoot.identify.recording import Recording
 from surefoot.robot import RobotDescription

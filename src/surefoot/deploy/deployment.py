@@ -14,8 +14,9 @@ from surefoot.deploy.connection import RobotConnection
 from surefoot.deploy.controller import Controller
 from surefoot.deploy.link import LinkLostError
 from surefoot.deploy.loop import ControlLoop, Watch
-from surefoot.deploy.moves import Moves
+from surefoot.deploy.motion import MotionRunner
 from surefoot.deploy.pacer import Timing
+from surefoot.deploy.poses import pose
 from surefoot.deploy.recording.recorder import Recorder
 from surefoot.deploy.safety import GO, Act, Guard, Verdict
 from surefoot.deploy.safety_limits import SafetyLimits
@@ -147,28 +148,33 @@ class Deployment:
         Raises:
             SurefootError: the robot was not greeted, or does not arm for its first run; nothing has moved.
         """
-        handshake, contract = self.connection.handshake, self.contract
-        if handshake is None:
-            raise SurefootError("the robot was not greeted")
+        contract = self.contract
+        runner = MotionRunner(
+            self.connection,
+            self.robot,
+            contract.control_step,
+            self.operator,
+            self.watch,
+            self.limits,
+            contract.task.get("fall_angle"),
+            timing=timing,
+            dry_run=self.dry_run,
+        )
         if self.operator.stops:
             return Outcome("stopped", "operator", "stopped before anything moved", False)
-        guard = Guard(self.limits, contract.control_step, self.connection.session, contract.task.get("fall_angle"))
-        loop = ControlLoop(
-            self.connection, contract.control_step, guard, self.operator, self.watch, timing, self.dry_run
-        )
-        moves = Moves(self.connection, self.controller, loop, handshake)
         try:
             if not self.dry_run:
-                moves.arm()
+                self.watch.phase("arm", 0.0)
+                runner.arm()
         except (LinkLostError, SurefootError) as error:
             if not self._moved:
                 raise SurefootError(str(error)) from error
             return Outcome("fault", "arm", str(error), True)
         self._moved = True
-        verdict, ran = moves.stand_up(), False
+        verdict, ran = runner.stand_up(pose(self.robot, *contract.rest)), False
         if verdict.act is Act.GO:
-            verdict, ran = self._run_policy(loop, recorder, keep, begun), True
-        return self._finish(moves, verdict, ran)
+            verdict, ran = self._run_policy(runner.loop, recorder, keep, begun), True
+        return self._finish(runner, verdict, ran)
 
     def _run_policy(self, loop: ControlLoop, recorder: Recorder, keep: Keep, begun: Begun) -> Verdict:
         controller, step = self.controller, self.contract.control_step
@@ -191,38 +197,36 @@ class Deployment:
 
         return loop.follow("run", recorder.max_steps, compute, after)
 
-    def _finish(self, moves: Moves, verdict: Verdict, running: bool) -> Outcome:
+    def _finish(self, runner: MotionRunner, verdict: Verdict, running: bool) -> Outcome:
         """Bring the robot to rest, whatever happened.
 
         Args:
-            moves: of the robot.
+            runner: of the robot.
             verdict: what ended the run.
             running: whether the policy was.
         """
         outcome = _outcome(verdict)
         try:
             if verdict.act in (Act.GO, Act.SIT):
-                ending = self._come_to_rest(moves, running)
+                if running:
+                    ending = runner.drop()
+                else:
+                    # A robot that still lies would stall its motors to sit: it is let go as it is.
+                    ending = runner.sit_down() if runner.risen else GO
+                if ending.act is Act.GO and not self.dry_run:
+                    ending = runner.disarm()
                 if ending.act is not Act.GO:
                     outcome = replace(outcome, text=f"{outcome.text}; then {ending.text}", safe=True)
                     verdict = ending
             if self.dry_run:
                 return outcome
             if verdict.act is Act.FALL:
-                return replace(outcome, text=f"{outcome.text}; {moves.get_over_fall()}", safe=True)
+                return replace(outcome, text=f"{outcome.text}; {runner.recover_from_fall()}", safe=True)
             if verdict.act is Act.DAMP:
-                moves.confirm_damped()
+                runner.release(damp=True)
         except (LinkLostError, SurefootError) as error:
             return replace(outcome, text=f"{outcome.text}; then {error}", safe=True)
         return outcome
-
-    def _come_to_rest(self, moves: Moves, running: bool) -> Verdict:
-        if running:
-            verdict = moves.stop()
-        else:
-            # A robot that still lies would stall its motors to sit: it is let go as it is.
-            verdict = moves.sit_down() if moves.risen else GO
-        return moves.disarm() if verdict.act is Act.GO and not self.dry_run else verdict
 
     def close(self) -> None:
         """Give the robot back."""
@@ -233,10 +237,6 @@ class Deployment:
 def _outcome(verdict: Verdict) -> Outcome:
     if verdict == GO:
         return Outcome("time", "time", "done", False)
-    if verdict.act is Act.FALL:
-        return Outcome("fall", verdict.reason, verdict.text, True)
-    if verdict.reason == "operator":
-        return Outcome("stopped", verdict.reason, verdict.text, verdict.act is Act.DAMP)
-    if verdict.act is Act.SIT:
-        return Outcome("stopped", verdict.reason, verdict.text, True)
-    return Outcome("fault", verdict.reason, verdict.text, True)
+    operator = verdict.reason == "operator"
+    ended = {Act.FALL: "fall", Act.SIT: "stopped"}.get(verdict.act, "stopped" if operator else "fault")
+    return Outcome(ended, verdict.reason, verdict.text, not operator or verdict.act is Act.DAMP)

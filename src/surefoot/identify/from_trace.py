@@ -259,12 +259,12 @@ class _TraceFit:
         for params, others in ((self.known, []), (found, more)):
             model = TorqueModel(robot, held, [u for u, _ in others], params, self.moving)
             modelled.append(np.concatenate([torque[0] for torque in model.torques(np.array([[v for _, v in others]]))]))
-        errors = [float(np.sqrt(np.mean((way - measured)[:, self.moving] ** 2))) for way in modelled]
+        before, after = (float(np.sqrt(np.mean((way - measured)[:, self.moving] ** 2))) for way in modelled)
         motor = int(np.argmax(np.where(self.moving, np.std(measured, axis=0), -1.0)))
         rows = slice(0, min(len(first.rows), round(1.0 / first.trace.meta["control_step"])))
         labels = f"{robot.motor_names[motor]}, not fitted", "time [s]", "torque [N m]"
-        drawn = (values[rows, motor] for values in (measured, *modelled))
-        return Check("motor torques", *errors, "N m"), Series(*labels, first.trace.time[first.rows[rows]], *drawn)
+        time, (torque, was, now) = first.trace.time[first.rows[rows]], (v[rows, motor] for v in (measured, *modelled))
+        return Check("motor torques", before, after, "N m"), Series(*labels, time, torque, was, now)
 
     def notes_on_traces(self, traces: Sequence[EpisodeTrace]) -> list[str]:
         """Return what is odd about the data."""

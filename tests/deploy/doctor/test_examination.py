@@ -19,7 +19,7 @@ from surefoot.deploy.doctor.computer import check_computer, time_inference
 from surefoot.deploy.doctor.examination import RACK, Examination, examine
 from surefoot.deploy.doctor.ground import Tilted, check_tilts, tilted
 from surefoot.deploy.doctor.link import LinkFigures, bursts, check_link, measure_link, rate
-from surefoot.deploy.doctor.move import MotionStoppedError, Mover
+from surefoot.deploy.doctor.move import LeashedRobot, MotionStoppedError
 from surefoot.deploy.doctor.rack import Wiggle, check_motors, check_response, trained_latencies
 from surefoot.deploy.doctor.response import fit_response
 from surefoot.deploy.doctor.rest import Sample, check_rest
@@ -401,21 +401,21 @@ def test_every_inference_is_timed(policy: PolicyRuntime):
 # Motion.
 
 
-def move(connection: RobotConnection, robot: RobotDescription, operator: Any = Never, **options: Any) -> Mover:
+def move(connection: RobotConnection, robot: RobotDescription, operator: Any = Never, **options: Any) -> LeashedRobot:
     if connection.handshake is None:
         connection.connect()
         assert connection.wait_for(lambda: connection.state is not None, 1.0)
-    return Mover(connection, robot, 0.006, operator, options.pop("leash", 0.15), **options)
+    return LeashedRobot(connection, robot, 0.006, operator, options.pop("leash", 0.15), **options)
 
 
 def test_a_motion_is_smooth_and_ends_disarmed(connection: RobotConnection, robot: RobotDescription, toy: Any):
     end = toy.angle + 0.3
-    with move(connection, robot, leash=1.0) as mover:
-        moved = mover.go(end, 0.6)
+    with move(connection, robot, leash=1.0) as leashed:
+        leashed.go(end, 0.6)
     assert np.allclose(toy.angle, end, atol=1e-6)
     targets = np.array([message.target[0] for _, message in toy.heard if type(message).__name__ == "Position"])
     assert np.abs(np.diff(targets, prepend=0.9)).max() < 0.3 * 1.9 * 0.006 / 0.6  # least jerk: 15/8 of the mean speed
-    assert len(moved.samples) >= 100
+    assert len(leashed.samples) >= 100
     assert toy.kinds() == ["Hello", "Arm", "Position", "Disarm"]
     assert toy.firmware.mode == Mode.DISARMED
     assert connection.on_state is None
@@ -424,8 +424,8 @@ def test_a_motion_is_smooth_and_ends_disarmed(connection: RobotConnection, robot
 def test_a_robot_on_the_ground_sits_before_it_is_disarmed(
     connection: RobotConnection, robot: RobotDescription, toy: Any
 ):
-    with move(connection, robot, sits=True) as mover:
-        mover.go(pose_of(robot, 0.0, 1.5), 0.5)
+    with move(connection, robot, sits=True) as leashed:
+        leashed.go(pose_of(robot, 0.0, 1.5), 0.5)
     assert np.allclose(toy.angle, sitting(robot), atol=1e-6)
     assert toy.firmware.mode == Mode.DISARMED
 
@@ -438,10 +438,10 @@ def test_a_motor_that_strays_damps_all(connection: RobotConnection, robot: Robot
 
     toy.sensors = stray
     start = toy.angle.copy()
-    mover = move(connection, robot)
-    with pytest.raises(MotionStoppedError, match=r"back_left_1_motor is .0.40 rad from where it was sent"), mover:
-        mover.hold(start, 0.5)
-    assert mover.strayed == (3, pytest.approx(0.4))
+    leashed = move(connection, robot)
+    with pytest.raises(MotionStoppedError, match=r"back_left_1_motor is .0.40 rad from where it was sent"), leashed:
+        leashed.hold(start, 0.5)
+    assert leashed.strayed == (3, pytest.approx(0.4))
     assert toy.kinds()[-1] == "Damp"
     assert toy.firmware.mode == Mode.FAULT
 
@@ -456,9 +456,9 @@ def test_ctrl_c_sits_and_once_more_damps(
             return stops if connection.clock.now() > 0.3 else 0
 
     stand = pose_of(robot, 0.0, 1.5)
-    mover = move(connection, robot, Impatient(), sits=True)
-    with pytest.raises(MotionStoppedError) as stopped, mover:
-        mover.go(stand, 5.0)
+    leashed = move(connection, robot, Impatient(), sits=True)
+    with pytest.raises(MotionStoppedError) as stopped, leashed:
+        leashed.go(stand, 5.0)
     assert stopped.value.verdict.reason == "operator"
     assert toy.kinds()[-1] == last
     assert toy.firmware.mode == mode
@@ -466,9 +466,9 @@ def test_ctrl_c_sits_and_once_more_damps(
 
 
 def test_an_exception_in_the_middle_damps(connection: RobotConnection, robot: RobotDescription, toy: Any):
-    def fail(mover: Mover) -> None:
-        with mover:
-            mover.hold(toy.angle.copy(), 0.1)
+    def fail(leashed: LeashedRobot) -> None:
+        with leashed:
+            leashed.hold(toy.angle.copy(), 0.1)
             raise ZeroDivisionError
 
     with pytest.raises(ZeroDivisionError):

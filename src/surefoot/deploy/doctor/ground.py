@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.deploy.connection import RobotConnection
-from surefoot.deploy.doctor.move import MotionStoppedError, Mover
+from surefoot.deploy.doctor.move import LeashedRobot, MotionStoppedError
 from surefoot.deploy.doctor.rest import Sample
 from surefoot.deploy.findings import Finding
 from surefoot.deploy.poses import pose
@@ -78,18 +78,18 @@ def tilt_robot(
         return [Finding(name, None, why, "name them so in the data sheet") for name in NAMES]
     swing, extension = contract.rest
     stand = pose(robot, swing, extension)
-    mover = Mover(connection, robot, contract.control_step, operator, LEASH, sits=True)
+    leashed = LeashedRobot(connection, robot, contract.control_step, operator, LEASH, sits=True)
     try:
-        with mover:
-            mover.go(stand, RISE)
+        with leashed:
+            leashed.go(stand, RISE)
             tilts = []
             for shorter in SIDES:
-                mover.hold(stand, SETTLE)
-                first = len(mover.samples()) - _SETTLED
-                mover.go(_tilted(robot, swing, extension, shorter), TILT_TIME)
-                mover.hold(_tilted(robot, swing, extension, shorter), SETTLE)
-                tilts.append(tilted(mover.samples()[first:], gyro_bias))
-                mover.go(stand, TILT_TIME)
+                leashed.hold(stand, SETTLE)
+                first = len(leashed.samples) - _SETTLED
+                leashed.go(_tilted(robot, swing, extension, shorter), TILT_TIME)
+                leashed.hold(_tilted(robot, swing, extension, shorter), SETTLE)
+                tilts.append(tilted(leashed.samples[first:], gyro_bias))
+                leashed.go(stand, TILT_TIME)
     except MotionStoppedError as stopped:
         if stopped.verdict.reason == "operator":
             return [Finding(name, None, "stopped by the operator", "run it again") for name in NAMES]

@@ -1,30 +1,22 @@
-"""How the doctor moves a robot: the same loop and guard as a deployment, smooth ways, and a leash."""
+"""A robot that the doctor moves: armed for a while, on a leash, and disarmed or damped afterwards."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from types import TracebackType
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.deploy.arming import Arming
 from surefoot.deploy.connection import RobotConnection
 from surefoot.deploy.doctor.rest import Sample
-from surefoot.deploy.loop import ControlLoop, Silent
-from surefoot.deploy.pacer import Timing
-from surefoot.deploy.poses import between, sitting
-from surefoot.deploy.safety import Act, Guard, Verdict
-from surefoot.deploy.safety_limits import SafetyLimits
+from surefoot.deploy.motion import MotionRunner
+from surefoot.deploy.safety import Act, Verdict
 from surefoot.deploy.stop_signals import StopSignals
-from surefoot.deploy.wire.messages import Handshake, Mode, State
-from surefoot.errors import SurefootError
+from surefoot.deploy.wire.messages import Mode, State
 from surefoot.robot import RobotDescription
 
 Array = NDArray[np.float64]
-
-SIT_TIME = 1.5
-"""Time to sit down [s]."""
 
 
 class MotionStoppedError(RuntimeError):
@@ -35,26 +27,16 @@ class MotionStoppedError(RuntimeError):
         self.verdict = verdict
 
 
-def _may_sit(error: BaseException) -> bool:
-    """Whether what ended a motion leaves time to sit down and disarm."""
-    return isinstance(error, MotionStoppedError) and error.verdict.act is Act.SIT
-
-
-class _Strayed(RuntimeError):
+class LeashError(RuntimeError):
     """A motor is not where it was sent."""
 
 
-@dataclass(frozen=True)
-class Moved:
-    """What was seen while a robot moved."""
-
-    samples: list[Sample]
-    """States that came."""
-    command: int
-    """Number of the frame that carried the first command."""
+def _may_sit(error: BaseException | None) -> bool:
+    """Return whether what ended a motion, if anything, leaves time to sit down and disarm."""
+    return error is None or (isinstance(error, MotionStoppedError) and error.verdict.act is Act.SIT)
 
 
-class Mover:
+class LeashedRobot(MotionRunner):
     """A robot that is armed while this is entered; afterwards it is disarmed, or damped if anything went wrong.
 
     Args:
@@ -64,7 +46,6 @@ class Mover:
         operator: may ask to stop.
         leash: how far [rad] a motor may be from where it was sent.
         sits: whether it stands on the ground, and sits down before it is disarmed.
-        limits: of a deployment.
 
     Raises:
         SurefootError: on entering, if the robot does not arm; nothing has moved then.
@@ -79,27 +60,20 @@ class Mover:
         operator: StopSignals,
         leash: float,
         sits: bool = False,
-        limits: SafetyLimits | None = None,
     ) -> None:
-        if connection.handshake is None:
-            raise SurefootError("the robot was not greeted")
-        self.connection, self.robot, self.control_step, self.sits = connection, robot, control_step, sits
-        self.handshake: Handshake = connection.handshake
-        self.leash = leash
-        self._arming = Arming(connection, self.handshake, control_step)
+        super().__init__(connection, robot, control_step, operator)
+        self.leash, self.sits = leash, sits
         self.strayed: tuple[int, float] | None = None
         """Motor that left its way, and by how much [rad]."""
-        guard = Guard(limits or SafetyLimits(), control_step, connection.session)
-        self._loop = ControlLoop(connection, control_step, guard, operator, Silent(), Timing(0))
-        self._samples: list[Sample] = []
+        self.samples: list[Sample] = []
+        """All states since it was armed."""
+        self._first_command: int | None = None
 
-    # Arming and its end.
-
-    def __enter__(self) -> Mover:
+    def __enter__(self) -> Self:
         """Arm: the servos hold the angles that they find."""
-        self.connection.on_state = lambda state, sent, _: self._samples.append(Sample(sent, state))
+        self.connection.on_state = lambda state, sent, _: self.samples.append(Sample(sent, state))
         try:
-            self._arming.arm()
+            self.arm()
         except BaseException:
             self.connection.on_state = None
             raise
@@ -109,70 +83,47 @@ class Mover:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         """Sit down, if the robot stands, and disarm; damp if anything went wrong."""
-        damp = error is not None and not _may_sit(error)
+        damp = not _may_sit(error)
         try:
             if damp:
-                self._loop.damp()
+                self.loop.damp()
             elif self.sits:
-                self._follow(self._present(), sitting(self.robot), SIT_TIME, sitting_down=True)
+                self._check(self.sit_down())
         except BaseException as failed:
             damp = not _may_sit(failed)
             raise
         finally:
             self.connection.on_state = None
-            self._let_go(damp)
+            if self.state.mode != Mode.FAULT:
+                self.release(damp)
 
-    def _let_go(self, damp: bool) -> None:
-        """Disarm or damp, again if there is no answer: frames may be lost."""
-        if self._state().mode == Mode.FAULT:
-            return
-        ask = self._loop.damp if damp else self.connection.disarm
-        if not self._arming.ask_until(ask, lambda: self._state().mode in (Mode.DISARMED, Mode.FAULT)):
-            self._loop.damp()
+    def hold(self, target: Array, duration: float) -> tuple[int, list[Sample]]:
+        """Send motor angles (M,) [rad] at once and hold them for a while [s].
 
-    # Motions.
+        Returns:
+            number of the frame that carried the first command, and the states that came.
+        """
+        self._first_command, first = None, len(self.samples)
+        self._check(self.move("doctor", target, duration, start=target))
+        return self._first_command or 0, self.samples[first:]
 
-    def _state(self) -> State:
-        return self.connection.last_state()
-
-    def _present(self) -> Array:
-        return self._loop.target if self._loop.target is not None else self._state().motor_angle
-
-    def hold(self, target: Array, duration: float) -> Moved:
-        """Send motor angles (M,) [rad] at once and hold them for a while [s]."""
-        return self._follow(target, target, duration)
-
-    def go(self, target: Array, duration: float) -> Moved:
+    def go(self, target: Array, duration: float) -> None:
         """Go smoothly to motor angles (M,) [rad] within a time [s]."""
-        return self._follow(self._present(), target, duration)
+        self._check(self.move("doctor", target, duration))
 
-    def _follow(self, start: Array, end: Array, duration: float, sitting_down: bool = False) -> Moved:
-        first, steps = len(self._samples), self._loop.steps_of(duration)
-        number = 0
-        low, high = self.handshake.angle_low, self.handshake.angle_high
-
-        def target(k: int, state: State, missed: int) -> Array:
-            nonlocal number
-            if not number:
-                number = self.connection.link.counts.sent + 1
-            self._check_leash(state.motor_angle)
-            return np.clip(between(start, end, (k + 1) / steps), low, high)
-
-        verdict = self._loop.follow("doctor", steps, target, sitting=sitting_down)
+    def _check(self, verdict: Verdict) -> None:
         if verdict.act is not Act.GO:
             raise MotionStoppedError(verdict)
-        return Moved(self._samples[first:], number)
 
-    def _check_leash(self, angles: Array) -> None:
-        off = angles - self._present()
+    def check_state(self, state: State) -> None:
+        """Raise `LeashError` when a motor is not where it was sent."""
+        if self._first_command is None:
+            self._first_command = self.connection.link.counts.sent + 1
+        off = state.motor_angle - self.target
         worst = int(np.argmax(np.abs(off)))
         if abs(off[worst]) > self.leash:
             self.strayed = worst, float(off[worst])
-            raise _Strayed(
+            raise LeashError(
                 f"{self.robot.motor_names[worst]} is {off[worst]:+.2f} rad from where it was sent; "
                 f"at most {self.leash:g}"
             )
-
-    def samples(self) -> list[Sample]:
-        """All states since it was armed."""
-        return self._samples

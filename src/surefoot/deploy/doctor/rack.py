@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.deploy.connection import RobotConnection
-from surefoot.deploy.doctor.move import MotionStoppedError, Moved, Mover
+from surefoot.deploy.doctor.move import LeashedRobot, MotionStoppedError
 from surefoot.deploy.doctor.response import WINDOW, fit_response
 from surefoot.deploy.doctor.rest import Sample
 from surefoot.deploy.findings import Finding
@@ -76,36 +76,35 @@ def wiggle_motors(
         return [Finding("motors, one by one", False, "the robot tells nothing of its state", "switch it off and on")]
     start = np.clip(state.motor_angle, handshake.angle_low, handshake.angle_high)
     wiggles: list[Wiggle] = []
-    mover = Mover(connection, robot, contract.control_step, operator, LEASH)
+    leashed = LeashedRobot(connection, robot, contract.control_step, operator, LEASH)
     asked: int | None = None
     try:
-        with mover:
-            mover.hold(start, SETTLE)
+        with leashed:
+            leashed.hold(start, SETTLE)
             for motor in range(robot.num_motors):
                 asked = motor
                 # Away from the nearer limit.
                 middle = (handshake.angle_low[motor] + handshake.angle_high[motor]) / 2
                 step = STEP if start[motor] <= middle else -STEP
-                wiggles.append(_wiggle(mover, start, motor, step))
+                wiggles.append(_wiggle(leashed, start, motor, step))
     except MotionStoppedError as stopped:
-        return [_stopped(stopped, mover, asked, robot), *_undone("the wiggle did not come to its end")]
+        return [_stopped(stopped, leashed, asked, robot), *_undone("the wiggle did not come to its end")]
     return [check_motors(wiggles, robot), *check_response(wiggles, contract, handshake.servo_period, connection.lead)]
 
 
-def _wiggle(mover: Mover, start: Array, motor: int, step: float) -> Wiggle:
-    before = _settled(mover.samples())
+def _wiggle(leashed: LeashedRobot, start: Array, motor: int, step: float) -> Wiggle:
+    before = _settled(leashed.samples)
     target = start.copy()
     target[motor] += step
-    there = mover.hold(target, HOLD)
-    back = mover.hold(start, HOLD)
-    moved, returned = _settled(there.samples) - before, _settled(back.samples) - before
-    points = [
-        *_points(there, before, motor, step, mover.control_step),
-        *_points(back, _settled(there.samples), motor, -step, mover.control_step),
-    ]
+    points = []
+    settled = [before]
+    for goal, way in ((target, step), (start, -step)):
+        command, samples = leashed.hold(goal, HOLD)
+        points += _points(samples, command, settled[-1], motor, way, leashed.control_step)
+        settled.append(_settled(samples))
     # The fit has to wait until the robot is disarmed: it takes longer than a robot waits for commands.
     age, share = np.array(points or np.empty((0, 2))).T
-    return Wiggle(motor, step, moved, returned, age, share)
+    return Wiggle(motor, step, settled[1] - before, settled[2] - before, age, share)
 
 
 def _settled(samples: Sequence[Sample]) -> Array:
@@ -113,19 +112,21 @@ def _settled(samples: Sequence[Sample]) -> Array:
     return np.mean([sample.state.motor_angle for sample in samples[-_SETTLED:]], axis=0)
 
 
-def _points(moved: Moved, before: Array, motor: int, step: float, period: float) -> list[tuple[float, float]]:
+def _points(
+    samples: Sequence[Sample], command: int, before: Array, motor: int, step: float, period: float
+) -> list[tuple[float, float]]:
     """Time since the command arrived at the robot [s], and share of the step that was gone by then, of each reading."""
     arrived = next(
         (
-            sample.time - sample.state.command_age - (sample.state.command - moved.command) * period
-            for sample in moved.samples
-            if 0 <= sample.state.command - moved.command < 4
+            sample.time - sample.state.command_age - (sample.state.command - command) * period
+            for sample in samples
+            if 0 <= sample.state.command - command < 4
         ),
         None,
     )
     if arrived is None:
         return []
-    points = [(s.time - arrived, (s.state.motor_angle[motor] - before[motor]) / step) for s in moved.samples]
+    points = [(s.time - arrived, (s.state.motor_angle[motor] - before[motor]) / step) for s in samples]
     return [point for point in points if 0 <= point[0] <= WINDOW]
 
 
@@ -219,13 +220,13 @@ def _servo(rise: float) -> Finding:
     return Finding("servo response", False, why, "check servo gains, battery and friction in the legs", rise)
 
 
-def _stopped(stopped: MotionStoppedError, mover: Mover, asked: int | None, robot: RobotDescription) -> Finding:
+def _stopped(stopped: MotionStoppedError, leashed: LeashedRobot, asked: int | None, robot: RobotDescription) -> Finding:
     name = "motors, one by one"
     if stopped.verdict.reason == "operator":
         return Finding(name, None, "stopped by the operator", "run it again")
-    if mover.strayed is None:
+    if leashed.strayed is None:
         return Finding(name, False, stopped.verdict.text, "mend that, and run the doctor again")
-    motor, off = mover.strayed
+    motor, off = leashed.strayed
     when = "while all were asked to hold" if asked is None else f"while {robot.motor_names[asked]} was asked to move"
     return Finding(
         name,

@@ -1,4 +1,4 @@
-"""Runs a plan on a robot over the link: the deployment's loop and guard, the plan's own limits, everything recorded."""
+"""Runs an experiment on a robot over the link: motion runner, the plan's own limits, everything recorded."""
 
 from __future__ import annotations
 
@@ -8,12 +8,11 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.deploy.arming import Arming
 from surefoot.deploy.connection import RobotConnection
 from surefoot.deploy.link import LinkLostError
-from surefoot.deploy.loop import ControlLoop, Watch
-from surefoot.deploy.pacer import Timing
-from surefoot.deploy.safety import Act, Guard
+from surefoot.deploy.loop import Watch
+from surefoot.deploy.motion import MotionRunner
+from surefoot.deploy.safety import Act
 from surefoot.deploy.safety_limits import SafetyLimits
 from surefoot.deploy.stop_signals import StopSignals
 from surefoot.deploy.wire.messages import Handshake, Mode, State
@@ -42,7 +41,7 @@ class ExperimentStoppedError(RuntimeError):
     """An experiment ended early; motors are damped or let go."""
 
 
-class Driver:
+class ExperimentRunner:
     """An experiment on a greeted robot.
 
     Args:
@@ -51,7 +50,6 @@ class Driver:
         robot: its data sheet.
         operator: may ask to stop.
         watch: is told how it goes.
-        period: time between two commands [s].
     """
 
     def __init__(
@@ -61,13 +59,12 @@ class Driver:
         robot: RobotDescription,
         operator: StopSignals,
         watch: Watch,
-        period: float = PERIOD,
     ) -> None:
         if connection.handshake is None:
             raise SurefootError("the robot was not greeted")
         self.connection, self.plan, self.robot, self.operator = connection, plan, robot, operator
         self.handshake: Handshake = connection.handshake
-        self.period = min(max(period, self.handshake.command_period_min), self.handshake.command_period_max)
+        self.period = min(max(PERIOD, self.handshake.command_period_min), self.handshake.command_period_max)
         # Commands that come a little early must not put off a state that is due.
         self.lead = 0.0 if connection.lockstep else self.period / 4
         steps = LATE / self.period
@@ -98,12 +95,12 @@ class Driver:
         connection.on_state = lambda state, sent, came: self._states.append((state, sent, came))
         self._started = connection.clock.now()
         try:
-            Arming(connection, self.handshake, self.period).keep_talking(lambda: False, REST)
+            self._runner(self.plan.phases[0].mode).keep_talking(lambda: False, REST)
             resting = len(self._states)
             # Legs on a rack hang down, and those of a robot that lies are folded: there the way to the plan begins.
             angle = connection.last_state().motor_angle
             self._low, self._high = np.minimum(self._low, angle), np.maximum(self._high, angle)
-            self._through_phases()
+            self._run_phases()
         except (ExperimentStoppedError, LinkLostError) as stopped:
             ended = str(stopped)
         except SurefootError as refused:
@@ -116,44 +113,42 @@ class Driver:
         frames = {"missing": counts.missing - before[0], "damaged": decoded.damaged - before[1]}
         return self._recording(ended, frames, resting)
 
-    def _through_phases(self) -> None:
-        mode: Mode | None = None
-        loop, arming = None, None
+    def _runner(self, mode: Mode) -> MotionRunner:
+        tilt = self.handshake.tilt_limit
+        return MotionRunner(
+            self.connection, self.robot, self.period, self.operator, self._watch, self._limits, tilt, mode, self.lead
+        )
+
+    def _run_phases(self) -> None:
+        runner: MotionRunner | None = None
         for index, phase in enumerate(self.plan.phases):
-            if loop is None or arming is None or phase.mode is not mode:
-                if arming is not None:
-                    self._let_go(arming, loop)
-                loop, arming, mode = *self._arm(phase.mode), phase.mode
-            self._follow(loop, index, phase)
-        if arming is not None:
-            self._let_go(arming, loop)
+            if runner is None or phase.mode is not runner.mode:
+                if runner is not None:
+                    self._disarm(runner)
+                runner = self._runner(phase.mode)
+                self._changes.append((self.connection.clock.now(), int(phase.mode)))
+                runner.arm()
+                self._target = None
+            self._follow(runner, index, phase)
+        if runner is not None:
+            self._disarm(runner)
 
-    def _arm(self, mode: Mode) -> tuple[ControlLoop, Arming]:
-        guard = Guard(self._limits, self.period, self.connection.session, self.handshake.tilt_limit, mode)
-        loop = ControlLoop(self.connection, self.period, guard, self.operator, self._watch, Timing(0))
-        arming = Arming(self.connection, self.handshake, self.period, mode, self.lead)
-        self._changes.append((self.connection.clock.now(), int(mode)))
-        arming.arm()
-        self._target = None
-        return loop, arming
-
-    def _let_go(self, arming: Arming, loop: ControlLoop | None) -> None:
-        state = self.connection.last_state
+    def _disarm(self, runner: MotionRunner) -> None:
         self._changes.append((self.connection.clock.now(), int(Mode.DISARMED)))
-        if not arming.ask_until(self.connection.disarm, lambda: state().mode in (Mode.DISARMED, Mode.FAULT)):
-            if loop is not None:
-                loop.damp()
+        if not runner.release():
             raise ExperimentStoppedError("the robot does not say that it has disarmed")
 
-    def _follow(self, loop: ControlLoop, index: int, phase: Phase) -> None:
-        start: Array | None = self._target
+    def _follow(self, runner: MotionRunner, index: int, phase: Phase) -> None:
+        loop, start = runner.loop, self._target
         low, high = self.handshake.angle_low, self.handshake.angle_high
 
         def target(k: int, state: State, missed: int) -> Array:
             nonlocal start
             if start is None:
                 start = state.motor_angle.copy() if phase.mode == Mode.POSITION else np.zeros(self.robot.num_motors)
-            self._check(state, phase)
+            self._why = self._passed_limit(state, phase)
+            if self._why:
+                raise ExperimentStoppedError(self._why)
             asked = phase.signal(k * self.period, start)
             return np.clip(asked, low, high) if phase.mode == Mode.POSITION else np.clip(asked, -1.0, 1.0)
 
@@ -168,18 +163,8 @@ class Driver:
         if verdict.act is not Act.GO:
             raise ExperimentStoppedError(f"{self._why or verdict.text} (in phase '{phase.name}')")
 
-    def _check(self, state: State, phase: Phase) -> None:
-        """Stop when a limit of the plan is passed.
-
-        Raises:
-            ExperimentStoppedError: says which.
-        """
-        self._why = self._passed(state, phase)
-        if self._why:
-            raise ExperimentStoppedError(self._why)
-
-    def _passed(self, state: State, phase: Phase) -> str:
-        """Which limit of the plan is passed; nothing, if none is."""
+    def _passed_limit(self, state: State, phase: Phase) -> str:
+        """Return which limit of the plan is passed; empty, if none is."""
         plan, limits, names = self.plan, self.plan.limits, self.robot.motor_names
         low, high = (self._low, self._high) if phase.use == "way" else (plan.angle_low, plan.angle_high)
         beyond = np.maximum(low - state.motor_angle, state.motor_angle - high)
@@ -239,12 +224,7 @@ class Driver:
         return Recording(**arrays, meta=meta)
 
 
-def run_plan(
-    connection: RobotConnection,
-    plan: Plan,
-    robot: RobotDescription,
-    watch: Watch,
-) -> Recording:
+def run_plan(connection: RobotConnection, plan: Plan, robot: RobotDescription, watch: Watch) -> Recording:
     """Run a plan on a greeted robot, with the operator's signals heard."""
     with StopSignals() as operator:
-        return Driver(connection, plan, robot, operator, watch).run()
+        return ExperimentRunner(connection, plan, robot, operator, watch).run()

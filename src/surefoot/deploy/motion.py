@@ -1,0 +1,261 @@
+"""The one motion runner: arms a greeted robot, moves it under control loop and guard, and lets it go.
+
+Deployments, the doctor and identification move robots with it. The link may lose frames: what matters is asked again.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surefoot.deploy.connection import RobotConnection
+from surefoot.deploy.loop import ControlLoop, Silent, Watch
+from surefoot.deploy.pacer import Timing
+from surefoot.deploy.poses import between, lying, sitting
+from surefoot.deploy.safety import GO, Act, Guard, Verdict
+from surefoot.deploy.safety_limits import SafetyLimits
+from surefoot.deploy.stop_signals import StopSignals
+from surefoot.deploy.wire.messages import Fault, Handshake, Mode, Reason, State
+from surefoot.errors import SurefootError
+from surefoot.robot import RobotDescription
+
+Array = NDArray[np.float64]
+
+FLAT, FOLD, PAUSE, RISE, HOLD = 1.0, 1.0, 0.3, 1.5, 0.5
+"""Time [s] to lay the legs flat, to draw them in, to come to rest, to stand up, and to stand before the policy starts
+(as long as a robot settles in simulation)."""
+UP = FLAT + FOLD + PAUSE + RISE + HOLD
+"""Time [s] from arming to the policy's start."""
+DROP, REST = 0.2, 0.7
+"""Time [s] to drop from a gait to sitting, and to come to rest."""
+SIT = 1.5
+"""Time [s] to sit down from standing, or from a fall."""
+DOWN = max(DROP + REST, SIT)
+"""Longest time [s] from the policy's end to disarming."""
+STILL_SPEED = 0.5
+"""Speed [rad/s] of motors and base below which a fallen robot lies still."""
+_STILL_PATIENCE = 5.0
+_ANSWER, _PING, _ATTEMPTS = 0.3, 0.02, 5
+_CLEAN_MARGIN = 0.1
+
+
+class MotionRunner:
+    """A greeted robot whose motors can be armed, moved and let go; each motion is smooth and watched by the guard.
+
+    Args:
+        connection: to the robot.
+        robot: its data sheet.
+        control_step: time between two commands [s].
+        operator: may ask to stop.
+        watch: is told how it goes.
+        limits: when a motion ends early.
+        tilt: roll or pitch [rad] that is a fall; the limits', if not given.
+        mode: what the commands are.
+        lead: how long before the next command the robot is to send its state [s]; the connection's, if not given.
+        timing: keeps lateness.
+        dry_run: compute everything and send nothing.
+
+    Raises:
+        SurefootError: the robot was not greeted.
+    """
+
+    def __init__(
+        self,
+        connection: RobotConnection,
+        robot: RobotDescription,
+        control_step: float,
+        operator: StopSignals,
+        watch: Watch | None = None,
+        limits: SafetyLimits | None = None,
+        tilt: float | None = None,
+        mode: Mode = Mode.POSITION,
+        lead: float | None = None,
+        timing: Timing | None = None,
+        dry_run: bool = False,
+    ) -> None:
+        if connection.handshake is None:
+            raise SurefootError("the robot was not greeted")
+        self.connection, self.robot, self.control_step, self.lead = connection, robot, control_step, lead
+        self.handshake: Handshake = connection.handshake
+        self.mode = mode
+        guard = Guard(limits or SafetyLimits(), control_step, connection.session, tilt, mode)
+        watch, timing = watch or Silent(), timing or Timing(0)
+        self.loop = ControlLoop(connection, control_step, guard, operator, watch, timing, dry_run)
+        self.clean_time = self.handshake.rearm_after + _CLEAN_MARGIN
+        """Time [s] for which a damped robot wants a clean link, and a little more."""
+        self.risen = False
+        """Whether the robot has begun to rise from sitting: only then does it need to sit down again."""
+
+    @property
+    def state(self) -> State:
+        """The newest state."""
+        return self.connection.last_state()
+
+    @property
+    def target(self) -> Array:
+        """Motor angles (M,) [rad] that were sent last, or else measured."""
+        return self.loop.target if self.loop.target is not None else self.state.motor_angle
+
+    def arm(self) -> None:
+        """Let the servos hold the present pose, or motors be without duty.
+
+        Raises:
+            SurefootError: the robot does not arm; says why.
+        """
+        if self.state.mode == Mode.FAULT or self.state.reason != Reason.NONE:
+            self.keep_talking(lambda: False, self.clean_time)
+        refusal = self._ask_to_arm()
+        if refusal is not None and refusal.reason == Reason.NOT_CLEAN:
+            self.keep_talking(lambda: False, self.clean_time)
+            refusal = self._ask_to_arm()
+        if self.state.mode != self.mode:
+            self.connection.disarm()
+            raise SurefootError(f"the robot does not arm: {refusal.text if refusal is not None else 'no answer'}")
+
+    def _ask_to_arm(self) -> Fault | None:
+        """Return what the robot has against it, if it says so."""
+        faults = self.connection.faults
+        asked = len(faults)
+        self._ask_until(
+            lambda: self.connection.arm(self.mode, self.control_step, self.lead),
+            lambda: self.state.mode == self.mode or len(faults) > asked,
+        )
+        return faults[-1] if len(faults) > asked else None
+
+    def release(self, damp: bool = False) -> bool:
+        """Disarm the robot, or damp its motors, until it says that it has; return whether it did."""
+        ask = self.loop.damp if damp else self.connection.disarm
+        if self._ask_until(ask, lambda: self.state.mode in (Mode.DISARMED, Mode.FAULT)):
+            return True
+        self.loop.damp()
+        return False
+
+    def keep_talking(self, condition: Callable[[], bool], timeout: float) -> bool:
+        """Wait until a condition holds, and ping meanwhile, so that the link is seen to be clean."""
+        clock, last = self.connection.clock, -math.inf
+
+        def ping() -> None:
+            nonlocal last
+            if clock.now() - last >= _PING:
+                last = clock.now()
+                self.connection.link.ping()
+
+        return self.connection.wait_for(condition, timeout, ping)
+
+    def _ask_until(self, ask: Callable[[], None], condition: Callable[[], bool]) -> bool:
+        """Ask again and again until a condition holds; return whether it did."""
+        for _ in range(_ATTEMPTS):
+            ask()
+            if self.connection.wait_for(condition, _ANSWER / _ATTEMPTS):
+                return True
+        return False
+
+    def move(
+        self,
+        phase: str,
+        end: Array,
+        duration: float,
+        start: Array | None = None,
+        upright: bool = True,
+        sitting: bool = False,
+    ) -> Verdict:
+        """Go smoothly to a pose, within the angles that the robot takes: it may be switched on in a pose beyond.
+
+        Args:
+            phase: what the robot does meanwhile.
+            end: motor angles (M,) [rad].
+            duration: [s].
+            start: motor angles (M,) [rad] to start from; the present target, if not given.
+            upright: whether a tilt is a fall.
+            sitting: the robot is about to be disarmed, so that nothing less than damping can come sooner.
+
+        Returns:
+            `GO`, or what ended the motion early.
+        """
+        start, steps = self.target if start is None else start, self.loop.steps_of(duration)
+
+        def compute(k: int, state: State, missed: int) -> Array:
+            self.check_state(state)
+            target = between(start, end, (k + 1) / steps)
+            return np.clip(target, self.handshake.angle_low, self.handshake.angle_high)
+
+        return self.loop.follow(phase, steps, compute, upright=upright, sitting=sitting)
+
+    def check_state(self, state: State) -> None:
+        """Look at the newest state before each command of a motion; what this raises damps the motors."""
+
+    def stand_up(self, standing: Array) -> Verdict:
+        """Rise from wherever the legs lie: a damped robot sinks onto its belly, and its legs slide out from under it.
+
+        They are laid flat and drawn in first. Motors that pushed the body up at once, with the feet out at the side,
+        would stall at full current and then leap.
+        """
+        found = self.state.motor_angle
+        flat, drawn = lying(self.robot, found), sitting(self.robot)
+        for phase, start, end, duration in (
+            ("lay legs flat", found, flat, FLAT),
+            ("draw legs in", flat, drawn, FOLD),
+            ("sit", drawn, drawn, PAUSE),
+            ("stand up", drawn, standing, RISE),
+            ("stand", standing, standing, HOLD),
+        ):
+            self.risen = self.risen or phase == "stand up"
+            verdict = self.move(phase, end, duration, start)
+            if verdict.act is not Act.GO:
+                return verdict
+        return GO
+
+    def drop(self) -> Verdict:
+        """Drop from a gait to sitting, and come to rest there.
+
+        Low and with all feet on the ground a robot stops at any speed of its gaits. One that fades from the gait to
+        standing stumbles over its own momentum when it is fast. A nod of more than the limit is no fall here: damped
+        motors would do no better. The robot's own limit still holds.
+        """
+        drawn = sitting(self.robot)
+        verdict = self.move("drop", drawn, DROP, upright=False, sitting=True)
+        if verdict.act is not Act.GO:
+            return verdict
+        return self.move("sit", drawn, REST, start=drawn, upright=False, sitting=True)
+
+    def sit_down(self, upright: bool = True) -> Verdict:
+        """Sit slowly, from the pose that was asked for last."""
+        return self.move("sit down", sitting(self.robot), SIT, upright=upright, sitting=True)
+
+    def disarm(self) -> Verdict:
+        """End commands in good order."""
+        self.loop.watch.phase("disarm", 0.0)
+        return GO if self.release() else Verdict(Act.DAMP, "disarm", "the robot does not say that it has disarmed")
+
+    def recover_from_fall(self) -> str:
+        """Wait until a damped robot lies still, then let it sit, if it is not on its side; say what came of it.
+
+        Raises:
+            LinkLostError: the robot is gone.
+        """
+        self.release(damp=True)
+        self.loop.watch.phase("lie still", _STILL_PATIENCE)
+        clock = self.connection.clock
+        earliest = clock.now() + self.clean_time
+
+        def still() -> bool:
+            speed = max(np.abs(self.state.motor_velocity).max(), np.abs(self.state.angular_velocity_base).max())
+            return clock.now() >= earliest and bool(speed < STILL_SPEED)
+
+        if not self.keep_talking(still, _STILL_PATIENCE):
+            return "it does not come to rest and stays damped"
+        if np.abs(self.state.roll_pitch_yaw[:2]).max() > self.handshake.tilt_limit:
+            return "it lies on its side and stays damped"
+        self.loop.watch.phase("arm", 0.0)
+        try:
+            self.arm()
+        except SurefootError as error:
+            return f"it stays damped: {error}"
+        self.loop.target = None
+        ending = self.sit_down(upright=False)
+        if ending.act is Act.GO:
+            ending = self.disarm()
+        return "it has sat down" if ending.act is Act.GO else f"it stays damped: {ending.text}"
