@@ -140,6 +140,37 @@ def test_the_arrows_have_no_way_back():
     assert set(order) == set(ARROWS)
 
 
+def cycle(sources: dict[str, str], packages: set[str]) -> list[str]:
+    """Return modules that import each other in a circle, wherever in the file; empty if there is none."""
+    known = set(sources)
+    graph = {
+        # A package's own file may import its modules, and they it.
+        module: {target for _, target in imports(source, module, module in packages, known) if target in known}
+        - {module, *packages}
+        for module, source in sources.items()
+    }
+    try:
+        graphlib.TopologicalSorter(graph).prepare()
+    except graphlib.CycleError as error:
+        return list(error.args[1])
+    return []
+
+
+def test_no_modules_import_each_other_in_a_circle():
+    files = modules(PACKAGE)
+    sources = {name: file.read_text(encoding="utf-8") for name, file in files.items()}
+    assert cycle(sources, {name for name, file in files.items() if file.name == "__init__.py"}) == []
+
+
+def test_a_circle_is_found():
+    circle = {
+        "surefoot.robot.leg": "from surefoot.robot import sheet",
+        "surefoot.robot.sheet": "if TYPE_CHECKING:\n    from .leg import Leg",
+    }
+    assert set(cycle(LAYOUT | circle, LAYOUT_PACKAGES)) == set(circle)
+    assert cycle(LAYOUT | circle | {"surefoot.robot.sheet": "from .. import errors"}, LAYOUT_PACKAGES) == []
+
+
 LAYOUT = {
     "surefoot": "",
     "surefoot.errors": "",

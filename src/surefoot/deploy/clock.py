@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import time
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 from surefoot.errors import SurefootError
-
-if TYPE_CHECKING:
-    from surefoot.deploy.link import Link
 
 SPIN = 150e-6
 """A wait's last part [s] is spent looking at the clock: a sleeping process is woken too late by up to so much."""
@@ -26,6 +23,14 @@ class Clock(Protocol):
 
     def wait_until(self, moment: float) -> None:
         """Return when it is `moment` [s], at once if that has passed."""
+        ...
+
+
+class Follower(Protocol):
+    """The other end of a link, whose time follows the times in what it is sent."""
+
+    def ping_through(self, patience: float) -> bool:
+        """Send a ping and wait for its answer, at most `patience` seconds of real time; return whether it came."""
         ...
 
 
@@ -56,9 +61,9 @@ class LockstepClock:
 
     def __init__(self) -> None:
         self._now = 0.0
-        self._link: Link | None = None
+        self._link: Follower | None = None
 
-    def attach(self, link: Link) -> None:
+    def attach(self, link: Follower) -> None:
         """Take the link whose other end follows this clock."""
         self._link = link
 

@@ -3,17 +3,31 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, fields, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from surefoot.errors import SurefootError, choices
 
-if TYPE_CHECKING:
-    from surefoot.robot.description import RobotDescription
-
 Array = NDArray[np.float64]
+
+
+class Described(Protocol):
+    """What parameters ask of a robot's description."""
+
+    @property
+    def num_motors(self) -> int:
+        """Number of motors M."""
+        ...
+
+    def nominal_params(self) -> dict[str, float]:
+        """Nominal value of each parameter, by name."""
+        ...
+
+    def check_allowed(self, name: str, values: Array) -> None:
+        """Raise a `SurefootError` for values that the robot does not allow."""
+        ...
 
 
 def _row(unit: str, meaning: str, width: str = "one", bounds: tuple[float, float] | None = None) -> Any:
@@ -80,7 +94,7 @@ class PhysicalParams:
         return {name: value for name, value in bounds.items() if value is not None}
 
     @classmethod
-    def nominal(cls, robot: RobotDescription, num_envs: int = 1) -> PhysicalParams:
+    def nominal(cls, robot: Described, num_envs: int = 1) -> PhysicalParams:
         """The parameters that the robot's description states, for `num_envs` robots."""
         nominal = robot.nominal_params()
         widths = {"one": (), "motors": (robot.num_motors,), "roll, pitch": (2,), "roll, pitch, yaw": (3,)}
@@ -90,7 +104,7 @@ class PhysicalParams:
             values[item.name] = np.full((num_envs, *width), nominal[item.name], dtype=np.float64)
         return cls(**values)
 
-    def with_values(self, robot: RobotDescription, **values: ArrayLike) -> PhysicalParams:
+    def with_values(self, robot: Described, **values: ArrayLike) -> PhysicalParams:
         """A copy with some parameters set, each given for all robots or one row a robot.
 
         Raises:
