@@ -183,7 +183,7 @@ def test_the_robot_of_the_file_may_be_named_in_the_same_words(here: Path):
     Path("other.toml").write_text(TEXT.replace("minitaur", "maxitaur"))
     words = ["trot", "--params", "other.toml", "--task.robot", "maxitaur"]
     assert _parse(words)[0].task.params == VALUES
-    with pytest.raises(SurefootError, match="are for robot 'minitaur', not for 'maxitaur'"):
+    with pytest.raises(SurefootError, match="has parameters of robot 'minitaur', not of 'maxitaur'"):
         _parse(["trot", "--params", "robot.toml", "--task.robot", "maxitaur"])
 
 
@@ -249,15 +249,15 @@ BAD = {
     "step.toml": "[params]\ncontrol_step = 0.008\n",
 }
 SAID = [
-    ("nowhere.toml", "parameters nowhere.toml: No such file or directory"),
-    ("broken.toml", "parameters broken.toml: is not TOML"),
-    ("bare.toml", "parameters bare.toml: has no table [params]"),
-    ("cat.toml", "parameters cat.toml: are for robot 'cat', not for 'minitaur'"),
-    ("name.toml", "parameters name.toml: 'volts' is no physical parameter; choices: base_mass_ratio"),
-    ("range.toml", "parameters range.toml: motor_strength is 9; minitaur allows 0 to 2"),
-    ("short.toml", "parameters short.toml: motor_strength has shape (2,); it must fit (1, 8)"),
-    ("two.toml", "parameters two.toml: voltage has shape (2,); it must fit (1,)"),
-    ("step.toml", "parameters step.toml: control_step is 0.008, and the task's is 0.006"),
+    ("nowhere.toml", "nowhere.toml: No such file or directory"),
+    ("broken.toml", "broken.toml: is not TOML"),
+    ("bare.toml", "bare.toml: has no table [params]"),
+    ("cat.toml", "cat.toml: has parameters of robot 'cat', not of 'minitaur'"),
+    ("name.toml", "name.toml: 'volts' is no physical parameter; choices: base_mass_ratio"),
+    ("range.toml", "range.toml: motor_strength is 9; minitaur allows 0 to 2"),
+    ("short.toml", "short.toml: motor_strength has shape (2,); it must fit (1, 8)"),
+    ("two.toml", "two.toml: voltage has shape (2,); it must fit (1,)"),
+    ("step.toml", "step.toml: control_step is 0.008, and the task's is 0.006"),
 ]
 
 
@@ -283,7 +283,7 @@ def test_a_file_that_does_not_fit_is_told_in_one_line(line: str, here: Path, cap
 def test_no_traceback_reaches_the_user(here: Path):
     words = [sys.executable, "-m", "surefoot", "evaluate", "trot", "--params", "nowhere.toml"]
     done = subprocess.run(words, cwd=here, capture_output=True, text=True, timeout=120, check=False)
-    told = "surefoot: error: parameters nowhere.toml: No such file or directory\n"
+    told = "surefoot: error: nowhere.toml: No such file or directory\n"
     assert (done.returncode, done.stdout, done.stderr) == (2, "", told)
 
 

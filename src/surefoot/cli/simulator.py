@@ -98,7 +98,7 @@ def _check_control_step(found: ParamsFile, path: Path, expected: float) -> None:
     step = float(found.params.control_step[0])
     if "control_step" in found.given and not math.isclose(step, expected, rel_tol=1e-9):
         raise SurefootError(
-            f"parameters {path}: control_step is {step:g}, and the task's is {expected:g}; "
+            f"{path}: control_step is {step:g}, and the task's is {expected:g}; "
             "it belongs to the policy, not to the robot: leave it out of the file"
         )
 
