@@ -18,7 +18,7 @@ pytest.importorskip("matplotlib")
 
 from surefoot.cli.main import main
 from surefoot.cli.policies import find_policy
-from surefoot.cli.simulator import Simulator, take_simulator
+from surefoot.cli.simulator import Simulator
 from surefoot.errors import SurefootError
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.robot.params_file import write_params
@@ -74,17 +74,8 @@ def test_a_file_stands_in_place_of_the_task_s_parameters():
 def test_options_and_settings_go_over_the_file():
     task = Simulator(servo_latency=0.001, params=Path("robot.toml")).of(TaskConfig(), {"voltage": 15.0})
     assert task.params == {**VALUES, "servo_latency": 0.001, "voltage": 15.0}
-    with pytest.raises(SurefootError, match="servo_latency is given twice, by --servo-latency and by --set"):
+    with pytest.raises(SurefootError, match="servo_latency is given twice"):
         Simulator(servo_latency=0.001, params=Path("robot.toml")).of(TaskConfig(), {"servo_latency": 0.0})
-
-
-def test_words_of_a_whole_configuration():
-    assert take_simulator(["--params", "a.toml", "--seed", "3"], "p") == (
-        ["--seed", "3"],
-        Simulator(params=Path("a.toml")),
-    )
-    with pytest.raises(SurefootError, match=r"--params has no value; it takes a \.toml file"):
-        take_simulator(["--params", "--seed", "3"], "p")
 
 
 def test_a_control_step_belongs_to_the_policy():
@@ -165,8 +156,7 @@ def test_a_training_keeps_the_robot_in_its_configuration():
 
     task = _parse(["trot", "--params", "robot.toml", *TINY])[0].task
     assert (task.params, task.params_source) == (VALUES, SOURCE)
-    words = ["--control-latency", "0.01", "--params=robot.toml", "--task.params.control-latency", "0.012"]
-    task = _parse(["trot", *words])[0].task
+    task = _parse(["trot", "--control-latency", "0.012", "--params=robot.toml"])[0].task
     assert task.params == {**VALUES, "control_latency": 0.012}
     task = _parse(["trot", "--task.params", "voltage", "15", "--params", "robot.toml"])[0].task
     assert task.params == {**VALUES, "voltage": 15.0}
