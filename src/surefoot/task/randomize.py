@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from surefoot.configuration import from_mapping, read_yaml
-from surefoot.errors import SurefootError, choices
+from surefoot.errors import SurefootError, choices, located
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.seeding import generators
 
@@ -135,10 +135,9 @@ def load_ranges(name: str, folder: Path = Path()) -> RandomizeConfig:
         raise SurefootError(
             f"randomize '{name}' does not exist; choices: {choices(range_names())}, or the path of a YAML file"
         )
-    try:
-        return from_mapping(RandomizeConfig, read_yaml(path), "randomize")
-    except SurefootError as error:
-        raise SurefootError(f"{path}: {error}") from None
+    data = read_yaml(path)
+    with located(path):
+        return from_mapping(RandomizeConfig, data, "randomize")
 
 
 def row_values(row: str, values: ArrayLike) -> dict[str, Array]:
