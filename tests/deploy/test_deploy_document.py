@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import re
+from dataclasses import asdict
 from pathlib import Path
 
 import pytest
 
-from surefoot.deploy.safety_limits import limits_table
+from surefoot.deploy.safety_limits import SafetyLimits
 
 
 @pytest.fixture(scope="module")
@@ -16,9 +17,8 @@ def document(repository: Path) -> str:
 
 
 def test_the_hosts_limits_are_those_of_the_code(document: str):
-    rows = re.findall(r"^\| `([a-z_]+)` \| (.*) \|$", document, re.MULTILINE)
-    said = [(name, *rest.split(" | ")) for name, rest in rows]
-    assert said == [tuple(row) for row in limits_table()]
+    rows = re.findall(r"^\| `([a-z_]+)` \| ([\d.]+) \w", document, re.MULTILINE)
+    assert {name: float(number) for name, number in rows} == asdict(SafetyLimits())
 
 
 def test_the_robots_limits_are_those_of_the_emulator(document: str):

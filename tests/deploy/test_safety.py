@@ -1,8 +1,8 @@
-"""The guard, alone: each limit with a state on either side of it, and the table of the document."""
+"""The guard, alone: each limit with a state on either side of it."""
 
 from __future__ import annotations
 
-from dataclasses import fields, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -16,7 +16,7 @@ from surefoot.deploy.safety import (
     check_finite,
     is_finite,
 )
-from surefoot.deploy.safety_limits import SafetyLimits, limits_table
+from surefoot.deploy.safety_limits import SafetyLimits
 from surefoot.deploy.wire.messages import Mode, Reason
 from surefoot.errors import SurefootError
 
@@ -146,10 +146,3 @@ def test_a_state_is_finite_as_a_whole(a_state):
 def test_limits_that_make_no_sense_are_refused(limits, match):
     with pytest.raises(SurefootError, match=match):
         SafetyLimits(**limits)
-
-
-def test_every_limit_has_unit_consequence_and_reason():
-    rows = limits_table()
-    assert [row[0] for row in rows] == [item.name for item in fields(SafetyLimits)]
-    assert all(all(row) for row in rows)
-    assert next(row[:2] for row in rows if row[0] == "battery_low") == ("battery_low", "14 V")

@@ -11,8 +11,9 @@ import pytest
 pytest.importorskip("PIL.Image")
 
 from surefoot.errors import SurefootError
-from surefoot.report.scene import poses, quat_matrix, scene, trace_poses
+from surefoot.report.scene import poses, scene, trace_poses
 from surefoot.robot import RobotDescription
+from surefoot.rotations import quat_matrix
 from surefoot.task.trace import EpisodeTrace
 
 ROBOT = RobotDescription.load("minitaur")

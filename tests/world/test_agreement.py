@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from surefoot.robot import PhysicalParams, RobotDescription
+from surefoot.rotations import xyzw_matrix
 from surefoot.world.bullet_engine import BulletEngine, bullet_engine
-from surefoot.world.bullet_tick import rotations
 from surefoot.world.interface import WorldConfig
 from surefoot.world.mujoco_engine import MujocoEngine
 from surefoot.world.sim_world import SimWorld, mujoco_engine
@@ -64,7 +64,7 @@ def bullet_mass_matrix(engine: BulletEngine) -> tuple[float, np.ndarray, np.ndar
             place, quat = p.getBasePositionAndOrientation(model.body, client)
         else:
             place, quat = p.getLinkState(model.body, link, computeForwardKinematics=1, physicsClientId=client)[:2]
-        turn = rotations(np.array(quat))
+        turn = xyzw_matrix(np.array(quat))
         parts.append((info[0], np.array(place), turn @ np.diag(info[2]) @ turn.T))
     return whole(parts)
 

@@ -15,10 +15,11 @@ import pytest
 
 from surefoot.errors import SurefootError
 from surefoot.robot import PhysicalParams, RobotDescription
+from surefoot.rotations import xyzw_matrix
 from surefoot.world import bullet_engine as module
 from surefoot.world.bullet_engine import bullet_engine, published_bullet_engine
 from surefoot.world.bullet_model import BulletSettings, check_masses, open_client
-from surefoot.world.bullet_tick import pin_kernel, rotations
+from surefoot.world.bullet_tick import pin_kernel
 from surefoot.world.interface import WorldConfig
 from surefoot.world.sim_world import SimWorld
 
@@ -68,7 +69,7 @@ def loop_gap(world: SimWorld) -> float:
                 computeForwardKinematics=1,
                 physicsClientId=engine._clients[0],
             )
-            ends.append(rotations(np.array(state[5])) @ point + state[4])
+            ends.append(xyzw_matrix(np.array(state[5])) @ point + state[4])
         worst = max(worst, float(np.linalg.norm(ends[0] - ends[1])))
     return worst
 

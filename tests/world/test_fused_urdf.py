@@ -11,7 +11,8 @@ import pytest
 
 from surefoot.robot import RobotDescription
 from surefoot.robot.urdf import read_urdf
-from surefoot.world.fused_urdf import RigidBody, fuse_urdf, roll_pitch_yaw_of, rotation, write_fused
+from surefoot.rotations import matrix_rpy, rpy_matrix
+from surefoot.world.fused_urdf import RigidBody, fuse_urdf, write_fused
 from surefoot.world.mujoco_model import build_model
 
 # 1 kg at the origin and, .4 m along x, .1 m up and turned a quarter about z, 3 kg whose centre is .2 m along its y:
@@ -106,7 +107,7 @@ def test_minitaurs_fused_bodies_are_mujocos(robot: RobotDescription):
 
 def test_principal_moments_and_axes_make_the_inertia_again(rng: np.random.Generator):
     for _ in range(50):
-        turn = rotation(*rng.uniform(-3, 3, 3))
+        turn = rpy_matrix(*rng.uniform(-3, 3, 3))
         inertia = turn @ np.diag(rng.uniform(1, 2, 3)) @ turn.T
         moments, axes = RigidBody(1.0, np.zeros(3), inertia).principal()
         assert np.linalg.det(axes) == pytest.approx(1.0)
@@ -122,11 +123,11 @@ def test_a_body_along_its_frame_keeps_its_frame():
 @pytest.mark.parametrize("pitch", [0.3, -1.2, np.pi / 2, -np.pi / 2])
 def test_roll_pitch_yaw_of_a_rotation_make_it_again(pitch: float, rng: np.random.Generator):
     for roll, yaw in rng.uniform(-3, 3, (20, 2)):
-        turn = rotation(roll, pitch, yaw)
-        np.testing.assert_allclose(rotation(*roll_pitch_yaw_of(turn)), turn, atol=1e-9)
+        turn = rpy_matrix(roll, pitch, yaw)
+        np.testing.assert_allclose(rpy_matrix(*matrix_rpy(turn)), turn, atol=1e-9)
 
 
 def test_rotation_turns_about_x_then_y_then_z():
     # A quarter turn about x takes y to z, then one about z leaves it there.
-    np.testing.assert_allclose(rotation(np.pi / 2, 0, np.pi / 2) @ [0, 1, 0], [0, 0, 1], atol=1e-15)
-    np.testing.assert_allclose(rotation(0, np.pi / 2, 0) @ [1, 0, 0], [0, 0, -1], atol=1e-15)
+    np.testing.assert_allclose(rpy_matrix(np.pi / 2, 0, np.pi / 2) @ [0, 1, 0], [0, 0, 1], atol=1e-15)
+    np.testing.assert_allclose(rpy_matrix(0, np.pi / 2, 0) @ [1, 0, 0], [0, 0, -1], atol=1e-15)

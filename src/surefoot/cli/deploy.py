@@ -73,10 +73,10 @@ def main(argv: list[str]) -> int:
     from surefoot.deploy.deployment import Deployment
     from surefoot.deploy.display import LiveDisplay, PlainLines
     from surefoot.deploy.realtime import undisturbed
-    from surefoot.deploy.stop_signals import StopSignals
     from surefoot.deploy.wire.messages import Handshake
     from surefoot.policy.runtime import PolicyRuntime
     from surefoot.robot import RobotDescription
+    from surefoot.stop_signals import StopSignals
 
     policy = PolicyRuntime.load(find_policy(command.policy))
     contract = policy.contract

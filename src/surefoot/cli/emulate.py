@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import contextlib
-import signal
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from types import FrameType
 from typing import TYPE_CHECKING, Annotated
 
 import tyro
@@ -196,39 +194,35 @@ def _run(command: EmulateCommand, board: Board, faults: dict[str, Fault]) -> int
     from surefoot.emulator.motion_capture import MotionCapture
     from surefoot.emulator.process import Lockstep, RealTime, Summary
     from surefoot.emulator.pty_port import PtyPort
+    from surefoot.stop_signals import StopSignals
 
     summary = Summary()
 
-    def end(number: int, frame: FrameType | None) -> None:
+    def end() -> None:
         summary.stop = True
 
     port = PtyPort(command.link, held=not command.lockstep)
     onlookers: list[MotionCapture | EmulateViewer] = []
-    ending = [signal.SIGINT, signal.SIGTERM]
-    if signal.getsignal(signal.SIGHUP) != signal.SIG_IGN:  # nohup: go on when the terminal is closed
-        ending.append(signal.SIGHUP)
-    before = {number: signal.signal(number, end) for number in ending}
-    try:
-        if command.motion_capture is not None:
-            onlookers.append(MotionCapture(command.motion_capture, board.plant, later=not command.lockstep))
-        if command.viewer:
-            from surefoot.cli.emulate_viewer import EmulateViewer
+    with StopSignals(on_signal=end, respect_nohup=True):
+        try:
+            if command.motion_capture is not None:
+                onlookers.append(MotionCapture(command.motion_capture, board.plant, later=not command.lockstep))
+            if command.viewer:
+                from surefoot.cli.emulate_viewer import EmulateViewer
 
-            onlookers.append(EmulateViewer(command.robot, board.plant))
-        board.on_step = [onlooker.see for onlooker in onlookers]
-        load = faults["overload"].value if "overload" in faults else 0.0
-        loop = Lockstep(board, port, summary) if command.lockstep else RealTime(board, port, summary, load)
-        # A microcontroller has a processor of its own, so that the emulator comes before what else runs here.
-        with contextlib.nullcontext() if command.lockstep else undisturbed():
-            print(f"robot on {port.path}", flush=True)
-            loop.run(command.duration)
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
-        port.close()
-        for onlooker in onlookers:
-            onlooker.close()
-            if isinstance(onlooker, MotionCapture) and onlooker.failed:
-                print(f"surefoot: motion capture stopped: {onlooker.failed}", file=sys.stderr)
+                onlookers.append(EmulateViewer(command.robot, board.plant))
+            board.on_step = [onlooker.see for onlooker in onlookers]
+            load = faults["overload"].value if "overload" in faults else 0.0
+            loop = Lockstep(board, port, summary) if command.lockstep else RealTime(board, port, summary, load)
+            # A microcontroller has a processor of its own, so that the emulator comes before what else runs here.
+            with contextlib.nullcontext() if command.lockstep else undisturbed():
+                print(f"robot on {port.path}", flush=True)
+                loop.run(command.duration)
+        finally:
+            port.close()
+            for onlooker in onlookers:
+                onlooker.close()
+                if isinstance(onlooker, MotionCapture) and onlooker.failed:
+                    print(f"surefoot: motion capture stopped: {onlooker.failed}", file=sys.stderr)
     print(f"surefoot: {summary.text(board, port)}", file=sys.stderr)
     return 0

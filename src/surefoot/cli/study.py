@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import os
 import shlex
-import signal
 import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import tyro
 from rich.console import Console
@@ -18,6 +17,7 @@ from surefoot.configuration import Seed, Threads, to_mapping
 from surefoot.errors import SurefootError
 from surefoot.learn.study import StudyConfig, StudyRun, load_study, study_runs
 from surefoot.learn.workers import Job, Outcome, run_jobs
+from surefoot.stop_signals import StopSignals
 
 
 @dataclass(frozen=True)
@@ -102,8 +102,8 @@ def train(study: StudyConfig, runs: list[StudyRun], workers: int, console: Conso
         for run in waiting
     ]
     command = [sys.executable, "-m", "surefoot.cli.study_worker"]
-    with StudyProgress(study, runs, workers, console) as progress, _Stops(console) as stops:
-        return run_jobs(command, jobs, workers, progress.event, progress.change, stops.count)
+    with StudyProgress(study, runs, workers, console) as progress, _listen(console) as stops:
+        return run_jobs(command, jobs, workers, progress.event, progress.change, lambda: stops.count)
 
 
 def _check_task(run: StudyRun) -> None:
@@ -116,30 +116,12 @@ def _check_task(run: StudyRun) -> None:
         raise SurefootError(f"group {run.group}: {error}") from None
 
 
-class _Stops:
-    """Counts Ctrl-C and requests to terminate."""
+def _listen(console: Console) -> StopSignals:
+    """Count Ctrl-C and requests to terminate, and say so the first time."""
 
-    def __init__(self, console: Console) -> None:
-        self._console, self._asked, self._told = console, 0, False
-        self._before: dict[int, Any] = {}
+    def say() -> None:
+        if stops.count == 1:
+            console.print("Stopping after the updates under way; once more stops at once.")
 
-    def __enter__(self) -> _Stops:
-        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-            # What `nohup` made to be ignored stays so.
-            if number != signal.SIGHUP or signal.getsignal(number) != signal.SIG_IGN:
-                self._before[number] = signal.signal(number, self._on_signal)
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        for number, handler in self._before.items():
-            signal.signal(number, handler)
-
-    def _on_signal(self, *_: object) -> None:
-        self._asked += 1
-
-    def count(self) -> int:
-        """How often a stop was asked for; says so the first time."""
-        if self._asked and not self._told:
-            self._told = True
-            self._console.print("Stopping after the updates under way; once more stops at once.")
-        return self._asked
+    stops = StopSignals(on_signal=say, respect_nohup=True)
+    return stops

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import signal
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,6 +13,7 @@ from surefoot.cli.ranges import ranges_help, take_ranges
 from surefoot.cli.simulator import Simulator, SimulatorOptions
 from surefoot.errors import SurefootError, choices
 from surefoot.learn.config import TrainConfig, load_train_config
+from surefoot.stop_signals import StopSignals
 from surefoot.task.config import preset_names
 
 if TYPE_CHECKING:
@@ -87,8 +87,8 @@ def _train(config: TrainConfig | None, path: Path) -> int:
         run = TrainingRun(config, folder, SimWorld, resume=resume)
         begun = "Going on with" if resume else "Training"
         console.print(f"{begun} {config.task.name} in {folder.path}", soft_wrap=True)
-        with TrainingProgress(config, console, run.trainer.steps) as progress, _Stop(console) as stop:
-            run.run(progress.update, stop.asked)
+        with TrainingProgress(config, console, run.trainer.steps) as progress, _listen(console) as stop:
+            run.run(progress.update, lambda: stop.count > 0)
         if not run.finished:
             console.print(f"Stopped and saved at {run.trainer.steps:,} steps. To go on:", highlight=False)
             console.print(f"  surefoot train --resume {folder.path}", soft_wrap=True, highlight=False)
@@ -97,31 +97,16 @@ def _train(config: TrainConfig | None, path: Path) -> int:
     return 0
 
 
-class _Stop:
-    """Turns Ctrl-C and a request to terminate into a stop after the update under way; a second Ctrl-C stops at once."""
+def _listen(console: Console) -> StopSignals:
+    """Turn Ctrl-C and a request to terminate into a stop after the update under way; a second one stops at once."""
 
-    def __init__(self, console: Console) -> None:
-        self._console, self._asked = console, False
-        self._before: dict[int, Any] = {}
-
-    def __enter__(self) -> _Stop:
-        for number in (signal.SIGINT, signal.SIGTERM):
-            self._before[number] = signal.signal(number, self._on_signal)
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        for number, handler in self._before.items():
-            signal.signal(number, handler)
-
-    def _on_signal(self, number: int, _: object) -> None:
-        if self._asked:
+    def stop() -> None:
+        if stops.count > 1:
             raise KeyboardInterrupt
-        self._asked = True
-        self._console.print("Stopping after this update; once more stops at once, back at the last checkpoint.")
+        console.print("Stopping after this update; once more stops at once, back at the last checkpoint.")
 
-    def asked(self) -> bool:
-        """Whether to stop."""
-        return self._asked
+    stops = StopSignals(("SIGINT", "SIGTERM"), stop)
+    return stops
 
 
 def check_config(config: TrainConfig) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.report.video import Shape
+from surefoot.rotations import matrix_quat
 
 Array = NDArray[np.float64]
 _KINDS = {
@@ -36,7 +37,7 @@ def build_stage(shapes: Sequence[Shape]) -> mujoco.MjModel:
             type=_KINDS[shape.kind],
             size=[*shape.size, 0, 0][:3],
             pos=np.asarray(shape.position),
-            quat=_quat(np.asarray(shape.rotation, float)),
+            quat=matrix_quat(np.asarray(shape.rotation, float)),
             rgba=[*(channel / 255 for channel in shape.color), 1],
             contype=0,
             conaffinity=0,
@@ -50,7 +51,7 @@ def set_stage(model: mujoco.MjModel, data: mujoco.MjData, poses: Mapping[str, Ar
         body = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, name)
         if body >= 0:
             row = model.body_mocapid[body]
-            data.mocap_pos[row], data.mocap_quat[row] = pose[step, :3, 3], _quat(pose[step, :3, :3])
+            data.mocap_pos[row], data.mocap_quat[row] = pose[step, :3, 3], matrix_quat(pose[step, :3, :3])
     mujoco.mj_kinematics(model, data)
 
 
@@ -77,10 +78,3 @@ def replay(shapes: Sequence[Shape], poses: Mapping[str, Array], times: Array, fo
             set_stage(model, data, poses, min(int(np.searchsorted(times, now)), len(times) - 1))
             viewer.sync()
             time.sleep(1 / 60)
-
-
-def _quat(matrix: Array) -> Array:
-    """Quaternion w x y z of a rotation matrix (3, 3)."""
-    quat = np.empty(4)
-    mujoco.mju_mat2Quat(quat, np.ascontiguousarray(matrix).ravel())
-    return quat

@@ -20,9 +20,9 @@ from surefoot.deploy.poses import pose
 from surefoot.deploy.recording.recorder import Recorder
 from surefoot.deploy.safety import GO, Act, Guard, Verdict
 from surefoot.deploy.safety_limits import SafetyLimits
-from surefoot.deploy.stop_signals import StopSignals
 from surefoot.deploy.wire.messages import Handshake, State
 from surefoot.errors import SurefootError
+from surefoot.stop_signals import StopSignals
 
 Array = NDArray[np.float64]
 Keep = Callable[[Array], None]

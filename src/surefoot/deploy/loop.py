@@ -18,9 +18,9 @@ from surefoot.deploy.connection import RobotConnection
 from surefoot.deploy.link import LinkLostError
 from surefoot.deploy.pacer import Pacer, Timing
 from surefoot.deploy.safety import GO, Act, Guard, NotFiniteError, Seen, Verdict
-from surefoot.deploy.stop_signals import StopSignals
 from surefoot.deploy.wire.messages import Mode, State
 from surefoot.errors import SurefootError
+from surefoot.stop_signals import StopSignals
 
 Array = NDArray[np.float64]
 Compute = Callable[[int, State, int], Array]

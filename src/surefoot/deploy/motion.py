@@ -17,10 +17,10 @@ from surefoot.deploy.pacer import Timing
 from surefoot.deploy.poses import between, lying, sitting
 from surefoot.deploy.safety import GO, Act, Guard, Verdict
 from surefoot.deploy.safety_limits import SafetyLimits
-from surefoot.deploy.stop_signals import StopSignals
 from surefoot.deploy.wire.messages import Fault, Handshake, Mode, Reason, State
 from surefoot.errors import SurefootError
 from surefoot.robot import RobotDescription
+from surefoot.stop_signals import StopSignals
 
 Array = NDArray[np.float64]
 

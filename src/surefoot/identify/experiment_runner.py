@@ -14,12 +14,12 @@ from surefoot.deploy.loop import Watch
 from surefoot.deploy.motion import MotionRunner
 from surefoot.deploy.safety import Act
 from surefoot.deploy.safety_limits import SafetyLimits
-from surefoot.deploy.stop_signals import StopSignals
 from surefoot.deploy.wire.messages import Handshake, Mode, State
 from surefoot.errors import SurefootError
 from surefoot.identify.plan import Phase, Plan
 from surefoot.identify.recording import COMPLETE, SCHEMA, Recording, digest_of
 from surefoot.robot import RobotDescription
+from surefoot.stop_signals import StopSignals
 
 Array = NDArray[np.float64]
 

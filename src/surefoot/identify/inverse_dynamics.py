@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.robot import PhysicalParams, RobotDescription
+from surefoot.rotations import rpy_quat
 from surefoot.world.mujoco_model import build_model, foot_geoms
 
 Array = NDArray[np.float64]
@@ -130,7 +131,7 @@ class InverseDynamics:
         model, data, sign = self.model, self.data, self.robot.motor_sign.astype(float)
         roll, pitch = motion.roll_pitch[t]
         data.qpos[:3] = 0.0
-        data.qpos[3:7] = _quaternion(roll, pitch)
+        data.qpos[3:7] = rpy_quat(roll, pitch, 0.0)
         data.qpos[self._motor_q] = sign * motion.motor_angle[t]
         data.qpos[self._knee_q] = knees
         motors = len(sign)
@@ -197,9 +198,3 @@ class InverseDynamics:
         out.turning[t] = (
             self.base_inertia @ motion.angular_acceleration[t] + np.cross(rate, self.base_inertia @ rate)
         )[1]
-
-
-def _quaternion(roll: float, pitch: float) -> Array:
-    """w, x, y, z of a pitch about y, then a roll about x."""
-    a, b, c, d = np.cos(roll / 2), np.sin(roll / 2), np.cos(pitch / 2), np.sin(pitch / 2)
-    return np.array([c * a, c * b, d * a, -d * b])

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from surefoot.errors import SurefootError
 from surefoot.report.video import Shape
 from surefoot.robot import RobotDescription
+from surefoot.rotations import quat_matrix
 from surefoot.task.trace import EpisodeTrace
 
 FloatArray = NDArray[np.float64]
@@ -80,7 +81,7 @@ def poses(
             found[joint.child] = found[joint.parent] @ _origin(elements[joint.name]) @ turn
         waiting = [joint for joint in waiting if joint not in ready]
     base = np.tile(np.eye(4), (count, 1, 1))
-    base[:, :3, :3], base[:, :3, 3] = quat_matrix(quat), position
+    base[:, :3, :3], base[:, :3, 3] = quat_matrix(quat / np.linalg.norm(quat, axis=-1, keepdims=True)), position
     world = base @ np.linalg.inv(found[robot.base])
     return {name: world @ pose for name, pose in found.items()}
 
@@ -93,18 +94,6 @@ def trace_poses(robot: RobotDescription, trace: EpisodeTrace) -> dict[str, Float
     known = np.isfinite(trace.true_motor_angle).all()
     angles = trace.true_motor_angle if known else trace.motor_angle
     return poses(robot, trace.base_position_world[1:], trace.base_quat_world[1:], angles)
-
-
-def quat_matrix(quat: ArrayLike) -> FloatArray:
-    """Rotation matrices (..., 3, 3) of unit quaternions (..., 4), w x y z."""
-    q = np.asarray(quat, float)
-    w, x, y, z = np.moveaxis(q / np.linalg.norm(q, axis=-1, keepdims=True), -1, 0)
-    rows = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ]
-    return np.stack([np.stack(row, -1) for row in rows], -2)
 
 
 def _joint_angles(robot: RobotDescription, theta: FloatArray) -> dict[str, FloatArray]:

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from surefoot.errors import SurefootError
 from surefoot.robot import PhysicalParams, RobotDescription
+from surefoot.rotations import quat_matrix, xyzw_matrix
 from surefoot.world.bullet_import import import_pybullet
 from surefoot.world.bullet_model import (
     PUBLISHED,
@@ -40,7 +41,6 @@ from surefoot.world.bullet_tick import (
     base_links,
     between,
     observe,
-    rotations,
 )
 from surefoot.world.drive import RACK_HEIGHT, SPEED_LIMIT, Drive, racked_bases
 from surefoot.world.interface import WorldConfig
@@ -112,7 +112,7 @@ class BulletEngine:
         self._spoilt = np.zeros(num_envs, np.bool_)
         sign = robot.motor_sign.astype(np.float64)
         self._layout = Layout(sign, model.base_quat, model.rack)
-        self._from_link = rotations(model.base_quat[[1, 2, 3, 0]])
+        self._from_link = quat_matrix(model.base_quat)
         columns = JOINTS + np.array(model.motors)
         self._motor_columns = np.concatenate([columns, columns + model.num_joints])
         self._feet = {link: leg for leg, link in enumerate(model.feet)}
@@ -285,7 +285,7 @@ class BulletEngine:
         if self.model.rack:
             return
         row = self._rows[i]
-        turn = rotations(row[3:7]) @ self._from_link.T
+        turn = xyzw_matrix(row[3:7]) @ self._from_link.T
         omega = turn @ angular_base
         row[OMEGA:JOINTS] = omega
         row[VELOCITY:OMEGA] = linear_world + np.cross(omega, turn @ self.model.base_centre)
@@ -347,7 +347,7 @@ class BulletEngine:
         states = self._p.getLinkStates(
             self.model.body, self.model.feet, computeForwardKinematics=1, physicsClientId=self._clients[i]
         )
-        turns = rotations(np.array([state[1] for state in states]))
+        turns = xyzw_matrix(np.array([state[1] for state in states]))
         places = np.array([state[0] for state in states])
         feet: Array = places + np.einsum("lij,lj->li", turns, self.model.foot_centre)
         return feet

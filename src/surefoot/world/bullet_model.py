@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from surefoot.errors import SurefootError
 from surefoot.native_output import quiet
 from surefoot.robot import GRAVITY, RobotDescription
+from surefoot.rotations import matrix_quat
 from surefoot.world.bullet_import import import_pybullet
 from surefoot.world.bullet_tick import pin_kernel
 from surefoot.world.drive import RACK_HEIGHT
@@ -198,7 +199,7 @@ def _load(
         foot_centre=np.array([centre for centre, _ in shapes]),
         foot_radius=np.array([radius for _, radius in shapes]),
         base_centre=(at_base @ [*fused.bodies[base].centre, 1.0])[:3],
-        base_quat=quaternion(at_base[:3, :3] @ axes),
+        base_quat=matrix_quat(at_base[:3, :3] @ axes),
         mass={name: (item.mass, item.principal()[0]) for name, item in fused.bodies.items()},
         pins=_close_loops(p, client, robot, fused, body, links),
     )
@@ -420,21 +421,3 @@ def scale_masses(
         p.changeDynamics(model.body, link, mass=mass, localInertiaDiagonal=moments.tolist(), physicsClientId=client)
         scaled[name] = (mass, moments)
     check_masses(p, client, model, scaled)
-
-
-def quaternion(turn: Array) -> Array:
-    """Unit quaternion (4,), w x y z, of a rotation (3, 3)."""
-    w = np.sqrt(max(0.0, 1 + turn[0, 0] + turn[1, 1] + turn[2, 2])) / 2
-    x = np.sqrt(max(0.0, 1 + turn[0, 0] - turn[1, 1] - turn[2, 2])) / 2
-    y = np.sqrt(max(0.0, 1 - turn[0, 0] + turn[1, 1] - turn[2, 2])) / 2
-    z = np.sqrt(max(0.0, 1 - turn[0, 0] - turn[1, 1] + turn[2, 2])) / 2
-    signed = np.array(
-        [
-            w,
-            np.copysign(x, turn[2, 1] - turn[1, 2]),
-            np.copysign(y, turn[0, 2] - turn[2, 0]),
-            np.copysign(z, turn[1, 0] - turn[0, 1]),
-        ]
-    )
-    unit: Array = signed / np.linalg.norm(signed)
-    return unit

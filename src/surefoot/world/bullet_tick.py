@@ -14,6 +14,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from surefoot.rotations import quat_matrix
 from surefoot.world.drive import SPEED_LIMIT, Drive, constraint_tick, record, roll_pitch_yaw, servo_tick
 
 Array = NDArray[np.float64]
@@ -159,17 +160,6 @@ def pin_kernel(quats: Array, forces: Array, axes: Array, play: float, shift: Arr
         shift[k, 2] += PIN_FOLLOWS * (reach * fz - shift[k, 2])
 
 
-def rotations(quats_xyzw: Array) -> Array:
-    """Rotations (..., 3, 3) of unit quaternions (..., 4), x y z w."""
-    x, y, z, w = np.moveaxis(quats_xyzw, -1, 0)
-    rows = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ]
-    return np.moveaxis(np.array(rows), (0, 1), (-2, -1))
-
-
 def base_links(rows: Array, base_quat: Array, base_centre: Array) -> Array:
     """Base links of robots (N, 10): position [m], quaternion w x y z and velocity [m/s] in the world.
 
@@ -179,6 +169,6 @@ def base_links(rows: Array, base_quat: Array, base_centre: Array) -> Array:
         base_centre: centre of mass in the base link (3,) [m].
     """
     quats = np.stack(link_quat.py_func(base_quat, *rows[:, 3:7].T), axis=1)
-    arm = rotations(quats[:, [1, 2, 3, 0]]) @ base_centre
+    arm = quat_matrix(quats) @ base_centre
     velocity = rows[:, VELOCITY:OMEGA] - np.cross(rows[:, OMEGA:JOINTS], arm)
     return np.concatenate([rows[:, :3] - arm, quats, velocity], axis=1)

@@ -12,7 +12,6 @@ differ in what they make of products of inertia.
 
 from __future__ import annotations
 
-import math
 import xml.etree.ElementTree as ElementTree
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.robot.urdf import Urdf
+from surefoot.rotations import matrix_rpy, rpy_matrix
 
 Array = NDArray[np.float64]
 
@@ -60,26 +60,6 @@ class FusedUrdf:
     text: str
 
 
-def rotation(roll: float, pitch: float, yaw: float) -> Array:
-    """Rotation (3, 3) by roll about x, then pitch about y, then yaw about z, axes fixed [rad]."""
-    (cr, sr), (cp, sp), (cy, sy) = ((math.cos(angle), math.sin(angle)) for angle in (roll, pitch, yaw))
-    return np.array(
-        [
-            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
-            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
-            [-sp, cp * sr, cp * cr],
-        ]
-    )
-
-
-def roll_pitch_yaw_of(turn: Array) -> Array:
-    """Roll, pitch and yaw (3,) [rad] of a rotation (3, 3); with pitch at a quarter turn, yaw is 0."""
-    pitch = math.atan2(-turn[2, 0], math.hypot(turn[0, 0], turn[1, 0]))
-    if math.hypot(turn[0, 0], turn[1, 0]) < 1e-9:
-        return np.array([math.atan2(math.copysign(1.0, pitch) * turn[0, 1], turn[1, 1]), pitch, 0.0])
-    return np.array([math.atan2(turn[2, 1], turn[2, 2]), pitch, math.atan2(turn[1, 0], turn[0, 0])])
-
-
 def _vector(element: ElementTree.Element | None, key: str) -> Array:
     text = "0 0 0" if element is None else element.get(key, "0 0 0")
     return np.array([float(word) for word in text.split()])
@@ -88,7 +68,7 @@ def _vector(element: ElementTree.Element | None, key: str) -> Array:
 def frame_of(element: ElementTree.Element | None) -> Array:
     """The (4, 4) frame of an <origin>, or of none."""
     frame = np.eye(4)
-    frame[:3, :3] = rotation(*_vector(element, "rpy"))
+    frame[:3, :3] = rpy_matrix(*_vector(element, "rpy"))
     frame[:3, 3] = _vector(element, "xyz")
     return frame
 
@@ -99,7 +79,7 @@ def _origin(frame: Array) -> ElementTree.Element:
     def words(values: Array) -> str:
         return " ".join(repr(float(value)) for value in values)
 
-    return ElementTree.Element("origin", xyz=words(frame[:3, 3]), rpy=words(roll_pitch_yaw_of(frame[:3, :3])))
+    return ElementTree.Element("origin", xyz=words(frame[:3, 3]), rpy=words(matrix_rpy(frame[:3, :3])))
 
 
 def _rigid_body(link: ElementTree.Element) -> RigidBody:

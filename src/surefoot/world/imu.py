@@ -2,29 +2,15 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from surefoot.rotations import rpy_quat
 from surefoot.world.drive import roll_pitch_yaw
 
 Array = NDArray[np.float64]
-
-
-@njit(cache=True)
-def _quaternion(roll: float, pitch: float, yaw: float) -> tuple[float, float, float, float]:
-    """Unit quaternion w x y z of a turn by yaw about z, then pitch about y, then roll about x [rad]."""
-    cr, sr = math.cos(roll / 2), math.sin(roll / 2)
-    cp, sp = math.cos(pitch / 2), math.sin(pitch / 2)
-    cy, sy = math.cos(yaw / 2), math.sin(yaw / 2)
-    return (
-        cy * cp * cr + sy * sp * sr,
-        cy * cp * sr - sy * sp * cr,
-        cy * sp * cr + sy * cp * sr,
-        sy * cp * cr - cy * sp * sr,
-    )
+_rpy_quat = njit(cache=True)(rpy_quat)
 
 
 @njit(cache=True)
@@ -40,8 +26,8 @@ def read_by_mounted_imu(attitude: Array, rates: Array, mount: Array) -> None:
         mount: roll, pitch and yaw of the IMU in the base frame (N, 3) [rad].
     """
     for i in range(len(attitude)):
-        bw, bx, by, bz = _quaternion(attitude[i, 0], attitude[i, 1], attitude[i, 2])
-        w, x, y, z = _quaternion(mount[i, 0], mount[i, 1], mount[i, 2])
+        bw, bx, by, bz = _rpy_quat(attitude[i, 0], attitude[i, 1], attitude[i, 2])
+        w, x, y, z = _rpy_quat(mount[i, 0], mount[i, 1], mount[i, 2])
         attitude[i, 0], attitude[i, 1], attitude[i, 2] = roll_pitch_yaw(
             bw * w - bx * x - by * y - bz * z,
             bw * x + bx * w + by * z - bz * y,

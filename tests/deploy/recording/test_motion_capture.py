@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from surefoot.deploy.recording.motion_capture import base_and_feet, read_capture, yaw_of
+from surefoot.deploy.recording.motion_capture import base_and_feet, read_capture
 from surefoot.errors import SurefootError
+from surefoot.rotations import quat_yaw
 
 LEGS = ("left", "right")
 HEAD = "time,x,y,z,qw,qx,qy,qz"
@@ -50,7 +51,7 @@ def test_a_turn_is_kept(tmp_path):
     lines = [HEAD] + [",".join(map(str, [0.1 * k, 0, 0, 0, *turn(1.0 + 0.1 * k)])) for k in range(11)]
     path.write_text("\n".join(lines))
     quat = base_and_feet(read_capture(path), 0.0, 0.1, 10, LEGS)["base_quat_world"]
-    assert [yaw_of(row) for row in quat] == pytest.approx(0.1 * np.arange(11))
+    assert [quat_yaw(row) for row in quat] == pytest.approx(0.1 * np.arange(11))
     assert np.linalg.norm(quat, axis=1) == pytest.approx(1.0)
 
 
@@ -59,7 +60,7 @@ def test_quaternions_of_either_sign_are_the_same(tmp_path):
     rows = [[0.1 * k, 0, 0, 0, *((-1) ** k * np.array(turn(0.01 * k)))] for k in range(11)]
     path.write_text("\n".join([HEAD, *(",".join(map(str, row)) for row in rows)]))
     quat = base_and_feet(read_capture(path), 0.0, 0.05, 20, LEGS)["base_quat_world"]
-    assert [yaw_of(row) for row in quat] == pytest.approx(0.005 * np.arange(21), abs=1e-6)
+    assert [quat_yaw(row) for row in quat] == pytest.approx(0.005 * np.arange(21), abs=1e-6)
 
 
 def test_a_tilted_start_keeps_its_tilt(tmp_path):

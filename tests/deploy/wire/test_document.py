@@ -1,22 +1,19 @@
-"""The protocol's document: made parts are as the definitions are, and what stands in it can be relied on."""
+"""The protocol's document: its tables are those of the definitions, and what stands in it can be relied on."""
 
 from __future__ import annotations
 
 import hashlib
+import inspect
 import re
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
 from surefoot.deploy.link import BAUD
-from surefoot.deploy.wire.document import link_share, main, renewed, sections
 from surefoot.deploy.wire.examples import EXAMPLES
 from surefoot.deploy.wire.fields import wires
-from surefoot.deploy.wire.frames import MAX_FRAME, Decoder
-from surefoot.deploy.wire.messages import HEADER, MESSAGES, VERSION, Codec, Mode, Reason
-from surefoot.errors import SurefootError
+from surefoot.deploy.wire.frames import MAX_FRAME, Decoder, frame_bytes
+from surefoot.deploy.wire.messages import HEADER, MESSAGES, VERSION, Codec, Mode, Position, Reason, State
 
 ROOT = Path(__file__).resolve().parents[3]
 DOCUMENT = ROOT / "docs" / "wire-protocol.md"
@@ -28,48 +25,29 @@ def part(name: str) -> str:
     return TEXT.partition(f"<!-- begin: {name} -->\n")[2].partition(f"<!-- end: {name} -->\n")[0]
 
 
-def test_the_document_is_as_it_would_be_made_anew():
-    assert renewed(TEXT, sections()) == TEXT, "run: python -m surefoot.deploy.wire.document"
+def rows(text: str) -> list[list[str]]:
+    """The cells of a part's tables, without their heads."""
+    lines = re.findall(r"^\| (.*?) ?\|$", text, re.M)
+    return [[cell.strip() for cell in line.replace("\\|", "!").split(" |")] for line in lines if re.match(r"\d", line)]
 
 
-def test_the_command_writes_it_anew(tmp_path: Path):
-    stale = tmp_path / "wire-protocol.md"
-    stale.write_text(TEXT.replace(part("bandwidth"), "\nold\n").replace(part("vectors"), ""), encoding="utf-8")
-    command = [sys.executable, "-m", "surefoot.deploy.wire.document", str(stale)]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=60)
-    assert done.returncode == 0, done.stderr
-    assert stale.read_text(encoding="utf-8") == TEXT
-    assert list(tmp_path.iterdir()) == [stale]
+def test_every_field_of_every_message_stands_in_the_tables():
+    expected = []
+    for kind in MESSAGES:
+        offset = 0
+        for name, spec in wires(kind).items():
+            sort = f"text of {spec.length}" if spec.kind == "text" else spec.kind
+            sort += "" if spec.count == 1 else f" × {spec.entries(8)}"
+            scale = f"{spec.scale:g}".replace("e-0", "e-") if spec.scale else ""
+            expected.append([str(offset), f"`{name}`", sort, spec.unit, scale, spec.meaning.replace("|", "!")])
+            offset += spec.bytes(8)
+        assert " ".join((inspect.getdoc(kind) or "").split()) in part("messages")
+    assert rows(part("messages")) == expected
 
 
-@pytest.mark.parametrize(
-    ("old", "new"),
-    [
-        ("<!-- begin: vectors -->\n", ""),
-        ("<!-- end: vectors -->\n", ""),
-        ("<!-- begin: vectors -->\n", "<!-- begin: vectors -->\n" * 2),
-        ("<!-- begin: vectors -->\n", "<!-- end: vectors -->\n"),
-    ],
-)
-def test_a_document_without_a_place_for_a_part_is_left_alone(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], old: str, new: str
-):
-    broken = tmp_path / "wire-protocol.md"
-    broken.write_text(TEXT.replace(old, new), encoding="utf-8")
-    with pytest.raises(SurefootError, match="no place for 'vectors'"):
-        renewed(broken.read_text(encoding="utf-8"), sections())
-    with pytest.raises(SystemExit) as stop:
-        main([str(broken)])
-    assert stop.value.code == 2
-    assert "no place for 'vectors'" in capsys.readouterr().err
-    assert broken.read_text(encoding="utf-8") == TEXT.replace(old, new)
-
-
-def test_a_document_that_is_not_there_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    with pytest.raises(SystemExit) as stop:
-        main([str(tmp_path / "none.md")])
-    assert stop.value.code == 2
-    assert "No such file or directory" in capsys.readouterr().err
+@pytest.mark.parametrize(("name", "numbers"), [("modes", Mode), ("reasons", Reason)])
+def test_every_mode_and_reason_stands_in_the_tables(name: str, numbers: type[Mode | Reason]):
+    assert rows(part(name)) == [[str(int(one)), one.name, one.meaning] for one in numbers]
 
 
 # What a firmware's author reads.
@@ -77,12 +55,10 @@ def test_a_document_that_is_not_there_is_told(tmp_path: Path, capsys: pytest.Cap
 
 def test_state_and_command_at_200_hz_take_under_half_of_the_line():
     # 155 + 59 bytes of ten bits, 200 times a second.
-    assert link_share(Codec(8)) == pytest.approx((155 + 59) * 10 * 200 / 921_600)
-    assert link_share(Codec(8)) < 0.5
-    assert link_share(Codec(8), 400) == pytest.approx(2 * link_share(Codec(8)))
+    assert (frame_bytes(Codec(8), State), frame_bytes(Codec(8), Position)) == (155, 59)
+    assert round((155 + 59) * 10 * 200 / BAUD, 3) == 0.464
     for told in ("= 155 ", "= 59 ", "428,000 bits a second", "**46.4 %** of 921,600 baud", "1.68 ms"):
         assert told in part("bandwidth")
-    assert BAUD == 921_600
 
 
 def test_the_hash_in_the_document_is_that_of_the_text_in_the_document():

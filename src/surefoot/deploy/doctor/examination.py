@@ -20,10 +20,10 @@ from surefoot.deploy.findings import Finding
 from surefoot.deploy.link import LinkLostError
 from surefoot.deploy.realtime import undisturbed
 from surefoot.deploy.safety_limits import SafetyLimits
-from surefoot.deploy.stop_signals import StopSignals
 from surefoot.errors import SurefootError, choices
 from surefoot.policy.runtime import PolicyRuntime
 from surefoot.robot import RobotDescription
+from surefoot.stop_signals import StopSignals
 
 RACK = ("motors, one by one", "control latency", "servo response")
 PATIENCE = 5

@@ -17,10 +17,10 @@ from surefoot.deploy.doctor.move import LeashedRobot, MotionStoppedError
 from surefoot.deploy.doctor.rest import Sample
 from surefoot.deploy.findings import Finding
 from surefoot.deploy.poses import pose
-from surefoot.deploy.stop_signals import StopSignals
 from surefoot.errors import choices
 from surefoot.policy.contract import Contract
 from surefoot.robot import RobotDescription
+from surefoot.stop_signals import StopSignals
 
 Array = NDArray[np.float64]
 

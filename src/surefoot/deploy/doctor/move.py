@@ -12,9 +12,9 @@ from surefoot.deploy.connection import RobotConnection
 from surefoot.deploy.doctor.rest import Sample
 from surefoot.deploy.motion import MotionRunner
 from surefoot.deploy.safety import Act, Verdict
-from surefoot.deploy.stop_signals import StopSignals
 from surefoot.deploy.wire.messages import Mode, State
 from surefoot.robot import RobotDescription
+from surefoot.stop_signals import StopSignals
 
 Array = NDArray[np.float64]
 

@@ -17,9 +17,9 @@ from surefoot.deploy.doctor.move import LeashedRobot, MotionStoppedError
 from surefoot.deploy.doctor.response import WINDOW, fit_response
 from surefoot.deploy.doctor.rest import Sample
 from surefoot.deploy.findings import Finding
-from surefoot.deploy.stop_signals import StopSignals
 from surefoot.policy.contract import Contract
 from surefoot.robot import RobotDescription
+from surefoot.stop_signals import StopSignals
 
 Array = NDArray[np.float64]
 

@@ -9,10 +9,11 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from surefoot.errors import SurefootError, choices
 from surefoot.files import check_readable
+from surefoot.rotations import quat_yaw
 
 Array = NDArray[np.float64]
 
@@ -100,15 +101,9 @@ def _same_side(quat: Array) -> Array:
     return quat * sign[:, None]
 
 
-def yaw_of(quat: ArrayLike) -> float:
-    """Turn about z [rad] of a unit quaternion w, x, y, z."""
-    w, x, y, z = np.asarray(quat, float)
-    return float(np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)))
-
-
 def _from_origin(position: Array, quat: Array) -> tuple[Array, Array]:
     """Shift and turn about z so that row 0 has x = y = 0 and yaw 0; heights stay."""
-    yaw = yaw_of(quat[0])
+    yaw = quat_yaw(quat[0])
     cos, sin = np.cos(-yaw), np.sin(-yaw)
     moved = position - [*position[0, :2], 0.0]
     x, y = cos * moved[:, 0] - sin * moved[:, 1], sin * moved[:, 0] + cos * moved[:, 1]

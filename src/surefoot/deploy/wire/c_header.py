@@ -16,7 +16,7 @@ from pathlib import Path
 
 from surefoot.deploy.wire.fields import MOTORS, Wire
 from surefoot.deploy.wire.frames import CRC_BYTES, MAX_FRAME, frame_bytes
-from surefoot.deploy.wire.messages import HEADER, MESSAGES, VERSION, Codec, Message, Mode, Reason, Told
+from surefoot.deploy.wire.messages import HEADER, MESSAGES, VERSION, Codec, DescribedEnum, Message, Mode, Reason
 from surefoot.errors import SurefootError
 from surefoot.files import whole_file
 
@@ -112,7 +112,7 @@ def c_header(motors: int = DEFAULT_MOTORS) -> str:
             "What a payload is.",
             [(f"SUREFOOT_{kind.__name__.upper()}", kind.CODE, "") for kind in MESSAGES],
         ),
-        *(_told(numbers) for numbers in (Mode, Reason)),
+        *(_described_enum(numbers) for numbers in (Mode, Reason)),
         _HEADER,
         *(_struct(kind, codec) for kind in MESSAGES),
         "#pragma pack(pop)\n",
@@ -155,7 +155,7 @@ def _enum(name: str, doc: str, members: Sequence[tuple[str, int, str]]) -> str:
     return f"/* {doc} */\nenum {name} {{\n{_columns(rows)}}};\n"
 
 
-def _told(numbers: type[Told]) -> str:
+def _described_enum(numbers: type[DescribedEnum]) -> str:
     name = numbers.__name__
     members = [(f"SUREFOOT_{name.upper()}_{each.name}", int(each), each.meaning) for each in numbers]
     return _enum(f"surefoot_{name.lower()}", inspect.getdoc(numbers) or "", members)

@@ -2,7 +2,7 @@
 
 Every message is a little-endian packed struct behind a header, in a COBS frame with a CRC-32; `frames` has the framing,
 docs/wire-protocol.md all of it for a firmware's author. The definitions here are the only ones: the codec, the schema
-hash, the C header and the tables of the document all come from them.
+hash and the C header come from them, and tests compare the tables of the document.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ MAX_PAYLOAD = 997
 """Bytes of a message that still fit a frame; see `frames.MAX_FRAME`."""
 
 
-class Told(IntEnum):
+class DescribedEnum(IntEnum):
     """Numbers with a meaning in plain words."""
 
     meaning: str
@@ -41,7 +41,7 @@ class Told(IntEnum):
         return member
 
 
-class Mode(Told):
+class Mode(DescribedEnum):
     """What the robot does with its motors."""
 
     DISARMED = 0, "Motors are damped; commands are refused."
@@ -50,7 +50,7 @@ class Mode(Told):
     FAULT = 3, "Motors are damped because something went wrong, and stay so until armed anew."
 
 
-class Reason(Told):
+class Reason(DescribedEnum):
     """Why a robot refuses something, or has damped its motors."""
 
     NONE = 0, "Nothing is wrong."

@@ -7,7 +7,7 @@ import signal
 
 import pytest
 
-from surefoot.deploy.stop_signals import StopSignals
+from surefoot.stop_signals import StopSignals
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
@@ -37,3 +37,15 @@ def test_signals_belong_to_whom_they_belonged_afterwards():
     with StopSignals():
         pass
     assert [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)] == before
+
+
+def test_signals_are_counted_told_and_those_that_nohup_ignores_stay_ignored():
+    told: list[int] = []
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        with StopSignals(on_signal=lambda: told.append(1), respect_nohup=True) as stop:
+            for number in (signal.SIGHUP, signal.SIGTERM, signal.SIGINT):
+                os.kill(os.getpid(), number)
+        assert (stop.count, len(told)) == (2, 2)
+    finally:
+        signal.signal(signal.SIGHUP, before)

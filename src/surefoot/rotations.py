@@ -1,0 +1,81 @@
+"""Rotations: quaternions are w, x, y, z; roll, pitch, yaw turn by roll about x, then pitch about y, then yaw about z.
+
+Compiled kernels of the simulators' inner loops stand where they are used (`world.drive`, `world.imu`).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+
+
+def rpy_matrix(roll: float, pitch: float, yaw: float) -> Array:
+    """Return the rotation (3, 3) of roll, pitch and yaw about fixed axes [rad]."""
+    (cr, sr), (cp, sp), (cy, sy) = ((math.cos(angle), math.sin(angle)) for angle in (roll, pitch, yaw))
+    return np.array(
+        [
+            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+            [-sp, cp * sr, cp * cr],
+        ]
+    )
+
+
+def matrix_rpy(turn: Array) -> Array:
+    """Return roll, pitch and yaw (3,) [rad] of a rotation (3, 3); with pitch at a quarter turn, yaw is 0."""
+    level = math.hypot(turn[0, 0], turn[1, 0])
+    pitch = math.atan2(-turn[2, 0], level)
+    if level < 1e-9:
+        return np.array([math.atan2(math.copysign(1.0, pitch) * turn[0, 1], turn[1, 1]), pitch, 0.0])
+    return np.array([math.atan2(turn[2, 1], turn[2, 2]), pitch, math.atan2(turn[1, 0], turn[0, 0])])
+
+
+def rpy_quat(roll: float, pitch: float, yaw: float) -> tuple[float, float, float, float]:
+    """Return the unit quaternion of roll, pitch and yaw [rad]."""
+    cr, sr = math.cos(roll / 2), math.sin(roll / 2)
+    cp, sp = math.cos(pitch / 2), math.sin(pitch / 2)
+    cy, sy = math.cos(yaw / 2), math.sin(yaw / 2)
+    return (
+        cy * cp * cr + sy * sp * sr,
+        cy * cp * sr - sy * sp * cr,
+        cy * sp * cr + sy * cp * sr,
+        sy * cp * cr - cy * sp * sr,
+    )
+
+
+def quat_yaw(quat: ArrayLike) -> float:
+    """Return the yaw [rad] of a unit quaternion (4,)."""
+    w, x, y, z = np.asarray(quat, float)
+    return float(np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)))
+
+
+def quat_matrix(quat: ArrayLike) -> Array:
+    """Return the rotations (..., 3, 3) of unit quaternions (..., 4)."""
+    w, x, y, z = np.moveaxis(np.asarray(quat, float), -1, 0)
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.moveaxis(np.array(rows), (0, 1), (-2, -1))
+
+
+def xyzw_matrix(quat: Array) -> Array:
+    """Return the rotations (..., 3, 3) of unit quaternions (..., 4) in Bullet's order x, y, z, w."""
+    return quat_matrix(quat[..., [3, 0, 1, 2]])
+
+
+def matrix_quat(turn: Array) -> Array:
+    """Return the unit quaternion (4,) of a rotation (3, 3)."""
+    w = np.sqrt(max(0.0, 1 + turn[0, 0] + turn[1, 1] + turn[2, 2])) / 2
+    x = np.sqrt(max(0.0, 1 + turn[0, 0] - turn[1, 1] - turn[2, 2])) / 2
+    y = np.sqrt(max(0.0, 1 - turn[0, 0] + turn[1, 1] - turn[2, 2])) / 2
+    z = np.sqrt(max(0.0, 1 - turn[0, 0] - turn[1, 1] + turn[2, 2])) / 2
+    signs = turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]
+    signed = np.array([w, *(np.copysign(value, sign) for value, sign in zip((x, y, z), signs, strict=True))])
+    unit: Array = signed / np.linalg.norm(signed)
+    return unit

@@ -1,0 +1,61 @@
+"""The user's wish to stop: Ctrl-C, a terminal that closes, a process that is asked to end."""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Callable
+from types import FrameType
+from typing import Any, Self
+
+ALL = ("SIGINT", "SIGTERM", "SIGHUP")
+
+
+class StopSignals:
+    """Counts signals instead of dying of them, while it is entered.
+
+    Args:
+        names: of the signals.
+        on_signal: called after each signal.
+        respect_nohup: a SIGHUP that is ignored stays so: the process goes on when its terminal is closed.
+    """
+
+    def __init__(
+        self,
+        names: tuple[str, ...] = ALL,
+        on_signal: Callable[[], object] | None = None,
+        respect_nohup: bool = False,
+    ) -> None:
+        self.count = 0
+        """Signals that came."""
+        self._names, self._on_signal, self._respect_nohup = names, on_signal, respect_nohup
+        self._interrupts = 0
+        self._before: dict[int, Any] = {}
+
+    @property
+    def stops(self) -> int:
+        """What is asked of a robot: 0: go on; 1: sit down; 2, by Ctrl-C once more: damp at once.
+
+        A closing terminal sends several signals; none of them means haste.
+        """
+        return min(max(self._interrupts, int(self.count > 0)), 2)
+
+    def _heard(self, number: int, frame: FrameType | None) -> None:
+        self.count += 1
+        self._interrupts += number == signal.SIGINT
+        if self._on_signal is not None:
+            self._on_signal()
+
+    def __enter__(self) -> Self:
+        """Listen."""
+        for name in self._names:
+            number = getattr(signal, name, None)
+            ignored = number is not None and signal.getsignal(number) == signal.SIG_IGN
+            if number is not None and not (self._respect_nohup and name == "SIGHUP" and ignored):
+                self._before[number] = signal.signal(number, self._heard)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Give signals back to whom they belonged."""
+        for number, handler in self._before.items():
+            signal.signal(number, handler)
+        self._before.clear()
