@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import fcntl
 import os
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
 from hypothesis import settings
+from processes import Emulator, emulators
+
+from surefoot.robot import RobotDescription
 
 if TYPE_CHECKING:
     from surefoot.evaluate.comparison import Comparison
@@ -45,6 +48,20 @@ def rng() -> np.random.Generator:
 def repository() -> Path:
     """Return the root of the repository."""
     return Path(__file__).resolve().parents[1]
+
+
+@pytest.fixture(scope="session")
+def robot() -> RobotDescription:
+    """Return the robot that ships with surefoot."""
+    return RobotDescription.load("minitaur")
+
+
+@pytest.fixture
+def emulate() -> Iterator[Callable[..., Emulator]]:
+    """Start emulated robots, with the words of `surefoot emulate`, that end with the test."""
+    pytest.importorskip("mujoco")
+    with emulators() as start:
+        yield start
 
 
 @pytest.fixture

@@ -9,11 +9,12 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
+from processes import SUREFOOT, Emulator
 
 from surefoot.evaluate.recorded import find_traces
 from surefoot.policy.contract import METADATA_KEY
@@ -29,27 +30,13 @@ PATIENCE = 120.0
 
 
 @pytest.fixture
-def emulator(tmp_path: Path) -> Iterator[Callable[..., str]]:
+def emulator(emulate: Callable[..., Emulator]) -> Callable[..., str]:
     """Start an emulator in lockstep; returns its port."""
-    started: list[subprocess.Popen[str]] = []
-
-    def start(*options: str) -> str:
-        command = [sys.executable, "-m", "surefoot", "emulate", "--lockstep", *options]
-        process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
-        started.append(process)
-        assert process.stdout is not None
-        line = process.stdout.readline()
-        assert line.startswith("robot on "), line
-        return line.removeprefix("robot on ").strip()
-
-    yield start
-    for process in started:
-        process.terminate()
-        process.communicate(timeout=30)
+    return lambda *options: emulate("--lockstep", *options).port
 
 
 def deploy_command(port: str, *options: str) -> list[str]:
-    return [sys.executable, "-m", "surefoot", "deploy", "trot", "--port", port, "--lockstep", *options]
+    return [*SUREFOOT, "deploy", "trot", "--port", port, "--lockstep", *options]
 
 
 def deploy(port: str, *options: str, **how) -> subprocess.CompletedProcess[str]:

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from processes import SUREFOOT, Emulator, emulators, run_surefoot
 
 pytest.importorskip("mujoco")
 onnx = pytest.importorskip("onnx")
@@ -23,59 +24,19 @@ from surefoot.errors import SurefootError  # noqa: E402
 from surefoot.policy.contract import METADATA_KEY  # noqa: E402
 from surefoot.policy.digest import stamped  # noqa: E402
 
-SUREFOOT = (sys.executable, "-m", "surefoot")
 QUICK = ("--pings", "40", "--steps", "50")
 
 
-class Emulator:
-    """A `surefoot emulate` process; `port` is its pseudo-terminal."""
-
-    def __init__(self, folder: Path, *words: str) -> None:
-        self.port = folder / f"port_{len(list(folder.iterdir()))}"
-        self.log = (folder / f"{self.port.name}.log").open("w")
-        command = [*SUREFOOT, "emulate", "--link", str(self.port), *words]
-        self.process = subprocess.Popen(command, stdout=self.log, stderr=self.log)
-        end = time.monotonic() + 60
-        while not self.port.exists():
-            assert self.process.poll() is None, Path(self.log.name).read_text()
-            assert time.monotonic() < end, "the emulator does not start"
-            time.sleep(0.05)
-
-    def stop(self) -> None:
-        self.process.terminate()
-        self.process.wait(30)
-        self.log.close()
-
-
-@pytest.fixture
-def emulate(tmp_path: Path) -> Iterator[Callable[..., Emulator]]:
-    """Start emulators that end with the test."""
-    started: list[Emulator] = []
-
-    def start(*words: str) -> Emulator:
-        started.append(Emulator(tmp_path, *words))
-        return started[-1]
-
-    yield start
-    for emulator in started:
-        emulator.stop()
-
-
 @pytest.fixture(scope="module")
-def healthy(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Emulator]:
+def healthy() -> Iterator[Emulator]:
     """A robot on its rack, in lockstep, that several policies are tried with; none of them moves it."""
-    emulator = Emulator(tmp_path_factory.mktemp("healthy"), "--lockstep", "--rack")
-    yield emulator
-    emulator.stop()
-
-
-def surefoot(*words: object) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([*SUREFOOT, *map(str, words)], capture_output=True, text=True, timeout=120)
+    with emulators() as start:
+        yield start("--lockstep", "--rack")
 
 
 def doctor(policy: object, port: object, *words: str) -> tuple[int, dict[str, dict[str, Any]]]:
     """Exit code and findings by name."""
-    done = surefoot("doctor", policy, "--port", port, *QUICK, "--json", *words)
+    done = run_surefoot("doctor", policy, "--port", port, *QUICK, "--json", *words)
     assert done.returncode in (0, 3), done.stderr
     data = json.loads(done.stdout)
     findings = {one["name"]: one for one in data["findings"]}
@@ -91,7 +52,9 @@ def failed(findings: dict[str, dict[str, Any]]) -> list[str]:
 
 
 def test_a_healthy_robot_passes_all_on_its_rack(emulate: Callable[..., Emulator]):
-    done = surefoot("doctor", "trot", "--port", emulate("--lockstep", "--rack").port, "--lockstep", "--rack", "--yes")
+    done = run_surefoot(
+        "doctor", "trot", "--port", emulate("--lockstep", "--rack").port, "--lockstep", "--rack", "--yes"
+    )
     assert done.returncode == 0, done.stdout + done.stderr
     lines = done.stdout.splitlines()
     assert lines[0].startswith("policy 'trot' for minitaur, port /")
@@ -222,7 +185,7 @@ def test_a_policy_that_does_not_fit_is_found_by_the_doctor_and_refused_by_deploy
     assert failed(findings) == [check]
     assert why in findings[check]["why"]
     assert findings["motors, one by one"]["why"] == f"nothing moves while a check fails ({check})"
-    done = surefoot("deploy", policy, "--port", healthy.port, "--lockstep", "--out", tmp_path / "trace.npz")
+    done = run_surefoot("deploy", policy, "--port", healthy.port, "--lockstep", "--out", tmp_path / "trace.npz")
     assert done.returncode == 2
     refusal = done.stderr.splitlines()[-1]
     # What the policy sees is compared even before there is a robot.
@@ -245,7 +208,7 @@ def test_a_stale_policy_is_refused_before_the_port_is_opened(command: str, edit:
     model = onnx.load(find_policy("trot"))
     edit(model)
     onnx.save(model, tmp_path / "stale.onnx")
-    done = surefoot(command, tmp_path / "stale.onnx", "--port", "/dev/none")
+    done = run_surefoot(command, tmp_path / "stale.onnx", "--port", "/dev/none")
     assert done.returncode == 2
     assert "stale.onnx: its digest does not fit: the network or the contract was changed" in done.stderr
     assert done.stderr.count("\n") == 1
@@ -329,7 +292,7 @@ def test_a_line_that_damages_frames_is_found_in_real_time(emulate: Callable[...,
 
 @pytest.mark.realtime
 def test_an_adapter_that_gathers_bytes_is_found_in_real_time(emulate: Callable[..., Emulator]):
-    done = surefoot(
+    done = run_surefoot(
         "doctor", "trot", "--port", emulate("--fault", "batching").port, "--pings", "200", "--steps", "10", "--json"
     )
     findings = {one["name"]: one for one in json.loads(done.stdout)["findings"]}

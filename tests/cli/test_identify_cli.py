@@ -8,7 +8,6 @@ import pty
 import signal
 import subprocess
 import sys
-import time
 import tomllib
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -17,6 +16,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from processes import SUREFOOT, Emulator, emulators
 
 from surefoot.cli.identify_run import check_robot
 from surefoot.cli.main import main
@@ -27,7 +27,6 @@ from surefoot.robot import RobotDescription
 from surefoot.robot.params_file import read_params
 
 SHORT = ["--duration", "0.1"]
-SUREFOOT = (sys.executable, "-m", "surefoot")
 
 
 def test_motor_figure_without_a_log(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -113,49 +112,12 @@ def test_without_words_all_experiments_are_told(capsys: pytest.CaptureFixture[st
 # --- experiments on a robot -------------------------------------------------------------------------------
 
 
-class Emulator:
-    """A `surefoot emulate --lockstep` process; `port` is its pseudo-terminal."""
-
-    def __init__(self, folder: Path, *words: str) -> None:
-        folder.mkdir(exist_ok=True)
-        self.port = folder / f"port_{len(list(folder.iterdir()))}"
-        self.log = (folder / f"{self.port.name}.log").open("w")
-        command = [*SUREFOOT, "emulate", "--lockstep", "--link", str(self.port), *words]
-        self.process = subprocess.Popen(command, stdout=self.log, stderr=self.log)
-        end = time.monotonic() + 60
-        while not self.port.exists():
-            assert self.process.poll() is None, Path(self.log.name).read_text()
-            assert time.monotonic() < end, "the emulator does not start"
-            time.sleep(0.05)
-
-    def stop(self) -> None:
-        self.process.terminate()
-        self.process.wait(30)
-        self.log.close()
-
-
-@pytest.fixture
-def emulate(tmp_path: Path) -> Iterator[Callable[..., Emulator]]:
-    """Start emulators that end with the test."""
-    pytest.importorskip("mujoco")
-    started: list[Emulator] = []
-
-    def start(*words: str) -> Emulator:
-        started.append(Emulator(tmp_path / "emulators", *words))
-        return started[-1]
-
-    yield start
-    for emulator in started:
-        emulator.stop()
-
-
 @pytest.fixture(scope="module")
-def hanging(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Emulator]:
+def hanging() -> Iterator[Emulator]:
     """A robot on its rack that several tests use."""
     pytest.importorskip("mujoco")
-    emulator = Emulator(tmp_path_factory.mktemp("hanging"), "--rack")
-    yield emulator
-    emulator.stop()
+    with emulators() as start:
+        yield start("--lockstep", "--rack")
 
 
 ON_THE_ROBOTS_COMPUTER = """
@@ -311,7 +273,7 @@ def test_ctrl_c_ends_it_and_keeps_what_was_recorded(hanging: Emulator, tmp_path:
     ],
 )
 def test_another_robot_is_refused(emulate: Callable[..., Emulator], tmp_path: Path, fault: str, why: str):
-    port = emulate("--rack", "--fault", fault).port
+    port = emulate("--lockstep", "--rack", "--fault", fault).port
     done = run(["motor", "--port", port, "--lockstep", "--yes", "--record-only", "--out", tmp_path / "out"])
     assert done.returncode == 2
     assert why in done.stderr

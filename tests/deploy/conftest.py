@@ -118,7 +118,7 @@ def _limits() -> Any:
 
 
 @dataclass
-class Seen:
+class WatchLog:
     """Somebody who watches, and remembers."""
 
     phases: list[str] = field(default_factory=list)
@@ -139,11 +139,6 @@ class Seen:
         self.snapshots.append(snapshot)
 
 
-@pytest.fixture(scope="session")
-def robot() -> RobotDescription:
-    return RobotDescription.load("minitaur")
-
-
 @pytest.fixture
 def toy(robot: RobotDescription) -> ToyRobot:
     return ToyRobot(robot)
@@ -158,8 +153,8 @@ def connection(toy: ToyRobot) -> RobotConnection:
 
 
 @pytest.fixture
-def watch() -> Seen:
-    return Seen()
+def watch() -> WatchLog:
+    return WatchLog()
 
 
 @pytest.fixture

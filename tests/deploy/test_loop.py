@@ -13,7 +13,7 @@ from surefoot.deploy.deployment import Deployment
 from surefoot.deploy.motion import FLAT, FOLD, PAUSE, REST, UP
 from surefoot.deploy.pacer import Timing
 from surefoot.deploy.poses import pose, sitting
-from surefoot.deploy.recording.keeping import Keeper
+from surefoot.deploy.recording.run_saver import RunSaver
 from surefoot.deploy.safety_limits import SafetyLimits
 from surefoot.deploy.wire.frames import Decoder
 from surefoot.deploy.wire.messages import Arm, Damp, Mode, Position, Reason
@@ -71,7 +71,7 @@ def deploy(toy, connection, robot, policy, stop, watch, tmp_path):
     def make(policy=policy, steps=STEPS, dry_run=False, limits=None, prepare=None):
         deployment = Deployment(connection, Controller(policy, robot), stop, watch, limits, dry_run)
         deployment.greet(lambda handshake: None)
-        keeper, timing = Keeper(deployment, tmp_path / "run_000.npz", steps), Timing(5000)
+        keeper, timing = RunSaver(deployment, tmp_path / "run_000.npz", steps), Timing(5000)
         keeper.begin()
         if prepare is not None:
             prepare()
@@ -453,7 +453,7 @@ def test_a_robot_that_does_not_arm_again_ends_its_second_run(deploy, toy, connec
     deployment = deploy.deployment
     toy.firmware._vitals = replace(toy.firmware._vitals, temperature=95.0)
     toy.firmware.tick = lambda now, vitals: None
-    keeper = Keeper(deployment, None, STEPS)
+    keeper = RunSaver(deployment, None, STEPS)
     outcome = deployment.run(keeper.recorder, Timing(100), keeper.keep, keeper.begun)
     assert (outcome.ended, outcome.reason, outcome.safe) == ("fault", "arm", True)
     assert "a motor has 95 degC" in outcome.text

@@ -12,7 +12,7 @@ from surefoot.deploy.safety import (
     Act,
     Guard,
     NotFiniteError,
-    Seen,
+    StepStatus,
     check_finite,
     is_finite,
 )
@@ -32,8 +32,8 @@ def guard() -> Guard:
 def seen(a_state):
     """What an ordinary step sees, with changes: of the state by name, of the rest by keyword."""
 
-    def make(time=0.0, state_age=0.001, missed=0, stops=0, **state) -> Seen:
-        return Seen(time, replace(a_state, **state), state_age, missed, stops)
+    def make(time=0.0, state_age=0.001, missed=0, stops=0, **state) -> StepStatus:
+        return StepStatus(time, replace(a_state, **state), state_age, missed, stops)
 
     return make
 

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import os
 import select
-import subprocess
-import sys
 import time
 import tty
 from collections.abc import Callable, Iterator
@@ -13,15 +11,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from processes import Emulator, emulators
 
 from surefoot.deploy.wire.frames import Decoder, Frame, encode_frame
 from surefoot.deploy.wire.messages import Codec, Fault, Message, Ping, Pong, State
 from surefoot.robot import RobotDescription
-
-
-@pytest.fixture(scope="session")
-def robot() -> RobotDescription:
-    return RobotDescription.load("minitaur")
 
 
 class Bytes:
@@ -97,51 +91,28 @@ class Host:
         raise AssertionError("the robot does not answer")
 
 
-class Process:
-    """A running `surefoot emulate`."""
+class Process(Emulator):
+    """A running `surefoot emulate`, and hosts of it."""
 
     def __init__(self, *words: str) -> None:
-        self.popen = subprocess.Popen(
-            [sys.executable, "-m", "surefoot", "emulate", *words],
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-        )
-        assert self.popen.stdout is not None
-        line = self.popen.stdout.readline()
-        if not line.startswith("robot on /dev/"):
-            raise AssertionError(f"said {line!r}, {self.popen.communicate()}")
-        self.path = line.split()[-1]
+        super().__init__(*words)
         self.hosts: list[Host] = []
 
     def host(self) -> Host:
-        self.hosts.append(Host(self.path))
+        self.hosts.append(Host(self.port))
         return self.hosts[-1]
 
-    def end(self) -> tuple[int, str]:
-        """Ask it to end; exit code and what it said."""
-        if self.popen.poll() is None:
-            self.popen.terminate()
-        _, said = self.popen.communicate(timeout=20)
-        return self.popen.returncode, said
+    def stop(self) -> tuple[int, str]:
+        for host in self.hosts:
+            host.close()
+        return super().stop()
 
 
 @pytest.fixture
 def emulate() -> Iterator[Callable[..., Process]]:
     """Start emulators that end with the test."""
-    running: list[Process] = []
-
-    def start(*words: str) -> Process:
-        running.append(Process(*words))
-        return running[-1]
-
-    yield start
-    for process in running:
-        for host in process.hosts:
-            host.close()
-        if process.popen.poll() is None:
-            process.popen.kill()
-        process.popen.communicate()
+    with emulators(Process) as start:
+        yield start
 
 
 def states(frames: list[Frame]) -> list[Frame]:

@@ -88,7 +88,7 @@ def test_a_session_in_real_time(emulate, robot):
         assert host.now() < 60
     assert armed.time - refused.time > 0.49
 
-    code, said = process.end()
+    code, said = process.stop()
     assert code == 0
     assert "of robot time" in said
 
@@ -115,7 +115,7 @@ def test_a_cable_that_is_pulled_damps_the_motors(emulate, tmp_path, robot):
     follow(host, robot, 0.8)
     host.look(0.05)
     assert host.look(0.2) == []
-    code, said = process.end()
+    code, said = process.stop()
     assert code == 0
     assert "mode FAULT, reason TIMEOUT" in said
 
@@ -127,7 +127,7 @@ def test_hosts_come_and_go_and_the_robot_never_blocks(emulate, robot):
         host = process.host()
         host.send(Hello(ME, 0.001))  # more than anyone reads
         time.sleep(0.2)
-        os.kill(process.popen.pid, 0)
+        os.kill(process.process.pid, 0)
     reader = process.host()
     # A kilohertz of states for 0.6 s is far more than the pseudo-terminal holds; what comes now is fresh again.
     reader.look()
@@ -146,18 +146,18 @@ def test_it_ends_cleanly_when_asked_to(emulate, tmp_path, number, lockstep):
         process = emulate("--link", str(link), *(["--lockstep"] if lockstep else []))
     finally:
         signal.signal(number, before)
-    assert os.path.realpath(link) == process.path
-    process.popen.send_signal(number)
-    assert process.popen.wait(timeout=20) == 0
+    assert os.path.realpath(link) == process.port
+    process.process.send_signal(number)
+    assert process.process.wait(timeout=20) == 0
     assert not link.is_symlink()
-    assert "Traceback" not in process.popen.communicate()[1]
+    assert "Traceback" not in process.process.communicate()[1]
 
 
 @pytest.mark.realtime
 def test_it_tells_when_it_cannot_keep_real_time(emulate):
     process = emulate("--fault", "overload=2", "--duration", "0.5")
-    _, said = process.popen.communicate(timeout=60)
-    assert process.popen.returncode == 0
+    _, said = process.process.communicate(timeout=60)
+    assert process.process.returncode == 0
     lines = said.splitlines()
     assert "behind real time (it used " in lines[0]
     assert "slipped 0 times" not in lines[-1]

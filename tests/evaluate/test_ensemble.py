@@ -12,11 +12,6 @@ from surefoot.task.randomize import ROWS, load_ranges
 from surefoot.world.interface import WorldConfig
 
 
-@pytest.fixture(scope="module")
-def robot() -> RobotDescription:
-    return RobotDescription.load("minitaur")
-
-
 def test_a_robot_is_the_same_in_every_batch_and_comes_again_after_the_last(robot: RobotDescription) -> None:
     few, many = ensemble_params(robot, 3), ensemble_params(robot, ROBOTS + 2)
     for name in PhysicalParams.names():

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
-import time
 from collections.abc import Callable, Iterator
-from pathlib import Path
 
 import numpy as np
 import pytest
+from processes import Emulator, emulators
 
 from surefoot.deploy.display import PlainLines
 from surefoot.deploy.poses import pose
@@ -22,53 +19,12 @@ from surefoot.robot import RobotDescription
 MIDDLE, REACH, DUTY = 1.7, 0.3, 0.2
 
 
-class Emulator:
-    """A `surefoot emulate --lockstep --rack` process; `port` is its pseudo-terminal."""
-
-    def __init__(self, folder: Path, *words: str) -> None:
-        self.port = folder / f"port_{len(list(folder.iterdir()))}"
-        self.log = (folder / f"{self.port.name}.log").open("w")
-        command = [sys.executable, "-m", "surefoot", "emulate", "--lockstep", "--rack", "--link", str(self.port)]
-        self.process = subprocess.Popen([*command, *words], stdout=self.log, stderr=self.log)
-        end = time.monotonic() + 60
-        while not self.port.exists():
-            assert self.process.poll() is None, Path(self.log.name).read_text()
-            assert time.monotonic() < end, "the emulator does not start"
-            time.sleep(0.05)
-
-    def stop(self) -> None:
-        self.process.terminate()
-        self.process.wait(30)
-        self.log.close()
-
-
 @pytest.fixture(scope="session")
-def robot() -> RobotDescription:
-    return RobotDescription.load("minitaur")
-
-
-@pytest.fixture
-def emulate(tmp_path: Path) -> Iterator[Callable[..., Emulator]]:
-    """Start emulators that end with the test."""
+def healthy() -> Iterator[Emulator]:
+    """A robot on its rack that several tests use, one after another."""
     pytest.importorskip("mujoco")
-    started: list[Emulator] = []
-
-    def start(*words: str) -> Emulator:
-        started.append(Emulator(tmp_path, *words))
-        return started[-1]
-
-    yield start
-    for emulator in started:
-        emulator.stop()
-
-
-@pytest.fixture(scope="session")
-def healthy(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Emulator]:
-    """A robot that several tests use, one after another."""
-    pytest.importorskip("mujoco")
-    emulator = Emulator(tmp_path_factory.mktemp("healthy"))
-    yield emulator
-    emulator.stop()
+    with emulators() as start:
+        yield start("--lockstep", "--rack")
 
 
 @pytest.fixture(scope="session")

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from processes import emulators
 
 pytest.importorskip("mujoco")
 
@@ -61,23 +60,15 @@ def record(robot: RobotDescription, params: dict[str, float], *plans: Plan, rack
     """Experiments on one emulated robot with ideal sensors, in a process of its own."""
     words = ["--lockstep", "--ideal-sensors", *(["--rack"] if rack else [])]
     words += ["--set", *(f"{name}={value}" for name, value in params.items())]
-    process = subprocess.Popen(
-        [sys.executable, "-m", "surefoot", "emulate", *words],
-        stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True,
-    )  # fmt: skip
     recordings = []
-    try:
-        port = process.stdout.readline().split()[-1]
+    with emulators() as start:
+        port = start(*words).port
         for plan in plans:
             connection = open_connection(port, robot.num_motors, lockstep=True)
             connection.connect()
             recordings.append(run_plan(connection, plan, robot, PlainLines()))
             connection.close()
             assert recordings[-1].meta["ended"] == COMPLETE
-    finally:
-        process.terminate()
-        process.wait(30)
-        process.stdout.close()
     return recordings
 
 

@@ -8,8 +8,8 @@ import pytest
 pytest.importorskip("mujoco")
 
 from surefoot.deploy.poses import pose
+from surefoot.identify.ground_motion import regress
 from surefoot.identify.inverse_dynamics import Forces, InverseDynamics, Motion
-from surefoot.identify.standing import regress
 from surefoot.robot import GRAVITY, PhysicalParams, RobotDescription
 from surefoot.world.sim_world import SimWorld
 

@@ -13,11 +13,6 @@ from surefoot.world.sim_world import SimWorld
 MOTOR = "front_left_1_motor"
 
 
-@pytest.fixture(scope="module")
-def robot() -> RobotDescription:
-    return RobotDescription.load("minitaur")
-
-
 def step_log(robot: RobotDescription, size: float, duration: float = 0.3) -> MotorLog:
     """A target that is `size` [rad] from the resting pose from the start, sampled every servo step."""
     time = np.arange(round(duration / 0.001) + 1) * 0.001

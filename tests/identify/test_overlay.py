@@ -27,11 +27,6 @@ deep = [[1, 2], [3]]
 """
 
 
-@pytest.fixture(scope="module")
-def robot() -> RobotDescription:
-    return RobotDescription.load("minitaur")
-
-
 def motor(strength: float = 0.9, missing: int = 3) -> Identification:
     """All motors but one are told; so is the voltage, and the resistance is not."""
     estimates = [

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from processes import emulators
 
 pytest.importorskip("mujoco")
 
@@ -38,19 +37,11 @@ TRUTH = {
 def ideal(robot: RobotDescription, make_plan: Callable[..., Plan]) -> Iterator[Recording]:
     """A robot on its rack with ideal sensors: unfold, a sweep, steps, centre, duties, centre, a sweep."""
     words = ["--lockstep", "--rack", "--ideal-sensors", "--set", *(f"{name}={value}" for name, value in TRUTH.items())]
-    process = subprocess.Popen(
-        [sys.executable, "-m", "surefoot", "emulate", *words],
-        stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True,
-    )  # fmt: skip
-    try:
-        connection = open_connection(process.stdout.readline().split()[-1], robot.num_motors, lockstep=True)
+    with emulators() as start:
+        connection = open_connection(start(*words).port, robot.num_motors, lockstep=True)
         connection.connect()
         recording = run_plan(connection, make_plan(), robot, PlainLines())
         connection.close()
-    finally:
-        process.terminate()
-        process.wait(30)
-        process.stdout.close()
     assert recording.meta["ended"] == COMPLETE
     return recording
 

@@ -14,11 +14,6 @@ from surefoot.policy.contract import Contract, ObservationPart, check_robot, con
 from surefoot.robot import RobotDescription
 
 
-@pytest.fixture(scope="module")
-def robot() -> RobotDescription:
-    return RobotDescription.load("minitaur")
-
-
 @pytest.fixture
 def contract(robot: RobotDescription) -> Contract:
     legs = robot.leg_names

@@ -20,11 +20,6 @@ PNG = b"\x89PNG"
 
 
 @pytest.fixture(scope="module")
-def robot() -> RobotDescription:
-    return RobotDescription.load("minitaur")
-
-
-@pytest.fixture(scope="module")
 def known(robot: RobotDescription) -> PhysicalParams:
     return PhysicalParams.nominal(robot)
 

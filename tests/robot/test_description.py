@@ -12,11 +12,6 @@ from surefoot.errors import SurefootError
 from surefoot.robot import RobotDescription
 
 
-@pytest.fixture(scope="module")
-def robot() -> RobotDescription:
-    return RobotDescription.load("minitaur")
-
-
 @pytest.fixture
 def folder(tmp_path: Path, robot: RobotDescription) -> Path:
     """A copy of the Minitaur's folder, to be broken."""

@@ -11,11 +11,6 @@ from surefoot.robot import PhysicalParams, RobotDescription, parse_settings
 PER_MOTOR = {"motor_strength", "motor_friction", "motor_viscous_friction"}
 
 
-@pytest.fixture(scope="module")
-def robot() -> RobotDescription:
-    return RobotDescription.load("minitaur")
-
-
 @pytest.fixture
 def params(robot: RobotDescription) -> PhysicalParams:
     return PhysicalParams.nominal(robot, 5)

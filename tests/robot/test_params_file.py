@@ -8,13 +8,8 @@ import numpy as np
 import pytest
 
 from surefoot.errors import SurefootError
-from surefoot.robot import PhysicalParams, RobotDescription
+from surefoot.robot import PhysicalParams
 from surefoot.robot.params_file import param_values, read_params, write_params
-
-
-@pytest.fixture(scope="module")
-def robot() -> RobotDescription:
-    return RobotDescription.load("minitaur")
 
 
 def test_what_is_written_is_read_to_the_last_bit(robot, tmp_path):

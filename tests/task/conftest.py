@@ -72,10 +72,5 @@ class ScriptedWorld:
 
 
 @pytest.fixture(scope="session")
-def robot() -> RobotDescription:
-    return RobotDescription.load("minitaur")
-
-
-@pytest.fixture(scope="session")
 def scripted_world() -> type[ScriptedWorld]:
     return ScriptedWorld

@@ -13,11 +13,6 @@ from surefoot.world.interface import WorldConfig
 from surefoot.world.sim_world import SimWorld
 
 
-@pytest.fixture(scope="session")
-def robot() -> RobotDescription:
-    return RobotDescription.load("minitaur")
-
-
 @pytest.fixture
 def make_world(robot: RobotDescription) -> Callable[..., SimWorld]:
     """Make a world of so many robots, with parameters by name and the rest as `SimWorld` takes it."""

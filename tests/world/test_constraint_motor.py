@@ -10,11 +10,6 @@ from surefoot.world.interface import WorldConfig
 from surefoot.world.sim_world import SimWorld
 
 
-@pytest.fixture(scope="module")
-def robot() -> RobotDescription:
-    return RobotDescription.load("minitaur")
-
-
 def make(robot: RobotDescription, rack: bool = True, **values: float) -> SimWorld:
     """One robot with constraint motors, a control step of one servo step, no latency."""
     values = {"control_step": 0.001, "control_latency": 0.0, "servo_latency": 0.0, **values}

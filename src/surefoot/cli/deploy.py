@@ -23,7 +23,7 @@ from surefoot.errors import SurefootError
 if TYPE_CHECKING:
     from surefoot.deploy.deployment import Deployment, Outcome
     from surefoot.deploy.pacer import Timing
-    from surefoot.deploy.recording.keeping import Kept
+    from surefoot.deploy.recording.run_saver import SavedRun
 
 SAFETY = 3
 """Exit code of a run that safety ended."""
@@ -111,8 +111,8 @@ def _runs(command: DeployCommand, deployment: Deployment) -> tuple[list[dict[str
     """Run after run, until one ends early; returns what is to be told of each, and the exit code."""
     from surefoot.deploy.motion import DOWN, UP
     from surefoot.deploy.pacer import Timing
-    from surefoot.deploy.recording.keeping import Keeper
     from surefoot.deploy.recording.partial import next_free
+    from surefoot.deploy.recording.run_saver import RunSaver
 
     contract = deployment.contract
     step = contract.control_step
@@ -124,7 +124,7 @@ def _runs(command: DeployCommand, deployment: Deployment) -> tuple[list[dict[str
     code = 0
     for run in range(command.runs):
         path = next_free(command.out or Path("deploy")) if keeps else None
-        keeper = Keeper(deployment, path, steps, command.world_name, run)
+        keeper = RunSaver(deployment, path, steps, command.world_name, run)
         timing = Timing(steps + round((UP + DOWN) / step) + 16)
         keeper.begin()
         outcome = deployment.run(keeper.recorder, timing, keeper.keep, keeper.begun)
@@ -137,7 +137,7 @@ def _runs(command: DeployCommand, deployment: Deployment) -> tuple[list[dict[str
     return results, code
 
 
-def _result(outcome: Outcome, timing: Timing, kept: Kept, steps: int) -> dict[str, Any]:
+def _result(outcome: Outcome, timing: Timing, kept: SavedRun, steps: int) -> dict[str, Any]:
     """What is told of a run."""
     speed = distance = None
     if kept.trace is not None:

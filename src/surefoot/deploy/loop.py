@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from surefoot.deploy.connection import RobotConnection
 from surefoot.deploy.link import LinkLostError
 from surefoot.deploy.pacer import Pacer, Timing
-from surefoot.deploy.safety import GO, Act, Guard, NotFiniteError, Seen, Verdict
+from surefoot.deploy.safety import GO, Act, Guard, NotFiniteError, StepStatus, Verdict
 from surefoot.deploy.wire.messages import Mode, State
 from surefoot.errors import SurefootError
 from surefoot.stop_signals import StopSignals
@@ -182,7 +182,7 @@ class ControlLoop:
         self.inference = math.nan
         computed = False
         try:
-            seen = Seen(clock.now(), state, connection.state_age(), tick.missed, self.operator.stops)
+            seen = StepStatus(clock.now(), state, connection.state_age(), tick.missed, self.operator.stops)
             verdict = self.guard.judge(seen, not self.dry_run, upright)
             if sitting and verdict.act is Act.SIT:
                 verdict = GO

@@ -49,7 +49,7 @@ GO = Verdict(Act.GO)
 
 
 @dataclass(frozen=True)
-class Seen:
+class StepStatus:
     """What a control step knows when it starts."""
 
     time: float
@@ -111,7 +111,7 @@ class Guard:
         """What the operator should know, each once, oldest first."""
         self._low_since: dict[float, float] = {}
 
-    def judge(self, seen: Seen, armed: bool = True, upright: bool = True) -> Verdict:
+    def judge(self, seen: StepStatus, armed: bool = True, upright: bool = True) -> Verdict:
         """What is to be done now.
 
         Args:
@@ -134,7 +134,7 @@ class Guard:
                 return verdict
         return GO
 
-    def _operator(self, seen: Seen) -> Verdict:
+    def _operator(self, seen: StepStatus) -> Verdict:
         return Verdict(Act.DAMP, "operator", "stopped at once by the operator") if seen.stops > 1 else GO
 
     def _robot(self, state: State) -> Verdict:
@@ -151,7 +151,7 @@ class Guard:
     def _readings(self, state: State) -> Verdict:
         return GO if is_finite(state) else Verdict(Act.DAMP, "not finite", "a reading of the robot is not finite")
 
-    def _lateness(self, seen: Seen) -> Verdict:
+    def _lateness(self, seen: StepStatus) -> Verdict:
         steps = seen.state_age / self.control_step
         if not steps <= self.limits.state_age + _ROUNDING:
             return Verdict(
@@ -176,7 +176,7 @@ class Guard:
             Act.FALL, "tilt", f"roll {roll:+.2f} and pitch {pitch:+.2f} rad; beyond {self.tilt:g} rad is a fall"
         )
 
-    def _battery(self, seen: Seen) -> Verdict:
+    def _battery(self, seen: StepStatus) -> Verdict:
         limits, voltage = self.limits, seen.state.voltage
         # It sags for a moment whenever motors push.
         if self._low_for(limits.battery_warn, seen) >= limits.battery_time:
@@ -189,7 +189,7 @@ class Guard:
             f"the battery has {voltage:.1f} V, below {limits.battery_low:g} V for {limits.battery_time:g} s",
         )
 
-    def _low_for(self, limit: float, seen: Seen) -> float:
+    def _low_for(self, limit: float, seen: StepStatus) -> float:
         """How long the voltage has been seen below a limit [s]."""
         if seen.state.voltage >= limit:
             self._low_since.pop(limit, None)

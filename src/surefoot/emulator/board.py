@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 
 from surefoot.deploy.wire.frames import Frame, encode_frame
 from surefoot.deploy.wire.messages import Codec, Handshake, Mode
+from surefoot.emulator.fault_injector import FaultInjector
 from surefoot.emulator.faults import Fault, line_config
 from surefoot.emulator.firmware import Firmware
 from surefoot.emulator.limits import Limits
 from surefoot.emulator.line import Line
 from surefoot.emulator.motion_capture import PERIOD
 from surefoot.emulator.plant import Plant
-from surefoot.emulator.sabotage import Sabotage
 from surefoot.emulator.signals import MotorOrder, Sensors
 from surefoot.seeding import generator
 
@@ -58,8 +58,8 @@ class Board:
         self.stride = stride if not faults and plant.servo_every == 1 else 1
         self.plant, self.limits, self.lead = plant, limits or Limits(), lead
         faults = faults or {}
-        self.sabotage = Sabotage(faults, plant, introduction)
-        self._introduction = self.sabotage.introduction
+        self.injector = FaultInjector(faults, plant, introduction)
+        self._introduction = self.injector.introduction
         self.codec = Codec(len(introduction.motor_names))
         if "other-schema" in faults:
             self.codec.schema ^= 0xFFFF
@@ -142,7 +142,7 @@ class Board:
         return math.inf if arrival is None else max(arrival, self.now, self._standing_until())
 
     def _standing_until(self) -> float:
-        return max(self.sabotage.hangs_until, self._booted)
+        return max(self.injector.hangs_until, self._booted)
 
     def _begin_step(self) -> None:
         """What happens within a servo step changes nothing of it: its order stands from its start."""
@@ -154,7 +154,7 @@ class Board:
         now = self.plant.ticks * self._step
         if now < self._standing_until():
             return self._last
-        self._last = self.sabotage.order(self.firmware.tick(now, self.plant.vitals()))
+        self._last = self.injector.order(self.firmware.tick(now, self.plant.vitals()))
         return self._last
 
     def _physics(self, count: int) -> None:
@@ -164,12 +164,12 @@ class Board:
         self.plant.step(order, count)
         end = self.plant.ticks * self._step
         self.now = max(self.now, end)
-        self.sabotage.tick(end, self.firmware.armed)
+        self.injector.tick(end, self.firmware.armed)
         self._harm_lines()
-        if self.sabotage.unplugged and not self.inbound.dead:
+        if self.injector.unplugged and not self.inbound.dead:
             self.inbound.cut_off()
             self.outbound.cut_off()
-        if self.sabotage.reboots():
+        if self.injector.reboots():
             self.firmware, self._booted = self._boot(), end + _BOOT_TIME
             self._last = MotorOrder(Mode.DISARMED, np.zeros(self.codec.motors))
             self.reboots += 1
@@ -177,15 +177,15 @@ class Board:
             look(end)
 
     def _harm_lines(self) -> None:
-        self.inbound.harmful = self.outbound.harmful = self.sabotage.harms_lines
+        self.inbound.harmful = self.outbound.harmful = self.injector.harms_lines
 
     def _read(self) -> Sensors:
         since = (self.now - self.plant.ticks * self._step) / 1e6
-        return self.sabotage.sensors(self.plant.read(since, self.lead))
+        return self.injector.sensors(self.plant.read(since, self.lead))
 
     def _send(self) -> None:
         for frame in self.firmware.take():
-            self._send_frame(self.sabotage.frame(frame))
+            self._send_frame(self.injector.frame(frame))
 
     def _send_frame(self, frame: Frame) -> None:
         self.outbound.send(self.now, encode_frame(self.codec, frame.message, frame.sequence, frame.time))

@@ -29,7 +29,7 @@ from surefoot.identify.fits.motor import GAIN
 from surefoot.identify.fitting import Fit, Unknown, fit_least_squares
 from surefoot.identify.inverse_dynamics import InverseDynamics, Motion
 from surefoot.identify.recording import digest_of
-from surefoot.identify.registry import Tell
+from surefoot.identify.registry import FitProgress
 from surefoot.identify.result import Check, Estimate, Identification, Series
 from surefoot.identify.trace_data import (
     TraceSegment,
@@ -84,7 +84,7 @@ def fit_traces(
     traces: Sequence[EpisodeTrace],
     names: Sequence[str] | None,
     known: PhysicalParams,
-    tell: Tell | None = None,
+    tell: FitProgress | None = None,
 ) -> Identification:
     """Find physical parameters from recorded runs of a robot.
 
@@ -181,7 +181,7 @@ class _TraceFit:
         segments: Sequence[TraceSegment],
         wanted: tuple[str, ...],
         known: PhysicalParams,
-        tell: Tell | None,
+        tell: FitProgress | None,
     ) -> None:
         self.robot, self.wanted, self.known, self.tell = robot, wanted, known, tell
         self.fitted, self.held = split_segments(segments)

@@ -12,7 +12,7 @@ from surefoot.identify.recording import Recording
 from surefoot.identify.result import Identification
 from surefoot.robot import PhysicalParams, RobotDescription
 
-Tell = Callable[[str, float], None]
+FitProgress = Callable[[str, float], None]
 """Is told what a fit does, and the mean square of its residuals in standard deviations."""
 
 
@@ -40,7 +40,7 @@ class Experiment:
         recording: Recording,
         known: PhysicalParams,
         sensors: dict[str, Any] | None = None,
-        tell: Tell | None = None,
+        tell: FitProgress | None = None,
     ) -> Identification:
         """Find what a recording of it tells.
 

@@ -18,8 +18,8 @@ from surefoot.deploy.doctor import rack as doctor_rack
 from surefoot.deploy.doctor.computer import check_computer, time_inference
 from surefoot.deploy.doctor.examination import RACK, Examination, examine
 from surefoot.deploy.doctor.ground import Tilted, check_tilts, tilted
+from surefoot.deploy.doctor.leashed_robot import LeashedRobot, MotionStoppedError
 from surefoot.deploy.doctor.link import LinkFigures, bursts, check_link, measure_link, rate
-from surefoot.deploy.doctor.move import LeashedRobot, MotionStoppedError
 from surefoot.deploy.doctor.rack import Wiggle, check_motors, check_response, trained_latencies
 from surefoot.deploy.doctor.response import fit_response
 from surefoot.deploy.doctor.rest import Sample, check_rest

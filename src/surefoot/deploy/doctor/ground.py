@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.deploy.connection import RobotConnection
-from surefoot.deploy.doctor.move import LeashedRobot, MotionStoppedError
+from surefoot.deploy.doctor.leashed_robot import LeashedRobot, MotionStoppedError
 from surefoot.deploy.doctor.rest import Sample
 from surefoot.deploy.findings import Finding
 from surefoot.deploy.poses import pose

@@ -9,12 +9,21 @@ from numpy.typing import NDArray
 
 from surefoot.errors import SurefootError
 from surefoot.identify.experiments.ground import ends, sides
+from surefoot.identify.ground_motion import (
+    STEP,
+    THIN,
+    GroundMotion,
+    check_feet,
+    check_stands,
+    forces_of,
+    ground_motion,
+    regress,
+)
 from surefoot.identify.inverse_dynamics import Forces
 from surefoot.identify.quality import check_recording
 from surefoot.identify.recording import Recording
-from surefoot.identify.registry import Tell
+from surefoot.identify.registry import FitProgress
 from surefoot.identify.result import Estimate, Identification, Series
-from surefoot.identify.standing import STEP, THIN, Standing, check_feet, check_stands, forces_of, regress, stand
 from surefoot.robot import PhysicalParams, RobotDescription
 
 Array = NDArray[np.float64]
@@ -33,7 +42,11 @@ TREND = 0.5
 
 
 def fit_contact(
-    robot: RobotDescription, recording: Recording, known: PhysicalParams, sensors: dict[str, Any], tell: Tell | None
+    robot: RobotDescription,
+    recording: Recording,
+    known: PhysicalParams,
+    sensors: dict[str, Any],
+    tell: FitProgress | None,
 ) -> Identification:
     """What the contact experiment tells.
 
@@ -41,7 +54,7 @@ def fit_contact(
         SurefootError: data too poor to tell anything, or a robot that did not stand.
     """
     notes = list(check_recording(recording, robot))
-    standing = stand(robot, recording, known, sensors)
+    standing = ground_motion(robot, recording, known, sensors)
     check_stands(standing)
     forces, dynamics = forces_of(robot, standing, known)
     check_feet(standing, forces, dynamics)
@@ -57,7 +70,7 @@ def fit_contact(
 
 
 def _friction(
-    robot: RobotDescription, standing: Standing, forces: Forces, known: PhysicalParams
+    robot: RobotDescription, standing: GroundMotion, forces: Forces, known: PhysicalParams
 ) -> tuple[Estimate, tuple[Series, ...]]:
     """Coulomb's law on feet that slide along x: F_x = -mu F_z sign(v) + c, c from errors of the torque reports."""
     low, high = robot.allowed["contact_friction"]
@@ -90,7 +103,7 @@ def _friction(
     return Estimate("contact_friction", value, deviation, "1", None, True, low, high), (series,)
 
 
-def _light(robot: RobotDescription, standing: Standing) -> NDArray[np.bool_]:
+def _light(robot: RobotDescription, standing: GroundMotion) -> NDArray[np.bool_]:
     """Legs (T, L) that are dragged: the first phase of that name drags one diagonal, the second the other."""
     phases = [k for k, name in enumerate(standing.names) if name == "drag"]
     dragged = np.where(standing.phase == phases[0], 1.0, np.where(standing.phase == phases[-1], -1.0, 0.0))
@@ -98,7 +111,7 @@ def _light(robot: RobotDescription, standing: Standing) -> NDArray[np.bool_]:
     return light
 
 
-def _sliding_speed(robot: RobotDescription, standing: Standing, forces: Forces) -> Array:
+def _sliding_speed(robot: RobotDescription, standing: GroundMotion, forces: Forces) -> Array:
     """Speed of each foot along x (T, L) [m/s], beside that of the feet that are not dragged, which stand.
 
     The base turns meanwhile: at a foot at (x, y, z) of it that adds w_y z - w_z y.
@@ -111,7 +124,7 @@ def _sliding_speed(robot: RobotDescription, standing: Standing, forces: Forces) 
     return speed
 
 
-def _compliance(robot: RobotDescription, standing: Standing, forces: Forces) -> tuple[Estimate, Estimate, Series]:
+def _compliance(robot: RobotDescription, standing: GroundMotion, forces: Forces) -> tuple[Estimate, Estimate, Series]:
     """F = k d + b dd/dt for differences of front and back feet: the base's own height is not known, and not needed.
 
     How much deeper front feet are than back feet follows from the base's pitch, which the gyro tells, and the legs'

@@ -11,7 +11,7 @@ from surefoot.errors import SurefootError
 from surefoot.identify.fits.motor import fit_on_rack, rack_estimates
 from surefoot.identify.quality import check_recording
 from surefoot.identify.recording import Recording
-from surefoot.identify.registry import Tell
+from surefoot.identify.registry import FitProgress
 from surefoot.identify.replay import stretch_of
 from surefoot.identify.rest import rest_voltage
 from surefoot.identify.result import Estimate, Identification, Series
@@ -27,7 +27,11 @@ DISAGREE = 0.001
 
 
 def fit_latency(
-    robot: RobotDescription, recording: Recording, known: PhysicalParams, sensors: dict[str, Any], tell: Tell | None
+    robot: RobotDescription,
+    recording: Recording,
+    known: PhysicalParams,
+    sensors: dict[str, Any],
+    tell: FitProgress | None,
 ) -> Identification:
     """What the latency experiment tells.
 

@@ -9,12 +9,20 @@ from numpy.typing import NDArray
 
 from surefoot.identify.accuracy import with_floor
 from surefoot.identify.fits.motor import GAIN
+from surefoot.identify.ground_motion import (
+    GroundMotion,
+    block_deviation,
+    check_feet,
+    check_stands,
+    forces_of,
+    ground_motion,
+    regress,
+)
 from surefoot.identify.inverse_dynamics import Forces
 from surefoot.identify.quality import check_recording
 from surefoot.identify.recording import Recording
-from surefoot.identify.registry import Tell
+from surefoot.identify.registry import FitProgress
 from surefoot.identify.result import Check, Estimate, Identification, Series
-from surefoot.identify.standing import Standing, block_deviation, check_feet, check_stands, forces_of, regress, stand
 from surefoot.robot import GRAVITY, PhysicalParams, RobotDescription
 
 Array = NDArray[np.float64]
@@ -29,7 +37,11 @@ SEEN = 0.15
 
 
 def fit_mass(
-    robot: RobotDescription, recording: Recording, known: PhysicalParams, sensors: dict[str, Any], tell: Tell | None
+    robot: RobotDescription,
+    recording: Recording,
+    known: PhysicalParams,
+    sensors: dict[str, Any],
+    tell: FitProgress | None,
 ) -> Identification:
     """What the mass experiment tells.
 
@@ -37,7 +49,7 @@ def fit_mass(
         SurefootError: data too poor to tell anything, or a robot that did not stand.
     """
     notes = list(check_recording(recording, robot))
-    standing = stand(robot, recording, known, sensors)
+    standing = ground_motion(robot, recording, known, sensors)
     still, turning = standing.during(*STILL), standing.during(*TURNING)
     check_stands(standing)
     accuracy = float(sensors.get("torque_accuracy", GAIN / np.sqrt(robot.num_motors)))
@@ -94,7 +106,7 @@ def _estimate(robot: RobotDescription, name: str, value: float, deviation: float
     return Estimate(name, value, with_floor(name, value, deviation), unit, None, told, low, high)
 
 
-def _turning(standing: Standing, forces: Forces, during: NDArray[np.bool_]) -> tuple[Array, Array]:
+def _turning(standing: GroundMotion, forces: Forces, during: NDArray[np.bool_]) -> tuple[Array, Array]:
     """Columns: moment of the base's own inertia, and one constant a phase; and the moment that forces lack.
 
     What forces on the feet turn the robot with is more than its motion takes, or less, by as much as the base's
@@ -106,7 +118,7 @@ def _turning(standing: Standing, forces: Forces, during: NDArray[np.bool_]) -> t
 
 
 def _centre(
-    robot: RobotDescription, standing: Standing, forces: Forces, still: NDArray[np.bool_], accuracy: float
+    robot: RobotDescription, standing: GroundMotion, forces: Forces, still: NDArray[np.bool_], accuracy: float
 ) -> list[Estimate]:
     """Centre of mass of the whole robot, from its base's origin along x and y, from what each foot carries."""
     carried = forces.force[still, :, 1]
@@ -125,7 +137,7 @@ def _centre(
 
 
 def _check(
-    robot: RobotDescription, standing: Standing, before: PhysicalParams, after: PhysicalParams
+    robot: RobotDescription, standing: GroundMotion, before: PhysicalParams, after: PhysicalParams
 ) -> tuple[tuple[Check, ...], tuple[Series, ...]]:
     """How well forces on the feet and motion fit in phases that were not fitted."""
     kept = standing.during("nod back", use="check")

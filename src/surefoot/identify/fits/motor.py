@@ -14,7 +14,7 @@ from surefoot.identify.fitting import Fit, Unknown, fit_least_squares
 from surefoot.identify.quality import check_recording
 from surefoot.identify.rack_model import TORQUE_GAIN, Noise, RackModel
 from surefoot.identify.recording import Recording
-from surefoot.identify.registry import Tell
+from surefoot.identify.registry import FitProgress
 from surefoot.identify.replay import Replayer, Stretch, stretch_of
 from surefoot.identify.rest import imu_estimates, rest_voltage
 from surefoot.identify.result import Check, Estimate, Identification, Series
@@ -84,7 +84,7 @@ def fit_on_rack(
     recording: Recording,
     stretch: Stretch,
     known: PhysicalParams,
-    tell: Tell | None,
+    tell: FitProgress | None,
     every: int = 5,
 ) -> tuple[Fit, RackModel]:
     """Fit everything that a robot on its rack tells to a stretch of a recording."""
@@ -113,7 +113,7 @@ def _fit_rounds(
     stretch: Stretch,
     known: PhysicalParams,
     unknowns: list[Unknown],
-    tell: Tell | None,
+    tell: FitProgress | None,
     every: int,
 ) -> tuple[Fit, RackModel]:
     """Fit from one start, again with as much noise as the fit before has left, until that holds."""
@@ -169,7 +169,11 @@ def rack_estimates(robot: RobotDescription, fit: Fit, known: PhysicalParams) -> 
 
 
 def fit_motor(
-    robot: RobotDescription, recording: Recording, known: PhysicalParams, sensors: dict[str, Any], tell: Tell | None
+    robot: RobotDescription,
+    recording: Recording,
+    known: PhysicalParams,
+    sensors: dict[str, Any],
+    tell: FitProgress | None,
 ) -> Identification:
     """What the motor experiment tells.
 

@@ -33,7 +33,7 @@ BLOCK = 0.5
 
 
 @dataclass(frozen=True)
-class Standing:
+class GroundMotion:
     """A robot on the ground at T times."""
 
     time: Array
@@ -64,7 +64,9 @@ class Standing:
         return inside
 
 
-def stand(robot: RobotDescription, recording: Recording, params: PhysicalParams, sensors: dict[str, Any]) -> Standing:
+def ground_motion(
+    robot: RobotDescription, recording: Recording, params: PhysicalParams, sensors: dict[str, Any]
+) -> GroundMotion:
     """Put what was recorded to one time.
 
     Args:
@@ -99,7 +101,7 @@ def stand(robot: RobotDescription, recording: Recording, params: PhysicalParams,
     )
     place = np.clip(np.searchsorted(recording.arrival, grid, side="right") - 1, 0, None)
     phases = recording.meta["phases"]
-    return Standing(
+    return GroundMotion(
         grid[::THIN],
         recording.sent_phase[place][::THIN].astype(np.int64),
         Motion(**{name: values[::THIN] for name, values in vars(motion).items()}),
@@ -108,7 +110,7 @@ def stand(robot: RobotDescription, recording: Recording, params: PhysicalParams,
     )
 
 
-def check_stands(standing: Standing) -> None:
+def check_stands(standing: GroundMotion) -> None:
     """Refuse a robot that fell or never stood up.
 
     Raises:
@@ -119,7 +121,7 @@ def check_stands(standing: Standing) -> None:
         raise SurefootError(f"the robot tilts by {tilt:.2f} rad; one that stands stays within {STANDS:g}: run it again")
 
 
-def check_feet(standing: Standing, forces: Forces, dynamics: InverseDynamics) -> None:
+def check_feet(standing: GroundMotion, forces: Forces, dynamics: InverseDynamics) -> None:
     """Refuse a robot that something else than its feet holds.
 
     Raises:
@@ -189,7 +191,9 @@ def _levelled(tilt: Array, rate: Array) -> Array:
     return out + (tilt - out).mean(axis=0)
 
 
-def forces_of(robot: RobotDescription, standing: Standing, params: PhysicalParams) -> tuple[Forces, InverseDynamics]:
+def forces_of(
+    robot: RobotDescription, standing: GroundMotion, params: PhysicalParams
+) -> tuple[Forces, InverseDynamics]:
     """Forces on the feet of a robot with the masses and inertias of one row of parameters."""
     dynamics = InverseDynamics(robot, params)
     return dynamics.forces(standing.motion), dynamics

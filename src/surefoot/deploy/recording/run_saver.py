@@ -20,7 +20,7 @@ from surefoot.task.trace import ENERGY_WEIGHT, EpisodeTrace
 
 
 @dataclass(frozen=True)
-class Kept:
+class SavedRun:
     """What is left of a run."""
 
     trace: EpisodeTrace | None = None
@@ -33,7 +33,7 @@ class Kept:
     """Whether the trace, or a part of it, is on no disk."""
 
 
-class Keeper:
+class RunSaver:
     """One run's record.
 
     Args:
@@ -112,7 +112,7 @@ class Keeper:
         """Take the robot's time [s] at which the policy started."""
         self.meta["robot_time_start"] = robot_time if np.isfinite(robot_time) else None
 
-    def finish(self, outcome: Outcome, timing: Timing, capture: Path | None) -> Kept:
+    def finish(self, outcome: Outcome, timing: Timing, capture: Path | None) -> SavedRun:
         """Make the trace and write it.
 
         Args:
@@ -133,7 +133,7 @@ class Keeper:
         if not self.recorder.steps:
             if self._partial is not None:
                 self._partial.remove()
-            return Kept(notes=[*notes, "no control step was done, so there is no trace"])
+            return SavedRun(notes=[*notes, "no control step was done, so there is no trace"])
         truth: dict[str, Array] | None = None
         if capture is not None:
             try:
@@ -144,18 +144,18 @@ class Keeper:
             trace = trace_of(self.recorder.layout, self.recorder.rows, meta, truth)
         except SurefootError as error:
             notes.append(f"the rows make no trace: {error}")
-            return Kept(notes=notes, lost=True)
+            return SavedRun(notes=notes, lost=True)
         if self.path is None:
-            return Kept(trace, notes=notes)
+            return SavedRun(trace, notes=notes)
         try:
             trace.save(self.path)
         except OSError as error:
             why = error.strerror or str(error)
             notes.append(f"trace {self.path} can't be written: {why}; {self._what_is_left()}")
-            return Kept(trace, notes=notes, lost=True)
+            return SavedRun(trace, notes=notes, lost=True)
         if self._partial is not None:
             self._partial.remove()
-        return Kept(trace, self.path, notes)
+        return SavedRun(trace, self.path, notes)
 
     def _truth(self, capture: Path) -> dict[str, Array]:
         start = self.meta.get("robot_time_start")

@@ -9,10 +9,10 @@ import pytest
 
 pytest.importorskip("mujoco")
 
-from surefoot.identify.standing import (
+from surefoot.identify.ground_motion import (
     LEVELLING,
     STEP,
-    Standing,
+    GroundMotion,
     _levelled,
     _since_command,
     _smooth,
@@ -82,7 +82,7 @@ def test_smoothing_leaves_cubics():
 
 def test_values_of_phases_by_name_and_use():
     names, uses = ("stand", "nod", "nod"), ("way", "fit", "check")
-    standing = Standing(np.arange(6) * 0.3, np.array([0, 0, 1, 1, 2, 2]), None, names, uses)
+    standing = GroundMotion(np.arange(6) * 0.3, np.array([0, 0, 1, 1, 2, 2]), None, names, uses)
     assert standing.during("nod").tolist() == [False, False, True, True, False, False]
     assert standing.during("nod", use="check").tolist() == [False, False, False, False, True, True]
     assert not standing.during("stand").any()

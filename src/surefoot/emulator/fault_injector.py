@@ -26,7 +26,7 @@ RISE_OF_TEMPERATURE = 40.0
 """Rate [degC/s] at which a motor gets hot."""
 
 
-class Sabotage:
+class FaultInjector:
     """The faults of one robot; without any it changes nothing. Times are whole microseconds.
 
     Args:

@@ -26,8 +26,8 @@ MakePlan = Callable[..., Plan]
 
 
 @contextmanager
-def greeted(port: Path) -> Iterator[RobotConnection]:
-    connection = open_connection(str(port), 8, lockstep=True)
+def greeted(port: str) -> Iterator[RobotConnection]:
+    connection = open_connection(port, 8, lockstep=True)
     try:
         connection.connect()
         yield connection
@@ -72,7 +72,7 @@ def test_a_whole_experiment(recorded: Recording, make_plan: MakePlan, robot: Rob
     assert recorded.motor_angle.shape == (len(recorded.time), robot.num_motors)
 
 
-def ended(port: Path, plan: Plan, robot: RobotDescription, tmp_path: Path, watch: PlainLines | None = None) -> str:
+def ended(port: str, plan: Plan, robot: RobotDescription, tmp_path: Path, watch: PlainLines | None = None) -> str:
     """Why an experiment ended early; what it recorded until then is kept, and the robot is damped."""
     with greeted(port) as connection:
         recording = run_plan(connection, plan, robot, watch or PlainLines())
@@ -122,7 +122,7 @@ def test_the_robot_damps_itself(healthy: Any, robot: RobotDescription, make_plan
 
 
 def test_the_port_closes(emulate: Callable[..., Any], robot: RobotDescription, make_plan: MakePlan):
-    emulator = emulate()
+    emulator = emulate("--lockstep", "--rack")
     with greeted(emulator.port) as connection:
         recording = run_plan(connection, make_plan(), robot, Doing("sweep", emulator.process.kill))
     assert recording.meta["ended"] != COMPLETE
@@ -131,7 +131,7 @@ def test_the_port_closes(emulate: Callable[..., Any], robot: RobotDescription, m
 
 
 def test_a_robot_that_was_not_greeted(healthy: Any, robot: RobotDescription, make_plan: MakePlan):
-    connection = open_connection(str(healthy.port), 8, lockstep=True)
+    connection = open_connection(healthy.port, 8, lockstep=True)
     try:
         with pytest.raises(SurefootError, match="the robot was not greeted"):
             run_plan(connection, make_plan(), robot, PlainLines())

@@ -1,0 +1,54 @@
+"""Processes that tests start: `surefoot` as a user gives it, and robots that are emulated."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+SUREFOOT = (sys.executable, "-m", "surefoot")
+
+
+def run_surefoot(*words: object, timeout: float = 200, **how: Any) -> subprocess.CompletedProcess[str]:
+    """Run a command to its end."""
+    return subprocess.run([*SUREFOOT, *map(str, words)], capture_output=True, text=True, timeout=timeout, **how)
+
+
+class Emulator:
+    """A running `surefoot emulate`; `port` is its pseudo-terminal."""
+
+    def __init__(self, *words: object) -> None:
+        command = [*SUREFOOT, "emulate", *map(str, words)]
+        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        assert self.process.stdout is not None
+        line = self.process.stdout.readline()
+        if not line.startswith("robot on /dev/"):
+            raise AssertionError(f"said {line!r}, {self.process.communicate()}")
+        self.port = line.split()[-1]
+        self.said: str | None = None
+
+    def stop(self) -> tuple[int, str]:
+        """Ask it to end; return its exit code and what it said."""
+        if self.said is None:
+            if self.process.poll() is None:
+                self.process.terminate()
+            _, self.said = self.process.communicate(timeout=30)
+        return self.process.returncode, self.said
+
+
+@contextmanager
+def emulators(kind: type[Emulator] = Emulator) -> Iterator[Callable[..., Any]]:
+    """Start emulators that end with the context."""
+    started: list[Emulator] = []
+
+    def start(*words: object) -> Emulator:
+        started.append(kind(*words))
+        return started[-1]
+
+    try:
+        yield start
+    finally:
+        for emulator in started:
+            emulator.stop()
