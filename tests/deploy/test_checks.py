@@ -184,47 +184,50 @@ def test_actions_in_another_order_are_found():
     assert "its actions are ['extension.front_left'" in failed["contract"].why
 
 
-def test_a_policy_with_two_motors_exchanged_is_refused():
-    contract = contract_of("gallop")
-    contract = replace(contract, motor_names=swapped(contract.motor_names, 2, 3))
+def with_part(index: int, **changes: str) -> Contract:
+    """The trot with another part of its observation."""
+    parts = list(contract_of().observation)
+    parts[index] = replace(parts[index], **changes)
+    return replace(contract_of(), observation=tuple(parts))
+
+
+GALLOP, TROT = contract_of("gallop"), contract_of()
+
+
+@pytest.mark.parametrize(
+    ("contract", "check", "why"),
+    [
+        (
+            replace(GALLOP, motor_names=swapped(GALLOP.motor_names, 2, 3)),
+            "motors",
+            "motor 2 is 'back_left_1_motor' (policy), 'back_left_2_motor' (robot)",
+        ),
+        (
+            replace(GALLOP, columns=swapped(GALLOP.columns, 5, 6)),
+            "observation",
+            "column 5 is 'angle.back_left_2_motor' in the policy and 'angle.front_left_1_motor'",
+        ),
+        (
+            replace(TROT, motor_signs=(1.0, *TROT.motor_signs[1:])),
+            "motor signs",
+            "front_left_2_motor has +1 (policy), -1 (robot)",
+        ),
+        (
+            replace(TROT, leg_names=swapped(ROBOT.leg_names, 0, 1)),
+            "legs",
+            "the policy's are back_left, front_left",
+        ),
+        (with_part(2, unit="deg/s"), "observation", "'roll_rate' is in deg/s, base, about x"),
+        (with_part(0, name="mood"), "observation", "'mood' does not exist; choices: roll, pitch"),
+    ],
+    ids=["motors", "columns", "sign", "legs", "unit", "unknown"],
+)
+def test_a_policy_that_differs_is_refused(contract: Contract, check: str, why: str):
     failed = failures(contract)
-    assert "motor 2 is 'back_left_1_motor' (policy), 'back_left_2_motor' (robot)" in failed["motors"].why
-    assert "motors: motor 2 is" in (refusal(list(failed.values())) or "")
-
-
-def test_a_policy_that_sees_its_motors_in_another_order_is_refused():
-    contract = contract_of("gallop")
-    contract = replace(contract, columns=swapped(contract.columns, 5, 6))
-    failed = failures(contract)
-    assert "column 5 is 'angle.back_left_2_motor' in the policy and 'angle.front_left_1_motor'" in (
-        failed["observation"].why
-    )
-
-
-def test_a_policy_with_a_sign_flipped_is_refused():
-    contract = replace(contract_of(), motor_signs=(1.0, *contract_of().motor_signs[1:]))
-    assert "front_left_2_motor has +1 (policy), -1 (robot)" in failures(contract)["motor signs"].why
-
-
-def test_a_policy_with_other_legs_is_refused():
-    contract = replace(contract_of(), leg_names=swapped(ROBOT.leg_names, 0, 1))
-    failed = failures(contract)
-    assert "the policy's are back_left, front_left" in failed["legs"].why
-    assert failed["angle limits"].passed is None
-
-
-def test_an_observation_in_other_units_is_refused():
-    contract = contract_of()
-    part = replace(contract.observation[2], unit="deg/s")
-    contract = replace(contract, observation=(*contract.observation[:2], part, contract.observation[3]))
-    assert "'roll_rate' is in deg/s, base, about x for the policy and in rad/s" in failures(contract)["observation"].why
-
-
-def test_an_observation_that_this_surefoot_does_not_know_is_refused():
-    contract = contract_of()
-    part = replace(contract.observation[0], name="mood")
-    contract = replace(contract, observation=(part, *contract.observation[1:]))
-    assert "observation 'mood' does not exist; choices: roll, pitch" in failures(contract)["observation"].why
+    assert why in failed[check].why
+    assert f"{check}: " in (refusal(list(failed.values())) or "")
+    # Angles are compared only where legs and motors are the robot's.
+    assert check != "legs" or failed["angle limits"].passed is None
 
 
 def test_a_policy_without_a_digest_is_refused():

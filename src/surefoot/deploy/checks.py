@@ -19,7 +19,7 @@ from surefoot.deploy.contract_task import (
     other_gains,
     unreadable_observation,
 )
-from surefoot.deploy.findings import Finding, refusal
+from surefoot.deploy.findings import Finding, judged, refusal
 from surefoot.deploy.wire.messages import Handshake
 from surefoot.errors import SurefootError, choices
 from surefoot.policy.contract import Contract
@@ -162,11 +162,10 @@ def _control_step(given: _Given) -> Finding:
 
 def _watchdog(given: _Given) -> Finding:
     timeout, step = given.handshake.command_timeout, given.contract.control_step
-    name, why = "watchdog", f"the robot damps its motors after {1e3 * timeout:g} ms without a command"
-    if timeout >= WATCHDOG_STEPS * step - 1e-9:
-        return Finding(name, True, why, value=timeout)
+    why = f"the robot damps its motors after {1e3 * timeout:g} ms without a command"
     rule = f"; it must bear {WATCHDOG_STEPS} control steps, {1e3 * WATCHDOG_STEPS * step:g} ms"
-    return Finding(name, False, why + rule, "raise the firmware's command timeout", timeout)
+    passed = timeout >= WATCHDOG_STEPS * step - 1e-9
+    return judged("watchdog", passed, why, rule, "raise the firmware's command timeout", timeout)
 
 
 def _angles(given: _Given) -> Finding:

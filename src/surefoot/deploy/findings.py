@@ -24,6 +24,13 @@ class Finding:
     """What was measured, if there is one number or word for it; SI units."""
 
 
+def judged(name: str, passed: bool, told: str, rule: str, what_to_do: str, value: float | str | None = None) -> Finding:
+    """Return a finding whose rule and advice are given only if it failed."""
+    if passed:
+        return Finding(name, True, told, value=value)
+    return Finding(name, False, f"{told}{rule}", what_to_do, value)
+
+
 def refusal(findings: Sequence[Finding]) -> str | None:
     """Why a policy must not run, in one line; None if nothing failed."""
     failed = [finding for finding in findings if finding.passed is False]

@@ -258,33 +258,32 @@ def test_motors_that_go_where_they_are_sent_pass(robot: RobotDescription):
     assert "96 to 96 % of the 0.05 rad" in finding.why
 
 
-def test_two_motors_that_are_exchanged_are_named(robot: RobotDescription):
-    finding = check_motors(wiggles(RIGHT[[0, 1, 5, 3, 4, 2, 6, 7]]), robot)
+def moved(**changes: Any) -> np.ndarray:
+    """How far motors went, with some of it changed: entries by `at`, to `to`."""
+    found = RIGHT.copy()
+    found[changes["at"]] = changes["to"]
+    return found
+
+
+@pytest.mark.parametrize(
+    ("went", "why", "todo"),
+    [
+        (
+            RIGHT[[0, 1, 5, 3, 4, 2, 6, 7]],
+            f"{NAMES[2]}, asked to go +0.050 rad, stayed, and {NAMES[5]} went +0.048",
+            f"exchanged: {NAMES[2]} with {NAMES[5]};",
+        ),
+        (moved(at=(4, 4), to=-0.048), f"{NAMES[4]}, asked to go +0.050 rad, went -0.048", "turn the sign"),
+        (moved(at=(6, 6), to=0.0), f"{NAMES[6]}, asked to go +0.050 rad, went +0.000", "check cables"),
+        (moved(at=(1, 0), to=0.03), f"went +0.048 and took along {NAMES[0]}", "check cables"),
+    ],
+    ids=["exchanged", "mirrored", "still", "coupled"],
+)
+def test_a_motor_that_goes_wrong_is_named(robot: RobotDescription, went: np.ndarray, why: str, todo: str):
+    finding = check_motors(wiggles(went), robot)
     assert finding.passed is False
-    assert f"{NAMES[2]}, asked to go +0.050 rad, stayed, and {NAMES[5]} went +0.048" in finding.why
-    assert f"exchanged: {NAMES[2]} with {NAMES[5]};" in finding.what_to_do
-
-
-def test_a_motor_that_goes_the_other_way_is_named(robot: RobotDescription):
-    signs = np.ones(8)
-    signs[4] = -1
-    finding = check_motors(wiggles(RIGHT * signs), robot)
-    assert finding.why == f"{NAMES[4]}, asked to go +0.050 rad, went -0.048"
-    assert "turn the sign" in finding.what_to_do
-
-
-def test_a_motor_that_does_not_move_is_named(robot: RobotDescription):
-    moved = RIGHT.copy()
-    moved[6] = 0.0
-    finding = check_motors(wiggles(moved), robot)
-    assert finding.why == f"{NAMES[6]}, asked to go +0.050 rad, went +0.000"
-    assert "check cables" in finding.what_to_do
-
-
-def test_a_motor_that_takes_another_along_is_named(robot: RobotDescription):
-    moved = RIGHT.copy()
-    moved[1, 0] = 0.03
-    assert f"went +0.048 and took along {NAMES[0]}" in check_motors(wiggles(moved), robot).why
+    assert why in finding.why
+    assert todo in finding.what_to_do
 
 
 def test_many_faults_are_told_in_one_line(robot: RobotDescription):

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from surefoot.deploy.clock import MonotonicClock
 from surefoot.deploy.connection import RobotConnection
 from surefoot.deploy.controller import Policy
-from surefoot.deploy.findings import Finding
+from surefoot.deploy.findings import Finding, judged
 from surefoot.deploy.pacer import Pacer
 from surefoot.deploy.realtime import undisturbed
 
@@ -77,10 +77,8 @@ def _inference(taken: Array, control_step: float) -> Finding:
     median, slow = (float(np.percentile(taken, share)) for share in (50, 99.9))
     step = f"a control step has {1e3 * control_step:g}"
     told = f"median {1e3 * median:.3f} ms, 99.9th percentile {1e3 * slow:.3f} ms; {step}"
-    if slow <= SHARE * control_step:
-        return Finding("inference", True, told, value=median)
     todo = "close other programs, take a faster computer, or train a smaller network"
-    return Finding("inference", False, f"{told}; at most {SHARE:.0%} of it", todo, median)
+    return judged("inference", slow <= SHARE * control_step, told, f"; at most {SHARE:.0%} of it", todo, median)
 
 
 def _loop(late: Array, missed: int, control_step: float) -> Finding:
@@ -90,12 +88,11 @@ def _loop(late: Array, missed: int, control_step: float) -> Finding:
         f"lateness: median {1e3 * median:.3f} ms, 99.9th percentile {1e3 * worst:.3f} ms; "
         f"{missed} of {steps} steps missed"
     )
-    if worst <= SHARE * control_step and missed <= MISSED * steps:
-        return Finding("control loop", True, told, value=worst)
-    return Finding(
+    return judged(
         "control loop",
-        False,
-        f"{told}; at most {1e3 * SHARE * control_step:g} ms late and {MISSED:.1%} missed",
+        worst <= SHARE * control_step and missed <= MISSED * steps,
+        told,
+        f"; at most {1e3 * SHARE * control_step:g} ms late and {MISSED:.1%} missed",
         "close other programs, let the process run in real time (sudo setcap cap_sys_nice+ep on Python, or a limit "
         "rtprio), and turn power saving off",
         worst,

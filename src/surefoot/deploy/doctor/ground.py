@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from surefoot.deploy.connection import RobotConnection
 from surefoot.deploy.doctor.leashed_robot import LeashedRobot, MotionStoppedError
 from surefoot.deploy.doctor.rest import Sample
-from surefoot.deploy.findings import Finding
+from surefoot.deploy.findings import Finding, judged
 from surefoot.deploy.poses import pose
 from surefoot.errors import choices
 from surefoot.policy.contract import Contract
@@ -153,7 +153,5 @@ def _rates(front: Tilted, left: Tilted) -> Finding:
         angle, turned = float(one.angles[axis]), float(one.turned[axis])
         told.append(f"{AXES[axis]} changed by {angle:+.3f} rad, its rate says {turned:+.3f}")
         wrong |= abs(turned - angle) > max(RATE_SHARE * abs(angle), RATE_LEAST)
-    if not wrong:
-        return Finding(name, True, "; ".join(told))
-    why = f"{'; '.join(told)}; they must agree within {RATE_SHARE:.0%}"
-    return Finding(name, False, why, "check axes, signs and units (rad/s) of the gyro in the firmware")
+    todo = "check axes, signs and units (rad/s) of the gyro in the firmware"
+    return judged(name, not wrong, "; ".join(told), f"; they must agree within {RATE_SHARE:.0%}", todo)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.deploy.connection import RobotConnection
-from surefoot.deploy.findings import Finding
+from surefoot.deploy.findings import Finding, judged
 
 Array = NDArray[np.float64]
 
@@ -147,21 +147,19 @@ def _losses(figures: LinkFigures) -> Finding:
     pings = figures.lost + len(figures.round_trips)
     counts = (figures.lost, figures.damaged, figures.missing, figures.unsent)
     told = "{} of {} pings lost, {} frames damaged, {} missing, {} not sent".format(counts[0], pings, *counts[1:])
-    if max(counts) <= LOSS * pings:
-        return Finding("link, losses", True, told, value=figures.lost / pings)
     todo = "check the plug, a shorter or shielded cable, the same baud rate on both sides, and the robot's ground"
-    return Finding("link, losses", False, f"{told}; at most {LOSS:.1%} may be", todo, figures.lost / pings)
+    passed = max(counts) <= LOSS * pings
+    return judged("link, losses", passed, told, f"; at most {LOSS:.1%} may be", todo, figures.lost / pings)
 
 
 def _trips(figures: LinkFigures, lead: float, control_step: float) -> Finding:
     median, late = figures.percentile(50), figures.percentile(99)
     told = f"median {1e3 * median:.2f} ms, 99th percentile {1e3 * late:.2f} ms, jitter {1e3 * figures.jitter:.2f} ms"
-    if median <= lead and late <= LATE_STEPS * control_step:
-        return Finding("link, round trip", True, told, value=median)
-    return Finding(
+    return judged(
         "link, round trip",
-        False,
-        f"{told}; the median must be within {1e3 * lead:g} ms, the time a state has to come, and the 99th percentile "
+        median <= lead and late <= LATE_STEPS * control_step,
+        told,
+        f"; the median must be within {1e3 * lead:g} ms, the time a state has to come, and the 99th percentile "
         f"within {LATE_STEPS} control steps, {1e3 * LATE_STEPS * control_step:g} ms",
         "close other programs, use a direct USB port, and set the adapter's latency timer to 1 ms",
         median,
@@ -170,12 +168,11 @@ def _trips(figures: LinkFigures, lead: float, control_step: float) -> Finding:
 
 def _bursts(figures: LinkFigures) -> Finding:
     told = f"{figures.burst:.1f} answers together on average, every {1e3 * figures.gap:.1f} ms"
-    if figures.burst < BURST:
-        return Finding("link, bursts", True, told, value=figures.burst)
-    return Finding(
+    return judged(
         "link, bursts",
-        False,
-        f"{told}; answers to pings {1e3 * PING_PERIOD:g} ms apart must come alone: the USB adapter gathers bytes "
+        figures.burst < BURST,
+        told,
+        f"; answers to pings {1e3 * PING_PERIOD:g} ms apart must come alone: the USB adapter gathers bytes "
         "(its latency timer, 16 ms by default)",
         "echo 1 | sudo tee /sys/bus/usb-serial/devices/ttyUSB0/latency_timer, or setserial /dev/ttyUSB0 low_latency "
         "(with your port's name); some adapters can't do it: take another",
@@ -186,12 +183,11 @@ def _bursts(figures: LinkFigures) -> Finding:
 def _clock(figures: LinkFigures) -> Finding:
     off = figures.clock_rate - 1
     told = f"runs {abs(off):.2%} too {'fast' if off > 0 else 'slow'}"
-    if abs(off) <= CLOCK_RATE:
-        return Finding("robot's clock", True, told, value=figures.clock_rate)
-    return Finding(
+    return judged(
         "robot's clock",
-        False,
-        f"{told}; at most {CLOCK_RATE:.0%} may be",
+        abs(off) <= CLOCK_RATE,
+        told,
+        f"; at most {CLOCK_RATE:.0%} may be",
         "check the microcontroller's crystal and clock settings; an emulator that is slow needs a computer with less "
         "to do",
         figures.clock_rate,

@@ -16,7 +16,7 @@ from surefoot.deploy.connection import RobotConnection
 from surefoot.deploy.doctor.leashed_robot import LeashedRobot, MotionStoppedError
 from surefoot.deploy.doctor.response import WINDOW, fit_response
 from surefoot.deploy.doctor.rest import Sample
-from surefoot.deploy.findings import Finding
+from surefoot.deploy.findings import Finding, judged
 from surefoot.policy.contract import Contract
 from surefoot.robot import RobotDescription
 from surefoot.stop_signals import StopSignals
@@ -201,12 +201,11 @@ def _latency(latency: float, contract: Contract, lead: float) -> Finding:
     told = (
         f"{1e3 * latency:.1f} ms (with {1e3 * lead:g} ms from sending to use); the policy was trained with {trained} ms"
     )
-    if low - LATENCY_TOLERANCE <= latency <= high + LATENCY_TOLERANCE:
-        return Finding("control latency", True, told, value=latency)
-    return Finding(
+    return judged(
         "control latency",
-        False,
-        f"{told}, and it must be within {1e3 * LATENCY_TOLERANCE:g} ms of that",
+        low - LATENCY_TOLERANCE <= latency <= high + LATENCY_TOLERANCE,
+        told,
+        f", and it must be within {1e3 * LATENCY_TOLERANCE:g} ms of that",
         f"find what delays the readings (filters, averaging, a slow bus), or train with control_latency {latency:.3f}",
         latency,
     )
@@ -214,10 +213,8 @@ def _latency(latency: float, contract: Contract, lead: float) -> Finding:
 
 def _servo(rise: float) -> Finding:
     told = f"63 % of a step in {1e3 * rise:.0f} ms"
-    if rise <= RISE:
-        return Finding("servo response", True, told, value=rise)
-    why = f"{told}; at most {1e3 * RISE:g} ms"
-    return Finding("servo response", False, why, "check servo gains, battery and friction in the legs", rise)
+    todo = "check servo gains, battery and friction in the legs"
+    return judged("servo response", rise <= RISE, told, f"; at most {1e3 * RISE:g} ms", todo, rise)
 
 
 def _stopped(stopped: MotionStoppedError, leashed: LeashedRobot, asked: int | None, robot: RobotDescription) -> Finding:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from surefoot.deploy.connection import RobotConnection
 from surefoot.deploy.doctor.link import listen
-from surefoot.deploy.findings import Finding
+from surefoot.deploy.findings import Finding, judged
 from surefoot.deploy.safety_limits import SafetyLimits
 from surefoot.deploy.wire.messages import Handshake, State
 from surefoot.robot import RobotDescription
@@ -92,22 +92,18 @@ def check_rest(
 def _battery(voltage: float, handshake: Handshake, limits: SafetyLimits) -> Finding:
     told = f"{voltage:.2f} V"
     least = max(limits.battery_warn, handshake.voltage_min)
-    if voltage >= least:
-        return Finding("battery", True, told, value=voltage)
-    why = f"{told}; it must be {least:g} V to begin with, and the robot damps itself at {handshake.voltage_min:g} V"
-    return Finding("battery", False, why, "charge the battery", voltage)
+    rule = f"; it must be {least:g} V to begin with, and the robot damps itself at {handshake.voltage_min:g} V"
+    return judged("battery", voltage >= least, told, rule, "charge the battery", voltage)
 
 
 def _temperature(temperature: Array, robot: RobotDescription, limits: SafetyLimits) -> Finding:
     hottest = int(np.argmax(temperature))
-    told, value = (
-        f"hottest motor: {robot.motor_names[hottest]}, {temperature[hottest]:.0f} degC",
-        float(temperature.max()),
+    told, value = f"hottest motor: {robot.motor_names[hottest]}, {temperature[hottest]:.0f} degC", temperature.max()
+    rule, todo = (
+        f"; at most {limits.temperature_warn:g} to begin with",
+        "let the motors cool; if they are cold, check the sensor",
     )
-    if value <= limits.temperature_warn:
-        return Finding("temperature", True, told, value=value)
-    why = f"{told}; at most {limits.temperature_warn:g} to begin with"
-    return Finding("temperature", False, why, "let the motors cool; if they are cold, check the sensor", value)
+    return judged("temperature", bool(value <= limits.temperature_warn), told, rule, todo, float(value))
 
 
 def _encoders(angles: Array, robot: RobotDescription) -> Finding:
