@@ -66,7 +66,7 @@ class Within:
                 raise SurefootError(f"{where} is {shown}; it must be {rule}")
 
     def _broken(self, value: float) -> str:
-        """The rule that a number does not keep; empty if it keeps all."""
+        """Return the rule that a number breaks; empty if it breaks none."""
         if isinstance(value, float) and math.isnan(value):
             return "a finite number"
         if value < self.least or (self.above and value == self.least):
@@ -101,7 +101,7 @@ def check_bounds(config: Any, where: str = "") -> None:
 
 @functools.cache
 def _bounds(kind: type) -> dict[str, Within]:
-    """The bounds of each field of a dataclass."""
+    """Return the bounds of each field of a dataclass."""
     hints = typing.get_type_hints(kind, include_extras=True)
     return {item.name: _within(hints[item.name]) or _ANY for item in dataclasses.fields(kind)}
 
@@ -115,7 +115,7 @@ def _within(hint: Any) -> Within | None:
 
 
 def is_number(value: Any) -> bool:
-    """Whether a value is a finite number, small enough for a floating point number."""
+    """Return whether a value is a finite number, small enough for a floating point number."""
     try:
         return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
     except OverflowError:
@@ -279,7 +279,7 @@ def _name(hint: Any) -> str:
 
 
 def to_mapping(config: Any) -> dict[str, Any]:
-    """A dataclass as plain tables, lists and values, ready for YAML or JSON."""
+    """Return a dataclass as plain tables, lists and values, ready for YAML or JSON."""
 
     def plain(value: Any) -> Any:
         if dataclasses.is_dataclass(value):

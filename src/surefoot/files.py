@@ -83,7 +83,7 @@ def whole_file(path: Path) -> Iterator[BinaryIO]:
 
 
 def read_json_lines(path: Path) -> list[dict[str, Any]]:
-    """The tables of a file with one as JSON in each line; none if it is missing, and none after a line cut off."""
+    """Return the tables of a file of JSON lines; none if it is missing, and none after a line that was cut off."""
     rows: list[dict[str, Any]] = []
     for line in path.read_text(encoding="utf-8").splitlines() if path.exists() else []:
         try:

@@ -7,13 +7,13 @@ from numba import njit, vectorize
 
 @njit(cache=True, inline="always")
 def constraint_speed_kernel(target: float, angle: float, kp: float, kd: float, dt: float) -> float:
-    """Scalar form of `constraint_speed`."""
+    """Return `constraint_speed` for scalars."""
     return kp * (target - angle) / (kp * dt + kd) if kp > 0.0 else 0.0
 
 
 @vectorize(cache=True)
 def constraint_speed(target, angle, kp, kd, dt):  # type: ignore[no-untyped-def]
-    """Speed [rad/s] at the end of a step for which a constraint motor's error is zero.
+    """Return the speed [rad/s] at the end of a step for which a constraint motor's error is zero.
 
         e_{n+1} = k_p (q_target - q_{n+1}) - k_d qdot_{n+1} = 0,    q_{n+1} = q_n + dt qdot_{n+1}
 
@@ -36,13 +36,13 @@ def constraint_speed(target, angle, kp, kd, dt):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, inline="always")
 def constraint_torque_kernel(voltage: float, torque_constant: float, resistance: float, strength: float) -> float:
-    """Scalar form of `constraint_torque`."""
+    """Return `constraint_torque` for scalars."""
     return strength * torque_constant * voltage / resistance
 
 
 @vectorize(cache=True)
 def constraint_torque(voltage, torque_constant, resistance, strength):  # type: ignore[no-untyped-def]
-    """Greatest torque [N m] of a constraint motor: strength K_t V / R, at any speed.
+    """Return the greatest torque [N m] of a constraint motor: strength K_t V / R, at any speed.
 
     This is what an ideal DC motor stalls at: neither saturation nor back-EMF is known to a simulator that has no model
     of the motor. Tan et al. 2018 do not tell their limit.

@@ -102,7 +102,7 @@ class DelayLine:
         _push_all(self.times, self.samples, self.count, now, np.asarray(sample, float))
 
     def read(self, time: ArrayLike, latency: ArrayLike) -> Array:
-        """Samples (num_envs, width) as a reader at `time` [s] gets them, `latency` [s] late.
+        """Return samples (num_envs, width) as read at `time` [s], `latency` [s] old.
 
         Raises:
             SurefootError: a latency below zero, longer than the history's capacity, or no sample yet.

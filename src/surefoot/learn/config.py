@@ -120,7 +120,7 @@ class TrainConfig:
 
 
 def load_train_config(task: str) -> TrainConfig:
-    """The training run that a task's file asks for: its `train` table over the defaults.
+    """Return the training configuration of a task's file: its `train` table over the defaults.
 
     Raises:
         SurefootError: no such task, or a file that does not fit.

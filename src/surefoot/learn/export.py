@@ -25,7 +25,7 @@ def make_contract(
     config: Mapping[str, Any] | None = None,
     created: str = "",
 ) -> Contract:
-    """The contract of a policy that was trained in an environment.
+    """Return the contract of a policy that was trained in an environment.
 
     Args:
         env: robot, observer, gait, task and nominal parameters are read from it.

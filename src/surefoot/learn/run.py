@@ -172,7 +172,7 @@ class TrainingRun:
             self._writer.close()
 
     def _due(self, every: int) -> bool:
-        """Whether a multiple of `every` steps was passed in the last update, or the run is over."""
+        """Return whether a multiple of `every` steps was passed in the last update, or the run is over."""
         before = self.trainer.steps - self.config.samples_per_update
         return self.trainer.steps // every > before // every or self.finished
 

@@ -223,7 +223,7 @@ class RunFolder:
         os.replace(self.fresh, self.latest)
 
     def load(self) -> dict[str, Any]:
-        """The run's last state.
+        """Return the run's last state.
 
         Raises:
             SurefootError: it is missing or broken; says whether the one before it is whole.
@@ -258,7 +258,7 @@ class RunFolder:
             ) from error
 
     def rows(self) -> list[dict[str, Any]]:
-        """All rows of figures; a last line that was cut off is left out."""
+        """Return all rows of figures; a last line that was cut off is left out."""
         return read_json_lines(self.figures_log)
 
     def drop_rows_after(self, steps: int) -> None:

@@ -72,7 +72,7 @@ class SB3VecEnv(VecEnv):  # type: ignore[misc, unused-ignore]
         return len(list(self._get_indices(indices)))
 
     def get_attr(self, attr_name: str, indices: Indices = None) -> list[Any]:
-        """An attribute of the batch, once for each robot asked for."""
+        """Return an attribute of the batch, once for each robot in `indices`."""
         return [getattr(self.env, attr_name)] * self._count(indices)
 
     def set_attr(self, attr_name: str, value: Any, indices: Indices = None) -> None:
@@ -86,5 +86,5 @@ class SB3VecEnv(VecEnv):  # type: ignore[misc, unused-ignore]
         return [getattr(self.env, method_name)(*args, **kwargs)] * self._count(indices)
 
     def env_is_wrapped(self, wrapper_class: type[Wrapper], indices: Indices = None) -> list[bool]:
-        """No robot is wrapped."""
+        """Return False for every robot: none is wrapped."""
         return [False] * self._count(indices)

@@ -137,7 +137,7 @@ class Trainer:
         return TensorDict(groups, batch_size=[self.config.num_envs])
 
     def update(self) -> UpdateFigures:
-        """One rollout and one update of the policy."""
+        """Run one rollout and one update of the policy."""
         env, algorithm, config = self.env, self.algorithm, self.config
         start = time.perf_counter()
         # Threads of torch that spin between small products would take the cores from the physics.
@@ -186,7 +186,7 @@ class Trainer:
         )
 
     def act(self, observation: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Actions of the deterministic policy (N, 2 L) for observations (N, O)."""
+        """Return the actions of the deterministic policy (N, 2 L) for observations (N, O)."""
         with torch.inference_mode():
             mean: NDArray[np.float32] = self.policy(
                 TensorDict({"policy": torch.from_numpy(observation)}, batch_size=[len(observation)])
@@ -206,7 +206,7 @@ class Trainer:
             raise SurefootError(f"start_from: the other run's networks do not fit this run: {reason}") from None
 
     def get_state(self) -> dict[str, Any]:
-        """Everything that decides how the run goes on, for an exact resume."""
+        """Return the whole state of the run, for an exact resume."""
         return {
             "algorithm": self.algorithm.save(),
             "learning_rate": self.algorithm.learning_rate,

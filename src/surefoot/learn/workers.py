@@ -134,7 +134,7 @@ class _Worker:
         self._told.put((self, None))
 
     def last_line(self) -> str:
-        """The last line that the worker wrote to its log, and how it ended."""
+        """Return the last line of the worker's log, and how it ended."""
         code = self.process.returncode
         end = f"killed by signal {-code} ({signal.Signals(-code).name})" if code < 0 else f"exit code {code}"
         with self.job.log.open("rb") as log:
@@ -164,5 +164,5 @@ def _ended(worker: _Worker, outcome: Outcome, asked: int) -> str:
 
 
 def orphaned() -> bool:
-    """Whether the process that started this worker is gone."""
+    """Return whether the process that started this worker is gone."""
     return os.environ.get(PARENT, str(os.getppid())) != str(os.getppid())

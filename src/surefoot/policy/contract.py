@@ -141,7 +141,7 @@ class Contract:
         return len(self.columns) * self.history
 
     def to_json(self) -> str:
-        """As JSON; `from_json` gives back an equal contract."""
+        """Return the contract as JSON; `from_json` returns an equal contract."""
         data = {"kind": KIND, "schema": SCHEMA, **to_mapping(self)}
         return json.dumps(data, ensure_ascii=False, allow_nan=False)
 
@@ -171,7 +171,7 @@ def _check_range(name: str, value: Any, low: float, high: float, unit: str) -> N
 
 
 def _finite(text: str) -> float:
-    """A number of JSON; what it says of NaN and numbers that are too large is an error."""
+    """Return a number of JSON; NaN and numbers that are too large are errors."""
     value = float(text)
     if not math.isfinite(value):
         raise ValueError(f"it holds {text:.40}; numbers must be finite")
@@ -179,14 +179,14 @@ def _finite(text: str) -> float:
 
 
 def _whole(text: str) -> int:
-    """A whole number of JSON, of 64 bits: arrays can't hold longer ones."""
+    """Return an integer of JSON of at most 64 bits, as arrays hold."""
     if abs(_finite(text)) >= 2.0**64:
         raise ValueError(f"it holds {text:.40}; whole numbers must be below 2^64")
     return int(text)
 
 
 def plain(value: Any) -> Any:
-    """Tables, lists, text and numbers as JSON holds them; a number that is not finite becomes None."""
+    """Return tables, lists, text and numbers as JSON values; a number that is not finite becomes None."""
     if isinstance(value, Mapping):
         return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, np.ndarray | np.generic):
@@ -199,7 +199,7 @@ def plain(value: Any) -> Any:
 
 
 def config_hash(config: Mapping[str, Any]) -> str:
-    """SHA-256 of a configuration as canonical JSON: keys sorted, no blanks."""
+    """Return the SHA-256 of a configuration as canonical JSON: keys sorted, no blanks."""
     text = json.dumps(plain(config), sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False)
     return hashlib.sha256(text.encode()).hexdigest()
 

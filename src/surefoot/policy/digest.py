@@ -63,7 +63,7 @@ class Parts:
 
 
 def read_parts(data: bytes) -> Parts:
-    """Graph and metadata of a policy file.
+    """Return the graph and metadata of a policy file.
 
     Raises:
         SurefootError: the bytes are no ONNX file, or hold more than surefoot writes.
@@ -89,7 +89,7 @@ def read_parts(data: bytes) -> Parts:
 
 
 def check_digest(data: bytes) -> str | None:
-    """The digest of a policy file; None if it was written without one.
+    """Return the digest of a policy file; None if it has none.
 
     Raises:
         SurefootError: the digest is damaged, or does not fit what the file holds.
@@ -105,7 +105,7 @@ def check_digest(data: bytes) -> str | None:
 
 
 def stamped(data: bytes) -> bytes:
-    """The file with its digest; all else stays as it is, to the byte.
+    """Return the file with its digest added; all else stays the same, to the byte.
 
     Raises:
         SurefootError: no policy, or one with a digest that does not fit: that is told, never mended.

@@ -100,5 +100,5 @@ def _node(node: bytes, shapes: dict[bytes, tuple[int, ...]], results: set[bytes]
 
 
 def _shown(name: bytes) -> str:
-    """A name from a file, safe to print."""
+    """Return a name from a file, safe to print."""
     return repr(name[:40].decode(errors="replace"))

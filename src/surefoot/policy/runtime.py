@@ -65,7 +65,7 @@ class PolicyRuntime:
         return cls(session, contract, digest)
 
     def feedback(self, observation: ArrayLike) -> NDArray[np.float64]:
-        """Feedback (N, 2 L) [rad] within the contract's bounds for observations (N, O * history) in SI.
+        """Return the feedback (N, 2 L) [rad] within the contract's bounds for observations (N, O * history) in SI.
 
         Raises:
             SurefootError: observations of another shape, or a number not finite going in or coming out.
@@ -87,7 +87,7 @@ class PolicyRuntime:
 
 
 def _read(data: bytes) -> tuple[Contract, str | None]:
-    """Contract and digest of a policy file, checked with its network before anything of it is run.
+    """Return the contract and digest of a policy file, checked with its network before any of it is run.
 
     Raises:
         SurefootError, ValueError, OverflowError, RecursionError: what the file holds is no policy.
@@ -104,7 +104,7 @@ def _read(data: bytes) -> tuple[Contract, str | None]:
 
 
 def _options() -> onnxruntime.SessionOptions:
-    """One thread, nothing on stderr: a network this small is done before a second thread has woken."""
+    """Return session options with one thread and no output: a second thread does not pay for so small a network."""
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = 1
     options.execution_mode = onnxruntime.ExecutionMode.ORT_SEQUENTIAL

@@ -162,7 +162,7 @@ class RobotDescription:
 
     @classmethod
     def available(cls) -> list[str]:
-        """Names of the robots that ship with surefoot."""
+        """Return the names of the robots that ship with surefoot."""
         return sorted(path.parent.name for path in _HERE.glob("*/robot.toml"))
 
     @classmethod
@@ -298,7 +298,7 @@ class RobotDescription:
         return np.array(self.actuator.torque_table_current), np.array(self.actuator.torque_table_torque)
 
     def leg_to_motor_angles(self, swing: ArrayLike, extension: ArrayLike) -> NDArray[np.float64]:
-        """Motor angles (..., motors) [rad] for swing and extension (..., legs) [rad]."""
+        """Return the motor angles (..., motors) [rad] for swing and extension (..., legs) [rad]."""
         theta_1, theta_2 = leg_to_motor(swing, extension)
         index = self.leg_motor_index
         angles = np.empty((*theta_1.shape[:-1], self.num_motors))
@@ -307,7 +307,7 @@ class RobotDescription:
         return angles
 
     def motor_to_leg_pose(self, angles: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Swing and extension (..., legs) [rad] for motor angles (..., motors) [rad]."""
+        """Return the swing and extension (..., legs) [rad] for motor angles (..., motors) [rad]."""
         theta, index = np.asarray(angles, float), self.leg_motor_index
         return motor_to_leg(theta[..., index[:, 0]], theta[..., index[:, 1]])
 
@@ -328,7 +328,7 @@ class RobotDescription:
         return joints
 
     def nominal_params(self) -> dict[str, float]:
-        """Nominal value of every physical parameter, by name."""
+        """Return the nominal value of every physical parameter, by name."""
         data, timing = self.actuator, self.timing
         return {
             **dict.fromkeys(("base_mass_ratio", "leg_mass_ratio", "base_inertia_ratio", "leg_inertia_ratio"), 1.0),

@@ -63,22 +63,22 @@ class PhysicalParams:
 
     @classmethod
     def names(cls) -> list[str]:
-        """Names of all parameters."""
+        """Return the names of all parameters."""
         return [item.name for item in fields(cls)]
 
     @classmethod
     def unit(cls, name: str) -> str:
-        """Unit of a parameter; 1 for ratios."""
+        """Return the unit of a parameter; 1 for ratios."""
         return str(cls.__dataclass_fields__[name].metadata["unit"])
 
     @classmethod
     def default_bounds(cls) -> dict[str, tuple[float, float]]:
-        """Least and greatest value by name, where a robot's sheet does not give them."""
+        """Return the least and greatest value by name, where a robot's sheet does not give them."""
         return {item.name: item.metadata["bounds"] for item in fields(cls)}
 
     @classmethod
     def nominal(cls, robot: RobotDescription, num_envs: int = 1) -> PhysicalParams:
-        """The parameters that the robot's description states, for `num_envs` robots."""
+        """Return the parameters that the robot's description states, for `num_envs` robots."""
         nominal = robot.nominal_params()
         widths = {"one": (), "motors": (robot.num_motors,), "roll, pitch": (2,), "roll, pitch, yaw": (3,)}
         values = {}
@@ -88,7 +88,7 @@ class PhysicalParams:
         return cls(**values)
 
     def with_values(self, robot: RobotDescription, **values: ArrayLike) -> PhysicalParams:
-        """A copy with some parameters set, each given for all robots or one row a robot.
+        """Return a copy with some parameters set, each given for all robots or one row per robot.
 
         Raises:
             SurefootError: no such parameter, or a value outside what the robot's description allows.
@@ -109,11 +109,11 @@ class PhysicalParams:
         return replace(self, **changed)
 
     def rows(self, index: ArrayLike) -> PhysicalParams:
-        """The parameters of some of the robots, by index."""
+        """Return the parameters of some of the robots, by index."""
         return replace(self, **{name: getattr(self, name)[np.asarray(index)] for name in self.names()})
 
     def summary(self) -> dict[str, float]:
-        """Mean over the robots of each parameter, for reports and contracts."""
+        """Return the mean over the robots of each parameter, for reports and contracts."""
         return {name: float(np.mean(getattr(self, name))) for name in self.names()}
 
 

@@ -50,7 +50,7 @@ class ParamsFile:
 
 
 def param_values(params: PhysicalParams, names: Iterable[str] | None = None) -> dict[str, ParamValue]:
-    """Parameters of one robot by name: one number each, or one a motor or axis where these differ.
+    """Return the parameters of one robot by name: one number each, or one per motor or axis where these differ.
 
     Args:
         params: one row.
@@ -130,7 +130,7 @@ def _lines(entries: Mapping[str, Any]) -> list[str]:
 
 
 def _table(path: str, entries: Mapping[str, Any]) -> list[str]:
-    """A table and those in it, each under its whole name."""
+    """Return the lines of a table and its nested tables, each with its dotted name."""
     plain = {key: value for key, value in entries.items() if not _is_table(value)}
     # A table that holds nothing but tables needs no line of its own.
     lines = ["", f"[{path}]", *_lines(plain)] if plain or not entries else []
@@ -150,7 +150,7 @@ def _text(text: str) -> str:
 
 
 def _toml(value: Any) -> str:
-    """A number, a truth, a text, a date, or a list or inline table of them, as TOML writes it."""
+    """Return a number, boolean, text, date, or list or inline table of them as TOML."""
     if isinstance(value, np.generic):
         value = value.item()
     if isinstance(value, bool):

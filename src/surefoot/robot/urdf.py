@@ -56,7 +56,7 @@ class Urdf:
         return next(name for name in self.links if name not in children)
 
     def fixed_to(self, link: str) -> set[str]:
-        """Names of the links that move as one with `link`, itself included."""
+        """Return the names of the links that move as one with `link`, itself included."""
         group = {link}
         while True:
             more = set(group)

@@ -56,7 +56,7 @@ class ReferenceConfig:
     """The table itself, in place of `file`: under swing and extension, each leg's poses [rad]."""
 
     def to_mapping(self) -> dict[str, Any] | None:
-        """As `make_reference` takes it."""
+        """Return the mapping that `make_reference` takes."""
         if self.kind == "none":
             return None
         if self.kind == "table" and self.rows is not None:
@@ -132,7 +132,7 @@ class TaskConfig:
         check_bounds(self)
 
     def nominal(self, robot: RobotDescription) -> PhysicalParams:
-        """Physical parameters of the task's robot where nothing is drawn, one row.
+        """Return the physical parameters of the task's robot without randomization, one row.
 
         Raises:
             SurefootError: no such parameter, or a value that the robot does not allow.
@@ -141,12 +141,12 @@ class TaskConfig:
 
 
 def preset_names() -> list[str]:
-    """Names of the tasks that ship with surefoot."""
+    """Return the names of the tasks that ship with surefoot."""
     return sorted(path.stem for path in _PRESETS.glob("*.yaml"))
 
 
 def task_path(task: str) -> Path:
-    """The YAML file of a task, given by preset name or by path.
+    """Return the YAML file of a task, given by preset name or by path.
 
     Raises:
         SurefootError: neither a preset nor a file.

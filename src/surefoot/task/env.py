@@ -172,7 +172,7 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
         return self._observation(), reward, terminated, truncated, info
 
     def _episode_figures(self, rows: NDArray[np.int64]) -> dict[str, Array]:
-        """Figures of the episodes that just ended; arrays (N,), zero for robots that go on."""
+        """Return the figures of the episodes that just ended; arrays (N,), zero for robots that go on."""
         figures = {name: np.zeros(self.num_envs) for name in ("return", "steps", "distance", "duration")}
         figures["return"][rows] = self.returns[rows]
         figures["steps"][rows] = self.steps[rows]
@@ -181,7 +181,7 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
         return figures
 
     def privileged(self) -> NDArray[np.float32]:
-        """What a critic may see in simulation besides the observation: the true state of now (N, P).
+        """Return what a critic may observe in simulation besides the observation: the true state (N, P).
 
         Base height [m] and velocity in the world [m/s], roll, pitch and yaw [rad], motor angles [rad] and
         speeds [rad/s], phase of the reference, horizontal force of a push [100 N], and physical parameters that
@@ -217,7 +217,7 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
         return names + (self.randomizer.columns if self.randomizer.enabled else [])
 
     def get_state(self) -> dict[str, Any]:
-        """Everything that decides how the environment goes on, for an exact resume."""
+        """Return the whole state of the environment, for an exact resume."""
         return {
             "world": self.world.get_state(),
             "steps": self.steps.copy(),

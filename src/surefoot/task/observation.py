@@ -105,9 +105,9 @@ class Observer:
         return len(self.columns)
 
     def observe(self, moment: Moment) -> Array:
-        """Observations (N, width), raw SI values."""
+        """Return the observations (N, width), raw SI values."""
         return np.concatenate([PARTS[name].read(moment) for name in self.names], axis=1)
 
     def describe(self) -> list[dict[str, str]]:
-        """Name, unit and frame of each part, for the contract."""
+        """Return name, unit and frame of each part, for the contract."""
         return [{"name": name, "unit": PARTS[name].unit, "frame": PARTS[name].frame} for name in self.names]

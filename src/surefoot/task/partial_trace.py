@@ -59,7 +59,7 @@ class Layout:
         return sum(self.widths.values())
 
     def columns(self, rows: Array) -> dict[str, Array]:
-        """Rows (T, width) as arrays by name, (T,) or (T, n)."""
+        """Return the rows (T, width) as arrays by name, (T,) or (T, n)."""
         found: dict[str, Array] = {}
         at = 0
         for name, width in self.widths.items():
@@ -69,7 +69,7 @@ class Layout:
 
 
 def trace_of(layout: Layout, rows: Array, meta: dict[str, Any], truth: dict[str, Array] | None = None) -> EpisodeTrace:
-    """The trace of rows (T, width); what the robot does not know is NaN.
+    """Return the trace of rows (T, width); quantities that the robot does not measure are NaN.
 
     Args:
         layout: of the rows.
@@ -94,18 +94,18 @@ def trace_of(layout: Layout, rows: Array, meta: dict[str, Any], truth: dict[str,
 
 
 def head_line(layout: Layout, meta: dict[str, Any]) -> bytes:
-    """First line of a partial file."""
+    """Return the first line of a partial file."""
     head = {"kind": _KIND, "motors": layout.motors, "legs": layout.legs, "observations": layout.observations}
     return json.dumps({**head, "meta": meta}).encode() + b"\n"
 
 
 def row_bytes(rows: Array) -> bytes:
-    """Rows (n, width) as they stand in the file."""
+    """Return rows (n, width) as bytes of the file."""
     return rows.astype("<f8").tobytes()
 
 
 def recover(path: str | Path) -> EpisodeTrace:
-    """The trace of a run that was cut off, from its partial file; it ended as a fault.
+    """Return the trace of a run that was cut off, from its partial file; `ended` is a fault.
 
     Raises:
         SurefootError: no such file, another kind of file, or one without a whole row.

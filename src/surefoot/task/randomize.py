@@ -120,7 +120,7 @@ class RandomizeConfig:
 
 
 def range_names() -> list[str]:
-    """Names of the tables of ranges that ship with surefoot."""
+    """Return the names of the tables of ranges that ship with surefoot."""
     return sorted(path.stem for path in _RANGES.glob("*.yaml"))
 
 
@@ -141,7 +141,7 @@ def load_ranges(name: str, folder: Path = Path()) -> RandomizeConfig:
 
 
 def row_values(row: str, values: ArrayLike) -> dict[str, Array]:
-    """The physical parameters that a row sets, when each takes the same value of `values` (N,)."""
+    """Return the physical parameters that a row sets, each to the same `values` (N,)."""
     return {name: np.asarray(values, np.float64) for name in ROWS[row].params}
 
 
@@ -198,7 +198,7 @@ class Randomizer:
         return bool(self.ranges)
 
     def draw(self, index: NDArray[np.int64]) -> PhysicalParams:
-        """Parameters of new episodes of the robots at `index`, one row each."""
+        """Return the parameters of new episodes of the robots at `index`, one row each."""
         apart = np.empty((len(index), self._numbers_apart))
         if any(ROWS[row].apart for row in self.ranges):
             apart[:] = [_far_ahead(self.streams[i]).uniform(size=self._numbers_apart) for i in index]
@@ -227,7 +227,7 @@ class Randomizer:
         return row in self.ranges and self.ranges[row][1] > self.ranges[row][0]
 
     def scaled(self, params: PhysicalParams) -> Array:
-        """Drawn parameters of robots as numbers from -1 to 1 (N, P): what a critic may know."""
+        """Return drawn parameters scaled to -1 to 1 (N, P), for a privileged critic."""
         columns = []
         for name, (row, _) in self._places.items():
             if self._varies(row):
@@ -240,14 +240,14 @@ class Randomizer:
 
 
 def _far_ahead(stream: np.random.Generator) -> np.random.Generator:
-    """The same stream of random numbers, further on than it will ever be drawn (2^127 numbers and more)."""
+    """Return the same stream of random numbers, advanced by 2^127 numbers or more, further than it is ever drawn."""
     bits = stream.bit_generator
     assert isinstance(bits, np.random.PCG64)
     return np.random.Generator(bits.jumped())
 
 
 def with_ranges(data: dict[str, Any], folder: Path = Path()) -> dict[str, Any]:
-    """A task's table with `randomize` as a table, where it names a table of ranges or a file, seen from a folder.
+    """Return a task's table with `randomize` as a table where it names a table of ranges or a file in a folder.
 
     Raises:
         SurefootError: no such table, or a file that does not fit.

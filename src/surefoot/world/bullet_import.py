@@ -9,7 +9,7 @@ from surefoot.native_output import quiet
 
 
 def import_pybullet() -> ModuleType:
-    """PyBullet, without its greeting.
+    """Import PyBullet without its banner.
 
     Raises:
         ModuleNotFoundError: it is not installed.

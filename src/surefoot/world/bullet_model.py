@@ -120,7 +120,7 @@ class BulletModel:
 
 
 def open_client(robot: RobotDescription, config: WorldConfig, settings: BulletSettings) -> tuple[int, BulletModel]:
-    """A new client with the robot over a ground plane at z = 0, motors off.
+    """Return a new client with the robot over a ground plane at z = 0, motors off.
 
     Raises:
         SurefootError: Bullet has no room for another client, or reads other masses than the file has.
@@ -223,7 +223,7 @@ def _foot_sphere(fused: FusedUrdf, robot: RobotDescription, link: str) -> tuple[
 
 
 def _with_shanks(fused: FusedUrdf, robot: RobotDescription) -> str:
-    """The fused URDF with feet that are boxes: each lower link as wide as it looks and as long as to its foot."""
+    """Return the fused URDF with feet that are boxes: each lower link as wide as its visual, as long as to its foot."""
     tree = ElementTree.fromstring(fused.text)
     seen = ElementTree.parse(robot.urdf.path).getroot()
     length = robot.leg_geometry.foot
@@ -244,7 +244,7 @@ def _with_shanks(fused: FusedUrdf, robot: RobotDescription) -> str:
 
 
 def _set_up_dynamics(p: ModuleType, client: int, model: BulletModel) -> None:
-    """No damping, no default motors, the feet's contact; only feet meet the ground softly."""
+    """Remove damping and default motors, and set the contact of the feet; all else is stiff against the ground."""
     for link in model.links.values():
         p.changeDynamics(
             model.body,
@@ -423,7 +423,7 @@ def scale_masses(
 
 
 def quaternion(turn: Array) -> Array:
-    """Unit quaternion (4,), w x y z, of a rotation (3, 3)."""
+    """Return the unit quaternion (4,), w x y z, of a rotation (3, 3)."""
     w = np.sqrt(max(0.0, 1 + turn[0, 0] + turn[1, 1] + turn[2, 2])) / 2
     x = np.sqrt(max(0.0, 1 + turn[0, 0] - turn[1, 1] - turn[2, 2])) / 2
     y = np.sqrt(max(0.0, 1 - turn[0, 0] + turn[1, 1] - turn[2, 2])) / 2

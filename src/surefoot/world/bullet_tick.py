@@ -37,7 +37,7 @@ class Layout(NamedTuple):
 
 @njit(cache=True, inline="always")
 def link_quat(base_quat: Array, x: Any, y: Any, z: Any, w: Any) -> tuple[Any, Any, Any, Any]:
-    """Orientation w x y z of a base link: that of Bullet's base, turned back by the inertial frame's in the link.
+    """Return the orientation w x y z of a base link: that of Bullet's base without the inertial frame's rotation.
 
     Args:
         base_quat: orientation of Bullet's base in the base link (4,), w x y z.
@@ -94,7 +94,7 @@ def between(
     diverged: NDArray[np.bool_],
     ended: bool,
 ) -> None:
-    """What robots do between two steps of Bullet, all in one call: the end of one, the start of the next.
+    """Run everything between two steps of Bullet for all robots: the end of one, the start of the next.
 
     Args:
         layout: see there.
@@ -160,7 +160,7 @@ def pin_kernel(quats: Array, forces: Array, axes: Array, play: float, shift: Arr
 
 
 def rotations(quats_xyzw: Array) -> Array:
-    """Rotations (..., 3, 3) of unit quaternions (..., 4), x y z w."""
+    """Return the rotations (..., 3, 3) of unit quaternions (..., 4), x y z w."""
     x, y, z, w = np.moveaxis(quats_xyzw, -1, 0)
     rows = [
         [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
@@ -171,7 +171,7 @@ def rotations(quats_xyzw: Array) -> Array:
 
 
 def base_links(rows: Array, base_quat: Array, base_centre: Array) -> Array:
-    """Base links of robots (N, 10): position [m], quaternion w x y z and velocity [m/s] in the world.
+    """Return the base links of robots (N, 10): position [m], quaternion w x y z and velocity [m/s] in the world.
 
     Args:
         rows: see above, (N, ...).

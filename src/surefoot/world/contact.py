@@ -44,7 +44,7 @@ def foot_force_kernel(
     dt: float,
     force: Array,
 ) -> None:
-    """Force of the ground on one foot over the next step.
+    """Return the force of the ground on one foot over the next step.
 
     Args:
         depth: how deep the lowest point of the foot is in the ground, d [m]; below 0 above it.
@@ -81,7 +81,7 @@ def foot_force_kernel(
 
 @kernel
 def spinning_torque_kernel(normal: float, spin: float, coefficient: float) -> float:
-    """Torque of the ground on one foot about the normal, t_n [N m].
+    """Return the torque of the ground on one foot about the normal, t_n [N m].
 
     Args:
         normal: normal force f_n [N].
@@ -100,7 +100,7 @@ def foot_force(
     damping: float,
     dt: float,
 ) -> tuple[Array, Array]:
-    """Force (3,) [N] of the ground on one foot, and the sole's new stretch (2,) [m]; see `foot_force_kernel`."""
+    """Return the ground's force (3,) [N] on a foot and the sole's new stretch (2,) [m]; see `foot_force_kernel`."""
     force, after = np.zeros(3), np.array(stretch, dtype=np.float64)
     foot_force_kernel(depth, np.asarray(velocity, float), after, friction, stiffness, damping, dt, force)
     return force, after

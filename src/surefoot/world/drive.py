@@ -81,7 +81,7 @@ class Drive(NamedTuple):
 
 
 def new_drive(robot: RobotDescription, num_envs: int, history: int, config: WorldConfig | None = None) -> Drive:
-    """Arrays for `num_envs` robots with nominal parameters and an empty history of that many samples."""
+    """Return the arrays for `num_envs` robots with nominal parameters and an empty history of that many samples."""
     config = config or WorldConfig()
     motors, legs = robot.num_motors, len(robot.legs)
     width = 2 * motors + IMU_WIDTH
@@ -140,13 +140,13 @@ def set_drive_params(drive: Drive, index: NDArray[np.int64], params: PhysicalPar
 
 
 def racked_bases(num_envs: int) -> Array:
-    """What an engine's `base` tells of robots on a rack, (N, 10): level, `RACK_HEIGHT` up, and still."""
+    """Return an engine's `base` of robots on a rack, (N, 10): level, `RACK_HEIGHT` up, and at rest."""
     return np.tile([0.0, 0.0, RACK_HEIGHT, 1.0, *[0.0] * 6], (num_envs, 1))
 
 
 @kernel
 def roll_pitch_yaw(w: float, x: float, y: float, z: float) -> tuple[float, float, float]:
-    """Euler angles [rad] of a unit quaternion: turn by yaw about z, then pitch about y, then roll about x."""
+    """Return Euler angles [rad] of a unit quaternion: yaw about z, then pitch about y, then roll about x."""
     roll = math.atan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
     pitch = math.asin(min(max(2 * (w * y - z * x), -1.0), 1.0))
     yaw = math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
@@ -155,13 +155,13 @@ def roll_pitch_yaw(w: float, x: float, y: float, z: float) -> tuple[float, float
 
 @kernel
 def record(drive: Drive, i: int) -> None:
-    """The state of now of robot `i` enters its history, stamped with the robot's own time."""
+    """Append the present state of robot `i` to its history, stamped with the robot's own time."""
     push_kernel(drive.times[i], drive.history[i], drive.ticks[i], drive.ticks[i] * drive.limits[3], drive.now[i])
 
 
 @kernel
 def servo_tick(drive: Drive, i: int) -> None:
-    """Servo and motor of robot `i` answer the state of now, which is in the history, with `drive.torque`.
+    """Compute `drive.torque` of robot `i` by servo and motor from the state in the history.
 
     Constraint motors answer with the speed that they seek, `drive.end_speed`; their torque is the engine's to find,
     at most `drive.torque_limit`, and `constraint_tick` takes it after the step.

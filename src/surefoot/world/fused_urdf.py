@@ -34,7 +34,7 @@ class RigidBody:
     inertia: Array
 
     def principal(self) -> tuple[Array, Array]:
-        """Principal moments [kg m2] (3,) and axes (3, 3), a rotation whose columns are in the link's frame.
+        """Return the principal moments [kg m2] (3,) and axes (3, 3), a rotation whose columns are in the link's frame.
 
         Of the axes that fit, those nearest to the link's own: a link along its frame keeps its frame.
         """
@@ -61,7 +61,7 @@ class FusedUrdf:
 
 
 def rotation(roll: float, pitch: float, yaw: float) -> Array:
-    """Rotation (3, 3) by roll about x, then pitch about y, then yaw about z, axes fixed [rad]."""
+    """Return the rotation (3, 3) by roll about x, then pitch about y, then yaw about z, axes fixed [rad]."""
     (cr, sr), (cp, sp), (cy, sy) = ((math.cos(angle), math.sin(angle)) for angle in (roll, pitch, yaw))
     return np.array(
         [
@@ -73,7 +73,7 @@ def rotation(roll: float, pitch: float, yaw: float) -> Array:
 
 
 def roll_pitch_yaw_of(turn: Array) -> Array:
-    """Roll, pitch and yaw (3,) [rad] of a rotation (3, 3); with pitch at a quarter turn, yaw is 0."""
+    """Return the roll, pitch and yaw (3,) [rad] of a rotation (3, 3); with pitch at a quarter turn, yaw is 0."""
     pitch = math.atan2(-turn[2, 0], math.hypot(turn[0, 0], turn[1, 0]))
     if math.hypot(turn[0, 0], turn[1, 0]) < 1e-9:
         return np.array([math.atan2(math.copysign(1.0, pitch) * turn[0, 1], turn[1, 1]), pitch, 0.0])
@@ -86,7 +86,7 @@ def _vector(element: ElementTree.Element | None, key: str) -> Array:
 
 
 def frame_of(element: ElementTree.Element | None) -> Array:
-    """The (4, 4) frame of an <origin>, or of none."""
+    """Return the (4, 4) frame of an <origin>, or of none."""
     frame = np.eye(4)
     frame[:3, :3] = rotation(*_vector(element, "rpy"))
     frame[:3, 3] = _vector(element, "xyz")
@@ -94,7 +94,7 @@ def frame_of(element: ElementTree.Element | None) -> Array:
 
 
 def _origin(frame: Array) -> ElementTree.Element:
-    """The <origin> of a frame (4, 4), to the last bit that a reader of decimal numbers can get."""
+    """Return the <origin> of a frame (4, 4), in decimals that are read back as the same numbers."""
 
     def words(values: Array) -> str:
         return " ".join(repr(float(value)) for value in values)
@@ -103,7 +103,7 @@ def _origin(frame: Array) -> ElementTree.Element:
 
 
 def _rigid_body(link: ElementTree.Element) -> RigidBody:
-    """Mass, centre and inertia of a link of the file, in the link's own frame."""
+    """Return mass, centre and inertia of a link of the file, in the link's own frame."""
     frame = frame_of(link.find("inertial/origin"))
     inertia_element, mass_element = link.find("inertial/inertia"), link.find("inertial/mass")
     # `read_urdf` has refused links without.
@@ -118,7 +118,7 @@ def _rigid_body(link: ElementTree.Element) -> RigidBody:
 
 
 def fuse(parts: list[tuple[RigidBody, Array]]) -> RigidBody:
-    """One body of several, each with its frame (4, 4) in the frame of the whole."""
+    """Return one body of several, each with its frame (4, 4) in the frame of the whole."""
     mass = sum(body.mass for body, _ in parts)
     centres = [frame[:3, :3] @ body.centre + frame[:3, 3] for body, frame in parts]
     centre = np.sum([body.mass * at for (body, _), at in zip(parts, centres, strict=True)], axis=0) / mass
@@ -130,7 +130,7 @@ def fuse(parts: list[tuple[RigidBody, Array]]) -> RigidBody:
 
 
 def _places(joints: list[ElementTree.Element], root: str) -> dict[str, tuple[str, Array]]:
-    """For each link: the link at the top of its group of fixed links, and its frame there."""
+    """Return for each link the root of its group of fixed links, and its frame there."""
     children: dict[str, list[ElementTree.Element]] = {}
     for joint in joints:
         children.setdefault(joint.find("parent").get("link", ""), []).append(joint)  # type: ignore[union-attr]

@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 
 @njit(cache=True)
 def _quaternion(roll: float, pitch: float, yaw: float) -> tuple[float, float, float, float]:
-    """Unit quaternion w x y z of a turn by yaw about z, then pitch about y, then roll about x [rad]."""
+    """Return the unit quaternion w x y z of a rotation by yaw about z, then pitch about y, then roll about x [rad]."""
     cr, sr = math.cos(roll / 2), math.sin(roll / 2)
     cp, sp = math.cos(pitch / 2), math.sin(pitch / 2)
     cy, sy = math.cos(yaw / 2), math.sin(yaw / 2)

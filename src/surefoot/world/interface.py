@@ -114,19 +114,19 @@ class Simulation(World, Protocol):
     """How often a robot's state stopped being finite, since the world was made."""
 
     def step(self, target: ArrayLike, active: NDArray[np.bool_] | None = None) -> Readings:
-        """As a world's; with `active` (N,), time stands still for all other robots."""
+        """Step as a world does; robots that are not `active` (N,) are not stepped."""
         ...
 
     def readings(self) -> Readings:
-        """The readings of now, again."""
+        """Return the present readings again."""
         ...
 
     def truth(self) -> Truth:
-        """The true state of now; the arrays are the caller's to keep."""
+        """Return the true state; the arrays belong to the caller."""
         ...
 
     def foot_positions(self) -> Array:
-        """Centres of the rounded feet in the world frame [m], (N, L, 3)."""
+        """Return the centres of the rounded feet in the world frame [m], (N, L, 3)."""
         ...
 
     def set_params(self, index: ArrayLike, params: PhysicalParams) -> None:
@@ -138,7 +138,7 @@ class Simulation(World, Protocol):
         ...
 
     def get_state(self) -> dict[str, Any]:
-        """Everything that decides how the world goes on."""
+        """Return the whole state of the world."""
         ...
 
     def set_state(self, state: dict[str, Any]) -> None:

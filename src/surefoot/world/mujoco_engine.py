@@ -38,7 +38,7 @@ _MASS_FIELDS = ("body_mass", "body_inertia", "body_subtreemass", "body_invweight
 
 
 def _masses(model: mujoco.MjModel) -> Array:
-    """What `_load_masses` writes, from a model that has it."""
+    """Return from a model the numbers that `_load_masses` writes."""
     return np.concatenate([getattr(model, field).ravel() for field in _MASS_FIELDS])
 
 
@@ -123,7 +123,7 @@ class MujocoEngine:
         )
 
     def _motor_rows(self, motor_dof: Index) -> dict[str, Any]:
-        """Where constraint motors are among the solver's rows; rows of joint friction follow those of closed loops."""
+        """Return the solver's rows of constraint motors; rows of joint friction follow those of closed loops."""
         model, data = self._nominal, self._scratch
         friction_dofs = np.flatnonzero(model.dof_frictionloss > 0)
         if not len(friction_dofs):
@@ -157,7 +157,7 @@ class MujocoEngine:
         observe(self._native, self.drive, i)
 
     def get_state(self, i: int) -> Array:
-        """Everything that decides robot `i`'s further motion in the engine."""
+        """Return the whole state of robot `i` in the engine."""
         return self._read(self.datas[i], self._native.stretch[i])
 
     def set_state(self, i: int, state: Array) -> None:
@@ -217,7 +217,7 @@ class MujocoEngine:
         return _masses(model)
 
     def base(self) -> Array:
-        """Base position [m], quaternion (w x y z) and velocity [m/s], all in the world frame, (N, 10)."""
+        """Return the base position [m], quaternion (w x y z) and velocity [m/s], all in the world frame, (N, 10)."""
         if self._native.base_qpos < 0:
             return racked_bases(len(self.datas))
         rows = np.empty((len(self.datas), 10))
@@ -225,7 +225,7 @@ class MujocoEngine:
         return rows
 
     def foot_positions(self) -> Array:
-        """Centres of the feet in the world frame [m], (N, L, 3)."""
+        """Return the centres of the feet in the world frame [m], (N, L, 3)."""
         # MuJoCo's positions are those of the last step's start, or of before a reset.
         for data in self.datas:
             mujoco.mj_kinematics(self._nominal, data)

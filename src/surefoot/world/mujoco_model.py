@@ -20,7 +20,7 @@ MOTOR_ITERATIONS = 50
 
 
 def build_spec(robot: RobotDescription, config: WorldConfig | None = None) -> mujoco.MjSpec:
-    """The robot over a ground plane at z = 0, its base free or on a rack, ready to compile.
+    """Return the robot over a ground plane at z = 0, its base free or on a rack, ready to compile.
 
     Feet meet the ground by the law in `surefoot.world.contact`, so their geoms collide with nothing here; the
     other collision shapes of the URDF meet the ground, and not each other, by MuJoCo's own contacts.
@@ -78,17 +78,17 @@ def build_spec(robot: RobotDescription, config: WorldConfig | None = None) -> mu
 
 
 def build_model(robot: RobotDescription, config: WorldConfig | None = None) -> mujoco.MjModel:
-    """The compiled model."""
+    """Return the compiled model."""
     return build_spec(robot, config).compile()
 
 
 def foot_geoms(robot: RobotDescription, model: mujoco.MjModel) -> NDArray[np.int64]:
-    """Geom ids of the feet, in the order of the legs."""
+    """Return the geom ids of the feet, in the order of the legs."""
     return np.array([model.geom(f"{leg.name}_foot").id for leg in robot.legs])
 
 
 def resting_qpos(robot: RobotDescription, model: mujoco.MjModel) -> NDArray[np.float64]:
-    """Generalized coordinates of the robot in its resting pose, loops closed, lowest foot on the ground (no rack)."""
+    """Return generalized coordinates of the resting pose, loops closed, lowest foot on the ground (no rack)."""
     qpos = model.qpos0.copy()
     for name, angle in robot.resting_joint_angles.items():
         qpos[model.joint(name).qposadr[0]] = angle

@@ -20,7 +20,7 @@ _LARGEST_STRUCT = 1 << 20
 
 
 def function_address(name: str) -> int:
-    """Address of a C function of the MuJoCo library that the `mujoco` package has loaded."""
+    """Return the address of a C function of the MuJoCo library that the `mujoco` package has loaded."""
     folder = Path(mujoco.__file__).parent
     patterns = ("libmujoco.so.*", "libmujoco.*.dylib", "mujoco.dll")
     library = next(path for pattern in patterns for path in sorted(folder.glob(pattern)))
@@ -63,7 +63,7 @@ def struct_offset(struct: int, pointer: int) -> int:
 
 @intrinsic
 def pointers(typing_context: Any, address: Any) -> Any:
-    """The array of C pointers that starts at an address, as integers."""
+    """Return the array of C pointers that starts at an address, as integers."""
     signature = types.CPointer(types.int64)(types.int64)
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
@@ -74,7 +74,7 @@ def pointers(typing_context: Any, address: Any) -> Any:
 
 @intrinsic
 def doubles(typing_context: Any, address: Any) -> Any:
-    """The array of C doubles that starts at an address; its length is not known and not checked."""
+    """Return the array of C doubles that starts at an address; its length is not known and not checked."""
     signature = types.CPointer(types.float64)(types.int64)
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:

@@ -19,7 +19,7 @@ _WAIT = 2.0
 
 
 def _start() -> subprocess.Popen[bytes]:
-    """A process that waits for requests; it imports this package, and nothing of the user's script."""
+    """Start a process that waits for requests; it imports this package, and nothing of the user's script."""
     package = str(Path(__file__).resolve().parents[2])
     known = [package, *os.environ.get("PYTHONPATH", "").split(os.pathsep)]
     environment = {

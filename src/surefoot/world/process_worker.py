@@ -19,7 +19,7 @@ from surefoot.world.sim_world import SimWorld
 
 
 def _answer(world: SimWorld, method: str, arguments: tuple[Any, ...]) -> Any:
-    """The world's answer; after a step or a reset with the truth, which is nearly always asked for next."""
+    """Return the world's answer; after a step or a reset with the truth, which is nearly always requested next."""
     value = getattr(world, method)(*arguments)
     if method in ("step", "reset"):
         return value, world.truth(), world.divergences

@@ -39,7 +39,7 @@ class Engine(Protocol):
         """Write the state of robot `i` to `drive.now`."""
 
     def get_state(self, i: int) -> Array:
-        """All that decides robot `i`'s further motion."""
+        """Return the whole state of robot `i` in the engine."""
 
     def set_state(self, i: int, state: Array) -> None:
         """Put robot `i` into a state, and mark it sound again."""
@@ -57,17 +57,17 @@ class Engine(Protocol):
         """Apply masses, inertias and the feet's contact of one row to robot `i`, whose state stays as it is."""
 
     def base(self) -> Array:
-        """Base position, quaternion and velocity in the world, (N, 10)."""
+        """Return the base position, quaternion and velocity in the world, (N, 10)."""
 
     def foot_positions(self) -> Array:
-        """Foot centres in the world, (N, L, 3)."""
+        """Return the foot centres in the world, (N, L, 3)."""
 
 
 EngineFactory = Callable[[RobotDescription, Drive, WorldConfig], Engine]
 
 
 def mujoco_engine(robot: RobotDescription, drive: Drive, config: WorldConfig) -> Engine:
-    """The MuJoCo engine, imported when first asked for."""
+    """Return the MuJoCo engine, imported on first use."""
     from surefoot.world.mujoco_engine import MujocoEngine
 
     return MujocoEngine(robot, drive, config)
@@ -137,7 +137,7 @@ class SimWorld:
         self.reset()
 
     def _settle(self, engine: EngineFactory) -> Array:
-        """State of one nominal robot after it has settled; resets start from it, whatever the parameters."""
+        """Return the state of one nominal robot after it has settled; all resets start from it."""
         config = replace(self.config, thermal_protection=False, threads=1)
         drive = new_drive(self.robot, 1, self._history, config)
         single = engine(self.robot, drive, config)
@@ -218,7 +218,7 @@ class SimWorld:
         return self.readings()
 
     def readings(self) -> Readings:
-        """What the control computer gets now: `control_latency` old, roll and pitch with bias and noise."""
+        """Return what the control computer receives: `control_latency` old, roll and pitch with bias and noise."""
         motors = self.robot.num_motors
         out = np.empty_like(self.drive.now)
         read_delayed(self.drive, self.params.control_latency, out)
@@ -243,7 +243,7 @@ class SimWorld:
             self._noise[i] = self._imu_streams[i].standard_normal((_NOISE_BLOCK, 2))
 
     def truth(self) -> Truth:
-        """The true state of now, and what happened over the last control step."""
+        """Return the true state, with energy and contacts over the last control step."""
         base, motors = self.engine.base(), self.robot.num_motors
         now = self.drive.now
         ticks = np.maximum(np.round(self.params.control_step / self.robot.timing.servo_step), 1)
@@ -261,7 +261,7 @@ class SimWorld:
         )
 
     def foot_positions(self) -> Array:
-        """Centres of the rounded feet in the world frame [m], (N, L, 3)."""
+        """Return the centres of the rounded feet in the world frame [m], (N, L, 3)."""
         return self.engine.foot_positions()
 
     def set_params(self, index: ArrayLike, params: PhysicalParams) -> None:
@@ -285,7 +285,7 @@ class SimWorld:
             self.engine.set_force(i, force)
 
     def get_state(self) -> dict[str, Any]:
-        """Everything that decides how the world goes on, for an exact resume."""
+        """Return the whole state of the world, for an exact resume."""
         return {
             "engine": np.array([self.engine.get_state(i) for i in range(self.num_envs)]),
             "drive": {name: array.copy() for name, array in self.drive._asdict().items()},
