@@ -1,4 +1,4 @@
-"""What C code prints, kept away from the user's stdout: there stand results, and with `--json` one object alone."""
+"""Redirection of what C code prints: stdout holds results only, with `--json` one object."""
 
 from __future__ import annotations
 

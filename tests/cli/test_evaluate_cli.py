@@ -90,7 +90,7 @@ def test_help_loads_nothing_heavy():
 
 
 def test_an_unknown_command_is_refused():
-    refused(surefoot("fly"), "'fly' is no command; commands: train, evaluate, play")
+    refused(surefoot("fly"), "'fly' is not a command; choices: train, evaluate, play")
     assert surefoot().returncode == 2
 
 
@@ -135,7 +135,7 @@ def test_a_table_and_files_are_written(policy: Path, tmp_path: Path):
     ("words", "parts"),
     [
         (("--episodes", "0"), ("episodes is 0; it must be 1 or more",)),
-        (("--set", "strength=1"), ("'strength' is no physical parameter", "motor_strength")),
+        (("--set", "strength=1"), ("'strength' is not a physical parameter", "motor_strength")),
         (("--set", "motor_strength=9"), ("motor_strength is 9; minitaur allows 0 to 2",)),
         (("--set", "motor_strength=much"), ("sets no number",)),
         (("--set", "motor_strength=nan"), ("motor_strength",)),

@@ -238,7 +238,7 @@ def test_a_robot_without_motion_capture(here: Path, capsys: pytest.CaptureFixtur
         ("gallop.onnx --to mujoco --duration 0", ("duration is 0; it must be over 0",)),
         ("gallop.onnx --to mujoco --seed -1", ("seed is -1; it must be 0 or more",)),
         ("gallop.onnx nowhere --to mujoco", ("policy 'nowhere' does not exist",)),
-        ("gallop.onnx --to mujoco --to-set strength=1", ("'strength' is no physical parameter",)),
+        ("gallop.onnx --to mujoco --to-set strength=1", ("'strength' is not a physical parameter",)),
         ("gallop.onnx --to mujoco --from-set motor_strength=9", ("motor_strength is 9; minitaur allows 0 to 2",)),
         ("gallop.onnx --to mujoco --to-actuator servo", ("servo",)),
         ("gallop.onnx --to mujoco --out /dev/null/gap", ("/dev/null",)),
@@ -299,7 +299,7 @@ def test_policies_for_different_robots_are_refused(here: Path, capsys: pytest.Ca
 def test_motors_that_overheat_go_with_dc_motors_only(here: Path, capsys: pytest.CaptureFixture[str]):
     rewrite("trot", here / "hot.onnx", lambda contract: contract["task"].update(thermal_protection=True))
     words = ["hot.onnx", "--to", "mujoco", "--to-actuator", "constraint"]
-    refused(words, capsys, "thermal_protection is of DC motors; it goes with actuator dc only")
+    refused(words, capsys, "thermal_protection is on; it requires actuator dc")
 
 
 def test_sides_have_names_of_their_own():

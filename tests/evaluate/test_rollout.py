@@ -173,7 +173,7 @@ def test_a_table_comes_from_the_contract_and_not_from_its_file(tmp_path: Path):
 def test_a_task_that_is_not_known_is_refused():
     contract = contract_of(trot())
     changed = replace(contract, task={**json.loads(contract.to_json())["task"], "colour": "red"})
-    with pytest.raises(SurefootError, match=r"policy 'p': task.colour is no key"):
+    with pytest.raises(SurefootError, match=r"policy 'p': task.colour is not a key"):
         task_from_contract(changed)
 
 

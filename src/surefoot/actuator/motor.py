@@ -33,7 +33,7 @@ def motor_current(duty, speed, voltage, torque_constant, resistance, voltage_cli
 
     Args:
         duty: PWM duty in [-1, 1].
-        speed: true motor speed of now [rad/s]; back-EMF knows no latency.
+        speed: true present motor speed [rad/s]; back-EMF has no latency.
         voltage: battery voltage V [V].
         torque_constant: K_t [N m/A], also the back-EMF constant [V s/rad].
         resistance: R [Ohm].
@@ -126,7 +126,7 @@ def overheat_kernel(torque: float, hot_time: float, dt: float, limit: float) -> 
 
 @vectorize(cache=True)
 def overheat(torque, hot_time, dt, limit):  # type: ignore[no-untyped-def]
-    """Time [s] that a motor has been over its thermal torque limit without a break.
+    """Return the time [s] that a motor has been over its thermal torque limit without a break.
 
     The motor is switched off, until the next reset, once this time passes the robot's `overheat_time`
     (thermal protection in the robot's published model).

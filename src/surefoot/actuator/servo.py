@@ -1,4 +1,4 @@
-"""The position servo that runs on the microcontroller, once a servo step."""
+"""The position servo of the microcontroller, run once per servo step."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from numba import njit, vectorize
 def servo_duty_kernel(target: float, angle: float, speed: float, kp: float, kd: float) -> float:
     """Return `servo_duty` for scalars."""
     duty = kp * (target - angle) - kd * speed
-    # Compiled min and max would turn what is no number into full duty.
+    # Compiled min and max would turn NaN into full duty.
     return 1.0 if duty > 1.0 else -1.0 if duty < -1.0 else duty
 
 
@@ -20,7 +20,7 @@ def servo_duty(target, angle, speed, kp, kd):  # type: ignore[no-untyped-def]
     Source: Tan et al. 2018, eq. 7, with the duty limited as in the robot's published model.
 
     Args:
-        target: motor angle asked for [rad].
+        target: commanded motor angle [rad].
         angle: motor angle that the servo sees, `servo_latency` old [rad].
         speed: motor speed that the servo sees, equally old [rad/s].
         kp: proportional gain [1/rad].

@@ -44,7 +44,7 @@ class PlayCommand:
 
 
 def main(argv: list[str]) -> int:
-    """Run the command with the words after its name; returns the exit code."""
+    """Run the command with the words after its name; return the exit code."""
     config = (tyro.conf.FlagCreatePairsOff,)
     command = parse(PlayCommand, argv, "surefoot play", config=config)
     if command.out is not None and command.out.suffix.lower() != ".mp4":
@@ -80,12 +80,12 @@ def main(argv: list[str]) -> int:
 
 
 def has_display() -> bool:
-    """Whether a window can be opened here."""
+    """Return whether a window can be opened here."""
     return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
 
 
 def captions(trace: EpisodeTrace) -> list[str]:
-    """Text for each control step of a trace: who runs where, and how fast over the last half second."""
+    """Return a text for each control step of a trace: policy, world, and speed over the last half second."""
     half = max(round(0.5 / trace.meta["control_step"]), 1)
     lines = []
     for step, time in enumerate(trace.time):

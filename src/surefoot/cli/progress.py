@@ -1,4 +1,4 @@
-"""Episodes with a progress bar on stderr, so that stdout is the result's alone."""
+"""Episodes with a progress bar on stderr, so that stdout holds only the result."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def run_with_progress(
     policy_name: str = "",
     what: str = "",
 ) -> list[EpisodeTrace]:
-    """`run_episodes` with a bar that shows control steps and the robots still going; `what` stands before it."""
+    """Run `run_episodes` with a bar of control steps and running robots; `what` is its label."""
     columns = (
         TextColumn("{task.description}"),
         BarColumn(),

@@ -1,4 +1,4 @@
-"""What a finished run leaves in its folder: evaluation, learning curve, footfalls, one episode, video."""
+"""Reports in the folder of a finished run: evaluation, learning curve, footfalls, one episode, video."""
 
 from __future__ import annotations
 

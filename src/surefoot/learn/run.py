@@ -1,4 +1,4 @@
-"""A whole training run: updates, evaluations, checkpoints, figures; interrupted and resumed without a difference."""
+"""A training run: updates, evaluations, checkpoints, figures; resuming gives exactly the same result."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class Evaluation:
 
     @property
     def rank(self) -> tuple[float, float]:
-        """Greater is better: fewest falls, then fewest falls under pushes weighed against the return."""
+        """Rank; greater is better: fewest falls, then fewest falls under pushes weighed against the return."""
         return -self.falls, self.return_mean - 0.25 * self.pushed_falls
 
 
@@ -91,9 +91,9 @@ class TrainingRun:
 
     Args:
         config: the run.
-        folder: where it lives.
+        folder: its run folder.
         make_world: makes the simulation.
-        resume: go on from the folder's last checkpoint.
+        resume: continue from the folder's last checkpoint.
 
     Raises:
         SurefootError: a task that does not fit, or a checkpoint that can't be read.
@@ -123,7 +123,7 @@ class TrainingRun:
         self.folder.drop_rows_after(self.trainer.steps)
 
     def save(self) -> None:
-        """Save everything that the run needs to go on."""
+        """Save everything that the run needs to continue."""
         if self._saved_steps == self.trainer.steps:
             return
         self.folder.save(
@@ -147,11 +147,11 @@ class TrainingRun:
         on_update: Callable[[UpdateFigures, Evaluation | None], None],
         should_stop: Callable[[], bool] = lambda: False,
     ) -> None:
-        """Train until all steps are done, or until told to stop; then save.
+        """Train until all steps are done, or until a stop is requested; then save.
 
         Args:
             on_update: called after every update with its figures and the evaluation, if one was due.
-            should_stop: asked between two updates, where the run can be saved and resumed without a difference.
+            should_stop: called between two updates, where the run can be saved and resumed without a difference.
         """
         try:
             while not self.finished and not should_stop():

@@ -1,6 +1,6 @@
-"""Left for right: what a robot that is its own mirror image learns on one side, it has learned on the other.
+"""Left-right symmetry: a robot that is its own mirror image learns from mirrored samples too.
 
-Every sample is seen twice in an update, as it was and mirrored in the robot's middle plane (data augmentation, see
+Every sample is used twice in an update, as it was and mirrored in the robot's middle plane (data augmentation, see
 Mittal et al. 2024, "Symmetry Considerations for Learning Task Symmetric Robot Policies").
 """
 
@@ -70,7 +70,7 @@ def reference_shift(env: LocomotionEnv) -> bool:
 
 
 class MirrorSamples:
-    """Samples and their mirror images, as rsl_rl asks for them.
+    """Samples and their mirror images, as rsl_rl requests them.
 
     Args:
         env: names the columns.

@@ -1,7 +1,7 @@
-"""Reads protobuf messages strictly: the robot's computer has no `onnx` package.
+"""A strict reader of protobuf messages: the robot's computer has no `onnx` package.
 
-A message may hold the fields that its layout names, and nothing else: what this reader would pass over, onnxruntime
-might heed (https://protobuf.dev/programming-guides/encoding).
+A message may hold the fields that its layout names, and nothing else: onnxruntime might use what this reader
+skipped (https://protobuf.dev/programming-guides/encoding).
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Runs a policy file: numpy and onnxruntime only, so that the robot's computer can."""
+"""Runtime of policy files, with numpy and onnxruntime only, for the robot's computer."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from surefoot.policy.digest import check_digest, read_parts
 from surefoot.policy.network import INPUT, MAX_BYTES, OUTPUT, check_network
 
 with stdout_to_stderr():
-    # It warns of processors and devices that it does not know while it is loaded, not only when it is asked something.
+    # It warns of processors and devices that it does not know while it is loaded, not only when it is used.
     import onnxruntime
 
 
@@ -90,7 +90,7 @@ def _read(data: bytes) -> tuple[Contract, str | None]:
     """Return the contract and digest of a policy file, checked with its network before any of it is run.
 
     Raises:
-        SurefootError, ValueError, OverflowError, RecursionError: what the file holds is no policy.
+        SurefootError, ValueError, OverflowError, RecursionError: the file does not hold a policy.
     """
     parts = read_parts(data)
     if METADATA_KEY not in parts.properties:
@@ -115,7 +115,7 @@ def _options() -> onnxruntime.SessionOptions:
 
 
 def _check_end(path: Path, what: str, found: list[Any], name: str, width: int) -> None:
-    """Refuse what is not one tensor (N, width) of 32-bit numbers, as the contract tells."""
+    """Refuse what is not one tensor (N, width) of 32-bit numbers, as the contract states."""
     said = ", ".join(f"{end.name} {end.type} {end.shape}" for end in found)
     fits = len(found) == 1 and found[0].name == name and found[0].type == "tensor(float)"
     if not (

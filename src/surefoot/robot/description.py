@@ -140,7 +140,7 @@ class _Sheet:
 
 @dataclass(frozen=True)
 class RobotDescription:
-    """What a machine is. Angles are motor angles theta in the sheet's motor order unless said otherwise."""
+    """A robot. Angles are motor angles theta in the sheet's motor order unless stated otherwise."""
 
     name: str
     folder: Path
@@ -170,7 +170,7 @@ class RobotDescription:
         """Load a robot by name or by the path of its folder.
 
         Raises:
-            SurefootError: no such robot, or a description that does not fit: says file, key and rule.
+            SurefootError: no such robot, or an invalid description: states file, key and rule.
         """
         folder = _HERE / str(robot) if str(robot) in cls.available() else Path(robot)
         sheet_path = folder / "robot.toml"
@@ -371,4 +371,4 @@ def _check_names(key: str, given: Sequence[str], valid: Sequence[str]) -> None:
         if name not in valid:
             raise SurefootError(f"{key} names '{name}', which the robot does not have; choices: {choices(valid)}")
     if len(set(given)) != len(given):
-        raise SurefootError(f"{key} is {quoted(list(given))}; it must have no name twice")
+        raise SurefootError(f"{key} is {quoted(list(given))}; names must not repeat")

@@ -45,7 +45,7 @@ class FiveBar:
     """Radius of the foot's rounded end."""
 
     def __post_init__(self) -> None:
-        """Refuse lengths that are no lengths."""
+        """Refuse lengths that are not over zero."""
         for key, value in (("upper", self.upper), ("lower", min(self.lower)), ("foot", self.foot)):
             if not value > 0:
                 raise SurefootError(f"leg_geometry.{key} is {value:g}; a length must be over 0 m")

@@ -1,4 +1,4 @@
-"""`PhysicalParams`: everything that reality may dispute, one row a robot."""
+"""`PhysicalParams`: everything that may differ from the data sheet, one row per robot."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ class PhysicalParams:
     description's value.
     """
 
-    base_mass_ratio: Array = _row("1", "mass of the base and all that is fixed to it, to the description's", (0.2, 5.0))
-    leg_mass_ratio: Array = _row("1", "mass of every moving link, to the description's", (0.2, 5.0))
-    base_inertia_ratio: Array = _row("1", "rotational inertia of the base, to the description's", (0.2, 5.0))
-    leg_inertia_ratio: Array = _row("1", "rotational inertia of every moving link, to the description's", (0.2, 5.0))
-    motor_strength: Array = _row("1", "motor torque, to the motor model's", (0.0, 2.0), "motors")
+    base_mass_ratio: Array = _row("1", "mass of the base with its fixed links, over the description's", (0.2, 5.0))
+    leg_mass_ratio: Array = _row("1", "mass of every moving link, over the description's", (0.2, 5.0))
+    base_inertia_ratio: Array = _row("1", "rotational inertia of the base, over the description's", (0.2, 5.0))
+    leg_inertia_ratio: Array = _row("1", "rotational inertia of every moving link, over the description's", (0.2, 5.0))
+    motor_strength: Array = _row("1", "motor torque, over the motor model's", (0.0, 2.0), "motors")
     motor_friction: Array = _row("N m", "Coulomb friction in each motor", (0.0, 0.5), "motors")
     motor_viscous_friction: Array = _row("N m s/rad", "viscous friction in each motor", (0.0, 0.1), "motors")
     torque_constant: Array = _row("N m/A", "torque constant K_t, also the back-EMF constant", (0.01, 1.0))
@@ -41,13 +41,13 @@ class PhysicalParams:
     voltage: Array = _row("V", "battery voltage", (5.0, 30.0))
     servo_kp: Array = _row("1/rad", "servo's proportional gain, duty per angle", (0.0, 10.0))
     servo_kd: Array = _row("s/rad", "servo's derivative gain, duty per speed", (0.0, 0.2))
-    servo_latency: Array = _row("s", "age of the motor angles and speeds that the servo sees", (0.0, 0.020))
-    control_latency: Array = _row("s", "age of the readings that the policy sees", (0.0, 0.100))
+    servo_latency: Array = _row("s", "age of the motor angles and speeds that the servo uses", (0.0, 0.020))
+    control_latency: Array = _row("s", "age of the readings that the policy observes", (0.0, 0.100))
     control_step: Array = _row("s", "time between two commands of the policy", (0.001, 0.050))
     contact_friction: Array = _row("1", "lateral friction coefficient of the feet", (0.05, 3.0))
     contact_stiffness: Array = _row("N/m", "stiffness of the feet against the ground", (300.0, 100_000.0))
     contact_spinning_friction: Array = _row(
-        "m", "torque with which a foot resists turning about the normal, to the normal force", (0.0, 0.5)
+        "m", "friction torque of a foot about the contact normal, over the normal force", (0.0, 0.5)
     )
     knee_friction: Array = _row("N m", "Coulomb friction in each knee joint; Bullet only", (0.0, 0.5))
     knee_play: Array = _row("m", "radial clearance of the pins that close the loops; Bullet only", (0.0, 0.005))
@@ -96,7 +96,7 @@ class PhysicalParams:
         changed = {}
         for name, value in values.items():
             if name not in self.names():
-                raise SurefootError(f"'{name}' is no physical parameter; choices: {choices(self.names())}")
+                raise SurefootError(f"'{name}' is not a physical parameter; choices: {choices(self.names())}")
             now = getattr(self, name)
             given = np.asarray(value, dtype=np.float64)
             if given.ndim == 1 and now.ndim == 2 and len(given) == len(now) and len(given) != now.shape[1]:
@@ -127,7 +127,7 @@ def parse_settings(settings: list[str] | tuple[str, ...]) -> dict[str, float]:
     for setting in settings:
         name, _, text = setting.partition("=")
         if name not in PhysicalParams.names():
-            raise SurefootError(f"'{name}' is no physical parameter; choices: {choices(PhysicalParams.names())}")
+            raise SurefootError(f"'{name}' is not a physical parameter; choices: {choices(PhysicalParams.names())}")
         try:
             parsed[name] = float(text)
         except ValueError:

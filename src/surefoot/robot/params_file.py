@@ -1,4 +1,4 @@
-"""Physical parameters of one robot in a TOML file, with whatever else belongs to them.
+"""Physical parameters of one robot in a TOML file, with further tables.
 
     [params]
     motor_strength = [0.94, 0.97, 0.91, 1.0, 0.99, 0.93, 0.96, 0.98]
@@ -104,7 +104,7 @@ def write_params(
         names: parameters to write; all, if not given.
 
     Raises:
-        SurefootError: a folder that does not exist, or a value that TOML has no way to write.
+        SurefootError: a folder that does not exist, or a value that TOML cannot hold.
     """
     others = {key: value for key, value in (tables or {}).items() if key != "robot"}
     lines = _lines({"robot": robot.name, **{key: value for key, value in others.items() if not _is_table(value)}})
@@ -167,4 +167,4 @@ def _toml(value: Any) -> str:
         return value.isoformat()
     if _is_table(value):
         return f"{{{', '.join(_lines(value))}}}"
-    raise SurefootError(f"a file of parameters can't hold {value!r}; numbers, texts, truths and lists can be written")
+    raise SurefootError(f"a file of parameters can't hold {value!r}; numbers, texts, booleans and lists can be written")

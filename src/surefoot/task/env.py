@@ -37,7 +37,7 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
     that ended, its `figures`. Without it, time stands still for a robot whose episode is over, until its reset.
 
     Args:
-        task: what is to be learned.
+        task: its configuration.
         num_envs: number of robots.
         make_world: makes the simulation, such as `surefoot.world.sim_world.SimWorld`.
         seed: seeds every stream of random numbers.
@@ -233,7 +233,7 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
         }
 
     def set_state(self, state: dict[str, Any]) -> None:
-        """Go on from `get_state`, exactly."""
+        """Continue from `get_state`, exactly."""
         self.world.set_state(state["world"])
         self.readings, self.truth = self.world.readings(), self.world.truth()
         self.steps[:], self.returns[:] = state["steps"], state["returns"]

@@ -14,7 +14,7 @@ Range = tuple[float, float]
 
 
 class HybridGait:
-    """Reference plus bounded feedback (Tan et al. 2018, eq. 3), from fully given to learned from scratch.
+    """Reference plus bounded feedback (Tan et al. 2018, eq. 3).
 
     Args:
         robot: legs, their order and range.
@@ -53,7 +53,7 @@ class HybridGait:
 
     @property
     def rest(self) -> Range:
-        """Swing and extension [rad] in the middle of what can be asked for."""
+        """Swing and extension [rad] in the middle of the range of commands."""
         (s_low, s_high), (e_low, e_high) = self.reference.extent()
         legs = len(self.robot.legs)
         return (

@@ -1,4 +1,4 @@
-"""Physical parameters that nobody is told: a robot that differs from its data sheet, as every real one does."""
+"""Hidden physical parameters: a robot that differs from its data sheet, as every real one does."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Rows of a run that is not over: what a robot's recorder writes while it goes, and a trace out of what is left.
+"""Rows of an unfinished run: a recorder writes them during the run, and a trace can be made of them.
 
 A partial file is a line of JSON (layout and meta of the trace) and then rows of little-endian 64-bit floats. A row that
 was cut off is left out when it is read.
@@ -27,7 +27,7 @@ _KIND = "surefoot-partial-trace"
 
 @dataclass(frozen=True)
 class Layout:
-    """Where what stands in a row of numbers."""
+    """Columns of the quantities in a row of numbers."""
 
     motors: int
     """M"""
@@ -75,14 +75,14 @@ def trace_of(layout: Layout, rows: Array, meta: dict[str, Any], truth: dict[str,
         layout: of the rows.
         rows: one a control step.
         meta: as the trace's.
-        truth: base and feet, if somebody else has seen them.
+        truth: base and feet, if they were measured externally.
 
     Raises:
-        SurefootError: no rows, or what is no trace.
+        SurefootError: no rows, or rows that are not a trace.
     """
     steps = len(rows)
     if not steps:
-        raise SurefootError("no control step was done; there is nothing to keep")
+        raise SurefootError("no control step was done; there is nothing to save")
     columns = layout.columns(rows)
     columns.pop("robot_time")
     unknown = {
@@ -124,7 +124,7 @@ def recover(path: str | Path) -> EpisodeTrace:
         layout = Layout(int(head["motors"]), int(head["legs"]), int(head["observations"]))
         meta = dict(head["meta"])
     except (ValueError, KeyError, TypeError) as error:
-        raise SurefootError(f"partial trace {path}: is none: {' '.join(str(error).split())}") from error
+        raise SurefootError(f"partial trace {path}: is not one: {' '.join(str(error).split())}") from error
     whole = len(body) // (8 * layout.width)
     rows = np.frombuffer(body, "<f8", whole * layout.width).reshape(whole, layout.width).astype(float)
     if not whole:

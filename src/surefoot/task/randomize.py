@@ -1,6 +1,6 @@
-"""Randomization: an episode's physical parameters, drawn uniformly from ranges that are data.
+"""Randomization: an episode's physical parameters, drawn uniformly from ranges.
 
-The rows are those of Tan et al. 2018, table I, and a few more that a robot may be uncertain in. A range is the least
+The rows are those of Tan et al. 2018, table I, and a few further uncertain parameters. A range is the least
 and the greatest value; a row without a range keeps its nominal value.
 """
 
@@ -27,14 +27,14 @@ _RANGES = Path(__file__).parent / "ranges"
 
 @dataclass(frozen=True)
 class Row:
-    """What one row of a table of ranges sets."""
+    """The parameters that one row of a table of ranges sets."""
 
     params: tuple[str, ...]
     """Physical parameters; each draws a number of its own from the row's range."""
     each: bool = False
     """Whether each motor, or each axis of the IMU, draws a number of its own too."""
     apart: bool = False
-    """Whether it draws apart from the stream that the others share, which goes on as if there were no such row."""
+    """Whether it draws from a separate part of the stream, so that the draws of other rows do not depend on it."""
 
 
 ROWS: dict[str, Row] = {
@@ -105,7 +105,7 @@ class RandomizeConfig:
     """Roll, pitch and yaw of the IMU against the base, each its own [rad]; not in the paper's table."""
 
     def __post_init__(self) -> None:
-        """Refuse reversed ranges and bounds that are no finite numbers."""
+        """Refuse reversed ranges and bounds that are not finite."""
         for name, (low, high) in self.ranges.items():
             if not (math.isfinite(low) and math.isfinite(high)):
                 raise SurefootError(f"randomize.{name} is [{low:g}, {high:g}]; both bounds must be finite numbers")
@@ -165,14 +165,14 @@ def check_ranges(config: RandomizeConfig, robot: RobotDescription) -> None:
 class Randomizer:
     """Draws physical parameters for robots whose episodes start.
 
-    Each robot has a stream of its own, and an episode takes as many numbers from it whatever the ranges are: a robot
+    Each robot has a stream of its own, and an episode takes as many numbers from it for any ranges: a robot
     draws the same in any batch, and a row's draws do not change when another row is dropped. Rows that draw apart take
     theirs from far ahead in the same stream: it need not be saved twice.
 
     Args:
         config: the ranges.
-        robot: says what is allowed.
-        nominal: values of all that is not drawn, one row a robot.
+        robot: its bounds hold.
+        nominal: values of parameters that are not drawn, one row per robot.
         seed: the one seed.
 
     Raises:

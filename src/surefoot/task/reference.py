@@ -169,7 +169,7 @@ def make_reference(data: Mapping[str, Any] | None, legs: tuple[str, ...], folder
     table` with `period` and either `file` (CSV or NPZ) or the rows themselves under `swing` and `extension`.
 
     Raises:
-        SurefootError: an unknown key or leg, something that is no number, or a table that does not fit.
+        SurefootError: an unknown key or leg, a value that is not a number, or a table that does not fit.
     """
     if data is None:
         data = {"kind": "sine"}
@@ -188,7 +188,7 @@ def _only(data: Mapping[str, Any], where: str, keys: tuple[str, ...]) -> None:
         raise SurefootError(f"{where} is {quoted(data)}; it must be a table with keys out of: {choices(keys)}")
     for key in data:
         if key not in keys:
-            raise SurefootError(f"{where}.{key} is no key; keys: {choices(keys)}")
+            raise SurefootError(f"{where}.{key} is not a key; choices: {choices(keys)}")
 
 
 def _number(value: Any, where: str) -> float:
@@ -259,7 +259,7 @@ def _read_table(path: Path, legs: tuple[str, ...]) -> tuple[Array, Array]:
             read = np.genfromtxt(path, delimiter=",", names=True, dtype=float)
             table = {name: np.atleast_1d(read[name]) for name in read.dtype.names or ()}
         else:
-            raise SurefootError(f"{path}: is no .csv or .npz file; {rule}")
+            raise SurefootError(f"{path}: is not a .csv or .npz file; {rule}")
     except SurefootError:
         raise
     except _UNREADABLE as error:
@@ -270,6 +270,8 @@ def _read_table(path: Path, legs: tuple[str, ...]) -> tuple[Array, Array]:
     count = len(legs)
     lengths = {len(table[name]) for name in columns}
     if len(lengths) != 1:
-        raise SurefootError(f"{path}: columns differ in length ({choices(map(str, sorted(lengths)))}); they must not")
+        raise SurefootError(
+            f"{path}: columns differ in length ({choices(map(str, sorted(lengths)))}); all must be equally long"
+        )
     values = np.stack([table[name] for name in columns], axis=1)
     return values[:, :count], values[:, count:]

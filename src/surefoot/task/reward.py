@@ -27,6 +27,6 @@ def locomotion_reward(displacement: Array, energy: Array, energy_weight: float =
 def has_fallen(roll_pitch_yaw: Array, limit: float = 0.5) -> NDArray[np.bool_]:
     """Return whether roll or pitch is beyond `limit` [rad] (N,), by true angles (N, 3).
 
-    Tan et al. 2018, section IV-C: an episode ends when the base tilts by more than .5 rad; the axis is not told.
+    Tan et al. 2018, section IV-C: an episode ends when the base tilts by more than .5 rad; the axis is not stated.
     """
     return np.any(np.abs(roll_pitch_yaw[:, :2]) > limit, axis=1)

@@ -6,7 +6,7 @@ sheet, which its solver takes implicitly: force = K d + B d' at the end of the s
 
 A robot's state is one row of numbers, in Bullet's own frames: for Bullet, the base is where its centre of mass is,
 turned like its principal axes. After every control step the row is written back to Bullet, whose quaternion of the
-base would otherwise differ from it in the last bit: so a state that is taken and given back goes on exactly.
+base would otherwise differ from it in the last bit: so a state that is saved and restored continues exactly.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ MAX_ROBOTS = 256
 
 
 class _Setup(NamedTuple):
-    """What a client has of a robot's physical parameters."""
+    """The physical parameters that were applied to a client."""
 
     contact: tuple[float, ...]
     """Friction coefficient, stiffness [N/m] and spinning friction [m] of the feet."""
@@ -78,7 +78,7 @@ class BulletEngine:
         settings: how Bullet solves bodies and contacts.
 
     Raises:
-        SurefootError: more robots than a process can hold, or a robot that Bullet reads otherwise than it is.
+        SurefootError: more robots than a process can hold, or a robot that Bullet reads with other masses.
         ModuleNotFoundError: PyBullet is not installed.
     """
 
@@ -198,7 +198,7 @@ class BulletEngine:
             self.drive.contact_ticks[i, leg] += 1.0
 
     def _end(self, i: int) -> None:
-        """Take robot `i`'s whole state from Bullet, and give it back."""
+        """Read robot `i`'s whole state from Bullet, and write it back."""
         row = self._rows[i]
         row[:] = self._read(i, self._joints)[: len(row)]
         # Knees are looked at here only: what is wrong with one shows at its motor, too, a step later.
@@ -243,7 +243,7 @@ class BulletEngine:
         """Return the whole state of robot `i` in the engine: its row and the force on its base.
 
         Contacts that Bullet remembers are forgotten here and when the state is set, and pins with play are centred, so
-        that both go on alike.
+        that both continue alike.
         """
         self._forget(i)
         return np.concatenate([self._rows[i], self._force[i]])

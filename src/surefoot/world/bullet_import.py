@@ -1,4 +1,4 @@
-"""PyBullet, imported and called without what it prints."""
+"""Import of PyBullet without its output."""
 
 from __future__ import annotations
 

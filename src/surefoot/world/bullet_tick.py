@@ -1,4 +1,4 @@
-"""What is compiled of the Bullet engine: all that a robot does between two of Bullet's steps, and its frames.
+"""Compiled functions of the Bullet engine: everything between two of Bullet's steps, and its frames.
 
 A robot's row of numbers in Bullet's own frames, where the base is at its centre of mass and turned like its principal
 axes: base position (3), quaternion x y z w (4), velocity (3) and angular velocity (3) in the world, then angles and
@@ -24,11 +24,11 @@ VELOCITY, OMEGA, JOINTS = 7, 10, 13
 PIN_LOAD = 1.0
 """Load [N] at which a pin with play has moved half of its clearance; it smooths the change from side to side."""
 PIN_FOLLOWS = 0.2
-"""Share of its way that such a pin goes in a step of 1 ms: .1 kg at 5 N crosses half a millimetre in some 5 ms."""
+"""Share of its path that such a pin moves in a step of 1 ms: .1 kg at 5 N crosses half a millimetre in some 5 ms."""
 
 
 class Layout(NamedTuple):
-    """What the compiled functions need of a `BulletModel`."""
+    """The parts of a `BulletModel` that the compiled functions need."""
 
     sign: Array
     base_quat: Array
@@ -57,7 +57,7 @@ def link_quat(base_quat: Array, x: Any, y: Any, z: Any, w: Any) -> tuple[Any, An
 
 @njit(cache=True)
 def observe(layout: Layout, drive: Drive, i: int, seen: Array) -> bool:
-    """Write what is seen of robot `i` to `drive.now`; false, and nothing written, if it is not finite.
+    """Write robot `i`'s state to `drive.now`; return false, and write nothing, if it is not finite.
 
     Seen are the first 13 numbers of its row, then angles and speeds of its motors' joints.
     """
@@ -133,7 +133,7 @@ def between(
 
 @njit(cache=True)
 def pin_kernel(quats: Array, forces: Array, axes: Array, play: float, shift: Array) -> None:
-    """Move pins with play for one step: where each lies in its bore.
+    """Move pins with play in their bores for one step.
 
     A pin of radial clearance r lies against its bore on the side to which the force F across it points, and goes from
     side to side when that changes: u = r F / (|F| + F_0), followed with a delay.

@@ -1,4 +1,4 @@
-"""A URDF in which links that are joined by fixed joints are one link, for engines that would keep them apart.
+"""A URDF in which links with fixed joints are fused, for engines that would keep them apart.
 
 A rotor and the link bolted to it move as one rigid body. For bodies k with mass m_k, centre of mass c_k and inertia
 I_k about it, all in the frame of the fused link,
@@ -7,7 +7,7 @@ I_k about it, all in the frame of the fused link,
     I = sum (I_k + m_k (|d_k|^2 1 - d_k d_k^T)),   d_k = c_k - c                (parallel axes)
 
 The fused link is written with its principal moments, in an inertial frame along its principal axes: readers of URDF
-differ in what they make of products of inertia.
+differ in how they handle products of inertia.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ class RigidBody:
 
 @dataclass(frozen=True)
 class FusedUrdf:
-    """The fused links by name, where each link of the file went, and the new URDF."""
+    """The fused links by name, the place of each link of the file in them, and the new URDF."""
 
     bodies: dict[str, RigidBody]
     place: dict[str, tuple[str, Array]]
@@ -197,7 +197,7 @@ def _inertial(body: RigidBody) -> ElementTree.Element:
 
 
 def _move(element: ElementTree.Element, frame: Array) -> None:
-    """Put an element with an <origin> from its link's frame into another, in which the link's is `frame`."""
+    """Transform an element's <origin> from its link's frame into another, in which the link's is `frame`."""
     origin = element.find("origin")
     moved = frame @ frame_of(origin)
     if origin is not None:
@@ -206,7 +206,7 @@ def _move(element: ElementTree.Element, frame: Array) -> None:
 
 
 def write_fused(text: str, folder: Path) -> Path:
-    """Write the new URDF into a folder; its path."""
+    """Write the new URDF into a folder; return its path."""
     path = folder / "fused.urdf"
     path.write_text(text, encoding="utf-8")
     return path

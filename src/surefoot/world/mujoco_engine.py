@@ -1,8 +1,8 @@
 """A batch of robots in MuJoCo, stepped by compiled loops on all cores.
 
-Each robot owns its MuJoCo data, so that a robot's motion depends on nothing but itself: alone or in a batch it is the
+Each robot owns its MuJoCo data, so that a robot's motion does not depend on other robots: alone or in a batch it is the
 same to the last bit. Models are owned by threads: before a thread steps a robot, it writes that robot's masses and
-inertias into its model, which so stays in the processor's cache whatever the robots weigh.
+inertias into its model, which so stays in the processor's cache for any masses.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ class MujocoEngine:
 
     def __init__(self, robot: RobotDescription, drive: Drive, config: WorldConfig | None = None) -> None:
         self.robot, self.drive, config = robot, drive, config or WorldConfig()
-        # The Python package times MuJoCo's stages with a clock call each, some 3 % of a step; nobody reads the times.
+        # The Python package times MuJoCo's stages with a clock call each, some 3 % of a step; the times are not used.
         mujoco.set_mjcb_time(None)
         num_envs = len(drive.ticks)
         self._nominal = build_model(robot, config)
@@ -192,7 +192,7 @@ class MujocoEngine:
         """
         for name in BULLET_ONLY:
             if (value := float(getattr(params, name)[row])) != 0.0:
-                raise SurefootError(f"{name} is {value:g}; MuJoCo's world does not model it: take 0, or world bullet")
+                raise SurefootError(f"{name} is {value:g}; MuJoCo does not model it: set 0, or use world bullet")
         self._native.friction[i] = params.contact_friction[row]
         self._native.stiffness[i] = params.contact_stiffness[row]
         self._native.spinning[i] = params.contact_spinning_friction[row]

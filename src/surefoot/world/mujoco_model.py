@@ -55,7 +55,7 @@ def build_spec(robot: RobotDescription, config: WorldConfig | None = None) -> mu
                 # Bit 2 meets nothing; with no bit at all MuJoCo would drop the geom as merely visual.
                 geom.conaffinity = 2
     if config.actuator == "constraint":
-        # MuJoCo's bounded friction of a joint, made to seek a speed that is not zero by `MujocoEngine`.
+        # MuJoCo's bounded friction of a joint, which `MujocoEngine` gives a target speed that is not zero.
         option.iterations = MOTOR_ITERATIONS
         for name in robot.motor_names:
             joint = spec.joint(name)

@@ -1,7 +1,7 @@
-"""One process of a `ProcessWorld`: makes its share of the robots and does what it is asked, until nobody asks.
+"""One process of a `ProcessWorld`: makes its share of the robots and answers requests until they end.
 
 Requests come in on stdin and answers go out on what was stdout, pickled. What anything else prints goes to stderr.
-The process ends when stdin does: when the world is closed, or when the process that owns it is gone, however it went.
+The process ends when stdin does: when the world is closed, or when the process that owns it has ended, for any reason.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ def main() -> int:
     with contextlib.suppress(BrokenPipeError):
         _serve(sys.stdin.buffer, answers)
         return 0
-    os._exit(1)  # nobody reads any more: no use in flushing
+    os._exit(1)  # the pipe is closed: nothing to flush
 
 
 if __name__ == "__main__":

@@ -44,7 +44,7 @@ class ProcessWorld:
         engine: makes the physics, a function at the top of a module.
 
     Raises:
-        SurefootError: as `SimWorld`, and whenever one of the processes is gone.
+        SurefootError: as `SimWorld`, and whenever one of the processes has ended.
     """
 
     def __init__(
@@ -84,7 +84,7 @@ class ProcessWorld:
             raise
 
     def close(self) -> None:
-        """End the processes; the world can't be used any more."""
+        """End the processes; the world cannot be used afterwards."""
         self._pool.close()
 
     def _each(self, *arguments: Any) -> list[tuple[Any, ...]]:
@@ -109,11 +109,11 @@ class ProcessWorld:
         return split
 
     def reset(self, index: ArrayLike | None = None) -> Readings:
-        """Bring the robots at `index` (all, if none is given) to the resting pose; readings of all robots."""
+        """Bring the robots at `index` (all, if none is given) to the resting pose; return readings of all robots."""
         return self._moved(self._pool.ask("reset", [(rows,) for _, rows in self._split(index)]))
 
     def step(self, target: ArrayLike, active: NDArray[np.bool_] | None = None) -> Readings:
-        """Hold motor angles (N, M) [rad] for one control step of each (active) robot; readings at its end."""
+        """Hold motor angles (N, M) [rad] for one control step of each (active) robot; return readings at its end."""
         angles = np.broadcast_to(np.asarray(target, float), (self.num_envs, self.robot.num_motors))
         return self._moved(self._pool.ask("step", self._each(angles, active)))
 
@@ -174,7 +174,7 @@ class ProcessWorld:
         }
 
     def set_state(self, state: dict[str, Any]) -> None:
-        """Go on from `get_state`, exactly; the state may come from any number of processes, or from a `SimWorld`."""
+        """Continue from `get_state`, exactly; the state may come from any number of processes, or from a `SimWorld`."""
         # As `SimWorld` does it: a parameter that an earlier version did not have is nominal.
         params = replace(PhysicalParams.nominal(self.robot, self.num_envs), **state["params"])
         for name in PhysicalParams.names():

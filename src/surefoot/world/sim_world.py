@@ -42,7 +42,7 @@ class Engine(Protocol):
         """Return the whole state of robot `i` in the engine."""
 
     def set_state(self, i: int, state: Array) -> None:
-        """Put robot `i` into a state, and mark it sound again."""
+        """Put robot `i` into a state, and clear its mark of divergence."""
 
     def raise_base(self, i: int, height: float) -> None:
         """Move the base of robot `i` up by a height [m]."""
@@ -153,7 +153,7 @@ class SimWorld:
         return single.get_state(0)
 
     def reset(self, index: ArrayLike | None = None) -> Readings:
-        """Bring robots back to the settled resting pose with a fresh history; readings of all robots."""
+        """Bring robots back to the settled resting pose with a new history; return readings of all robots."""
         rows = np.arange(self.num_envs) if index is None else np.atleast_1d(np.asarray(index, np.int64))
         self._reset(rows)
         self._diverged[rows] = False
@@ -188,11 +188,11 @@ class SimWorld:
             record(drive, i)
 
     def step(self, target: ArrayLike, active: NDArray[np.bool_] | None = None) -> Readings:
-        """Hold motor angles (N, M) [rad] for one control step of each robot; readings at its end.
+        """Hold motor angles (N, M) [rad] for one control step of each robot; return readings at its end.
 
         With `active` (N,), time stands still for all other robots, which cost nothing.
 
-        A control step that is no whole number of servo steps is kept on average: the k-th one ends at the
+        A control step that is not a multiple of the servo step is kept on average: the k-th one ends at the
         servo step nearest to k times the control step. A robot that diverges, or is sent angles that are not
         finite, is put back to its resting pose, counted in `divergences` and marked in `truth().diverged`.
         """
