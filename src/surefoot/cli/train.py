@@ -42,9 +42,7 @@ def main(argv: list[str]) -> int:
             )
         return _train(None, Path(argv[1]))
     if argv[0].startswith("-"):
-        raise SurefootError(
-            f"'{argv[0]}' is not a task; choices: {choices(preset_names())}, or the path of a YAML file"
-        )
+        raise SurefootError(f"'{argv[0]}' is not a task; choices: {choices(preset_names())}, or a YAML file")
     config, root = _parse(argv)
     check_config(config)
     return _train(config, root)

@@ -127,9 +127,7 @@ def read_urdf(path: Path) -> Urdf:
         )
         for end in ends:
             if end not in links:
-                raise SurefootError(
-                    f"{path}: joint '{name}' joins '{end}', which is not a link; choices: {choices(links)}"
-                )
+                raise SurefootError(f"{path}: joint '{name}' joins '{end}', not a link; choices: {choices(links)}")
         xyz = _floats(axis.get("xyz", ""), 3, f"{path}: joint '{name}': axis") if axis is not None else (1.0, 0.0, 0.0)
         origin = element.find("origin")
         place = _floats(

@@ -270,8 +270,6 @@ def _read_table(path: Path, legs: tuple[str, ...]) -> tuple[Array, Array]:
     count = len(legs)
     lengths = {len(table[name]) for name in columns}
     if len(lengths) != 1:
-        raise SurefootError(
-            f"{path}: columns differ in length ({choices(map(str, sorted(lengths)))}); all must be equally long"
-        )
+        raise SurefootError(f"{path}: columns differ in length ({choices(map(str, sorted(lengths)))}); make them equal")
     values = np.stack([table[name] for name in columns], axis=1)
     return values[:, :count], values[:, count:]
