@@ -11,14 +11,14 @@ import pytest
 
 pytest.importorskip("matplotlib")
 from PIL import Image
-
-from surefoot.errors import SurefootError
-from surefoot.evaluate.comparison import Comparison
-from surefoot.evaluate.gap import Estimate, plus_minus
 from surefoot.evaluate.gap_groups import gap_groups
 from surefoot.evaluate.tables import write_tables
 from surefoot.report.gap_bars import gap_bars
 from surefoot.report.gap_report import gap_text
+
+from surefoot.errors import SurefootError
+from surefoot.evaluate.comparison import Comparison
+from surefoot.evaluate.gap import Estimate, plus_minus
 from surefoot.report.study_report import write_report
 
 MakeComparison = Callable[..., Comparison]

@@ -11,9 +11,10 @@ import pytest
 
 pytest.importorskip("gymnasium")
 
+from surefoot.report.sensitivity_figures import COLORS, aggregate_figure, parameter_figure
+
 from surefoot.errors import SurefootError
 from surefoot.evaluate.sensitivity import Nominal, Sensitivity, TestWorld
-from surefoot.report.sensitivity_figures import COLORS, aggregate_figure, parameter_figure
 
 matplotlib = pytest.importorskip("matplotlib")
 Image = pytest.importorskip("PIL.Image")

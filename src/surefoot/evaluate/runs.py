@@ -112,7 +112,9 @@ class Runs:
     @classmethod
     def pooled(cls, parts: Sequence[Runs]) -> Runs:
         """Return all runs of several policies in the same world."""
-        return cls(parts[0].world, **{name: np.concatenate([getattr(part, name) for part in parts]) for name in COLUMNS})
+        return cls(
+            parts[0].world, **{name: np.concatenate([getattr(part, name) for part in parts]) for name in COLUMNS}
+        )
 
     def estimate(self, name: str) -> Estimate:
         """Return mean and standard error of a column."""

@@ -117,7 +117,6 @@ class Sensitivity:
         """Indices of a row's test worlds, values rising."""
         return np.array([i for i, world in enumerate(self.worlds) if world.row == row], np.int64)
 
-
     def world_rows(self) -> list[dict[str, Any]]:
         """Return a row for each test world: returns [m] and speed [m/s] over its episodes, and falls."""
         return [

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 # As Hildebrand drew it: hind above fore on each side, so that a trot shows as a diagonal pattern.
 DIAGRAM_ORDER = ("back_left", "front_left", "front_right", "back_right")
 
+
 def footfall_diagram(trace: EpisodeTrace, path: str | Path, seconds: float = 2.0) -> Path:
     """Draw a Hildebrand diagram of a trace: bars where a foot is on the ground.
 

@@ -79,7 +79,13 @@ def _bar(ax: Axes, place: int, number: int, count: int, runs: Runs) -> None:
         said = ["return\nnot known"]
     if runs.fell.any():
         said.append(f"{runs.fell.sum()} of {len(runs)}\nfell")
-    style: dict[str, Any] = {"textcoords": "offset points", "ha": "center", "va": "bottom", "fontsize": 7.5, "color": INK}
+    style: dict[str, Any] = {
+        "textcoords": "offset points",
+        "ha": "center",
+        "va": "bottom",
+        "fontsize": 7.5,
+        "color": INK,
+    }
     ax.annotate("\n".join(said), (x, top), xytext=(0, 4), **style)
 
 

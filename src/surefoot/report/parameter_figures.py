@@ -12,7 +12,16 @@ from numpy.typing import NDArray
 from surefoot.errors import SurefootError
 from surefoot.evaluate.sensitivity import Sensitivity, row_unit
 from surefoot.report.style import (
-    COLORS, INK, MARKERS, QUIET, capital, heading, new_figure, place_labels, scattered, spoken,
+    COLORS,
+    INK,
+    MARKERS,
+    QUIET,
+    capital,
+    heading,
+    new_figure,
+    place_labels,
+    scattered,
+    spoken,
 )  # fmt: skip
 
 if TYPE_CHECKING:

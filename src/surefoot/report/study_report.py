@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -118,9 +117,7 @@ def _differences(comparison: Comparison) -> list[str]:
     pairs = {f"{other.label}, against {base.label}": (base, other) for base, other in comparison.present_pairs()}
     if not pairs:
         return ["There are no two groups to compare."]
-    changes = {
-        name: [difference(*pair, figure.name) for figure in comparison.figures] for name, pair in pairs.items()
-    }
+    changes = {name: [difference(*pair, figure.name) for figure in comparison.figures] for name, pair in pairs.items()}
     return [_by_figure(comparison, changes, sign=True)]
 
 

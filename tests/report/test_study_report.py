@@ -1,8 +1,10 @@
-"""Figures and report of a study, from results made up so that the right answer is known."""
+"""Tables and report of a study, from results made up so that the right answer is known."""
 
 from __future__ import annotations
 
+import csv
 import re
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,19 +12,12 @@ import numpy as np
 import pytest
 
 pytest.importorskip("matplotlib")
-from PIL import Image
 
 from surefoot.errors import SurefootError
 from surefoot.evaluate.comparison import Comparison, Curve, GroupResult, SeedResult
 from surefoot.evaluate.sensitivity import make_test_worlds
-from surefoot.evaluate.tables import write_tables
-from surefoot.report.study_figures import (
-    group_figure,
-    learning_curves,
-    parameter_figure,
-    parameters_figure,
-)
-from surefoot.report.study_report import report_text, write_report
+from surefoot.evaluate.study_tables import study_tables
+from surefoot.report.study_report import write_report
 from surefoot.task.randomize import load_ranges
 
 RANGES = load_ranges("table1")
@@ -90,40 +85,6 @@ def study() -> Comparison:
     return comparison()
 
 
-def is_picture(path: Path, width: int) -> bool:
-    with Image.open(path) as image:
-        image.load()
-        colors = len(image.convert("RGB").getcolors(1 << 24))
-        return image.width > width and colors > 20
-
-
-def test_figures_are_written_for_one_seed_too(tmp_path: Path) -> None:
-    study = comparison(seeds=(4,))
-    for draw in (learning_curves, group_figure, parameters_figure):
-        assert is_picture(draw(study, tmp_path / f"{draw.__name__}.png"), 1000)
-    assert is_picture(parameter_figure(study, "latency", tmp_path / "latency.png"), 1000)
-
-
-def test_a_group_that_is_not_far_yet_is_drawn_beside_the_others(tmp_path: Path, study: Comparison) -> None:
-    one = study.groups[0].seeds[0]
-    first = slice(0, 1)
-    nothing = np.array([np.nan])
-    curve = Curve(one.curve.steps[first], nothing, nothing, nothing, np.zeros(1))
-    young = replace(study.groups[0], seeds=(replace(one, curve=curve),))
-    assert is_picture(learning_curves(replace(study, groups=(young, *study.groups[1:])), tmp_path / "a.png"), 1000)
-    assert "too few episodes ended" in report_text(replace(study, groups=(young,)), "command")
-
-
-def test_figures_of_what_was_not_evaluated_are_refused(tmp_path: Path) -> None:
-    study = comparison(("nominal",))
-    with pytest.raises(SurefootError, match="no test worlds"):
-        parameters_figure(study, tmp_path / "a.png")
-    with pytest.raises(SurefootError, match="none of the figures"):
-        group_figure(study, tmp_path / "a.png", ["table1_falls"])
-    with pytest.raises(SurefootError, match="row 'torque_constant'"):
-        parameter_figure(comparison(seeds=(0,)), "torque_constant", tmp_path / "a.png")
-
-
 def test_a_comparison_of_nothing_is_refused(study: Comparison) -> None:
     for groups in ((), (replace(study.groups[0], seeds=()),)):
         with pytest.raises(SurefootError, match="nothing to compare"):
@@ -150,44 +111,85 @@ def test_curve_of_a_log_counts_falls_over_episodes() -> None:
     np.testing.assert_array_equal(curve.episodes, [0, 4])
 
 
-def test_tables_hold_the_numbers_of_the_groups(tmp_path: Path, study: Comparison) -> None:
-    write_tables(study, tmp_path)
-    lines = (tmp_path / "runs.csv").read_text().splitlines()
-    assert len(lines) == 1 + 4 * 3
-    header = lines[0].split(",")
-    assert header[:4] == ["group", "seed", "steps", "training_seconds"]
-    row = dict(zip(header, lines[2].split(","), strict=True))
-    assert (row["group"], row["seed"], row["nominal_return"]) == ("small_plain", "1", "2.100000")
-    assert float(row["table1_falls"]) == 20
-    # Seeds differ by 0.1 and 0.1: mean 2.1, standard deviation 0.1, t(0.975, 2) / sqrt 3 = 2.484138.
-    groups = (tmp_path / "groups.csv").read_text()
-    assert "small_plain,4-D,nominal_return,m,3,2.100000,1.851586,2.348414" in groups
-    assert '"4-D, randomized"' in groups
-    differences = (tmp_path / "differences.csv").read_text().splitlines()
-    assert len(differences) == 1 + 2 * 8
-    assert differences[2].startswith("small_randomized,small_plain,nominal_return,m,-0.200000,")
-    assert len((tmp_path / "episodes.csv").read_text().splitlines()) == 1 + 4 * 3 * 2 * 5
-    assert len((tmp_path / "sensitivity.csv").read_text().splitlines()) == 1 + 4 * 3 * len(WORLDS)
-
-
-def test_report_says_what_the_numbers_say(tmp_path: Path, study: Comparison) -> None:
-    write_tables(study, tmp_path)
-    text = write_report(study, tmp_path, "surefoot study studies/robustness.yaml").read_text()
+def test_tables_hold_the_numbers_of_the_groups(study: Comparison) -> None:
+    tables = study_tables(study)
+    assert {name: len(rows) for name, rows in tables.items()} == {
+        "policies": 4 * 3,
+        "groups": 4 * 8,
+        "differences": 2 * 8,
+        "episodes": 4 * 3 * (2 * 5 + 4 * (1 + len(WORLDS))),
+        "sensitivity": 4 * 3 * len(WORLDS),
+    }
+    row = tables["policies"][1]
+    assert [row[name] for name in ("group", "seed", "nominal_return", "table1_falls")] == ["small_plain", 1, 2.1, 20.0]
+    (row,) = [
+        row for row in tables["groups"] if (row["group"], row["figure"]) == ("small_randomized", "nominal_return")
+    ]
+    # Seeds differ by 0.1 and 0.1: mean 1.9, standard deviation 0.1, t(0.975, 2) / sqrt 3 = 2.484138.
+    assert (row["label"], row["unit"], row["seeds"]) == ("4-D, randomized", "m", 3)
+    assert (row["mean"], row["low"], row["high"]) == pytest.approx((1.9, 1.6515862, 2.1484138))
+    change = tables["differences"][1]
+    assert (change["group"], change["against"], change["figure"]) == (
+        "small_randomized",
+        "small_plain",
+        "nominal_return",
+    )
     # 0.2 m less, standard error 0.1 sqrt(2/3), t(0.975, 4) = 2.776445: 0.2267 to either side.
-    assert "return, nominal: -0.20 [-0.43, +0.03] m; the interval includes zero." in text
-    change = re.search(r"spread of return over test worlds: (\S+) \[(\S+), (\S+)\] m; the interval does not", text)
-    assert change is not None
-    assert float(change[2]) < float(change[1]) < float(change[3]) < 0
+    ends = (-0.2, -0.4266957, 0.0266957)
+    assert (change["difference"], change["difference_low"], change["difference_high"]) == pytest.approx(ends)
+
+
+def cells(text: str, heading: str, start: str) -> list[str]:
+    """Cells of the first line of a section that starts with some text."""
+    section = text.split(f"## {heading}\n")[1].split("\n## ")[0]
+    (line, *_) = [line for line in section.splitlines() if line.startswith(f"| {start} |")]
+    return [cell.strip() for cell in line.strip("|").split("|")]
+
+
+def test_the_report_holds_the_tables_and_figures(tmp_path: Path, study: Comparison) -> None:
+    text = write_report(study, tmp_path, "surefoot study studies/robustness.yaml").read_text()
     assert "surefoot study studies/robustness.yaml" in text
-    assert "| 3,000,000 |" in text
+    assert cells(text, "Trainings", "4-D, randomized")[3] == "3,000,000"
+    assert cells(text, "Results", "return, nominal (m)")[1] == "2.10 [1.85, 2.35]"
+    assert cells(text, "Differences", "return, nominal (m)")[1] == "-0.20 [-0.43, +0.03]"
+    # An interval without zero is bold.
+    change = cells(text, "Differences", "standard deviation of return over test worlds (m)")[1]
+    found = re.fullmatch(r"\*\*(\S+) \[(\S+), (\S+)\]\*\*", change)
+    assert found is not None
+    assert float(found[2]) < float(found[1]) < float(found[3]) < 0
     assert "Not complete" not in text
     for file in re.findall(r"\]\(([^)]+)\)", text):
+        assert (tmp_path / file).stat().st_size > 100, file
+    with (tmp_path / "sensitivity.csv").open() as table:
+        assert len(list(csv.DictReader(table))) == 4 * 3 * len(WORLDS)
+
+
+def test_report_of_one_seed_claims_no_interval(tmp_path: Path) -> None:
+    study = replace(comparison(("nominal",), seeds=(0,)), missing=("small_plain seed 1",))
+    text = write_report(study, tmp_path, "command").read_text()
+    assert cells(text, "Results", "return, nominal (m)")[1] == "2.00"
+    assert "**" not in "".join(cells(text, "Differences", "return, nominal (m)"))
+    assert "small_plain seed 1" in text.split("## Trainings")[0]
+
+
+def test_the_report_on_gaps(tmp_path: Path, gap_comparison: Callable[..., Comparison]) -> None:
+    text = write_report(gap_comparison(), tmp_path, "surefoot study gaps.yaml").read_text()
+    for file in re.findall(r"\]\(([^)]+)\)", text):
         assert (tmp_path / file).exists(), file
-
-
-def test_report_of_one_seed_claims_no_interval() -> None:
-    study = replace(comparison(seeds=(0,)), missing=("small_plain seed 1",))
-    text = report_text(study, "command")
-    assert "too few seeds for an interval" in text
-    assert "includes zero" not in text
-    assert "**Not complete.** Runs of the study that are not in this report: small_plain seed 1." in text
+    for file in ("gap_both.png", "gap_others.png", "learning_curves_both.png"):
+        assert f"]({file})" in text
+    # What was found of a set is told with it, though one of its groups has no policies yet.
+    assert "In the paper: all was well." in text
+    rows = [line.split(" | ") for line in text.split("## Reality gap")[1].splitlines() if line.startswith("| first |")]
+    assert [row[1:3] for row in rows] == [
+        [seeds, world] for seeds in ("4, 3, 2", "0, 1, 2, 3, 4") for world in ("mujoco", "bullet", "mujoco-described")
+    ]
+    assert re.fullmatch(r"1\.30 ± 0\.\d\d", rows[1][4])
+    assert re.fullmatch(r"1\.30 \[-?\d\.\d\d, \d\.\d\d\]", rows[1][9])
+    changes = text.split("### Differences of gaps")[1].split("## Results")[0]
+    found = [line.split(" | ") for line in changes.splitlines() if line.startswith(("| second |", "| third |"))]
+    assert [row[:3] for row in found] == [
+        [f"| {name}", "first", which] for which in ("best 3", "all") for name in ("second", "third")
+    ]
+    assert re.fullmatch(r"-1\.30 ± 0\.\d\d", found[0][3])
+    assert found[0][-1] == "the second did better. |"
