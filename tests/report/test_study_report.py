@@ -129,14 +129,11 @@ def test_tables_hold_the_numbers_of_the_groups(study: Comparison) -> None:
     assert (row["label"], row["unit"], row["seeds"]) == ("4-D, randomized", "m", 3)
     assert (row["mean"], row["low"], row["high"]) == pytest.approx((1.9, 1.6515862, 2.1484138))
     change = tables["differences"][1]
-    assert (change["group"], change["against"], change["figure"]) == (
-        "small_randomized",
-        "small_plain",
-        "nominal_return",
-    )
+    assert [change[name] for name in ("group", "against")] == ["small_randomized", "small_plain"]
+    assert change["figure"] == "nominal_return"
     # 0.2 m less, standard error 0.1 sqrt(2/3), t(0.975, 4) = 2.776445: 0.2267 to either side.
     ends = (-0.2, -0.4266957, 0.0266957)
-    assert (change["difference"], change["difference_low"], change["difference_high"]) == pytest.approx(ends)
+    assert (change["difference"], change["difference_low"], change["difference_high"]) == pytest.approx(ends, abs=1e-6)
 
 
 def cells(text: str, heading: str, start: str) -> list[str]:
@@ -180,13 +177,14 @@ def test_the_report_on_gaps(tmp_path: Path, gap_comparison: Callable[..., Compar
         assert f"]({file})" in text
     # What was found of a set is told with it, though one of its groups has no policies yet.
     assert "In the paper: all was well." in text
-    rows = [line.split(" | ") for line in text.split("## Reality gap")[1].splitlines() if line.startswith("| first |")]
+    section = text.split("## Reality gap")[1].split("## Results")[0]
+    rows = [line.split(" | ") for line in section.splitlines() if line.startswith("| first |")]
     assert [row[1:3] for row in rows] == [
         [seeds, world] for seeds in ("4, 3, 2", "0, 1, 2, 3, 4") for world in ("mujoco", "bullet", "mujoco-described")
     ]
     assert re.fullmatch(r"1\.30 ± 0\.\d\d", rows[1][4])
     assert re.fullmatch(r"1\.30 \[-?\d\.\d\d, \d\.\d\d\]", rows[1][9])
-    changes = text.split("### Differences of gaps")[1].split("## Results")[0]
+    changes = section.split("### Differences of gaps")[1]
     found = [line.split(" | ") for line in changes.splitlines() if line.startswith(("| second |", "| third |"))]
     assert [row[:3] for row in found] == [
         [f"| {name}", "first", which] for which in ("best 3", "all") for name in ("second", "third")

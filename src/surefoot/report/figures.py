@@ -1,4 +1,4 @@
-"""Figures of one episode, from its trace: footfalls, and how it went. Each function writes a PNG and returns its path."""
+"""Figures of one episode, from its trace: each function writes a PNG and returns its path."""
 
 from __future__ import annotations
 
