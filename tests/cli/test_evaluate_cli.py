@@ -238,7 +238,7 @@ def test_an_interrupt_ends_with_130():
         except OSError:  # the other end is closed
             break
         errors += read
-        if not interrupted and re.search(rb"[1-9]\d*/1000 control steps", errors):
+        if not interrupted and re.search(rb"[1-9]\d*%", errors):
             interrupted = True
             process.send_signal(signal.SIGINT)
     os.close(terminal)
@@ -287,7 +287,7 @@ def test_a_robot_that_nobody_sees_still_tells_its_power(recorded: tuple[Path, di
     unseen.save(tmp_path / "runs" / "run.npz")
     done = surefoot("evaluate", "--trace", tmp_path / "runs", "--out", tmp_path / "out")
     assert done.returncode == 0, done.stderr
-    rows = dict(re.findall(r"│ (\S[^│]*?) +│ (\S[^│]*?) +│", done.stdout))
+    rows = dict(re.findall(r"^ ?(\S.*?)  +(\S.*?) *$", done.stdout, re.MULTILINE))
     assert rows["speed"] == rows["return"] == rows["gait"] == "-"
     assert rows["power"] == f"{trace.energy.sum() / trace.duration:.3f} W"
     assert [path.name for path in (tmp_path / "out").iterdir()] == ["episode.png"]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -42,7 +43,7 @@ def refused(done: subprocess.CompletedProcess[str], *parts: str) -> None:
         assert part in done.stderr
 
 
-def test_tables_figures_and_words(tmp_path: Path):
+def test_tables_and_figures(tmp_path: Path):
     done = surefoot("trot", "gallop", *SHORT, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert done.stderr == ""
@@ -57,8 +58,7 @@ def test_tables_figures_and_words(tmp_path: Path):
     assert [float(world["value"]) for world in worlds if world["row"] == "latency"] == [0.0, 0.04, 0.0, 0.04]
     for row in ROWS:
         assert f" {row} " in done.stdout
-    assert "over 20 test worlds, 0 of 20 episodes fall" in done.stdout
-    assert "holds over the whole range of" in done.stdout
+    assert re.search(r"^ trot .* 20 +0 of 20 *$", done.stdout, re.MULTILINE)
     assert "wrote sensitivity: sensitivity.csv, episodes.csv, aggregate.png, mass.png" in done.stdout
 
 
@@ -73,7 +73,6 @@ def test_json_is_one_object_and_the_ranges_are_the_user_s(tmp_path: Path):
     assert (result["values"], result["episodes"], result["duration"], result["seed"]) == (3, 1, 0.12, 4)
     (policy,) = result["policies"]
     assert (policy["policy"], policy["test_worlds"], policy["fall_rate"]) == ("gallop", 6, 0.0)
-    assert policy["words"].startswith("gallop: ")
     assert sorted(result["files"]) == sorted(
         f"a/b/{name}" for name in ("sensitivity.csv", "episodes.csv", "aggregate.png", "voltage.png", "resistance.png")
     )

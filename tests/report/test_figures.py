@@ -14,7 +14,8 @@ import numpy as np
 import pytest
 
 pytest.importorskip("gymnasium")
-matplotlib = pytest.importorskip("matplotlib")
+pytest.importorskip("matplotlib")
+import matplotlib
 from matplotlib.figure import Figure
 
 from surefoot.errors import SurefootError
