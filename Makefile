@@ -4,11 +4,12 @@ PYTHON ?= python3
 VENV   := .venv
 BIN    := $(VENV)/bin
 READY  := $(VENV)/.ready
-CODE   := src tests examples benchmarks
+DOCS   := $(VENV)/.ready-docs
+CODE   := src tests examples benchmarks docs
 
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: help setup demo test lint format bench clean distclean FORCE
+.PHONY: help setup demo test lint format bench docs clean distclean FORCE
 
 help: ## Show these targets
 	@sed -n 's/^\([a-z]*\):.*## \(.*\)/  make \1@\2/p' Makefile | awk -F@ '{ printf "%-18s %s\n", $$1, $$2 }'
@@ -45,7 +46,7 @@ demo: $(READY) ## Run the demonstration
 	@$(BIN)/python examples/demo.py $(ARGS)
 
 test: lint ## Check style and types, then run the tests (ARGS="-k gait" for some)
-	@$(BIN)/python -m pytest $(ARGS)
+	@$(BIN)/python -m pytest -n auto --maxprocesses 4 --dist loadgroup $(ARGS)
 
 lint: $(READY) ## Check style and types
 	@$(BIN)/ruff check .
@@ -59,8 +60,18 @@ format: $(READY) ## Format the code and fix what can be fixed
 bench: $(READY) ## Run the benchmarks, one after the other
 	@for script in benchmarks/*.py; do echo "== $$script"; $(BIN)/python "$$script" $(ARGS) || exit 1; done
 
+# Newer than .ready, so that what makes .venv afresh or brings it up to date does so for this extra too.
+# mkdocs is not told to be quiet: its strict mode counts only the warnings that it prints.
+$(DOCS): $(READY)
+	@$(BIN)/python -m pip install -c constraints.txt -e ".[docs]"
+	@touch $(DOCS)
+
+docs: $(DOCS) ## Build the documentation as a site, in site/
+	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build
+	@echo "surefoot: the documentation is site/index.html"
+
 clean: ## Remove caches and build output; runs and .venv stay
-	@rm -rf build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	@rm -rf build dist site .pytest_cache .mypy_cache .ruff_cache .hypothesis
 	@find $(wildcard $(CODE)) -name __pycache__ -prune -exec rm -rf {} +
 
 distclean: clean ## Remove .venv too

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Generator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,6 +22,19 @@ os.environ.setdefault("MPLBACKEND", "Agg")
 # The same examples on every run and machine; a slow machine is no failure (pytest-timeout watches for hangs).
 settings.register_profile("surefoot", deadline=None, derandomize=True)
 settings.load_profile("surefoot")
+
+
+@pytest.hookimpl(wrapper=True, tryfirst=True)
+def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, object, object]:
+    """Give a test marked `realtime` the processors for itself where pytest-xdist runs tests side by side."""
+    if not hasattr(item.config, "workerinput") or item.config.cache is None:
+        return (yield)
+    folder = item.config.cache.mkdir("turns")
+    with (folder / "turn").open("w") as turn, (folder / "running").open("w") as running:
+        fcntl.flock(turn, fcntl.LOCK_EX)  # who waits for the others to end lets no new one begin
+        fcntl.flock(running, fcntl.LOCK_EX if item.get_closest_marker("realtime") else fcntl.LOCK_SH)
+        fcntl.flock(turn, fcntl.LOCK_UN)
+        return (yield)
 
 
 @pytest.fixture

@@ -14,7 +14,7 @@ from typing import Annotated, Any, TypeVar
 
 import yaml
 
-from surefoot.errors import SurefootError, choices, quoted
+from surefoot.errors import SurefootError, choices, located, quoted
 from surefoot.files import read_configuration
 
 T = TypeVar("T")
@@ -160,14 +160,14 @@ def read_yaml(path: Path) -> dict[str, Any]:
     Raises:
         SurefootError: it can't be read, is not YAML, or holds something else.
     """
+    with located(path):
+        content = read_configuration(path)
     try:
-        loader = _Loader(read_configuration(path).decode("utf-8"))
+        loader = _Loader(content.decode("utf-8"))
         try:
             data = loader.get_single_data()
         finally:
             loader.dispose()
-    except OSError as error:
-        raise SurefootError(f"{path}: can't be read: {error.strerror}") from error
     # PyYAML raises all of these for values that do not fit their tags, such as `!!int x`.
     except (yaml.YAMLError, ValueError, LookupError, AttributeError, TypeError) as error:
         raise SurefootError(f"{path}: is not YAML: {' '.join(str(error).split())}") from error
@@ -180,10 +180,10 @@ def read_toml(path: Path) -> tuple[dict[str, Any], bytes]:
     """Read a TOML file; returns it with the bytes that were read.
 
     Raises:
-        OSError: it can't be read, is no regular file or too large.
-        SurefootError: it is not TOML.
+        SurefootError: it can't be read, is no regular file, too large or not TOML.
     """
-    content = read_configuration(path)
+    with located(path):
+        content = read_configuration(path)
     try:
         return tomllib.loads(content.decode("utf-8")), content
     except RecursionError:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import re
 import reprlib
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from typing import Any
 
 
@@ -13,6 +14,20 @@ class SurefootError(ValueError):
 
     The command line prints the message alone and exits with code 2.
     """
+
+
+@contextmanager
+def located(where: object) -> Iterator[None]:
+    """Put a file's path, or another place, before the message of an error that is raised inside: `WHERE: MESSAGE`.
+
+    A file that cannot be read or written becomes such an error too.
+    """
+    try:
+        yield
+    except OSError as error:
+        raise SurefootError(f"{where}: {error.strerror or error}") from error
+    except SurefootError as error:
+        raise SurefootError(f"{where}: {error}") from error.__cause__
 
 
 def at_least(name: str, number: float, least: int) -> None:

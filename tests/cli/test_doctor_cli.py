@@ -122,6 +122,7 @@ def test_a_healthy_robot_passes_all_on_the_ground(emulate: Callable[..., Emulato
     assert findings["IMU, rates"]["passed"]
 
 
+@pytest.mark.realtime
 @pytest.mark.slow
 def test_a_healthy_robot_passes_in_real_time(emulate: Callable[..., Emulator]):
     """A busy computer may fail the two findings about its own speed; the robot's findings must pass."""
@@ -319,12 +320,14 @@ def test_an_imu_that_is_mounted_otherwise_is_found_on_the_ground(
     assert all(todo in findings[check]["what_to_do"] for check in checks)
 
 
+@pytest.mark.realtime
 def test_a_line_that_damages_frames_is_found_in_real_time(emulate: Callable[..., Emulator]):
     _, findings = doctor("trot", emulate("--fault", "corrupt=0.1").port, "--pings", "100")
     assert findings["link, losses"]["passed"] is False
     assert "frames damaged" in findings["link, losses"]["why"]
 
 
+@pytest.mark.realtime
 def test_an_adapter_that_gathers_bytes_is_found_in_real_time(emulate: Callable[..., Emulator]):
     done = surefoot(
         "doctor", "trot", "--port", emulate("--fault", "batching").port, "--pings", "200", "--steps", "10", "--json"

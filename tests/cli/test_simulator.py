@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from surefoot.cli.main import main
-from surefoot.cli.simulator import Simulator, simulator_help, take_simulator
+from surefoot.cli.simulator import Simulator
 from surefoot.errors import SurefootError
 from surefoot.task.config import TaskConfig
 
@@ -39,53 +39,18 @@ def refused(words: list[str], capsys: pytest.CaptureFixture[str], *parts: str) -
 # --- words ------------------------------------------------------------------------------------------------
 
 
-def test_without_options_the_task_stays():
-    assert take_simulator(["--seed", "3"], "p") == (["--seed", "3"], Simulator())
+def test_options_change_the_task():
     assert Simulator().of(TASK) == TASK
-
-
-@pytest.mark.parametrize(
-    "line",
-    [
-        "--steps 9 --actuator constraint --control-latency 0 --servo-latency 0.003 --pushes",
-        "--actuator=constraint --steps 9 --control-latency=0 --servo-latency=3e-3 --pushes",
-        "--servo_latency 0.003 --steps 9 --control_latency 0.0 --pushes --actuator constraint",
-    ],
-)
-def test_options_are_taken_out_of_the_words(line: str):
-    rest, simulator = take_simulator(line.split(), "p")
-    assert rest == ["--steps", "9", "--pushes"]
-    assert simulator == Simulator("constraint", 0.0, 0.003)
-    task = simulator.of(TASK)
+    task = Simulator("constraint", 0.0, 0.003).of(TASK)
     assert task == replace(
         TASK, actuator="constraint", params={"voltage": 15.0, "control_latency": 0.0, "servo_latency": 0.003}
     )
 
 
-@pytest.mark.parametrize(
-    ("line", "message"),
-    [
-        ("--actuator", "--actuator has no value; it takes dc, constraint"),
-        ("--actuator --pushes", "--actuator has no value"),
-        ("--control-latency", "--control-latency has no value; it takes a time in seconds"),
-        ("--actuator servo", "servo"),
-        ("--servo-latency soon", "soon"),
-    ],
-)
-def test_words_that_do_not_fit_are_refused(line: str, message: str):
-    with pytest.raises(SurefootError, match=message):
-        take_simulator(line.split(), "p")
-
-
 def test_settings_go_over_the_task_and_not_over_the_options():
     assert Simulator().of(TASK, {"control_latency": 0.01}).params["control_latency"] == 0.01
-    with pytest.raises(SurefootError, match="control_latency is given twice, by --control-latency and by --set"):
+    with pytest.raises(SurefootError, match="control_latency is given twice"):
         Simulator(control_latency=0.0).of(TASK, {"control_latency": 0.01})
-
-
-def test_help_names_every_option():
-    for option in ("--actuator dc|constraint", "--control-latency SECONDS", "--servo-latency SECONDS"):
-        assert f"  {option}" in simulator_help()
 
 
 # --- commands ---------------------------------------------------------------------------------------------
@@ -116,18 +81,14 @@ def test_a_sensitivity_study_in_another_simulator(capsys: pytest.CaptureFixture[
     assert own["nominal_return"] != ideal["nominal_return"]
 
 
-def test_train_help_shows_the_options(capsys: pytest.CaptureFixture[str]):
-    assert main(["train", "--help"]) == 0
-    assert simulator_help() in capsys.readouterr().out
-
-
 def test_a_training_takes_the_options():
     pytest.importorskip("torch")
     from surefoot.cli.train import _parse
 
-    words = ["trot", "--actuator", "constraint", "--control-latency", "0", "--task.max-steps", "60", "--pushes"]
-    config, _ = _parse(words)
-    assert (config.task.actuator, config.task.params) == ("constraint", {"control_latency": 0.0})
+    words = "trot --actuator constraint --control-latency=0 --task.max-steps 60 --runs r --servo_latency 3e-3 --pushes"
+    config, root = _parse(words.split())
+    assert (config.task.actuator, root) == ("constraint", Path("r"))
+    assert config.task.params == {"control_latency": 0.0, "servo_latency": 0.003}
     assert (config.task.max_steps, config.task.pushes.enabled) == (60, True)
     assert _parse(["trot"])[0].task.actuator == "dc"
 
@@ -136,6 +97,10 @@ def test_a_training_takes_the_options():
     ("line", "parts"),
     [
         ("evaluate trot --actuator servo", ("servo",)),
+        ("train trot --actuator", ("--actuator",)),
+        ("train trot --actuator --pushes", ("--actuator",)),
+        ("train trot --servo-latency soon", ("--servo-latency", "soon")),
+        ("train trot --control-latency 0 --task.params control_latency 0.01", ("control_latency", "twice")),
         ("evaluate trot --control-latency 1 --out o", ("control_latency is 1; minitaur allows 0 to 0.1",)),
         ("evaluate trot --servo-latency -0.001 --out o", ("servo_latency is -0.001; minitaur allows",)),
         (

@@ -60,7 +60,7 @@ from fault_bench import (  # noqa: E402
     reasons,
 )
 
-pytestmark = [pytest.mark.slow, pytest.mark.timeout(900)]
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(900), pytest.mark.xdist_group("fault table")]
 TROT = Path(__file__).resolve().parents[2] / "policies" / "trot.onnx"
 MINITAUR = RobotDescription.load("minitaur")
 DAMPED_WITHIN = 0.100
@@ -312,6 +312,7 @@ def assert_sat_and_disarmed(record: Record) -> None:
 # 1: the host dies, hangs, or the cable is pulled.
 
 
+@pytest.mark.realtime
 def test_row_1_a_host_that_is_killed(living_robot, tmp_path):
     def attempt(folder: Path) -> None:
         with deployed(living_robot, folder) as (cable, host):
@@ -325,6 +326,7 @@ def test_row_1_a_host_that_is_killed(living_robot, tmp_path):
     in_real_time(attempt, tmp_path)
 
 
+@pytest.mark.realtime
 def test_row_1_a_host_that_hangs(living_robot, tmp_path):
     def attempt(folder: Path) -> None:
         with deployed(living_robot, folder) as (cable, host):
@@ -342,6 +344,7 @@ def test_row_1_a_host_that_hangs(living_robot, tmp_path):
     in_real_time(attempt, tmp_path)
 
 
+@pytest.mark.realtime
 @pytest.mark.parametrize(("port", "reason"), [("gone", "link"), ("silent", "stale state")])
 def test_row_1_a_cable_that_is_pulled(living_robot, tmp_path, port, reason):
     def attempt(folder: Path) -> None:
@@ -463,6 +466,7 @@ def test_row_2_commands_that_are_old_repeated_or_backward(client, how):
     assert (client.state.mode, client.state.reason) == (Mode.FAULT, Reason.STALE)
 
 
+@pytest.mark.realtime
 def test_row_2_a_microcontroller_that_stands_still(tmp_path):
     def attempt(folder: Path) -> None:
         robot = Robot("--fault", "hang=0.2@0.4", lockstep=False)
@@ -536,6 +540,7 @@ def test_row_3_a_robot_that_does_not_fit(ended, text):
     assert {frame.message.mode for frame in ended.record.of_robot(State)} <= {Mode.DISARMED}
 
 
+@pytest.mark.realtime
 def test_row_3_a_robot_that_starts_anew(tmp_path):
     def attempt(folder: Path) -> None:
         robot = Robot("--fault", f"reboot={RUNNING}", lockstep=False)
@@ -586,6 +591,7 @@ def test_row_4_roll_or_pitch_over_the_limit(ended, scenario, limit, after):
 # 5: a late step.
 
 
+@pytest.mark.realtime
 def test_row_5_late_steps_are_held_and_counted_and_too_many_damp(living_robot, tmp_path):
     def attempt(folder: Path) -> None:
         with deployed(living_robot, folder) as (cable, host):

@@ -40,6 +40,7 @@ def follow(host, robot, seconds: float, extension: float = 1.2, period: float = 
     raise AssertionError
 
 
+@pytest.mark.realtime
 def test_a_session_in_real_time(emulate, robot):
     process = emulate("--rack")
     host = process.host()
@@ -92,6 +93,7 @@ def test_a_session_in_real_time(emulate, robot):
     assert "of robot time" in said
 
 
+@pytest.mark.realtime
 def test_a_second_operator_is_refused(emulate):
     process = emulate()
     first, second = process.host(), process.host()
@@ -102,6 +104,7 @@ def test_a_second_operator_is_refused(emulate):
     assert (busy.session, busy.reason) == (OTHER, Reason.BUSY)
 
 
+@pytest.mark.realtime
 def test_a_cable_that_is_pulled_damps_the_motors(emulate, tmp_path, robot):
     file = tmp_path / "seen.csv"
     process = emulate("--fault", "unplug=0.5", "--motion-capture", str(file))
@@ -117,6 +120,7 @@ def test_a_cable_that_is_pulled_damps_the_motors(emulate, tmp_path, robot):
     assert "mode FAULT, reason TIMEOUT" in said
 
 
+@pytest.mark.realtime
 def test_hosts_come_and_go_and_the_robot_never_blocks(emulate, robot):
     process = emulate()
     for _ in range(3):
@@ -149,6 +153,7 @@ def test_it_ends_cleanly_when_asked_to(emulate, tmp_path, number, lockstep):
     assert "Traceback" not in process.popen.communicate()[1]
 
 
+@pytest.mark.realtime
 def test_it_tells_when_it_cannot_keep_real_time(emulate):
     process = emulate("--fault", "overload=2", "--duration", "0.5")
     _, said = process.popen.communicate(timeout=60)
@@ -307,6 +312,7 @@ def test_motion_capture_is_written_as_it_happens(emulate, tmp_path):
     assert numbers[0, 3] > 0.15  # it sits
 
 
+@pytest.mark.realtime
 def test_states_come_in_batches_as_some_adapters_hand_them_over(emulate):
     host = emulate("--fault", "batching=0.016").host()
     host.send(Hello(ME, 0.002))

@@ -4,24 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Literal
 
 import tyro
 
-from surefoot.cli.parsing import parse
-from surefoot.errors import SurefootError, choices
+from surefoot.errors import SurefootError
 from surefoot.robot import RobotDescription
 from surefoot.robot.params_file import ParamsFile, ParamValue, read_params
 from surefoot.task.config import TaskConfig
 from surefoot.world.interface import WorldConfig
-
-HELP = """--actuator dc|constraint   dc: servo and DC motor; constraint: the position motor of physics engines
---control-latency SECONDS  age of what the policy sees; 0: none
---servo-latency SECONDS    age of what the servos see; 0: none
---params FILE              physical parameters of a robot (.toml), such as identified ones; what the file does not name
-                           is as on the data sheet, the control step is the task's"""
 
 
 @dataclass(frozen=True)
@@ -58,7 +51,7 @@ class Simulator:
         settings = settings or {}
         if twice := sorted(set(settings) & set(self.latencies)):
             option = twice[0].replace("_", "-")
-            raise SurefootError(f"{twice[0]} is given twice, by --{option} and by --set; give one of them")
+            raise SurefootError(f"{twice[0]} is given twice, by --{option} and as a parameter; give it once")
         if self.params is not None:
             task = _with_file(task, self.params)
         params = {**task.params, **self.latencies, **settings}
@@ -98,45 +91,6 @@ def _check_control_step(found: ParamsFile, path: Path, expected: float) -> None:
     step = float(found.params.control_step[0])
     if "control_step" in found.given and not math.isclose(step, expected, rel_tol=1e-9):
         raise SurefootError(
-            f"parameters {path}: control_step is {step:g}, and the task's is {expected:g}; "
+            f"{path}: control_step is {step:g}, and the task's is {expected:g}; "
             "it belongs to the policy, not to the robot: leave it out of the file"
         )
-
-
-def simulator_help(indent: str = "  ") -> str:
-    """What the options do."""
-    return "\n".join(indent + line for line in HELP.splitlines())
-
-
-def take_simulator(words: list[str], prog: str) -> tuple[list[str], Simulator]:
-    """Take the options out of a command's words, for one whose own options are those of a whole configuration.
-
-    Args:
-        words: what stands behind the command.
-        prog: the command, for errors.
-
-    Returns:
-        the other words, and the simulator.
-
-    Raises:
-        SurefootError: an option that does not fit.
-    """
-    names = {f"--{item.name.replace('_', '-')}" for item in fields(Simulator)}
-    rest: list[str] = []
-    taken: list[str] = []
-    queue = list(words)
-    while queue:
-        word = queue.pop(0)
-        name, equals, _ = word.partition("=")
-        name = name.replace("_", "-")
-        if name not in names:
-            rest.append(word)
-            continue
-        if not equals and (not queue or queue[0].startswith("--")):
-            raise SurefootError(f"{name} has no value; it takes {_values(name)}")
-        taken += [word] if equals else [word, queue.pop(0)]
-    return rest, parse(Simulator, taken, prog)
-
-
-def _values(option: str) -> str:
-    return {"--actuator": choices(("dc", "constraint")), "--params": "a .toml file"}.get(option, "a time in seconds")

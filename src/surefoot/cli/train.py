@@ -3,40 +3,37 @@
 from __future__ import annotations
 
 import signal
-from dataclasses import replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 
+from surefoot.cli.parsing import parse
+from surefoot.cli.ranges import ranges_help, take_ranges
+from surefoot.cli.simulator import Simulator, SimulatorOptions
 from surefoot.errors import SurefootError, choices
+from surefoot.learn.config import TrainConfig, load_train_config
+from surefoot.task.config import preset_names
 
 if TYPE_CHECKING:
-    from surefoot.learn.config import TrainConfig
     from surefoot.learn.run import TrainingRun
     from surefoot.learn.run_folder import RunFolder
 
-_USAGE = """usage: surefoot train TASK [--runs DIR] [options]     learn a gait
+_USAGE = """usage: surefoot train TASK [options]                 learn a gait
        surefoot train --resume RUN                     go on with a run, exactly where it stopped
        surefoot train TASK --help                      every option, with the task's own values
 
 TASK is {tasks}, or the path of a YAML file.
 
-Besides every field of the configuration:
-  --pushes                   push the robot at random, as the task says how hard and how often
-{simulator}
+Besides the options that the last one lists:
 {ranges}"""
 
 
 def main(argv: list[str]) -> int:
     """Run the command; returns its exit code."""
-    from surefoot.task.config import preset_names
-
     if not argv or argv[0] in ("-h", "--help"):
-        from surefoot.cli.ranges import ranges_help
-        from surefoot.cli.simulator import simulator_help
-
-        print(_USAGE.format(tasks=choices(preset_names()), simulator=simulator_help(), ranges=ranges_help()))
+        print(_USAGE.format(tasks=choices(preset_names()), ranges=ranges_help()))
         return 0 if argv else 2
     if argv[0] == "--resume":
         if len(argv) != 2:
@@ -51,33 +48,30 @@ def main(argv: list[str]) -> int:
     return _train(config, root)
 
 
-def _parse(argv: list[str]) -> tuple[TrainConfig, Path]:
-    from surefoot.cli.parsing import parse
-    from surefoot.cli.ranges import take_ranges
-    from surefoot.cli.simulator import Simulator, take_simulator
-    from surefoot.learn.config import TrainConfig, load_train_config
+@dataclass(frozen=True)
+class TrainCommand(TrainConfig):
+    """Learn a gait."""
 
-    base, rest, root = load_train_config(argv[0]), argv[1:], Path("runs")
-    if "--runs" in rest:
-        place = rest.index("--runs")
-        if place + 1 >= len(rest):
-            raise SurefootError("--runs has no value; it takes the folder for run folders")
-        root = Path(rest[place + 1])
-        del rest[place : place + 2]
-    rest, ranges = take_ranges(rest, base.task.randomize)
-    rest, simulator = take_simulator(rest, f"surefoot train {argv[0]}")
-    pushes = replace(base.task.pushes, enabled=base.task.pushes.enabled or "--pushes" in rest)
-    rest = [word for word in rest if word != "--pushes"]
-    without_file = replace(simulator, params=None).of(base.task)
-    preset = replace(base, task=replace(without_file, randomize=ranges, pushes=pushes))
-    config = parse(TrainConfig, rest, f"surefoot train {argv[0]}", default=preset)
-    # Only now is it known which robot the file must be of, and what is given by name, which goes over the file.
-    given = {
-        name: value
-        for name, value in config.task.params.items()
-        if name in simulator.latencies or base.task.params.get(name) != value
-    }
-    return replace(config, task=Simulator(params=simulator.params).of(config.task, given)), root
+    simulator: SimulatorOptions = Simulator()
+    """Another simulator than the task's."""
+    pushes: bool = False
+    """Push the robot at random, as the task says how hard and how often."""
+    runs: Path = Path("runs")
+    """Folder for run folders."""
+
+
+def _parse(argv: list[str]) -> tuple[TrainConfig, Path]:
+    base = load_train_config(argv[0])
+    names = [item.name for item in fields(TrainConfig)]
+    words, ranges = take_ranges(argv[1:], base.task.randomize)
+    preset = TrainCommand(**{name: getattr(base, name) for name in names})
+    preset = replace(preset, task=replace(base.task, randomize=ranges))
+    command = parse(TrainCommand, words, f"surefoot train {argv[0]}", preset)
+    # What is given by name goes over a file of parameters, which takes the place of the task's own.
+    given = {name: value for name, value in command.task.params.items() if base.task.params.get(name) != value}
+    task = command.simulator.of(replace(command.task, params=base.task.params), given)
+    task = replace(task, pushes=replace(task.pushes, enabled=task.pushes.enabled or command.pushes))
+    return TrainConfig(**{name: getattr(command, name) for name in names} | {"task": task}), command.runs
 
 
 def _train(config: TrainConfig | None, path: Path) -> int:

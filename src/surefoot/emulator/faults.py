@@ -96,7 +96,7 @@ class Fault:
 
 
 def parse_faults(words: Sequence[str], lockstep: bool = False, motors: int = 8) -> dict[str, Fault]:
-    """Faults by name, from words NAME[=VALUE][@TIME].
+    """Return faults by name, from words `NAME[=VALUE][@TIME]`.
 
     Args:
         words: as given on a command line.

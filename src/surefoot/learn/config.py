@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import Annotated, Any, Literal
 
 from surefoot.configuration import Seed, Threads, Within, check_bounds, from_mapping
-from surefoot.errors import SurefootError, check_name, quoted
+from surefoot.errors import SurefootError, check_name, located, quoted
 from surefoot.task.config import TaskConfig, load_task
 
 Layers = tuple[Annotated[int, Within(1, 10_000)], ...]
@@ -126,10 +126,8 @@ def load_train_config(task: str) -> TrainConfig:
         SurefootError: no such task, or a file that does not fit.
     """
     task_config, train = load_task(task)
-    try:
+    with located(f"{task}: train"):
         if not isinstance(train, Mapping):
             raise SurefootError(f"it is {quoted(train)}; it must be a table of keys and values")
         data: dict[str, Any] = {"name": task_config.name, **train}
         return from_mapping(TrainConfig, data, base=TrainConfig(task=task_config))
-    except SurefootError as error:
-        raise SurefootError(f"{task}: train: {error}") from None

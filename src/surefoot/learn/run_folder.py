@@ -22,7 +22,7 @@ import torch
 
 from surefoot import __version__
 from surefoot.configuration import from_mapping, read_yaml, write_yaml
-from surefoot.errors import SurefootError
+from surefoot.errors import SurefootError, located
 from surefoot.files import read_configuration, read_json_lines, remove_abandoned, whole_file
 from surefoot.learn.config import TrainConfig
 
@@ -210,10 +210,9 @@ class RunFolder:
                 f"which reads format {FORMAT}"
             )
         config_path = path / "config.yaml"
-        try:
-            config = from_mapping(TrainConfig, read_yaml(config_path))
-        except SurefootError as error:
-            raise SurefootError(f"{config_path}: {error}") from None
+        data = read_yaml(config_path)
+        with located(config_path):
+            config = from_mapping(TrainConfig, data)
         return cls(path), config
 
     def save(self, state: dict[str, Any]) -> None:

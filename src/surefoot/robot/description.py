@@ -6,17 +6,18 @@ a robot that ships with surefoot or the path of such a folder.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from surefoot.configuration import read_toml
-from surefoot.errors import SurefootError, check_name, choices
+from surefoot.configuration import Within, from_mapping, read_toml
+from surefoot.errors import SurefootError, check_name, choices, located, quoted
 from surefoot.robot.leg import FiveBar, leg_to_motor, motor_to_leg
 from surefoot.robot.params import PhysicalParams
-from surefoot.robot.sheet import Sheet
 from surefoot.robot.urdf import Urdf, read_urdf
 
 _HERE = Path(__file__).parent
@@ -25,14 +26,21 @@ GRAVITY = 9.81
 """Acceleration of free fall [m/s2]."""
 
 
+_Positive = Annotated[float, Within(0, 1e9, above=True)]
+_NotNegative = Annotated[float, Within(0, 1e9)]
+Range = tuple[float, float]
+Point = tuple[float, float, float]
+
+
 @dataclass(frozen=True)
 class Leg:
     """One leg: names of its motor joints (theta_1, theta_2), knee joints and foot link."""
 
-    name: str
     motors: tuple[str, str]
     knees: tuple[str, str]
     foot: str
+    name: str = ""
+    """In the sheet it is the name of the leg's table."""
 
 
 @dataclass(frozen=True)
@@ -40,45 +48,94 @@ class Loop:
     """A pin joint between two links: its place [m] in each link's frame."""
 
     links: tuple[str, str]
-    points: tuple[tuple[float, float, float], tuple[float, float, float]]
+    points: tuple[Point, Point]
 
 
 @dataclass(frozen=True)
 class ActuatorData:
     """Motor and servo, nominal. Units as in `robot.toml`."""
 
-    torque_constant: float
-    resistance: float
-    voltage: float
-    voltage_clip: float
-    kp: float
-    kd: float
-    friction: float
+    torque_constant: _Positive
+    resistance: _Positive
+    voltage: _Positive
+    voltage_clip: _Positive
+    kp: _NotNegative
+    kd: _NotNegative
+    friction: _NotNegative
     torque_table_current: tuple[float, ...]
     torque_table_torque: tuple[float, ...]
-    overheat_torque: float
-    overheat_time: float
-    viscous_friction: float = 0.0
+    overheat_torque: _Positive
+    overheat_time: _NotNegative
+    viscous_friction: _NotNegative = 0.0
+
+    def __post_init__(self) -> None:
+        """Refuse a torque-current curve that does not rise from 0."""
+        current, torque = self.torque_table_current, self.torque_table_torque
+        if len(current) < 2 or len(current) != len(torque):
+            raise SurefootError(
+                f"actuator.torque_table_current has {len(current)} points and torque_table_torque {len(torque)}; "
+                "both need the same, 2 or more"
+            )
+        if current[0] != 0 or torque[0] != 0 or np.any(np.diff(current) <= 0) or np.any(np.diff(torque) < 0):
+            raise SurefootError(
+                f"actuator.torque_table_current is {list(current)}; it must start at 0 A and 0 N m, and rise"
+            )
 
 
 @dataclass(frozen=True)
 class Timing:
     """Servo step, control step and both latencies [s], nominal."""
 
-    servo_step: float
-    control_step: float
-    servo_latency: float
-    control_latency: float
+    servo_step: _Positive
+    control_step: _Positive
+    servo_latency: _NotNegative
+    control_latency: _NotNegative
 
 
 @dataclass(frozen=True)
 class ContactData:
     """Foot against ground: friction coefficient, spinning friction [m], stiffness [N/m] and damping [N s/m]."""
 
-    friction: float
-    spinning_friction: float
-    stiffness: float
-    damping: float
+    friction: _Positive
+    spinning_friction: _NotNegative
+    stiffness: _Positive
+    damping: _Positive
+
+
+@dataclass(frozen=True)
+class _Motors:
+    """Motor joints in order, and the sign of each: joint angle = sign * motor angle."""
+
+    order: tuple[str, ...]
+    sign: tuple[Literal[-1, 1], ...]
+
+
+@dataclass(frozen=True)
+class _LegSpace:
+    """What a command may ask of a leg, and where it rests [rad]."""
+
+    swing: Range
+    extension: Range
+    rest: Range
+
+
+@dataclass(frozen=True)
+class _Sheet:
+    """A `robot.toml` as it stands; `legs` has the legs' `order` and a table for each."""
+
+    name: str
+    urdf: str
+    base: str
+    body_length: _Positive
+    motors: _Motors
+    legs: dict[str, Any]
+    leg_geometry: FiveBar
+    loops: tuple[Loop, ...]
+    leg_space: _LegSpace
+    actuator: ActuatorData
+    timing: Timing
+    contact: ContactData
+    allowed: dict[str, Range] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -121,112 +178,86 @@ class RobotDescription:
             raise SurefootError(
                 f"robot '{robot}': no such robot and no folder with a robot.toml; robots: {choices(cls.available())}"
             )
-        try:
-            data, _ = read_toml(sheet_path)
-        except OSError as error:
-            raise SurefootError(f"{sheet_path}: can't be read: {error.strerror}") from error
-        description = cls._from_sheet(Sheet(sheet_path, data), folder)
-        description._check_legs(sheet_path)
-        return description
+        data, _ = read_toml(sheet_path)
+        with located(sheet_path):
+            sheet = from_mapping(_Sheet, data)
+            check_name("name", sheet.name)
+        urdf = read_urdf(folder / sheet.urdf)
+        with located(sheet_path):
+            return cls._from_sheet(sheet, urdf, folder)
 
     @classmethod
-    def _from_sheet(cls, sheet: Sheet, folder: Path) -> RobotDescription:
-        sheet.allow_only(
-            *("name", "urdf", "base", "body_length", "motors", "legs", "leg_geometry", "loops"),
-            *("leg_space", "actuator", "timing", "contact", "allowed"),
-        )
-        check_name(f"{sheet.path}: name", sheet.text("name"))
-        urdf = read_urdf(folder / sheet.text("urdf"))
-        links, joints = list(urdf.links), list(urdf.joints)
-        base = sheet.one_of("base", links)
-
-        motors = sheet.table("motors", "order", "sign")
-        turning = [name for name in joints if urdf.joints[name].kind != "fixed"]
-        order = motors.names("order", turning)
-        sign = np.array(motors.numbers("sign", len(order)))
-        if not np.all(np.abs(sign) == 1):
-            raise motors.error("sign", f"is {motors.data['sign']}", "each must be 1 or -1")
-
-        legs_table = sheet.table("legs")
-        leg_names = legs_table.strings("order")
-        legs_table.allow_only("order", *leg_names)
-        legs = []
-        for leg_name in leg_names:
-            leg = legs_table.table(leg_name, "motors", "knees", "foot")
-            pair, knees = leg.names("motors", order, 2), leg.names("knees", turning, 2)
-            legs.append(Leg(leg_name, (pair[0], pair[1]), (knees[0], knees[1]), leg.one_of("foot", links)))
+    def _from_sheet(cls, sheet: _Sheet, urdf: Urdf, folder: Path) -> RobotDescription:
+        links, turning = list(urdf.links), [name for name, joint in urdf.joints.items() if joint.kind != "fixed"]
+        order, sign = sheet.motors.order, sheet.motors.sign
+        _check_names("base", (sheet.base,), links)
+        _check_names("motors.order", order, turning)
+        if len(sign) != len(order):
+            raise SurefootError(f"motors.sign has {len(sign)} numbers; it must have {len(order)}")
+        tables = dict(sheet.legs)
+        names = tables.pop("order", None)
+        if not isinstance(names, list) or sorted(map(str, names)) != sorted(tables):
+            raise SurefootError(f"legs.order is {quoted(names)}; it must name each leg once: {choices(tables)}")
+        legs = tuple(replace(from_mapping(Leg, tables[name], f"legs.{name}"), name=name) for name in names)
+        for leg in legs:
+            _check_names(f"legs.{leg.name}.motors", leg.motors, order)
+            _check_names(f"legs.{leg.name}.knees", leg.knees, turning)
+            _check_names(f"legs.{leg.name}.foot", (leg.foot,), links)
         used = [name for leg in legs for name in leg.motors]
         if sorted(used) != sorted(order):
-            raise motors.error(
-                "order",
-                f"names {len(order)} motors",
-                f"each must belong to one leg; legs use {choices(used)}",
+            raise SurefootError(
+                f"motors.order names {len(order)} motors; each must belong to one leg; legs use {choices(used)}"
             )
-
-        geometry = sheet.table("leg_geometry", "upper", "lower", "foot", "foot_radius")
-        lower = geometry.numbers("lower", 2)
-        try:
-            bars = FiveBar(
-                geometry.number("upper"),
-                (lower[0], lower[1]),
-                geometry.number("foot"),
-                geometry.number("foot_radius"),
-            )
-        except SurefootError as error:
-            raise SurefootError(f"{sheet.path}: {error}") from None
-
-        loops = []
-        for index, loop in enumerate(sheet.tables("loops", "links", "points")):
-            ends = loop.names("links", links, 2)
-            loops.append(Loop((ends[0], ends[1]), loop.two_points("points", index)))
-
-        space = sheet.table("leg_space", "swing", "extension", "rest")
-        rest = space.numbers("rest", 2)
-        body_length = sheet.number("body_length")
-        if not body_length > 0:
-            raise sheet.error("body_length", f"is {body_length:g}", "it must be over 0 m")
-        allowed, defaults = sheet.table("allowed"), PhysicalParams.default_bounds()
-        allowed.allow_only(*PhysicalParams.names(), optional=tuple(defaults))
-        return cls(
-            name=sheet.text("name"),
+        hanging = [joint.child for joint in urdf.joints.values()]
+        for index, loop in enumerate(sheet.loops):
+            _check_names(f"loops[{index}].links", loop.links, hanging)
+        for name in sheet.allowed:
+            if name not in PhysicalParams.names():
+                raise SurefootError(f"allowed.{name} is unknown; choices: {choices(PhysicalParams.names())}")
+        space = sheet.leg_space
+        ranges = {"leg_space.swing": space.swing, "leg_space.extension": space.extension}
+        for key, (low, high) in {
+            **ranges,
+            **{f"allowed.{name}": value for name, value in sheet.allowed.items()},
+        }.items():
+            if not low <= high:
+                raise SurefootError(f"{key} is [{low:g}, {high:g}]; the lower bound must come first")
+        description = cls(
+            name=sheet.name,
             folder=folder,
             urdf=urdf,
-            base=base,
-            body_length=body_length,
-            motor_names=tuple(order),
-            motor_sign=sign,
-            legs=tuple(legs),
-            leg_geometry=bars,
-            loops=tuple(loops),
-            swing_range=space.range("swing"),
-            extension_range=space.range("extension"),
-            rest=(rest[0], rest[1]),
-            actuator=_read_actuator(sheet),
-            timing=sheet.table("timing").dataclass(Timing, positive=("servo_step", "control_step")),
-            contact=sheet.table("contact").dataclass(ContactData, positive=("friction", "stiffness", "damping")),
-            allowed={
-                name: allowed.range(name) if name in allowed.data else defaults[name] for name in PhysicalParams.names()
-            },
+            base=sheet.base,
+            body_length=sheet.body_length,
+            motor_names=order,
+            motor_sign=np.array(sign, float),
+            legs=legs,
+            leg_geometry=sheet.leg_geometry,
+            loops=sheet.loops,
+            swing_range=space.swing,
+            extension_range=space.extension,
+            rest=space.rest,
+            actuator=sheet.actuator,
+            timing=sheet.timing,
+            contact=sheet.contact,
+            allowed={**PhysicalParams.default_bounds(), **sheet.allowed},
         )
+        description._check_legs()
+        return description
 
-    def _check_legs(self, sheet_path: Path) -> None:
-        for loop in self.loops:
-            for link in loop.links:
-                if not any(joint.child == link for joint in self.urdf.joints.values()):
-                    raise SurefootError(f"{sheet_path}: loops: '{link}' hangs on no joint, so no loop can close there")
+    def _check_legs(self) -> None:
         if not self.leg_geometry.closes(*leg_to_motor(*self.rest)):
             raise SurefootError(
-                f"{sheet_path}: leg_geometry: a loop can't close at the resting pose "
+                "leg_geometry: a loop can't close at the resting pose "
                 f"(swing {self.rest[0]:g}, extension {self.rest[1]:g}); the lower links must reach each other"
             )
         extension = np.linspace(*self.extension_range, 201)
         if not self.leg_geometry.closes(*leg_to_motor(0.0, extension)).all():
             raise SurefootError(
-                f"{sheet_path}: leg_space.extension is {list(self.extension_range)}, "
+                f"leg_space.extension is {list(self.extension_range)}, "
                 "and a loop can't close everywhere in it; narrow it or check leg_geometry"
             )
         for name, value in self.nominal_params().items():
-            self.check_allowed(name, np.asarray(value), source=f"{sheet_path}: nominal ")
+            self.check_allowed(name, np.asarray(value), source="nominal ")
 
     @property
     def num_motors(self) -> int:
@@ -334,18 +365,10 @@ class RobotDescription:
             )
 
 
-def _read_actuator(sheet: Sheet) -> ActuatorData:
-    table = sheet.table("actuator")
-    data: ActuatorData = table.dataclass(
-        ActuatorData, positive=("torque_constant", "resistance", "voltage", "voltage_clip", "overheat_torque")
-    )
-    current, torque = data.torque_table_current, data.torque_table_torque
-    if len(current) < 2 or len(current) != len(torque):
-        raise table.error(
-            "torque_table_current",
-            f"has {len(current)} points and torque_table_torque {len(torque)}",
-            "both need the same, 2 or more",
-        )
-    if current[0] != 0 or torque[0] != 0 or np.any(np.diff(current) <= 0) or np.any(np.diff(torque) < 0):
-        raise table.error("torque_table_current", f"is {list(current)}", "it must start at 0 A and 0 N m, and rise")
-    return data
+def _check_names(key: str, given: Sequence[str], valid: Sequence[str]) -> None:
+    """Refuse names that the robot does not have, and names that stand twice."""
+    for name in given:
+        if name not in valid:
+            raise SurefootError(f"{key} names '{name}', which the robot does not have; choices: {choices(valid)}")
+    if len(set(given)) != len(given):
+        raise SurefootError(f"{key} is {quoted(list(given))}; it must have no name twice")

@@ -16,8 +16,8 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 
-def _row(unit: str, meaning: str, width: str = "one", bounds: tuple[float, float] | None = None) -> Any:
-    """Declare a parameter; with `bounds`, a robot's sheet need not say what is allowed."""
+def _row(unit: str, meaning: str, bounds: tuple[float, float], width: str = "one") -> Any:
+    """Declare a parameter; `bounds` hold where a robot's sheet does not say what is allowed."""
     return field(metadata={"unit": unit, "meaning": meaning, "width": width, "bounds": bounds})
 
 
@@ -29,34 +29,32 @@ class PhysicalParams:
     description's value.
     """
 
-    base_mass_ratio: Array = _row("1", "mass of the base and all that is fixed to it, to the description's")
-    leg_mass_ratio: Array = _row("1", "mass of every moving link, to the description's")
-    base_inertia_ratio: Array = _row("1", "rotational inertia of the base, to the description's")
-    leg_inertia_ratio: Array = _row("1", "rotational inertia of every moving link, to the description's")
-    motor_strength: Array = _row("1", "motor torque, to the motor model's", "motors")
-    motor_friction: Array = _row("N m", "Coulomb friction in each motor", "motors")
-    motor_viscous_friction: Array = _row("N m s/rad", "viscous friction in each motor", "motors")
-    torque_constant: Array = _row("N m/A", "torque constant K_t, also the back-EMF constant")
-    resistance: Array = _row("Ohm", "armature resistance R")
-    voltage: Array = _row("V", "battery voltage")
-    servo_kp: Array = _row("1/rad", "servo's proportional gain, duty per angle")
-    servo_kd: Array = _row("s/rad", "servo's derivative gain, duty per speed")
-    servo_latency: Array = _row("s", "age of the motor angles and speeds that the servo sees")
-    control_latency: Array = _row("s", "age of the readings that the policy sees")
-    control_step: Array = _row("s", "time between two commands of the policy")
-    contact_friction: Array = _row("1", "lateral friction coefficient of the feet")
-    contact_stiffness: Array = _row("N/m", "stiffness of the feet against the ground")
+    base_mass_ratio: Array = _row("1", "mass of the base and all that is fixed to it, to the description's", (0.2, 5.0))
+    leg_mass_ratio: Array = _row("1", "mass of every moving link, to the description's", (0.2, 5.0))
+    base_inertia_ratio: Array = _row("1", "rotational inertia of the base, to the description's", (0.2, 5.0))
+    leg_inertia_ratio: Array = _row("1", "rotational inertia of every moving link, to the description's", (0.2, 5.0))
+    motor_strength: Array = _row("1", "motor torque, to the motor model's", (0.0, 2.0), "motors")
+    motor_friction: Array = _row("N m", "Coulomb friction in each motor", (0.0, 0.5), "motors")
+    motor_viscous_friction: Array = _row("N m s/rad", "viscous friction in each motor", (0.0, 0.1), "motors")
+    torque_constant: Array = _row("N m/A", "torque constant K_t, also the back-EMF constant", (0.01, 1.0))
+    resistance: Array = _row("Ohm", "armature resistance R", (0.02, 5.0))
+    voltage: Array = _row("V", "battery voltage", (5.0, 30.0))
+    servo_kp: Array = _row("1/rad", "servo's proportional gain, duty per angle", (0.0, 10.0))
+    servo_kd: Array = _row("s/rad", "servo's derivative gain, duty per speed", (0.0, 0.2))
+    servo_latency: Array = _row("s", "age of the motor angles and speeds that the servo sees", (0.0, 0.020))
+    control_latency: Array = _row("s", "age of the readings that the policy sees", (0.0, 0.100))
+    control_step: Array = _row("s", "time between two commands of the policy", (0.001, 0.050))
+    contact_friction: Array = _row("1", "lateral friction coefficient of the feet", (0.05, 3.0))
+    contact_stiffness: Array = _row("N/m", "stiffness of the feet against the ground", (300.0, 100_000.0))
     contact_spinning_friction: Array = _row(
-        "m", "torque with which a foot resists turning about the normal, to the normal force", bounds=(0.0, 0.5)
+        "m", "torque with which a foot resists turning about the normal, to the normal force", (0.0, 0.5)
     )
-    knee_friction: Array = _row("N m", "Coulomb friction in each knee joint; Bullet only", bounds=(0.0, 0.5))
-    knee_play: Array = _row("m", "radial clearance of the pins that close the loops; Bullet only", bounds=(0.0, 0.005))
-    floor_unevenness: Array = _row("m", "standard deviation of the floor's height; Bullet only", bounds=(0.0, 0.02))
-    imu_bias: Array = _row("rad", "constant error of roll and pitch", "roll, pitch")
-    imu_noise: Array = _row("rad", "standard deviation of the white noise on roll and pitch")
-    imu_mount: Array = _row(
-        "rad", "roll, pitch and yaw of the IMU against the base", "roll, pitch, yaw", bounds=(-0.5, 0.5)
-    )
+    knee_friction: Array = _row("N m", "Coulomb friction in each knee joint; Bullet only", (0.0, 0.5))
+    knee_play: Array = _row("m", "radial clearance of the pins that close the loops; Bullet only", (0.0, 0.005))
+    floor_unevenness: Array = _row("m", "standard deviation of the floor's height; Bullet only", (0.0, 0.02))
+    imu_bias: Array = _row("rad", "constant error of roll and pitch", (-0.5, 0.5), "roll, pitch")
+    imu_noise: Array = _row("rad", "standard deviation of the white noise on roll and pitch", (0.0, 0.5))
+    imu_mount: Array = _row("rad", "roll, pitch and yaw of the IMU against the base", (-0.5, 0.5), "roll, pitch, yaw")
 
     @property
     def num_envs(self) -> int:
@@ -75,9 +73,8 @@ class PhysicalParams:
 
     @classmethod
     def default_bounds(cls) -> dict[str, tuple[float, float]]:
-        """Bounds by name, of the parameters for which a robot's sheet need not give them."""
-        bounds = {item.name: item.metadata["bounds"] for item in fields(cls)}
-        return {name: value for name, value in bounds.items() if value is not None}
+        """Least and greatest value by name, where a robot's sheet does not give them."""
+        return {item.name: item.metadata["bounds"] for item in fields(cls)}
 
     @classmethod
     def nominal(cls, robot: RobotDescription, num_envs: int = 1) -> PhysicalParams:

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from surefoot.configuration import is_number, read_toml
-from surefoot.errors import SurefootError, quoted
+from surefoot.errors import SurefootError, located, quoted
 from surefoot.files import whole_file
 from surefoot.robot.description import RobotDescription
 from surefoot.robot.params import PhysicalParams
@@ -70,26 +70,18 @@ def read_params(path: Path, robot: RobotDescription) -> ParamsFile:
         SurefootError: no such file, no TOML, no table [params], another robot's, or a parameter or value that the
             robot does not have.
     """
-    try:
-        data, content = read_toml(path)
-    except OSError as error:
-        raise SurefootError(f"parameters {path}: {error.strerror}") from error
-    except SurefootError as error:
-        raise SurefootError(f"parameters {error}") from None
+    data, content = read_toml(path)
     table = data.pop("params", None)
-    if not isinstance(table, dict):
-        raise SurefootError(f"parameters {path}: has no table [params]; it holds NAME = number or list")
-    if data.get("robot", robot.name) != robot.name:
-        raise SurefootError(f"parameters {path}: are for robot '{data['robot']}', not for '{robot.name}'")
-    for name, value in table.items():
-        numbers = value if isinstance(value, list) else [value]
-        if not numbers or not all(map(is_number, numbers)):
-            rule = "it must be a finite number or a list of such"
-            raise SurefootError(f"parameters {path}: params.{name} is {quoted(value)}; {rule}")
-    try:
+    with located(path):
+        if not isinstance(table, dict):
+            raise SurefootError("has no table [params]; it holds NAME = number or list")
+        if data.get("robot", robot.name) != robot.name:
+            raise SurefootError(f"has parameters of robot '{data['robot']}', not of '{robot.name}'")
+        for name, value in table.items():
+            numbers = value if isinstance(value, list) else [value]
+            if not numbers or not all(map(is_number, numbers)):
+                raise SurefootError(f"params.{name} is {quoted(value)}; it must be a finite number or a list of such")
         params = PhysicalParams.nominal(robot).with_values(robot, **table)
-    except SurefootError as error:
-        raise SurefootError(f"parameters {path}: {error}") from None
     source = {"file": path.name, "sha256": hashlib.sha256(content).hexdigest()}
     return ParamsFile(params, tuple(table), data, source)
 
@@ -124,11 +116,8 @@ def write_params(
     for key, value in others.items():
         if _is_table(value):
             lines += _table(_key(key), value)
-    try:
-        with whole_file(path) as file:
-            file.write("\n".join([*lines, ""]).encode())
-    except OSError as error:
-        raise SurefootError(f"parameters {path}: {error.strerror}") from error
+    with located(path), whole_file(path) as file:
+        file.write("\n".join([*lines, ""]).encode())
     return path
 
 

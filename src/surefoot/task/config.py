@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from surefoot.configuration import Within, check_bounds, from_mapping, read_yaml
-from surefoot.errors import SurefootError, check_name, choices
+from surefoot.errors import SurefootError, check_name, choices, located
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.robot.params_file import ParamValue
 from surefoot.task.observation import IMU_AND_MOTORS_12D
@@ -167,10 +167,8 @@ def load_task(task: str) -> tuple[TaskConfig, dict[str, Any]]:
     path = task_path(task)
     data = read_yaml(path)
     train = data.pop("train", None) or {}
-    try:
+    with located(path):
         config = from_mapping(TaskConfig, {"name": path.stem, **with_ranges(data, path.parent)})
-    except SurefootError as error:
-        raise SurefootError(f"{path}: {error}") from None
     if config.reference.file is not None:
         # A table's path counts from the task's file, wherever surefoot is run.
         absolute = str((path.parent / config.reference.file).resolve())

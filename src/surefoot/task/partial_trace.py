@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.errors import SurefootError
+from surefoot.errors import SurefootError, located
 from surefoot.files import check_readable
 from surefoot.task.trace import EpisodeTrace
 
@@ -129,7 +129,5 @@ def recover(path: str | Path) -> EpisodeTrace:
     rows = np.frombuffer(body, "<f8", whole * layout.width).reshape(whole, layout.width).astype(float)
     if not whole:
         raise SurefootError(f"partial trace {path}: holds no whole control step")
-    try:
+    with located(f"partial trace {path}"):
         return trace_of(layout, rows, {**meta, "ended": "fault", "reason": "cut off"})
-    except SurefootError as error:
-        raise SurefootError(f"partial trace {path}: {error}") from error

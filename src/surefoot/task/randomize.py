@@ -7,7 +7,7 @@ and the greatest value; a row without a range keeps its nominal value.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from surefoot.configuration import from_mapping, read_yaml
-from surefoot.errors import SurefootError, choices
+from surefoot.errors import SurefootError, choices, located
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.seeding import generators
 
@@ -37,71 +37,55 @@ class Row:
     """Whether it draws apart from the stream that the others share, which goes on as if there were no such row."""
 
 
-ROWS: dict[str, Row] = {
-    "mass": Row(("base_mass_ratio", "leg_mass_ratio")),
-    "motor_friction": Row(("motor_friction",)),
-    "inertia": Row(("base_inertia_ratio", "leg_inertia_ratio")),
-    "motor_strength": Row(("motor_strength",), each=True),
-    "control_step": Row(("control_step",)),
-    "latency": Row(("control_latency",)),
-    "voltage": Row(("voltage",)),
-    "contact_friction": Row(("contact_friction",)),
-    "imu_bias": Row(("imu_bias",), each=True),
-    "imu_noise": Row(("imu_noise",)),
-    "torque_constant": Row(("torque_constant",)),
-    "resistance": Row(("resistance",)),
-    "servo_latency": Row(("servo_latency",)),
-    "contact_stiffness": Row(("contact_stiffness",), apart=True),
-    "spinning_friction": Row(("contact_spinning_friction",), apart=True),
-    "knee_friction": Row(("knee_friction",), apart=True),
-    "knee_play": Row(("knee_play",), apart=True),
-    "floor_unevenness": Row(("floor_unevenness",), apart=True),
-    "imu_mount": Row(("imu_mount",), each=True, apart=True),
-}
-"""Every row that can be drawn. New ones go to the end and draw apart, so that the others' draws stay what they were."""
+def _row(*params: str, each: bool = False, apart: bool = False) -> Any:
+    """Declare a row without a range."""
+    return field(default=None, metadata={"row": Row(params, each, apart)})
 
 
 @dataclass(frozen=True)
 class RandomizeConfig:
-    """Ranges (least, greatest) from which every episode draws its physical parameters; None: nominal."""
+    """Ranges (least, greatest) from which every episode draws its physical parameters; None: nominal.
 
-    mass: Range = None
+    New rows go to the end and draw apart, so that the others' draws stay what they were.
+    """
+
+    mass: Range = _row("base_mass_ratio", "leg_mass_ratio")
     """Mass to the description's; base and legs draw their own."""
-    motor_friction: Range = None
+    motor_friction: Range = _row("motor_friction")
     """Coulomb friction of the motors [N m]."""
-    inertia: Range = None
+    inertia: Range = _row("base_inertia_ratio", "leg_inertia_ratio")
     """Rotational inertia to the description's; base and legs draw their own."""
-    motor_strength: Range = None
+    motor_strength: Range = _row("motor_strength", each=True)
     """Motor torque to the model's; each motor draws its own."""
-    control_step: Range = None
+    control_step: Range = _row("control_step")
     """Time between two commands of the policy [s]."""
-    latency: Range = None
+    latency: Range = _row("control_latency")
     """Age of the readings that the policy sees [s]."""
-    voltage: Range = None
+    voltage: Range = _row("voltage")
     """Battery voltage [V]."""
-    contact_friction: Range = None
+    contact_friction: Range = _row("contact_friction")
     """Lateral friction coefficient of the feet."""
-    imu_bias: Range = None
+    imu_bias: Range = _row("imu_bias", each=True)
     """Constant error of roll and of pitch, each its own [rad]."""
-    imu_noise: Range = None
+    imu_noise: Range = _row("imu_noise")
     """Standard deviation of the noise on roll and pitch [rad]."""
-    torque_constant: Range = None
+    torque_constant: Range = _row("torque_constant")
     """Torque constant K_t [N m/A]; not in the paper's table."""
-    resistance: Range = None
+    resistance: Range = _row("resistance")
     """Armature resistance R [Ohm]; not in the paper's table."""
-    servo_latency: Range = None
+    servo_latency: Range = _row("servo_latency")
     """Age of what the servo sees [s]; not in the paper's table."""
-    contact_stiffness: Range = None
+    contact_stiffness: Range = _row("contact_stiffness", apart=True)
     """Stiffness of the feet against the ground [N/m]; not in the paper's table."""
-    spinning_friction: Range = None
+    spinning_friction: Range = _row("contact_spinning_friction", apart=True)
     """Spinning friction of the feet [m]; not in the paper's table."""
-    knee_friction: Range = None
+    knee_friction: Range = _row("knee_friction", apart=True)
     """Coulomb friction of the knees [N m]; Bullet only, not in the paper's table."""
-    knee_play: Range = None
+    knee_play: Range = _row("knee_play", apart=True)
     """Radial clearance of the pins that close the loops [m]; Bullet only, not in the paper's table."""
-    floor_unevenness: Range = None
+    floor_unevenness: Range = _row("floor_unevenness", apart=True)
     """Standard deviation of the floor's height [m]; Bullet only, not in the paper's table."""
-    imu_mount: Range = None
+    imu_mount: Range = _row("imu_mount", each=True, apart=True)
     """Roll, pitch and yaw of the IMU against the base, each its own [rad]; not in the paper's table."""
 
     def __post_init__(self) -> None:
@@ -117,6 +101,10 @@ class RandomizeConfig:
         """Rows that have a range, and their ranges."""
         given = {item.name: getattr(self, item.name) for item in fields(self)}
         return {name: value for name, value in given.items() if value is not None}
+
+
+ROWS: dict[str, Row] = {item.name: item.metadata["row"] for item in fields(RandomizeConfig)}
+"""Every row that can be drawn, by name."""
 
 
 def range_names() -> list[str]:
@@ -135,10 +123,9 @@ def load_ranges(name: str, folder: Path = Path()) -> RandomizeConfig:
         raise SurefootError(
             f"randomize '{name}' does not exist; choices: {choices(range_names())}, or the path of a YAML file"
         )
-    try:
-        return from_mapping(RandomizeConfig, read_yaml(path), "randomize")
-    except SurefootError as error:
-        raise SurefootError(f"{path}: {error}") from None
+    data = read_yaml(path)
+    with located(path):
+        return from_mapping(RandomizeConfig, data, "randomize")
 
 
 def row_values(row: str, values: ArrayLike) -> dict[str, Array]:

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from surefoot.errors import SurefootError, choices
+from surefoot.errors import SurefootError, choices, located
 from surefoot.files import DATA_BYTES, check_readable, whole_file
 
 SCHEMA = 1
@@ -164,10 +164,8 @@ class EpisodeTrace:
         if set(arrays) != names:
             odd = choices(sorted(names ^ set(arrays)))
             raise SurefootError(f"trace file {path}: not an episode trace: missing or unknown {odd}")
-        try:
+        with located(f"trace file {path}"):
             return cls(meta=meta, **arrays)
-        except SurefootError as error:
-            raise SurefootError(f"trace file {path}: {error}") from error
 
 
 def _shapes(steps: int, meta: dict[str, Any]) -> dict[str, tuple[int, ...]]:
