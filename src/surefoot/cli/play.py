@@ -69,9 +69,11 @@ def main(argv: list[str]) -> int:
         import imageio_ffmpeg  # noqa: F401
 
         from surefoot.report.video import render_video
-    names = {"world_name": command.world, "policy_name": policy.contract.name}
-    with progress_bar(policy.contract.name) as progress:
-        (trace,) = run_episodes(policy, task, 1, make_world, command.seed, progress=progress, **names)
+    name = policy.contract.name
+    with progress_bar(name) as progress:
+        (trace,) = run_episodes(
+            policy, task, 1, make_world, command.seed, 0, progress, world_name=command.world, policy_name=name
+        )
     shapes, poses = scene(robot), trace_poses(robot, trace)
     if window:
         replay(shapes, poses, trace.time, robot.base)
