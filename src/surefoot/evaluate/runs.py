@@ -102,10 +102,11 @@ class Runs:
         if world is None and len(names) > 1:
             raise SurefootError(f"traces come from several worlds: {choices(names)}; measure one at a time")
         metrics = [episode_metrics(trace) for trace in runs]
-        numbers = np.array([(one.return_, one.distance, one.speed, one.power, one.steps) for one in metrics]).T
+        rows = [(one.return_, one.distance, one.speed, one.power, float(one.steps)) for one in metrics]
+        returns, distance, speed, power, steps = np.array(rows).T.copy()
         fell = np.array([one.fell for one in metrics])
         balanced = np.array([trace.meta["ended"] == "time" for trace in runs])
-        return cls(world or names[0], *(column.copy() for column in numbers), fell, balanced)
+        return cls(world or names[0], returns, distance, speed, power, steps, fell, balanced)
 
     @classmethod
     def pooled(cls, parts: Sequence[Runs]) -> Runs:

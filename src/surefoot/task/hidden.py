@@ -22,7 +22,7 @@ def draw_hidden(robot: RobotDescription, ranges: Mapping[str, tuple[float, float
     Args:
         robot: whose sheet they are drawn around.
         ranges: least and greatest value by row of `ROWS`, as of Tan et al. 2018, table I. K_t and R are drawn within
-            `RELATIVE_RANGE`, the servo's latency from `SERVO_LATENCY`, unless they have ranges; all others stay nominal.
+            `RELATIVE_RANGE`, the servo's latency from `SERVO_LATENCY`, unless they have ranges; others stay nominal.
         seed: decides everything.
 
     Raises:
