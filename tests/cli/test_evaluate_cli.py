@@ -80,10 +80,13 @@ def test_help_is_fast_and_names_the_commands():
     assert surefoot("--version").stdout.startswith("surefoot ")
 
 
-def test_help_loads_nothing_heavy():
+@pytest.mark.parametrize("words", ["evaluate no.onnx --episodes 0", "sensitivity no.onnx --episodes 0",
+                                   "gap no.onnx --to bullet --runs 0"])  # fmt: skip
+def test_what_is_wrong_is_told_before_anything_heavy_is_loaded(words: str):
     script = (
-        "import sys; from surefoot.cli.main import main; main(['evaluate', 'no.onnx', '--episodes', '0']);"
-        "print([m for m in ('torch', 'mujoco', 'numba', 'matplotlib') if m in sys.modules])"
+        f"import sys; from surefoot.cli.main import main; main({words.split()});"
+        "heavy = ('torch', 'mujoco', 'numba', 'matplotlib', 'gymnasium', 'pybullet');"
+        "print([name for name in heavy if name in sys.modules])"
     )
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, env=environment())
     assert done.stdout.strip() == "[]"

@@ -356,16 +356,6 @@ def test_without_bullet_one_line_tells_how_to_get_it(line: str, here: Path):
     assert sorted(here.iterdir()) == before
 
 
-def test_what_is_wrong_is_told_before_anything_heavy_is_loaded():
-    script = (
-        "import sys; from surefoot.cli.main import main; main(['gap', 'no.onnx', '--to', 'bullet', '--runs', '0']);"
-        "print([m for m in ('torch', 'mujoco', 'numba', 'matplotlib', 'pybullet') if m in sys.modules])"
-    )
-    env = os.environ | {"PYTHONPATH": str(Path(__file__).resolve().parents[2] / "src")}
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, env=env)
-    assert done.stdout.strip() == "[]"
-
-
 def test_bullet_is_another_world(here: Path, capsys: pytest.CaptureFixture[str]):
     pytest.importorskip("pybullet")
     found = result(["gallop.onnx", "--to", "bullet", "--runs", "2"], capsys)

@@ -122,36 +122,3 @@ def test_names():
 )
 def test_what_does_not_fit_is_refused(words: tuple[str, ...], parts: tuple[str, ...], tmp_path: Path):
     refused(surefoot(*words, cwd=tmp_path), *parts)
-
-
-def test_policies_for_different_robots_are_refused(tmp_path: Path):
-    onnx = pytest.importorskip("onnx")
-    from surefoot.policy.contract import METADATA_KEY
-    from surefoot.policy.digest import stamped
-    from surefoot.robot import RobotDescription
-
-    robot = tmp_path / "maxitaur"
-    robot.mkdir()
-    for file in RobotDescription.load("minitaur").folder.iterdir():
-        if file.is_file():
-            (robot / file.name).write_bytes(file.read_bytes())
-    sheet = robot / "robot.toml"
-    sheet.write_text(sheet.read_text().replace('name = "minitaur"', 'name = "maxitaur"'))
-    model = onnx.load(find_policy("trot"))
-    (entry,) = (entry for entry in model.metadata_props if entry.key == METADATA_KEY)
-    contract = json.loads(entry.value)
-    contract["robot"], contract["task"]["robot"] = "maxitaur", str(robot)
-    onnx.helper.set_model_props(model, {METADATA_KEY: json.dumps(contract)})
-    (tmp_path / "other.onnx").write_bytes(stamped(model.SerializeToString()))
-    done = surefoot("gallop", tmp_path / "other.onnx", *SHORT, cwd=tmp_path)
-    refused(done, "policy 'trot' is for robot 'maxitaur' and 'gallop' for 'minitaur'", "the same robot")
-    assert not (tmp_path / "sensitivity").exists()
-
-
-def test_what_is_wrong_is_told_before_anything_heavy_is_loaded():
-    script = (
-        "import sys; from surefoot.cli.main import main; main(['sensitivity', 'no.onnx', '--episodes', '0']);"
-        "print([m for m in ('torch', 'mujoco', 'numba', 'matplotlib', 'gymnasium') if m in sys.modules])"
-    )
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, env=environment())
-    assert done.stdout.strip() == "[]"

@@ -162,6 +162,11 @@ def _mean(*keys: str, factor: float = 1.0) -> Callable[[Result], float]:
     return read
 
 
+def _over_worlds(name: str) -> Callable[[Result], float]:
+    """Return what reads an aggregate of a sensitivity."""
+    return lambda result: float(getattr(Sensitivity.from_mapping(result, ""), name))
+
+
 def _gap_mean(result: Result) -> float:
     return float(np.mean(result["home"]["returns"]) - np.mean(result["away"]["returns"]))
 
@@ -195,20 +200,8 @@ EVALUATIONS: dict[str, EvaluationKind] = {
         ("world",),
         _sensitivity,
         (
-            Figure(
-                "sensitivity_mean",
-                "mean return over test worlds",
-                "m",
-                2,
-                lambda result: Sensitivity.from_mapping(result, "").mean,
-            ),
-            Figure(
-                "sensitivity_std",
-                "standard deviation of return over test worlds",
-                "m",
-                2,
-                lambda result: Sensitivity.from_mapping(result, "").std,
-            ),
+            Figure("sensitivity_mean", "mean return over test worlds", "m", 2, _over_worlds("mean")),
+            Figure("sensitivity_std", "standard deviation of return over test worlds", "m", 2, _over_worlds("std")),
             Figure("sensitivity_falls", "falls in test worlds", "%", 1, _FALLS),
         ),
     ),
