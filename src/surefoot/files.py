@@ -1,15 +1,13 @@
-"""Files that are read within limits, and files and tables that are written whole or not at all."""
+"""Files that are read within limits, and files that appear whole or not at all."""
 
 from __future__ import annotations
 
-import csv
 import errno
-import io
 import json
 import os
 import re
 import stat
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -91,21 +89,3 @@ def read_json_lines(path: Path) -> list[dict[str, Any]]:
         except ValueError:
             break
     return rows
-
-
-def write_table(path: str | Path, header: str, rows: Iterable[Iterable[object]]) -> Path:
-    """Write a CSV file whole or not at all, with its folder; returns the path.
-
-    Args:
-        path: the file.
-        header: names of the columns, with commas between them.
-        rows: the lines' values.
-    """
-    path, text = Path(path), io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(header.split(","))
-    writer.writerows(rows)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with whole_file(path) as file:
-        file.write(text.getvalue().encode())
-    return path

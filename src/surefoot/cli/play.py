@@ -59,7 +59,8 @@ def main(argv: list[str]) -> int:
     task = replace(task, max_steps=max(round(command.seconds / control_step), 1))
     window = command.out is None and has_display()
     # Imported before anything is simulated: what is not installed is told at once.
-    from surefoot.cli.progress import run_with_progress
+    from surefoot.cli.progress import progress_bar
+    from surefoot.evaluate.rollout import run_episodes
     from surefoot.report.scene import scene, trace_poses
 
     if window:
@@ -69,7 +70,10 @@ def main(argv: list[str]) -> int:
 
         from surefoot.report.video import render_video
     name = policy.contract.name
-    (trace,) = run_with_progress(policy, task, 1, make_world, command.seed, world_name=command.world, policy_name=name)
+    with progress_bar(name) as progress:
+        (trace,) = run_episodes(
+            policy, task, 1, make_world, command.seed, 0, progress, world_name=command.world, policy_name=name
+        )
     shapes, poses = scene(robot), trace_poses(robot, trace)
     if window:
         replay(shapes, poses, trace.time, robot.base)

@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.report.video import Shape
+from surefoot.report.drawing import Shape
 
 Array = NDArray[np.float64]
 _KINDS = {

@@ -9,14 +9,13 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from torch.utils.tensorboard import SummaryWriter
 
+from surefoot.evaluate.rollout import run_to_end
 from surefoot.learn.config import TrainConfig
 from surefoot.learn.run_folder import RunFolder, write_checkpoint
 from surefoot.learn.trainer import Trainer, UpdateFigures
 from surefoot.task.env import LocomotionEnv, SimulationFactory
-from surefoot.task.pushes import PushConfig
 
 EVALUATION_SEED = 1_000_003
 
@@ -46,44 +45,14 @@ class Evaluation:
 
 def evaluate_policy(trainer: Trainer, make_world: SimulationFactory, episodes: int) -> Evaluation:
     """Run the deterministic policy for whole episodes, always from the same seed."""
-    config = trainer.config
-    task = replace(config.task, pushes=replace(config.task.pushes, enabled=False))
-    speed, returns, falls, power = _run(trainer, make_world, task.pushes, episodes)
-    pushed = 0
-    if config.task.pushes.enabled:
-        pushed = _run(trainer, make_world, config.task.pushes, episodes)[2]
-    return Evaluation(trainer.steps, speed, returns, falls, pushed, power)
-
-
-def _run(
-    trainer: Trainer, make_world: SimulationFactory, pushes: PushConfig, episodes: int
-) -> tuple[float, float, int, float]:
-    config = trainer.config
-    task = replace(config.task, pushes=pushes)
-    env = LocomotionEnv(
-        task, episodes, make_world, EVALUATION_SEED + config.seed, autoreset=False, threads=config.threads
-    )
-    observation, _ = env.reset()
-    alive = np.ones(episodes, bool)
-    returns, energy, distance, duration = (np.zeros(episodes) for _ in range(4))
-    for _ in range(task.max_steps):
-        observation, reward, terminated, _, _ = env.step(trainer.act(observation))
-        returns += reward * alive
-        energy += env.truth.energy * alive
-        forward = env.truth.base_position_world[:, 0] - env.start_position[:, 0]
-        # A diverged robot stands at its start again; its distance is that of the step before.
-        moved = alive & ~env.truth.diverged
-        distance[moved], duration[moved] = forward[moved], env.readings.time[moved]
-        alive &= ~terminated
-        if not alive.any():
-            break
-    duration = np.maximum(duration, 1e-9)
-    return (
-        float(np.mean(distance / duration)),
-        float(np.mean(returns)),
-        int(np.sum(~alive)),
-        float(np.sum(energy) / np.sum(duration)),
-    )
+    config, found = trainer.config, []
+    for pushed in (False, True) if config.task.pushes.enabled else (False,):
+        task = replace(config.task, pushes=replace(config.task.pushes, enabled=pushed))
+        env = LocomotionEnv(task, episodes, make_world, EVALUATION_SEED + config.seed, False, config.threads)
+        found.append(run_to_end(trainer.act, env, env.reset()[0]))
+    runs, falls = found[0], [int((~one.balanced).sum()) for one in found]
+    speed, gained, power = (float(column.mean()) for column in (runs.speed, runs.returns, runs.power))
+    return Evaluation(trainer.steps, speed, gained, falls[0], falls[1] if len(falls) > 1 else 0, power)
 
 
 class TrainingRun:

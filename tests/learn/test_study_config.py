@@ -13,7 +13,7 @@ import yaml
 from surefoot.configuration import write_yaml
 from surefoot.errors import SurefootError
 from surefoot.learn.config import TrainConfig, load_train_config
-from surefoot.learn.study import (
+from surefoot.learn.study_config import (
     CHECKPOINT_EVERY,
     StudyConfig,
     StudyRun,
@@ -203,7 +203,7 @@ def test_difference_finds_the_first_field_by_its_whole_name() -> None:
 
 
 def test_how_far_a_study_is_can_be_told_without_torch() -> None:
-    script = "import sys, surefoot.learn.study, surefoot.learn.workers; sys.exit('torch' in sys.modules)"
+    script = "import sys, surefoot.learn.study_config, surefoot.learn.workers; sys.exit('torch' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", script], timeout=60, check=False).returncode == 0
 
 
