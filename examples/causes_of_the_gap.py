@@ -21,8 +21,9 @@ import numpy as np
 import tyro
 
 from surefoot.cli.policies import find_policy, find_world, load_policy
-from surefoot.evaluate.gap import Runs, away_task
+from surefoot.evaluate.gap import away_task
 from surefoot.evaluate.rollout import run_episodes
+from surefoot.evaluate.runs import Runs
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.task.config import TaskConfig
 from surefoot.world.interface import SimulationFactory, WorldConfig

@@ -17,8 +17,7 @@ import tyro
 from surefoot.cli.policies import find_policy, load_policy
 from surefoot.evaluate.gap import away_task
 from surefoot.evaluate.rollout import run_episodes
-from surefoot.report.figures import _figure
-from surefoot.report.sensitivity_figures import COLORS, MARKERS
+from surefoot.report.style import COLORS, MARKERS, new_figure
 from surefoot.task.pushes import PushConfig
 from surefoot.world.sim_world import SimWorld
 
@@ -42,7 +41,7 @@ class Command:
 def run(command: Command) -> None:
     """Measure, print, draw."""
     print(f"{'policy':<14} " + " ".join(f"{force:>4g} N" for force in command.forces))
-    with _figure(command.out, (6.6, 3.8)) as (figure, (ax,)):
+    with new_figure(command.out, (6.6, 3.8)) as (figure, (ax,)):
         for number, name in enumerate(command.policies):
             policy, _, task = load_policy(find_policy(name), None)
             falls = []

@@ -15,8 +15,9 @@ import tyro
 from numpy.typing import ArrayLike
 
 from surefoot.cli.policies import WORLDS, find_world
-from surefoot.evaluate.gap import Runs, away_task
+from surefoot.evaluate.gap import away_task
 from surefoot.evaluate.rollout import run_episodes
+from surefoot.evaluate.runs import Runs
 from surefoot.robot import RobotDescription
 from surefoot.task.config import load_task
 

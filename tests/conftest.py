@@ -14,6 +14,7 @@ from hypothesis import settings
 from processes import Emulator, emulators
 
 from surefoot.robot import RobotDescription
+from surefoot.task.trace import EpisodeTrace
 
 if TYPE_CHECKING:
     from surefoot.evaluate.comparison import Comparison
@@ -64,6 +65,50 @@ def emulate() -> Iterator[Callable[..., Emulator]]:
         yield start
 
 
+@pytest.fixture(scope="session")
+def make_run() -> Callable[..., EpisodeTrace]:
+    """Give what makes a run that came so far [m] with so much energy [J], of control steps of `step` [s].
+
+    A distance of NaN is not known; `arrays` take the place of the trace's own, all others are zero.
+    """
+
+    def make(
+        distance: float = 3.0,
+        energy: float = 100.0,
+        steps: int = 100,
+        step: float = 0.01,
+        arrays: dict[str, np.ndarray] | None = None,
+        **meta: Any,
+    ) -> EpisodeTrace:
+        shapes = {"roll_pitch_yaw": 3, "angular_velocity_base": 3, "observation": 1}
+        motors = ("motor_angle", "motor_velocity", "motor_torque", "feedback", "target")
+        position = np.zeros((steps + 1, 3))
+        position[:, 0] = np.linspace(0.0, distance, steps + 1)
+        given: dict[str, Any] = {
+            **{name: np.zeros((steps, width)) for name, width in (shapes | dict.fromkeys(motors, 8)).items()},
+            "time": step * np.arange(1, steps + 1),
+            "base_position_world": position if np.isfinite(distance) else np.full_like(position, np.nan),
+            "base_quat_world": np.tile([1.0, 0.0, 0.0, 0.0], (steps + 1, 1)),
+            "energy": np.full(steps, energy / steps),
+            "foot_contact": np.ones((steps, 4)),
+            **(arrays or {}),
+        }
+        about = {
+            "robot": "minitaur",
+            "world": "mujoco",
+            "policy": "trot",
+            "control_step": step,
+            "leg_names": ["front_left", "back_left", "front_right", "back_right"],
+            "motor_names": [f"m{i}" for i in range(8)],
+            "observation_names": ["roll"],
+            "energy_weight": 0.008,
+            "ended": "time",
+        }
+        return EpisodeTrace(**given, meta=about | meta)
+
+    return make
+
+
 @pytest.fixture
 def gap_comparison() -> Callable[..., Comparison]:
     """Make three groups with runs at home and away, so that the right answers are known.
@@ -72,7 +117,7 @@ def gap_comparison() -> Callable[..., Comparison]:
     """
     pytest.importorskip("gymnasium")
     from surefoot.evaluate.comparison import Comparison, Curve, GroupResult, SeedResult
-    from surefoot.evaluate.gap import Runs
+    from surefoot.evaluate.runs import Runs
 
     steady, at = (True, True, True), np.arange(1, 11) * 1e5
     curve = Curve(at, at * 1e-6, at * 1e-7, np.zeros(10), np.ones(10))

@@ -20,7 +20,7 @@ ARROWS: dict[str, set[str]] = {
     "actuator": {"robot"},
     "world": {"actuator", "robot"},
     "task": {"robot", "world.interface", "world.readings"},
-    "learn": {"task", "policy"},
+    "learn": {"task", "policy", "evaluate"},
     "policy": {"robot"},
     "evaluate": {"task", "policy", "world", "robot"},
     "identify": {"world", "deploy", "robot", "actuator", "task.trace"},

@@ -27,7 +27,7 @@ MERGES = "a0: &a0 {x: 1}\n" + "".join(f"a{i}: &a{i} {{<<: [{', '.join([f'*a{i - 
     [
         (BOMB, "it holds more than 200000 values"),
         (MERGES, "it holds more than 200000 values"),
-        ("a: &a [*a]", "a value that holds itself"),
+        ("a: &a [*a]", "a value that contains itself"),
         ("a: " + "[" * 5000 + "]" * 5000, "it is nested more than 50 deep"),
         ("a: " + "9" * 6000, "is not YAML"),
         ("a: !!timestamp x", "is not YAML"),

@@ -40,7 +40,7 @@ class Within:
     """Whether the least number itself is refused."""
 
     def check(self, where: str, value: Any) -> None:
-        """Refuse numbers out of bounds, and texts that no file or path can hold.
+        """Refuse numbers out of bounds, and texts that a file or path cannot hold.
 
         Args:
             where: name of the value, for the message.
@@ -66,7 +66,7 @@ class Within:
                 raise SurefootError(f"{where} is {shown}; it must be {rule}")
 
     def _broken(self, value: float) -> str:
-        """The rule that a number does not keep; empty if it keeps all."""
+        """Return the rule that a number breaks; empty if it breaks none."""
         if isinstance(value, float) and math.isnan(value):
             return "a finite number"
         if value < self.least or (self.above and value == self.least):
@@ -90,10 +90,10 @@ def check_bounds(config: Any, where: str = "") -> None:
 
     Args:
         config: the dataclass; those in it are not looked into.
-        where: the way to it, for error messages.
+        where: its dotted name, for error messages.
 
     Raises:
-        SurefootError: with the way to the number, the number and the rule.
+        SurefootError: states the dotted name, the number and the rule.
     """
     for name, within in _bounds(config.__class__).items():
         within.check(f"{where}.{name}" if where else name, getattr(config, name))
@@ -101,7 +101,7 @@ def check_bounds(config: Any, where: str = "") -> None:
 
 @functools.cache
 def _bounds(kind: type) -> dict[str, Within]:
-    """The bounds of each field of a dataclass."""
+    """Return the bounds of each field of a dataclass."""
     hints = typing.get_type_hints(kind, include_extras=True)
     return {item.name: _within(hints[item.name]) or _ANY for item in dataclasses.fields(kind)}
 
@@ -115,7 +115,7 @@ def _within(hint: Any) -> Within | None:
 
 
 def is_number(value: Any) -> bool:
-    """Whether a value is a finite number, small enough for a floating point number."""
+    """Return whether a value is a finite number, small enough for a floating point number."""
     try:
         return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
     except OverflowError:
@@ -123,7 +123,7 @@ def is_number(value: Any) -> bool:
 
 
 class _Loader(yaml.SafeLoader):
-    """Reads YAML without dates, which are text here, and refuses values that grow beyond all measure."""
+    """A YAML loader that reads dates as text and limits nesting and number of values."""
 
     yaml_implicit_resolvers = {  # noqa: RUF012, as PyYAML has it
         first: [rule for rule in rules if rule[0] != "tag:yaml.org,2002:timestamp"]
@@ -144,7 +144,7 @@ class _Loader(yaml.SafeLoader):
         node: Any = super().compose_node(parent, index)
         self._depth -= 1
         if alias and id(node) not in self._sizes:
-            raise yaml.YAMLError("it holds a value that holds itself")
+            raise yaml.YAMLError("it holds a value that contains itself")
         if not alias:
             parts = [] if isinstance(node.value, str) else node.value
             inner = [part for pair in parts for part in pair] if isinstance(node, yaml.MappingNode) else parts
@@ -177,10 +177,10 @@ def read_yaml(path: Path) -> dict[str, Any]:
 
 
 def read_toml(path: Path) -> tuple[dict[str, Any], bytes]:
-    """Read a TOML file; returns it with the bytes that were read.
+    """Read a TOML file; return it with the bytes that were read.
 
     Raises:
-        SurefootError: it can't be read, is no regular file, too large or not TOML.
+        SurefootError: it can't be read, is not a regular file, too large or not TOML.
     """
     with located(path):
         content = read_configuration(path)
@@ -198,8 +198,8 @@ def from_mapping(kind: type[T], data: Mapping[str, Any], where: str = "", base: 
     Args:
         kind: the dataclass.
         data: keys and values; a key left out keeps the value of `base`, or the field's default.
-        where: the way to this mapping, for error messages.
-        base: an instance whose values hold where `data` says nothing.
+        where: dotted name of this mapping, for error messages.
+        base: an instance whose values hold where `data` has none.
 
     Raises:
         SurefootError: an unknown key, a missing one, or a value of the wrong type.
@@ -212,7 +212,7 @@ def from_mapping(kind: type[T], data: Mapping[str, Any], where: str = "", base: 
         )
     for key in data:
         if key not in names:
-            raise SurefootError(f"{where}{'.' if where else ''}{key} is no key; keys: {choices(names)}")
+            raise SurefootError(f"{where}{'.' if where else ''}{key} is not a key; choices: {choices(names)}")
     values: dict[str, Any] = {}
     for item in dataclasses.fields(kind):  # type: ignore[arg-type]
         way = f"{where}.{item.name}" if where else item.name
@@ -279,7 +279,7 @@ def _name(hint: Any) -> str:
 
 
 def to_mapping(config: Any) -> dict[str, Any]:
-    """A dataclass as plain tables, lists and values, ready for YAML or JSON."""
+    """Return a dataclass as plain tables, lists and values, ready for YAML or JSON."""
 
     def plain(value: Any) -> Any:
         if dataclasses.is_dataclass(value):

@@ -1,4 +1,4 @@
-"""Errors that a user can cause, told in one line."""
+"""Errors that a user can cause, reported in one line."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 
 
 class SurefootError(ValueError):
-    """Something the user gave does not fit: the message names the value, the rule and the choices.
+    """An invalid input: the message states the value, the rule and the choices.
 
     The command line prints the message alone and exits with code 2.
     """
@@ -53,7 +53,7 @@ def check_name(what: str, name: str) -> None:
     if not re.fullmatch(r"[A-Za-z0-9_][A-Za-z0-9_-]{0,99}", name):
         raise SurefootError(
             f"{what} is {quoted(name)}; a name has letters, digits, - and _ only, does not start with -, and has 1 to "
-            "100 characters, since a file or folder is so called"
+            "100 characters, since it names a file or folder"
         )
 
 

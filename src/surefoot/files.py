@@ -1,15 +1,13 @@
-"""Files that are read within limits, and files that appear whole or not at all, tables among them."""
+"""Files that are read within limits, and files that appear whole or not at all."""
 
 from __future__ import annotations
 
-import csv
 import errno
-import io
 import json
 import os
 import re
 import stat
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -19,11 +17,11 @@ CONFIGURATION_BYTES = 1 << 18
 DATA_BYTES = 1 << 30
 """Size of the largest file of data that is read, unpacked."""
 _PARTIAL = re.compile(r"\..+\.(\d+)\.tmp")
-"""Names of files under way, with the number of the process that writes them."""
+"""Names of unfinished files, with the number of the process that writes them."""
 
 
 def check_readable(path: Path, limit: int = DATA_BYTES) -> None:
-    """Refuse to read what may have no end: anything but a regular file, and a file that is too large.
+    """Refuse anything but a regular file, and a file that is too large.
 
     Raises:
         OSError: one of these, or the file can't be found.
@@ -32,7 +30,7 @@ def check_readable(path: Path, limit: int = DATA_BYTES) -> None:
     if stat.S_ISDIR(found.st_mode):
         raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
     if not stat.S_ISREG(found.st_mode):
-        raise OSError(errno.EINVAL, "it is no regular file", str(path))
+        raise OSError(errno.EINVAL, "not a regular file", str(path))
     if found.st_size > limit:
         raise OSError(errno.EFBIG, f"it has {found.st_size} bytes; at most {limit} are read", str(path))
 
@@ -45,7 +43,7 @@ def read_configuration(path: Path) -> bytes:
     """
     check_readable(path, CONFIGURATION_BYTES)
     with path.open("rb") as file:
-        # A file of /proc says that it has 0 bytes.
+        # Files in /proc report a size of 0 bytes.
         content = file.read(CONFIGURATION_BYTES + 1)
     if len(content) > CONFIGURATION_BYTES:
         raise OSError(errno.EFBIG, f"it is larger than the {CONFIGURATION_BYTES} bytes that are read", str(path))
@@ -53,7 +51,7 @@ def read_configuration(path: Path) -> bytes:
 
 
 def remove_abandoned(folder: Path) -> None:
-    """Remove the files that `whole_file` had under way in a folder when their processes were killed."""
+    """Remove unfinished files that killed processes left in a folder."""
     for path in folder.glob(".*.tmp"):
         if (found := _PARTIAL.fullmatch(path.name)) is None:
             continue
@@ -83,7 +81,7 @@ def whole_file(path: Path) -> Iterator[BinaryIO]:
 
 
 def read_json_lines(path: Path) -> list[dict[str, Any]]:
-    """The tables of a file with one as JSON in each line; none if it is missing, and none after a line cut off."""
+    """Return the tables of a file of JSON lines; none if it is missing, and none after a line that was cut off."""
     rows: list[dict[str, Any]] = []
     for line in path.read_text(encoding="utf-8").splitlines() if path.exists() else []:
         try:
@@ -91,21 +89,3 @@ def read_json_lines(path: Path) -> list[dict[str, Any]]:
         except ValueError:
             break
     return rows
-
-
-def write_table(path: str | Path, header: str, rows: Iterable[Iterable[object]]) -> Path:
-    """Write a CSV file whole or not at all, with its folder; returns the path.
-
-    Args:
-        path: the file.
-        header: names of the columns, with commas between them.
-        rows: the lines' values.
-    """
-    path, text = Path(path), io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(header.split(","))
-    writer.writerows(rows)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with whole_file(path) as file:
-        file.write(text.getvalue().encode())
-    return path

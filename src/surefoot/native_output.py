@@ -1,4 +1,4 @@
-"""What C code prints, kept away from the user's stdout: there stand results, and with `--json` one object alone."""
+"""Redirection of what C code prints: stdout holds results only, with `--json` one object."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from contextlib import contextmanager
 
 @contextmanager
 def stdout_to_stderr() -> Iterator[None]:
-    """What is printed to stdout goes to stderr, as notes of a library that is loaded."""
+    """Redirect stdout to stderr, for notes of a library while it is loaded."""
     with _turned((1,), 2):
         yield
 
 
 @contextmanager
 def quiet() -> Iterator[None]:
-    """Nothing that C code prints reaches the user's stdout or stderr."""
+    """Discard what C code prints to stdout or stderr."""
     nowhere = os.open(os.devnull, os.O_WRONLY)
     try:
         with _turned((1, 2), nowhere):

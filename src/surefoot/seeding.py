@@ -8,7 +8,7 @@ import numpy as np
 
 
 def generator(seed: int, name: str, index: int = 0) -> np.random.Generator:
-    """The random generator of one purpose and one robot; the same three always give the same stream.
+    """Return the random generator of one purpose and one robot; the same three always give the same stream.
 
     Streams of different names or indices are independent, so a robot draws the same in any batch.
     """
@@ -16,5 +16,5 @@ def generator(seed: int, name: str, index: int = 0) -> np.random.Generator:
 
 
 def generators(seed: int, name: str, count: int) -> list[np.random.Generator]:
-    """The generators of one purpose for robots 0 to `count` - 1."""
+    """Return the generators of one purpose for robots 0 to `count` - 1."""
     return [generator(seed, name, index) for index in range(count)]

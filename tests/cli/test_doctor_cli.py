@@ -210,7 +210,7 @@ def test_a_stale_policy_is_refused_before_the_port_is_opened(command: str, edit:
     onnx.save(model, tmp_path / "stale.onnx")
     done = run_surefoot(command, tmp_path / "stale.onnx", "--port", "/dev/none")
     assert done.returncode == 2
-    assert "stale.onnx: its digest does not fit: the network or the contract was changed" in done.stderr
+    assert "stale.onnx: its digest does not match: the network or the contract was changed" in done.stderr
     assert done.stderr.count("\n") == 1
 
 

@@ -81,7 +81,7 @@ def test_a_recording_of_one_world_against_the_models_in_another(
         (["motor-figure", "--out", "motor.pdf"], "must end in .png"),
         (["motor-figure", "--frequency", "0"], "frequency is 0; it must be over 0"),
         (["motor-figure", "--log", "none.csv"], "none.csv: can't be read"),
-        (["motor-figure", "--set", "mass=2"], "'mass' is no physical parameter"),
+        (["motor-figure", "--set", "mass=2"], "'mass' is not a physical parameter"),
         (["motor-figure", "--world", "moon"], "world 'moon' does not exist"),
     ],
 )

@@ -243,7 +243,7 @@ SAID = [
     ("broken.toml", "broken.toml: is not TOML"),
     ("bare.toml", "bare.toml: has no table [params]"),
     ("cat.toml", "cat.toml: has parameters of robot 'cat', not of 'minitaur'"),
-    ("name.toml", "name.toml: 'volts' is no physical parameter; choices: base_mass_ratio"),
+    ("name.toml", "name.toml: 'volts' is not a physical parameter; choices: base_mass_ratio"),
     ("range.toml", "range.toml: motor_strength is 9; minitaur allows 0 to 2"),
     ("short.toml", "short.toml: motor_strength has shape (2,); it must fit (1, 8)"),
     ("two.toml", "two.toml: voltage has shape (2,); it must fit (1,)"),

@@ -27,15 +27,15 @@ FAR = [
     ("study name.yaml", "name is '../../x'; a name has letters"),
     ("evaluate trot --trace", "--trace has no value; it takes one or more"),
     ("evaluate trot --seed -1", "seed is -1; it must be 0 or more"),
-    ("evaluate trot --params /dev/zero", "/dev/zero: it is no regular file"),
-    ("evaluate trot --params pipe", "pipe: it is no regular file"),
+    ("evaluate trot --params /dev/zero", "/dev/zero: not a regular file"),
+    ("evaluate trot --params pipe", "pipe: not a regular file"),
     ("play trot --seconds 1e30", "seconds is 1e+30; it must be 3600 or less"),
     ("sensitivity trot --values 1000000000", "values is 1000000000; it must be 1000 or less"),
     ("sensitivity trot --duration 1e30", "duration is 1e+30; it must be 3600 or less"),
     ("gap trot --to mujoco --duration 1e30", "duration is 1e+30; it must be 3600 or less"),
     ("deploy trot --port none --duration 1e30", "duration is 1e+30; it must be 3600 or less"),
     ("emulate --duration 1e30", "duration is 1e+30; it must be 10000000 or less"),
-    ("evaluate \udc80", "the words hold characters that can't be printed"),
+    ("evaluate \udc80", "the arguments hold characters that can't be printed"),
 ]
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -42,7 +43,7 @@ def refused(done: subprocess.CompletedProcess[str], *parts: str) -> None:
         assert part in done.stderr
 
 
-def test_tables_figures_and_words(tmp_path: Path):
+def test_tables_and_figures(tmp_path: Path):
     done = surefoot("trot", "gallop", *SHORT, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert done.stderr == ""
@@ -57,8 +58,7 @@ def test_tables_figures_and_words(tmp_path: Path):
     assert [float(world["value"]) for world in worlds if world["row"] == "latency"] == [0.0, 0.04, 0.0, 0.04]
     for row in ROWS:
         assert f" {row} " in done.stdout
-    assert "over 20 test worlds, 0 of 20 episodes fall" in done.stdout
-    assert "holds over the whole range of" in done.stdout
+    assert re.search(r"^ trot .* 20 +0 of 20 *$", done.stdout, re.MULTILINE)
     assert "wrote sensitivity: sensitivity.csv, episodes.csv, aggregate.png, mass.png" in done.stdout
 
 
@@ -73,7 +73,6 @@ def test_json_is_one_object_and_the_ranges_are_the_user_s(tmp_path: Path):
     assert (result["values"], result["episodes"], result["duration"], result["seed"]) == (3, 1, 0.12, 4)
     (policy,) = result["policies"]
     assert (policy["policy"], policy["test_worlds"], policy["fall_rate"]) == ("gallop", 6, 0.0)
-    assert policy["words"].startswith("gallop: ")
     assert sorted(result["files"]) == sorted(
         f"a/b/{name}" for name in ("sensitivity.csv", "episodes.csv", "aggregate.png", "voltage.png", "resistance.png")
     )
@@ -123,36 +122,3 @@ def test_names():
 )
 def test_what_does_not_fit_is_refused(words: tuple[str, ...], parts: tuple[str, ...], tmp_path: Path):
     refused(surefoot(*words, cwd=tmp_path), *parts)
-
-
-def test_policies_for_different_robots_are_refused(tmp_path: Path):
-    onnx = pytest.importorskip("onnx")
-    from surefoot.policy.contract import METADATA_KEY
-    from surefoot.policy.digest import stamped
-    from surefoot.robot import RobotDescription
-
-    robot = tmp_path / "maxitaur"
-    robot.mkdir()
-    for file in RobotDescription.load("minitaur").folder.iterdir():
-        if file.is_file():
-            (robot / file.name).write_bytes(file.read_bytes())
-    sheet = robot / "robot.toml"
-    sheet.write_text(sheet.read_text().replace('name = "minitaur"', 'name = "maxitaur"'))
-    model = onnx.load(find_policy("trot"))
-    (entry,) = (entry for entry in model.metadata_props if entry.key == METADATA_KEY)
-    contract = json.loads(entry.value)
-    contract["robot"], contract["task"]["robot"] = "maxitaur", str(robot)
-    onnx.helper.set_model_props(model, {METADATA_KEY: json.dumps(contract)})
-    (tmp_path / "other.onnx").write_bytes(stamped(model.SerializeToString()))
-    done = surefoot("gallop", tmp_path / "other.onnx", *SHORT, cwd=tmp_path)
-    refused(done, "policy 'trot' is for robot 'maxitaur' and 'gallop' for 'minitaur'", "the same robot")
-    assert not (tmp_path / "sensitivity").exists()
-
-
-def test_what_is_wrong_is_told_before_anything_heavy_is_loaded():
-    script = (
-        "import sys; from surefoot.cli.main import main; main(['sensitivity', 'no.onnx', '--episodes', '0']);"
-        "print([m for m in ('torch', 'mujoco', 'numba', 'matplotlib', 'gymnasium') if m in sys.modules])"
-    )
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, env=environment())
-    assert done.stdout.strip() == "[]"

@@ -105,7 +105,7 @@ def test_a_training_takes_the_options():
         ("evaluate trot --servo-latency -0.001 --out o", ("servo_latency is -0.001; minitaur allows",)),
         (
             "evaluate trot --actuator constraint --thermal-protection --out o",
-            ("thermal_protection is of DC motors; it goes with actuator dc only",),
+            ("thermal_protection is on; it requires actuator dc",),
         ),
         ("play trot --control-latency 1", ("control_latency is 1; minitaur allows 0 to 0.1",)),
         ("sensitivity trot --control-latency 1", ("control_latency is 1; minitaur allows 0 to 0.1",)),
@@ -115,7 +115,7 @@ def test_a_training_takes_the_options():
         ("gap trot --to mujoco --threads -1", ("threads is -1; it must be 0 or more",)),
         ("train trot --control-latency 1", ("control_latency is 1; minitaur allows 0 to 0.1",)),
         ("train trot --actuator servo", ("servo",)),
-        ("train trot --actuator constraint --task.thermal-protection", ("thermal_protection is of DC motors",)),
+        ("train trot --actuator constraint --task.thermal-protection", ("thermal_protection is on",)),
     ],
 )
 def test_what_does_not_fit_is_refused_before_anything_is_done(

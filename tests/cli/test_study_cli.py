@@ -99,14 +99,14 @@ def test_a_study_goes_on_after_whatever_stops_it(tmp_path: Path) -> None:
     check_log(tmp_path)
     check_results(tmp_path / "results" / "tiny")
 
-    before = (tmp_path / "results/tiny/runs.csv").read_text()
+    before = (tmp_path / "results/tiny/policies.csv").read_text()
     began = time.monotonic()
     result = surefoot("tiny.yaml", cwd=tmp_path)
     assert result.returncode == 0, result.stderr
     assert "all 2 trainings are finished" in result.stdout
     assert "evaluating" not in result.stdout
     assert time.monotonic() - began < 40
-    assert (tmp_path / "results/tiny/runs.csv").read_text() == before
+    assert (tmp_path / "results/tiny/policies.csv").read_text() == before
 
     (tmp_path / "tiny.yaml").write_text(TINY.replace("max_steps: 40", "max_steps: 41"))
     result = surefoot("tiny.yaml", cwd=tmp_path)
@@ -125,7 +125,7 @@ def check_log(folder: Path) -> None:
 
 
 def check_results(out: Path) -> None:
-    with (out / "runs.csv").open() as file:
+    with (out / "policies.csv").open() as file:
         runs = {row["group"]: row for row in csv.DictReader(file)}
     assert set(runs) == {"plain", "drawn"}
     for row in runs.values():
@@ -134,10 +134,10 @@ def check_results(out: Path) -> None:
         assert float(row["sensitivity_std"]) > 0
     summary = json.loads((out / "summary.json").read_text())
     assert summary["missing"] == []
-    assert summary["groups"]["drawn"]["figures"]["nominal_speed"]["low"] is None
+    assert {row["group"]: row["low"] for row in summary["groups"]} == {"plain": None, "drawn": None}
     report = (out / "README.md").read_text()
     assert "surefoot study tiny.yaml --workers 2" in report
-    assert "**4-D, randomized**, against **4-D**" in report
+    assert "| 4-D, randomized, against 4-D |" in report
     for name in ("learning_curves.png", "groups.png", "parameters.png", "parameters/latency.png", "sensitivity.csv"):
         assert (out / name).stat().st_size > 1000, name
 
@@ -192,28 +192,28 @@ def test_a_study_of_the_reality_gap(
         assert task["actuator"] == actuator
     out = tmp_path / "results/gaps"
     report = (out / "README.md").read_text()
-    assert "In the paper, the baseline had the larger gap." in report
-    assert "**improved, at last**, against **baseline**: the gap is" in report
+    assert "In the paper: the baseline had the larger gap." in report
+    assert report.count("| improved, at last | baseline |") == 2
     assert sorted(path.name for path in out.iterdir()) == sorted(
         [
-            *("README.md", "summary.json", "runs.csv", "groups.csv", "differences.csv", "episodes.csv"),
-            *("gap_groups.csv", "gap_differences.csv", "gap_runs.csv"),
+            *("README.md", "summary.json", "policies.csv", "groups.csv", "differences.csv", "episodes.csv"),
+            *("gap_groups.csv", "gap_differences.csv"),
             *("groups.png", "gap_simulators.png", "learning_curves_simulators.png"),
         ]
     )
-    with (out / "gap_runs.csv").open() as file:
-        assert len(list(csv.DictReader(file))) == 2 * 3 * 20
-    with (out / "runs.csv").open() as file:
+    with (out / "episodes.csv").open() as file:
+        assert len(list(csv.DictReader(file))) == 2 * (20 + 3 * 20)
+    with (out / "policies.csv").open() as file:
         assert all(row["best_steps"] in ("512", "1024") for row in csv.DictReader(file))
 
     capsys.readouterr()
     asked.clear()
-    before = (out / "gap_runs.csv").read_text()
+    before = (out / "episodes.csv").read_text()
     assert main(["study", "gaps.yaml"]) == 0
     shown = capsys.readouterr().out
     assert "all 2 trainings are finished" in shown
     assert "return at home" not in shown
-    assert (out / "gap_runs.csv").read_text() == before
+    assert (out / "episodes.csv").read_text() == before
 
 
 def test_a_world_that_there_is_not_is_refused_before_training(

@@ -56,13 +56,13 @@ BAD = [
         ["train", "gallop", "--task.observations", "roll", "smell"],
         "observation 'smell' does not exist; choices: roll, pitch",
     ),
-    (["train", "--resume", "nowhere"], "nowhere: is no run folder"),
-    (["train", "key.yaml"], r"key.yaml: speed is no key; keys: name, robot"),
+    (["train", "--resume", "nowhere"], "nowhere: is not a run folder"),
+    (["train", "key.yaml"], r"key.yaml: speed is not a key; choices: name, robot"),
     (["train", "type.yaml"], r"type.yaml: max_steps is 'long'; it must be a whole number"),
     (["train", "nan.yaml"], r"nan.csv: row 2 of the table is not finite"),
     (["train", "one.yaml"], r"one.csv: the table has 1 row\(s\); a periodic reference needs 2 or more"),
     (["train", "amplitude.yaml"], "extension can be .* a leg of minitaur allows 0.6 to 2.7"),
-    (["fly"], "'fly' is no command; commands: train, evaluate, play"),
+    (["fly"], "'fly' is not a command; choices: train, evaluate, play"),
 ]
 
 
@@ -126,7 +126,7 @@ def test_ctrl_c_on_a_terminal_saves_and_resume_finishes(tmp_path: Path) -> None:
         shown += part
     assert process.wait(timeout=60) == 130
     text = shown.decode(errors="replace")
-    assert "To go on:" in text
+    assert "To resume:" in text
     assert "steps/s" in text
     run = log[0].parent
     assert (run / "checkpoints" / "latest.ckpt").exists()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from surefoot.deploy.poses import SIT_EXTENSION, SPREAD, between, lying, pose, sitting
+from surefoot.deploy.poses import SIT_EXTENSION, SPREAD_SWING, between, lying, pose, sitting
 
 
 def test_a_pose_is_the_same_for_all_legs(robot):
@@ -38,5 +38,5 @@ def test_the_way_never_leaves_its_ends():
 def test_legs_that_lie_aside_are_laid_flat_on_their_side(robot):
     found = robot.leg_to_motor_angles(np.array([-0.8, 0.9, 0.1, -0.2]), np.array([0.1, 0.2, 0.9, 0.5]))
     swing, extension = robot.motor_to_leg_pose(lying(robot, found))
-    assert swing == pytest.approx([-SPREAD, SPREAD, 0.0, 0.0])
+    assert swing == pytest.approx([-SPREAD_SWING, SPREAD_SWING, 0.0, 0.0])
     assert extension == pytest.approx(SIT_EXTENSION)

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from surefoot.errors import SurefootError
-from surefoot.evaluate.gap import Estimate, PolicyGap, Runs, away_task, home_task, top
+from surefoot.evaluate.gap import PolicyGap, away_task, home_task
+from surefoot.evaluate.runs import Estimate, Runs
+from surefoot.tables import plain_value, write_csv
 from surefoot.task.config import TaskConfig
 from surefoot.task.randomize import RandomizeConfig
 from surefoot.task.trace import EpisodeTrace
@@ -135,12 +139,38 @@ def test_runs_come_back_from_json(make_run: MakeRun):
         assert getattr(again, name).dtype == getattr(runs, name).dtype
 
 
-def test_the_policies_that_are_best_at_home_come_first():
-    returns = {"a": 2.0, "b": 3.0, "c": 1.0}
-    policies = [PolicyGap(name, runs_of(value), (runs_of(9 - value),)) for name, value in returns.items()]
-    assert [policy.name for policy in top(policies, 2)] == ["b", "a"]
-    worst = top(policies, 1, by=lambda policy: -policy.home.estimate("returns").mean)
-    assert [policy.name for policy in worst] == ["c"]
+def test_a_row_for_each_world_and_for_each_run(tmp_path: Path):
+    policy = PolicyGap("p", runs_of(3.0, 5.0), (runs_of(1.0, 3.0, world="bullet"), runs_of(math.nan, world="robot")))
+    home, bullet, robot = policy.rows()
+    assert [row["side"] for row in (home, bullet, robot)] == ["home", "away", "away"]
+    assert [home[name] for name in ("return_mean", "return_error", "power_mean", "runs", "falls")] == [4, 1, 10, 2, 0]
+    assert (bullet["gap"], bullet["gap_error"]) == (2, pytest.approx(math.sqrt(2)))
+    unknown = [home["gap"], robot["gap"], robot["gap_error"], robot["return_mean"]]
+    assert [plain_value(value) for value in unknown] == [None] * 4
+    with write_csv(tmp_path / "deep" / "gap.csv", policy.rows()).open() as file:
+        written = list(csv.DictReader(file))
+    assert [(row["world"], row["gap"], row["power_mean"]) for row in written] == [
+        ("mujoco", "", "10"), ("bullet", "2", "10"), ("robot", "", "10"),
+    ]  # fmt: skip
+    first, second = policy.home.rows()
+    assert (second["run"], second["return"], second["distance"], second["balanced"]) == (1, 5.0, 6.0, True)
+    assert list(first) == ["run", "return", "distance", "speed", "power", "steps", "fell", "balanced"]
+    assert [row["gap (m)"] for row in policy.text_rows()] == ["", "+2.00 ± 1.41", "-"]
+
+
+@pytest.mark.parametrize(
+    ("estimate", "options", "text"),
+    [
+        (Estimate(1.2, 0.05), {}, "1.20 ± 0.05"),
+        (Estimate(1.2, math.nan), {}, "1.20"),
+        (Estimate(math.nan, math.nan), {}, "-"),
+        (Estimate(1.2, 0.05), {"sign": True, "digits": 1}, "+1.2 ± 0.1"),
+        (Estimate(-1.2, 0.0), {"sign": True}, "-1.20 ± 0.00"),
+        (Estimate(-0.001, 0.05), {"sign": True}, "0.00 ± 0.05"),
+    ],
+)
+def test_estimates_as_text(estimate: Estimate, options: dict, text: str):
+    assert estimate.text(**options) == text
 
 
 TRAINED = TaskConfig(

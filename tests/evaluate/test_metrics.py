@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,7 @@ from surefoot.evaluate.footfalls import FEET
 from surefoot.evaluate.metrics import episode_metrics, summarize
 from surefoot.task.trace import EpisodeTrace
 
+MakeTrace = Callable[..., EpisodeTrace]
 MASS = 7.473
 KEYS = {
     *("episodes", "falls", "steps_mean", "distance_mean", "speed_mean", "speed_std", "power_mean"),
@@ -21,51 +23,28 @@ KEYS = {
 }
 
 
-def make_trace(
-    speed: float = 0.6,
-    power: float = 72.0,
-    steps: int = 1000,
-    lateral: float = 0.0,
-    turn: float = 0.0,
-    **meta: Any,
-) -> EpisodeTrace:
-    """Return a steady trot at `speed` with `power`, turning by `turn` rad."""
-    step = 0.006
-    time = step * np.arange(1, steps + 1)
-    clock = np.concatenate([[0.0], time])
-    yaw = turn * clock / clock[-1]
-    zero = np.zeros_like(clock)
-    phases = np.array([0.0, 0.5, 0.5, 0.0])
-    contact = (((time[:, None] - step / 2) / 0.5 - phases) % 1.0 < 0.4).astype(float)
-    return EpisodeTrace(
-        time=time,
-        base_position_world=np.stack([1 + speed * clock, 2 + lateral * clock / clock[-1], zero + 0.2], axis=1),
-        base_quat_world=np.stack([np.cos(yaw / 2), zero, zero, np.sin(yaw / 2)], axis=1),
-        roll_pitch_yaw=np.stack([0 * time, 0 * time, (yaw[1:] + math.pi) % math.tau - math.pi], axis=1),
-        angular_velocity_base=np.zeros((steps, 3)),
-        motor_angle=np.zeros((steps, 8)),
-        motor_velocity=np.zeros((steps, 8)),
-        motor_torque=np.zeros((steps, 8)),
-        observation=np.zeros((steps, 1)),
-        feedback=np.zeros((steps, 8)),
-        target=np.zeros((steps, 8)),
-        energy=np.full(steps, power * step),
-        foot_contact=contact,
-        meta={
-            "robot": "minitaur",
-            "world": "mujoco",
-            "policy": "trot",
-            "control_step": step,
-            "leg_names": list(FEET),
-            "motor_names": [f"m{i}" for i in range(8)],
-            "observation_names": ["roll"],
-            "ended": "time",
-            **meta,
-        },
-    )
+@pytest.fixture
+def make_trace(make_run: Callable[..., EpisodeTrace]) -> Callable[..., EpisodeTrace]:
+    """Give what makes a steady trot at a speed [m/s] with a power [W], that turns by `turn` rad."""
+
+    def make(
+        speed: float = 0.6, power: float = 72.0, steps: int = 1000, lateral: float = 0.0, turn: float = 0.0, **meta: Any
+    ) -> EpisodeTrace:
+        clock = 0.006 * np.arange(steps + 1)
+        time, share, zero = clock[1:], clock / clock[-1], np.zeros(steps + 1)
+        yaw, phases = turn * share, np.array([0.0, 0.5, 0.5, 0.0])
+        arrays = {
+            "base_position_world": np.stack([1 + speed * clock, 2 + lateral * share, zero + 0.2], axis=1),
+            "base_quat_world": np.stack([np.cos(yaw / 2), zero, zero, np.sin(yaw / 2)], axis=1),
+            "roll_pitch_yaw": np.outer((yaw[1:] + math.pi) % math.tau - math.pi, [0.0, 0.0, 1.0]),
+            "foot_contact": (((time[:, None] - 0.003) / 0.5 - phases) % 1.0 < 0.4).astype(float),
+        }
+        return make_run(energy=power * 0.006 * steps, steps=steps, step=0.006, arrays=arrays, **meta)
+
+    return make
 
 
-def test_one_episode_by_hand() -> None:
+def test_one_episode_by_hand(make_trace: MakeTrace) -> None:
     metrics = episode_metrics(make_trace(speed=0.6, power=72.0, lateral=-0.25, turn=0.3), MASS)
     assert metrics.steps == 1000
     assert metrics.duration == pytest.approx(6.0)
@@ -79,21 +58,21 @@ def test_one_episode_by_hand() -> None:
     assert not metrics.fell
 
 
-def test_return_uses_the_weight_of_the_trace() -> None:
+def test_return_uses_the_weight_of_the_trace(make_trace: MakeTrace) -> None:
     assert episode_metrics(make_trace(energy_weight=0.0)).return_ == pytest.approx(3.6)
 
 
-def test_more_than_a_full_turn_counts() -> None:
+def test_more_than_a_full_turn_counts(make_trace: MakeTrace) -> None:
     assert episode_metrics(make_trace(turn=-7.0)).heading_change == pytest.approx(-7.0)
 
 
-def test_going_backward_has_no_cost_of_transport() -> None:
+def test_going_backward_has_no_cost_of_transport(make_trace: MakeTrace) -> None:
     metrics = episode_metrics(make_trace(speed=-0.1), MASS)
     assert metrics.distance == pytest.approx(-0.6)
     assert math.isnan(metrics.cost_of_transport)
 
 
-def test_a_robot_that_cannot_see_itself() -> None:
+def test_a_robot_that_cannot_see_itself(make_trace: MakeTrace) -> None:
     trace = make_trace(turn=4.0)
     blind = {f: getattr(trace, f).copy() for f in trace.__dataclass_fields__ if f != "meta"}
     for name in ("base_position_world", "base_quat_world", "foot_contact"):
@@ -111,7 +90,7 @@ def test_a_robot_that_cannot_see_itself() -> None:
     json.dumps(summary, allow_nan=False)
 
 
-def test_summary_by_hand() -> None:
+def test_summary_by_hand(make_trace: MakeTrace) -> None:
     fall = make_trace(speed=0.6, ended="fall", steps=500)
     traces = [make_trace(speed=0.5), make_trace(speed=0.7, lateral=0.4), fall]
     summary = summarize(traces, MASS)
@@ -133,19 +112,19 @@ def test_summary_by_hand() -> None:
     assert json.loads(json.dumps(summary, allow_nan=False)) == summary
 
 
-def test_phases_are_averaged_around_the_circle() -> None:
+def test_phases_are_averaged_around_the_circle(make_trace: MakeTrace) -> None:
     phase = summarize([make_trace(), make_trace(steps=800)], MASS)["phases"]["back_right"]
     assert math.remainder(phase, 1.0) == pytest.approx(0.0, abs=0.01)
 
 
-def test_two_worlds_are_not_averaged_by_accident() -> None:
+def test_two_worlds_are_not_averaged_by_accident(make_trace: MakeTrace) -> None:
     traces = [make_trace(), make_trace(world="bullet")]
     with pytest.raises(SurefootError, match="more than one world: bullet, mujoco"):
         summarize(traces, MASS)
     assert summarize(traces, MASS, world="both")["world"] == "both"
 
 
-def test_a_summary_needs_episodes_and_a_mass() -> None:
+def test_a_summary_needs_episodes_and_a_mass(make_trace: MakeTrace) -> None:
     with pytest.raises(SurefootError, match="at least one"):
         summarize([], MASS)
     with pytest.raises(SurefootError, match="above 0"):

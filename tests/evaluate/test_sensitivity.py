@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import json
 import math
 from collections.abc import Callable
 from dataclasses import replace
@@ -17,7 +18,7 @@ pytest.importorskip("mujoco")
 pytest.importorskip("gymnasium")
 
 from surefoot.errors import SurefootError
-from surefoot.evaluate.breaks import find_breaks, plain_words
+from surefoot.evaluate.breaks import find_breaks
 from surefoot.evaluate.metrics import episode_metrics
 from surefoot.evaluate.rollout import run_episodes
 from surefoot.evaluate.sensitivity import (
@@ -28,8 +29,8 @@ from surefoot.evaluate.sensitivity import (
     row_unit,
     run_sensitivity,
 )
-from surefoot.evaluate.sensitivity_tables import write_csv, write_episodes_csv
 from surefoot.robot import PhysicalParams, RobotDescription
+from surefoot.tables import write_csv
 from surefoot.task.config import TaskConfig, load_task
 from surefoot.task.randomize import RandomizeConfig, load_ranges
 from surefoot.world.interface import Readings, Truth, WorldConfig
@@ -243,24 +244,22 @@ def test_an_episode_is_the_one_that_evaluate_runs(pushes: bool, max_steps: int):
 
 def test_robots_side_by_side_change_nothing_but_the_memory():
     ranges = RandomizeConfig(motor_strength=(0.8, 1.1), control_step=(0.003, 0.02))
-    seen: list[tuple[int, int]] = []
+    seen: list[float] = []
     options: dict[str, Any] = {"ranges": ranges, "values": 3, "episodes": 2, "seed": 7, "threads": 1}
     whole = run_sensitivity(Reactive(), trot(30), SimWorld, **options)
     for robots in (1, 6):  # a world at a time, two at a time
-        parts = run_sensitivity(
-            Reactive(), trot(30), SimWorld, robots=robots, progress=lambda *now: seen.append(now), **options
-        )
+        parts = run_sensitivity(Reactive(), trot(30), SimWorld, robots=robots, progress=seen.append, **options)
         assert parts.worlds == whole.worlds
         for name in ("returns", "fell", "speed"):
             np.testing.assert_array_equal(getattr(parts, name), getattr(whole, name))
             np.testing.assert_array_equal(getattr(parts.nominal, name), getattr(whole.nominal, name))
-        assert seen[-1] == (10_000, 10_000)
+        assert seen[-1] == pytest.approx(1.0)
         assert seen == sorted(seen)
         seen.clear()
 
 
 def test_progress_counts_to_the_end():
-    seen: list[tuple[int, int]] = []
+    seen: list[float] = []
     ranges = RandomizeConfig(control_step=(0.003, 0.020))
     run_sensitivity(
         Constant(),
@@ -270,13 +269,12 @@ def test_progress_counts_to_the_end():
         values=2,
         episodes=1,
         duration=0.6,
-        progress=lambda done, total: seen.append((done, total)),
+        progress=seen.append,
     )
     # 100 nominal steps, 200 of 3 ms of which a fall spares the second half, 30 of 20 ms.
-    assert {total for _, total in seen} == {330}
-    assert [done for done, _ in seen] == sorted(done for done, _ in seen)
-    assert seen[0] == (3, 330)
-    assert seen[-1] == (330, 330)
+    assert seen == sorted(seen)
+    assert seen[0] == pytest.approx(3 / 330)
+    assert seen[-1] == 1.0
 
 
 @pytest.mark.parametrize(
@@ -328,89 +326,68 @@ def test_aggregates_by_hand():
     assert np.isnan(once.standard_error).all()
 
 
-def test_words_name_the_nearest_break_first():
+def test_the_nearest_break_comes_first():
     study = made_up(
         {"mass": [10, 10, 10, 10, 1], "latency": [10, 10, 10, 4, 3], "motor_friction": [10, 9, 8, 8, 7]},
         {"mass": [0, 0, 0, 0, 4], "latency": [0, 0, 0, 1, 3]},
     )
-    assert [(item.row, item.above, item.fraction) for item in find_breaks(study)] == [
-        ("latency", True, pytest.approx(0.5)),
-        ("mass", True, pytest.approx(1.0)),
-    ]
-    assert plain_words(study) == (
-        "trot: breaks first at latency 0.03 s and above (1 of 4 fall, return 4.00 m instead of 10.00 m), "
-        "then mass 1.2 (4 of 4 fall); holds over the whole range of motor_friction"
-    )
+    latency, mass = find_breaks(study)
+    assert (latency.row, latency.value, latency.above, latency.fraction) == ("latency", 0.03, True, pytest.approx(0.5))
+    assert (latency.falls, latency.mean_return, latency.beyond, latency.broken_beyond) == (1, 4.0, 1, 1)
+    assert (mass.row, mass.value, mass.fraction, mass.falls) == ("mass", pytest.approx(1.2), pytest.approx(1.0), 4)
 
 
 @pytest.mark.parametrize(
-    ("returns", "falls", "words"),
+    ("returns", "falls", "breaks"),
     [
-        ([10] * 5, [0, 0, 0, 0, 1], "trot: holds over the whole range of every row: latency"),
-        (
-            [10] * 5,
-            [3, 0, 0, 2, 4],
-            "trot: breaks first at latency 0.03 s and above (2 of 4 fall), then latency 0 s (3 of 4 fall)",
-        ),
-        ([10] * 5, [4, 4, 0, 3, 4], "trot: breaks first at latency other than 0.02 s (15 of 16 fall)"),
-        ([10] * 4, [4, 4, 4, 4], "trot: breaks first at latency other than 0.02 s (16 of 16 fall)"),
-        ([10, 10, 10, 4, 10], [0] * 5, "trot: breaks first at latency 0.03 s but not above"),
-        (
-            [10] * 9,
-            [0] * 5 + [4, 0, 0, 4],
-            "trot: breaks first at latency 0.025 s and 1 of 3 values above (4 of 4 fall)",
-        ),
+        ([10] * 5, [0, 0, 0, 0, 1], []),
+        ([10] * 5, [3, 0, 0, 2, 4], [(0.03, 1, 1), (0.0, 0, 0)]),
+        ([10] * 5, [4, 4, 0, 3, 4], [(0.03, 1, 1), (0.01, 1, 1)]),
+        ([10, 10, 10, 4, 10], [0] * 5, [(0.03, 1, 0)]),
+        ([10] * 9, [0] * 5 + [4, 0, 0, 4], [(0.025, 3, 1)]),
+        # Without a return worth halving, falls alone count.
+        ([-5.0, -5.0], [0, 2], [(0.04, 0, 0)]),
     ],
 )
-def test_words_on_both_sides_everywhere_never_and_here_and_there(returns: list[float], falls: list[int], words: str):
-    said = plain_words(made_up({"latency": returns}, {"latency": falls}))
-    assert said.startswith(words)
-    assert "\n" not in said
-
-
-def test_words_on_a_gait_that_fails_in_the_nominal_world():
-    study = made_up({"latency": [1.0, 1.0]}, {"latency": [4, 1]}, fell=3)
-    assert plain_words(study) == (
-        "trot: falls in the nominal world already (3 of 4 fall); stays up in 1 of 2 test worlds"
-    )
-    still = made_up({"latency": [-5.0, -5.0]}, {"latency": [0, 2]}, nominal=-1.0)
-    assert plain_words(still) == (
-        "trot: goes nowhere in the nominal world (return -1.00 m), so that only falls count; "
-        "breaks first at latency 0.04 s (2 of 4 fall)"
-    )
-
-
-def test_a_study_without_its_nominal_world_can_be_told():
-    study = replace(made_up({"latency": [1.0, 9.0, 9.0]}, {"latency": [4, 0, 0]}), nominal=Nominal())
-    assert plain_words(study) == "trot: breaks first at latency 0 s (4 of 4 fall)"
+def test_breaks_on_both_sides_everywhere_never_and_here_and_there(
+    returns: list[float], falls: list[int], breaks: list[tuple[float, int, int]]
+):
+    found = find_breaks(made_up({"latency": returns}, {"latency": falls}, nominal=10.0 if returns[0] > 0 else -1.0))
+    assert [(item.value, item.beyond, item.broken_beyond) for item in found] == [
+        (pytest.approx(value), beyond, broken) for value, beyond, broken in breaks
+    ]
 
 
 def test_tables_hold_the_worlds_and_the_raw_episodes(tmp_path: Path):
     study = made_up({"latency": [4.0, 8.0], "mass": [5.0, 6.0]}, {"latency": [3, 0]})
-    path = write_csv(tmp_path / "deep" / "s.csv", [study, replace(study, policy="gallop")])
-    lines = path.read_text().splitlines()
-    assert len(lines) == 1 + 2 * 4
-    assert lines[0] == "policy,row,unit,value,episodes,return_mean,return_standard_error,return_std,speed_mean,falls"
-    assert lines[1] == "trot,latency,s,0,4,4.000000,0.577350,1.000000,0.500000,3"
-    assert lines[8] == "gallop,mass,,1.2,4,6.000000,0.577350,1.000000,0.500000,0"
-    with write_episodes_csv(tmp_path / "e.csv", [study]).open() as file:
+    first, *_, last = study.world_rows()
+    numbers = {"return_mean": 4.0, "return_error": pytest.approx(math.sqrt(1 / 3)), "return_std": 1.0}
+    about = {
+        "policy": "trot",
+        "row": "latency",
+        "unit": "s",
+        "value": 0.0,
+        "episodes": 4,
+        "speed_mean": 0.5,
+        "falls": 3,
+    }
+    assert first == about | numbers
+    assert (last["row"], last["unit"], last["value"], last["return_mean"]) == ("mass", "", 1.2, 6.0)
+    with write_csv(tmp_path / "e.csv", study.episode_rows()).open() as file:
         rows = list(csv.DictReader(file))
     assert len(rows) == 5 * 4
-    assert [row["return"] for row in rows[:4]] == ["9.000000", "11.000000", "9.000000", "11.000000"]
-    assert {row["row"] for row in rows[:4]} == {"nominal"}
+    assert [row["return"] for row in rows[:4]] == ["9", "11", "9", "11"]
+    assert {(row["row"], row["value"]) for row in rows[:4]} == {("nominal", "")}
     assert [int(row["fell"]) for row in rows[4:8]] == [1, 1, 1, 0]
     again = np.array([float(row["return"]) for row in rows[4:]]).reshape(4, 4)
     assert np.array_equal(again, study.returns)
 
 
-def test_a_single_episode_has_no_standard_error(tmp_path: Path):
-    study = made_up({"latency": [4.0, 8.0]})
-    once = replace(study, returns=study.returns[:, :1], fell=study.fell[:, :1], speed=study.speed[:, :1])
-    assert write_csv(tmp_path / "s.csv", [once]).read_text().splitlines()[1].split(",")[5:8] == [
-        "3.000000",
-        "",
-        "0.000000",
-    ]
+def test_results_come_back_from_json():
+    study = made_up({"latency": [4.0, 8.0]}, {"latency": [3, 0]})
+    again = Sensitivity.from_mapping(json.loads(json.dumps(study.to_mapping(), allow_nan=False)), "trot")
+    assert again.to_mapping() == study.to_mapping()
+    assert again.episode_rows()[4:] == study.episode_rows()[4:]
 
 
 def test_the_robot_s_nominal_values_are_told():

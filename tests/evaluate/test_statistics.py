@@ -11,7 +11,7 @@ pytest.importorskip("scipy")
 from scipy import stats
 
 from surefoot.errors import SurefootError
-from surefoot.evaluate.statistics import Interval, crossed_interval, plain, t_interval, welch_interval
+from surefoot.evaluate.statistics import Interval, crossed_interval, t_interval, welch_interval
 
 
 def test_t_interval_of_three_numbers_by_hand() -> None:
@@ -55,11 +55,6 @@ def test_intervals_cover_the_truth_as_often_as_they_say() -> None:
     assert between / rounds == pytest.approx(0.95, abs=0.02)
 
 
-def test_more_confidence_is_wider() -> None:
-    narrow, wide = t_interval([1.0, 2.0, 4.0], 0.5), t_interval([1.0, 2.0, 4.0], 0.99)
-    assert wide.low < narrow.low < narrow.mean < narrow.high < wide.high
-
-
 def test_one_number_has_no_interval() -> None:
     for interval in (t_interval([1.5]), welch_interval([2.0], [0.5]), welch_interval([2.0, 2.0], [0.5])):
         assert interval.mean == 1.5
@@ -80,19 +75,17 @@ def test_covers_zero() -> None:
     assert not Interval(-1.0, -1.9, -0.1).covers_zero
 
 
-@pytest.mark.parametrize(
-    ("values", "confidence"), [([], 0.95), ([1.0, math.nan], 0.95), ([[1.0, 2.0]], 0.95), ([1.0, 2.0], 1.0)]
-)
-def test_what_has_no_mean_is_refused(values: list[float], confidence: float) -> None:
-    with pytest.raises(SurefootError, match=r"finite|confidence"):
-        t_interval(values, confidence)
+@pytest.mark.parametrize("values", [[], [1.0, math.nan], [[1.0, 2.0]]])
+def test_what_has_no_mean_is_refused(values: list[float]) -> None:
+    with pytest.raises(SurefootError, match=r"finite"):
+        t_interval(values)
 
 
 def test_plain_text() -> None:
-    assert plain(Interval(1.234, 1.0, 1.5)) == "1.23 [1.00, 1.50]"
-    assert plain(Interval(-0.301, -0.5, 0.1), 1, sign=True) == "-0.3 [-0.5, +0.1]"
-    assert plain(Interval(-0.001, -0.004, 0.003), 2, sign=True) == "0.00 [0.00, 0.00]"
-    assert plain(t_interval([2.0])) == "2.00"
+    assert Interval(1.234, 1.0, 1.5).text() == "1.23 [1.00, 1.50]"
+    assert Interval(-0.301, -0.5, 0.1).text(1, sign=True) == "-0.3 [-0.5, +0.1]"
+    assert Interval(-0.001, -0.004, 0.003).text(2, sign=True) == "0.00 [0.00, 0.00]"
+    assert t_interval([2.0]).text() == "2.00"
 
 
 def test_a_table_has_an_interval_over_its_rows_and_columns() -> None:

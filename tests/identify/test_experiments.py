@@ -157,7 +157,7 @@ def test_legs_that_slid_out_are_drawn_in_from_their_side(robot: RobotDescription
     out, unfold, draw_in = standing_up(robot)[:3]
     start = legs_pose(robot, [1.0, -0.9, 0.1, 0.0], 0.4)
     swing, extension = robot.motor_to_leg_pose(out.signal(1.0, start))
-    np.testing.assert_allclose(swing, [ground.SPREAD, -ground.SPREAD, 0.1, 0.0], atol=1e-12)
+    np.testing.assert_allclose(swing, [ground.SPREAD_SWING, -ground.SPREAD_SWING, 0.1, 0.0], atol=1e-12)
     np.testing.assert_allclose(extension, 0.4)
     flat = unfold.signal(1.0, out.signal(1.0, start))
     np.testing.assert_allclose(robot.motor_to_leg_pose(flat)[0], swing, atol=1e-12)

@@ -116,7 +116,7 @@ def test_networks_that_do_not_fit_are_refused(whole: TrainingRun, tmp_path: Path
     with pytest.raises(SurefootError, match=r"start_from: the other run's networks do not fit"):
         TrainingRun(config, RunFolder.create(config, tmp_path), SimWorld)
     config = tiny_config(start_from=str(tmp_path / "nowhere"))
-    with pytest.raises(SurefootError, match=r"nowhere: is no run folder"):
+    with pytest.raises(SurefootError, match=r"nowhere: is not a run folder"):
         TrainingRun(config, RunFolder.create(config, tmp_path), SimWorld)
 
 
@@ -163,7 +163,7 @@ def test_a_checkpoint_that_would_run_code_is_refused(tmp_path: Path, inside: str
     """With a digest that fits: whoever writes such a file writes that too."""
     bad, path, mark = Intruder(f"touch {tmp_path / 'was-here'}"), tmp_path / "a.ckpt", tmp_path / "was-here"
     write_checkpoint(path, {"steps": np.array([bad], object) if inside == "array" else bad})
-    with pytest.raises(SurefootError, match=r"a\.ckpt: is no checkpoint that surefoot wrote") as error:
+    with pytest.raises(SurefootError, match=r"a\.ckpt: is not a checkpoint that surefoot wrote") as error:
         read_checkpoint(path)
     assert "\n" not in str(error.value)
     assert not mark.exists()
@@ -188,7 +188,7 @@ def test_folder_of_another_version_is_refused(whole: TrainingRun, tmp_path: Path
 
 
 def test_no_run_folder_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(SurefootError, match="is no run folder"):
+    with pytest.raises(SurefootError, match="is not a run folder"):
         RunFolder.open(tmp_path)
 
 
@@ -222,7 +222,7 @@ def test_full_disk_under_the_log_is_told_in_one_line(whole: TrainingRun) -> None
         ({"steps": -5}, "steps is -5; it must be 1 or more"),
         ({"seed": -1}, "seed is -1; it must be 0 or more"),
         ({"num_envs": 1, "steps_per_update": 2}, "each minibatch needs one or more"),
-        ({"ppo": {"lr": 1}}, "ppo.lr is no key; keys: policy_hidden"),
+        ({"ppo": {"lr": 1}}, "ppo.lr is not a key; choices: policy_hidden"),
         ({"ppo": {"epochs": "many"}}, "ppo.epochs is 'many'; it must be a whole number"),
     ],
 )

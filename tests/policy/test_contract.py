@@ -85,8 +85,8 @@ def test_json_states_kind_and_schema(contract: Contract):
         ({"task": {"energy_weight": "x"}}, "task.energy_weight is 'x'; it must be a number from 0 to 1e.06 m/J"),
         ({"reference": {"swing": {"amplitude": 10**300}}}, "it holds 10{39}; whole numbers must be below 2.64"),
         ({"task": {"params": [0.02]}}, r"task.params is \[0.02\]; it must be a table"),
-        ({"colour": "red"}, "contract.colour is no key"),
-        ({"columns": []}, "the policy sees nothing"),
+        ({"colour": "red"}, "contract.colour is not a key"),
+        ({"columns": []}, "the policy observes nothing"),
     ],
 )
 def test_what_does_not_fit_is_refused(contract: Contract, change: dict, message: str):

@@ -59,7 +59,7 @@ def test_a_long_field_has_a_length_of_two_bytes():
 def test_a_change_after_the_stamp_is_found_and_not_mended(before: bytes, after: bytes):
     stale = stamped(MODEL).replace(before, after)
     for act in (check_digest, stamped):
-        with pytest.raises(SurefootError, match=r"its digest does not fit.*export the policy again"):
+        with pytest.raises(SurefootError, match=r"its digest does not match.*export the policy again"):
             act(stale)
 
 
@@ -115,7 +115,7 @@ DIGEST = read_parts(MODEL).digest.encode()
         (b"surefoot-digest", DIGEST[:-1], "its digest is damaged"),
         (b"surefoot-digest", DIGEST.upper(), "its digest is damaged"),
         (b"surefoot-digest", b"\xff" * 64, "its digest is damaged"),
-        (b"surefoot-digest", b"0" * 64, "its digest does not fit"),
+        (b"surefoot-digest", b"0" * 64, "its digest does not match"),
         (b"surefoot-digesu", DIGEST, "property 'surefoot-digesu' that surefoot does not write"),
         (b"surefoot", b"{}", "property 'surefoot' that surefoot does not write, or has it twice"),
     ],
@@ -179,7 +179,7 @@ def edited_contract(model: Any) -> None:
 @pytest.mark.parametrize("edit", [without_normalizer, without_normalizer_but_in_place, other_weights, edited_contract])
 def test_a_stale_file_is_refused_when_it_is_loaded(tmp_path: Path, edit: Callable[[Any], None]):
     path = changed(tmp_path / "stale.onnx", edit)
-    with pytest.raises(SurefootError, match=r"stale\.onnx: its digest does not fit") as caught:
+    with pytest.raises(SurefootError, match=r"stale\.onnx: its digest does not match") as caught:
         PolicyRuntime.load(path)
     assert "\n" not in str(caught.value)
 
@@ -211,7 +211,7 @@ def test_the_command_stamps_and_refuses_file_by_file(tmp_path: Path):
     assert done.stdout.startswith(f"{good}: stamped ")
     said = done.stderr.splitlines()
     assert len(said) == 3
-    assert "digest does not fit" in said[0]
+    assert "digest does not match" in said[0]
     assert "is damaged or not ONNX" in said[1] or "has no contract" in said[1]
     assert "No such file" in said[2]
     assert stale.read_bytes() == before

@@ -145,7 +145,7 @@ def sparse(graph: Any) -> None:
         (not_finite, "constant 'weight_0' holds numbers that are not finite"),
         (many, f"has {MAX_NODES + 10} nodes; at most {MAX_NODES} are allowed"),
         (very_many, "field 1 more than 1024 times"),
-        (many_rows, "Gemm of 'observation', which is no value that it can take"),
+        (many_rows, "Gemm of 'observation', which is not a value that it can take"),
         (other_attribute, "Gemm with other attributes"),
         (attribute_of_elu, "its attribute has a field 2.5"),
         (other_domain, "its node has a field 7.2"),
@@ -169,7 +169,7 @@ def test_a_stale_file_is_refused_before_it_is_run(tmp_path: Path, monkeypatch: p
     monkeypatch.setattr(runtime.onnxruntime, "InferenceSession", lambda *_, **__: pytest.fail("it was run"))
     path = tmp_path / "stale.onnx"
     path.write_bytes(find_policy("trot").read_bytes().replace(b"weight_1", b"weight_7"))
-    with pytest.raises(SurefootError, match="its digest does not fit"):
+    with pytest.raises(SurefootError, match="its digest does not match"):
         PolicyRuntime.load(path)
 
 
@@ -191,7 +191,7 @@ def test_a_file_that_is_too_large_is_refused(tmp_path: Path):
     path = tmp_path / "large.onnx"
     with path.open("wb") as file:
         file.truncate(MAX_BYTES + 1)
-    with pytest.raises(SurefootError, match="has over 64 MiB; no policy is that large"):
+    with pytest.raises(SurefootError, match="has over 64 MiB; a policy is smaller"):
         PolicyRuntime.load(path)
 
 

@@ -1,119 +1,265 @@
-"""Figures: each is written, has ink on it, and leaves no trace in matplotlib's global state."""
+"""Figures: what is drawn is what the data say, and matplotlib's global state stays as it was."""
 
 from __future__ import annotations
 
+import math
 import subprocess
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+pytest.importorskip("gymnasium")
+pytest.importorskip("matplotlib")
+import matplotlib
+from matplotlib.figure import Figure
+
 from surefoot.errors import SurefootError
-from surefoot.evaluate.footfalls import FEET
-from surefoot.report.figures import episode_plot, footfall_diagram, learning_curve
+from surefoot.evaluate.comparison import Comparison, Curve
+from surefoot.evaluate.gap import PolicyGap
+from surefoot.evaluate.runs import Runs
+from surefoot.evaluate.sensitivity import Nominal, Sensitivity, TestWorld
+from surefoot.report.figures import episode_plot, footfall_diagram
+from surefoot.report.gap_figures import gap_figure
+from surefoot.report.parameter_figures import aggregate_figure, parameter_figure, parameters_figure
+from surefoot.report.side_by_side import _mean_power, side_by_side
+from surefoot.report.study_figures import group_figure, learning_curves
 from surefoot.task.trace import EpisodeTrace
 
-matplotlib = pytest.importorskip("matplotlib")
-Image = pytest.importorskip("PIL.Image")
-
-STEPS = np.linspace(0, 7e6, 40)
-CURVE = 1.0 - np.exp(-STEPS / 2e6)
+pytestmark = pytest.mark.filterwarnings("error")
+MakeRun = Callable[..., EpisodeTrace]
+MakeComparison = Callable[..., Comparison]
 
 
-def make_trace(steps: int = 700, known: bool = True, **meta: Any) -> EpisodeTrace:
-    """Return a made-up trot; without `known`, of a robot that sees neither itself nor the ground."""
-    rng = np.random.default_rng(0)
-    step = 0.006
-    time = step * np.arange(1, steps + 1)
-    clock = np.concatenate([[0.0], time])
-    phases = np.array([0.0, 0.5, 0.5, 0.0])
-    contact = ((time[:, None] / 0.5 - phases) % 1.0 < 0.4).astype(float)
-    gap = 0.0 if known else np.nan
-    return EpisodeTrace(
-        time=time,
-        base_position_world=np.outer(clock, [0.6, 0.02, 0.0]) + gap,
-        base_quat_world=np.tile([1.0, 0.0, 0.0, 0.0], (steps + 1, 1)) + gap,
-        roll_pitch_yaw=0.05 * rng.normal(size=(steps, 3)),
-        angular_velocity_base=np.zeros((steps, 3)),
-        motor_angle=np.zeros((steps, 8)),
-        motor_velocity=np.zeros((steps, 8)),
-        motor_torque=np.zeros((steps, 8)),
-        observation=np.zeros((steps, 1)),
-        feedback=0.2 * np.sin(time[:, None] * 12 + np.arange(8)),
-        target=np.zeros((steps, 8)),
-        energy=0.4 * rng.random(steps),
-        foot_contact=contact + gap,
-        meta={
-            "robot": "minitaur",
-            "world": "mujoco",
-            "policy": "trot",
-            "control_step": step,
-            "leg_names": list(FEET),
-            "motor_names": [f"m{i}" for i in range(8)],
-            "observation_names": ["roll"],
-            "ended": "time",
-            **meta,
-        },
-    )
+@pytest.fixture
+def drawn(monkeypatch: pytest.MonkeyPatch) -> list[Figure]:
+    """Figures that are written while a test runs; a test that draws leaves matplotlib's settings as they were."""
+    figures: list[Figure] = []
+    save, before = Figure.savefig, dict(matplotlib.rcParams)
 
+    def keep(figure: Figure, *arguments: Any, **options: Any) -> None:
+        save(figure, *arguments, **options)
+        figures.append(figure)
 
-def ink(path: Path) -> float:
-    """Return the share of a picture's pixels that are not white."""
-    with Image.open(path) as picture:
-        assert picture.format == "PNG"
-        return float((np.asarray(picture.convert("L")) < 250).mean())
-
-
-FIGURES: dict[str, Callable[[Path], Path]] = {
-    "footfalls": lambda path: footfall_diagram(make_trace(), path),
-    "two footfalls": lambda path: footfall_diagram([make_trace(), make_trace()], path, titles=["a", "b"]),
-    "footfalls unknown": lambda path: footfall_diagram(make_trace(known=False), path),
-    "footfalls of a moment": lambda path: footfall_diagram(make_trace(steps=1), path),
-    "curve": lambda path: learning_curve(STEPS, CURVE, CURVE, path, return_std=0.1 + 0 * STEPS, title="t"),
-    "curve with gaps": lambda path: learning_curve(
-        STEPS, np.where(STEPS > 4e6, np.nan, CURVE), CURVE, path, speed_target=0.5
-    ),
-    "curve of one point": lambda path: learning_curve([100], [0.1], [np.nan], path),
-    "episode": lambda path: episode_plot(make_trace(), path),
-    "episode with legs": lambda path: episode_plot(make_trace(), path, leg_angle=make_trace().feedback),
-    "episode of a robot": lambda path: episode_plot(make_trace(known=False), path),
-    "episode of a moment": lambda path: episode_plot(make_trace(steps=1), path),
-}
-
-
-@pytest.mark.parametrize("name", FIGURES)
-@pytest.mark.filterwarnings("error")
-def test_a_figure_is_written(name: str, tmp_path: Path) -> None:
-    before = dict(matplotlib.rcParams)
-    path = tmp_path / "deeper" / "figure.png"
-    assert FIGURES[name](path) == path
-    assert 0.005 < ink(path) < 0.9
+    monkeypatch.setattr(Figure, "savefig", keep)
+    yield figures
     assert dict(matplotlib.rcParams) == before
 
 
-def test_the_same_data_gives_the_same_bytes(tmp_path: Path) -> None:
-    first = learning_curve(STEPS, CURVE, CURVE, tmp_path / "a.png")
-    second = learning_curve(STEPS, CURVE, CURVE, tmp_path / "b.png")
-    assert first.read_bytes() == second.read_bytes()
+def heights(figure: Figure) -> list[float]:
+    """Heights of the bars in the first panel, without those that only make a legend."""
+    return [float(bar.get_height()) for bar in figure.axes[0].patches if bar.get_height()]
 
 
-def test_what_does_not_fit_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(SurefootError, match=r"speed \(3,\) must fit steps \(40,\)"):
-        learning_curve(STEPS, CURVE, [1, 2, 3], tmp_path / "a.png")
-    with pytest.raises(SurefootError, match="not empty"):
-        learning_curve([], [], [], tmp_path / "a.png")
-    with pytest.raises(SurefootError, match="1 titles for 2 traces"):
-        footfall_diagram([make_trace(), make_trace()], tmp_path / "a.png", titles=["a"])
+def lines(figure: Figure, panel: int, length: int = 2) -> list[list[float]]:
+    """Values of the lines of at least so many points in a panel."""
+    found = [np.asarray(line.get_ydata(), float) for line in figure.axes[panel].lines]
+    return [values.tolist() for values in found if values.size >= length]
+
+
+def trot(make_run: MakeRun, steps: int = 700, known: bool = True) -> EpisodeTrace:
+    """A made-up trot; without `known`, of a robot that sees neither itself nor the ground."""
+    time, rng = 0.006 * np.arange(1, steps + 1), np.random.default_rng(0)
+    phases, gap = np.array([0.0, 0.5, 0.5, 0.0]), 0.0 if known else np.nan
+    arrays = {
+        "base_position_world": np.outer(np.arange(steps + 1) * 0.006, [0.6, 0.02, 0.0]) + gap,
+        "base_quat_world": np.tile([1.0, 0.0, 0.0, 0.0], (steps + 1, 1)) + gap,
+        "roll_pitch_yaw": 0.05 * rng.normal(size=(steps, 3)),
+        "feedback": 0.2 * np.sin(time[:, None] * 12 + np.arange(8)),
+        "energy": 0.4 * rng.random(steps),
+        "foot_contact": ((time[:, None] / 0.5 - phases) % 1.0 < 0.4).astype(float) + gap,
+    }
+    return make_run(steps=steps, step=0.006, arrays=arrays)
+
+
+@pytest.mark.parametrize(("steps", "known"), [(700, True), (1, True), (700, False)])
+def test_footfalls_and_an_episode(
+    steps: int, known: bool, make_run: MakeRun, tmp_path: Path, drawn: list[Figure]
+) -> None:
+    trace = trot(make_run, steps, known)
+    assert footfall_diagram(trace, tmp_path / "deeper" / "feet.png").exists()
+    episode_plot(trace, tmp_path / "episode.png")
+    episode_plot(trace, tmp_path / "episode.png", leg_angle=trace.feedback)
+    feet, episode, _ = drawn
+    # Four feet, one row each; bars of the front left foot start at its touchdowns, 0.5 s apart.
+    assert [label.get_text().split(" (")[0] for label in feet.axes[0].get_yticklabels()] == [
+        *("back right", "front right", "front left", "back left")
+    ]
+    if steps > 1 and known:
+        starts = [path.vertices[:, 0].min() for path in feet.axes[0].collections[2].get_paths()]
+        np.testing.assert_allclose(np.diff(starts[1:]), 0.5, atol=0.01)
+    roll, pitch = lines(episode, 0, 1)
+    np.testing.assert_array_equal([roll, pitch], trace.roll_pitch_yaw[:, :2].T)
+    assert len(lines(episode, 4, 1)) == 4
+    power = lines(episode, 3, 1)[0]
+    assert np.mean(power) == pytest.approx(trace.energy.mean() / 0.006)
+
+
+def test_figures_of_an_episode_refuse_what_does_not_fit(make_run: MakeRun, tmp_path: Path) -> None:
     with pytest.raises(SurefootError, match="leg_angle"):
-        episode_plot(make_trace(), tmp_path / "a.png", leg_angle=np.zeros((3, 8)))
+        episode_plot(trot(make_run), tmp_path / "a.png", leg_angle=np.zeros((3, 8)))
     with pytest.raises(SurefootError, match=r"must end in \.png"):
-        episode_plot(make_trace(), tmp_path / "a.pdf")
+        episode_plot(trot(make_run), tmp_path / "a.pdf")
     assert list(tmp_path.iterdir()) == []
+
+
+def test_the_same_data_give_the_same_bytes(make_run: MakeRun, tmp_path: Path) -> None:
+    first, second = (footfall_diagram(trot(make_run), tmp_path / name) for name in ("a.png", "b.png"))
+    assert first.read_bytes() == second.read_bytes()
 
 
 def test_matplotlib_is_imported_only_when_drawing() -> None:
     code = "import sys, surefoot.report.figures; sys.exit('matplotlib' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False, timeout=60).returncode == 0
+
+
+def runs(world: str, *returns: float, falls: int = 0) -> Runs:
+    gained = np.array(returns)
+    fell, ones = np.arange(len(gained)) < falls, np.ones(len(gained))
+    return Runs(world, gained, gained + 1, ones, 20 * ones, 100 * ones, fell, ~fell)
+
+
+@pytest.mark.parametrize("count", [1, 3, 200])
+@pytest.mark.parametrize("worlds", [1, 8])
+def test_a_bar_for_each_policy_and_world(count: int, worlds: int, tmp_path: Path, drawn: list[Figure]) -> None:
+    away = tuple(runs(f"world {i}", *[2.0 - 0.1 * i] * count, falls=i) for i in range(worlds))
+    policy = PolicyGap("trot", runs("mujoco", *[3.0] * count), away)
+    gap_figure([policy, replace(policy, name="gallop, slow")], tmp_path / "gap.png")
+    expected = [3.0, *(2.0 - 0.1 * i for i in range(worlds))]
+    np.testing.assert_allclose(heights(drawn[0]), expected * 2)
+    labels = [label.get_text() for label in drawn[0].axes[0].get_xticklabels()]
+    assert [label.splitlines()[0] for label in labels] == ["trot", "gallop"]
+    assert all("+1.00 m" in label for label in labels)
+    fallen = [text.get_text() for text in drawn[0].axes[0].texts if "fell" in text.get_text()]
+    assert fallen[: max(worlds - 1, 0)] == [f"{min(i, count)} of {count}\nfell" for i in range(1, worlds)]
+    crosses = [line for line in drawn[0].axes[0].lines if line.get_marker() == "x"]
+    assert sum(len(line.get_xdata()) for line in crosses) == (2 * sum(range(4)) + 8 * 3 if worlds == 8 else 0) * (
+        count == 3
+    )
+
+
+def test_returns_that_are_not_known_or_below_zero(tmp_path: Path, drawn: list[Figure]) -> None:
+    unknown = PolicyGap("p", runs("a", 1.0), (runs("b", math.nan, falls=1),))
+    gap_figure([unknown], tmp_path / "a.png")
+    gap_figure([PolicyGap("p", runs("a", -1.0, -3.0), (runs("b", 0.5, 0.5),))], tmp_path / "b.png")
+    assert heights(drawn[0]) == [1.0]
+    assert "return\nnot known\n1 of 1\nfell" in [text.get_text() for text in drawn[0].axes[0].texts]
+    assert heights(drawn[1]) == [-2.0, 0.5]
+    assert drawn[1].axes[0].get_ylim()[0] < -3.0
+
+
+def test_a_gap_figure_takes_one_set_of_worlds(tmp_path: Path) -> None:
+    one, two = (PolicyGap("p", runs("a", 1.0), tuple(runs(name, 1.0) for name in names)) for names in ("b", "bc"))
+    for policies, message in (([], "0 policies"), ([one, two], "2 policies in 2 sets of worlds")):
+        with pytest.raises(SurefootError, match=message):
+            gap_figure(policies, tmp_path / "a.png")
+    assert list(tmp_path.iterdir()) == []
+
+
+def sensitivity(policy: str = "trot", values: int = 5, episodes: int = 4, level: float = 3.0) -> Sensitivity:
+    """Test worlds of latency and mass, in which the robot falls at the upper end of each."""
+    worlds = [TestWorld("latency", float(value)) for value in np.linspace(0.0, 0.04, values)]
+    worlds += [TestWorld("mass", float(value)) for value in np.linspace(0.8, 1.2, values)]
+    along = np.tile(np.linspace(0.0, 1.0, values), 2)[:, None]
+    returns = level - 2.0 * along + np.linspace(-0.2, 0.2, episodes)
+    fell = np.broadcast_to(along > 0.7, returns.shape)
+    nominal = Nominal({"latency": 0.02, "mass": 1.0}, np.full(4, 2.0), np.zeros(4, np.bool_), np.zeros(4))
+    return Sensitivity(policy, tuple(worlds), returns, fell, returns / 6.0, nominal)
+
+
+def test_returns_and_falls_against_a_parameter(tmp_path: Path, drawn: list[Figure]) -> None:
+    group = [sensitivity(level=3.0), sensitivity(level=4.0)]
+    groups = {"trot": [sensitivity()], "group": group, **{f"other {i}": [sensitivity(episodes=1)] for i in range(9)}}
+    parameter_figure("latency", groups, tmp_path / "a.png")
+    first, second, *_ = lines(drawn[0], 0, 3)
+    np.testing.assert_allclose(first, np.linspace(3.0, 1.0, 5))
+    np.testing.assert_allclose(second, np.linspace(3.5, 1.5, 5))
+    assert lines(drawn[0], 1, 3)[0] == [0, 0, 0, 100, 100]
+    band = drawn[0].axes[0].collections[1].get_paths()[0].vertices
+    assert (band[:, 1].min(), band[:, 1].max()) == (pytest.approx(1.0), pytest.approx(4.0))
+    parameters_figure(groups, tmp_path / "all.png")
+    assert [ax.get_title(loc="left") for ax in drawn[1].axes] == ["Latency (s)", "Mass"]
+    np.testing.assert_allclose(lines(drawn[1], 1, 3)[1], np.linspace(3.5, 1.5, 5))
+    assert len({ax.get_ylim() for ax in drawn[1].axes}) == 1
+
+
+def test_the_range_trained_in_is_shaded(tmp_path: Path, drawn: list[Figure]) -> None:
+    groups = {"trot": [sensitivity()], "gallop": [sensitivity("gallop")]}
+    parameter_figure("latency", groups, tmp_path / "a.png", {"trot": {}, "gallop": {"latency": (0.01, 0.03)}})
+    (span,) = drawn[0].axes[0].patches
+    assert (span.get_x(), span.get_width()) == (pytest.approx(0.01), pytest.approx(0.02))
+    # The nominal value is marked, and where the trot was trained.
+    assert [line.get_xdata()[0] for line in drawn[0].axes[0].lines if len(line.get_xdata()) == 2] == [0.02, 0.02]
+
+
+def test_the_return_over_all_test_worlds(tmp_path: Path, drawn: list[Figure]) -> None:
+    few = sensitivity("gallop", values=1, episodes=1)
+    aggregate_figure([sensitivity(), few], tmp_path / "a.png")
+    widths = [bar.get_width() for bar in drawn[0].axes[0].patches]
+    assert widths == pytest.approx([2.0, few.mean])
+    assert sorted(drawn[0].axes[0].lines[0].get_xdata()) == pytest.approx(sorted([3.0, 2.5, 2.0, 1.5, 1.0] * 2))
+
+
+def test_figures_of_test_worlds_refuse_what_does_not_fit(tmp_path: Path) -> None:
+    with pytest.raises(SurefootError, match="row 'voltage' is in no test world of trot"):
+        parameter_figure("voltage", {"trot": [sensitivity()]}, tmp_path / "a.png")
+    with pytest.raises(SurefootError, match="no test worlds"):
+        parameters_figure({"trot": []}, tmp_path / "a.png")
+    with pytest.raises(SurefootError, match="no sensitivity is given"):
+        aggregate_figure([], tmp_path / "a.png")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_learning_curves_are_means_over_seeds(tmp_path: Path, drawn: list[Figure]) -> None:
+    steps, nothing = np.arange(1, 41) * 1e5, np.full(1, np.nan)
+    curves = [Curve(steps, level + 0 * steps, 0.5 + 0 * steps, 0 * steps, 1 + 0 * steps) for level in (1.0, 3.0)]
+    young = Curve(steps[:1], nothing, nothing, nothing, np.zeros(1))
+    learning_curves({"a": curves, "one": curves[:1], "young": [young]}, tmp_path / "a.png")
+    first, second = lines(drawn[0], 0)
+    assert (set(first), set(second)) == ({2.0}, {1.0})
+    assert set(lines(drawn[0], 1)[0]) == {0.5}
+    assert drawn[0].axes[0].lines[0].get_xdata()[-1] == pytest.approx(4.0)  # million
+    band = drawn[0].axes[0].collections[0].get_paths()[0].vertices
+    assert (band[:, 1].min(), band[:, 1].max()) == (1.0, 3.0)
+
+
+@pytest.mark.parametrize("seeds", [1, 5])
+def test_groups_side_by_side(seeds: int, tmp_path: Path, drawn: list[Figure], gap_comparison: MakeComparison) -> None:
+    study = gap_comparison(seeds)
+    group_figure(study, tmp_path / "a.png", ("nominal_return", "gap"))
+    first, second = drawn[0].axes
+    assert (first.get_title(loc="left"), second.get_title(loc="left")) == ("Return, nominal (m)", "Gap (m)")
+    widths = [bar.get_width() for bar in first.patches]
+    assert widths == pytest.approx([group.interval("nominal_return").mean for group in study.groups])
+    dots = [line.get_xdata() for line in first.lines if line.get_marker() == "o"]
+    assert [list(values) for values in dots] == [list(group.values("nominal_return")) for group in study.groups]
+    with pytest.raises(SurefootError, match="none of the figures"):
+        group_figure(study, tmp_path / "b.png", ["table1_falls"])
+
+
+@pytest.mark.parametrize("steps", [1, 20, 200, 1000])
+def test_runs_in_several_worlds_side_by_side(
+    steps: int, make_run: MakeRun, tmp_path: Path, drawn: list[Figure]
+) -> None:
+    options = {"energy": 0.2 * steps, "steps": steps}
+    seen, unseen = make_run(distance=2.0, **options), make_run(distance=math.nan, **options)
+    side_by_side({"home": [seen, seen], "robot": [unseen]}, tmp_path / "runs.png", "trot")
+    home, _, robot, *_ = lines(drawn[0], 0)
+    assert home[-1] == 2.0
+    assert np.isnan(robot).all()
+    np.testing.assert_allclose(lines(drawn[0], 2, 1), 20.0)
+    with pytest.raises(SurefootError, match="every world needs one run or more"):
+        side_by_side({"home": []}, tmp_path / "b.png", "trot")
+
+
+def test_power_is_the_energy_of_the_last_half_second(make_run: MakeRun) -> None:
+    # 20 W for a second, then 60 W.
+    energy = np.where(np.arange(1, 201) > 100, 0.6, 0.2)
+    times, power = _mean_power(make_run(steps=200, arrays={"energy": energy}))
+    assert np.allclose(power[times < 1.0 - 1e-9], 20.0)
+    assert power[124] == pytest.approx(40.0)  # half of it in either
+    assert power[-1] == pytest.approx(60.0)

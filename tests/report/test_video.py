@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,8 +14,10 @@ from surefoot.errors import SurefootError
 
 imageio_ffmpeg = pytest.importorskip("imageio_ffmpeg")
 pytest.importorskip("PIL.Image")
+from PIL import Image  # noqa: E402
 
-from surefoot.report.video import Camera, Shape, filmstrip, render_frame, render_video  # noqa: E402
+from surefoot.report.drawing import Camera, Mesh, Shape, View, draw  # noqa: E402
+from surefoot.report.video import _Film, render_video  # noqa: E402
 
 RED, GREEN, BLUE = (230, 30, 30), (30, 200, 30), (30, 30, 230)
 SIZE = (320, 180)
@@ -26,6 +30,18 @@ def pose(x: float = 0.0, y: float = 0.0, z: float = 0.0) -> NDArray[np.float64]:
     return transform
 
 
+def render_frame(
+    shapes: Sequence[Shape],
+    poses: dict[str, NDArray[np.float64]],
+    size: tuple[int, int] = SIZE,
+    camera: Camera | None = None,
+) -> Image.Image:
+    """Draw one picture from the camera, which looks at the first of the bodies."""
+    camera, stack = camera or Camera(), np.stack(list(poses.values()))
+    aim = np.array([*stack[0, :2, 3], camera.height])
+    return draw(Mesh(shapes, list(poses)), stack, View(camera, aim, size))
+
+
 def looks(picture: object, color: tuple[int, int, int]) -> NDArray[np.bool_]:
     """Return the mask (H, W) of pixels of a pure colour: its channel is far above the others."""
     pixels = np.asarray(picture, dtype=float)
@@ -35,8 +51,8 @@ def looks(picture: object, color: tuple[int, int, int]) -> NDArray[np.bool_]:
 
 
 @pytest.fixture
-def walker() -> tuple[list[Shape], dict[str, NDArray[np.float64]], NDArray[np.float64]]:
-    """Return a red base that runs forward with a green leg that swings, over one second."""
+def walker() -> dict[str, Any]:
+    """Return a film of a red base that runs forward with a green leg that swings, over one second."""
     times = np.linspace(0.0, 1.0, 51)
     shapes = [
         Shape("base", "box", (0.15, 0.065, 0.0435), color=RED),
@@ -45,7 +61,8 @@ def walker() -> tuple[list[Shape], dict[str, NDArray[np.float64]], NDArray[np.fl
     ]
     base = np.stack([pose(x=1.2 * t, z=0.2) for t in times])
     leg = np.stack([pose(x=1.2 * t + 0.25 * np.sin(6 * t), y=-0.1, z=0.12) for t in times])
-    return shapes, {"base": base, "leg": leg}, times
+    film = {"shapes": shapes, "poses": {"base": base, "leg": leg}, "times": times, "follow": "base"}
+    return film | {"overlay": [""] * len(times), "size": SIZE}
 
 
 def decode(path: Path) -> tuple[dict, NDArray[np.uint8]]:
@@ -57,8 +74,7 @@ def decode(path: Path) -> tuple[dict, NDArray[np.uint8]]:
 
 
 def test_an_mp4_is_written_and_decodes_again(walker, tmp_path: Path) -> None:
-    shapes, poses, times = walker
-    path = render_video(shapes, poses, times, tmp_path / "new" / "run.mp4", fps=25, size=SIZE)
+    path = render_video(path=tmp_path / "new" / "run.mp4", fps=25, **walker)
     about, frames = decode(path)
     assert about["codec"] == "h264"
     assert about["pix_fmt"].startswith("yuv420p")
@@ -76,15 +92,10 @@ def test_an_mp4_is_written_and_decodes_again(walker, tmp_path: Path) -> None:
     assert frames[0].std() > 15  # not blank
 
 
-def test_seconds_and_text_as_list_or_function(walker, tmp_path: Path) -> None:
-    shapes, poses, times = walker
-    plain = render_video(shapes, poses, times, tmp_path / "a.mp4", fps=20, size=SIZE, seconds=0.5)
-    assert len(decode(plain)[1]) == 10
-    texts = [f"{t:.2f} s" for t in times]
-    listed = render_video(shapes, poses, times, tmp_path / "b.mp4", fps=10, size=SIZE, overlay=texts)
-    called = render_video(shapes, poses, times, tmp_path / "c.mp4", fps=10, size=SIZE, overlay=lambda t: f"{t:.2f} s")
-    np.testing.assert_array_equal(decode(listed)[1], decode(called)[1])
-    panel = decode(listed)[1][0][5:25, 5:60].astype(float)
+def test_text_is_written_on_a_panel(walker, tmp_path: Path) -> None:
+    texts = [f"{t:.2f} s" for t in walker["times"]]
+    path = render_video(path=tmp_path / "b.mp4", fps=10, **walker | {"overlay": texts})
+    panel = decode(path)[1][0][5:25, 5:60].astype(float)
     assert panel.min() < 120 < 220 < panel.max()  # dark letters on a light panel
 
 
@@ -111,7 +122,7 @@ def test_a_long_box_beside_a_small_one_is_ordered_by_planes_not_centres() -> Non
     camera = Camera(offset=(1.2, -0.8, 0.2))
 
     def red(*drawn: Shape) -> int:
-        return int(looks(render_frame(drawn, poses, size=SIZE, camera=camera, follow="long"), RED).sum())
+        return int(looks(render_frame(drawn, poses, size=SIZE, camera=camera), RED).sum())
 
     assert red(shapes[0]) > 30
     assert red(*shapes) == red(*shapes[::-1]) > 0.9 * red(shapes[0])
@@ -142,7 +153,7 @@ def test_position_and_rotation_are_in_the_bodys_frame() -> None:
 
 
 def test_there_is_a_shadow_on_the_ground(walker) -> None:
-    shapes, poses, _ = walker
+    shapes, poses = walker["shapes"], walker["poses"]
     now = {body: p[0] for body, p in poses.items()}
     aloft = {body: p @ pose(z=5.0) for body, p in now.items()}
     camera = Camera(height=0.1)
@@ -153,67 +164,61 @@ def test_there_is_a_shadow_on_the_ground(walker) -> None:
     assert 200 < darker.sum() < 0.3 * darker.size
 
 
-def test_a_frame_is_drawn_between_two_times(tmp_path: Path) -> None:
+def test_a_frame_is_drawn_between_two_times() -> None:
     turn = np.eye(4)
     turn[:2, :2] = [[0.0, -1.0], [1.0, 0.0]]
     poses = {"b": np.stack([pose(z=0.2), pose(z=0.2) @ turn])}
-    shape = Shape("b", "box", (0.2, 0.05, 0.05), color=RED)
-    strip = filmstrip([shape], poses, [0.0, 1.0], count=3, size=SIZE, gap=0)
-    widths = [looks(strip.crop((i * 320, 0, (i + 1) * 320, 180)), RED).sum() for i in range(3)]
+    film = _Film([Shape("b", "box", (0.2, 0.05, 0.05), color=RED)], poses, [0.0, 1.0], ["", ""], "b")
     half = np.eye(4)
     half[:2, :2] = np.array([[1.0, -1.0], [1.0, 1.0]]) / np.sqrt(2.0)
-    still = looks(render_frame([shape], {"b": pose(z=0.2) @ half}, size=SIZE), RED).sum()
-    assert widths[1] == still  # turned by half, not shrunk
-    assert strip.size == (960, 180)
+    # Turned by half, not shrunk.
+    np.testing.assert_allclose(film.poses_at(0.5)[0], pose(z=0.2) @ half, atol=1e-12)
 
 
 def test_a_box_behind_the_camera_is_no_harm() -> None:
     camera = Camera(offset=(0.0, -1.0, 0.3))
     shapes = [Shape("a", "box", (0.1, 0.1, 0.1), color=RED), Shape("b", "box", (0.5, 0.5, 0.5), color=BLUE)]
-    picture = render_frame(shapes, {"a": pose(z=0.1), "b": pose(y=-3.0)}, size=SIZE, camera=camera, follow="a")
+    picture = render_frame(shapes, {"a": pose(z=0.1), "b": pose(y=-3.0)}, size=SIZE, camera=camera)
     assert looks(picture, RED).sum() > 200
     assert looks(picture, BLUE).sum() == 0
 
 
-def test_what_does_not_fit_is_refused(walker, tmp_path: Path) -> None:
-    shapes, poses, times = walker
-    to = tmp_path / "run.mp4"
-    with pytest.raises(SurefootError, match="not one of box, cylinder, sphere"):
-        Shape("base", "cone", (1.0,))
-    with pytest.raises(SurefootError, match="a cylinder has 2 sizes"):
-        Shape("base", "cylinder", (1.0,))
-    with pytest.raises(SurefootError, match="no poses of leg; there are base"):
-        render_video(shapes, {"base": poses["base"]}, times, to)
-    with pytest.raises(SurefootError, match="must be 51 finite 4 x 4"):
-        render_video(shapes, {**poses, "leg": np.full((51, 4, 4), np.nan)}, times, to)
-    with pytest.raises(SurefootError, match="sides must be even"):
-        render_video(shapes, poses, times, to, size=(321, 180))
-    with pytest.raises(SurefootError, match=r"must end in \.mp4"):
-        render_video(shapes, poses, times, tmp_path / "run.gif")
-    with pytest.raises(SurefootError, match="strictly increasing"):
-        render_video(shapes, poses, times[::-1], to)
-    with pytest.raises(SurefootError, match="2 overlay texts for 51 times"):
-        render_video(shapes, poses, times, to, overlay=["a", "b"])
-    with pytest.raises(SurefootError, match="no poses of tail"):
-        render_video(shapes, poses, times, to, follow="tail")
-    with pytest.raises(SurefootError, match="at least one shape"):
-        render_video([], poses, times, to)
+@pytest.mark.parametrize(
+    ("kind", "size", "message"),
+    [("cone", (1.0,), "not one of box, cylinder, sphere"), ("cylinder", (1.0,), "a cylinder has 2 sizes")],
+)
+def test_a_shape_that_is_none_is_refused(kind: str, size: tuple[float, ...], message: str) -> None:
+    with pytest.raises(SurefootError, match=message):
+        Shape("base", kind, size)
+
+
+NAN = np.full((51, 4, 4), np.nan)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"poses": {"base": NAN}}, "no poses of leg; there are base"),
+        ({"poses": {"base": NAN, "leg": NAN}}, "must be 51 finite 4 x 4"),
+        ({"size": (321, 180)}, "sides must be even"),
+        ({"path": "run.gif"}, r"must end in \.mp4"),
+        ({"times": np.linspace(1.0, 0.0, 51)}, "strictly increasing"),
+        ({"overlay": ["a", "b"]}, "2 overlay texts for 51 times"),
+        ({"follow": "tail"}, "no poses of tail"),
+        ({"shapes": []}, "at least one shape"),
+        ({"path": "/proc/x.mp4"}, r"^video /proc/x\.mp4: can't be written: No such file or directory$"),
+    ],
+)
+def test_what_does_not_fit_is_refused(
+    walker: dict[str, Any], changes: dict[str, Any], message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SurefootError, match=message):
+        render_video(**walker | {"path": "run.mp4"} | changes)
     assert list(tmp_path.iterdir()) == []
 
 
 def test_a_failure_leaves_no_half_file(walker, tmp_path: Path) -> None:
-    shapes, poses, times = walker
-
-    def fails(time: float) -> str:
-        if time > 0.5:
-            raise RuntimeError("no text")
-        return "fine"
-
-    with pytest.raises(RuntimeError, match="no text"):
-        render_video(shapes, poses, times, tmp_path / "run.mp4", fps=10, size=SIZE, overlay=fails)
+    with pytest.raises(AttributeError):
+        render_video(path=tmp_path / "run.mp4", fps=10, **walker | {"overlay": [*[""] * 40, *[3] * 11]})
     assert list(tmp_path.iterdir()) == []
-
-
-def test_where_no_file_can_be_made_is_told_without_ffmpegs_command(walker) -> None:
-    with pytest.raises(SurefootError, match=r"^video /proc/x\.mp4: can't be written: No such file or directory$"):
-        render_video(*walker, "/proc/x.mp4")

@@ -80,7 +80,7 @@ def test_with_values_leaves_the_original_alone(robot, params):
 @pytest.mark.parametrize(
     ("values", "pieces"),
     [
-        ({"motor_power": 1.0}, ["'motor_power' is no physical parameter", "motor_strength", "imu_noise"]),
+        ({"motor_power": 1.0}, ["'motor_power' is not a physical parameter", "motor_strength", "imu_noise"]),
         # Given in milliseconds instead of seconds.
         ({"control_latency": 15}, ["control_latency is 15", "allows 0 to 0.1", "unit: s"]),
         ({"base_mass_ratio": -1.0}, ["base_mass_ratio is -1", "allows 0.2 to 5"]),
@@ -121,7 +121,7 @@ def test_settings_of_a_command_line():
 
 @pytest.mark.parametrize(
     ("word", "piece"),
-    [("volts=3", "'volts' is no physical parameter; choices: "), ("voltage", "write voltage=VALUE")],
+    [("volts=3", "'volts' is not a physical parameter; choices: "), ("voltage", "write voltage=VALUE")],
 )
 def test_settings_that_are_none(word: str, piece: str):
     with pytest.raises(SurefootError) as caught:

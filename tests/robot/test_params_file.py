@@ -63,7 +63,7 @@ def test_some_names_only_can_be_written(robot, tmp_path):
         ("params = 3", r"p\.toml: has no table \[params\]"),
         ("[params", r"p\.toml: is not TOML"),
         ('robot = "cat"\n[params]', r"p\.toml: has parameters of robot 'cat', not of 'minitaur'"),
-        ("[params]\nvolts = 15", r"p\.toml: 'volts' is no physical parameter; choices: base_mass_ratio"),
+        ("[params]\nvolts = 15", r"p\.toml: 'volts' is not a physical parameter; choices: base_mass_ratio"),
         ("[params]\nvoltage = 99", r"p\.toml: voltage is 99; minitaur allows 5 to 30"),
         ("[params]\nvoltage = nan", r"p\.toml: params\.voltage is nan"),
         ('[params]\nvoltage = "15"', r"p\.toml: params\.voltage is '15'; it must be a finite number or a list"),

@@ -81,8 +81,8 @@ def test_written_and_read_again_it_is_the_same(tmp_path, name):
 @pytest.mark.parametrize(
     ("text", "pieces"),
     [
-        ("robott: minitaur", ["robott is no key", "keys: name, robot, observations"]),
-        ("feedback: {swign: [0, 1]}", ["feedback.swign is no key", "keys: swing, extension"]),
+        ("robott: minitaur", ["robott is not a key", "choices: name, robot, observations"]),
+        ("feedback: {swign: [0, 1]}", ["feedback.swign is not a key", "choices: swing, extension"]),
         (
             "feedback: {swing: [0, 1, 2]}",
             ["feedback.swing is [0, 1, 2]", "a list of 2 values, each a number"],
@@ -107,7 +107,7 @@ def test_written_and_read_again_it_is_the_same(tmp_path, name):
         ("pushes: {duration: 2}", ["pushes.duration is 2 s", "below pushes.period 1.2 s"]),
         ("params: {voltage: high}", ["params.voltage is 'high'", "a number"]),
         ("rest: 2", ["rest is 2", "a list of 2 values, each a number or nothing"]),
-        ("3: 4", ["3 is no key"]),
+        ("3: 4", ["3 is not a key"]),
         ("", ["holds NoneType", "must be a table"]),
         ("- a\n- b", ["holds list", "must be a table"]),
         ("robot: [minitaur\nname: x", ["is not YAML"]),

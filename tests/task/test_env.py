@@ -201,7 +201,7 @@ def test_robots_settle_in_the_middle_of_what_they_may_ask_for(make_env):
 def test_params_of_the_task_reach_the_world(make_env):
     env = make_env(3, params={"voltage": 15.0})
     assert env.world.params.voltage.tolist() == [15.0] * 3
-    with pytest.raises(SurefootError, match="'volts' is no physical parameter"):
+    with pytest.raises(SurefootError, match="'volts' is not a physical parameter"):
         make_env(params={"volts": 15.0})
 
 

@@ -80,7 +80,7 @@ def test_units_and_frames(robot):
     [
         (("roll", "yaw"), ["observation 'yaw' does not exist", "choices: roll, pitch", "last_action"]),
         ((), ["observations is empty", "choices: roll"]),
-        (("roll", "pitch", "roll"), ["roll, pitch, roll", "none may come twice"]),
+        (("roll", "pitch", "roll"), ["roll, pitch, roll", "names must not repeat"]),
     ],
 )
 def test_parts_that_do_not_fit_are_refused_in_one_line(robot, names, pieces):

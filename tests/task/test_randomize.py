@@ -741,7 +741,7 @@ def test_row_values_are_the_rows_parameters():
         ({"mass": [0.8]}, ["randomize.mass is [0.8]", "2 values, each a number"]),
         ({"mass": 0.8}, ["randomize.mass is 0.8", "2 values, each a number"]),
         ({"mass": ["light", "heavy"]}, ["randomize.mass is ['light', 'heavy']"]),
-        ({"colour": [0, 1]}, ["randomize.colour is no key", "keys: mass, motor_friction", "servo_latency"]),
+        ({"colour": [0, 1]}, ["randomize.colour is not a key", "choices: mass, motor_friction", "servo_latency"]),
     ],
 )
 def test_ranges_that_cannot_be_are_refused(robot, ranges, pieces):
@@ -805,7 +805,7 @@ def test_a_tables_path_counts_from_the_tasks_file(tmp_path: Path, monkeypatch: p
     [
         ("randomize: tabel1", ["task.yaml: randomize '", "tabel1' does not exist; choices: ensemble, none, table1"]),
         ("randomize: {mass: [1.2, 0.8]}", ["task.yaml: randomize.mass is [1.2, 0.8]"]),
-        ("randomize: {speed: [1, 2]}", ["task.yaml: randomize.speed is no key; keys: mass"]),
+        ("randomize: {speed: [1, 2]}", ["task.yaml: randomize.speed is not a key; choices: mass"]),
         ("randomize: 3", ["task.yaml: randomize is 3; it must be a table"]),
     ],
 )

@@ -144,8 +144,8 @@ def test_to_dict_makes_it_again(data):
     ("data", "pieces"),
     [
         ({"kind": "square"}, ["reference.kind is 'square'", "sine, table"]),
-        ({"kind": "sine", "swign": {}}, ["reference.swign is no key", "keys: kind, swing, extension"]),
-        ({"kind": "sine", "swing": {"amp": 1.0}}, ["reference.swing.amp is no key", "amplitude, frequency"]),
+        ({"kind": "sine", "swign": {}}, ["reference.swign is not a key", "choices: kind, swing, extension"]),
+        ({"kind": "sine", "swing": {"amp": 1.0}}, ["reference.swing.amp is not a key", "amplitude, frequency"]),
         (
             {"kind": "sine", "swing": {"amplitude": "big"}},
             ["reference.swing.amplitude is 'big'", "finite number"],
@@ -159,12 +159,12 @@ def test_to_dict_makes_it_again(data):
         ),
         (
             {"kind": "sine", "swing": {"phase": DIAGONAL | {"tail": 0.0}}},
-            ["reference.swing.phase.tail is no key", "keys: front_left"],
+            ["reference.swing.phase.tail is not a key", "choices: front_left"],
         ),
         ({"kind": "sine", "swing": 3.0}, ["reference.swing is 3.0", "must be a table"]),
         ({**ROWS, "period": 0.0}, ["reference.period is 0", "over 0 s"]),
         ({**ROWS, "period": None}, ["reference.period is None", "finite number"]),
-        ({**ROWS, "rows": 4}, ["reference.rows is no key"]),
+        ({**ROWS, "rows": 4}, ["reference.rows is not a key"]),
         (
             {**ROWS, "swing": {leg: [0.0] for leg in LEGS}, "extension": {leg: [2.0] for leg in LEGS}},
             ["has 1 row", "2 or more"],
@@ -220,7 +220,7 @@ def test_a_file_that_does_not_fit_is_refused_in_one_line(tmp_path: Path, name: s
 @pytest.mark.parametrize(
     ("name", "content", "piece"),
     [
-        ("gait.txt", b"", "is no .csv or .npz file"),
+        ("gait.txt", b"", "is not a .csv or .npz file"),
         ("gait.npz", b"not a zip", "can't be read as a table"),
         ("gait.npz", b"", "can't be read as a table"),
         ("gait.npz", b"PK\x03\x04 and no more", "can't be read as a table"),

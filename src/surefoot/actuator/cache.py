@@ -1,6 +1,6 @@
-"""Compiled code that is older than the law it was compiled from must not run.
+"""Removal of compiled code that is older than its sources.
 
-numba caches compiled functions beside their source and looks only at that one file's age. A loop in one module into
+numba caches compiled functions beside their source and checks only that file's age. A loop in one module into
 which a law of another was inlined would keep the old law after an edit. So all caches of the kernels are dropped
 whenever any of their sources has changed.
 """

@@ -1,4 +1,4 @@
-"""The position motor that physics engines bring along: a constraint on the motor's state at the end of the step."""
+"""The position motor of physics engines: a constraint on the motor's state at the end of the step."""
 
 from __future__ import annotations
 
@@ -7,26 +7,26 @@ from numba import njit, vectorize
 
 @njit(cache=True, inline="always")
 def constraint_speed_kernel(target: float, angle: float, kp: float, kd: float, dt: float) -> float:
-    """Scalar form of `constraint_speed`."""
+    """Return `constraint_speed` for scalars."""
     return kp * (target - angle) / (kp * dt + kd) if kp > 0.0 else 0.0
 
 
 @vectorize(cache=True)
 def constraint_speed(target, angle, kp, kd, dt):  # type: ignore[no-untyped-def]
-    """Speed [rad/s] at the end of a step for which a constraint motor's error is zero.
+    """Return the speed [rad/s] at the end of a step for which a constraint motor's error is zero.
 
         e_{n+1} = k_p (q_target - q_{n+1}) - k_d qdot_{n+1} = 0,    q_{n+1} = q_n + dt qdot_{n+1}
 
     An engine finds the torque, up to `constraint_torque`, for which this holds together with all its other
-    constraints. With the servo's own gains the motor closes in on its target with the time constant k_d / k_p + dt,
-    whatever it has to move, and never swings: where the servo asks for a voltage, this motor gets its way.
+    constraints. With the servo's gains the motor approaches its target with the time constant k_d / k_p + dt,
+    independent of the load, and never overshoots: the servo sets a voltage, this motor a motion.
 
     Source: Tan et al. 2018, eq. 4, with target speed 0. Bullet's motor for the joints of articulated bodies meets it
     with position gain k_p dt / (k_p dt + k_d) and velocity gain 1.
 
     Args:
-        target: motor angle asked for [rad].
-        angle: motor angle q_n, true and of now: the engine's motor knows no latency [rad].
+        target: commanded motor angle [rad].
+        angle: motor angle q_n, true and present: the engine's motor has no latency [rad].
         kp: the servo's proportional gain [1/rad].
         kd: the servo's derivative gain [s/rad].
         dt: step [s].
@@ -36,16 +36,16 @@ def constraint_speed(target, angle, kp, kd, dt):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, inline="always")
 def constraint_torque_kernel(voltage: float, torque_constant: float, resistance: float, strength: float) -> float:
-    """Scalar form of `constraint_torque`."""
+    """Return `constraint_torque` for scalars."""
     return strength * torque_constant * voltage / resistance
 
 
 @vectorize(cache=True)
 def constraint_torque(voltage, torque_constant, resistance, strength):  # type: ignore[no-untyped-def]
-    """Greatest torque [N m] of a constraint motor: strength K_t V / R, at any speed.
+    """Return the greatest torque [N m] of a constraint motor: strength K_t V / R, at any speed.
 
-    This is what an ideal DC motor stalls at: neither saturation nor back-EMF is known to a simulator that has no model
-    of the motor. Tan et al. 2018 do not tell their limit.
+    This is the stall torque of an ideal DC motor: a simulator without a model of the motor has neither saturation nor
+    back-EMF. Tan et al. 2018 do not state their limit.
 
     Args:
         voltage: battery voltage V [V].

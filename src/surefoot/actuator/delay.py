@@ -1,6 +1,6 @@
-"""Readings that arrive late: a history of timestamped samples, read with linear interpolation.
+"""Delay of readings: a history of timestamped samples, read with linear interpolation.
 
-Tan et al. 2018, section V-A: with samples (t_i, O_i), a reader at time t that suffers a latency L gets O at
+Tan et al. 2018, section V-A: with samples (t_i, O_i), a reader at time t with latency L gets O at
 t - L, interpolated between the two samples around it. Read with samples taken at t = 0, 1, 2 (in servo
 steps):
 
@@ -86,7 +86,7 @@ class DelayLine:
         self.count: NDArray[np.int64] = np.zeros(num_envs, np.int64)
 
     def clear(self, index: ArrayLike = slice(None)) -> None:  # type: ignore[assignment]
-        """Forget the history of the robots at `index` (all, if none is given)."""
+        """Clear the history of the robots at `index` (all, if none is given)."""
         self.count[index] = 0  # type: ignore[index]
 
     def push(self, time: ArrayLike, sample: ArrayLike) -> None:
@@ -102,7 +102,7 @@ class DelayLine:
         _push_all(self.times, self.samples, self.count, now, np.asarray(sample, float))
 
     def read(self, time: ArrayLike, latency: ArrayLike) -> Array:
-        """Samples (num_envs, width) as a reader at `time` [s] gets them, `latency` [s] late.
+        """Return samples (num_envs, width) as read at `time` [s], `latency` [s] old.
 
         Raises:
             SurefootError: a latency below zero, longer than the history's capacity, or no sample yet.

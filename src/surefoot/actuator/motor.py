@@ -16,7 +16,7 @@ STICTION_SPEED = 0.1
 def motor_current_kernel(
     duty: float, speed: float, voltage: float, torque_constant: float, resistance: float, voltage_clip: float
 ) -> float:
-    """Scalar form of `motor_current`."""
+    """Return `motor_current` for scalars."""
     net = duty * voltage - torque_constant * speed
     if net > voltage_clip:
         net = voltage_clip
@@ -27,13 +27,13 @@ def motor_current_kernel(
 
 @vectorize(cache=True)
 def motor_current(duty, speed, voltage, torque_constant, resistance, voltage_clip):  # type: ignore[no-untyped-def]
-    """Armature current [A]: clip(duty V - K_t qdot, +-clip) / R.
+    """Return the armature current [A]: clip(duty V - K_t qdot, +-clip) / R.
 
     Source: Tan et al. 2018, eq. 5 and 6; the clip stands for the diodes of the motor controller.
 
     Args:
         duty: PWM duty in [-1, 1].
-        speed: true motor speed of now [rad/s]; back-EMF knows no latency.
+        speed: true present motor speed [rad/s]; back-EMF has no latency.
         voltage: battery voltage V [V].
         torque_constant: K_t [N m/A], also the back-EMF constant [V s/rad].
         resistance: R [Ohm].
@@ -46,7 +46,7 @@ def motor_current(duty, speed, voltage, torque_constant, resistance, voltage_cli
 def motor_torque_kernel(
     current: float, strength: float, table_current: NDArray[np.float64], table_torque: NDArray[np.float64]
 ) -> float:
-    """Scalar form of `motor_torque`."""
+    """Return `motor_torque` for scalars."""
     magnitude = abs(current)
     if math.isnan(magnitude):
         return magnitude
@@ -62,7 +62,7 @@ def motor_torque_kernel(
 
 @guvectorize(["void(float64, float64, float64[:], float64[:], float64[:])"], "(),(),(n),(n)->()", cache=True)
 def motor_torque(current, strength, table_current, table_torque, torque):  # type: ignore[no-untyped-def]
-    """Torque [N m] of the saturating motor: sign(I) table(|I|) strength, flat beyond the table's last point.
+    """Return the torque [N m] of the saturating motor: sign(I) table(|I|) strength, flat beyond the table's last point.
 
     Source: Tan et al. 2018, section V-A ("piece-wise linear function"), after De and Koditschek 2015.
 
@@ -78,13 +78,13 @@ def motor_torque(current, strength, table_current, table_torque, torque):  # typ
 
 @njit(cache=True, inline="always")
 def coulomb_friction_kernel(speed: float, friction: float) -> float:
-    """Scalar form of `coulomb_friction`."""
+    """Return `coulomb_friction` for scalars."""
     return -friction * math.tanh(speed / STICTION_SPEED) if friction > 0.0 else 0.0
 
 
 @vectorize(cache=True)
 def coulomb_friction(speed, friction):  # type: ignore[no-untyped-def]
-    """Coulomb friction torque [N m]: -f tanh(qdot / v_s), with v_s = `STICTION_SPEED`.
+    """Return the Coulomb friction torque [N m]: -f tanh(qdot / v_s), with v_s = `STICTION_SPEED`.
 
     Within 0.2 % of -f sign(qdot) above 4 v_s = 0.4 rad/s. A motor at rest creeps instead of sticking: under a
     load of half the friction it turns at .055 rad/s.
@@ -98,14 +98,14 @@ def coulomb_friction(speed, friction):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, inline="always")
 def motor_friction_kernel(speed: float, coulomb: float, viscous: float) -> float:
-    """Scalar form of `motor_friction`."""
+    """Return `motor_friction` for scalars."""
     torque = coulomb_friction_kernel(speed, coulomb)
     return torque - viscous * speed if viscous > 0.0 else torque
 
 
 @vectorize(cache=True)
 def motor_friction(speed, coulomb, viscous):  # type: ignore[no-untyped-def]
-    """Friction torque [N m] of a motor: -f tanh(qdot / v_s) - b qdot, Coulomb as in `coulomb_friction` and viscous.
+    """Return the friction torque [N m] of a motor, Coulomb and viscous: -f tanh(qdot / v_s) - b qdot.
 
     Taken at the start of a step of dt, it brakes a motor that turns an inertia J without overshoot as long as
     (f / v_s + b) dt < J.
@@ -120,13 +120,13 @@ def motor_friction(speed, coulomb, viscous):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, inline="always")
 def overheat_kernel(torque: float, hot_time: float, dt: float, limit: float) -> float:
-    """Scalar form of `overheat`."""
+    """Return `overheat` for scalars."""
     return hot_time + dt if abs(torque) > limit else 0.0
 
 
 @vectorize(cache=True)
 def overheat(torque, hot_time, dt, limit):  # type: ignore[no-untyped-def]
-    """Time [s] that a motor has been over its thermal torque limit without a break.
+    """Return the time [s] that a motor has been over its thermal torque limit without a break.
 
     The motor is switched off, until the next reset, once this time passes the robot's `overheat_time`
     (thermal protection in the robot's published model).

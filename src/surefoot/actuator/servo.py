@@ -1,4 +1,4 @@
-"""The position servo that runs on the microcontroller, once a servo step."""
+"""The position servo of the microcontroller, run once per servo step."""
 
 from __future__ import annotations
 
@@ -7,20 +7,20 @@ from numba import njit, vectorize
 
 @njit(cache=True, inline="always")
 def servo_duty_kernel(target: float, angle: float, speed: float, kp: float, kd: float) -> float:
-    """Scalar form of `servo_duty`."""
+    """Return `servo_duty` for scalars."""
     duty = kp * (target - angle) - kd * speed
-    # Compiled min and max would turn what is no number into full duty.
+    # Compiled min and max would turn NaN into full duty.
     return 1.0 if duty > 1.0 else -1.0 if duty < -1.0 else duty
 
 
 @vectorize(cache=True)
 def servo_duty(target, angle, speed, kp, kd):  # type: ignore[no-untyped-def]
-    """PWM duty of a PD servo whose target speed is zero: clip(k_p (q_target - q) - k_d qdot, -1, 1).
+    """Return the PWM duty of a PD servo whose target speed is zero: clip(k_p (q_target - q) - k_d qdot, -1, 1).
 
     Source: Tan et al. 2018, eq. 7, with the duty limited as in the robot's published model.
 
     Args:
-        target: motor angle asked for [rad].
+        target: commanded motor angle [rad].
         angle: motor angle that the servo sees, `servo_latency` old [rad].
         speed: motor speed that the servo sees, equally old [rad/s].
         kp: proportional gain [1/rad].

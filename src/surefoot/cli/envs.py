@@ -19,12 +19,12 @@ from surefoot.world.sim_world import SimWorld
 
 
 def make_single(task: str | TaskConfig, seed: int | None = None) -> LocomotionSingleEnv:
-    """One robot on a task, given by preset name, path of a YAML file, or configuration."""
+    """Return one robot on a task, given by preset name, path of a YAML file, or configuration."""
     return LocomotionSingleEnv(_config(task), SimWorld, seed)
 
 
 def make_vector(task: str | TaskConfig, num_envs: int = 1, seed: int = 0, threads: int = 0) -> LocomotionEnv:
-    """A batch of robots on a task, given by preset name, path of a YAML file, or configuration."""
+    """Return a batch of robots on a task, given by preset name, path of a YAML file, or configuration."""
     return LocomotionEnv(_config(task), num_envs, SimWorld, seed, threads=threads)
 
 

@@ -71,56 +71,78 @@ def main(argv: list[str]) -> int:
     words, ranges = take_ranges(argv, RandomizeConfig())
     command = parse(EvaluateCommand, words, "surefoot evaluate", config=config)
     if command.trace:
-        return _recorded(command, bool(ranges.ranges))
-    if command.policy is None:
+        traces, robot, about = _recorded(command, bool(ranges.ranges))
+    elif command.policy is None:
         raise SurefootError("no POLICY and no --trace is given; give one of them")
-    from surefoot.cli.policies import adjust_task, find_policy, find_world, load_policy
+    else:
+        traces, robot, about = _simulated(command, ranges)
     from surefoot.evaluate.metrics import summarize
 
-    path = find_policy(command.policy)
+    summary = summarize(traces, robot.urdf.total_mass)
+    summary["faults"] = sum(trace.meta["ended"] == "fault" for trace in traces)
+    if command.trace:
+        summary["stopped"] = sum(trace.meta["ended"] == "stopped" for trace in traces)
+    summary |= about | {"robot": robot.name}
+    if command.out is not None:
+        files = [] if command.trace else [t.save(command.out / f"episode_{i:03d}.npz") for i, t in enumerate(traces)]
+        summary["files"] = [str(file) for file in [*files, *_figures(command.out, traces, robot)]]
+    if command.json:
+        print(json.dumps(summary, allow_nan=False))
+    else:
+        print_summaries({f"{summary['policy']} in {summary['world']}": summary})
+        for file in summary.get("files", [])[-2:]:
+            print(f"wrote {file}")
+    return 0
+
+
+def _simulated(
+    command: EvaluateCommand, ranges: RandomizeConfig
+) -> tuple[list[EpisodeTrace], RobotDescription, dict[str, Any]]:
+    """Run the policy; returns its traces, the robot, and how it was run."""
+    from surefoot.cli.policies import adjust_task, find_policy, find_world, load_policy
+    from surefoot.cli.progress import progress_bar
+
+    path = find_policy(str(command.policy))
     make_world = find_world(command.world)
     policy, robot, task = load_policy(path, command.robot)
     task = adjust_task(
         task, robot, command.settings, command.pushes, command.thermal_protection, ranges, command.simulator
     )
-    if command.out is not None:
-        import_module("matplotlib")
-        command.out.mkdir(parents=True, exist_ok=True)
-    from surefoot.cli.progress import run_with_progress
+    _make_folder(command.out)
+    from surefoot.evaluate.rollout import run_episodes
 
-    traces = run_with_progress(
-        policy,
-        task,
-        command.episodes,
-        make_world,
-        command.seed,
-        command.threads,
-        world_name=command.world,
-        policy_name=policy.contract.name,
+    with progress_bar(f"{command.episodes} episodes") as progress:
+        traces = run_episodes(
+            policy,
+            task,
+            command.episodes,
+            make_world,
+            command.seed,
+            command.threads,
+            progress,
+            world_name=command.world,
+            policy_name=policy.contract.name,
+        )
+    given = [word.split("=")[0] for group in command.settings for word in group]
+    return (
+        traces,
+        robot,
+        {
+            "seed": command.seed,
+            "pushes": command.pushes,
+            "randomize": {row: list(bounds) for row, bounds in ranges.ranges.items()},
+            "params": task.params,
+            "params_source": task.params_source,
+            "set": command.simulator.latencies | {name: task.params[name] for name in given},
+            "actuator": task.actuator,
+            "policy_file": str(path),
+            "config_hash": policy.contract.config_hash,
+        },
     )
-    summary = summarize(traces, robot.urdf.total_mass)
-    summary |= {
-        "faults": sum(trace.meta["ended"] == "fault" for trace in traces),
-        "seed": command.seed,
-        "pushes": command.pushes,
-        "randomize": {row: list(given) for row, given in ranges.ranges.items()},
-        "params": task.params,
-        "params_source": task.params_source,
-        "set": command.simulator.latencies
-        | {name: task.params[name] for group in command.settings for name in (w.split("=")[0] for w in group)},
-        "actuator": task.actuator,
-        "robot": robot.name,
-        "policy_file": str(path),
-        "config_hash": policy.contract.config_hash,
-    }
-    if command.out is not None:
-        files = [trace.save(command.out / f"episode_{i:03d}.npz") for i, trace in enumerate(traces)]
-        summary["files"] = [str(file) for file in [*files, *_figures(command.out, traces, robot)]]
-    return _tell(summary, command.json)
 
 
-def _recorded(command: EvaluateCommand, drawn: bool) -> int:
-    """Measure runs that were recorded, by a robot or by a simulation."""
+def _recorded(command: EvaluateCommand, drawn: bool) -> tuple[list[EpisodeTrace], RobotDescription, dict[str, Any]]:
+    """Load runs that were recorded, by a robot or by a simulation; returns traces, robot, and the traces' files."""
     heeded = ("trace", "robot", "out", "json", "simulator")
     given = [
         item.name for item in fields(command) if item.name not in heeded and getattr(command, item.name) != item.default
@@ -130,7 +152,6 @@ def _recorded(command: EvaluateCommand, drawn: bool) -> int:
         odd = given[0] if given else "randomize"
         named = "a policy" if odd == "policy" else f"--{dict(settings='set').get(odd, odd).replace('_', '-')}"
         raise SurefootError(f"--trace and {named} are given; recorded runs are measured as they are, nothing is run")
-    from surefoot.evaluate.metrics import summarize
     from surefoot.evaluate.recorded import find_traces
     from surefoot.robot import RobotDescription
 
@@ -142,27 +163,15 @@ def _recorded(command: EvaluateCommand, drawn: bool) -> int:
                 f"trace file {path}: is of robot '{trace.meta['robot']}', not of '{robot.name}'; "
                 "runs that are measured together must be of one robot"
             )
-    traces = [trace for _, trace in found]
-    summary = summarize(traces, robot.urdf.total_mass)
-    summary |= {
-        "faults": sum(trace.meta["ended"] == "fault" for trace in traces),
-        "stopped": sum(trace.meta["ended"] == "stopped" for trace in traces),
-        "robot": robot.name,
-        "traces": [str(path) for path, _ in found],
-    }
-    if command.out is not None:
+    _make_folder(command.out)
+    return [trace for _, trace in found], robot, {"traces": [str(path) for path, _ in found]}
+
+
+def _make_folder(folder: Path | None) -> None:
+    """Make the folder for results, if one is wanted and figures can be drawn."""
+    if folder is not None:
         import_module("matplotlib")
-        command.out.mkdir(parents=True, exist_ok=True)
-        summary["files"] = [str(file) for file in _figures(command.out, traces, robot)]
-    return _tell(summary, command.json)
-
-
-def _tell(summary: dict[str, Any], as_json: bool) -> int:
-    if as_json:
-        print(json.dumps(summary, allow_nan=False))
-    else:
-        print_table(summary)
-    return 0
+        folder.mkdir(parents=True, exist_ok=True)
 
 
 def _figures(folder: Path, traces: list[EpisodeTrace], robot: RobotDescription) -> list[Path]:
@@ -173,47 +182,48 @@ def _figures(folder: Path, traces: list[EpisodeTrace], robot: RobotDescription) 
 
     leg_angle = np.concatenate(robot.motor_to_leg_pose(traces[0].motor_angle), axis=-1)
     plot = episode_plot(traces[0], folder / "episode.png", leg_angle=leg_angle)
-    # Who has no switches in the feet knows of no footfalls.
+    # Without switches in the feet nothing is known of footfalls.
     if np.isnan(traces[0].foot_contact).any():
         return [plot]
     return [footfall_diagram(traces[0], folder / "footfalls.png"), plot]
 
 
-def print_table(summary: dict[str, Any]) -> None:
-    """Print the figures of an evaluation as a table."""
-    from rich.console import Console
-    from rich.table import Table
+def print_summaries(summaries: dict[str, dict[str, Any]]) -> None:
+    """Print the figures of evaluations, a column for each."""
+    from surefoot.tables import print_table
 
-    def text(key: str, unit: str, spread: str = "") -> str:
+    columns = {name: _summary_texts(summary) for name, summary in summaries.items()}
+    measures = next(iter(columns.values()))
+    print_table([{"": measure} | {name: texts[measure] for name, texts in columns.items()} for measure in measures])
+
+
+def _summary_texts(summary: dict[str, Any]) -> dict[str, str]:
+    """Return the figures of an evaluation as text, by what they measure."""
+
+    def text(key: str, unit: str, deviation: str = "") -> str:
         value = summary[key]
         if value is None:
             return "-"
-        return f"{value:.3f}" + (f" ± {summary[spread]:.3f}" if spread else "") + f" {unit}".rstrip()
+        return f"{value:.3f}" + (f" ± {summary[deviation]:.3f}" if deviation else "") + f" {unit}".rstrip()
 
     falls = f"{summary['falls']} of {summary['episodes']}"
-    faults = "faults" if "traces" in summary else "diverged"
-    for name, word in (("faults", faults), ("stopped", "stopped")):
+    for name in ("faults", "stopped"):
         if summary.get(name):
-            falls += f", {summary[name]} {word}"
-    rows = [
-        ("falls", falls),
-        ("steps", f"{summary['steps_mean']:.1f}"),
-        ("speed", text("speed_mean", "m/s", "speed_std")),
-        ("power", text("power_mean", "W")),
-        ("return", text("return_mean", "", "return_std")),
-        ("distance", text("distance_mean", "m")),
-        ("drift", text("drift_mean", "m")),
-        ("cost of transport", text("cost_of_transport_mean", "")),
-    ]
+            falls += f", {summary[name]} {name}"
     duty, phases = summary["duty_factor"], summary["phases"]
-    # Without any duty factor nothing is known of the feet.
-    rows.append(("gait", summary["gait"] if any(value is not None for value in duty.values()) else "-"))
+    texts = {
+        "falls": falls,
+        "steps": f"{summary['steps_mean']:.1f}",
+        "speed": text("speed_mean", "m/s", "speed_std"),
+        "power": text("power_mean", "W"),
+        "return": text("return_mean", "", "return_std"),
+        "distance": text("distance_mean", "m"),
+        "drift": text("drift_mean", "m"),
+        "cost of transport": text("cost_of_transport_mean", ""),
+        # Without any duty factor nothing is known of the feet.
+        "gait": summary["gait"] if any(value is not None for value in duty.values()) else "-",
+    }
     for leg in duty:
         numbers = ["-" if value is None else f"{value:.2f}" for value in (duty[leg], phases[leg])]
-        rows.append((leg.replace("_", " "), f"duty factor {numbers[0]}, phase {numbers[1]}"))
-    rows += [("wrote", file) for file in summary.get("files", [])[-2:]]
-    runs = "recorded runs" if "traces" in summary else "episodes"
-    table = Table(title=f"{summary['policy']} in {summary['world']}, {summary['episodes']} {runs}", show_header=False)
-    for row in rows:
-        table.add_row(*row)
-    Console().print(table)
+        texts[f"{leg.replace('_', ' ')}: duty factor, phase"] = ", ".join(numbers)
+    return texts

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
@@ -20,7 +19,6 @@ from surefoot.errors import SurefootError, check_name
 
 if TYPE_CHECKING:
     from surefoot.cli.policies import Candidate
-    from surefoot.evaluate.gap import PolicyGap, Runs
     from surefoot.evaluate.recorded import Recorded
     from surefoot.robot import RobotDescription
     from surefoot.task.config import TaskConfig
@@ -33,8 +31,8 @@ class GapCommand:
 
     At home is the simulator that a policy was trained in, with its actuator and latencies. In the worlds of --to the
     robot is as its data sheet says. --params FILE puts the robot of a file in both places. `--to trace FOLDER` takes
-    recorded runs instead, such as a robot's. Written to --out: the runs' traces, gap.csv with one line a policy and
-    world, runs.csv with one line a run, gap.png, and for each policy its runs over time in runs.png.
+    recorded runs instead, such as a robot's. Written to --out: the runs' traces, gap.csv with one row a policy and
+    world, episodes.csv with one row a run, gap.png, and for each policy its runs over time in runs.png.
     """
 
     policies: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="POLICY [POLICY ...]")]
@@ -117,16 +115,17 @@ def main(argv: list[str]) -> int:
         check_name("policy name", one.name)
     import_module("matplotlib")
     command.out.mkdir(parents=True, exist_ok=True)
-    runs: dict[tuple[str, str], Recorded] = {}
+    runs: dict[str, dict[str, Recorded]] = {one.name: {} for one in candidates}
     for one, (at_home, elsewhere) in zip(candidates, tasks, strict=True):
         for number, (side, label) in enumerate(zip((home, *away), named, strict=True)):
             if side in recorded:
-                runs[one.name, label] = recorded[side][one.name]
+                runs[one.name][label] = recorded[side][one.name]
             else:
                 task = elsewhere if number else at_home
                 place = command.out / one.name / label
-                runs[one.name, label] = _run(command, one, task, side.world, makers[side], place)
-    return _tell(command, candidates, tasks, robot.name, (home, *away), named, runs)
+                runs[one.name][label] = _run(command, one, task, side.world, makers[side], place)
+    _report(command, candidates, tasks, robot.name, (home, *away), runs)
+    return 0
 
 
 def _tasks(command: GapCommand, task: TaskConfig, robot: RobotDescription) -> tuple[TaskConfig, TaskConfig]:
@@ -162,130 +161,81 @@ def _run(
     command: GapCommand, one: Candidate, task: TaskConfig, world: str, make_world: SimulationFactory, folder: Path
 ) -> Recorded:
     """Run a policy in a world and keep the traces in a folder."""
-    from surefoot.cli.progress import run_with_progress
+    from surefoot.cli.progress import progress_bar
+    from surefoot.evaluate.recorded import save_runs
+    from surefoot.evaluate.rollout import run_episodes
 
-    traces = run_with_progress(
-        one.policy,
-        task,
-        command.runs,
-        make_world,
-        command.seed,
-        command.threads,
-        world_name=world,
-        policy_name=one.name,
-        what=f"{one.name} in {folder.name}",
-    )
-    for stale in folder.glob("run_*.npz"):
-        # An earlier call's, which `--to trace` would take for this one's.
-        stale.unlink()
-    return [(trace.save(folder / f"run_{i:03d}.npz"), trace) for i, trace in enumerate(traces)]
+    names = {"world_name": world, "policy_name": one.name}
+    with progress_bar(f"{one.name} in {folder.name}: {command.runs} runs") as progress:
+        traces = run_episodes(
+            one.policy, task, command.runs, make_world, command.seed, command.threads, progress, **names
+        )
+    return save_runs(folder, traces)
 
 
-def _tell(
+def _report(
     command: GapCommand,
     candidates: list[Candidate],
     tasks: list[tuple[TaskConfig, TaskConfig]],
     robot: str,
     sides: tuple[Side, ...],
-    named: list[str],
-    runs: dict[tuple[str, str], Recorded],
-) -> int:
-    """Measure the runs; write tables and figure, and print what came out."""
-    from surefoot.evaluate.gap import PolicyGap, Runs
-    from surefoot.evaluate.gap_tables import summary, write_csv, write_runs_csv
+    runs: dict[str, dict[str, Recorded]],
+) -> None:
+    """Measure the runs of each policy in each world; write tables and figure, and print what came out."""
+    from surefoot.evaluate.gap import PolicyGap
+    from surefoot.evaluate.runs import Runs
     from surefoot.report.gap_figures import gap_figure
     from surefoot.report.side_by_side import side_by_side
+    from surefoot.tables import plain_value, print_files, print_table, write_csv
 
-    gaps = []
-    for one in candidates:
-        parts = [Runs.of_traces([trace for _, trace in runs[one.name, label]], label) for label in named]
-        gaps.append(PolicyGap(one.name, parts[0], tuple(parts[1:])))
-    pooled = PolicyGap.pooled("all policies", gaps) if len(gaps) > 1 else None
-    whole = [*gaps, *([pooled] if pooled is not None else [])]
-    places = {key: [path for path, _ in found] for key, found in runs.items()}
+    gaps, episodes = [], []
+    for name, worlds in runs.items():
+        home, *away = (Runs.of_traces([trace for _, trace in found], world) for world, found in worlds.items())
+        gaps.append(PolicyGap(name, home, tuple(away)))
+        for part in (home, *away):
+            for (path, _), row in zip(worlds[part.world], part.rows(), strict=True):
+                episodes.append({"policy": name, "world": part.world, **row, "trace": path})
+    pooled = [PolicyGap.pooled("all policies", gaps)] if len(gaps) > 1 else []
+    rows = {gap.name: gap.rows() for gap in (*gaps, *pooled)}
+    out = command.out
     files = [
-        write_csv(command.out / "gap.csv", whole),
-        write_runs_csv(command.out / "runs.csv", gaps, places),
-        gap_figure(gaps, command.out / "gap.png", pooled),
+        write_csv(out / "gap.csv", [row for part in rows.values() for row in part]),
+        write_csv(out / "episodes.csv", episodes),
+        gap_figure([*gaps, *pooled], out / "gap.png"),
     ]
-    for one in candidates:
-        traces = {label: [trace for _, trace in runs[one.name, label]] for label in named}
-        files.append(side_by_side(traces, command.out / one.name / "runs.png", one.name))
+    for name, worlds in runs.items():
+        traces = {world: [trace for _, trace in found] for world, found in worlds.items()}
+        files.append(side_by_side(traces, out / name / "runs.png", name))
     if not command.json:
-        print_table(whole, named[0], files)
-        return 0
-    rows = {gap.name: [summary(gap, part) for part in (gap.home, *gap.away)] for gap in whole}
-    print(
-        json.dumps(
+        title = f"Reality gap: return in {gaps[0].home.world} less return elsewhere, ± one standard error"
+        print_table([row for gap in (*gaps, *pooled) for row in gap.text_rows()], title, 2)
+        print_files(files, out)
+        return
+    plain = {name: [{k: plain_value(v) for k, v in row.items()} for row in part] for name, part in rows.items()}
+    told = {
+        "robot": robot,
+        "from": str(sides[0]),
+        "to": [str(side) for side in sides[1:]],
+        "runs": command.runs,
+        "seed": command.seed,
+        "pushes": command.pushes,
+        "policies": [
             {
-                "robot": robot,
-                "from": str(sides[0]),
-                "to": [str(side) for side in sides[1:]],
-                "runs": command.runs,
-                "seed": command.seed,
-                "pushes": command.pushes,
-                "policies": [
-                    {
-                        "policy": one.name,
-                        "policy_file": str(one.path),
-                        "config_hash": one.policy.contract.config_hash,
-                        "home": _described(at_home),
-                        "away": _described(elsewhere),
-                        "worlds": rows[one.name],
-                    }
-                    for one, (at_home, elsewhere) in zip(candidates, tasks, strict=True)
-                ],
-                "pooled": rows[pooled.name] if pooled is not None else None,
-                "files": [str(file) for file in files],
-            },
-            allow_nan=False,
-        )
-    )
-    return 0
+                "policy": one.name,
+                "policy_file": str(one.path),
+                "config_hash": one.policy.contract.config_hash,
+                "home": _described(at_home),
+                "away": _described(elsewhere),
+                "worlds": plain[one.name],
+            }
+            for one, (at_home, elsewhere) in zip(candidates, tasks, strict=True)
+        ],
+        "pooled": plain[pooled[0].name] if pooled else None,
+        "files": [str(file) for file in files],
+    }
+    print(json.dumps(told, allow_nan=False))
 
 
 def _described(task: TaskConfig) -> dict[str, Any]:
-    """The robot on one side, as JSON holds it."""
+    """Return the robot on one side, as JSON holds it."""
     return {"actuator": task.actuator, "params": task.params, "params_source": task.params_source}
-
-
-def print_table(policies: list[PolicyGap], home: str, files: list[Path]) -> None:
-    """Print a line for each policy and world, then the files."""
-    from rich import box
-    from rich.console import Console
-    from rich.measure import Measurement
-    from rich.table import Table
-
-    from surefoot.evaluate.gap import Estimate, plus_minus
-
-    def mean(runs: Runs, name: str, digits: int) -> str:
-        return plus_minus(Estimate(runs.estimate(name).mean, math.nan), digits)
-
-    console = Console()
-    title = f"Reality gap: return in {home} less return elsewhere, ± one standard error"
-    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False, collapse_padding=True)
-    for column in ("policy", "world"):
-        table.add_column(column, overflow="fold")
-    for column in ("return\n(m)", "gap\n(m)", "speed\n(m/s)", "power\n(W)", "falls", "success"):
-        table.add_column(column, justify="right", no_wrap=True)
-    for policy in policies:
-        for runs in (policy.home, *policy.away):
-            at_home = runs is policy.home
-            table.add_row(
-                policy.name if at_home else "",
-                runs.world,
-                plus_minus(runs.estimate("returns")),
-                "" if at_home else plus_minus(policy.gap(runs.world), sign=True),
-                mean(runs, "speed", 2),
-                mean(runs, "power", 1),
-                f"{runs.fell.sum()} of {len(runs)}",
-                f"{100 * runs.success_rate:.0f} %",
-                end_section=runs is policy.away[-1],
-            )
-    if not console.is_terminal:
-        # A file is as wide as it takes.
-        console.width = max(console.width, Measurement.get(console, console.options.update(width=1000), table).maximum)
-    console.print(table)
-    out = files[0].parent
-    told = f"wrote {out}: {', '.join(str(file.relative_to(out)) for file in files)}, and the runs' traces"
-    console.print(told, highlight=False, markup=False, soft_wrap=True)

@@ -1,4 +1,4 @@
-"""`surefoot`: finds the command, runs it, and tells errors in one line."""
+"""`surefoot`: find and run the command, and report errors in one line."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ COMMANDS = {
     "play": ("surefoot.cli.play", "watch a policy, in a window or as a video"),
     "study": ("surefoot.cli.study", "train several groups with several seeds, compare them"),
     "identify": ("surefoot.cli.identify", "experiments on a robot, and how well the simulator repeats them"),
-    "emulate": ("surefoot.cli.emulate", "be a robot: microcontroller and physics behind a pseudo-terminal"),
+    "emulate": ("surefoot.cli.emulate", "emulate a robot: microcontroller and physics behind a pseudo-terminal"),
     "doctor": ("surefoot.cli.doctor", "check a policy, a link and a robot before it runs"),
     "deploy": ("surefoot.cli.deploy", "run a policy on a robot, or on an emulated one"),
     "sensitivity": ("surefoot.cli.sensitivity", "find which physical parameters break a policy"),
@@ -33,7 +33,7 @@ _EXTRAS = {
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run a command; returns the exit code: 0, 2 for what the user can mend, 130 when interrupted.
+    """Run a command; return the exit code: 0, 2 for an error of the user, 130 when interrupted.
 
     Args:
         argv: words after `surefoot`; those of the process, if not given.
@@ -46,10 +46,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(f"surefoot {__version__}")
         return 0
     if words[0] not in COMMANDS:
-        return _fail(f"'{words[0]}' is no command; commands: {choices(COMMANDS)}")
+        return _fail(f"'{words[0]}' is not a command; choices: {choices(COMMANDS)}")
     # Such words could be neither printed nor kept in a file.
     if not all(word.isprintable() for word in words):
-        return _fail("the words hold characters that can't be printed; give them in UTF-8, without control characters")
+        return _fail("the arguments hold characters that can't be printed; use UTF-8 without control characters")
     try:
         code: int = importlib.import_module(COMMANDS[words[0]][0]).main(words[1:])
         sys.stdout.flush()
@@ -96,6 +96,6 @@ def _help() -> str:
             "commands:",
             *lines,
             "",
-            "surefoot COMMAND --help tells what a command takes; surefoot --version its version.",
+            "surefoot COMMAND --help lists a command's options; surefoot --version prints the version.",
         ]
     )

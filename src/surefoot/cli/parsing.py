@@ -1,4 +1,4 @@
-"""Words of the command line into dataclasses, with errors of one line."""
+"""Parsing of command lines into dataclasses, with errors of one line."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def _check_lists(kind: type, words: Sequence[str]) -> None:
 
 
 def options(kind: type, prefix: str = "--") -> dict[str, Any]:
-    """The options of a dataclass with the types of their values, by name, as tyro makes them; positional words too."""
+    """Return the options of a dataclass, positional ones too, with the types of their values, by tyro's names."""
     found: dict[str, Any] = {}
     hints = typing.get_type_hints(kind, include_extras=True)
     for name, hint in typing.get_type_hints(kind).items():

@@ -44,7 +44,7 @@ class PlayCommand:
 
 
 def main(argv: list[str]) -> int:
-    """Run the command with the words after its name; returns the exit code."""
+    """Run the command with the words after its name; return the exit code."""
     config = (tyro.conf.FlagCreatePairsOff,)
     command = parse(PlayCommand, argv, "surefoot play", config=config)
     if command.out is not None and command.out.suffix.lower() != ".mp4":
@@ -59,7 +59,8 @@ def main(argv: list[str]) -> int:
     task = replace(task, max_steps=max(round(command.seconds / control_step), 1))
     window = command.out is None and has_display()
     # Imported before anything is simulated: what is not installed is told at once.
-    from surefoot.cli.progress import run_with_progress
+    from surefoot.cli.progress import progress_bar
+    from surefoot.evaluate.rollout import run_episodes
     from surefoot.report.scene import scene, trace_poses
 
     if window:
@@ -69,7 +70,10 @@ def main(argv: list[str]) -> int:
 
         from surefoot.report.video import render_video
     name = policy.contract.name
-    (trace,) = run_with_progress(policy, task, 1, make_world, command.seed, world_name=command.world, policy_name=name)
+    with progress_bar(name) as progress:
+        (trace,) = run_episodes(
+            policy, task, 1, make_world, command.seed, 0, progress, world_name=command.world, policy_name=name
+        )
     shapes, poses = scene(robot), trace_poses(robot, trace)
     if window:
         replay(shapes, poses, trace.time, robot.base)
@@ -80,12 +84,12 @@ def main(argv: list[str]) -> int:
 
 
 def has_display() -> bool:
-    """Whether a window can be opened here."""
+    """Return whether a window can be opened here."""
     return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
 
 
 def captions(trace: EpisodeTrace) -> list[str]:
-    """Text for each control step of a trace: who runs where, and how fast over the last half second."""
+    """Return a text for each control step of a trace: policy, world, and speed over the last half second."""
     half = max(round(0.5 / trace.meta["control_step"]), 1)
     lines = []
     for step, time in enumerate(trace.time):

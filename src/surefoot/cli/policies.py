@@ -30,12 +30,12 @@ SIDE_BY_SIDE = {"mujoco": 0, "bullet": 128, "bullet-published": 128, "ensemble":
 
 
 def shipped_policies() -> dict[str, Path]:
-    """The policies that ship with surefoot, by name."""
+    """Return the policies that ship with surefoot, by name."""
     return {path.stem: path for shelf in reversed(SHELVES) for path in sorted(shelf.glob("*.onnx"))}
 
 
 def find_policy(policy: str) -> Path:
-    """The file of a policy given by path or by the name of one that ships.
+    """Return the file of a policy given by path or by the name of one that ships.
 
     Raises:
         SurefootError: neither.
@@ -50,7 +50,7 @@ def find_policy(policy: str) -> Path:
 
 
 def find_world(name: str) -> SimulationFactory:
-    """What makes worlds of this name.
+    """Return the factory of worlds of this name.
 
     Raises:
         SurefootError: no such world.
@@ -77,7 +77,7 @@ def find_world(name: str) -> SimulationFactory:
 
 
 def load_policy(path: Path, robot: str | None) -> tuple[PolicyRuntime, RobotDescription, TaskConfig]:
-    """A policy, the robot it is to run on and the task it was made for.
+    """Return a policy, the robot to run it on and the task it was made for.
 
     Args:
         path: the policy file.
@@ -106,7 +106,7 @@ def load_policy(path: Path, robot: str | None) -> tuple[PolicyRuntime, RobotDesc
 
 
 def _check_contract(contract: Contract, robot: RobotDescription, task: TaskConfig) -> None:
-    """Refuse a policy whose contract says otherwise than a simulation of its task does, as `deploy` refuses it.
+    """Refuse a policy whose contract contradicts a simulation of its task, as `deploy` refuses it.
 
     Raises:
         SurefootError: with the first difference.
@@ -141,7 +141,7 @@ class Candidate:
 
 
 def load_policies(paths: Sequence[Path]) -> tuple[list[Candidate], RobotDescription]:
-    """Policies that are compared, and the robot that all of them are for.
+    """Return policies that are compared, and the robot that all of them are for.
 
     Args:
         paths: one policy file or more.
@@ -163,7 +163,7 @@ def load_policies(paths: Sequence[Path]) -> tuple[list[Candidate], RobotDescript
 
 
 def distinct_names(names: Sequence[str], stems: Sequence[str]) -> list[str]:
-    """Names that tell policies apart: a name given twice becomes the file's, and then gets a number.
+    """Return distinct names of policies: a repeated name becomes the file's, and then gets a number.
 
     Args:
         names: the policies' own names.
@@ -191,7 +191,7 @@ def adjust_task(
     randomize: RandomizeConfig | None = None,
     simulator: Simulator | None = None,
 ) -> TaskConfig:
-    """The task in another simulator, with other parameters, with pushes or without, with parameters drawn or without.
+    """Return the task with another simulator, parameters, pushes and randomization.
 
     Args:
         task: as the policy was trained.

@@ -1,52 +1,19 @@
-"""Episodes with a progress bar on stderr, so that stdout is the result's alone."""
+"""A progress bar on stderr, so that stdout holds only the result."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
-
-from surefoot.evaluate.rollout import Policy, run_episodes
-from surefoot.task.config import TaskConfig
-from surefoot.task.trace import EpisodeTrace
-from surefoot.world.interface import SimulationFactory
+from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
 
-def run_with_progress(
-    policy: Policy,
-    task: TaskConfig,
-    episodes: int,
-    make_world: SimulationFactory,
-    seed: int,
-    threads: int = 0,
-    *,
-    world_name: str = "mujoco",
-    policy_name: str = "",
-    what: str = "",
-) -> list[EpisodeTrace]:
-    """`run_episodes` with a bar that shows control steps and the robots still going; `what` stands before it."""
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        TextColumn("{task.completed}/{task.total} control steps"),
-        TimeRemainingColumn(),
-    )
+@contextmanager
+def progress_bar(what: str) -> Iterator[Callable[[float], None]]:
+    """Show a bar while something runs, on a terminal only; give what takes the share that is done, 0 to 1."""
     console = Console(stderr=True)
+    columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
-        before = f"{what}: " if what else ""
-        row = bar.add_task(f"{before}{episodes} running", total=task.max_steps)
-
-        def show(step: int, going: int) -> None:
-            if step % 20 == 0 or not going:
-                bar.update(row, completed=step, description=f"{before}{going} running")
-
-        return run_episodes(
-            policy,
-            task,
-            episodes,
-            make_world,
-            seed,
-            threads,
-            show,
-            world_name=world_name,
-            policy_name=policy_name,
-        )
+        row = bar.add_task(what, total=1.0)
+        yield lambda share: bar.update(row, completed=share)

@@ -13,7 +13,7 @@ HELP = """--randomize NAME           ranges that an episode draws its parameters
 
 
 def ranges_help(indent: str = "  ") -> str:
-    """What the options do, with the rows of the paper's table."""
+    """Return the help of the options, with the rows of the paper's table."""
     lines = HELP.format(names=choices(range_names())).splitlines()
     lines += [f"    {row:<17}{low:g} to {high:g}" for row, (low, high) in load_ranges("table1").ranges.items()]
     drawn = load_ranges("table1").ranges
@@ -23,7 +23,7 @@ def ranges_help(indent: str = "  ") -> str:
 
 
 def take_ranges(words: list[str], base: RandomizeConfig) -> tuple[list[str], RandomizeConfig]:
-    """Take the options out of a command's words; returns the other words, and the ranges.
+    """Take the options out of a command's words; return the other words, and the ranges.
 
     Args:
         words: what stands behind the command.
@@ -45,7 +45,7 @@ def take_ranges(words: list[str], base: RandomizeConfig) -> tuple[list[str], Ran
         elif name.startswith("--randomize."):
             row = name.removeprefix("--randomize.").replace("-", "_")
             if row not in ROWS:
-                raise SurefootError(f"{name} is no row that can be drawn; rows: {choices(ROWS)}")
+                raise SurefootError(f"{name} is not a row that can be drawn; choices: {choices(ROWS)}")
             given = [value] if value else []
             while queue and not queue[0].startswith("--") and len(given) < 2 and not _drops(given):
                 given.append(queue.pop(0))

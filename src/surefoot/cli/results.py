@@ -1,4 +1,4 @@
-"""What a finished run leaves in its folder: evaluation, learning curve, footfalls, one episode, video."""
+"""Reports in the folder of a finished run: evaluation, learning curve, footfalls, one episode, video."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 
-from surefoot.cli.evaluate import print_table
+from surefoot.cli.evaluate import print_summaries
 from surefoot.cli.play import captions
 from surefoot.evaluate.metrics import summarize
 from surefoot.evaluate.rollout import run_episodes
@@ -39,52 +39,38 @@ def report_run(
         rows: the run's figures, one row an update.
         console: where to say what is done.
     """
-    from surefoot.report.figures import episode_plot, footfall_diagram, learning_curve
+    from surefoot.evaluate.comparison import Curve
+    from surefoot.report.figures import episode_plot, footfall_diagram
     from surefoot.report.scene import scene, trace_poses
+    from surefoot.report.study_figures import learning_curves
     from surefoot.report.video import render_video
 
     policy, robot = PolicyRuntime.load(policy_path), RobotDescription.load(task.robot)
-    mass, figures = robot.urdf.total_mass, folder / "figures"
+    figures = folder / "figures"
     figures.mkdir(exist_ok=True)
     console.print(f"Evaluating over {EPISODES} episodes ...")
     calm = replace(task, pushes=replace(task.pushes, enabled=False), randomize=RandomizeConfig())
-    traces = run_episodes(policy, calm, EPISODES, SimWorld, seed=0, policy_name=policy.contract.name)
-    summary = summarize(traces, mass)
-    results: dict[str, Any] = {"without_pushes": summary}
+    wanted = {"without_pushes": (calm, EPISODES)}
     if task.randomize.ranges:
-        drawn = replace(calm, randomize=task.randomize)
-        drawn_traces = run_episodes(policy, drawn, DRAWN_EPISODES, SimWorld, seed=0, policy_name=policy.contract.name)
-        results["randomized"] = summarize(drawn_traces, mass)
+        wanted["randomized"] = (replace(calm, randomize=task.randomize), DRAWN_EPISODES)
     if task.pushes.enabled:
-        every = replace(calm, pushes=replace(task.pushes, probability=1.0))
-        pushed = run_episodes(policy, every, EPISODES, SimWorld, seed=0, policy_name=policy.contract.name)
-        results["with_pushes"] = summarize(pushed, mass)
+        wanted["with_pushes"] = (replace(calm, pushes=replace(task.pushes, probability=1.0)), EPISODES)
+    traces = {
+        name: run_episodes(policy, given, episodes, SimWorld, seed=0, policy_name=policy.contract.name)
+        for name, (given, episodes) in wanted.items()
+    }
+    results = {name: summarize(found, robot.urdf.total_mass) for name, found in traces.items()}
     (folder / "evaluation.json").write_text(json.dumps(results, indent=2) + "\n", encoding="utf-8")
     console.print("Drawing figures and video ...")
-    ended = [row for row in rows if row["return_mean"] is not None]
-    if ended:
-        learning_curve(
-            np.array([row["steps"] for row in ended]),
-            np.array([row["return_mean"] for row in ended]),
-            np.array([row["speed_mean"] for row in ended]),
-            figures / "learning_curve.png",
-            title=task.name,
-        )
-    median = sorted(traces, key=lambda trace: trace.base_position_world[-1, 0])[len(traces) // 2]
+    if any(row["return_mean"] is not None for row in rows):
+        learning_curves({task.name: [Curve.of_rows(rows)]}, figures / "learning_curve.png")
+    nominal = traces["without_pushes"]
+    median = sorted(nominal, key=lambda trace: trace.base_position_world[-1, 0])[len(nominal) // 2]
     footfall_diagram(median, figures / "footfalls.png")
     leg_angle = np.concatenate(robot.motor_to_leg_pose(median.motor_angle), axis=-1)
     episode_plot(median, figures / "episode.png", leg_angle=leg_angle)
-    video = figures / "video.mp4"
-    render_video(
-        scene(robot),
-        trace_poses(robot, median),
-        median.time,
-        video,
-        overlay=captions(median),
-        follow=robot.base,
-    )
-    for key, figures_of in results.items():
-        console.print(f"\n{key.replace('_', ' ')}:")
-        print_table(figures_of)
+    shapes, poses = scene(robot), trace_poses(robot, median)
+    render_video(shapes, poses, median.time, figures / "video.mp4", overlay=captions(median), follow=robot.base)
+    print_summaries({name.replace("_", " "): summary for name, summary in results.items()})
     console.print(f"Policy, table, figures and video are in {folder}", soft_wrap=True)
     return results

@@ -16,9 +16,7 @@ from surefoot.configuration import Duration, Seed, Threads, Within
 from surefoot.errors import SurefootError
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
-    from surefoot.evaluate.sensitivity import Progress, Sensitivity
+    from surefoot.evaluate.sensitivity import Sensitivity
 
 
 @dataclass(frozen=True)
@@ -75,15 +73,13 @@ def main(argv: list[str]) -> int:
         check_params(task, robot)
     import_module("matplotlib")
     command.out.mkdir(parents=True, exist_ok=True)
-    from rich.console import Console
-
+    from surefoot.cli.progress import progress_bar
     from surefoot.evaluate.sensitivity import episode_duration, run_sensitivity
 
     duration = command.duration or max(episode_duration(task) for task in tasks)
-    console = Console(stderr=True)
     results = []
     for one, task in zip(loaded, tasks, strict=True):
-        with _Bar(console, one.name) as progress:
+        with progress_bar(one.name) as progress:
             results.append(
                 run_sensitivity(
                     one.policy,
@@ -132,47 +128,25 @@ def main(argv: list[str]) -> int:
     return 0
 
 
-class _Bar:
-    """A progress bar on stderr, so that stdout is the result's alone."""
-
-    def __init__(self, console: Console, name: str) -> None:
-        from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
-
-        columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
-        self._bar = Progress(*columns, console=console, transient=True, disable=not console.is_terminal)
-        self._row = self._bar.add_task(name, total=None)
-        self._calls = 0
-
-    def __enter__(self) -> Progress:
-        self._bar.start()
-        return self._show
-
-    def __exit__(self, *_: object) -> None:
-        self._bar.stop()
-
-    def _show(self, done: int, total: int) -> None:
-        self._calls += 1
-        if self._calls % 10 == 0 or done == total:
-            self._bar.update(self._row, completed=done, total=total)
-
-
 def write_files(
     folder: Path, results: list[Sensitivity], trained: dict[str, dict[str, tuple[float, float]]]
 ) -> list[Path]:
     """Write both tables, a figure for each row and one for all; returns the files."""
-    from surefoot.evaluate.sensitivity_tables import write_csv, write_episodes_csv
-    from surefoot.report.sensitivity_figures import aggregate_figure, parameter_figure
+    from surefoot.report.parameter_figures import aggregate_figure, parameter_figure
+    from surefoot.tables import write_csv
 
-    files = [write_csv(folder / "sensitivity.csv", results), write_episodes_csv(folder / "episodes.csv", results)]
-    files.append(aggregate_figure(results, folder / "aggregate.png"))
-    for row in results[0].rows:
-        files.append(parameter_figure(row, results, folder / f"{row}.png", trained_ranges=trained))
-    return files
+    groups = {result.policy: [result] for result in results}
+    return [
+        write_csv(folder / "sensitivity.csv", [row for result in results for row in result.world_rows()]),
+        write_csv(folder / "episodes.csv", [row for result in results for row in result.episode_rows()]),
+        aggregate_figure(results, folder / "aggregate.png"),
+        *(parameter_figure(row, groups, folder / f"{row}.png", trained) for row in results[0].rows),
+    ]
 
 
 def summary(result: Sensitivity) -> dict[str, Any]:
-    """What a program wants to know of one policy, as JSON holds it."""
-    from surefoot.evaluate.breaks import find_breaks, plain_words
+    """Return what one policy's test worlds came to, as JSON holds it."""
+    from surefoot.evaluate.breaks import find_breaks
 
     return {
         "policy": result.policy,
@@ -183,41 +157,42 @@ def summary(result: Sensitivity) -> dict[str, Any]:
         "nominal_return": result.nominal.mean_return,
         "nominal_falls": int(result.nominal.fell.sum()),
         "breaks": [vars(item) for item in find_breaks(result)],
-        "words": plain_words(result),
     }
 
 
 def print_tables(results: list[Sensitivity], files: list[Path]) -> None:
-    """Print each policy's table and what breaks it, then the files."""
-    from rich.console import Console
-    from rich.table import Table
-
-    from surefoot.evaluate.breaks import plain_words
+    """Print a table of the policies, and one of each row's range, worst world, and nearest values that break a gait."""
+    from surefoot.evaluate.breaks import find_breaks
     from surefoot.evaluate.sensitivity import row_unit
+    from surefoot.tables import print_files, print_table
 
-    console = Console()
+    policies, rows = [], []
     for result in results:
-        table = Table(title=f"{result.policy}: nominal return {result.nominal.mean_return:.2f} m")
-        table.add_column("row", no_wrap=True)
-        for column in ("range", "worst return", "at", "falls"):
-            table.add_column(column, justify="right", no_wrap=column in ("range", "at"))
-        for row in result.rows:
-            rows, unit = result.of_row(row), row_unit(row)
-            worst = rows[result.mean_return[rows].argmin()]
-            ends = [result.worlds[i].value for i in (rows[0], rows[-1])]
-            table.add_row(
-                row,
-                f"{ends[0]:.3g} to {ends[1]:.3g} {unit}".rstrip(),
-                f"{result.mean_return[worst]:.2f} m",
-                f"{result.worlds[worst].value:.3g} {unit}".rstrip(),
-                f"{result.fell[rows].sum()} of {result.fell[rows].size}",
-            )
-        console.print(table)
-        said = (
-            f"{result.policy}: return {result.mean:.2f} ± {result.std:.2f} m over {len(result.worlds)} test worlds, "
-            f"{result.fell.sum()} of {result.fell.size} episodes fall"
+        policies.append(
+            {
+                "policy": result.policy,
+                "nominal return (m)": f"{result.nominal.mean_return:.2f}",
+                "return (m)": f"{result.mean:.2f} ± {result.std:.2f}",
+                "test worlds": str(len(result.worlds)),
+                "falls": f"{result.fell.sum()} of {result.fell.size}",
+            }
         )
-        for line in (said, plain_words(result), ""):
-            console.print(line, highlight=False, markup=False, soft_wrap=True)
-    told = f"wrote {files[0].parent}: {', '.join(file.name for file in files)}"
-    console.print(told, highlight=False, markup=False, soft_wrap=True)
+        breaks = find_breaks(result)
+        for row in result.rows:
+            found, unit = result.of_row(row), row_unit(row)
+            values = [result.worlds[i].value for i in found]
+            worst = int(result.mean_return[found].argmin())
+            rows.append(
+                {
+                    "policy": result.policy,
+                    "row": f"{row} ({unit})" if unit else row,
+                    "range": f"{values[0]:.3g} to {values[-1]:.3g}",
+                    "worst return (m)": f"{result.mean_return[found[worst]]:.2f}",
+                    "at": f"{values[worst]:.3g}",
+                    "falls": f"{result.fell[found].sum()} of {result.fell[found].size}",
+                    "breaks at": ", ".join(f"{item.value:.3g}" for item in breaks if item.row == row) or "-",
+                }
+            )
+    print_table(policies, "Test worlds: mean and standard deviation of their returns")
+    print_table(rows, "Each row: its worst test world, and the nearest values at which the gait breaks", 2)
+    print_files(files, files[0].parent)

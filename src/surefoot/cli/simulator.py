@@ -19,7 +19,7 @@ from surefoot.world.interface import WorldConfig
 
 @dataclass(frozen=True)
 class Simulator:
-    """What differs from the simulator that the task asks for."""
+    """Differences from the task's simulator."""
 
     actuator: Literal["dc", "constraint"] | None = None
     """dc: servo and DC motor; constraint: the position motor of physics engines. The task's, if not given."""
@@ -38,7 +38,7 @@ class Simulator:
         return {name: value for name, value in given.items() if value is not None}
 
     def of(self, task: TaskConfig, settings: Mapping[str, ParamValue] | None = None) -> TaskConfig:
-        """The task in this simulator.
+        """Return the task in this simulator.
 
         Args:
             task: what is run.
@@ -75,7 +75,7 @@ def check_params(task: TaskConfig, robot: RobotDescription) -> None:
 
 
 def _with_file(task: TaskConfig, path: Path) -> TaskConfig:
-    """The task on the robot of a file of parameters.
+    """Return the task on the robot of a file of parameters.
 
     None of the task's own parameters stays beside the file's, so that a policy that was trained on one identified
     robot is not run on a mixture of two; only the control step does, which belongs to the policy and to no robot.

@@ -15,7 +15,7 @@ from rich.console import Console
 from surefoot.cli.parsing import parse
 from surefoot.configuration import Seed, Threads, to_mapping
 from surefoot.errors import SurefootError
-from surefoot.learn.study import StudyConfig, StudyRun, load_study, study_runs
+from surefoot.learn.study_config import StudyConfig, StudyRun, load_study, study_runs
 from surefoot.learn.workers import Job, Outcome, run_jobs
 from surefoot.stop_signals import StopSignals
 

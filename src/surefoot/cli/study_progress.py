@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.live import Live
 from rich.table import Table
 
-from surefoot.learn.study import StudyConfig, StudyRun
+from surefoot.learn.study_config import StudyConfig, StudyRun
 from surefoot.learn.workers import Job
 
 _LINE_EVERY = 60.0

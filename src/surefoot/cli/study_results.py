@@ -11,7 +11,7 @@ from rich.console import Console
 
 from surefoot.cli.policies import find_world
 from surefoot.errors import SurefootError
-from surefoot.learn.study import StudyConfig, StudyRun, study_runs
+from surefoot.learn.study_config import StudyConfig, StudyRun, study_runs
 
 if TYPE_CHECKING:
     from surefoot.evaluate.comparison import Comparison, SeedResult
@@ -27,30 +27,29 @@ def check_kinds(study: StudyConfig, worlds: bool = False) -> None:
     Raises:
         SurefootError: with what can't be made.
     """
-    from surefoot.evaluate.kinds import KINDS, kinds_of
+    from surefoot.evaluate.evaluations import EVALUATIONS, evaluation_names
 
-    kinds = kinds_of(study.evaluate)
+    kinds = evaluation_names(study.evaluate)
     if study.bars and "gap" not in kinds:
         raise SurefootError("bars: they show the reality gap; evaluate must name 'gap' for them")
-    for world in {name: None for kind in kinds for name in KINDS[kind].world_names} if worlds else ():
+    for world in {name: None for kind in kinds for name in EVALUATIONS[kind].world_names} if worlds else ():
         find_world(world)
 
 
 def evaluate_runs(study: StudyConfig, runs: list[StudyRun], threads: int, console: Console) -> None:
     """Make every evaluation of every finished run that is not there yet."""
-    from surefoot.evaluate.kinds import KINDS, kinds_of
+    from surefoot.evaluate.evaluations import EVALUATIONS, evaluate, evaluation_names, stored_result
     from surefoot.evaluate.statistics import decimal
-    from surefoot.evaluate.study import evaluate, kept
 
-    kinds = kinds_of(study.evaluate)
+    kinds = evaluation_names(study.evaluate)
     finished = [run for run in runs if run.state == "finished"]
-    todo = [(run, kind) for run in finished for kind in kinds if kept(run.policy, kind) is None]
+    todo = [(run, kind) for run in finished for kind in kinds if stored_result(run.policy, kind) is None]
     for number, (run, kind) in enumerate(todo, start=1):
         start = time.perf_counter()
         with console.status(f"evaluating {run.name}: {kind} ({number} of {len(todo)})"):
             result = evaluate(run.policy, kind, find_world, threads)
         figures = ", ".join(
-            f"{one.title} {decimal(one.read(result), one.digits)} {one.unit}" for one in KINDS[kind].figures
+            f"{one.title} {decimal(one.read(result), one.digits)} {one.unit}" for one in EVALUATIONS[kind].figures
         )
         seconds = time.perf_counter() - start
         console.print(
@@ -61,12 +60,10 @@ def evaluate_runs(study: StudyConfig, runs: list[StudyRun], threads: int, consol
 def report(study: StudyConfig, root: Path, out: Path, command: str, console: Console) -> None:
     """Write tables, figures and README of all runs that are finished and evaluated, whichever were asked for now."""
     import_module("matplotlib")
-    from surefoot.evaluate.tables import write_tables
     from surefoot.report.study_report import write_report
 
     comparison = collect(study, root)
     out.mkdir(parents=True, exist_ok=True)
-    write_tables(comparison, out)
     readme = write_report(comparison, out, command)
     if comparison.missing:
         console.print(f"Not in the report: {', '.join(comparison.missing)}")
@@ -80,9 +77,9 @@ def collect(study: StudyConfig, root: Path) -> Comparison:
         SurefootError: there is none.
     """
     from surefoot.evaluate.comparison import Comparison, GroupResult
-    from surefoot.evaluate.kinds import kinds_of
+    from surefoot.evaluate.evaluations import evaluation_names
 
-    kinds = kinds_of(study.evaluate)
+    kinds = evaluation_names(study.evaluate)
     found: dict[str, list[SeedResult]] = {name: [] for name in study.groups}
     missing = []
     for run in study_runs(study, root):
@@ -109,7 +106,7 @@ def collect(study: StudyConfig, root: Path) -> Comparison:
 def _result(run: StudyRun, kinds: tuple[str, ...]) -> SeedResult | None:
     """What is known of a run; None if it is not finished, not evaluated, or not what the study asks for."""
     from surefoot.evaluate.comparison import Curve, SeedResult
-    from surefoot.evaluate.study import kept
+    from surefoot.evaluate.evaluations import stored_result
     from surefoot.policy.runtime import PolicyRuntime
 
     if run.state != "finished":
@@ -118,7 +115,7 @@ def _result(run: StudyRun, kinds: tuple[str, ...]) -> SeedResult | None:
         run.check()
     except SurefootError:
         return None
-    results = {kind: result for kind in kinds if (result := kept(run.policy, kind)) is not None}
+    results = {kind: result for kind in kinds if (result := stored_result(run.policy, kind)) is not None}
     if len(results) < len(kinds):
         return None
     rows = run.rows()

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 from surefoot.configuration import from_mapping
 from surefoot.errors import SurefootError
 from surefoot.learn.config import TrainConfig
-from surefoot.learn.study import StudyRun
+from surefoot.learn.study_config import StudyRun
 from surefoot.learn.workers import orphaned
 
 if TYPE_CHECKING:

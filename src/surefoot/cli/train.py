@@ -1,4 +1,4 @@
-"""`surefoot train gallop | trot | FILE.yaml`: learn a gait; `surefoot train --resume RUN`: go on with a run."""
+"""`surefoot train gallop | trot | FILE.yaml`: learn a gait; `surefoot train --resume RUN`: resume a run."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from surefoot.learn.run_folder import RunFolder
 
 _USAGE = """usage: surefoot train TASK [options]                 learn a gait
-       surefoot train --resume RUN                     go on with a run, exactly where it stopped
+       surefoot train --resume RUN                     resume a run exactly where it stopped
        surefoot train TASK --help                      every option, with the task's own values
 
 TASK is {tasks}, or the path of a YAML file.
@@ -31,7 +31,7 @@ Besides the options that the last one lists:
 
 
 def main(argv: list[str]) -> int:
-    """Run the command; returns its exit code."""
+    """Run the command; return its exit code."""
     if not argv or argv[0] in ("-h", "--help"):
         print(_USAGE.format(tasks=choices(preset_names()), ranges=ranges_help()))
         return 0 if argv else 2
@@ -42,7 +42,7 @@ def main(argv: list[str]) -> int:
             )
         return _train(None, Path(argv[1]))
     if argv[0].startswith("-"):
-        raise SurefootError(f"'{argv[0]}' is no task; choices: {choices(preset_names())}, or the path of a YAML file")
+        raise SurefootError(f"'{argv[0]}' is not a task; choices: {choices(preset_names())}, or a YAML file")
     config, root = _parse(argv)
     check_config(config)
     return _train(config, root)
@@ -90,7 +90,7 @@ def _train(config: TrainConfig | None, path: Path) -> int:
         with TrainingProgress(config, console, run.trainer.steps) as progress, _listen(console) as stop:
             run.run(progress.update, lambda: stop.count > 0)
         if not run.finished:
-            console.print(f"Stopped and saved at {run.trainer.steps:,} steps. To go on:", highlight=False)
+            console.print(f"Stopped and saved at {run.trainer.steps:,} steps. To resume:", highlight=False)
             console.print(f"  surefoot train --resume {folder.path}", soft_wrap=True, highlight=False)
             return 130
         finish(run, folder, console)
@@ -110,7 +110,7 @@ def _listen(console: Console) -> StopSignals:
 
 
 def check_config(config: TrainConfig) -> None:
-    """Refuse a run whose task does not fit, or that starts from no run, before a folder is made for it."""
+    """Refuse an invalid task or an invalid run to start from, before a run folder is made."""
     from surefoot.task.env import LocomotionEnv
     from surefoot.world.sim_world import SimWorld
 
@@ -122,7 +122,7 @@ def check_config(config: TrainConfig) -> None:
 
 
 def finish(run: TrainingRun, folder: RunFolder, console: Console) -> dict[str, Any]:
-    """Export the best policy, evaluate it, and leave figures, video and table in the run folder."""
+    """Export the best policy, evaluate it, and write figures, video and table to the run folder."""
     from surefoot.cli.results import report_run
     from surefoot.learn.export import export_run
 

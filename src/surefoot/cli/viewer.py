@@ -1,4 +1,4 @@
-"""A recorded run in MuJoCo's own viewer: every link a body that is put where it was."""
+"""A recorded run in MuJoCo's viewer: every link is a mocap body at its recorded pose."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.report.video import Shape
+from surefoot.report.drawing import Shape
 from surefoot.rotations import matrix_quat
 
 Array = NDArray[np.float64]
@@ -21,7 +21,7 @@ _KINDS = {
 
 
 def build_stage(shapes: Sequence[Shape]) -> mujoco.MjModel:
-    """A model with the ground, a light and a mocap body, by its name, for every body that has shapes."""
+    """Return a model with the ground, a light and a mocap body, by its name, for every body that has shapes."""
     spec = mujoco.MjSpec()
     spec.worldbody.add_light(pos=[0, 0, 4], dir=[0, 0, -1], type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL)
     spec.worldbody.add_geom(
@@ -46,7 +46,7 @@ def build_stage(shapes: Sequence[Shape]) -> mujoco.MjModel:
 
 
 def set_stage(model: mujoco.MjModel, data: mujoco.MjData, poses: Mapping[str, Array], step: int) -> None:
-    """Put every body where it was at one step of `poses` (T, 4, 4)."""
+    """Move every body to its pose at one step of `poses` (T, 4, 4)."""
     for name, pose in poses.items():
         body = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, name)
         if body >= 0:
@@ -56,7 +56,7 @@ def set_stage(model: mujoco.MjModel, data: mujoco.MjData, poses: Mapping[str, Ar
 
 
 def replay(shapes: Sequence[Shape], poses: Mapping[str, Array], times: Array, follow: str) -> None:
-    """Show a run in real time, again and again, until the window is closed.
+    """Show a run in real time, repeatedly, until the window is closed.
 
     Args:
         shapes: what to draw.

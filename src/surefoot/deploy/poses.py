@@ -10,7 +10,7 @@ from surefoot.robot import RobotDescription
 SIT_EXTENSION = 0.9
 """Extension [rad] of all legs when the robot sits: low enough to fall from unharmed when its motors are let go."""
 
-SPREAD = 1.2
+SPREAD_SWING = 1.2
 """Swing [rad] of legs that lie beside the body: about as far as they slide when motors are let go."""
 _ASIDE = 0.3
 
@@ -39,7 +39,7 @@ def lying(robot: RobotDescription, angles: ArrayLike) -> NDArray[np.float64]:
     """
     swing, _ = robot.motor_to_leg_pose(angles)
     low, high = robot.extension_range
-    flat = np.where(np.abs(swing) > _ASIDE, SPREAD * np.sign(swing), 0.0)
+    flat = np.where(np.abs(swing) > _ASIDE, SPREAD_SWING * np.sign(swing), 0.0)
     return robot.leg_to_motor_angles(flat, np.full(len(robot.legs), np.clip(SIT_EXTENSION, low, high)))
 
 

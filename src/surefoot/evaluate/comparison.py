@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from surefoot.errors import SurefootError
-from surefoot.evaluate.kinds import KINDS, Figure, Result, sensitivity_of
+from surefoot.evaluate.evaluations import EVALUATIONS, Figure, Result, gap_of
+from surefoot.evaluate.gap import PolicyGap
 from surefoot.evaluate.sensitivity import Sensitivity
 from surefoot.evaluate.statistics import Interval, t_interval, welch_interval
 
@@ -86,7 +87,8 @@ class SeedResult:
     @property
     def figures(self) -> dict[str, float]:
         """What the evaluations came to, by name."""
-        return {one.name: one.read(result) for kind, result in self.results.items() for one in KINDS[kind].figures}
+        parts = self.results.items()
+        return {figure.name: figure.read(result) for name, result in parts for figure in EVALUATIONS[name].figures}
 
 
 @dataclass(frozen=True)
@@ -112,10 +114,24 @@ class GroupResult:
     def sensitivities(self) -> list[Sensitivity]:
         """Test worlds of every seed; empty where the study has none."""
         return [
-            sensitivity_of(seed.results["sensitivity"], f"{self.label}, seed {seed.seed}")
+            Sensitivity.from_mapping(seed.results["sensitivity"], f"{self.label}, seed {seed.seed}")
             for seed in self.seeds
             if "sensitivity" in seed.results
         ]
+
+    @property
+    def gap(self) -> PolicyGap:
+        """Runs of all policies at home, away and, last, at home as described."""
+        parts = [gap_of(seed.results["gap"], f"{self.label}, seed {seed.seed}") for seed in self.seeds]
+        return PolicyGap.pooled(self.label, parts)
+
+    def best(self, count: int) -> GroupResult:
+        """Return the group with only the policies of the highest return in their own simulator, best first.
+
+        They are chosen by other episodes than those that tell the gap.
+        """
+        seeds = sorted(self.seeds, key=lambda seed: seed.figures["nominal_return"], reverse=True)
+        return replace(self, seeds=tuple(seeds[:count]))
 
 
 @dataclass(frozen=True)
@@ -151,7 +167,11 @@ class Comparison:
     @property
     def figures(self) -> tuple[Figure, ...]:
         """The numbers that are compared."""
-        return tuple(figure for kind in self.kinds for figure in KINDS[kind].figures)
+        return tuple(figure for kind in self.kinds for figure in EVALUATIONS[kind].figures)
+
+    def best(self) -> Comparison:
+        """Return the comparison with only the `top` policies of each group."""
+        return replace(self, groups=tuple(group.best(self.top) for group in self.groups))
 
     def present_pairs(self) -> list[tuple[GroupResult, GroupResult]]:
         """Pairs of which both groups have policies."""

@@ -30,13 +30,14 @@ from numpy.typing import ArrayLike, NDArray
 from surefoot.errors import SurefootError, choices
 
 FEET = ("front_left", "back_left", "front_right", "back_right")
-GAITS = ("trot", "pace", "bound", "gallop", "walk", "pronk", "other")
 
 BIN = 1 / 8  # half the width of a bin of phase
 TOGETHER = 1 / 16  # two feet of a pair closer than this strike as one
 RUNNING_DUTY = 0.6  # a gallop has duty factors below about a half; some room for compliant feet
 MIN_CONCENTRATION = 0.75  # circular scatter of about .12 stride
 MIN_STRIDES = 3
+TRANSIENT = 1.0  # s at the start that are left out, never more than a third of the episode
+DEBOUNCE = 0.015  # s
 
 FloatArray = NDArray[np.float64]
 Intervals = tuple[tuple[float, float], ...]
@@ -47,11 +48,10 @@ class Footfalls:
     """What the feet did; every dict is by leg name, NaN where it cannot be told.
 
     Attributes:
-        gait: one of `GAITS`.
+        gait: trot, pace, bound, gallop, walk, pronk or other.
         pattern: the gait in more words, such as "rotary gallop" or "walking trot".
         reason: why the gait is "other"; empty when it has a name.
         stride_period: s.
-        strides: number of whole strides of the front left foot that were used.
         duty_factor: part of the stride in stance, 0 to 1.
         phase: touchdown after front_left's, in strides, [0, 1): circular mean.
         concentration: resultant length of those phases: 1 always the same, 0 no order.
@@ -64,7 +64,6 @@ class Footfalls:
     pattern: str
     reason: str
     stride_period: float
-    strides: int
     duty_factor: dict[str, float]
     phase: dict[str, float]
     concentration: dict[str, float]
@@ -73,39 +72,44 @@ class Footfalls:
     window: tuple[float, float]
 
 
-def analyze_footfalls(
-    contact: ArrayLike,
-    time: ArrayLike,
-    leg_names: Sequence[str],
-    *,
-    transient: float = 1.0,
-    debounce: float = 0.015,
-) -> Footfalls:
+def analyze_footfalls(contact: ArrayLike, time: ArrayLike, leg_names: Sequence[str]) -> Footfalls:
     """Measure strides and name the gait.
+
+    Readings at odds with those around them, then shorter losses of contact than `DEBOUNCE`, then shorter contacts are
+    taken for chatter. Once the stride period is known, losses and contacts shorter than a tenth of it are too.
 
     Args:
         contact: (T, L) fraction of each control step in which the foot touched, or booleans.
         time: (T,) s at the END of each control step.
         leg_names: L names; the gait is named when they are `FEET`, in any order.
-        transient: s at the start that are left out (never more than a third of the episode).
-        debounce: s; readings at odds with those around them, then shorter losses of contact, then shorter
-            contacts are taken for chatter. Once the stride period is known, losses and contacts shorter than
-            a tenth of it are too.
     """
-    touch, clock = _checked(contact, time, leg_names)
-    names = tuple(leg_names)
-    start = min(transient, clock[-1] / 3.0)
+    touch, clock, names = np.asarray(contact, np.float64), np.asarray(time, np.float64), tuple(leg_names)
+    if clock.ndim != 1 or len(clock) == 0 or touch.shape != (len(clock), len(names)):
+        shapes = f"contact {touch.shape} must be (steps, legs) = ({clock.size}, {len(names)})"
+        raise SurefootError(f"footfalls: {shapes}, with one step or more")
+    if np.any(np.diff(clock) <= 0):
+        raise SurefootError("footfalls: time must be strictly increasing")
+    if len(set(names)) != len(names):
+        raise SurefootError(f"footfalls: leg names {choices(names)} must differ")
+    start = min(TRANSIENT, clock[-1] / 3.0)
     window = (float(start), float(clock[-1]))
     if np.isnan(touch).any():
-        return _unknown(names, window, "foot contacts were not measured")
+        unknown = dict.fromkeys(names, math.nan)
+        none: dict[str, Intervals] = dict.fromkeys(names, ())
+        reason = "foot contacts were not measured"
+        return Footfalls("other", "other", reason, math.nan, unknown, unknown, unknown, unknown, none, window)
 
     step = float(np.median(np.diff(clock))) if len(clock) > 1 else float(clock[0])
-    touch = _median(touch, 2 * round(0.5 * debounce / step) + 1)
-    late = clock > start
-    first_pass = _square(touch, [stance_intervals(c, clock, debounce) for c in touch.T], clock)
-    period = stride_period(first_pass[late], step)
-    if math.isfinite(period):
-        debounce = max(debounce, 0.1 * period)
+    # The running median: lone false readings go, edges stay where they are.
+    half = round(0.5 * DEBOUNCE / step)
+    padded = np.pad(touch, ((half, half), (0, 0)), mode="edge")
+    touch = np.median(np.lib.stride_tricks.sliding_window_view(padded, 2 * half + 1, axis=0), axis=-1)
+    middle, square = clock - 0.5 * np.diff(clock, prepend=0.0), np.zeros_like(touch)
+    for foot, column in enumerate(touch.T):
+        for begin, end in stance_intervals(column, clock, DEBOUNCE):
+            square[(middle > begin) & (middle < end), foot] = 1.0
+    period = stride_period(square[clock > start], step)
+    debounce = max(DEBOUNCE, 0.1 * period) if math.isfinite(period) else DEBOUNCE
     stances = [stance_intervals(c, clock, debounce) for c in touch.T]
     intervals = dict(zip(names, stances, strict=True))
     # A stance cut by the window's start or by the episode's end has no known touchdown or length.
@@ -114,13 +118,9 @@ def analyze_footfalls(
 
     reference = touchdowns.get("front_left", np.empty(0))
     scores = {n: _phase(touchdowns[n], reference, period) for n in names}
-    phase = {n: s[0] for n, s in scores.items()}
-    concentration = {n: s[1] for n, s in scores.items()}
+    phase, concentration = ({n: score[i] for n, score in scores.items()} for i in (0, 1))
     duty = {n: _duty(intervals[n], touchdowns[n], window) for n in names}
-    strides = max(len(reference) - 1, 0)
-    reason = _irregular(names, touchdowns, intervals, period, window, concentration)
-    pattern = "other"
-    gait = "other"
+    gait, pattern, reason = "other", "other", _irregular(names, touchdowns, intervals, period, window, concentration)
     if not reason:
         gait, pattern, reason = classify(phase, float(np.mean(list(duty.values()))))
     return Footfalls(
@@ -128,7 +128,6 @@ def analyze_footfalls(
         pattern=pattern,
         reason=reason,
         stride_period=period,
-        strides=strides,
         duty_factor=duty,
         phase=phase,
         concentration=concentration,
@@ -144,9 +143,9 @@ def classify(phase: dict[str, float], duty: float) -> tuple[str, str, str]:
     Returns:
         gait, pattern and, when the gait is "other", the reason.
     """
-    lag_fore = _circular(phase["front_right"] - phase["front_left"])
-    lag_hind = _circular(phase["back_right"] - phase["back_left"])
-    if max(abs(_circular(phase[a] - phase[b])) for a in FEET for b in FEET) <= BIN:
+    lag_fore = _lag(phase["front_right"], phase["front_left"])
+    lag_hind = _lag(phase["back_right"], phase["back_left"])
+    if max(abs(_lag(phase[a], phase[b])) for a in FEET for b in FEET) <= BIN:
         return "pronk", "pronk", ""
     paired = [abs(lag) >= 0.5 - BIN for lag in (lag_fore, lag_hind)]
     if all(paired):
@@ -157,7 +156,7 @@ def classify(phase: dict[str, float], duty: float) -> tuple[str, str, str]:
 
     fore = _circular_mean([phase["front_left"], phase["front_right"]])[0]
     hind = _circular_mean([phase["back_left"], phase["back_right"]])[0]
-    if abs(_circular(hind - fore)) <= BIN:
+    if abs(_lag(hind, fore)) <= BIN:
         return "other", "other", "fore and hind feet strike together, left and right feet do not"
     fore_as_one, hind_as_one = abs(lag_fore) <= TOGETHER, abs(lag_hind) <= TOGETHER
     if fore_as_one and hind_as_one:
@@ -174,15 +173,12 @@ def classify(phase: dict[str, float], duty: float) -> tuple[str, str, str]:
 def _symmetrical(diagonality: float, duty: float) -> tuple[str, str, str]:
     """Name a symmetrical gait (Hildebrand 1965); diagonality in strides."""
     walking = duty > 0.5
-    manner = "walking" if walking else "running"
-    if abs(diagonality - 0.5) <= BIN:
-        return "trot", f"{manner} trot", ""
-    if abs(_circular(diagonality)) <= BIN:
-        return "pace", f"{manner} pace", ""
-    sequence = "lateral" if diagonality < 0.5 else "diagonal"
-    if walking and sequence == "lateral":
-        return "walk", "lateral-sequence walk", ""
-    pattern = f"{sequence}-sequence {'walk' if walking else 'run'}"
+    for name, centre in (("trot", 0.5), ("pace", 0.0)):
+        if abs(_lag(diagonality, centre)) <= BIN:
+            return name, f"{'walking' if walking else 'running'} {name}", ""
+    pattern = f"{'lateral' if diagonality < 0.5 else 'diagonal'}-sequence {'walk' if walking else 'run'}"
+    if pattern == "lateral-sequence walk":
+        return "walk", pattern, ""
     return "other", pattern, f"a {pattern} with duty factor {duty:.2f} has none of the names"
 
 
@@ -240,23 +236,6 @@ def stride_period(contact: FloatArray, step: float, shortest: float = 0.08) -> f
     return float((best + 0.5 * (below - above) / (below - 2 * at + above)) * step)
 
 
-def _square(touch: FloatArray, stances: Sequence[Intervals], time: FloatArray) -> FloatArray:
-    """Return contacts (T, L) as 0 and 1 from the stances of each foot."""
-    middle = time - 0.5 * np.diff(time, prepend=0.0)
-    square = np.zeros_like(touch)
-    for foot, spans in enumerate(stances):
-        for begin, end in spans:
-            square[(middle > begin) & (middle < end), foot] = 1.0
-    return square
-
-
-def _median(touch: FloatArray, width: int) -> FloatArray:
-    """Return the running median over `width` steps: lone false readings go, edges stay where they are."""
-    padded = np.pad(touch, ((width // 2, width // 2), (0, 0)), mode="edge")
-    median: FloatArray = np.median(np.lib.stride_tricks.sliding_window_view(padded, width, axis=0), axis=-1)
-    return median
-
-
 def _phase(touchdowns: FloatArray, reference: FloatArray, period: float) -> tuple[float, float]:
     """Return the circular mean of touchdown phases in [0, 1) and their resultant length."""
     phases = []
@@ -280,9 +259,9 @@ def _circular_mean(phases: ArrayLike) -> tuple[float, float]:
     return (0.0 if mean > 1.0 - 1e-9 else mean), float(np.abs(vector))
 
 
-def _circular(lag: float) -> float:
-    """Wrap a lag in strides to [-1/2, 1/2)."""
-    return (lag + 0.5) % 1.0 - 0.5
+def _lag(phase: float, reference: float = 0.0) -> float:
+    """Return the lag behind a reference in strides, wrapped to [-1/2, 1/2)."""
+    return (phase - reference + 0.5) % 1.0 - 0.5
 
 
 def _duty(intervals: Intervals, touchdowns: FloatArray, window: tuple[float, float]) -> float:
@@ -318,25 +297,3 @@ def _irregular(
         if not concentration[name] >= MIN_CONCENTRATION:
             return f"{name} has no steady phase (concentration {concentration[name]:.2f})"
     return ""
-
-
-def _unknown(names: tuple[str, ...], window: tuple[float, float], reason: str) -> Footfalls:
-    """Return footfalls of which nothing is known."""
-    nan = dict.fromkeys(names, math.nan)
-    none: dict[str, Intervals] = dict.fromkeys(names, ())
-    return Footfalls("other", "other", reason, math.nan, 0, nan, nan, nan, nan, none, window)
-
-
-def _checked(contact: ArrayLike, time: ArrayLike, names: Sequence[str]) -> tuple[FloatArray, FloatArray]:
-    """Return contact and time as float arrays that fit each other."""
-    touch, clock = np.asarray(contact, dtype=np.float64), np.asarray(time, dtype=np.float64)
-    if clock.ndim != 1 or len(clock) == 0 or touch.shape != (len(clock), len(names)):
-        raise SurefootError(
-            f"footfalls: contact {touch.shape} must be (steps, legs) = ({clock.size}, {len(names)}), "
-            "with one step or more"
-        )
-    if np.any(np.diff(clock) <= 0):
-        raise SurefootError("footfalls: time must be strictly increasing")
-    if len(set(names)) != len(names):
-        raise SurefootError(f"footfalls: leg names {choices(names)} must differ")
-    return touch, clock

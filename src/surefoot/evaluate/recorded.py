@@ -33,6 +33,13 @@ def find_traces(folder: Path) -> Recorded:
     return [(path, _load(path)) for path in paths]
 
 
+def save_runs(folder: Path, traces: Sequence[EpisodeTrace]) -> Recorded:
+    """Write traces to run_000.npz and on in a folder, and leave none of those that were there before."""
+    for old in folder.glob("run_*.npz"):
+        old.unlink()
+    return [(trace.save(folder / f"run_{i:03d}.npz"), trace) for i, trace in enumerate(traces)]
+
+
 def _load(path: Path) -> EpisodeTrace:
     return recover(path) if path.suffix == SUFFIX else EpisodeTrace.load(path)
 

@@ -1,4 +1,4 @@
-"""Runs a policy in a simulation and records a trace of every episode."""
+"""Run a policy in a simulation: measure every episode, and record its trace where that is wanted."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from surefoot.configuration import from_mapping
 from surefoot.errors import SurefootError, at_least
+from surefoot.evaluate.runs import Runs
 from surefoot.policy.contract import Contract
 from surefoot.robot.params_file import param_values
 from surefoot.task.config import TaskConfig
@@ -20,7 +21,8 @@ from surefoot.task.trace import EpisodeTrace
 from surefoot.world.interface import SimulationFactory
 
 Array = NDArray[np.float64]
-Progress = Callable[[int, int], None]
+Progress = Callable[[float], None]
+"""Called after every control step with the share of all control steps that is done, 0 to 1."""
 
 
 class Policy(Protocol):
@@ -47,17 +49,61 @@ def task_from_contract(contract: Contract) -> TaskConfig:
     return task
 
 
+def run_to_end(
+    act: Callable[[NDArray[np.float32]], ArrayLike],
+    env: LocomotionEnv,
+    observation: NDArray[np.float32],
+    steps: NDArray[np.int64] | None = None,
+    progress: Progress | None = None,
+    record: Callable[[Array, NDArray[np.float32]], None] | None = None,
+) -> Runs:
+    """Run every robot of an environment to its own end: a fall, or its number of control steps.
+
+    A robot whose simulation diverged is measured where it was a control step before; it neither fell nor balanced.
+
+    Args:
+        act: gives actions (N, A) for observations (N, O * history), which are zero for robots that are over.
+        env: without autoreset, just reset.
+        observation: what its reset gave.
+        steps: control steps of each robot (N,), 0 for one that is not run; the task's `max_steps`, if not given.
+        progress: is told the share of the control steps that is done.
+        record: called after every control step with time [s] (N,) and observation (N, O * history) at its start.
+    """
+    most = np.full(env.num_envs, env.task.max_steps) if steps is None else steps
+    env.over |= most == 0
+    terminated, diverged = np.zeros((2, env.num_envs), np.bool_)
+    time, energy = np.zeros((2, env.num_envs))
+    position = env.start_position[:, 0].copy()
+    while not env.over.all():
+        going = ~env.over
+        begin, given = env.readings.time, np.where(going[:, None], observation, np.float32(0.0))
+        observation, _, ended, _, _ = env.step(act(given))
+        if record is not None:
+            record(begin, given)
+        sound = going & ~env.truth.diverged
+        position[sound], time[sound] = env.truth.base_position_world[sound, 0], env.readings.time[sound]
+        energy[sound] += env.truth.energy[sound]
+        terminated |= ended
+        diverged |= going & ~sound
+        env.over |= env.steps >= most
+        if progress is not None:
+            progress(float(np.where(env.over, most, env.steps).sum() / most.sum()))
+    distance, duration = position - env.start_position[:, 0], np.where(time > 0, time, np.inf)
+    measured = (env.returns.copy(), distance, distance / duration, energy / duration, env.steps - 1.0 * diverged)
+    return Runs("", *measured, fell=terminated & ~diverged, balanced=~terminated)
+
+
 class _Recorder:
-    """Keeps what happened in each control step, for all robots."""
+    """What happened in each control step, for all robots."""
 
     def __init__(self, env: LocomotionEnv) -> None:
-        truth = env.truth
-        self.position, self.quat = [truth.base_position_world.copy()], [truth.base_quat_world.copy()]
+        self.env = env
+        self.position, self.quat = [env.truth.base_position_world.copy()], [env.truth.base_quat_world.copy()]
         self.steps: list[dict[str, Array]] = []
 
-    def record(self, env: LocomotionEnv, time: Array, observation: NDArray[np.float32]) -> None:
+    def record(self, time: Array, observation: NDArray[np.float32]) -> None:
         """Keep the control step that just ended; `time` (N,) [s] and `observation` are of its start."""
-        readings, truth = env.readings, env.truth
+        env, readings, truth = self.env, self.env.readings, self.env.truth
         self.position.append(truth.base_position_world.copy())
         self.quat.append(truth.base_quat_world.copy())
         self.steps.append(
@@ -79,7 +125,7 @@ class _Recorder:
         )
 
     def trace(self, robot: int, steps: int, meta: dict[str, Any]) -> EpisodeTrace:
-        """The trace of one robot's first `steps` control steps."""
+        """Return the trace of one robot's first `steps` control steps."""
         if steps < 1:
             raise SurefootError("the simulation diverged in the first control step; no episode can be recorded")
         arrays = {name: np.array([step[name][robot] for step in self.steps[:steps]]) for name in self.steps[0]}
@@ -114,7 +160,7 @@ def run_episodes(
         make_world: makes the simulation.
         seed: the one seed; episode i is the same in any number of episodes.
         threads: threads of the simulation; 0 means one a core.
-        progress: called after every control step with the steps so far and the number of robots still going.
+        progress: is told the share of the control steps that is done.
         world_name: name of the world, for the traces.
         policy_name: name of the policy, for the traces.
 
@@ -127,24 +173,12 @@ def run_episodes(
     env = LocomotionEnv(task, episodes, make_world, seed, autoreset=False, threads=threads)
     observation, _ = env.reset()
     recorder = _Recorder(env)
-    lengths = np.full(episodes, -1)
-    ended = np.full(episodes, "time", dtype="<U5")
-    for step in range(1, task.max_steps + 1):
-        time, given = env.readings.time, observation
-        observation, _, terminated, truncated, info = env.step(env.gait.action(policy.feedback(given)))
-        recorder.record(env, time, given)
-        diverged = info.get("diverged", np.zeros(episodes, np.bool_))
-        going = lengths < 0
-        over = going & (terminated | truncated)
-        lengths[over] = np.where(diverged, step - 1, step)[over]
-        ended[over] = np.where(diverged, "fault", np.where(terminated, "fall", "time"))[over]
-        going &= ~over
-        # What a robot that is over still does is of no interest, but it must stay a number for the policy.
-        observation = np.where(going[:, None], observation, 0.0).astype(np.float32)
-        if progress is not None:
-            progress(step, int(going.sum()))
-        if not going.any():
-            break
+
+    def act(given: NDArray[np.float32]) -> Array:
+        return env.gait.action(policy.feedback(given))
+
+    runs = run_to_end(act, env, observation, progress=progress, record=recorder.record)
+    ended = np.where(runs.balanced, "time", np.where(runs.fell, "fall", "fault"))
     rows = [param_values(env.world.params.rows([i])) for i in range(episodes)]
     meta = {
         "robot": env.robot.name,
@@ -162,7 +196,7 @@ def run_episodes(
     return [
         recorder.trace(
             i,
-            int(lengths[i]),
+            int(runs.steps[i]),
             {**meta, "episode": i, "ended": str(ended[i]), "params": row, "control_step": row["control_step"]},
         )
         for i, row in enumerate(rows)

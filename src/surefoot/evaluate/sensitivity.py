@@ -8,14 +8,16 @@ policy is.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.errors import SurefootError, at_least
-from surefoot.evaluate.rollout import Policy
+from surefoot.evaluate.rollout import Policy, Progress, run_to_end
+from surefoot.evaluate.runs import Runs
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.task.config import MOST_STEPS, TaskConfig
 from surefoot.task.env import LocomotionEnv
@@ -24,7 +26,6 @@ from surefoot.world.interface import Simulation, SimulationFactory, WorldConfig
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
-Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True)
@@ -41,21 +42,21 @@ class TestWorld:
 
 @dataclass(frozen=True)
 class Nominal:
-    """The nominal world, which the others are compared with."""
+    """The nominal world, which the others are compared with; E episodes."""
 
-    values: Mapping[str, float] = field(default_factory=dict)
+    values: Mapping[str, float]
     """Value of each row of the table; its mean, where motors or axes differ."""
-    returns: Array = field(default_factory=lambda: np.zeros(0))
+    returns: Array
     """Return of each episode [m], (E,)."""
-    fell: Flags = field(default_factory=lambda: np.zeros(0, np.bool_))
+    fell: Flags
     """Whether each episode ended in a fall, (E,)."""
-    speed: Array = field(default_factory=lambda: np.zeros(0))
+    speed: Array
     """Speed in each episode [m/s], (E,)."""
 
     @property
     def mean_return(self) -> float:
-        """Mean of the returns [m]; NaN where the nominal world was not run."""
-        return float(self.returns.mean()) if self.returns.size else math.nan
+        """Mean of the returns [m]."""
+        return float(self.returns.mean())
 
 
 @dataclass(frozen=True)
@@ -72,7 +73,7 @@ class Sensitivity:
     """Whether each episode ended in a fall, or the simulation diverged, (W, E)."""
     speed: Array
     """Distance forward over time [m/s], to each episode's own end, (W, E)."""
-    nominal: Nominal = field(default_factory=Nominal)
+    nominal: Nominal
     """The nominal world; no test world, so in none of the aggregates."""
 
     @property
@@ -115,6 +116,58 @@ class Sensitivity:
     def of_row(self, row: str) -> NDArray[np.int64]:
         """Indices of a row's test worlds, values rising."""
         return np.array([i for i, world in enumerate(self.worlds) if world.row == row], np.int64)
+
+    def world_rows(self) -> list[dict[str, Any]]:
+        """Return a row for each test world: returns [m] and speed [m/s] over its episodes, and falls."""
+        return [
+            {
+                "policy": self.policy,
+                "row": world.row,
+                "unit": row_unit(world.row),
+                "value": world.value,
+                "episodes": self.episodes,
+                "return_mean": float(self.mean_return[i]),
+                "return_error": float(self.standard_error[i]),
+                "return_std": float(self.returns[i].std()),
+                "speed_mean": float(self.speed[i].mean()),
+                "falls": int(self.fell[i].sum()),
+            }
+            for i, world in enumerate(self.worlds)
+        ]
+
+    def episode_rows(self) -> list[dict[str, Any]]:
+        """Return a row for each episode, those of the nominal world first (row `nominal`, without unit and value)."""
+        nominal = self.nominal
+        parts = [({"row": "nominal", "unit": "", "value": math.nan}, nominal.returns, nominal.speed, nominal.fell)]
+        for world, *columns in zip(self.worlds, self.returns, self.speed, self.fell, strict=True):
+            parts.append(({"row": world.row, "unit": row_unit(world.row), "value": world.value}, *columns))
+        return [
+            {"policy": self.policy, **where, "run": run}
+            | {"return": float(gained), "speed": float(speed), "fell": bool(fell)}
+            for where, *columns in parts
+            for run, (gained, speed, fell) in enumerate(zip(*columns, strict=True))
+        ]
+
+    def to_mapping(self) -> dict[str, Any]:
+        """Return the results as JSON holds them, without the policy's name."""
+        names = ("returns", "fell", "speed")
+        nominal = {name: getattr(self.nominal, name).tolist() for name in names}
+        return {
+            "worlds": [[world.row, world.value] for world in self.worlds],
+            **{name: getattr(self, name).tolist() for name in names},
+            "nominal": {"values": dict(self.nominal.values), **nominal},
+        }
+
+    @classmethod
+    def from_mapping(cls, data: Mapping[str, Any], policy: str) -> Sensitivity:
+        """Return results from `to_mapping`, under a name of one's choice."""
+
+        def columns(part: Mapping[str, Any]) -> tuple[Array, Flags, Array]:
+            return np.array(part["returns"]), np.array(part["fell"], np.bool_), np.array(part["speed"])
+
+        worlds = tuple(TestWorld(row, value) for row, value in data["worlds"])
+        nominal = Nominal(data["nominal"]["values"], *columns(data["nominal"]))
+        return cls(policy, worlds, *columns(data), nominal)
 
 
 def make_test_worlds(ranges: RandomizeConfig, values: int = 10) -> tuple[TestWorld, ...]:
@@ -186,8 +239,7 @@ def run_sensitivity(
         pushes: whether the base is pushed, as the task says how, every push in full.
         robots: most robots side by side, for engines that take much memory for each; 0 means all. The result does not
             depend on it.
-        progress: called after every control step with the control steps done and those of all episodes together;
-            an episode that ends early is done. Where not all run side by side, both are in ten-thousandths.
+        progress: is told the share of the control steps that is done; an episode that ends early is done.
 
     Raises:
         SurefootError: a number that does not fit, or ranges outside what the robot allows.
@@ -208,7 +260,7 @@ def run_sensitivity(
         max_steps=MOST_STEPS,
     )
     batch = max(robots // episodes - 1, 1) if robots else len(worlds)
-    parts: list[tuple[Array, Flags, Array]] = []
+    parts: list[Runs] = []
     for first in range(0, len(worlds), batch):
         chosen = worlds[first : first + batch]
         env = LocomotionEnv(
@@ -218,25 +270,26 @@ def run_sensitivity(
         steps = np.maximum(np.round(duration / env.world.params.control_step), 1).astype(np.int64)
         if first:
             steps[:episodes] = 0  # the nominal world has been run
-        told = progress
-        if progress is not None and batch < len(worlds):
-            told = _share_of(progress, first / len(worlds), len(chosen) / len(worlds))
-        parts.append(_run(policy, env, steps, told))
-    columns = [np.concatenate([part[k][episodes if n else 0 :] for n, part in enumerate(parts)]) for k in range(3)]
-    returns, fell, speed = (column.reshape(-1, episodes) for column in columns)
+
+        def act(observation: NDArray[np.float32], env: LocomotionEnv = env) -> Array:
+            # Only robots that go on are asked about: control steps differ, and so do their numbers.
+            going, feedback = ~env.over, env.feedback.copy()
+            feedback[going] = policy.feedback(observation[going])
+            return env.gait.action(feedback)
+
+        def show(share: float, first: int = first, count: int = len(chosen)) -> None:
+            if progress is not None:
+                progress((first + share * count) / len(worlds))
+
+        parts.append(run_to_end(act, env, env.reset()[0], steps, show))
+    # A diverged simulation counts as a fall: the policy has brought the robot where nothing holds.
+    returns, fell, speed = (
+        np.concatenate([part[episodes if n else 0 :] for n, part in enumerate(column)]).reshape(-1, episodes)
+        for column in zip(*((part.returns, ~part.balanced, part.speed) for part in parts), strict=True)
+    )
     rows = {row: float(np.mean(getattr(env.nominal, ROWS[row].params[0])[0])) for row in ranges.ranges}
     nominal = Nominal(rows, returns[0], fell[0], speed[0])
     return Sensitivity(policy_name, worlds, returns[1:], fell[1:], speed[1:], nominal)
-
-
-def _share_of(progress: Progress, before: float, share: float) -> Progress:
-    """The progress of a batch that has a share of the work, after others, in ten-thousandths of the whole."""
-    whole = 10_000
-
-    def told(done: int, total: int) -> None:
-        progress(round(whole * (before + share * done / total)), whole)
-
-    return told
 
 
 def _in_worlds(make_world: SimulationFactory, worlds: Sequence[TestWorld], episodes: int) -> SimulationFactory:
@@ -265,27 +318,3 @@ def _share_streams(env: LocomotionEnv, episodes: int) -> None:
     state["world"]["streams"] = shared(state["world"]["streams"])
     state["push_streams"] = shared(state["push_streams"])
     env.set_state(state)
-
-
-def _run(
-    policy: Policy, env: LocomotionEnv, steps: NDArray[np.int64], progress: Progress | None
-) -> tuple[Array, Flags, Array]:
-    """Run every robot for its own number of control steps; return, fall and speed of each, (N,)."""
-    observation, _ = env.reset()
-    env.over |= steps == 0
-    fell = np.zeros(env.num_envs, np.bool_)
-    position, time = env.truth.base_position_world[:, 0].copy(), env.readings.time.copy()
-    start, feedback, total = position.copy(), env.feedback.copy(), int(steps.sum())
-    while not env.over.all():
-        going = ~env.over
-        feedback[going] = policy.feedback(observation[going])
-        observation, _, terminated, _, _ = env.step(env.gait.action(feedback))
-        # A robot that diverged is back at its start; where it was a control step before is what counts.
-        sound = going & ~env.truth.diverged
-        position[sound], time[sound] = env.truth.base_position_world[sound, 0], env.readings.time[sound]
-        fell |= terminated
-        env.over |= env.steps >= steps
-        if progress is not None:
-            progress(int(np.where(env.over, steps, env.steps).sum()), total)
-    speed = np.divide(position - start, time, out=np.zeros_like(time), where=time > 0)
-    return env.returns.copy(), fell, speed

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from surefoot.errors import SurefootError
 
 CONFIDENCE = 0.95
+"""Chance that an interval covers the true value."""
 
 
 @dataclass(frozen=True)
@@ -38,26 +39,35 @@ class Interval:
         """Whether zero is within; true where there is no interval."""
         return not self.known or self.low <= 0 <= self.high
 
+    def text(self, digits: int = 2, sign: bool = False) -> str:
+        """Return text such as `1.20 [1.05, 1.35]`; without ends where they are not known.
 
-def t_interval(values: ArrayLike, confidence: float = CONFIDENCE) -> Interval:
+        Args:
+            digits: behind the point.
+            sign: write + before what is above zero.
+        """
+        mean, low, high = (decimal(number, digits, sign) for number in (self.mean, self.low, self.high))
+        return f"{mean} [{low}, {high}]" if self.known else mean
+
+
+def t_interval(values: ArrayLike) -> Interval:
     """The mean of numbers with Student's t interval; from one number only, there is none.
 
     Args:
         values: the numbers (N,).
-        confidence: chance that the interval covers the true mean.
 
     Raises:
-        SurefootError: no numbers, ones that are not finite, or a confidence not between 0 and 1.
+        SurefootError: no numbers, or ones that are not finite.
     """
-    array = _checked(values, confidence)
+    array = _checked(values)
     mean = float(array.mean())
     if len(array) < 2:
         return Interval(mean, math.nan, math.nan)
-    half = _quantile(confidence, len(array) - 1) * float(array.std(ddof=1)) / math.sqrt(len(array))
+    half = _quantile(len(array) - 1) * float(array.std(ddof=1)) / math.sqrt(len(array))
     return Interval(mean, mean - half, mean + half)
 
 
-def welch_interval(values: ArrayLike, base: ArrayLike, confidence: float = CONFIDENCE) -> Interval:
+def welch_interval(values: ArrayLike, base: ArrayLike) -> Interval:
     """The mean of `values` less that of `base`, with Welch's interval: their variances need not be alike.
 
     Degrees of freedom are those of Welch and Satterthwaite. With fewer than two numbers on either side there is no
@@ -66,19 +76,18 @@ def welch_interval(values: ArrayLike, base: ArrayLike, confidence: float = CONFI
     Args:
         values: the numbers (N,).
         base: what they are compared with (M,).
-        confidence: chance that the interval covers the true difference.
 
     Raises:
-        SurefootError: no numbers, ones that are not finite, or a confidence not between 0 and 1.
+        SurefootError: no numbers, or ones that are not finite.
     """
-    first, second = _checked(values, confidence), _checked(base, confidence)
+    first, second = _checked(values), _checked(base)
     difference = float(first.mean() - second.mean())
     if len(first) < 2 or len(second) < 2:
         return Interval(difference, math.nan, math.nan)
-    return _satterthwaite(difference, (first, second), confidence)
+    return _satterthwaite(difference, (first, second))
 
 
-def crossed_interval(values: ArrayLike, base: ArrayLike | None = None, confidence: float = CONFIDENCE) -> Interval:
+def crossed_interval(values: ArrayLike, base: ArrayLike | None = None) -> Interval:
     """Return the mean of a table of numbers, or its difference to another's, over rows and columns drawn by chance.
 
     Rows are policies, of which each table has its own; columns are robots, the same in both tables. The variance of
@@ -89,24 +98,22 @@ def crossed_interval(values: ArrayLike, base: ArrayLike | None = None, confidenc
     Args:
         values: numbers (P, R).
         base: what they are compared with (Q, R); nothing, if not given.
-        confidence: chance that the interval covers the true mean or difference.
 
     Raises:
-        SurefootError: no numbers, ones that are not finite, columns that do not fit, or a confidence not between 0
-            and 1.
+        SurefootError: no numbers, ones that are not finite, or columns that do not fit.
     """
     tables = [np.asarray(table, np.float64) for table in ((values,) if base is None else (values, base))]
     if any(table.ndim != 2 for table in tables) or len({table.shape[1] for table in tables}) != 1:
         raise SurefootError(f"tables of shapes {[table.shape for table in tables]}; they need the same columns")
-    rows = [_checked(table.mean(axis=1), confidence) for table in tables]
+    rows = [_checked(table.mean(axis=1)) for table in tables]
     columns = tables[0].mean(axis=0) - (tables[1].mean(axis=0) if base is not None else 0.0)
     mean, samples = float(columns.mean()), [*rows, columns]
     if min(map(len, samples)) < 2:
         return Interval(mean, math.nan, math.nan)
-    return _satterthwaite(mean, samples, confidence)
+    return _satterthwaite(mean, samples)
 
 
-def _satterthwaite(mean: float, samples: Sequence[NDArray[np.float64]], confidence: float) -> Interval:
+def _satterthwaite(mean: float, samples: Sequence[NDArray[np.float64]]) -> Interval:
     """The interval of a sum of means of independent samples, whose variances need not be alike."""
     parts = [float(sample.var(ddof=1)) / len(sample) for sample in samples]
     total = sum(parts)
@@ -114,23 +121,21 @@ def _satterthwaite(mean: float, samples: Sequence[NDArray[np.float64]], confiden
         return Interval(mean, mean, mean)
     # As shares of the whole, so that variances of any size square without running out of range.
     freedom = 1 / sum((part / total) ** 2 / (len(sample) - 1) for part, sample in zip(parts, samples, strict=True))
-    half = _quantile(confidence, freedom) * math.sqrt(total)
+    half = _quantile(freedom) * math.sqrt(total)
     return Interval(mean, mean - half, mean + half)
 
 
-def _quantile(confidence: float, freedom: float) -> float:
+def _quantile(freedom: float) -> float:
     """How many standard errors the interval reaches to either side."""
     from scipy.stats import t
 
-    return float(t.ppf(0.5 + confidence / 2, freedom))
+    return float(t.ppf(0.5 + CONFIDENCE / 2, freedom))
 
 
-def _checked(values: ArrayLike, confidence: float) -> NDArray[np.float64]:
+def _checked(values: ArrayLike) -> NDArray[np.float64]:
     array = np.asarray(values, np.float64)
     if array.ndim != 1 or not array.size or not np.isfinite(array).all():
         raise SurefootError(f"numbers {array.tolist()}; a mean takes 1 or more in one row, all of them finite")
-    if not 0 < confidence < 1:
-        raise SurefootError(f"confidence is {confidence:g}; it must be over 0 and below 1")
     return array
 
 
@@ -144,15 +149,3 @@ def decimal(number: float, digits: int = 2, sign: bool = False) -> str:
     """
     rounded = round(number, digits) + 0.0
     return f"{rounded:{'+' if sign and rounded else ''}.{digits}f}"
-
-
-def plain(interval: Interval, digits: int = 2, sign: bool = False) -> str:
-    """An interval as text, such as `1.20 [1.05, 1.35]`; without ends where they are not known.
-
-    Args:
-        interval: what is told.
-        digits: behind the point.
-        sign: write + before what is above zero.
-    """
-    mean, low, high = (decimal(number, digits, sign) for number in (interval.mean, interval.low, interval.high))
-    return f"{mean} [{low}, {high}]" if interval.known else mean

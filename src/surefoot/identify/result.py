@@ -13,7 +13,7 @@ from surefoot.robot import PhysicalParams, RobotDescription
 
 Array = NDArray[np.float64]
 
-CONFIDENCE = 1.959964
+NORMAL_95 = 1.959964
 """Standard deviations on either side that hold 95 % of a normal distribution."""
 
 
@@ -39,7 +39,7 @@ class Estimate:
     @property
     def interval(self) -> tuple[float, float]:
         """95 % interval, within what is possible."""
-        reach = CONFIDENCE * self.deviation
+        reach = NORMAL_95 * self.deviation
         return max(self.value - reach, self.low), min(self.value + reach, self.high)
 
     @property

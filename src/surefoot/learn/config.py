@@ -1,4 +1,4 @@
-"""A training run as data."""
+"""Configuration of a training run."""
 
 from __future__ import annotations
 
@@ -67,10 +67,10 @@ class PPOConfig:
 
 @dataclass(frozen=True)
 class TrainConfig:
-    """A training run: what is learned and how."""
+    """Configuration of a training run: task and learning."""
 
     task: TaskConfig = field(default_factory=TaskConfig)
-    """What is to be learned."""
+    """Configuration of a task."""
     name: str = "run"
     """Name of the run; its folder carries it."""
     seed: Seed = 0
@@ -99,7 +99,7 @@ class TrainConfig:
     """The learning algorithm."""
 
     def __post_init__(self) -> None:
-        """Refuse what no run can be."""
+        """Refuse values out of bounds."""
         check_name("name", self.name)
         check_bounds(self)
         if self.samples_per_update < self.ppo.minibatches:
@@ -120,7 +120,7 @@ class TrainConfig:
 
 
 def load_train_config(task: str) -> TrainConfig:
-    """The training run that a task's file asks for: its `train` table over the defaults.
+    """Return the training configuration of a task's file: its `train` table over the defaults.
 
     Raises:
         SurefootError: no such task, or a file that does not fit.

@@ -1,4 +1,4 @@
-"""From a trained policy to its file: the contract of a task, and the export."""
+"""Export of a trained policy: the contract of a task, and the file."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def make_contract(
     config: Mapping[str, Any] | None = None,
     created: str = "",
 ) -> Contract:
-    """The contract of a policy that was trained in an environment.
+    """Return the contract of a policy that was trained in an environment.
 
     Args:
         env: robot, observer, gait, task and nominal parameters are read from it.
@@ -72,14 +72,14 @@ def export_trainer(
     name: str = "",
     created: str = "",
 ) -> Path:
-    """Write a trainer's policy of now as a policy file; see `make_contract` and `export_policy`."""
+    """Write a trainer's present policy as a policy file; see `make_contract` and `export_policy`."""
     config = trainer.config
     contract = make_contract(trainer.env, figures, name=name or config.name, config=to_mapping(config), created=created)
     return export_policy(trainer.policy, config.ppo.activation, contract, path)
 
 
 def export_run(run: TrainingRun, path: str | Path) -> Path:
-    """Write the best policy that a run has found, with the figures of its training."""
+    """Write the best policy of a run, with the figures of its training."""
     run.use_best()
     figures = {
         "training": asdict(run.best) if run.best else {},

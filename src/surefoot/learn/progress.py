@@ -17,7 +17,7 @@ _LINE_EVERY = 10.0
 
 
 class TrainingProgress:
-    """Shows steps, steps per second, speed, return, falls and the time left; one line for each evaluation.
+    """Display of steps, steps per second, speed, return, falls and the time left; one line per evaluation.
 
     Args:
         config: the run.

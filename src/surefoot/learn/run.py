@@ -1,4 +1,4 @@
-"""A whole training run: updates, evaluations, checkpoints, figures; interrupted and resumed without a difference."""
+"""A training run: updates, evaluations, checkpoints, figures; resuming gives exactly the same result."""
 
 from __future__ import annotations
 
@@ -9,14 +9,13 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from torch.utils.tensorboard import SummaryWriter
 
+from surefoot.evaluate.rollout import run_to_end
 from surefoot.learn.config import TrainConfig
 from surefoot.learn.run_folder import RunFolder, write_checkpoint
 from surefoot.learn.trainer import Trainer, UpdateFigures
 from surefoot.task.env import LocomotionEnv, SimulationFactory
-from surefoot.task.pushes import PushConfig
 
 EVALUATION_SEED = 1_000_003
 
@@ -40,50 +39,20 @@ class Evaluation:
 
     @property
     def rank(self) -> tuple[float, float]:
-        """Greater is better: fewest falls, then fewest falls under pushes weighed against the return."""
+        """Rank; greater is better: fewest falls, then fewest falls under pushes weighed against the return."""
         return -self.falls, self.return_mean - 0.25 * self.pushed_falls
 
 
 def evaluate_policy(trainer: Trainer, make_world: SimulationFactory, episodes: int) -> Evaluation:
     """Run the deterministic policy for whole episodes, always from the same seed."""
-    config = trainer.config
-    task = replace(config.task, pushes=replace(config.task.pushes, enabled=False))
-    speed, returns, falls, power = _run(trainer, make_world, task.pushes, episodes)
-    pushed = 0
-    if config.task.pushes.enabled:
-        pushed = _run(trainer, make_world, config.task.pushes, episodes)[2]
-    return Evaluation(trainer.steps, speed, returns, falls, pushed, power)
-
-
-def _run(
-    trainer: Trainer, make_world: SimulationFactory, pushes: PushConfig, episodes: int
-) -> tuple[float, float, int, float]:
-    config = trainer.config
-    task = replace(config.task, pushes=pushes)
-    env = LocomotionEnv(
-        task, episodes, make_world, EVALUATION_SEED + config.seed, autoreset=False, threads=config.threads
-    )
-    observation, _ = env.reset()
-    alive = np.ones(episodes, bool)
-    returns, energy, distance, duration = (np.zeros(episodes) for _ in range(4))
-    for _ in range(task.max_steps):
-        observation, reward, terminated, _, _ = env.step(trainer.act(observation))
-        returns += reward * alive
-        energy += env.truth.energy * alive
-        forward = env.truth.base_position_world[:, 0] - env.start_position[:, 0]
-        # A diverged robot stands at its start again; its distance is that of the step before.
-        moved = alive & ~env.truth.diverged
-        distance[moved], duration[moved] = forward[moved], env.readings.time[moved]
-        alive &= ~terminated
-        if not alive.any():
-            break
-    duration = np.maximum(duration, 1e-9)
-    return (
-        float(np.mean(distance / duration)),
-        float(np.mean(returns)),
-        int(np.sum(~alive)),
-        float(np.sum(energy) / np.sum(duration)),
-    )
+    config, found = trainer.config, []
+    for pushed in (False, True) if config.task.pushes.enabled else (False,):
+        task = replace(config.task, pushes=replace(config.task.pushes, enabled=pushed))
+        env = LocomotionEnv(task, episodes, make_world, EVALUATION_SEED + config.seed, False, config.threads)
+        found.append(run_to_end(trainer.act, env, env.reset()[0]))
+    runs, falls = found[0], [int((~one.balanced).sum()) for one in found]
+    speed, gained, power = (float(column.mean()) for column in (runs.speed, runs.returns, runs.power))
+    return Evaluation(trainer.steps, speed, gained, falls[0], falls[1] if len(falls) > 1 else 0, power)
 
 
 class TrainingRun:
@@ -91,9 +60,9 @@ class TrainingRun:
 
     Args:
         config: the run.
-        folder: where it lives.
+        folder: its run folder.
         make_world: makes the simulation.
-        resume: go on from the folder's last checkpoint.
+        resume: continue from the folder's last checkpoint.
 
     Raises:
         SurefootError: a task that does not fit, or a checkpoint that can't be read.
@@ -123,7 +92,7 @@ class TrainingRun:
         self.folder.drop_rows_after(self.trainer.steps)
 
     def save(self) -> None:
-        """Save everything that the run needs to go on."""
+        """Save everything that the run needs to continue."""
         if self._saved_steps == self.trainer.steps:
             return
         self.folder.save(
@@ -147,11 +116,11 @@ class TrainingRun:
         on_update: Callable[[UpdateFigures, Evaluation | None], None],
         should_stop: Callable[[], bool] = lambda: False,
     ) -> None:
-        """Train until all steps are done, or until told to stop; then save.
+        """Train until all steps are done, or until a stop is requested; then save.
 
         Args:
             on_update: called after every update with its figures and the evaluation, if one was due.
-            should_stop: asked between two updates, where the run can be saved and resumed without a difference.
+            should_stop: called between two updates, where the run can be saved and resumed without a difference.
         """
         try:
             while not self.finished and not should_stop():
@@ -172,7 +141,7 @@ class TrainingRun:
             self._writer.close()
 
     def _due(self, every: int) -> bool:
-        """Whether a multiple of `every` steps was passed in the last update, or the run is over."""
+        """Return whether a multiple of `every` steps was passed in the last update, or the run is over."""
         before = self.trainer.steps - self.config.samples_per_update
         return self.trainer.steps // every > before // every or self.finished
 

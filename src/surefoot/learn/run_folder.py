@@ -1,4 +1,4 @@
-"""A run's folder: what was asked for, what it was run with, what came out, and checkpoints that survive accidents."""
+"""A run's folder: configuration, versions, results, and checkpoints that survive interruptions."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def read_checkpoint(path: Path) -> dict[str, Any]:
     except OSError as error:
         raise SurefootError(f"{path}: can't be read: {error.strerror}") from error
     if not content.startswith(_MAGIC):
-        raise SurefootError(f"{path}: is no surefoot checkpoint, or its start is damaged")
+        raise SurefootError(f"{path}: is not a surefoot checkpoint, or its start is damaged")
     digest, _, payload = content[len(_MAGIC) :].partition(b"\n")
     if hashlib.sha256(payload).hexdigest().encode() != digest:
         raise SurefootError(f"{path}: the checkpoint is broken (cut off or damaged): its digest does not match")
@@ -77,14 +77,14 @@ def read_checkpoint(path: Path) -> dict[str, Any]:
             state: dict[str, Any] = torch.load(io.BytesIO(payload), weights_only=True)
     except Exception as error:  # torch's errors have no common class of their own.
         raise SurefootError(
-            f"{path}: is no checkpoint that surefoot wrote: it holds more than numbers, arrays and tables of them"
+            f"{path}: is not a checkpoint that surefoot wrote: it holds more than numbers, arrays and tables of them"
         ) from error
     return state
 
 
 @contextmanager
 def alone(path: Path, patience: float = 0.0) -> Iterator[None]:
-    """Hold a run's folder so that no other process trains in it, and remove what killed ones had under way there.
+    """Hold a run's folder so that no other process trains in it, and remove unfinished files of killed ones.
 
     Args:
         path: the folder.
@@ -162,7 +162,7 @@ class RunFolder:
 
     @classmethod
     def create_at(cls, config: TrainConfig, path: Path) -> RunFolder:
-        """Make the folder of a new run at a place of one's choice; figures of an earlier try there are forgotten.
+        """Make the folder of a new run at a given path; figures of an earlier run there are removed.
 
         Raises:
             SurefootError: it can't be made.
@@ -200,7 +200,7 @@ class RunFolder:
             about = json.loads(read_configuration(about_path))
             written = about["format"]
         except OSError:
-            raise SurefootError(f"{path}: is no run folder; one has run.json and config.yaml") from None
+            raise SurefootError(f"{path}: is not a run folder; one has run.json and config.yaml") from None
         except (ValueError, KeyError, TypeError, RecursionError):
             raise SurefootError(f"{about_path}: is damaged; it must be the JSON that surefoot wrote") from None
         if written != FORMAT:
@@ -216,14 +216,14 @@ class RunFolder:
         return cls(path), config
 
     def save(self, state: dict[str, Any]) -> None:
-        """Save the run's state; the one saved before is kept as `previous.ckpt`."""
+        """Save the run's state; keep the one saved before as `previous.ckpt`."""
         write_checkpoint(self.fresh, state)
         if self.latest.exists():
             os.replace(self.latest, self.previous)
         os.replace(self.fresh, self.latest)
 
     def load(self) -> dict[str, Any]:
-        """The run's last state.
+        """Return the run's last state.
 
         Raises:
             SurefootError: it is missing or broken; says whether the one before it is whole.
@@ -237,10 +237,10 @@ class RunFolder:
             try:
                 steps = read_checkpoint(self.previous)["steps"]
             except SurefootError:
-                raise SurefootError(f"{error}; there is no older one to go on from") from None
+                raise SurefootError(f"{error}; there is no older checkpoint to resume from") from None
             raise SurefootError(
                 f"{error}; {self.previous.name} beside it is whole, at {steps} steps: "
-                f"rename it to {self.latest.name} to go on"
+                f"rename it to {self.latest.name} to resume"
             ) from None
 
     def log(self, row: dict[str, Any]) -> None:
@@ -258,10 +258,10 @@ class RunFolder:
             ) from error
 
     def rows(self) -> list[dict[str, Any]]:
-        """All rows of figures; a last line that was cut off is left out."""
+        """Return all rows of figures; a last line that was cut off is left out."""
         return read_json_lines(self.figures_log)
 
     def drop_rows_after(self, steps: int) -> None:
-        """Forget rows later than `steps`, which a resumed run will write again."""
+        """Remove rows later than `steps`, which a resumed run writes again."""
         kept = [row for row in self.rows() if row["steps"] <= steps]
         _write(self.figures_log, "".join(json.dumps(row) + "\n" for row in kept).encode())

@@ -1,4 +1,4 @@
-"""`LocomotionEnv` for Stable-Baselines3, which has a vector interface of its own."""
+"""`LocomotionEnv` with Stable-Baselines3's vector interface."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ Indices = int | Iterable[int] | None
 class SB3VecEnv(VecEnv):  # type: ignore[misc, unused-ignore]
     """A batch of robots as Stable-Baselines3 takes it.
 
-    What differs from Gymnasium: one `done` for both ends of an episode; `infos[i]` holds
-    `terminal_observation`, the last one of an episode, `TimeLimit.truncated`, true where the episode was cut
-    off and its value is to be estimated, and `episode`, its return `r`, length `l` and wall time `t`.
+    Differences from Gymnasium: one `done` for both ends of an episode; `infos[i]` holds
+    `terminal_observation`, the last one of an episode, `TimeLimit.truncated`, true where the episode was truncated
+    and its value is to be estimated, and `episode`, its return `r`, length `l` and wall time `t`.
 
     Args:
         env: the robots, with `autoreset`.
@@ -30,7 +30,7 @@ class SB3VecEnv(VecEnv):  # type: ignore[misc, unused-ignore]
 
     def __init__(self, env: LocomotionEnv) -> None:
         if not env.autoreset:
-            raise SurefootError("autoreset is off; Stable-Baselines3 needs robots that start anew by themselves")
+            raise SurefootError("autoreset is off; Stable-Baselines3 requires it")
         self.env = env
         self._actions: NDArray[np.float32] = np.zeros(env.action_space.shape or (), np.float32)
         self._start = time.monotonic()
@@ -65,14 +65,14 @@ class SB3VecEnv(VecEnv):  # type: ignore[misc, unused-ignore]
         return observation, reward.astype(np.float32), done, infos
 
     def close(self) -> None:
-        """Give back what the environment holds."""
+        """Release the environment's resources."""
         self.env.close()
 
     def _count(self, indices: Indices) -> int:
         return len(list(self._get_indices(indices)))
 
     def get_attr(self, attr_name: str, indices: Indices = None) -> list[Any]:
-        """An attribute of the batch, once for each robot asked for."""
+        """Return an attribute of the batch, once for each robot in `indices`."""
         return [getattr(self.env, attr_name)] * self._count(indices)
 
     def set_attr(self, attr_name: str, value: Any, indices: Indices = None) -> None:
@@ -82,9 +82,9 @@ class SB3VecEnv(VecEnv):  # type: ignore[misc, unused-ignore]
         setattr(self.env, attr_name, value)
 
     def env_method(self, method_name: str, *args: Any, indices: Indices = None, **kwargs: Any) -> list[Any]:
-        """Call a method of the batch once; its answer, once for each robot asked for."""
+        """Call a method of the batch once; return its result once for each robot in `indices`."""
         return [getattr(self.env, method_name)(*args, **kwargs)] * self._count(indices)
 
     def env_is_wrapped(self, wrapper_class: type[Wrapper], indices: Indices = None) -> list[bool]:
-        """No robot is wrapped."""
+        """Return False for every robot: none is wrapped."""
         return [False] * self._count(indices)

@@ -1,6 +1,6 @@
-"""Left for right: what a robot that is its own mirror image learns on one side, it has learned on the other.
+"""Left-right symmetry: a robot that is its own mirror image learns from mirrored samples too.
 
-Every sample is seen twice in an update, as it was and mirrored in the robot's middle plane (data augmentation, see
+Every sample is used twice in an update, as it was and mirrored in the robot's middle plane (data augmentation, see
 Mittal et al. 2024, "Symmetry Considerations for Learning Task Symmetric Robot Policies").
 """
 
@@ -23,14 +23,14 @@ _PHASE = ("phase_sin", "phase_cos")
 
 
 def mirror_name(name: str) -> str:
-    """The name of a leg, motor or column on the other side."""
+    """Return the name of a leg, motor or column on the other side."""
     return name.replace("left", "\0").replace("right", "left").replace("\0", "right")
 
 
 def mirror_columns(
     columns: Sequence[str], half_a_period: bool = False
 ) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
-    """Which column each one comes from in the mirror, and its sign; (C,) each.
+    """Return each column's source column in the mirror image, and its sign; (C,) each.
 
     Args:
         columns: their names.
@@ -51,7 +51,7 @@ def mirror_columns(
 
 
 def reference_shift(env: LocomotionEnv) -> bool:
-    """Whether the mirrored reference gait is the reference half a period later (else it is its own mirror image).
+    """Return whether the mirrored reference gait is the reference half a period later (else its own mirror image).
 
     Raises:
         SurefootError: neither, so that nothing learned on one side holds on the other.
@@ -70,7 +70,7 @@ def reference_shift(env: LocomotionEnv) -> bool:
 
 
 class MirrorSamples:
-    """Samples and their mirror images, as rsl_rl asks for them.
+    """Samples and their mirror images, as rsl_rl requests them.
 
     Args:
         env: names the columns.
@@ -93,14 +93,14 @@ class MirrorSamples:
             self._mirrors[group] = (torch.from_numpy(whole), torch.from_numpy(np.tile(sign, times)))
 
     def mirrored(self, group: str, values: torch.Tensor) -> torch.Tensor:
-        """The mirror image of a group's values (B, C)."""
+        """Return the mirror image of a group's values (B, C)."""
         source, sign = self._mirrors[group]
         return values[:, source] * sign
 
     def __call__(
         self, env: Any, obs: TensorDict | None, actions: torch.Tensor | None
     ) -> tuple[TensorDict | None, torch.Tensor | None]:
-        """Observations and actions, each followed by its mirror images."""
+        """Return the observations and actions, each followed by its mirror images."""
         if obs is not None:
             groups: dict[str, Any] = dict(obs.items())
             both = {key: torch.cat([values, self.mirrored(key, values)]) for key, values in groups.items()}

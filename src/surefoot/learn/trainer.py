@@ -1,4 +1,4 @@
-"""The learning loop: roll out, estimate advantages, update, and everything that an exact resume needs."""
+"""The learning loop (rollout, advantages, update), with the state for an exact resume."""
 
 from __future__ import annotations
 
@@ -102,7 +102,7 @@ class Trainer:
             },
         )
         critic = MLPModel(obs, groups, "critic", 1, ppo.value_hidden, ppo.activation, obs_normalization=True)
-        # A first policy near the middle of the bounds, whatever it sees.
+        # A first policy near the middle of the bounds for any observation.
         with torch.no_grad():
             actor.mlp[-1].weight.mul_(0.1)
         storage = RolloutStorage("rl", self.config.num_envs, self.config.steps_per_update, obs, [actions], "cpu")
@@ -137,7 +137,7 @@ class Trainer:
         return TensorDict(groups, batch_size=[self.config.num_envs])
 
     def update(self) -> UpdateFigures:
-        """One rollout and one update of the policy."""
+        """Run one rollout and one update of the policy."""
         env, algorithm, config = self.env, self.algorithm, self.config
         start = time.perf_counter()
         # Threads of torch that spin between small products would take the cores from the physics.
@@ -186,7 +186,7 @@ class Trainer:
         )
 
     def act(self, observation: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Actions of the deterministic policy (N, 2 L) for observations (N, O)."""
+        """Return the actions of the deterministic policy (N, 2 L) for observations (N, O)."""
         with torch.inference_mode():
             mean: NDArray[np.float32] = self.policy(
                 TensorDict({"policy": torch.from_numpy(observation)}, batch_size=[len(observation)])
@@ -194,7 +194,7 @@ class Trainer:
         return mean
 
     def start_with(self, algorithm: dict[str, Any]) -> None:
-        """Take the networks of another run's state, and nothing else of it.
+        """Load only the networks of another run's state.
 
         Raises:
             SurefootError: networks of other layers, observations or actions.
@@ -206,7 +206,7 @@ class Trainer:
             raise SurefootError(f"start_from: the other run's networks do not fit this run: {reason}") from None
 
     def get_state(self) -> dict[str, Any]:
-        """Everything that decides how the run goes on, for an exact resume."""
+        """Return the whole state of the run, for an exact resume."""
         return {
             "algorithm": self.algorithm.save(),
             "learning_rate": self.algorithm.learning_rate,
@@ -217,7 +217,7 @@ class Trainer:
         }
 
     def set_state(self, state: dict[str, Any]) -> None:
-        """Go on from `get_state`, exactly."""
+        """Continue from `get_state`, exactly."""
         self.algorithm.load(state["algorithm"], None, strict=True)
         self.algorithm.learning_rate = state["learning_rate"]
         self.env.set_state(state["env"])

@@ -1,4 +1,4 @@
-"""Runs in processes of their own, a few at a time, which outlive neither their parent nor a wish to stop."""
+"""Jobs in separate processes, a few at a time, which end with their parent and when a stop is requested."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _ONE_THREAD = {name: "1" for name in ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPE
 
 @dataclass(frozen=True)
 class Job:
-    """What a worker is to do."""
+    """A job of a worker."""
 
     name: str
     """How the user calls it."""
@@ -34,7 +34,7 @@ class Job:
 
 @dataclass
 class Outcome:
-    """How the jobs went."""
+    """Results of the jobs."""
 
     done: list[str] = field(default_factory=list)
     """Names of the jobs that ended well."""
@@ -56,7 +56,7 @@ def run_jobs(
     on_change: Tell,
     stops: Callable[[], int] = lambda: 0,
 ) -> Outcome:
-    """Run jobs, each by a process of its own that writes what it does as lines of JSON.
+    """Run jobs, each in its own process, which writes its progress as lines of JSON.
 
     Args:
         command: the words that start a worker.
@@ -64,7 +64,7 @@ def run_jobs(
         workers: how many run at a time.
         on_event: called with each line that a worker writes.
         on_change: called when a job is "started", "done", "stopped" or "failed".
-        stops: how often a stop was asked for: once lets the workers save and end, twice ends them at once.
+        stops: number of stops requested: one lets the workers save and end, two end them at once.
 
     Raises:
         SurefootError: no workers, or a log that can't be written.
@@ -99,7 +99,7 @@ def run_jobs(
 
 
 class _Worker:
-    """A process that does one job, and a thread that reads what it says."""
+    """A process that does one job, and a thread that reads its events."""
 
     def __init__(self, command: Sequence[str], job: Job, told: queue.Queue[Any]) -> None:
         self.job, self._told = job, told
@@ -124,7 +124,7 @@ class _Worker:
             with self.process.stdin as pipe:
                 pipe.write(json.dumps(self.job.request).encode() + b"\n")
         except OSError:
-            pass  # It has died already; its end is told below.
+            pass  # It has died already; its end is reported below.
         for line in self.process.stdout:
             try:
                 self._told.put((self, json.loads(line)))
@@ -134,7 +134,7 @@ class _Worker:
         self._told.put((self, None))
 
     def last_line(self) -> str:
-        """The last line that the worker wrote to its log, and how it ended."""
+        """Return the last line of the worker's log, and how it ended."""
         code = self.process.returncode
         end = f"killed by signal {-code} ({signal.Signals(-code).name})" if code < 0 else f"exit code {code}"
         with self.job.log.open("rb") as log:
@@ -144,7 +144,7 @@ class _Worker:
 
 
 def _pass_on(before: int, now: int, running: Any) -> int:
-    """Ask workers to stop, or end them, when that was asked for since last time."""
+    """Ask workers to stop, or end them, if that was requested since the last call."""
     if now > before:
         for worker in running:
             worker.process.send_signal(signal.SIGTERM if now == 1 else signal.SIGKILL)
@@ -152,7 +152,7 @@ def _pass_on(before: int, now: int, running: Any) -> int:
 
 
 def _ended(worker: _Worker, outcome: Outcome, asked: int) -> str:
-    """Note how a worker ended; returns it in one word."""
+    """Record how a worker ended; return it in one word."""
     code = worker.process.returncode
     if code == 0:
         outcome.done.append(worker.job.name)
@@ -164,5 +164,5 @@ def _ended(worker: _Worker, outcome: Outcome, asked: int) -> str:
 
 
 def orphaned() -> bool:
-    """Whether the process that started this worker is gone."""
+    """Return whether the process that started this worker is gone."""
     return os.environ.get(PARENT, str(os.getppid())) != str(os.getppid())

@@ -1,4 +1,4 @@
-"""What a policy file says about itself: everything needed to run it, and to refuse what does not match."""
+"""The contract of a policy file: everything needed to run it, and to refuse what does not match."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class ObservationPart:
 
 @dataclass(frozen=True)
 class Contract:
-    """What a policy was made for and what it takes and gives. Written as JSON at full precision."""
+    """What a policy was made for, its inputs and outputs. Written as JSON at full precision."""
 
     name: str
     """Name of the policy."""
@@ -65,7 +65,7 @@ class Contract:
     columns: tuple[str, ...]
     """Names of an observation's O numbers, in order."""
     history: int
-    """How many of the last observations the policy sees, the newest first."""
+    """Number of last observations in the policy's input, the newest first."""
     action_names: tuple[str, ...]
     """Names of the feedback's numbers: the swing of every leg, then the extension of every leg."""
     low: tuple[float, ...]
@@ -100,7 +100,7 @@ class Contract:
     """When it was written, ISO 8601; may be empty."""
 
     def __post_init__(self) -> None:
-        """Refuse what contradicts itself, and keep only what JSON can hold."""
+        """Refuse contradictions, and keep only what JSON can hold."""
         for name in ("task", "figures", "reference"):
             object.__setattr__(self, name, plain(getattr(self, name)))
         motors, actions = len(self.motor_names), len(self.action_names)
@@ -110,7 +110,7 @@ class Contract:
         if actions != 2 * len(self.leg_names) or not actions:
             raise SurefootError(f"contract: {actions} actions for {len(self.leg_names)} legs; a leg has two")
         if not self.columns or self.history < 1:
-            raise SurefootError("contract: the policy sees nothing; columns and history must be 1 or more")
+            raise SurefootError("contract: the policy observes nothing; columns and history must be 1 or more")
         if any(abs(sign) != 1 for sign in self.motor_signs):
             raise SurefootError(f"contract: motor_signs is {list(self.motor_signs)}; each must be 1 or -1")
         bounds = zip(self.action_names, self.low, self.high, strict=True)
@@ -141,7 +141,7 @@ class Contract:
         return len(self.columns) * self.history
 
     def to_json(self) -> str:
-        """As JSON; `from_json` gives back an equal contract."""
+        """Return the contract as JSON; `from_json` returns an equal contract."""
         data = {"kind": KIND, "schema": SCHEMA, **to_mapping(self)}
         return json.dumps(data, ensure_ascii=False, allow_nan=False)
 
@@ -157,7 +157,7 @@ class Contract:
         except ValueError as error:
             raise SurefootError(f"contract: is not JSON: {error}") from error
         if not isinstance(data, dict) or data.pop("kind", None) != KIND:
-            raise SurefootError(f"contract: is no policy's; its kind must be '{KIND}'")
+            raise SurefootError(f"contract: is not a policy's; its kind must be '{KIND}'")
         schema = data.pop("schema", None)
         if schema != SCHEMA:
             raise SurefootError(f"contract: has schema {schema!r}; this surefoot reads schema {SCHEMA}")
@@ -165,13 +165,13 @@ class Contract:
 
 
 def _check_range(name: str, value: Any, low: float, high: float, unit: str) -> None:
-    """Refuse what is no number from `low` to `high`."""
+    """Refuse what is not a number from `low` to `high`."""
     if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:
         raise SurefootError(f"contract: {name} is {value!r:.40}; it must be a number from {low:g} to {high:g} {unit}")
 
 
 def _finite(text: str) -> float:
-    """A number of JSON; what it says of NaN and numbers that are too large is an error."""
+    """Return a number of JSON; NaN and numbers that are too large are errors."""
     value = float(text)
     if not math.isfinite(value):
         raise ValueError(f"it holds {text:.40}; numbers must be finite")
@@ -179,14 +179,14 @@ def _finite(text: str) -> float:
 
 
 def _whole(text: str) -> int:
-    """A whole number of JSON, of 64 bits: arrays can't hold longer ones."""
+    """Return an integer of JSON of at most 64 bits, as arrays hold."""
     if abs(_finite(text)) >= 2.0**64:
         raise ValueError(f"it holds {text:.40}; whole numbers must be below 2^64")
     return int(text)
 
 
 def plain(value: Any) -> Any:
-    """Tables, lists, text and numbers as JSON holds them; a number that is not finite becomes None."""
+    """Return tables, lists, text and numbers as JSON values; a number that is not finite becomes None."""
     if isinstance(value, Mapping):
         return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, np.ndarray | np.generic):
@@ -199,7 +199,7 @@ def plain(value: Any) -> Any:
 
 
 def config_hash(config: Mapping[str, Any]) -> str:
-    """SHA-256 of a configuration as canonical JSON: keys sorted, no blanks."""
+    """Return the SHA-256 of a configuration as canonical JSON: keys sorted, no blanks."""
     text = json.dumps(plain(config), sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False)
     return hashlib.sha256(text.encode()).hexdigest()
 

@@ -1,16 +1,16 @@
 """The digest of a policy file: shows that its network and its contract are those that were exported together.
 
-A contract that says what the network no longer does is worse than none: joint order, normalizer and rate would be
-checked, found right, and be wrong. So an export writes the SHA-256 of both as one more property of the file:
+A contract that does not match its network is worse than none: checks of joint order, normalizer and rate would pass
+and mean nothing. So an export writes the SHA-256 of both as a further property of the file:
 
     SHA-256( contract as JSON | 00 | graph )
 
 `graph` are the bytes of field 7 of the ONNX file's `ModelProto` as they stand in the file: operators, normalizer,
-weights, bounds. The robot's computer has no `onnx` package and onnxruntime does not give these bytes out, so a walk
-over the top level of the protobuf message finds them. Whatever else a model could have there (functions, other
+weights, bounds. The robot's computer has no `onnx` package and onnxruntime does not expose these bytes, so the
+top level of the protobuf message is read here. Whatever else a model could have there (functions, other
 properties, another version of the operators) is refused, so that nothing beside the two decides what is computed.
 
-Who changes a file can write a new digest too: it shows accidents and stale exports, and is no signature.
+Whoever changes a file can write a new digest too: it detects damage and stale exports, and is not a signature.
 
 `python -m surefoot.policy.digest FILE...` adds the digest to files that were written without one.
 """
@@ -36,14 +36,14 @@ _GRAPH, _OPSET, _PROPERTIES, _KEY, _VALUE = 7, 8, 14, 1, 2
 _MODEL = {1: NUMBER, 2: BYTES, 3: BYTES, _GRAPH: BYTES, _OPSET: BYTES, _PROPERTIES: MANY}
 """Fields of a model: version of the format, who wrote it, and these."""
 MISMATCH = (
-    "its digest does not fit: the network or the contract was changed after the export, so that the contract may no "
+    "its digest does not match: the network or the contract was changed after the export, so that the contract may no "
     "longer say what the network does; export the policy again"
 )
 
 
 @dataclass(frozen=True)
 class Parts:
-    """What the digest is made of, as it stands in the file, and the digest."""
+    """The parts of a policy file that the digest covers, and the digest."""
 
     graph: bytes
     """The computation, with all of its constants."""
@@ -63,13 +63,13 @@ class Parts:
 
 
 def read_parts(data: bytes) -> Parts:
-    """Graph and metadata of a policy file.
+    """Return the graph and metadata of a policy file.
 
     Raises:
-        SurefootError: the bytes are no ONNX file, or hold more than surefoot writes.
+        SurefootError: the bytes are not an ONNX file, or hold more than surefoot writes.
     """
     if len(data) > MAX_BYTES:
-        raise SurefootError(f"has over {MAX_BYTES >> 20} MiB; no policy is that large")
+        raise SurefootError(f"has over {MAX_BYTES >> 20} MiB; a policy is smaller")
     model = message(data, "model", _MODEL)
     for opset in model[_OPSET]:
         entry = message(opset, "operator set", {1: BYTES, 2: NUMBER})
@@ -89,7 +89,7 @@ def read_parts(data: bytes) -> Parts:
 
 
 def check_digest(data: bytes) -> str | None:
-    """The digest of a policy file; None if it was written without one.
+    """Return the digest of a policy file; None if it has none.
 
     Raises:
         SurefootError: the digest is damaged, or does not fit what the file holds.
@@ -105,10 +105,10 @@ def check_digest(data: bytes) -> str | None:
 
 
 def stamped(data: bytes) -> bytes:
-    """The file with its digest; all else stays as it is, to the byte.
+    """Return the file with its digest added; all else stays the same, to the byte.
 
     Raises:
-        SurefootError: no policy, or one with a digest that does not fit: that is told, never mended.
+        SurefootError: not a policy, or one with a digest that does not match; that is never repaired.
     """
     if METADATA_KEY not in read_parts(data).properties:
         raise SurefootError("has no contract; surefoot stamps only policies that it exported")
@@ -120,7 +120,7 @@ def stamped(data: bytes) -> bytes:
 
 
 def main(words: Sequence[str] | None = None) -> int:
-    """Stamp policy files; returns the exit code: 0, or 2 if one of them was refused."""
+    """Stamp policy files; return the exit code: 0, or 2 if one of them was refused."""
     code = 0
     paths = [Path(word) for word in (sys.argv[1:] if words is None else words)]
     if not paths:
@@ -136,7 +136,7 @@ def main(words: Sequence[str] | None = None) -> int:
             code = 2
             continue
         if whole == data:
-            print(f"{path}: had its digest, and it fits")
+            print(f"{path}: had its digest, and it matches")
             continue
         with whole_file(path) as file:
             file.write(whole)

@@ -57,7 +57,7 @@ def build_model(
     activation: str,
     contract: Contract,
 ) -> onnx.ModelProto:
-    """The ONNX model of a multilayer perceptron.
+    """Return the ONNX model of a multilayer perceptron.
 
     feedback = low + (clip(mlp((observation - mean) / scale), -1, 1) + 1) / 2 (high - low)
 

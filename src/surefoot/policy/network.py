@@ -1,8 +1,8 @@
-"""What the network of a policy file may be: checked before onnxruntime gets to see the file.
+"""Check of the network of a policy file, before onnxruntime loads the file.
 
 ONNX can loop for ever and make gigabytes out of ten bytes. What surefoot exports is a multilayer perceptron: each
-node takes the result of an earlier one, and constants that lie in the file. So a network costs no more memory than
-its file, and no more time than its weights have numbers.
+node takes the result of an earlier one, and constants in the file. So memory is bounded by the size of the file, and
+time by the number of weights.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ def check_network(graph: bytes) -> None:
 
 
 def _constant(tensor: bytes) -> tuple[bytes, tuple[int, ...]]:
-    """Name and shape of a constant."""
+    """Return the name and shape of a constant."""
     parts = message(tensor, "constant", _TENSOR)
     name, shape, data = b"".join(parts[8]), tuple(parts[1]), b"".join(parts[9])
     if len(shape) > 2 or any(not 0 < size <= MAX_WIDTH for size in shape):
@@ -78,7 +78,7 @@ def _constant(tensor: bytes) -> tuple[bytes, tuple[int, ...]]:
 
 
 def _node(node: bytes, shapes: dict[bytes, tuple[int, ...]], results: set[bytes]) -> bytes:
-    """Check a node; returns the name of its result."""
+    """Check a node; return the name of its result."""
     parts = message(node, "node", _NODE)
     kind = b"".join(parts[4]).decode(errors="replace")
     inputs, outputs = parts[1], parts[2]
@@ -89,7 +89,7 @@ def _node(node: bytes, shapes: dict[bytes, tuple[int, ...]], results: set[bytes]
     weights = inputs[1:2] if kind == "Gemm" else []
     for name in inputs[1:]:
         if name not in shapes and (name not in results or kind == "Gemm"):
-            raise SurefootError(f"its network has a {kind} of {_shown(name)}, which is no value that it can take")
+            raise SurefootError(f"its network has a {kind} of {_shown(name)}, which is not a value that it can take")
         # More than one row beside the batch would make the result as large as both together.
         if math.prod(shapes.get(name, ())[:-1]) > 1 and name not in weights:
             raise SurefootError(f"its network has a {kind} of {_shown(name)}, which has more than one row")
@@ -100,5 +100,5 @@ def _node(node: bytes, shapes: dict[bytes, tuple[int, ...]], results: set[bytes]
 
 
 def _shown(name: bytes) -> str:
-    """A name from a file, safe to print."""
+    """Return a name from a file, safe to print."""
     return repr(name[:40].decode(errors="replace"))

@@ -1,7 +1,7 @@
-"""Reads protobuf messages strictly: the robot's computer has no `onnx` package.
+"""A strict reader of protobuf messages: the robot's computer has no `onnx` package.
 
-A message may hold the fields that its layout names, and nothing else: what this reader would pass over, onnxruntime
-might heed (https://protobuf.dev/programming-guides/encoding).
+A message may hold the fields that its layout names, and nothing else: onnxruntime might use what this reader
+skipped (https://protobuf.dev/programming-guides/encoding).
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ Layout = Mapping[int, tuple[int, bool]]
 
 
 def message(data: bytes, name: str, layout: Layout) -> dict[int, list[Any]]:
-    """All values of each field of a message, in order; a field that it lacks has none.
+    """Return all values of each field of a message, in order; a missing field has none.
 
     Args:
         data: the message.
@@ -45,7 +45,7 @@ def message(data: bytes, name: str, layout: Layout) -> dict[int, list[Any]]:
 
 
 def field(number: int, value: bytes) -> bytes:
-    """A field that holds bytes, as it stands in a message."""
+    """Return a field that holds bytes, encoded for a message."""
     return _varint(number << 3 | LENGTH) + _varint(len(value)) + value
 
 
@@ -58,7 +58,7 @@ def _varint(number: int) -> bytes:
 
 
 def _fields(data: bytes) -> Iterator[tuple[int, int, int | bytes]]:
-    """Number, wire type and value of each field of a message."""
+    """Yield number, wire type and value of each field of a message."""
     at = 0
     while at < len(data):
         start = at
@@ -81,7 +81,7 @@ def _fields(data: bytes) -> Iterator[tuple[int, int, int | bytes]]:
 
 
 def _read_varint(data: bytes, at: int) -> tuple[int, int]:
-    """A number of seven bits a byte, the lowest first, and where the next thing stands."""
+    """Return a varint (seven bits a byte, the lowest first) and the position after it."""
     number = 0
     for place in range(10):
         if at + place >= len(data):

@@ -1,4 +1,4 @@
-"""Runs a policy file: numpy and onnxruntime only, so that the robot's computer can."""
+"""Runtime of policy files, with numpy and onnxruntime only, for the robot's computer."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from surefoot.policy.digest import check_digest, read_parts
 from surefoot.policy.network import INPUT, MAX_BYTES, OUTPUT, check_network
 
 with stdout_to_stderr():
-    # It warns of processors and devices that it does not know while it is loaded, not only when it is asked something.
+    # It warns of processors and devices that it does not know while it is loaded, not only when it is used.
     import onnxruntime
 
 
@@ -65,7 +65,7 @@ class PolicyRuntime:
         return cls(session, contract, digest)
 
     def feedback(self, observation: ArrayLike) -> NDArray[np.float64]:
-        """Feedback (N, 2 L) [rad] within the contract's bounds for observations (N, O * history) in SI.
+        """Return the feedback (N, 2 L) [rad] within the contract's bounds for observations (N, O * history) in SI.
 
         Raises:
             SurefootError: observations of another shape, or a number not finite going in or coming out.
@@ -87,10 +87,10 @@ class PolicyRuntime:
 
 
 def _read(data: bytes) -> tuple[Contract, str | None]:
-    """Contract and digest of a policy file, checked with its network before anything of it is run.
+    """Return the contract and digest of a policy file, checked with its network before any of it is run.
 
     Raises:
-        SurefootError, ValueError, OverflowError, RecursionError: what the file holds is no policy.
+        SurefootError, ValueError, OverflowError, RecursionError: the file does not hold a policy.
     """
     parts = read_parts(data)
     if METADATA_KEY not in parts.properties:
@@ -104,7 +104,7 @@ def _read(data: bytes) -> tuple[Contract, str | None]:
 
 
 def _options() -> onnxruntime.SessionOptions:
-    """One thread, nothing on stderr: a network this small is done before a second thread has woken."""
+    """Return session options with one thread and no output: a second thread does not pay for so small a network."""
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = 1
     options.execution_mode = onnxruntime.ExecutionMode.ORT_SEQUENTIAL
@@ -115,7 +115,7 @@ def _options() -> onnxruntime.SessionOptions:
 
 
 def _check_end(path: Path, what: str, found: list[Any], name: str, width: int) -> None:
-    """Refuse what is not one tensor (N, width) of 32-bit numbers, as the contract tells."""
+    """Refuse what is not one tensor (N, width) of 32-bit numbers, as the contract states."""
     said = ", ".join(f"{end.name} {end.type} {end.shape}" for end in found)
     fits = len(found) == 1 and found[0].name == name and found[0].type == "tensor(float)"
     if not (

@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from surefoot.identify.result import Estimate, Identification, Series
-from surefoot.report.figures import BLUE, INK, LEG_COLORS, ORANGE, QUIET, _figure, _spoken
 from surefoot.report.identification_parts import (
     full_name,
     index_names,
     known_before,
     number,
 )
+from surefoot.report.style import BLUE, INK, LEG_COLORS, ORANGE, QUIET, new_figure, spoken
 from surefoot.robot import PhysicalParams, RobotDescription
 
 if TYPE_CHECKING:
@@ -62,7 +62,7 @@ def identification_figure(
     for i in range(0, len(found.series), 2):
         pair = found.series[i : i + 2]
         rows.append((3.0, [1.0] * len(pair), [partial(_series, series=one) for one in pair]))
-    with _figure(path, (WIDTH, sum(height for height, _, _ in rows) + 0.5)) as (figure, (unused,)):
+    with new_figure(path, (WIDTH, sum(height for height, _, _ in rows) + 0.5)) as (figure, (unused,)):
         unused.remove()
         figure.suptitle(f"{found.experiment}: {found.robot}", x=0.01, ha="left", fontweight="bold")
         if rows:
@@ -109,7 +109,7 @@ def _intervals(ax: Axes, items: Sequence[Estimate], robot: RobotDescription, kno
     ax.axvline(0.0, color=QUIET, linewidth=0.9, linestyle=(0, (4, 3)), zorder=0.5)
     ax.set_xlim(-1.12 * reach, 1.12 * reach)
     ax.set_ylim(len(items) - 0.4, -0.6)
-    ax.set_yticks(range(len(items)), [_spoken(full_name(item.label, robot)) for item in items])
+    ax.set_yticks(range(len(items)), [spoken(full_name(item.label, robot)) for item in items])
     ax.tick_params(axis="y", length=0)
     ax.grid(visible=False, axis="y")
     ax.set_xlabel("difference from what was known before (%), 95 % interval")
@@ -121,7 +121,7 @@ def _correlations(ax: Axes, found: Identification, robot: RobotDescription) -> N
     pairs = found.correlations
     for place, (one, other, value) in enumerate(pairs):
         ax.barh(place, value, 0.3, color=ORANGE if value < 0 else BLUE, alpha=0.45, linewidth=0)
-        said = "\nand ".join(_spoken(full_name(label, robot)) for label in (one, other))
+        said = "\nand ".join(spoken(full_name(label, robot)) for label in (one, other))
         ax.text(0.0, place - 0.42, said, **_SMALL, linespacing=1.0)
         ax.text(value / 2, place, f"{value:+.2f}", ha="center", va="center", fontsize=7.5, color=INK)
     ax.axvline(0.0, color=QUIET, linewidth=0.9, zorder=0.5)
@@ -152,12 +152,12 @@ def _motors(ax: Axes, items: Sequence[Estimate], robot: RobotDescription, known:
         ax.errorbar(place, item.value, yerr=[[max(item.value - low, 0.0)], [max(high - item.value, 0.0)]], **_BAR,
                     color=LEG_COLORS.get(leg, BLUE))  # fmt: skip
     ax.set_xlim(-0.7, len(names) - 0.3)
-    labels = [_spoken(name) for name in names]
+    labels = [spoken(name) for name in names]
     ax.set_xticks(range(len(names)), labels, rotation=40, ha="right", rotation_mode="anchor", fontsize=7.5)
     ax.tick_params(axis="x", length=0)
     ax.grid(visible=False, axis="x")
     unit = "" if items[0].unit == "1" else f" ({items[0].unit})"
-    ax.set_title(f"{_spoken(items[0].name).capitalize()}{unit}", fontweight="bold", pad=18.0)
+    ax.set_title(f"{spoken(items[0].name).capitalize()}{unit}", fontweight="bold", pad=18.0)
     ax.text(0.0, 1.03, "dashed: known before", transform=ax.transAxes, fontsize=7.5, color=QUIET)
     ax.margins(y=0.15)
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from surefoot.errors import SurefootError
-from surefoot.report.video import Shape
+from surefoot.report.drawing import Shape
 from surefoot.robot import RobotDescription
 from surefoot.rotations import quat_matrix
 from surefoot.task.trace import EpisodeTrace

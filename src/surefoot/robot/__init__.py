@@ -1,4 +1,4 @@
-"""What the machine is: URDF, data sheet, leg space and the physical parameters that reality may dispute."""
+"""The robot: URDF, data sheet, leg space and the physical parameters that may differ from the data sheet."""
 
 from surefoot.robot.description import GRAVITY, RobotDescription
 from surefoot.robot.leg import FiveBar, leg_to_motor, motor_to_leg

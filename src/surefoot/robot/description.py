@@ -140,7 +140,7 @@ class _Sheet:
 
 @dataclass(frozen=True)
 class RobotDescription:
-    """What a machine is. Angles are motor angles theta in the sheet's motor order unless said otherwise."""
+    """A robot. Angles are motor angles theta in the sheet's motor order unless stated otherwise."""
 
     name: str
     folder: Path
@@ -162,7 +162,7 @@ class RobotDescription:
 
     @classmethod
     def available(cls) -> list[str]:
-        """Names of the robots that ship with surefoot."""
+        """Return the names of the robots that ship with surefoot."""
         return sorted(path.parent.name for path in _HERE.glob("*/robot.toml"))
 
     @classmethod
@@ -170,7 +170,7 @@ class RobotDescription:
         """Load a robot by name or by the path of its folder.
 
         Raises:
-            SurefootError: no such robot, or a description that does not fit: says file, key and rule.
+            SurefootError: no such robot, or an invalid description: states file, key and rule.
         """
         folder = _HERE / str(robot) if str(robot) in cls.available() else Path(robot)
         sheet_path = folder / "robot.toml"
@@ -298,7 +298,7 @@ class RobotDescription:
         return np.array(self.actuator.torque_table_current), np.array(self.actuator.torque_table_torque)
 
     def leg_to_motor_angles(self, swing: ArrayLike, extension: ArrayLike) -> NDArray[np.float64]:
-        """Motor angles (..., motors) [rad] for swing and extension (..., legs) [rad]."""
+        """Return the motor angles (..., motors) [rad] for swing and extension (..., legs) [rad]."""
         theta_1, theta_2 = leg_to_motor(swing, extension)
         index = self.leg_motor_index
         angles = np.empty((*theta_1.shape[:-1], self.num_motors))
@@ -307,7 +307,7 @@ class RobotDescription:
         return angles
 
     def motor_to_leg_pose(self, angles: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Swing and extension (..., legs) [rad] for motor angles (..., motors) [rad]."""
+        """Return the swing and extension (..., legs) [rad] for motor angles (..., motors) [rad]."""
         theta, index = np.asarray(angles, float), self.leg_motor_index
         return motor_to_leg(theta[..., index[:, 0]], theta[..., index[:, 1]])
 
@@ -328,7 +328,7 @@ class RobotDescription:
         return joints
 
     def nominal_params(self) -> dict[str, float]:
-        """Nominal value of every physical parameter, by name."""
+        """Return the nominal value of every physical parameter, by name."""
         data, timing = self.actuator, self.timing
         return {
             **dict.fromkeys(("base_mass_ratio", "leg_mass_ratio", "base_inertia_ratio", "leg_inertia_ratio"), 1.0),
@@ -371,4 +371,4 @@ def _check_names(key: str, given: Sequence[str], valid: Sequence[str]) -> None:
         if name not in valid:
             raise SurefootError(f"{key} names '{name}', which the robot does not have; choices: {choices(valid)}")
     if len(set(given)) != len(given):
-        raise SurefootError(f"{key} is {quoted(list(given))}; it must have no name twice")
+        raise SurefootError(f"{key} is {quoted(list(given))}; names must not repeat")

@@ -20,13 +20,13 @@ from surefoot.errors import SurefootError
 
 
 def leg_to_motor(swing: ArrayLike, extension: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Motor angles (theta_1, theta_2) [rad] of legs at swing and extension [rad]; any shape, broadcast."""
+    """Return the motor angles (theta_1, theta_2) [rad] of legs at swing and extension [rad]; any shape, broadcast."""
     s, e = np.asarray(swing, float), np.asarray(extension, float)
     return e + s, e - s
 
 
 def motor_to_leg(theta_1: ArrayLike, theta_2: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Swing and extension [rad] of legs with motors at theta_1 and theta_2 [rad]; any shape, broadcast."""
+    """Return the swing and extension [rad] of legs with motors at theta_1 and theta_2 [rad]; any shape, broadcast."""
     t1, t2 = np.asarray(theta_1, float), np.asarray(theta_2, float)
     return (t1 - t2) / 2, (t1 + t2) / 2
 
@@ -45,7 +45,7 @@ class FiveBar:
     """Radius of the foot's rounded end."""
 
     def __post_init__(self) -> None:
-        """Refuse lengths that are no lengths."""
+        """Refuse lengths that are not over zero."""
         for key, value in (("upper", self.upper), ("lower", min(self.lower)), ("foot", self.foot)):
             if not value > 0:
                 raise SurefootError(f"leg_geometry.{key} is {value:g}; a length must be over 0 m")
@@ -55,14 +55,14 @@ class FiveBar:
             )
 
     def knees(self, theta_1: ArrayLike, theta_2: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Positions (..., 2) [m] of both knees, x forward and z up from the motor axis."""
+        """Return the positions (..., 2) [m] of both knees, x forward and z up from the motor axis."""
         t1, t2 = np.asarray(theta_1, float), np.asarray(theta_2, float)
         knee_1 = self.upper * np.stack([np.sin(t1), np.cos(t1)], -1)
         knee_2 = self.upper * np.stack([-np.sin(t2), np.cos(t2)], -1)
         return knee_1, knee_2
 
     def pin(self, theta_1: ArrayLike, theta_2: ArrayLike) -> NDArray[np.float64]:
-        """Position (..., 2) [m] of the pin joint, where circles around the knees meet away from the motors.
+        """Return the position (..., 2) [m] of the pin joint, where circles around the knees meet away from the motors.
 
         NaN where the lower links are too short to meet.
         """
@@ -79,13 +79,13 @@ class FiveBar:
         return knee_2 + along * unit + height * down
 
     def foot_position(self, theta_1: ArrayLike, theta_2: ArrayLike) -> NDArray[np.float64]:
-        """Position (..., 2) [m] of the foot's end from the motor axis; NaN where no loop closes."""
+        """Return the position (..., 2) [m] of the foot's end from the motor axis; NaN where no loop closes."""
         _, knee_2 = self.knees(theta_1, theta_2)
         pin = self.pin(theta_1, theta_2)
         return knee_2 + (pin - knee_2) * (self.foot / self.lower[1])
 
     def knee_angles(self, theta_1: ArrayLike, theta_2: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Angles [rad] of both lower links about +y from their upper links; zero continues the upper link."""
+        """Return the angles [rad] of both lower links about +y from their upper links; 0 continues the upper link."""
         knee_1, knee_2 = self.knees(theta_1, theta_2)
         pin = self.pin(theta_1, theta_2)
 
@@ -98,5 +98,5 @@ class FiveBar:
         return turn(knee_1, t1) % (2 * np.pi), -(-turn(knee_2, -t2) % (2 * np.pi))
 
     def closes(self, theta_1: ArrayLike, theta_2: ArrayLike) -> NDArray[np.bool_]:
-        """Whether the loop can close at these motor angles."""
+        """Return whether the loop can close at these motor angles."""
         return np.asarray(np.isfinite(self.pin(theta_1, theta_2)).all(-1))

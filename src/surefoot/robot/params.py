@@ -1,4 +1,4 @@
-"""`PhysicalParams`: everything that reality may dispute, one row a robot."""
+"""`PhysicalParams`: everything that may differ from the data sheet, one row per robot."""
 
 from __future__ import annotations
 
@@ -43,11 +43,11 @@ class PhysicalParams:
     description's value.
     """
 
-    base_mass_ratio: Array = _row("1", "mass of the base and all that is fixed to it, to the description's", (0.2, 5.0))
-    leg_mass_ratio: Array = _row("1", "mass of every moving link, to the description's", (0.2, 5.0))
-    base_inertia_ratio: Array = _row("1", "rotational inertia of the base, to the description's", (0.2, 5.0))
-    leg_inertia_ratio: Array = _row("1", "rotational inertia of every moving link, to the description's", (0.2, 5.0))
-    motor_strength: Array = _row("1", "motor torque, to the motor model's", (0.0, 2.0), "motors")
+    base_mass_ratio: Array = _row("1", "mass of the base with its fixed links, over the description's", (0.2, 5.0))
+    leg_mass_ratio: Array = _row("1", "mass of every moving link, over the description's", (0.2, 5.0))
+    base_inertia_ratio: Array = _row("1", "rotational inertia of the base, over the description's", (0.2, 5.0))
+    leg_inertia_ratio: Array = _row("1", "rotational inertia of every moving link, over the description's", (0.2, 5.0))
+    motor_strength: Array = _row("1", "motor torque, over the motor model's", (0.0, 2.0), "motors")
     motor_friction: Array = _row("N m", "Coulomb friction in each motor", (0.0, 0.5), "motors")
     motor_viscous_friction: Array = _row("N m s/rad", "viscous friction in each motor", (0.0, 0.1), "motors")
     torque_constant: Array = _row("N m/A", "torque constant K_t, also the back-EMF constant", (0.01, 1.0))
@@ -55,13 +55,13 @@ class PhysicalParams:
     voltage: Array = _row("V", "battery voltage", (5.0, 30.0))
     servo_kp: Array = _row("1/rad", "servo's proportional gain, duty per angle", (0.0, 10.0))
     servo_kd: Array = _row("s/rad", "servo's derivative gain, duty per speed", (0.0, 0.2))
-    servo_latency: Array = _row("s", "age of the motor angles and speeds that the servo sees", (0.0, 0.020))
-    control_latency: Array = _row("s", "age of the readings that the policy sees", (0.0, 0.100))
+    servo_latency: Array = _row("s", "age of the motor angles and speeds that the servo uses", (0.0, 0.020))
+    control_latency: Array = _row("s", "age of the readings that the policy observes", (0.0, 0.100))
     control_step: Array = _row("s", "time between two commands of the policy", (0.001, 0.050))
     contact_friction: Array = _row("1", "lateral friction coefficient of the feet", (0.05, 3.0))
     contact_stiffness: Array = _row("N/m", "stiffness of the feet against the ground", (300.0, 100_000.0))
     contact_spinning_friction: Array = _row(
-        "m", "torque with which a foot resists turning about the normal, to the normal force", (0.0, 0.5)
+        "m", "friction torque of a foot about the contact normal, over the normal force", (0.0, 0.5)
     )
     knee_friction: Array = _row("N m", "Coulomb friction in each knee joint; Bullet only", (0.0, 0.5))
     knee_play: Array = _row("m", "radial clearance of the pins that close the loops; Bullet only", (0.0, 0.005))
@@ -77,22 +77,22 @@ class PhysicalParams:
 
     @classmethod
     def names(cls) -> list[str]:
-        """Names of all parameters."""
+        """Return the names of all parameters."""
         return [item.name for item in fields(cls)]
 
     @classmethod
     def unit(cls, name: str) -> str:
-        """Unit of a parameter; 1 for ratios."""
+        """Return the unit of a parameter; 1 for ratios."""
         return str(cls.__dataclass_fields__[name].metadata["unit"])
 
     @classmethod
     def default_bounds(cls) -> dict[str, tuple[float, float]]:
-        """Least and greatest value by name, where a robot's sheet does not give them."""
+        """Return the least and greatest value by name, where a robot's sheet does not give them."""
         return {item.name: item.metadata["bounds"] for item in fields(cls)}
 
     @classmethod
     def nominal(cls, robot: Described, num_envs: int = 1) -> PhysicalParams:
-        """The parameters that the robot's description states, for `num_envs` robots."""
+        """Return the parameters that the robot's description states, for `num_envs` robots."""
         nominal = robot.nominal_params()
         widths = {"one": (), "motors": (robot.num_motors,), "roll, pitch": (2,), "roll, pitch, yaw": (3,)}
         values = {}
@@ -102,7 +102,7 @@ class PhysicalParams:
         return cls(**values)
 
     def with_values(self, robot: Described, **values: ArrayLike) -> PhysicalParams:
-        """A copy with some parameters set, each given for all robots or one row a robot.
+        """Return a copy with some parameters set, each given for all robots or one row per robot.
 
         Raises:
             SurefootError: no such parameter, or a value outside what the robot's description allows.
@@ -110,7 +110,7 @@ class PhysicalParams:
         changed = {}
         for name, value in values.items():
             if name not in self.names():
-                raise SurefootError(f"'{name}' is no physical parameter; choices: {choices(self.names())}")
+                raise SurefootError(f"'{name}' is not a physical parameter; choices: {choices(self.names())}")
             now = getattr(self, name)
             given = np.asarray(value, dtype=np.float64)
             if given.ndim == 1 and now.ndim == 2 and len(given) == len(now) and len(given) != now.shape[1]:
@@ -123,11 +123,11 @@ class PhysicalParams:
         return replace(self, **changed)
 
     def rows(self, index: ArrayLike) -> PhysicalParams:
-        """The parameters of some of the robots, by index."""
+        """Return the parameters of some of the robots, by index."""
         return replace(self, **{name: getattr(self, name)[np.asarray(index)] for name in self.names()})
 
     def summary(self) -> dict[str, float]:
-        """Mean over the robots of each parameter, for reports and contracts."""
+        """Return the mean over the robots of each parameter, for reports and contracts."""
         return {name: float(np.mean(getattr(self, name))) for name in self.names()}
 
 
@@ -141,7 +141,7 @@ def parse_settings(settings: list[str] | tuple[str, ...]) -> dict[str, float]:
     for setting in settings:
         name, _, text = setting.partition("=")
         if name not in PhysicalParams.names():
-            raise SurefootError(f"'{name}' is no physical parameter; choices: {choices(PhysicalParams.names())}")
+            raise SurefootError(f"'{name}' is not a physical parameter; choices: {choices(PhysicalParams.names())}")
         try:
             parsed[name] = float(text)
         except ValueError:

@@ -1,4 +1,4 @@
-"""Physical parameters of one robot in a TOML file, with whatever else belongs to them.
+"""Physical parameters of one robot in a TOML file, with further tables.
 
     [params]
     motor_strength = [0.94, 0.97, 0.91, 1.0, 0.99, 0.93, 0.96, 0.98]
@@ -50,7 +50,7 @@ class ParamsFile:
 
 
 def param_values(params: PhysicalParams, names: Iterable[str] | None = None) -> dict[str, ParamValue]:
-    """Parameters of one robot by name: one number each, or one a motor or axis where these differ.
+    """Return the parameters of one robot by name: one number each, or one per motor or axis where these differ.
 
     Args:
         params: one row.
@@ -104,7 +104,7 @@ def write_params(
         names: parameters to write; all, if not given.
 
     Raises:
-        SurefootError: a folder that does not exist, or a value that TOML has no way to write.
+        SurefootError: a folder that does not exist, or a value that TOML cannot hold.
     """
     others = {key: value for key, value in (tables or {}).items() if key != "robot"}
     lines = _lines({"robot": robot.name, **{key: value for key, value in others.items() if not _is_table(value)}})
@@ -130,7 +130,7 @@ def _lines(entries: Mapping[str, Any]) -> list[str]:
 
 
 def _table(path: str, entries: Mapping[str, Any]) -> list[str]:
-    """A table and those in it, each under its whole name."""
+    """Return the lines of a table and its nested tables, each with its dotted name."""
     plain = {key: value for key, value in entries.items() if not _is_table(value)}
     # A table that holds nothing but tables needs no line of its own.
     lines = ["", f"[{path}]", *_lines(plain)] if plain or not entries else []
@@ -150,7 +150,7 @@ def _text(text: str) -> str:
 
 
 def _toml(value: Any) -> str:
-    """A number, a truth, a text, a date, or a list or inline table of them, as TOML writes it."""
+    """Return a number, boolean, text, date, or list or inline table of them as TOML."""
     if isinstance(value, np.generic):
         value = value.item()
     if isinstance(value, bool):
@@ -167,4 +167,4 @@ def _toml(value: Any) -> str:
         return value.isoformat()
     if _is_table(value):
         return f"{{{', '.join(_lines(value))}}}"
-    raise SurefootError(f"a file of parameters can't hold {value!r}; numbers, texts, truths and lists can be written")
+    raise SurefootError(f"a file of parameters can't hold {value!r}; numbers, texts, booleans and lists can be written")

@@ -1,7 +1,7 @@
 """The part of a URDF that surefoot reads itself: names, masses, inertias and joint axes.
 
 Engines read the same file with their own readers; this one exists so that a description can be checked, and
-refused in plain words, without any engine.
+refused with a clear message, without any engine.
 """
 
 from __future__ import annotations
@@ -51,12 +51,12 @@ class Urdf:
 
     @property
     def root(self) -> str:
-        """Name of the link that is no joint's child."""
+        """Name of the link that has no parent joint."""
         children = {joint.child for joint in self.joints.values()}
         return next(name for name in self.links if name not in children)
 
     def fixed_to(self, link: str) -> set[str]:
-        """Names of the links that move as one with `link`, itself included."""
+        """Return the names of the links that move as one with `link`, itself included."""
         group = {link}
         while True:
             more = set(group)
@@ -112,7 +112,7 @@ def read_urdf(path: Path) -> Urdf:
             raise SurefootError(f"{path}: link '{name}': mass is {mass:g}; it must be over 0 kg")
         if not (min(ixx, iyy, izz) > 0 and 2 * max(ixx, iyy, izz) <= (ixx + iyy + izz) * (1 + 1e-9)):
             raise SurefootError(
-                f"{path}: link '{name}': inertia ({ixx:g}, {iyy:g}, {izz:g}) is no rigid body's; "
+                f"{path}: link '{name}': inertia ({ixx:g}, {iyy:g}, {izz:g}) is not a rigid body's; "
                 "each must be over 0 and none over the sum of the other two"
             )
         links[name] = Link(name, mass, (ixx, iyy, izz))
@@ -127,7 +127,7 @@ def read_urdf(path: Path) -> Urdf:
         )
         for end in ends:
             if end not in links:
-                raise SurefootError(f"{path}: joint '{name}' joins '{end}', which is no link; links: {choices(links)}")
+                raise SurefootError(f"{path}: joint '{name}' joins '{end}', not a link; choices: {choices(links)}")
         xyz = _floats(axis.get("xyz", ""), 3, f"{path}: joint '{name}': axis") if axis is not None else (1.0, 0.0, 0.0)
         origin = element.find("origin")
         place = _floats(

@@ -1,1 +1,1 @@
-"""What is to be learned: reference gait, observation, reward, fall, pushes and the environment."""
+"""The learning task: reference gait, observation, reward, fall, pushes and the environment."""

@@ -1,4 +1,4 @@
-"""A task as data: which robot, what it sees, what it may do, what is rewarded."""
+"""The configuration of a task: robot, observation, feedback, reward."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ PerLeg = float | dict[str, float]
 
 @dataclass(frozen=True)
 class WaveConfig:
-    """A sinusoid for each leg; each quantity one number, or one for each leg by name."""
+    """A sinusoid for each leg; each quantity is one number, or one for each leg by name."""
 
     amplitude: PerLeg = 0.0
     """rad"""
@@ -56,7 +56,7 @@ class ReferenceConfig:
     """The table itself, in place of `file`: under swing and extension, each leg's poses [rad]."""
 
     def to_mapping(self) -> dict[str, Any] | None:
-        """As `make_reference` takes it."""
+        """Return the mapping that `make_reference` takes."""
         if self.kind == "none":
             return None
         if self.kind == "table" and self.rows is not None:
@@ -87,7 +87,7 @@ class FeedbackConfig:
 
 @dataclass(frozen=True)
 class TaskConfig:
-    """What is to be learned."""
+    """Configuration of a task."""
 
     name: str = "gait"
     """Name of the task; run folders carry it."""
@@ -96,7 +96,7 @@ class TaskConfig:
     observations: tuple[str, ...] = IMU_AND_MOTORS_12D
     """Parts of the observation, in order."""
     history: Annotated[int, Within(1, 100)] = 1
-    """How many of the last observations the policy sees, the newest first."""
+    """Number of last observations in the policy's input, the newest first."""
     reference: ReferenceConfig = field(default_factory=ReferenceConfig)
     """The open loop part of the gait."""
     feedback: FeedbackConfig = field(default_factory=FeedbackConfig)
@@ -112,11 +112,11 @@ class TaskConfig:
     pushes: PushConfig = field(default_factory=PushConfig)
     """Random pushes on the base."""
     randomize: RandomizeConfig = field(default_factory=RandomizeConfig)
-    """Ranges that every episode draws its physical parameters from; in a file also the name of a table of ranges."""
+    """Ranges from which every episode draws its physical parameters; in a file also the name of a table of ranges."""
     params: dict[str, ParamValue] = field(default_factory=dict)
     """Physical parameters that differ from the robot's description, by name: a number, or one for each motor."""
     params_source: dict[str, str] = field(default_factory=dict)
-    """The file that they were read from, if any: its name as `file`, and `sha256`. Nothing reads it again."""
+    """The file that they were read from, if any: its name as `file`, and `sha256`. It is not read again."""
     actuator: Literal["dc", "constraint"] = "dc"
     """dc: servo and DC motor; constraint: the position motor of physics engines, the paper's baseline."""
     thermal_protection: bool = False
@@ -127,12 +127,12 @@ class TaskConfig:
     """An episode starts with a random angular velocity, each component up to this [rad/s]."""
 
     def __post_init__(self) -> None:
-        """Refuse what no task can be."""
+        """Refuse an invalid name and values out of bounds."""
         check_name("name", self.name)
         check_bounds(self)
 
     def nominal(self, robot: RobotDescription) -> PhysicalParams:
-        """Physical parameters of the task's robot where nothing is drawn, one row.
+        """Return the physical parameters of the task's robot without randomization, one row.
 
         Raises:
             SurefootError: no such parameter, or a value that the robot does not allow.
@@ -141,12 +141,12 @@ class TaskConfig:
 
 
 def preset_names() -> list[str]:
-    """Names of the tasks that ship with surefoot."""
+    """Return the names of the tasks that ship with surefoot."""
     return sorted(path.stem for path in _PRESETS.glob("*.yaml"))
 
 
 def task_path(task: str) -> Path:
-    """The YAML file of a task, given by preset name or by path.
+    """Return the YAML file of a task, given by preset name or by path.
 
     Raises:
         SurefootError: neither a preset nor a file.

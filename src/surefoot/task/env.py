@@ -37,7 +37,7 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
     that ended, its `figures`. Without it, time stands still for a robot whose episode is over, until its reset.
 
     Args:
-        task: what is to be learned.
+        task: its configuration.
         num_envs: number of robots.
         make_world: makes the simulation, such as `surefoot.world.sim_world.SimWorld`.
         seed: seeds every stream of random numbers.
@@ -172,7 +172,7 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
         return self._observation(), reward, terminated, truncated, info
 
     def _episode_figures(self, rows: NDArray[np.int64]) -> dict[str, Array]:
-        """Figures of the episodes that just ended; arrays (N,), zero for robots that go on."""
+        """Return the figures of the episodes that just ended; arrays (N,), zero for robots that go on."""
         figures = {name: np.zeros(self.num_envs) for name in ("return", "steps", "distance", "duration")}
         figures["return"][rows] = self.returns[rows]
         figures["steps"][rows] = self.steps[rows]
@@ -181,7 +181,7 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
         return figures
 
     def privileged(self) -> NDArray[np.float32]:
-        """What a critic may see in simulation besides the observation: the true state of now (N, P).
+        """Return what a critic may observe in simulation besides the observation: the true state (N, P).
 
         Base height [m] and velocity in the world [m/s], roll, pitch and yaw [rad], motor angles [rad] and
         speeds [rad/s], phase of the reference, horizontal force of a push [100 N], and physical parameters that
@@ -217,7 +217,7 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
         return names + (self.randomizer.columns if self.randomizer.enabled else [])
 
     def get_state(self) -> dict[str, Any]:
-        """Everything that decides how the environment goes on, for an exact resume."""
+        """Return the whole state of the environment, for an exact resume."""
         return {
             "world": self.world.get_state(),
             "steps": self.steps.copy(),
@@ -233,7 +233,7 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
         }
 
     def set_state(self, state: dict[str, Any]) -> None:
-        """Go on from `get_state`, exactly."""
+        """Continue from `get_state`, exactly."""
         self.world.set_state(state["world"])
         self.readings, self.truth = self.world.readings(), self.world.truth()
         self.steps[:], self.returns[:] = state["steps"], state["returns"]

@@ -14,7 +14,7 @@ Range = tuple[float, float]
 
 
 class HybridGait:
-    """Reference plus bounded feedback (Tan et al. 2018, eq. 3), from fully given to learned from scratch.
+    """Reference plus bounded feedback (Tan et al. 2018, eq. 3).
 
     Args:
         robot: legs, their order and range.
@@ -53,7 +53,7 @@ class HybridGait:
 
     @property
     def rest(self) -> Range:
-        """Swing and extension [rad] in the middle of what can be asked for."""
+        """Swing and extension [rad] in the middle of the range of commands."""
         (s_low, s_high), (e_low, e_high) = self.reference.extent()
         legs = len(self.robot.legs)
         return (
@@ -62,19 +62,19 @@ class HybridGait:
         )
 
     def feedback(self, action: ArrayLike) -> Array:
-        """Feedback (N, 2 L) [rad] for actions in [-1, 1], clipped: -1 is the lower bound, 1 the upper one."""
+        """Return feedback (N, 2 L) [rad] for actions in [-1, 1], clipped: -1 is the lower bound, 1 the upper one."""
         unit = np.clip(np.asarray(action, float), -1.0, 1.0)
         return self.low + (unit + 1.0) / 2 * (self.high - self.low)
 
     def action(self, feedback: ArrayLike) -> Array:
-        """Actions (N, 2 L) in [-1, 1] that give this feedback (N, 2 L) [rad]; 0 where bounds are equal."""
+        """Return the actions (N, 2 L) in [-1, 1] that give this feedback (N, 2 L) [rad]; 0 where bounds are equal."""
         width = self.high - self.low
         free = width > 0
         unit = 2 * (np.asarray(feedback, float) - self.low) / np.where(free, width, 1.0) - 1.0
         return np.where(free, np.clip(unit, -1.0, 1.0), 0.0)
 
     def motor_targets(self, time: ArrayLike, feedback: Array) -> Array:
-        """Motor angles (N, M) [rad] for feedback (N, 2 L) [rad] at times (N,) [s]."""
+        """Return the motor angles (N, M) [rad] for feedback (N, 2 L) [rad] at times (N,) [s]."""
         swing, extension = self.reference.pose(time)
         legs = swing.shape[-1]
         return self.robot.leg_to_motor_angles(swing + feedback[:, :legs], extension + feedback[:, legs:])

@@ -1,4 +1,4 @@
-"""Physical parameters that nobody is told: a robot that differs from its data sheet, as every real one does."""
+"""Hidden physical parameters: a robot that differs from its data sheet, as every real one does."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.seeding import generator
 from surefoot.task.randomize import ROWS
 
-SPREAD = 0.1
+RELATIVE_RANGE = 0.1
 """How far torque constant and resistance may be from the sheet's, of their value."""
 SERVO_LATENCY = (0.001, 0.005)
 """Age of what the servo sees [s], least and greatest."""
@@ -22,7 +22,7 @@ def draw_hidden(robot: RobotDescription, ranges: Mapping[str, tuple[float, float
     Args:
         robot: whose sheet they are drawn around.
         ranges: least and greatest value by row of `ROWS`, as of Tan et al. 2018, table I. K_t and R are drawn within
-            `SPREAD`, the servo's latency from `SERVO_LATENCY`, unless they have ranges; all others stay nominal.
+            `RELATIVE_RANGE`, the servo's latency from `SERVO_LATENCY`, unless they have ranges; others stay nominal.
         seed: decides everything.
 
     Raises:
@@ -30,7 +30,7 @@ def draw_hidden(robot: RobotDescription, ranges: Mapping[str, tuple[float, float
     """
     nominal = PhysicalParams.nominal(robot)
     around = {
-        name: (value * (1 - SPREAD), value * (1 + SPREAD))
+        name: (value * (1 - RELATIVE_RANGE), value * (1 + RELATIVE_RANGE))
         for name, value in (
             ("torque_constant", robot.actuator.torque_constant),
             ("resistance", robot.actuator.resistance),

@@ -1,4 +1,4 @@
-"""What the policy sees: named parts of the readings, in an order that the contract states."""
+"""The observation: named parts of the readings, in an order that the contract states."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Moment:
-    """All that an observation may be made of, for N robots."""
+    """Everything an observation may be composed of, for N robots."""
 
     readings: Readings
     reference: Reference
@@ -95,7 +95,7 @@ class Observer:
             if name not in PARTS:
                 raise SurefootError(f"observation '{name}' does not exist; choices: {choices(PARTS)}")
         if len(set(names)) != len(names):
-            raise SurefootError(f"observations are {choices(names)}; none may come twice")
+            raise SurefootError(f"observations are {choices(names)}; names must not repeat")
         self.names = names
         self.columns = [column for name in names for column in PARTS[name].columns(robot)]
 
@@ -105,9 +105,9 @@ class Observer:
         return len(self.columns)
 
     def observe(self, moment: Moment) -> Array:
-        """Observations (N, width), raw SI values."""
+        """Return the observations (N, width), raw SI values."""
         return np.concatenate([PARTS[name].read(moment) for name in self.names], axis=1)
 
     def describe(self) -> list[dict[str, str]]:
-        """Name, unit and frame of each part, for the contract."""
+        """Return name, unit and frame of each part, for the contract."""
         return [{"name": name, "unit": PARTS[name].unit, "frame": PARTS[name].frame} for name in self.names]

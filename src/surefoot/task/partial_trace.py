@@ -1,4 +1,4 @@
-"""Rows of a run that is not over: what a robot's recorder writes while it goes, and a trace out of what is left.
+"""Rows of an unfinished run: a recorder writes them during the run, and a trace can be made of them.
 
 A partial file is a line of JSON (layout and meta of the trace) and then rows of little-endian 64-bit floats. A row that
 was cut off is left out when it is read.
@@ -27,7 +27,7 @@ _KIND = "surefoot-partial-trace"
 
 @dataclass(frozen=True)
 class Layout:
-    """Where what stands in a row of numbers."""
+    """Columns of the quantities in a row of numbers."""
 
     motors: int
     """M"""
@@ -59,7 +59,7 @@ class Layout:
         return sum(self.widths.values())
 
     def columns(self, rows: Array) -> dict[str, Array]:
-        """Rows (T, width) as arrays by name, (T,) or (T, n)."""
+        """Return the rows (T, width) as arrays by name, (T,) or (T, n)."""
         found: dict[str, Array] = {}
         at = 0
         for name, width in self.widths.items():
@@ -69,20 +69,20 @@ class Layout:
 
 
 def trace_of(layout: Layout, rows: Array, meta: dict[str, Any], truth: dict[str, Array] | None = None) -> EpisodeTrace:
-    """The trace of rows (T, width); what the robot does not know is NaN.
+    """Return the trace of rows (T, width); quantities that the robot does not measure are NaN.
 
     Args:
         layout: of the rows.
         rows: one a control step.
         meta: as the trace's.
-        truth: base and feet, if somebody else has seen them.
+        truth: base and feet, if they were measured externally.
 
     Raises:
-        SurefootError: no rows, or what is no trace.
+        SurefootError: no rows, or rows that are not a trace.
     """
     steps = len(rows)
     if not steps:
-        raise SurefootError("no control step was done; there is nothing to keep")
+        raise SurefootError("no control step was done; there is nothing to save")
     columns = layout.columns(rows)
     columns.pop("robot_time")
     unknown = {
@@ -94,18 +94,18 @@ def trace_of(layout: Layout, rows: Array, meta: dict[str, Any], truth: dict[str,
 
 
 def head_line(layout: Layout, meta: dict[str, Any]) -> bytes:
-    """First line of a partial file."""
+    """Return the first line of a partial file."""
     head = {"kind": _KIND, "motors": layout.motors, "legs": layout.legs, "observations": layout.observations}
     return json.dumps({**head, "meta": meta}).encode() + b"\n"
 
 
 def row_bytes(rows: Array) -> bytes:
-    """Rows (n, width) as they stand in the file."""
+    """Return rows (n, width) as bytes of the file."""
     return rows.astype("<f8").tobytes()
 
 
 def recover(path: str | Path) -> EpisodeTrace:
-    """The trace of a run that was cut off, from its partial file; it ended as a fault.
+    """Return the trace of a run that was cut off, from its partial file; `ended` is a fault.
 
     Raises:
         SurefootError: no such file, another kind of file, or one without a whole row.
@@ -124,7 +124,7 @@ def recover(path: str | Path) -> EpisodeTrace:
         layout = Layout(int(head["motors"]), int(head["legs"]), int(head["observations"]))
         meta = dict(head["meta"])
     except (ValueError, KeyError, TypeError) as error:
-        raise SurefootError(f"partial trace {path}: is none: {' '.join(str(error).split())}") from error
+        raise SurefootError(f"partial trace {path}: is not one: {' '.join(str(error).split())}") from error
     whole = len(body) // (8 * layout.width)
     rows = np.frombuffer(body, "<f8", whole * layout.width).reshape(whole, layout.width).astype(float)
     if not whole:

@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class PushConfig:
-    """When and how hard robots are pushed; defaults after Tan et al. 2018, section V-B."""
+    """Times and forces of pushes; defaults from Tan et al. 2018, section V-B."""
 
     enabled: bool = False
     """Whether robots are pushed at all."""
@@ -31,7 +31,7 @@ class PushConfig:
     """Chance that a push that is due is given; the paper gives every one."""
 
     def __post_init__(self) -> None:
-        """Refuse pushes that can't be."""
+        """Refuse values out of bounds."""
         check_bounds(self, "pushes")
         if not 0 < self.duration < self.period:
             raise SurefootError(

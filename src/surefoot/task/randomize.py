@@ -1,6 +1,6 @@
-"""Randomization: an episode's physical parameters, drawn uniformly from ranges that are data.
+"""Randomization: an episode's physical parameters, drawn uniformly from ranges.
 
-The rows are those of Tan et al. 2018, table I, and a few more that a robot may be uncertain in. A range is the least
+The rows are those of Tan et al. 2018, table I, and a few further uncertain parameters. A range is the least
 and the greatest value; a row without a range keeps its nominal value.
 """
 
@@ -27,14 +27,14 @@ _RANGES = Path(__file__).parent / "ranges"
 
 @dataclass(frozen=True)
 class Row:
-    """What one row of a table of ranges sets."""
+    """The parameters that one row of a table of ranges sets."""
 
     params: tuple[str, ...]
     """Physical parameters; each draws a number of its own from the row's range."""
     each: bool = False
     """Whether each motor, or each axis of the IMU, draws a number of its own too."""
     apart: bool = False
-    """Whether it draws apart from the stream that the others share, which goes on as if there were no such row."""
+    """Whether it draws from a separate part of the stream, so that the draws of other rows do not depend on it."""
 
 
 def _row(*params: str, each: bool = False, apart: bool = False) -> Any:
@@ -89,7 +89,7 @@ class RandomizeConfig:
     """Roll, pitch and yaw of the IMU against the base, each its own [rad]; not in the paper's table."""
 
     def __post_init__(self) -> None:
-        """Refuse reversed ranges and bounds that are no finite numbers."""
+        """Refuse reversed ranges and bounds that are not finite."""
         for name, (low, high) in self.ranges.items():
             if not (math.isfinite(low) and math.isfinite(high)):
                 raise SurefootError(f"randomize.{name} is [{low:g}, {high:g}]; both bounds must be finite numbers")
@@ -108,7 +108,7 @@ ROWS: dict[str, Row] = {item.name: item.metadata["row"] for item in fields(Rando
 
 
 def range_names() -> list[str]:
-    """Names of the tables of ranges that ship with surefoot."""
+    """Return the names of the tables of ranges that ship with surefoot."""
     return sorted(path.stem for path in _RANGES.glob("*.yaml"))
 
 
@@ -129,7 +129,7 @@ def load_ranges(name: str, folder: Path = Path()) -> RandomizeConfig:
 
 
 def row_values(row: str, values: ArrayLike) -> dict[str, Array]:
-    """The physical parameters that a row sets, when each takes the same value of `values` (N,)."""
+    """Return the physical parameters that a row sets, each to the same `values` (N,)."""
     return {name: np.asarray(values, np.float64) for name in ROWS[row].params}
 
 
@@ -153,14 +153,14 @@ def check_ranges(config: RandomizeConfig, robot: RobotDescription) -> None:
 class Randomizer:
     """Draws physical parameters for robots whose episodes start.
 
-    Each robot has a stream of its own, and an episode takes as many numbers from it whatever the ranges are: a robot
+    Each robot has a stream of its own, and an episode takes as many numbers from it for any ranges: a robot
     draws the same in any batch, and a row's draws do not change when another row is dropped. Rows that draw apart take
     theirs from far ahead in the same stream: it need not be saved twice.
 
     Args:
         config: the ranges.
-        robot: says what is allowed.
-        nominal: values of all that is not drawn, one row a robot.
+        robot: its bounds hold.
+        nominal: values of parameters that are not drawn, one row per robot.
         seed: the one seed.
 
     Raises:
@@ -186,7 +186,7 @@ class Randomizer:
         return bool(self.ranges)
 
     def draw(self, index: NDArray[np.int64]) -> PhysicalParams:
-        """Parameters of new episodes of the robots at `index`, one row each."""
+        """Return the parameters of new episodes of the robots at `index`, one row each."""
         apart = np.empty((len(index), self._numbers_apart))
         if any(ROWS[row].apart for row in self.ranges):
             apart[:] = [_far_ahead(self.streams[i]).uniform(size=self._numbers_apart) for i in index]
@@ -215,7 +215,7 @@ class Randomizer:
         return row in self.ranges and self.ranges[row][1] > self.ranges[row][0]
 
     def scaled(self, params: PhysicalParams) -> Array:
-        """Drawn parameters of robots as numbers from -1 to 1 (N, P): what a critic may know."""
+        """Return drawn parameters scaled to -1 to 1 (N, P), for a privileged critic."""
         columns = []
         for name, (row, _) in self._places.items():
             if self._varies(row):
@@ -228,14 +228,14 @@ class Randomizer:
 
 
 def _far_ahead(stream: np.random.Generator) -> np.random.Generator:
-    """The same stream of random numbers, further on than it will ever be drawn (2^127 numbers and more)."""
+    """Return the same stream of random numbers, advanced by 2^127 numbers or more, further than it is ever drawn."""
     bits = stream.bit_generator
     assert isinstance(bits, np.random.PCG64)
     return np.random.Generator(bits.jumped())
 
 
 def with_ranges(data: dict[str, Any], folder: Path = Path()) -> dict[str, Any]:
-    """A task's table with `randomize` as a table, where it names a table of ranges or a file, seen from a folder.
+    """Return a task's table with `randomize` as a table where it names a table of ranges or a file in a folder.
 
     Raises:
         SurefootError: no such table, or a file that does not fit.

@@ -37,15 +37,15 @@ class Reference(Protocol):
         ...
 
     def pose(self, time: ArrayLike) -> tuple[Array, Array]:
-        """Swing and extension (N, L) [rad] at times (N,) [s] since the episode's start."""
+        """Return the swing and extension (N, L) [rad] at times (N,) [s] since the episode's start."""
         ...
 
     def to_dict(self) -> dict[str, Any]:
-        """Everything needed to make it again, as JSON can hold it."""
+        """Return everything that `make_reference` needs to make it again, as JSON values."""
         ...
 
     def extent(self) -> tuple[tuple[float, float], tuple[float, float]]:
-        """Lowest and highest swing, lowest and highest extension [rad] over all legs and times."""
+        """Return the lowest and highest swing, lowest and highest extension [rad] over all legs and times."""
         ...
 
 
@@ -59,7 +59,7 @@ class Wave:
     offset: Array
 
     def at(self, time: ArrayLike) -> Array:
-        """Values (N, L) [rad] at times (N,) [s]."""
+        """Return the values (N, L) [rad] at times (N,) [s]."""
         if not self.amplitude.any():
             return np.broadcast_to(self.offset, (*np.shape(time), len(self.offset)))
         angle = 2 * np.pi * np.asarray(time, float)[..., None] * self.frequency + self.phase
@@ -72,7 +72,7 @@ class Wave:
         return float(np.min(self.offset - size)), float(np.max(self.offset + size))
 
     def to_dict(self, legs: tuple[str, ...]) -> dict[str, dict[str, float]]:
-        """Each quantity as a mapping from leg to number."""
+        """Return each quantity as a mapping from leg to number."""
         return {
             name: dict(zip(legs, getattr(self, name).tolist(), strict=True))
             for name in ("amplitude", "frequency", "phase", "offset")
@@ -99,15 +99,15 @@ class SineReference:
         return float(1 / frequencies[0]) if np.allclose(ratios, np.round(ratios)) else None
 
     def pose(self, time: ArrayLike) -> tuple[Array, Array]:
-        """Swing and extension (N, L) [rad]."""
+        """Return the swing and extension (N, L) [rad]."""
         return self.swing.at(time), self.extension.at(time)
 
     def extent(self) -> tuple[tuple[float, float], tuple[float, float]]:
-        """Extents of swing and extension [rad]."""
+        """Return the extents of swing and extension [rad]."""
         return self.swing.extent, self.extension.extent
 
     def to_dict(self) -> dict[str, Any]:
-        """As YAML or JSON can hold it."""
+        """Return a mapping of YAML or JSON values."""
         return {
             "kind": "sine",
             "swing": self.swing.to_dict(self.legs),
@@ -133,7 +133,7 @@ class TableReference:
         return self.table_period
 
     def pose(self, time: ArrayLike) -> tuple[Array, Array]:
-        """Swing and extension (N, L) [rad]."""
+        """Return the swing and extension (N, L) [rad]."""
         rows = len(self.swing)
         place = np.asarray(time, float) / self.table_period % 1.0 * rows
         first = np.floor(place).astype(int) % rows
@@ -145,14 +145,14 @@ class TableReference:
         )
 
     def extent(self) -> tuple[tuple[float, float], tuple[float, float]]:
-        """Extents of swing and extension [rad]."""
+        """Return the extents of swing and extension [rad]."""
         return (
             (float(self.swing.min()), float(self.swing.max())),
             (float(self.extension.min()), float(self.extension.max())),
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """As YAML or JSON can hold it; the rows are inside, the file is not needed again."""
+        """Return a mapping of YAML or JSON values; it contains the rows, so that the file is not needed again."""
         return {
             "kind": "table",
             "period": self.table_period,
@@ -169,7 +169,7 @@ def make_reference(data: Mapping[str, Any] | None, legs: tuple[str, ...], folder
     table` with `period` and either `file` (CSV or NPZ) or the rows themselves under `swing` and `extension`.
 
     Raises:
-        SurefootError: an unknown key or leg, something that is no number, or a table that does not fit.
+        SurefootError: an unknown key or leg, a value that is not a number, or a table that does not fit.
     """
     if data is None:
         data = {"kind": "sine"}
@@ -188,7 +188,7 @@ def _only(data: Mapping[str, Any], where: str, keys: tuple[str, ...]) -> None:
         raise SurefootError(f"{where} is {quoted(data)}; it must be a table with keys out of: {choices(keys)}")
     for key in data:
         if key not in keys:
-            raise SurefootError(f"{where}.{key} is no key; keys: {choices(keys)}")
+            raise SurefootError(f"{where}.{key} is not a key; choices: {choices(keys)}")
 
 
 def _number(value: Any, where: str) -> float:
@@ -259,7 +259,7 @@ def _read_table(path: Path, legs: tuple[str, ...]) -> tuple[Array, Array]:
             read = np.genfromtxt(path, delimiter=",", names=True, dtype=float)
             table = {name: np.atleast_1d(read[name]) for name in read.dtype.names or ()}
         else:
-            raise SurefootError(f"{path}: is no .csv or .npz file; {rule}")
+            raise SurefootError(f"{path}: is not a .csv or .npz file; {rule}")
     except SurefootError:
         raise
     except _UNREADABLE as error:
@@ -270,6 +270,6 @@ def _read_table(path: Path, legs: tuple[str, ...]) -> tuple[Array, Array]:
     count = len(legs)
     lengths = {len(table[name]) for name in columns}
     if len(lengths) != 1:
-        raise SurefootError(f"{path}: columns differ in length ({choices(map(str, sorted(lengths)))}); they must not")
+        raise SurefootError(f"{path}: columns differ in length ({choices(map(str, sorted(lengths)))}); make them equal")
     values = np.stack([table[name] for name in columns], axis=1)
     return values[:, :count], values[:, count:]

@@ -10,7 +10,7 @@ from surefoot.task.config import preset_names
 
 
 def env_id(task: str) -> str:
-    """Gymnasium id of a preset: `trot-robust` is `surefoot/TrotRobust-v0`."""
+    """Return the Gymnasium id of a preset: `trot-robust` is `surefoot/TrotRobust-v0`."""
     return f"surefoot/{''.join(word.capitalize() for word in re.split('[-_]', task))}-v0"
 
 

@@ -12,7 +12,7 @@ ENERGY_WEIGHT = 0.008
 
 
 def locomotion_reward(displacement: Array, energy: Array, energy_weight: float = ENERGY_WEIGHT) -> Array:
-    """Reward of a control step: (p_n - p_{n-1}) . d - w dt |tau . qdot|, summed over its servo steps.
+    """Return the reward of a control step: (p_n - p_{n-1}) . d - w dt |tau . qdot|, summed over its servo steps.
 
     Source: Tan et al. 2018, eq. 2; the direction d is the world's x axis.
 
@@ -25,8 +25,8 @@ def locomotion_reward(displacement: Array, energy: Array, energy_weight: float =
 
 
 def has_fallen(roll_pitch_yaw: Array, limit: float = 0.5) -> NDArray[np.bool_]:
-    """Whether roll or pitch is beyond `limit` [rad] (N,), by true angles (N, 3).
+    """Return whether roll or pitch is beyond `limit` [rad] (N,), by true angles (N, 3).
 
-    Tan et al. 2018, section IV-C: an episode ends when the base tilts by more than .5 rad; the axis is not told.
+    Tan et al. 2018, section IV-C: an episode ends when the base tilts by more than .5 rad; the axis is not stated.
     """
     return np.any(np.abs(roll_pitch_yaw[:, :2]) > limit, axis=1)

@@ -14,13 +14,13 @@ from surefoot.world.interface import SimulationFactory
 
 
 class LocomotionSingleEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
-    """One robot on one task, for learners that know no vector environments: a batch of one.
+    """One robot on one task, for learners without support of vector environments: a batch of one.
 
     Observations (O,), actions (2 L,) and rewards are `LocomotionEnv`'s. At the end of an episode `info` holds
     its `figures`.
 
     Args:
-        task: what is to be learned.
+        task: its configuration.
         make_world: makes the simulation.
         seed: seeds every stream of random numbers; any, if not given.
 

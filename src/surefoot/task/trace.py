@@ -1,7 +1,7 @@
-"""The one record of an episode, written alike by a simulation, the robot emulator and the robot.
+"""The record of an episode, the same from a simulation, the robot emulator and the robot.
 
 Speed, power, return, footfalls and the reality gap are all computed from this record by the same functions,
-so two worlds are never measured by two rulers. numpy only: the robot's computer writes it too.
+so all worlds are measured alike. numpy only: the robot's computer writes it too.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ _META_DEFAULTS: dict[str, Any] = {
     "energy_weight": ENERGY_WEIGHT,
     "max_steps": 1000,
 }
-# What a robot without motion capture or foot switches cannot know is NaN there; everything else is known.
+# Arrays that may be NaN: a robot without motion capture or foot switches does not measure them.
 _MAY_BE_NAN = frozenset(
     {"base_position_world", "base_quat_world", "foot_contact", "foot_position_world", "true_motor_angle"}
 )
@@ -52,8 +52,8 @@ class EpisodeTrace:
             that is at the END of the control step.
         base_position_world: (T+1, 3) m. Row 0 is the start, row k is after control step k. NaN where unknown.
         base_quat_world: (T+1, 4) unit quaternion w, x, y, z, rows as above. NaN where unknown.
-        roll_pitch_yaw: (T, 3) rad as the IMU told it, with its delay and noise.
-        angular_velocity_base: (T, 3) rad/s in the base frame, as the IMU told it.
+        roll_pitch_yaw: (T, 3) rad as the IMU measured it, with its delay and noise.
+        angular_velocity_base: (T, 3) rad/s in the base frame, as the IMU measured it.
         motor_angle: (T, M) rad.
         motor_velocity: (T, M) rad/s.
         motor_torque: (T, M) N m at the end of the control step.

@@ -1,4 +1,4 @@
-"""Something that takes motor angles and gives readings: engines, sensors and `SimWorld`."""
+"""Simulated worlds, from motor angles to readings: engines, sensors and `SimWorld`."""
 
 from surefoot.world.interface import Readings, Simulation, Truth, World
 

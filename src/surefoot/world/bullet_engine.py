@@ -6,7 +6,7 @@ sheet, which its solver takes implicitly: force = K d + B d' at the end of the s
 
 A robot's state is one row of numbers, in Bullet's own frames: for Bullet, the base is where its centre of mass is,
 turned like its principal axes. After every control step the row is written back to Bullet, whose quaternion of the
-base would otherwise differ from it in the last bit: so a state that is taken and given back goes on exactly.
+base would otherwise differ from it in the last bit: so a state that is saved and restored continues exactly.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ MAX_ROBOTS = 256
 
 
 class _Setup(NamedTuple):
-    """What a client has of a robot's physical parameters."""
+    """The physical parameters that were applied to a client."""
 
     contact: tuple[float, ...]
     """Friction coefficient, stiffness [N/m] and spinning friction [m] of the feet."""
@@ -78,7 +78,7 @@ class BulletEngine:
         settings: how Bullet solves bodies and contacts.
 
     Raises:
-        SurefootError: more robots than a process can hold, or a robot that Bullet reads otherwise than it is.
+        SurefootError: more robots than a process can hold, or a robot that Bullet reads with other masses.
         ModuleNotFoundError: PyBullet is not installed.
     """
 
@@ -126,7 +126,7 @@ class BulletEngine:
         self.initial_state = self._resting_state()
 
     def _resting_state(self) -> Array:
-        """Resting pose, loops closed by the knees, lowest foot on the ground unless on a rack."""
+        """Return the resting pose, loops closed by the knees, lowest foot on the ground unless on a rack."""
         model = self.model
         row = np.zeros(self._rows.shape[1])
         for name, angle in self.robot.resting_joint_angles.items():
@@ -142,7 +142,7 @@ class BulletEngine:
         return state
 
     def _read(self, i: int, joints: list[int]) -> list[float]:
-        """Robot `i`'s base, then angles, speeds and motor torques of some of its joints, from Bullet."""
+        """Read robot `i`'s base, then angles, speeds and motor torques of some of its joints, from Bullet."""
         p, body, client = self._p, self.model.body, self._clients[i]
         position, quat = p.getBasePositionAndOrientation(body, client)
         velocity, omega = p.getBaseVelocity(body, client)
@@ -182,7 +182,7 @@ class BulletEngine:
             self._end(i)
 
     def _step(self, i: int, torques: list[float] | None, pushed: np.bool_) -> None:
-        """One step of robot `i`, with joint torques and the force on its base if there are any."""
+        """Step robot `i`, with joint torques and the force on its base if there are any."""
         p, model, client = self._p, self.model, self._clients[i]
         body, motors, seen = model.body, model.motors, self._seen[i]
         if torques is not None:
@@ -198,7 +198,7 @@ class BulletEngine:
             self.drive.contact_ticks[i, leg] += 1.0
 
     def _end(self, i: int) -> None:
-        """Take robot `i`'s whole state from Bullet, and give it back."""
+        """Read robot `i`'s whole state from Bullet, and write it back."""
         row = self._rows[i]
         row[:] = self._read(i, self._joints)[: len(row)]
         # Knees are looked at here only: what is wrong with one shows at its motor, too, a step later.
@@ -208,7 +208,7 @@ class BulletEngine:
             self._write_base(i)
 
     def _look(self, i: int) -> Array:
-        """What `observe` takes, from robot `i`'s row."""
+        """Return the base, angles and speeds that `observe` takes, from robot `i`'s row."""
         row, motors = self._rows[i], self.model.motors
         seen: Array = self._seen[i]
         seen[:JOINTS] = row[:JOINTS]
@@ -240,10 +240,10 @@ class BulletEngine:
         observe(self._layout, self.drive, i, self._look(i))
 
     def get_state(self, i: int) -> Array:
-        """Everything that decides robot `i`'s further motion in the engine: its row and the force on its base.
+        """Return the whole state of robot `i` in the engine: its row and the force on its base.
 
         Contacts that Bullet remembers are forgotten here and when the state is set, and pins with play are centred, so
-        that both go on alike.
+        that both continue alike.
         """
         self._forget(i)
         return np.concatenate([self._rows[i], self._force[i]])
@@ -265,7 +265,7 @@ class BulletEngine:
         self.diverged[i] = False
 
     def _replace_client(self, i: int) -> None:
-        """Bullet's search for contacts does not recover from positions that are no numbers."""
+        """Replace robot `i`'s client: Bullet's contact search does not recover from positions that are not finite."""
         self._p.disconnect(self._clients[i])
         self._clients[i], model = open_client(self.robot, self._config, self._settings)
         self._spoilt[i], self._floors[i] = False, model.ground
@@ -334,13 +334,13 @@ class BulletEngine:
         self._setups[i] = setup
 
     def base(self) -> Array:
-        """Base position [m], quaternion (w x y z) and velocity [m/s], all in the world frame, (N, 10)."""
+        """Return the base position [m], quaternion (w x y z) and velocity [m/s], all in the world frame, (N, 10)."""
         if self.model.rack:
             return racked_bases(len(self._clients))
         return base_links(self._rows, self.model.base_quat, self.model.base_centre)
 
     def foot_positions(self) -> Array:
-        """Centres of the feet in the world frame [m], (N, L, 3)."""
+        """Return the centres of the feet in the world frame [m], (N, L, 3)."""
         return np.array([self._foot_positions(i) for i in range(len(self._clients))])
 
     def _foot_positions(self, i: int) -> Array:
@@ -354,10 +354,10 @@ class BulletEngine:
 
 
 def bullet_engine(robot: RobotDescription, drive: Drive, config: WorldConfig) -> BulletEngine:
-    """The Bullet engine, as a world takes it."""
+    """Return the Bullet engine."""
     return BulletEngine(robot, drive, config)
 
 
 def published_bullet_engine(robot: RobotDescription, drive: Drive, config: WorldConfig) -> BulletEngine:
-    """The Bullet engine with the settings of the simulator that was published with the Minitaur."""
+    """Return the Bullet engine with the settings of the simulator that was published with the Minitaur."""
     return BulletEngine(robot, drive, config, PUBLISHED)

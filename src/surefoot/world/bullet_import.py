@@ -1,4 +1,4 @@
-"""PyBullet, imported and called without what it prints."""
+"""Import of PyBullet without its output."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from surefoot.native_output import quiet
 
 
 def import_pybullet() -> ModuleType:
-    """PyBullet, without its greeting.
+    """Import PyBullet without its banner.
 
     Raises:
         ModuleNotFoundError: it is not installed.

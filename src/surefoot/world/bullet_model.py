@@ -81,7 +81,7 @@ class Pins:
 
 @dataclass(frozen=True)
 class BulletModel:
-    """Where everything is in a client's robot, the same for all clients. Bullet's frame of a link is the inertial one.
+    """Indices of links and joints in a client, the same for all clients. Bullet's link frames are inertial frames.
 
     L links besides the base, each with one joint; M motors, F feet.
     """
@@ -121,7 +121,7 @@ class BulletModel:
 
 
 def open_client(robot: RobotDescription, config: WorldConfig, settings: BulletSettings) -> tuple[int, BulletModel]:
-    """A new client with the robot over a ground plane at z = 0, motors off.
+    """Return a new client with the robot over a ground plane at z = 0, motors off.
 
     Raises:
         SurefootError: Bullet has no room for another client, or reads other masses than the file has.
@@ -224,7 +224,7 @@ def _foot_sphere(fused: FusedUrdf, robot: RobotDescription, link: str) -> tuple[
 
 
 def _with_shanks(fused: FusedUrdf, robot: RobotDescription) -> str:
-    """The fused URDF with feet that are boxes: each lower link as wide as it looks and as long as to its foot."""
+    """Return the fused URDF with feet that are boxes: each lower link as wide as its visual, as long as to its foot."""
     tree = ElementTree.fromstring(fused.text)
     seen = ElementTree.parse(robot.urdf.path).getroot()
     length = robot.leg_geometry.foot
@@ -233,7 +233,7 @@ def _with_shanks(fused: FusedUrdf, robot: RobotDescription) -> str:
         link = tree.find(f"link[@name='{fused.place[leg.foot][0]}']")
         if box is None or link is None:
             raise SurefootError(
-                f"{robot.urdf.path}: link '{leg.foot}' has no box to look at, whose width a shank takes"
+                f"{robot.urdf.path}: link '{leg.foot}' has no visual box; its collision box takes that width"
             )
         for old in link.findall("collision"):
             link.remove(old)
@@ -245,7 +245,7 @@ def _with_shanks(fused: FusedUrdf, robot: RobotDescription) -> str:
 
 
 def _set_up_dynamics(p: ModuleType, client: int, model: BulletModel) -> None:
-    """No damping, no default motors, the feet's contact; only feet meet the ground softly."""
+    """Remove damping and default motors, and set the contact of the feet; all else is stiff against the ground."""
     for link in model.links.values():
         p.changeDynamics(
             model.body,
@@ -287,7 +287,7 @@ def set_foot_contact(
 
 
 def set_knee_friction(p: ModuleType, client: int, model: BulletModel, friction: float) -> None:
-    """Give all knees Coulomb friction [N m]: a joint motor that seeks speed 0 with so much torque at most."""
+    """Give all knees Coulomb friction [N m]: a joint motor with target speed 0 and at most this torque."""
     count = len(model.knees)
     p.setJointMotorControlArray(
         model.body, model.knees, p.VELOCITY_CONTROL, forces=[friction] * count, physicsClientId=client
@@ -387,7 +387,7 @@ def _close_loops(
 
 
 def check_masses(p: ModuleType, client: int, model: BulletModel, mass: dict[str, tuple[float, Array]]) -> None:
-    """Refuse to go on if Bullet has other masses or principal moments than these; a base on a rack has none."""
+    """Refuse if Bullet has other masses or principal moments than these; a base on a rack has none."""
     for name, (value, moments) in mass.items():
         link = model.links[name]
         if link < 0 and model.rack:

@@ -1,4 +1,4 @@
-"""What is compiled of the Bullet engine: all that a robot does between two of Bullet's steps, and its frames.
+"""Compiled functions of the Bullet engine: everything between two of Bullet's steps, and its frames.
 
 A robot's row of numbers in Bullet's own frames, where the base is at its centre of mass and turned like its principal
 axes: base position (3), quaternion x y z w (4), velocity (3) and angular velocity (3) in the world, then angles and
@@ -25,11 +25,11 @@ VELOCITY, OMEGA, JOINTS = 7, 10, 13
 PIN_LOAD = 1.0
 """Load [N] at which a pin with play has moved half of its clearance; it smooths the change from side to side."""
 PIN_FOLLOWS = 0.2
-"""Share of its way that such a pin goes in a step of 1 ms: .1 kg at 5 N crosses half a millimetre in some 5 ms."""
+"""Share of its path that such a pin moves in a step of 1 ms: .1 kg at 5 N crosses half a millimetre in some 5 ms."""
 
 
 class Layout(NamedTuple):
-    """What the compiled functions need of a `BulletModel`."""
+    """The parts of a `BulletModel` that the compiled functions need."""
 
     sign: Array
     base_quat: Array
@@ -38,7 +38,7 @@ class Layout(NamedTuple):
 
 @njit(cache=True, inline="always")
 def link_quat(base_quat: Array, x: Any, y: Any, z: Any, w: Any) -> tuple[Any, Any, Any, Any]:
-    """Orientation w x y z of a base link: that of Bullet's base, turned back by the inertial frame's in the link.
+    """Return the orientation w x y z of a base link: that of Bullet's base without the inertial frame's rotation.
 
     Args:
         base_quat: orientation of Bullet's base in the base link (4,), w x y z.
@@ -58,7 +58,7 @@ def link_quat(base_quat: Array, x: Any, y: Any, z: Any, w: Any) -> tuple[Any, An
 
 @njit(cache=True)
 def observe(layout: Layout, drive: Drive, i: int, seen: Array) -> bool:
-    """Write what is seen of robot `i` to `drive.now`; false, and nothing written, if it is not finite.
+    """Write robot `i`'s state to `drive.now`; return false, and write nothing, if it is not finite.
 
     Seen are the first 13 numbers of its row, then angles and speeds of its motors' joints.
     """
@@ -95,7 +95,7 @@ def between(
     diverged: NDArray[np.bool_],
     ended: bool,
 ) -> None:
-    """What robots do between two steps of Bullet, all in one call: the end of one, the start of the next.
+    """Run everything between two steps of Bullet for all robots: the end of one, the start of the next.
 
     Args:
         layout: see there.
@@ -134,7 +134,7 @@ def between(
 
 @njit(cache=True)
 def pin_kernel(quats: Array, forces: Array, axes: Array, play: float, shift: Array) -> None:
-    """Move pins with play for one step: where each lies in its bore.
+    """Move pins with play in their bores for one step.
 
     A pin of radial clearance r lies against its bore on the side to which the force F across it points, and goes from
     side to side when that changes: u = r F / (|F| + F_0), followed with a delay.
@@ -161,7 +161,7 @@ def pin_kernel(quats: Array, forces: Array, axes: Array, play: float, shift: Arr
 
 
 def base_links(rows: Array, base_quat: Array, base_centre: Array) -> Array:
-    """Base links of robots (N, 10): position [m], quaternion w x y z and velocity [m/s] in the world.
+    """Return the base links of robots (N, 10): position [m], quaternion w x y z and velocity [m/s] in the world.
 
     Args:
         rows: see above, (N, ...).

@@ -1,10 +1,10 @@
 """A rubber foot on the ground: a spring and damper into the ground, a spring that slides along it.
 
     normal      f_n = max(0, K d + B d')                     d: how deep the foot is in the ground [m]
-    tangential  f_t = -(K_t s + B_t v), |f_t| <= mu f_n       s: stretch of the sole since it took hold [m]
+    tangential  f_t = -(K_t s + B_t v), |f_t| <= mu f_n       s: stretch of the sole since it began to stick [m]
     spinning    t_n = -c f_n sat(w / w_0)                     w: angular velocity about the normal [rad/s]
 
-While the foot holds, s follows its motion; when it slides, K_t s is cut back to mu f_n. A
+While the foot sticks, s follows its motion; when it slides, K_t s is reduced to mu f_n. A
 standing foot therefore sticks and does not creep. This is the spring-slider of Cundall and Strack (1979, "A discrete
 numerical model for granular assemblies").
 
@@ -44,7 +44,7 @@ def foot_force_kernel(
     dt: float,
     force: Array,
 ) -> None:
-    """Force of the ground on one foot over the next step.
+    """Compute the force of the ground on one foot over the next step.
 
     Args:
         depth: how deep the lowest point of the foot is in the ground, d [m]; below 0 above it.
@@ -81,7 +81,7 @@ def foot_force_kernel(
 
 @kernel
 def spinning_torque_kernel(normal: float, spin: float, coefficient: float) -> float:
-    """Torque of the ground on one foot about the normal, t_n [N m].
+    """Return the torque of the ground on one foot about the normal, t_n [N m].
 
     Args:
         normal: normal force f_n [N].
@@ -100,7 +100,7 @@ def foot_force(
     damping: float,
     dt: float,
 ) -> tuple[Array, Array]:
-    """Force (3,) [N] of the ground on one foot, and the sole's new stretch (2,) [m]; see `foot_force_kernel`."""
+    """Return the ground's force (3,) [N] on a foot and the sole's new stretch (2,) [m]; see `foot_force_kernel`."""
     force, after = np.zeros(3), np.array(stretch, dtype=np.float64)
     foot_force_kernel(depth, np.asarray(velocity, float), after, friction, stiffness, damping, dt, force)
     return force, after

@@ -1,13 +1,13 @@
-"""What every simulated world shares between two physics steps: sensors, delays, servo and motor.
+"""Code that all simulated worlds share between two physics steps: sensors, delays, servo and motor.
 
 One robot, one servo step: an engine calls `servo_tick`, applies `drive.torque` for the step, adds one to
 `drive.ticks`, writes the robot's new state to `drive.now` and calls `record`.
 
-What is read when, with a servo step dt, servo latency L_s and control latency L_c:
+Times of readings, with a servo step dt, servo latency L_s and control latency L_c:
 
     time       what happens
-    n dt       the engine's state of now enters the history
-    n dt       the servo reads angles and speeds of n dt - L_s, sets the duty; back-EMF uses the speed of now
+    n dt       the engine's present state enters the history
+    n dt       the servo reads angles and speeds of n dt - L_s, sets the duty; back-EMF uses the present speed
     n dt       torque acts on the robot until (n + 1) dt
     k T        the policy reads everything as it was at k T - L_c, where T is the control step, and its
                command holds from k T to (k + 1) T
@@ -67,11 +67,11 @@ class Drive(NamedTuple):
     times: Array  # (N, H) s, of the history
     history: Array  # (N, H, 2 M + 6)
     now: Array  # (N, 2 M + 6) angles, speeds, roll, pitch, yaw, angular velocity in the base frame
-    seen: Array  # (N, 2 M) what the servo sees
+    seen: Array  # (N, 2 M) delayed angles and speeds for the servo
     target: Array  # (N, M) rad
-    duty: Array  # (N, M) added to the servo's duty: 0 in simulations, what a PWM command asks of a robot
+    duty: Array  # (N, M) added to the servo's duty: 0 in simulations, set by PWM commands on a robot
     torque: Array  # (N, M) N m on the motor shaft, friction included
-    end_speed: Array  # (N, M) rad/s that constraint motors seek at the step's end
+    end_speed: Array  # (N, M) rad/s, target of constraint motors at the step's end
     torque_limit: Array  # (N, M) N m at most, of constraint motors
     motor_torque: Array  # (N, M) N m of the motor itself
     energy: Array  # (N,) J, integral of |tau . qdot| since it was set to zero
@@ -81,7 +81,7 @@ class Drive(NamedTuple):
 
 
 def new_drive(robot: RobotDescription, num_envs: int, history: int, config: WorldConfig | None = None) -> Drive:
-    """Arrays for `num_envs` robots with nominal parameters and an empty history of that many samples."""
+    """Return the arrays for `num_envs` robots with nominal parameters and an empty history of that many samples."""
     config = config or WorldConfig()
     motors, legs = robot.num_motors, len(robot.legs)
     width = 2 * motors + IMU_WIDTH
@@ -140,13 +140,13 @@ def set_drive_params(drive: Drive, index: NDArray[np.int64], params: PhysicalPar
 
 
 def racked_bases(num_envs: int) -> Array:
-    """What an engine's `base` tells of robots on a rack, (N, 10): level, `RACK_HEIGHT` up, and still."""
+    """Return an engine's `base` of robots on a rack, (N, 10): level, `RACK_HEIGHT` up, and at rest."""
     return np.tile([0.0, 0.0, RACK_HEIGHT, 1.0, *[0.0] * 6], (num_envs, 1))
 
 
 @kernel
 def roll_pitch_yaw(w: float, x: float, y: float, z: float) -> tuple[float, float, float]:
-    """Euler angles [rad] of a unit quaternion: turn by yaw about z, then pitch about y, then roll about x."""
+    """Return Euler angles [rad] of a unit quaternion: yaw about z, then pitch about y, then roll about x."""
     roll = math.atan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
     pitch = math.asin(min(max(2 * (w * y - z * x), -1.0), 1.0))
     yaw = math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
@@ -155,15 +155,15 @@ def roll_pitch_yaw(w: float, x: float, y: float, z: float) -> tuple[float, float
 
 @kernel
 def record(drive: Drive, i: int) -> None:
-    """The state of now of robot `i` enters its history, stamped with the robot's own time."""
+    """Append the present state of robot `i` to its history, stamped with the robot's own time."""
     push_kernel(drive.times[i], drive.history[i], drive.ticks[i], drive.ticks[i] * drive.limits[3], drive.now[i])
 
 
 @kernel
 def servo_tick(drive: Drive, i: int) -> None:
-    """Servo and motor of robot `i` answer the state of now, which is in the history, with `drive.torque`.
+    """Compute `drive.torque` of robot `i` by servo and motor from the state in the history.
 
-    Constraint motors answer with the speed that they seek, `drive.end_speed`; their torque is the engine's to find,
+    Constraint motors set their target speed, `drive.end_speed`; the engine finds their torque,
     at most `drive.torque_limit`, and `constraint_tick` takes it after the step.
     """
     motors = drive.target.shape[1]
@@ -210,7 +210,7 @@ def servo_tick(drive: Drive, i: int) -> None:
 
 @kernel
 def constraint_tick(drive: Drive, i: int) -> None:
-    """Count the work of robot `i`'s constraint motors over the step that just ended.
+    """Add up the work of robot `i`'s constraint motors over the last step.
 
     The engine has set their torques, `drive.motor_torque`, and `drive.now`, whose speeds are those of the step's end:
     positions move by them, so that torque times speed times step is the work done.

@@ -1,4 +1,4 @@
-"""A URDF in which links that are joined by fixed joints are one link, for engines that would keep them apart.
+"""A URDF in which links with fixed joints are fused, for engines that would keep them apart.
 
 A rotor and the link bolted to it move as one rigid body. For bodies k with mass m_k, centre of mass c_k and inertia
 I_k about it, all in the frame of the fused link,
@@ -7,7 +7,7 @@ I_k about it, all in the frame of the fused link,
     I = sum (I_k + m_k (|d_k|^2 1 - d_k d_k^T)),   d_k = c_k - c                (parallel axes)
 
 The fused link is written with its principal moments, in an inertial frame along its principal axes: readers of URDF
-differ in what they make of products of inertia.
+differ in how they handle products of inertia.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ class RigidBody:
     inertia: Array
 
     def principal(self) -> tuple[Array, Array]:
-        """Principal moments [kg m2] (3,) and axes (3, 3), a rotation whose columns are in the link's frame.
+        """Return the principal moments [kg m2] (3,) and axes (3, 3), a rotation whose columns are in the link's frame.
 
         Of the axes that fit, those nearest to the link's own: a link along its frame keeps its frame.
         """
@@ -52,7 +52,7 @@ class RigidBody:
 
 @dataclass(frozen=True)
 class FusedUrdf:
-    """The fused links by name, where each link of the file went, and the new URDF."""
+    """The fused links by name, the place of each link of the file in them, and the new URDF."""
 
     bodies: dict[str, RigidBody]
     place: dict[str, tuple[str, Array]]
@@ -66,7 +66,7 @@ def _vector(element: ElementTree.Element | None, key: str) -> Array:
 
 
 def frame_of(element: ElementTree.Element | None) -> Array:
-    """The (4, 4) frame of an <origin>, or of none."""
+    """Return the (4, 4) frame of an <origin>, or of none."""
     frame = np.eye(4)
     frame[:3, :3] = rpy_matrix(*_vector(element, "rpy"))
     frame[:3, 3] = _vector(element, "xyz")
@@ -74,7 +74,7 @@ def frame_of(element: ElementTree.Element | None) -> Array:
 
 
 def _origin(frame: Array) -> ElementTree.Element:
-    """The <origin> of a frame (4, 4), to the last bit that a reader of decimal numbers can get."""
+    """Return the <origin> of a frame (4, 4), in decimals that are read back as the same numbers."""
 
     def words(values: Array) -> str:
         return " ".join(repr(float(value)) for value in values)
@@ -83,7 +83,7 @@ def _origin(frame: Array) -> ElementTree.Element:
 
 
 def _rigid_body(link: ElementTree.Element) -> RigidBody:
-    """Mass, centre and inertia of a link of the file, in the link's own frame."""
+    """Return mass, centre and inertia of a link of the file, in the link's own frame."""
     frame = frame_of(link.find("inertial/origin"))
     inertia_element, mass_element = link.find("inertial/inertia"), link.find("inertial/mass")
     # `read_urdf` has refused links without.
@@ -98,7 +98,7 @@ def _rigid_body(link: ElementTree.Element) -> RigidBody:
 
 
 def fuse(parts: list[tuple[RigidBody, Array]]) -> RigidBody:
-    """One body of several, each with its frame (4, 4) in the frame of the whole."""
+    """Return one body of several, each with its frame (4, 4) in the frame of the whole."""
     mass = sum(body.mass for body, _ in parts)
     centres = [frame[:3, :3] @ body.centre + frame[:3, 3] for body, frame in parts]
     centre = np.sum([body.mass * at for (body, _), at in zip(parts, centres, strict=True)], axis=0) / mass
@@ -110,7 +110,7 @@ def fuse(parts: list[tuple[RigidBody, Array]]) -> RigidBody:
 
 
 def _places(joints: list[ElementTree.Element], root: str) -> dict[str, tuple[str, Array]]:
-    """For each link: the link at the top of its group of fixed links, and its frame there."""
+    """Return for each link the root of its group of fixed links, and its frame there."""
     children: dict[str, list[ElementTree.Element]] = {}
     for joint in joints:
         children.setdefault(joint.find("parent").get("link", ""), []).append(joint)  # type: ignore[union-attr]
@@ -177,7 +177,7 @@ def _inertial(body: RigidBody) -> ElementTree.Element:
 
 
 def _move(element: ElementTree.Element, frame: Array) -> None:
-    """Put an element with an <origin> from its link's frame into another, in which the link's is `frame`."""
+    """Transform an element's <origin> from its link's frame into another, in which the link's is `frame`."""
     origin = element.find("origin")
     moved = frame @ frame_of(origin)
     if origin is not None:
@@ -186,7 +186,7 @@ def _move(element: ElementTree.Element, frame: Array) -> None:
 
 
 def write_fused(text: str, folder: Path) -> Path:
-    """Write the new URDF into a folder; its path."""
+    """Write the new URDF into a folder; return its path."""
     path = folder / "fused.urdf"
     path.write_text(text, encoding="utf-8")
     return path

@@ -1,4 +1,4 @@
-"""An IMU that is not mounted along the base's axes."""
+"""An IMU whose axes are not those of the base."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _rpy_quat = njit(cache=True)(rpy_quat)
 
 @njit(cache=True)
 def read_by_mounted_imu(attitude: Array, rates: Array, mount: Array) -> None:
-    """Turn attitudes and rates of bases into what IMUs read whose frames are turned against them.
+    """Transform attitudes and rates of bases into readings of IMUs with other orientations.
 
     With the rotation R_b of the base in the world and R_m of the IMU in the base, the IMU's attitude is R_b R_m, and
     it reads the angular velocity R_m^T w.

@@ -1,6 +1,6 @@
-"""The small interface that simulation and robot share, and what goes through it.
+"""The interface that simulation and robot share, and its data.
 
-A world takes motor angles, holds them for a control step, and gives readings. A robot is a batch of one. Only
+A world takes motor angles, holds them for a control step, and returns readings. A robot is a batch of one. Only
 a simulation also answers `truth()`.
 """
 
@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Readings:
-    """What the control computer gets of N robots with M motors: delayed, biased and noisy as in reality."""
+    """What the control computer receives of N robots with M motors: delayed, biased and noisy."""
 
     time: Array
     """Time since reset on each robot's clock [s], (N,)."""
@@ -38,7 +38,7 @@ class Readings:
 
 @dataclass(frozen=True)
 class Truth:
-    """What only a simulation knows, of now."""
+    """The present true state, which only a simulation knows."""
 
     base_position_world: Array
     """Origin of the base link [m], (N, 3)."""
@@ -64,7 +64,7 @@ class Truth:
 
 @dataclass(frozen=True)
 class WorldConfig:
-    """How a simulated world is set up."""
+    """Configuration of a simulated world."""
 
     rest: tuple[float, float] | None = None
     """Swing and extension [rad] in which robots settle before an episode; the description's, if not given."""
@@ -82,13 +82,13 @@ class WorldConfig:
     """Threads, or processes, to step on; 0 means one a core."""
 
     def __post_init__(self) -> None:
-        """Refuse what goes together in no world."""
+        """Refuse contradictions and values out of bounds."""
         if self.actuator not in ACTUATORS:
             raise SurefootError(f"actuator is '{self.actuator}'; choices: {choices(ACTUATORS)}")
         if self.threads < 0:
             raise SurefootError(f"threads is {self.threads}; it must be 0 (one a core) or more")
         if self.actuator == "constraint" and self.thermal_protection:
-            raise SurefootError("thermal_protection is of DC motors; it goes with actuator dc only")
+            raise SurefootError("thermal_protection is on; it requires actuator dc")
 
 
 class World(Protocol):
@@ -98,35 +98,35 @@ class World(Protocol):
     num_envs: int
 
     def reset(self, index: ArrayLike | None = None) -> Readings:
-        """Bring the robots at `index` (all, if none is given) to the resting pose; readings of all robots."""
+        """Bring the robots at `index` (all, if none is given) to the resting pose; return readings of all robots."""
         ...
 
     def step(self, target: ArrayLike) -> Readings:
-        """Send motor angles (N, M) [rad] and hold them for one control step; readings at its end."""
+        """Send motor angles (N, M) [rad] and hold them for one control step; return readings at its end."""
         ...
 
 
 class Simulation(World, Protocol):
-    """A world that knows its own state and can be set up at will."""
+    """A world whose state and parameters can be read and set."""
 
     params: PhysicalParams
     divergences: int
     """How often a robot's state stopped being finite, since the world was made."""
 
     def step(self, target: ArrayLike, active: NDArray[np.bool_] | None = None) -> Readings:
-        """As a world's; with `active` (N,), time stands still for all other robots."""
+        """Step as a world does; robots that are not `active` (N,) are not stepped."""
         ...
 
     def readings(self) -> Readings:
-        """The readings of now, again."""
+        """Return the present readings again."""
         ...
 
     def truth(self) -> Truth:
-        """The true state of now; the arrays are the caller's to keep."""
+        """Return the true state; the arrays belong to the caller."""
         ...
 
     def foot_positions(self) -> Array:
-        """Centres of the rounded feet in the world frame [m], (N, L, 3)."""
+        """Return the centres of the rounded feet in the world frame [m], (N, L, 3)."""
         ...
 
     def set_params(self, index: ArrayLike, params: PhysicalParams) -> None:
@@ -138,11 +138,11 @@ class Simulation(World, Protocol):
         ...
 
     def get_state(self) -> dict[str, Any]:
-        """Everything that decides how the world goes on."""
+        """Return the whole state of the world."""
         ...
 
     def set_state(self, state: dict[str, Any]) -> None:
-        """Go on from `get_state`, exactly."""
+        """Continue from `get_state`, exactly."""
         ...
 
 

@@ -1,8 +1,8 @@
 """A batch of robots in MuJoCo, stepped by compiled loops on all cores.
 
-Each robot owns its MuJoCo data, so that a robot's motion depends on nothing but itself: alone or in a batch it is the
+Each robot owns its MuJoCo data, so that a robot's motion does not depend on other robots: alone or in a batch it is the
 same to the last bit. Models are owned by threads: before a thread steps a robot, it writes that robot's masses and
-inertias into its model, which so stays in the processor's cache whatever the robots weigh.
+inertias into its model, which so stays in the processor's cache for any masses.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ _MASS_FIELDS = ("body_mass", "body_inertia", "body_subtreemass", "body_invweight
 
 
 def _masses(model: mujoco.MjModel) -> Array:
-    """What `_load_masses` writes, from a model that has it."""
+    """Return from a model the numbers that `_load_masses` writes."""
     return np.concatenate([getattr(model, field).ravel() for field in _MASS_FIELDS])
 
 
@@ -56,7 +56,7 @@ class MujocoEngine:
 
     def __init__(self, robot: RobotDescription, drive: Drive, config: WorldConfig | None = None) -> None:
         self.robot, self.drive, config = robot, drive, config or WorldConfig()
-        # The Python package times MuJoCo's stages with a clock call each, some 3 % of a step; nobody reads the times.
+        # The Python package times MuJoCo's stages with a clock call each, some 3 % of a step; the times are not used.
         mujoco.set_mjcb_time(None)
         num_envs = len(drive.ticks)
         self._nominal = build_model(robot, config)
@@ -123,7 +123,7 @@ class MujocoEngine:
         )
 
     def _motor_rows(self, motor_dof: Index) -> dict[str, Any]:
-        """Where constraint motors are among the solver's rows; rows of joint friction follow those of closed loops."""
+        """Return the solver's rows of constraint motors; rows of joint friction follow those of closed loops."""
         model, data = self._nominal, self._scratch
         friction_dofs = np.flatnonzero(model.dof_frictionloss > 0)
         if not len(friction_dofs):
@@ -157,7 +157,7 @@ class MujocoEngine:
         observe(self._native, self.drive, i)
 
     def get_state(self, i: int) -> Array:
-        """Everything that decides robot `i`'s further motion in the engine."""
+        """Return the whole state of robot `i` in the engine."""
         return self._read(self.datas[i], self._native.stretch[i])
 
     def set_state(self, i: int, state: Array) -> None:
@@ -192,7 +192,7 @@ class MujocoEngine:
         """
         for name in BULLET_ONLY:
             if (value := float(getattr(params, name)[row])) != 0.0:
-                raise SurefootError(f"{name} is {value:g}; MuJoCo's world does not model it: take 0, or world bullet")
+                raise SurefootError(f"{name} is {value:g}; MuJoCo does not model it: set 0, or use world bullet")
         self._native.friction[i] = params.contact_friction[row]
         self._native.stiffness[i] = params.contact_stiffness[row]
         self._native.spinning[i] = params.contact_spinning_friction[row]
@@ -217,7 +217,7 @@ class MujocoEngine:
         return _masses(model)
 
     def base(self) -> Array:
-        """Base position [m], quaternion (w x y z) and velocity [m/s], all in the world frame, (N, 10)."""
+        """Return the base position [m], quaternion (w x y z) and velocity [m/s], all in the world frame, (N, 10)."""
         if self._native.base_qpos < 0:
             return racked_bases(len(self.datas))
         rows = np.empty((len(self.datas), 10))
@@ -225,7 +225,7 @@ class MujocoEngine:
         return rows
 
     def foot_positions(self) -> Array:
-        """Centres of the feet in the world frame [m], (N, L, 3)."""
+        """Return the centres of the feet in the world frame [m], (N, L, 3)."""
         # MuJoCo's positions are those of the last step's start, or of before a reset.
         for data in self.datas:
             mujoco.mj_kinematics(self._nominal, data)

@@ -73,7 +73,7 @@ def _load_masses(native: Native, worker: int, i: int) -> None:
 
 @kernel
 def observe(native: Native, drive: Drive, i: int) -> bool:
-    """Write robot `i`'s state to `drive.now`; false, and nothing written, if it is not finite."""
+    """Write robot `i`'s state to `drive.now`; return false, and write nothing, if it is not finite."""
     qpos, qvel = doubles(native.qpos[i]), doubles(native.qvel[i])
     for k in range(native.num_qvel):
         if not abs(qvel[k]) < SPEED_LIMIT:
@@ -98,7 +98,7 @@ def observe(native: Native, drive: Drive, i: int) -> bool:
 
 @kernel
 def _feet_on_ground(native: Native, drive: Drive, i: int, velocity: Array, force: Array) -> None:
-    """Apply the ground's forces on robot `i`'s feet, for positions and velocities that MuJoCo has just computed."""
+    """Apply the ground's forces on robot `i`'s feet, from the positions and velocities that MuJoCo has computed."""
     xpos, xipos = doubles(native.geom_xpos[i]), doubles(native.body_xipos[i])
     cvel, com = doubles(native.body_cvel[i]), doubles(native.subtree_com[i])
     applied = doubles(native.force[i])
@@ -143,7 +143,7 @@ def _feet_on_ground(native: Native, drive: Drive, i: int, velocity: Array, force
 
 @kernel
 def _seek_speeds(native: Native, drive: Drive, i: int) -> None:
-    """Make the friction that MuJoCo has just set up for robot `i`'s motor joints seek `drive.end_speed`.
+    """Make the friction that MuJoCo has just set up for robot `i`'s motor joints drive towards `drive.end_speed`.
 
     Bounded joint friction is a constraint on the joint's acceleration, which for speed 0 at the step's end is
     -qdot / dt; another acceleration gives another speed.
@@ -160,7 +160,7 @@ def _seek_speeds(native: Native, drive: Drive, i: int) -> None:
 
 @kernel
 def _run(native: Native, drive: Drive, i: int, servo_steps: int, model: int, velocity: Array, force: Array) -> bool:
-    """Run robot `i` for some servo steps on a thread's model; false if it diverges."""
+    """Run robot `i` for some servo steps on a thread's model; return false if it diverges."""
     drive.energy[i] = 0.0
     drive.contact_ticks[i] = 0.0
     applied, data = doubles(native.applied[i]), native.data[i]

@@ -20,7 +20,7 @@ MOTOR_ITERATIONS = 50
 
 
 def build_spec(robot: RobotDescription, config: WorldConfig | None = None) -> mujoco.MjSpec:
-    """The robot over a ground plane at z = 0, its base free or on a rack, ready to compile.
+    """Return the robot over a ground plane at z = 0, its base free or on a rack, ready to compile.
 
     Feet meet the ground by the law in `surefoot.world.contact`, so their geoms collide with nothing here; the
     other collision shapes of the URDF meet the ground, and not each other, by MuJoCo's own contacts.
@@ -55,7 +55,7 @@ def build_spec(robot: RobotDescription, config: WorldConfig | None = None) -> mu
                 # Bit 2 meets nothing; with no bit at all MuJoCo would drop the geom as merely visual.
                 geom.conaffinity = 2
     if config.actuator == "constraint":
-        # MuJoCo's bounded friction of a joint, made to seek a speed that is not zero by `MujocoEngine`.
+        # MuJoCo's bounded friction of a joint, which `MujocoEngine` gives a target speed that is not zero.
         option.iterations = MOTOR_ITERATIONS
         for name in robot.motor_names:
             joint = spec.joint(name)
@@ -78,17 +78,17 @@ def build_spec(robot: RobotDescription, config: WorldConfig | None = None) -> mu
 
 
 def build_model(robot: RobotDescription, config: WorldConfig | None = None) -> mujoco.MjModel:
-    """The compiled model."""
+    """Return the compiled model."""
     return build_spec(robot, config).compile()
 
 
 def foot_geoms(robot: RobotDescription, model: mujoco.MjModel) -> NDArray[np.int64]:
-    """Geom ids of the feet, in the order of the legs."""
+    """Return the geom ids of the feet, in the order of the legs."""
     return np.array([model.geom(f"{leg.name}_foot").id for leg in robot.legs])
 
 
 def resting_qpos(robot: RobotDescription, model: mujoco.MjModel) -> NDArray[np.float64]:
-    """Generalized coordinates of the robot in its resting pose, loops closed, lowest foot on the ground (no rack)."""
+    """Return generalized coordinates of the resting pose, loops closed, lowest foot on the ground (no rack)."""
     qpos = model.qpos0.copy()
     for name, angle in robot.resting_joint_angles.items():
         qpos[model.joint(name).qposadr[0]] = angle

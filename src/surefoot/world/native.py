@@ -1,4 +1,4 @@
-"""Calling MuJoCo's C functions and reading its arrays from compiled loops, past the interpreter.
+"""Calls of MuJoCo's C functions and access to its arrays from compiled loops, without the interpreter.
 
 A MuJoCo step of a small robot takes some 15 microseconds, less than a handful of Python calls. A loop
 compiled by numba that calls `mj_step` by address holds no interpreter lock, so threads run side by side.
@@ -20,7 +20,7 @@ _LARGEST_STRUCT = 1 << 20
 
 
 def function_address(name: str) -> int:
-    """Address of a C function of the MuJoCo library that the `mujoco` package has loaded."""
+    """Return the address of a C function of the MuJoCo library that the `mujoco` package has loaded."""
     folder = Path(mujoco.__file__).parent
     patterns = ("libmujoco.so.*", "libmujoco.*.dylib", "mujoco.dll")
     library = next(path for pattern in patterns for path in sorted(folder.glob(pattern)))
@@ -46,7 +46,7 @@ def call_step(typing_context: Any, function: Any, model: Any, data: Any) -> Any:
 
 
 def struct_offset(struct: int, pointer: int) -> int:
-    """Place [bytes] of a pointer in a C struct that is known to hold it.
+    """Return the offset [bytes] of a pointer in a C struct that holds it.
 
     Args:
         struct: address of the struct.
@@ -58,12 +58,12 @@ def struct_offset(struct: int, pointer: int) -> int:
     for offset in range(0, _LARGEST_STRUCT, 8):
         if ctypes.c_uint64.from_address(struct + offset).value == pointer:
             return offset
-    raise OSError("MuJoCo's data does not hold the array where it is looked for")
+    raise OSError("MuJoCo's data does not hold the array at the expected address")
 
 
 @intrinsic
 def pointers(typing_context: Any, address: Any) -> Any:
-    """The array of C pointers that starts at an address, as integers."""
+    """Return the array of C pointers that starts at an address, as integers."""
     signature = types.CPointer(types.int64)(types.int64)
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
@@ -74,7 +74,7 @@ def pointers(typing_context: Any, address: Any) -> Any:
 
 @intrinsic
 def doubles(typing_context: Any, address: Any) -> Any:
-    """The array of C doubles that starts at an address; its length is not known and not checked."""
+    """Return the array of C doubles that starts at an address; its length is not known and not checked."""
     signature = types.CPointer(types.float64)(types.int64)
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
@@ -85,7 +85,7 @@ def doubles(typing_context: Any, address: Any) -> Any:
 
 @intrinsic
 def take_number(typing_context: Any, address: Any) -> Any:
-    """Take the next number of a counter (int64) at an address that threads share: each gets another one."""
+    """Take the next number of a counter (int64) at an address that threads share: each gets a different one."""
     signature = types.int64(types.int64)
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:

@@ -1,4 +1,4 @@
-"""Processes that answer requests for a `ProcessWorld`, and that never outlive it."""
+"""Processes that answer requests for a `ProcessWorld` and end with it."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _WAIT = 2.0
 
 
 def _start() -> subprocess.Popen[bytes]:
-    """A process that waits for requests; it imports this package, and nothing of the user's script."""
+    """Start a process that waits for requests; it imports this package, and nothing of the user's script."""
     package = str(Path(__file__).resolve().parents[2])
     known = [package, *os.environ.get("PYTHONPATH", "").split(os.pathsep)]
     environment = {
@@ -70,11 +70,11 @@ class ProcessPool:
         return [process.pid for process in self._processes]
 
     def close(self) -> None:
-        """End the processes; they can't be asked any more."""
+        """End the processes; no further request is possible."""
         self._finalizer()
 
     def ask(self, method: str, arguments: Sequence[Any]) -> list[Any]:
-        """Ask every process, with arguments of its own; their answers in order.
+        """Send each process its own arguments; return their answers in order.
 
         Raises:
             SurefootError: a process is gone. An error that a process reports is raised here as it was there, after

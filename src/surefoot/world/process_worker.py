@@ -1,7 +1,7 @@
-"""One process of a `ProcessWorld`: makes its share of the robots and does what it is asked, until nobody asks.
+"""One process of a `ProcessWorld`: makes its share of the robots and answers requests until they end.
 
 Requests come in on stdin and answers go out on what was stdout, pickled. What anything else prints goes to stderr.
-The process ends when stdin does: when the world is closed, or when the process that owns it is gone, however it went.
+The process ends when stdin does: when the world is closed, or when the process that owns it has ended, for any reason.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from surefoot.world.sim_world import SimWorld
 
 
 def _answer(world: SimWorld, method: str, arguments: tuple[Any, ...]) -> Any:
-    """The world's answer; after a step or a reset with the truth, which is nearly always asked for next."""
+    """Return the world's answer; after a step or a reset with the truth, which is nearly always requested next."""
     value = getattr(world, method)(*arguments)
     if method in ("step", "reset"):
         return value, world.truth(), world.divergences
@@ -59,7 +59,7 @@ def main() -> int:
     with contextlib.suppress(BrokenPipeError):
         _serve(sys.stdin.buffer, answers)
         return 0
-    os._exit(1)  # nobody reads any more: no use in flushing
+    os._exit(1)  # the pipe is closed: nothing to flush
 
 
 if __name__ == "__main__":

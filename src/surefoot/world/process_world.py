@@ -27,7 +27,7 @@ Rows = TypeVar("Rows", Readings, Truth)
 
 
 def _join(parts: Sequence[Rows]) -> Rows:
-    """Readings or truths of consecutive robots as one."""
+    """Join readings or truths of consecutive robots."""
     columns = {item.name: np.concatenate([getattr(part, item.name) for part in parts]) for item in fields(parts[0])}
     return type(parts[0])(**columns)
 
@@ -44,7 +44,7 @@ class ProcessWorld:
         engine: makes the physics, a function at the top of a module.
 
     Raises:
-        SurefootError: as `SimWorld`, and whenever one of the processes is gone.
+        SurefootError: as `SimWorld`, and whenever one of the processes has ended.
     """
 
     def __init__(
@@ -84,11 +84,11 @@ class ProcessWorld:
             raise
 
     def close(self) -> None:
-        """End the processes; the world can't be used any more."""
+        """End the processes; the world cannot be used afterwards."""
         self._pool.close()
 
     def _each(self, *arguments: Any) -> list[tuple[Any, ...]]:
-        """The same arguments for every process, arrays with a row for each robot cut to its share."""
+        """Return the arguments of every process: arrays with a row for each robot are cut to its share."""
         return [tuple(None if item is None else item[share] for item in arguments) for share in self._shares]
 
     def _moved(self, replies: list[tuple[Readings, Truth, int]]) -> Readings:
@@ -97,7 +97,7 @@ class ProcessWorld:
         return _join(readings)
 
     def _split(self, index: ArrayLike | None) -> list[tuple[NDArray[np.int64], NDArray[np.int64]]]:
-        """For each process, places in `index` that name its robots, and their numbers there."""
+        """Return for each process the places in `index` of its robots, and their numbers there."""
         rows = np.arange(self.num_envs) if index is None else np.atleast_1d(np.asarray(index, np.int64))
         rows = np.where(rows < 0, rows + self.num_envs, rows)
         if np.any((rows < 0) | (rows >= self.num_envs)):
@@ -109,26 +109,26 @@ class ProcessWorld:
         return split
 
     def reset(self, index: ArrayLike | None = None) -> Readings:
-        """Bring the robots at `index` (all, if none is given) to the resting pose; readings of all robots."""
+        """Bring the robots at `index` (all, if none is given) to the resting pose; return readings of all robots."""
         return self._moved(self._pool.ask("reset", [(rows,) for _, rows in self._split(index)]))
 
     def step(self, target: ArrayLike, active: NDArray[np.bool_] | None = None) -> Readings:
-        """Hold motor angles (N, M) [rad] for one control step of each (active) robot; readings at its end."""
+        """Hold motor angles (N, M) [rad] for one control step of each (active) robot; return readings at its end."""
         angles = np.broadcast_to(np.asarray(target, float), (self.num_envs, self.robot.num_motors))
         return self._moved(self._pool.ask("step", self._each(angles, active)))
 
     def readings(self) -> Readings:
-        """The readings of now, again."""
+        """Return the present readings again."""
         return _join(self._pool.ask("readings", self._each()))
 
     def truth(self) -> Truth:
-        """The true state of now; the arrays are the caller's to keep."""
+        """Return the true state; the arrays belong to the caller."""
         if self._truths is None:
             self._truths = self._pool.ask("truth", self._each())
         return _join(self._truths)
 
     def foot_positions(self) -> Array:
-        """Centres of the rounded feet in the world frame [m], (N, L, 3)."""
+        """Return the centres of the rounded feet in the world frame [m], (N, L, 3)."""
         return np.concatenate(self._pool.ask("foot_positions", self._each()))
 
     def set_params(self, index: ArrayLike, params: PhysicalParams) -> None:
@@ -150,7 +150,7 @@ class ProcessWorld:
         self._pool.ask("push", self._each(np.asarray(force_world, float)))
 
     def get_state(self) -> dict[str, Any]:
-        """Everything that decides how the world goes on, laid out as a single `SimWorld`'s."""
+        """Return the whole state of the world, laid out as a single `SimWorld`'s."""
         states = self._pool.ask("get_state", self._each())
         first = states[0]
         own = [share.stop - share.start for share in self._shares]
@@ -174,7 +174,7 @@ class ProcessWorld:
         }
 
     def set_state(self, state: dict[str, Any]) -> None:
-        """Go on from `get_state`, exactly; the state may come from any number of processes, or from a `SimWorld`."""
+        """Continue from `get_state`, exactly; the state may come from any number of processes, or from a `SimWorld`."""
         # As `SimWorld` does it: a parameter that an earlier version did not have is nominal.
         params = replace(PhysicalParams.nominal(self.robot, self.num_envs), **state["params"])
         for name in PhysicalParams.names():
@@ -198,7 +198,7 @@ class ProcessWorld:
 
 
 def processes_for(num_envs: int, config: WorldConfig) -> int:
-    """Number of processes for so many robots: as asked for, one a core if 0, never more than robots."""
+    """Return the number of processes for so many robots: as given, one a core if 0, at most one a robot."""
     return max(1, min(config.threads or os.cpu_count() or 1, num_envs))
 
 
@@ -210,7 +210,7 @@ def bullet_world(
     config: WorldConfig | None = None,
     published: bool = False,
 ) -> Simulation:
-    """Simulated robots in Bullet: in this process if one is enough, else on `config.threads` processes.
+    """Return simulated robots in Bullet: in this process if one is enough, else on `config.threads` processes.
 
     With `published`, Bullet has the settings of the simulator that was published with the Minitaur.
 

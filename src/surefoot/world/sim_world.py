@@ -39,10 +39,10 @@ class Engine(Protocol):
         """Write the state of robot `i` to `drive.now`."""
 
     def get_state(self, i: int) -> Array:
-        """All that decides robot `i`'s further motion."""
+        """Return the whole state of robot `i` in the engine."""
 
     def set_state(self, i: int, state: Array) -> None:
-        """Put robot `i` into a state, and mark it sound again."""
+        """Put robot `i` into a state, and clear its mark of divergence."""
 
     def raise_base(self, i: int, height: float) -> None:
         """Move the base of robot `i` up by a height [m]."""
@@ -57,17 +57,17 @@ class Engine(Protocol):
         """Apply masses, inertias and the feet's contact of one row to robot `i`, whose state stays as it is."""
 
     def base(self) -> Array:
-        """Base position, quaternion and velocity in the world, (N, 10)."""
+        """Return the base position, quaternion and velocity in the world, (N, 10)."""
 
     def foot_positions(self) -> Array:
-        """Foot centres in the world, (N, L, 3)."""
+        """Return the foot centres in the world, (N, L, 3)."""
 
 
 EngineFactory = Callable[[RobotDescription, Drive, WorldConfig], Engine]
 
 
 def mujoco_engine(robot: RobotDescription, drive: Drive, config: WorldConfig) -> Engine:
-    """The MuJoCo engine, imported when first asked for."""
+    """Return the MuJoCo engine, imported on first use."""
     from surefoot.world.mujoco_engine import MujocoEngine
 
     return MujocoEngine(robot, drive, config)
@@ -137,7 +137,7 @@ class SimWorld:
         self.reset()
 
     def _settle(self, engine: EngineFactory) -> Array:
-        """State of one nominal robot after it has settled; resets start from it, whatever the parameters."""
+        """Return the state of one nominal robot after it has settled; all resets start from it."""
         config = replace(self.config, thermal_protection=False, threads=1)
         drive = new_drive(self.robot, 1, self._history, config)
         single = engine(self.robot, drive, config)
@@ -153,7 +153,7 @@ class SimWorld:
         return single.get_state(0)
 
     def reset(self, index: ArrayLike | None = None) -> Readings:
-        """Bring robots back to the settled resting pose with a fresh history; readings of all robots."""
+        """Bring robots back to the settled resting pose with a new history; return readings of all robots."""
         rows = np.arange(self.num_envs) if index is None else np.atleast_1d(np.asarray(index, np.int64))
         self._reset(rows)
         self._diverged[rows] = False
@@ -188,11 +188,11 @@ class SimWorld:
             record(drive, i)
 
     def step(self, target: ArrayLike, active: NDArray[np.bool_] | None = None) -> Readings:
-        """Hold motor angles (N, M) [rad] for one control step of each robot; readings at its end.
+        """Hold motor angles (N, M) [rad] for one control step of each robot; return readings at its end.
 
         With `active` (N,), time stands still for all other robots, which cost nothing.
 
-        A control step that is no whole number of servo steps is kept on average: the k-th one ends at the
+        A control step that is not a multiple of the servo step is kept on average: the k-th one ends at the
         servo step nearest to k times the control step. A robot that diverges, or is sent angles that are not
         finite, is put back to its resting pose, counted in `divergences` and marked in `truth().diverged`.
         """
@@ -218,7 +218,7 @@ class SimWorld:
         return self.readings()
 
     def readings(self) -> Readings:
-        """What the control computer gets now: `control_latency` old, roll and pitch with bias and noise."""
+        """Return what the control computer receives: `control_latency` old, roll and pitch with bias and noise."""
         motors = self.robot.num_motors
         out = np.empty_like(self.drive.now)
         read_delayed(self.drive, self.params.control_latency, out)
@@ -243,7 +243,7 @@ class SimWorld:
             self._noise[i] = self._imu_streams[i].standard_normal((_NOISE_BLOCK, 2))
 
     def truth(self) -> Truth:
-        """The true state of now, and what happened over the last control step."""
+        """Return the true state, with energy and contacts over the last control step."""
         base, motors = self.engine.base(), self.robot.num_motors
         now = self.drive.now
         ticks = np.maximum(np.round(self.params.control_step / self.robot.timing.servo_step), 1)
@@ -261,7 +261,7 @@ class SimWorld:
         )
 
     def foot_positions(self) -> Array:
-        """Centres of the rounded feet in the world frame [m], (N, L, 3)."""
+        """Return the centres of the rounded feet in the world frame [m], (N, L, 3)."""
         return self.engine.foot_positions()
 
     def set_params(self, index: ArrayLike, params: PhysicalParams) -> None:
@@ -285,7 +285,7 @@ class SimWorld:
             self.engine.set_force(i, force)
 
     def get_state(self) -> dict[str, Any]:
-        """Everything that decides how the world goes on, for an exact resume."""
+        """Return the whole state of the world, for an exact resume."""
         return {
             "engine": np.array([self.engine.get_state(i) for i in range(self.num_envs)]),
             "drive": {name: array.copy() for name, array in self.drive._asdict().items()},

@@ -136,11 +136,11 @@ def test_a_row_that_was_cut_is_left_out(recorded, tmp_path):
     ("content", "match"),
     [
         (None, "can't be read: No such file"),
-        (b"", "is none"),
-        (b"{}\n", "is none"),
-        (b"[1]\n", "is none"),
-        (b'{"kind": "other"}\n', "is none: of another kind"),
-        (b"\xff\xfe\n", "is none"),
+        (b"", "is not one"),
+        (b"{}\n", "is not one"),
+        (b"[1]\n", "is not one"),
+        (b'{"kind": "other"}\n', "is not one: of another kind"),
+        (b"\xff\xfe\n", "is not one"),
         (
             json.dumps(
                 {"kind": "surefoot-partial-trace", "motors": 8, "legs": 4, "observations": 3, "meta": {}}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.deploy.poses import SIT_EXTENSION, SPREAD, between, pose, sitting
+from surefoot.deploy.poses import SIT_EXTENSION, SPREAD_SWING, between, pose, sitting
 from surefoot.identify.experiments.signals import go_to, hold, sweep
 from surefoot.identify.plan import Phase, Signal, Use
 from surefoot.robot import RobotDescription
@@ -66,7 +66,7 @@ def standing_up(robot: RobotDescription) -> list[Phase]:
 
 def _aside(swing: Array) -> Array:
     """Legs that slid out stay on their side; legs under the body stay there."""
-    return np.where(np.abs(swing) > 0.3, SPREAD * np.sign(swing), swing)
+    return np.where(np.abs(swing) > 0.3, SPREAD_SWING * np.sign(swing), swing)
 
 
 def sitting_down(robot: RobotDescription) -> Phase:

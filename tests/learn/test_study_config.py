@@ -13,7 +13,7 @@ import yaml
 from surefoot.configuration import write_yaml
 from surefoot.errors import SurefootError
 from surefoot.learn.config import TrainConfig, load_train_config
-from surefoot.learn.study import (
+from surefoot.learn.study_config import (
     CHECKPOINT_EVERY,
     StudyConfig,
     StudyRun,
@@ -100,8 +100,8 @@ def test_runs_go_seed_by_seed_into_fixed_folders(tmp_path: Path) -> None:
         ("groups: {../a: {}}", "name is '../a'; a name has letters"),
         ("{groups: {a: {}}, seeds: [1, 1]}", "seeds is .1, 1.; .* none twice"),
         ("{groups: {a: {}}, seeds: []}", "1 or more"),
-        ("{groups: {a: {}}, speed: 3}", "speed is no key"),
-        ("groups: {a: {train: {stepps: 3}}}", "groups.a.train.stepps is no key"),
+        ("{groups: {a: {}}, speed: 3}", "speed is not a key"),
+        ("groups: {a: {train: {stepps: 3}}}", "groups.a.train.stepps is not a key"),
         ("groups: {a: {train: {steps: 0}}}", "steps is 0; it must be 1 or more"),
         ("groups: {a: {train: {task: {randomize: table9}}}}", "table9' does not exist"),
         ("{groups: {a: {}}, train: {task: {pushes: {probability: 2}}}}", "probability is 2"),
@@ -203,7 +203,7 @@ def test_difference_finds_the_first_field_by_its_whole_name() -> None:
 
 
 def test_how_far_a_study_is_can_be_told_without_torch() -> None:
-    script = "import sys, surefoot.learn.study, surefoot.learn.workers; sys.exit('torch' in sys.modules)"
+    script = "import sys, surefoot.learn.study_config, surefoot.learn.workers; sys.exit('torch' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", script], timeout=60, check=False).returncode == 0
 
 

@@ -4,83 +4,50 @@ from __future__ import annotations
 
 import json
 import shutil
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-import numpy as np
 import pytest
 
 pytest.importorskip("gymnasium")
 
 from surefoot.errors import SurefootError
-from surefoot.evaluate import kinds, study
-from surefoot.evaluate.gap import Runs
-from surefoot.evaluate.kinds import KINDS, gap_of, kinds_of
+from surefoot.evaluate import evaluations
+from surefoot.evaluate.evaluations import EVALUATIONS, evaluate, evaluation_names, gap_of, stored_result
+from surefoot.evaluate.runs import Runs
 from surefoot.task.config import TaskConfig, load_task
 from surefoot.task.randomize import load_ranges
 from surefoot.task.trace import EpisodeTrace
 
 POLICY: Any = SimpleNamespace(contract=SimpleNamespace(name="walker"))
-LEGS = ("front_left", "back_left", "front_right", "back_right")
-
-
-def trace(world: str, distance: float = 3.5, steps: int = 100, ended: str = "time") -> EpisodeTrace:
-    """A robot that slides forward, 2 J a control step."""
-    position = np.zeros((steps + 1, 3))
-    position[:, 0] = np.linspace(0.0, distance, steps + 1)
-    motors, legs = np.zeros((steps, 8)), np.zeros((steps, 4))
-    meta = {
-        "robot": "minitaur",
-        "world": world,
-        "control_step": 0.006,
-        "leg_names": list(LEGS),
-        "motor_names": [f"m{i}" for i in range(8)],
-        "observation_names": ["roll"],
-        "energy_weight": 0.008,
-        "ended": ended,
-        "max_steps": 100,
-    }
-    return EpisodeTrace(
-        time=0.006 * np.arange(1, steps + 1),
-        base_position_world=position,
-        base_quat_world=np.tile([1.0, 0.0, 0.0, 0.0], (steps + 1, 1)),
-        roll_pitch_yaw=np.zeros((steps, 3)),
-        angular_velocity_base=np.zeros((steps, 3)),
-        motor_angle=motors,
-        motor_velocity=motors,
-        motor_torque=motors,
-        observation=np.zeros((steps, 1)),
-        feedback=motors,
-        target=motors,
-        energy=np.full(steps, 2.0),
-        foot_contact=legs,
-        meta=meta,
-    )
 
 
 class Rollouts:
     """Takes the place of simulations: remembers what is asked for, and gives slides forward."""
 
-    def __init__(self) -> None:
+    def __init__(self, make_run: Callable[..., EpisodeTrace]) -> None:
         self.asked: list[dict[str, Any]] = []
+        self.make_run = make_run
 
     def __call__(
         self, policy: Any, task: TaskConfig, episodes: int, make: Any, seed: int, threads: int, **names: str
     ) -> list[EpisodeTrace]:
         self.asked.append({"task": task, "episodes": episodes, "make": make, "seed": seed, "threads": threads, **names})
         far = {"mujoco": 3.5, "ensemble": 1.5}[names["world_name"]]
-        fell = names["world_name"] == "ensemble"
-        made = [trace(names["world_name"], far + 0.1 * i) for i in range(episodes - 1)]
-        return [*made, trace(names["world_name"], 0.5, 60, "fall" if fell else "time")]
+        options = {"step": 0.006, "world": names["world_name"], "max_steps": 100}
+        ended = "fall" if names["world_name"] == "ensemble" else "time"
+        made = [self.make_run(far + 0.1 * i, 200.0, **options) for i in range(episodes - 1)]
+        return [*made, self.make_run(0.5, 120.0, 60, ended=ended, **options)]
 
 
 @pytest.fixture
-def rollouts(monkeypatch: pytest.MonkeyPatch) -> Rollouts:
-    made, gap = Rollouts(), KINDS["gap"]
-    monkeypatch.setattr(kinds, "run_episodes", made)
-    monkeypatch.setitem(KINDS, "gap", replace(gap, settings={**gap.settings, "episodes": 3}))
+def rollouts(monkeypatch: pytest.MonkeyPatch, make_run: Callable[..., EpisodeTrace]) -> Rollouts:
+    made, gap = Rollouts(make_run), EVALUATIONS["gap"]
+    monkeypatch.setattr(evaluations, "run_episodes", made)
+    monkeypatch.setitem(EVALUATIONS, "gap", replace(gap, settings={**gap.settings, "episodes": 3}))
     return made
 
 
@@ -102,7 +69,7 @@ def baseline() -> TaskConfig:
 
 def test_nominal_episodes_run_in_the_policys_own_simulator(rollouts: Rollouts) -> None:
     task = baseline()
-    KINDS["nominal"].run(POLICY, task, find_world, KINDS["nominal"].settings, 1)
+    EVALUATIONS["nominal"].run(POLICY, task, find_world, EVALUATIONS["nominal"].settings, 1)
     (asked,) = rollouts.asked
     assert (asked["make"], asked["world_name"], asked["episodes"]) == ("makes mujoco", "mujoco", 20)
     assert asked["task"].actuator == "constraint"
@@ -112,7 +79,7 @@ def test_nominal_episodes_run_in_the_policys_own_simulator(rollouts: Rollouts) -
 
 
 def test_gap_runs_are_at_home_and_on_the_robot_of_the_data_sheet(rollouts: Rollouts) -> None:
-    found = KINDS["gap"].run(POLICY, baseline(), find_world, KINDS["gap"].settings, 2)
+    found = EVALUATIONS["gap"].run(POLICY, baseline(), find_world, EVALUATIONS["gap"].settings, 2)
     home, described, away = rollouts.asked
     assert (described["make"], described["task"]) == (home["make"], away["task"])
     assert (home["make"], home["world_name"]) == ("makes mujoco", "mujoco")
@@ -124,7 +91,7 @@ def test_gap_runs_are_at_home_and_on_the_robot_of_the_data_sheet(rollouts: Rollo
         assert not asked["task"].pushes.enabled
         assert not asked["task"].randomize.ranges
         # Not the episodes that policies are chosen by.
-        assert asked["seed"] != KINDS["nominal"].settings["seed"]
+        assert asked["seed"] != EVALUATIONS["nominal"].settings["seed"]
     assert {world: len(traces) for world, traces in found.traces.items()} == {
         "mujoco": 3,
         "mujoco-described": 3,
@@ -135,8 +102,8 @@ def test_gap_runs_are_at_home_and_on_the_robot_of_the_data_sheet(rollouts: Rollo
 
 
 def test_figures_of_a_gap_are_means_over_its_runs(rollouts: Rollouts) -> None:
-    result = KINDS["gap"].run(POLICY, baseline(), find_world, KINDS["gap"].settings, 1).result
-    figures = {one.name: one.read(result) for one in KINDS["gap"].figures}
+    result = EVALUATIONS["gap"].run(POLICY, baseline(), find_world, EVALUATIONS["gap"].settings, 1).result
+    figures = {one.name: one.read(result) for one in EVALUATIONS["gap"].figures}
     # Distances 3.5, 3.6 and .5 m at home and 1.5, 1.6 and .5 m away; 100, 100 and 60 steps of 2 J at .008 m/J.
     spent = 0.008 * 2 * (100 + 100 + 60) / 3
     assert figures["gap_home"] == pytest.approx(7.6 / 3 - spent)
@@ -150,14 +117,14 @@ def test_figures_of_a_gap_are_means_over_its_runs(rollouts: Rollouts) -> None:
 
 
 def test_every_kind_names_worlds_that_its_settings_have() -> None:
-    assert {name: kind.world_names for name, kind in KINDS.items()} == {
+    assert {name: kind.world_names for name, kind in EVALUATIONS.items()} == {
         "nominal": ("mujoco",),
         "table1": ("mujoco",),
         "sensitivity": ("mujoco",),
         "gap": ("mujoco", "ensemble"),
     }
     with pytest.raises(SurefootError, match="'luck' is no kind of evaluation; choices: nominal, table1"):
-        kinds_of(("luck",))
+        evaluation_names(("luck",))
 
 
 @pytest.fixture
@@ -171,15 +138,15 @@ def test_a_gap_is_measured_once_and_its_runs_are_kept(policy: Path, rollouts: Ro
     folder = policy.parent / "evaluations" / "gap"
     (folder / "ensemble").mkdir(parents=True)
     (folder / "ensemble" / "run_007.npz").write_bytes(b"of an evaluation before")
-    assert study.kept(policy, "gap") is None
-    result = study.evaluate(policy, "gap", find_world)
+    assert stored_result(policy, "gap") is None
+    result = evaluate(policy, "gap", find_world)
     names = [
         f"{world}/run_{number:03d}.npz" for world in ("ensemble", "mujoco-described", "mujoco") for number in range(3)
     ]
     assert sorted(str(path.relative_to(folder)) for path in folder.rglob("*.npz")) == names
     back = Runs.of_traces([EpisodeTrace.load(path) for path in sorted((folder / "ensemble").iterdir())])
     assert back.to_mapping() == result["away"]
-    assert study.evaluate(policy, "gap", find_world) == study.kept(policy, "gap") == result
+    assert evaluate(policy, "gap", find_world) == stored_result(policy, "gap") == result
     assert len(rollouts.asked) == 3
 
 
@@ -187,27 +154,27 @@ def test_a_gap_is_measured_once_and_its_runs_are_kept(policy: Path, rollouts: Ro
 def test_a_result_belongs_to_its_world(
     kind: str, key: str, policy: Path, rollouts: Rollouts, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    study.evaluate(policy, kind, find_world)
-    assert study.kept(policy, kind) is not None
-    other = replace(KINDS[kind], settings={**KINDS[kind].settings, key: "elsewhere"})
-    monkeypatch.setitem(KINDS, kind, other)
-    assert study.kept(policy, kind) is None
+    evaluate(policy, kind, find_world)
+    assert stored_result(policy, kind) is not None
+    other = replace(EVALUATIONS[kind], settings={**EVALUATIONS[kind].settings, key: "elsewhere"})
+    monkeypatch.setitem(EVALUATIONS, kind, other)
+    assert stored_result(policy, kind) is None
 
 
 def test_a_row_that_stays_nominal_is_no_part_of_a_result(policy: Path, rollouts: Rollouts) -> None:
-    result = study.evaluate(policy, "table1", find_world)
+    result = evaluate(policy, "table1", find_world)
     place = policy.parent / "evaluations" / "table1.json"
     record = json.loads(place.read_text())
     # As a version that knows other rows writes it.
     record["of"]["ranges"]["play"] = None
     place.write_text(json.dumps(record))
-    assert study.kept(policy, "table1") == result
+    assert stored_result(policy, "table1") == result
     record["of"]["ranges"]["play"] = [0.0, 0.1]
     place.write_text(json.dumps(record))
-    assert study.kept(policy, "table1") is None
+    assert stored_result(policy, "table1") is None
 
 
 def test_a_result_belongs_to_its_policy(policy: Path, rollouts: Rollouts, repository: Path) -> None:
-    study.evaluate(policy, "gap", find_world)
+    evaluate(policy, "gap", find_world)
     shutil.copy(repository / "policies" / "trot-robust.onnx", policy)
-    assert study.kept(policy, "gap") is None
+    assert stored_result(policy, "gap") is None

@@ -1,0 +1,295 @@
+"""The evaluations that a study's policies go through, the figures that they come to, and their results on disk."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from surefoot import __version__
+from surefoot.configuration import to_mapping
+from surefoot.errors import SurefootError, choices
+from surefoot.evaluate.ensemble import ROBOTS
+from surefoot.evaluate.gap import PolicyGap, away_task, home_task
+from surefoot.evaluate.metrics import summarize
+from surefoot.evaluate.recorded import save_runs
+from surefoot.evaluate.rollout import run_episodes, task_from_contract
+from surefoot.evaluate.runs import Runs
+from surefoot.evaluate.sensitivity import Sensitivity, run_sensitivity
+from surefoot.files import whole_file
+from surefoot.policy.runtime import PolicyRuntime
+from surefoot.robot import RobotDescription
+from surefoot.task.config import TaskConfig
+from surefoot.task.randomize import load_ranges
+from surefoot.task.trace import EpisodeTrace
+from surefoot.world.interface import SimulationFactory
+
+SEED = 1
+GAP_SEED = 2
+"""Another one: the runs that tell a gap are not those that policies are chosen by, and owe nothing to the choice."""
+Result = dict[str, Any]
+FindWorld = Callable[[str], SimulationFactory]
+"""What makes worlds of a name."""
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A number that an evaluation comes to."""
+
+    name: str
+    """Its column in tables of results."""
+    title: str
+    """What it is, in words."""
+    unit: str
+    """Its unit; empty for a bare number."""
+    digits: int
+    """Behind the point."""
+    read: Callable[[Result], float]
+    """Reads it from the evaluation's result."""
+
+    @property
+    def heading(self) -> str:
+        """Title and unit, as the head of a column."""
+        return f"{self.title} ({self.unit})"
+
+
+@dataclass(frozen=True)
+class EvaluationKind:
+    """A kind of evaluation of a policy."""
+
+    what: str
+    """What is done, in words."""
+    settings: dict[str, Any]
+    """All that the result depends on besides the policy."""
+    worlds: tuple[str, ...]
+    """Keys of the settings that name a world."""
+    run: Callable[[PolicyRuntime, TaskConfig, FindWorld, dict[str, Any], int], Evaluated]
+    """Does it, with some number of threads."""
+    figures: tuple[Figure, ...]
+    """The numbers that policies are compared by."""
+
+    @property
+    def world_names(self) -> tuple[str, ...]:
+        """Names of the worlds that it takes."""
+        return tuple(self.settings[key] for key in self.worlds)
+
+
+@dataclass(frozen=True)
+class Evaluated:
+    """What an evaluation came to."""
+
+    result: Result
+    """A table that JSON can hold."""
+    traces: dict[str, list[EpisodeTrace]] = field(default_factory=dict)
+    """Episodes that are worth keeping, by the name of their world."""
+
+
+def _episodes(
+    policy: PolicyRuntime, task: TaskConfig, find_world: FindWorld, settings: dict[str, Any], threads: int
+) -> Evaluated:
+    """Run whole episodes without pushes, each with parameters drawn from a table of ranges.
+
+    Actuator and nominal parameters are those of the policy's task: a policy is at home in the simulator that it was
+    trained in.
+    """
+    task = replace(home_task(task), randomize=load_ranges(settings["ranges"]))
+    traces = _run(policy, task, find_world, settings["world"], settings, threads)
+    runs = Runs.of_traces(traces)
+    summary = summarize(traces, RobotDescription.load(task.robot).urdf.total_mass)
+    # A diverged simulation counts as a fall: the policy has brought the robot where nothing holds.
+    columns = {"returns": runs.returns, "speed": runs.speed, "fell": ~runs.balanced}
+    return Evaluated({"summary": summary, **{name: column.tolist() for name, column in columns.items()}})
+
+
+def _sensitivity(
+    policy: PolicyRuntime, task: TaskConfig, find_world: FindWorld, settings: dict[str, Any], threads: int
+) -> Evaluated:
+    """Run test worlds that differ from the nominal one in one parameter."""
+    options = {name: settings[name] for name in ("values", "episodes", "seed")}
+    ranges = load_ranges(settings["ranges"])
+    found = run_sensitivity(policy, task, find_world(settings["world"]), ranges=ranges, threads=threads, **options)
+    return Evaluated(found.to_mapping())
+
+
+def _gap(
+    policy: PolicyRuntime, task: TaskConfig, find_world: FindWorld, settings: dict[str, Any], threads: int
+) -> Evaluated:
+    """Run some episodes at home, and as many in another world, one on each of its robots.
+
+    As many again in the engine of home, with the robot as its data sheet describes it, tell what motors and delays
+    take before anything else does.
+    """
+    home, away = settings["home"], settings["away"]
+    parts = {"home": (home_task(task), home, home), "described": (away_task(task), home, f"{home}-described")}
+    parts["away"] = (away_task(task), away, away)
+    traces = {name: _run(policy, given, find_world, world, settings, threads) for given, world, name in parts.values()}
+    result = {part: Runs.of_traces(traces[name], name).to_mapping() for part, (_, _, name) in parts.items()}
+    return Evaluated(result, traces)
+
+
+def _run(
+    policy: PolicyRuntime,
+    task: TaskConfig,
+    find_world: FindWorld,
+    world: str,
+    settings: dict[str, Any],
+    threads: int,
+) -> list[EpisodeTrace]:
+    episodes, seed, name = settings["episodes"], settings["seed"], policy.contract.name
+    return run_episodes(policy, task, episodes, find_world(world), seed, threads, world_name=world, policy_name=name)
+
+
+def gap_of(result: Result, name: str) -> PolicyGap:
+    """Return the runs of a result at home, away and, last, in home's engine with the robot as described."""
+    home, away, described = (Runs.from_mapping(result[part]) for part in ("home", "away", "described"))
+    return PolicyGap(name, home, (away, described))
+
+
+def _mean(*keys: str, factor: float = 1.0) -> Callable[[Result], float]:
+    """Return what reads the mean of a column, which lies at the end of some keys."""
+
+    def read(result: Result) -> float:
+        found: Any = result
+        for key in keys:
+            found = found[key]
+        return factor * float(np.mean(found))
+
+    return read
+
+
+def _over_worlds(name: str) -> Callable[[Result], float]:
+    """Return what reads an aggregate of a sensitivity."""
+    return lambda result: float(getattr(Sensitivity.from_mapping(result, ""), name))
+
+
+def _gap_mean(result: Result) -> float:
+    return float(np.mean(result["home"]["returns"]) - np.mean(result["away"]["returns"]))
+
+
+_FALLS = _mean("fell", factor=100.0)
+EVALUATIONS: dict[str, EvaluationKind] = {
+    "nominal": EvaluationKind(
+        "20 episodes in the nominal world of the policy's own simulator, without pushes",
+        {"world": "mujoco", "episodes": 20, "seed": SEED, "ranges": "none"},
+        ("world",),
+        _episodes,
+        (
+            Figure("nominal_speed", "speed, nominal", "m/s", 3, _mean("speed")),
+            Figure("nominal_return", "return, nominal", "m", 2, _mean("returns")),
+            Figure("nominal_falls", "falls, nominal", "%", 1, _FALLS),
+        ),
+    ),
+    "table1": EvaluationKind(
+        "100 episodes with every parameter of table I drawn at random, without pushes",
+        {"world": "mujoco", "episodes": 100, "seed": SEED, "ranges": "table1"},
+        ("world",),
+        _episodes,
+        (
+            Figure("table1_speed", "speed, table I drawn", "m/s", 3, _mean("speed")),
+            Figure("table1_falls", "falls, table I drawn", "%", 1, _FALLS),
+        ),
+    ),
+    "sensitivity": EvaluationKind(
+        "test worlds: one parameter of table I at a time takes 10 values, all else nominal; 4 episodes in each",
+        {"world": "mujoco", "values": 10, "episodes": 4, "seed": SEED, "ranges": "table1"},
+        ("world",),
+        _sensitivity,
+        (
+            Figure("sensitivity_mean", "mean return over test worlds", "m", 2, _over_worlds("mean")),
+            Figure("sensitivity_std", "standard deviation of return over test worlds", "m", 2, _over_worlds("std")),
+            Figure("sensitivity_falls", "falls in test worlds", "%", 1, _FALLS),
+        ),
+    ),
+    "gap": EvaluationKind(
+        f"a run on each of the ensemble's {ROBOTS} robots in Bullet, and as many in the policy's own simulator and "
+        "there with the robot of the data sheet; none with pushes, each from a start of its own",
+        {"home": "mujoco", "away": "ensemble", "described": True, "episodes": ROBOTS, "seed": GAP_SEED},
+        ("home", "away"),
+        _gap,
+        (
+            Figure("gap_home", "return at home", "m", 2, _mean("home", "returns")),
+            Figure("gap_described", "return at home as described", "m", 2, _mean("described", "returns")),
+            Figure("gap_away", "return away", "m", 2, _mean("away", "returns")),
+            Figure("gap", "gap", "m", 2, _gap_mean),
+            Figure("gap_balanced", "balanced away", "%", 1, _mean("away", "balanced", factor=100.0)),
+            Figure("gap_distance", "distance away", "m", 2, _mean("away", "distance")),
+            Figure("gap_speed", "speed away", "m/s", 3, _mean("away", "speed")),
+            Figure("gap_power", "power away", "W", 1, _mean("away", "power")),
+        ),
+    ),
+}
+"""Evaluations by name; the first one is part of every study."""
+
+
+def evaluation_names(names: Iterable[str]) -> tuple[str, ...]:
+    """Return the evaluations that a study has, the one that every study has first.
+
+    Raises:
+        SurefootError: no such evaluation.
+    """
+    for name in names:
+        if name not in EVALUATIONS:
+            raise SurefootError(f"evaluate: '{name}' is no kind of evaluation; choices: {choices(EVALUATIONS)}")
+    return tuple(dict.fromkeys(("nominal", *names)))
+
+
+def stored_result(policy: Path, name: str) -> Result | None:
+    """Return the stored result of an evaluation of a policy file as it is now; None if there is none that holds."""
+    try:
+        record = json.loads(_result_path(policy, name).read_text(encoding="utf-8"))
+        of = record["of"]
+        if "ranges" in of:
+            of["ranges"] = _drawn(of["ranges"])
+        return record["result"] if of == _identity(policy, name) else None
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        return None
+
+
+def evaluate(policy: Path, name: str, find_world: FindWorld, threads: int = 0) -> Result:
+    """Evaluate a policy file, or return the stored result; a new one is stored in `evaluations/` beside the file.
+
+    Traces that the evaluation finds worth keeping go to `evaluations/NAME/WORLD/run_000.npz` and on.
+
+    Args:
+        policy: the file.
+        name: the evaluation.
+        find_world: gives what makes worlds of a name; the evaluation's settings say which it takes.
+        threads: threads of the simulation; 0 means one a core.
+
+    Raises:
+        SurefootError: a file that is no policy, or a world that does not exist.
+    """
+    found = stored_result(policy, name)
+    if found is not None:
+        return found
+    runtime, what, path = PolicyRuntime.load(policy), EVALUATIONS[name], _result_path(policy, name)
+    made = what.run(runtime, task_from_contract(runtime.contract), find_world, what.settings, threads)
+    path.parent.mkdir(exist_ok=True)
+    # Before the result: where that is, traces are.
+    for world, traces in made.traces.items():
+        save_runs(path.with_suffix("") / world, traces)
+    with whole_file(path) as file:
+        file.write(json.dumps({"of": _identity(policy, name), "result": made.result}).encode() + b"\n")
+    return made.result
+
+
+def _result_path(policy: Path, name: str) -> Path:
+    return policy.parent / "evaluations" / f"{name}.json"
+
+
+def _identity(policy: Path, name: str) -> dict[str, Any]:
+    """Return what a result belongs to: the policy file and everything that decides what is done with it."""
+    settings = dict(EVALUATIONS[name].settings)
+    if "ranges" in settings:
+        settings["ranges"] = _drawn(to_mapping(load_ranges(settings["ranges"])))
+    return {"surefoot": __version__, "policy": hashlib.sha256(policy.read_bytes()).hexdigest(), **settings}
+
+
+def _drawn(ranges: dict[str, Any]) -> dict[str, Any]:
+    """Ranges without the rows that stay nominal: a row that a later version has does not make a result another one."""
+    return {row: bounds for row, bounds in ranges.items() if bounds is not None}

@@ -1,0 +1,157 @@
+"""Runs of a policy as a table, a row an episode, and what they come to on average.
+
+Evaluation, reality gap, sensitivity and studies all report by these columns, whether runs come from a simulation or
+from recorded traces.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from surefoot.errors import SurefootError, choices
+from surefoot.evaluate.metrics import episode_metrics
+from surefoot.evaluate.statistics import decimal
+from surefoot.tables import plain_value
+from surefoot.task.trace import EpisodeTrace
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A mean and its standard error."""
+
+    mean: float
+    """Mean over runs; NaN where no run tells."""
+    error: float
+    """Standard error of the mean; NaN where fewer than two runs tell."""
+
+    @classmethod
+    def of(cls, values: ArrayLike) -> Estimate:
+        """Return mean and standard error of numbers (N,), those left out that are not known (NaN)."""
+        array = np.asarray(values, np.float64)
+        known = array[np.isfinite(array)]
+        if not known.size:
+            return cls(math.nan, math.nan)
+        error = float(known.std(ddof=1)) / math.sqrt(known.size) if known.size > 1 else math.nan
+        return cls(float(known.mean()), error)
+
+    def __sub__(self, other: Estimate) -> Estimate:
+        """Return the difference of two estimates from different runs."""
+        return Estimate(self.mean - other.mean, math.hypot(self.error, other.error))
+
+    def text(self, digits: int = 2, sign: bool = False) -> str:
+        """Return text such as `1.20 ± 0.05`; `-` if the mean is not known, no error if that is not.
+
+        Args:
+            digits: behind the point.
+            sign: write + before what is above zero.
+        """
+        if not math.isfinite(self.mean):
+            return "-"
+        mean = decimal(self.mean, digits, sign)
+        return f"{mean} ± {decimal(self.error, digits)}" if math.isfinite(self.error) else mean
+
+
+@dataclass(frozen=True)
+class Runs:
+    """Runs in one world, a row an episode; arrays (N,), NaN where a run does not tell."""
+
+    world: str
+    """Name of the world, such as mujoco, bullet, or that of a robot."""
+    returns: Array
+    """The paper's return [m]."""
+    distance: Array
+    """Distance forward [m]."""
+    speed: Array
+    """Distance over time [m/s]."""
+    power: Array
+    """Mean mechanical power [W]."""
+    steps: Array
+    """Control steps."""
+    fell: NDArray[np.bool_]
+    """Whether the run ended in a fall."""
+    balanced: NDArray[np.bool_]
+    """Whether the robot kept its balance for the whole episode: what the paper counts as a success."""
+
+    def __len__(self) -> int:
+        """Return the number of runs."""
+        return len(self.returns)
+
+    @classmethod
+    def of_traces(cls, traces: Iterable[EpisodeTrace], world: str | None = None) -> Runs:
+        """Measure runs.
+
+        Args:
+            traces: one or more, of the same world.
+            world: its name; the traces' own if not given.
+
+        Raises:
+            SurefootError: no traces, or of several worlds.
+        """
+        runs = list(traces)
+        if not runs:
+            raise SurefootError("no runs; a gap is measured from 1 run or more in each world")
+        names = sorted({str(trace.meta["world"]) for trace in runs})
+        if world is None and len(names) > 1:
+            raise SurefootError(f"traces come from several worlds: {choices(names)}; measure one at a time")
+        metrics = [episode_metrics(trace) for trace in runs]
+        rows = [(one.return_, one.distance, one.speed, one.power, float(one.steps)) for one in metrics]
+        returns, distance, speed, power, steps = np.array(rows).T.copy()
+        fell = np.array([one.fell for one in metrics])
+        balanced = np.array([trace.meta["ended"] == "time" for trace in runs])
+        return cls(world or names[0], returns, distance, speed, power, steps, fell, balanced)
+
+    @classmethod
+    def pooled(cls, parts: Sequence[Runs]) -> Runs:
+        """Return all runs of several policies in the same world."""
+        return cls(
+            parts[0].world, **{name: np.concatenate([getattr(part, name) for part in parts]) for name in COLUMNS}
+        )
+
+    def estimate(self, name: str) -> Estimate:
+        """Return mean and standard error of a column."""
+        return Estimate.of(getattr(self, name))
+
+    @property
+    def success_rate(self) -> float:
+        """Share of the runs in which the robot kept its balance to the end."""
+        return float(self.balanced.mean())
+
+    def rows(self) -> list[dict[str, Any]]:
+        """Return a row for each run, for tables."""
+        names = {"returns": "return"}
+        columns = {names.get(name, name): getattr(self, name).tolist() for name in COLUMNS}
+        return [
+            {"run": number, **dict(zip(columns, values, strict=True))}
+            for number, values in enumerate(zip(*columns.values(), strict=True))
+        ]
+
+    def summary(self) -> dict[str, Any]:
+        """Return the row of these runs in a table of worlds: means and standard errors, falls and successes."""
+        row: dict[str, Any] = {"world": self.world, "runs": len(self)}
+        for name in ("return", "distance", "speed", "power", "steps"):
+            found = self.estimate("returns" if name == "return" else name)
+            row |= {f"{name}_mean": found.mean, f"{name}_error": found.error}
+        return row | {"falls": int(self.fell.sum()), "success_rate": self.success_rate}
+
+    def to_mapping(self) -> dict[str, Any]:
+        """Return the columns as JSON holds them; what is not known is None."""
+        columns = {name: [plain_value(value) for value in getattr(self, name).tolist()] for name in COLUMNS}
+        return {"world": self.world, **columns}
+
+    @classmethod
+    def from_mapping(cls, data: dict[str, Any]) -> Runs:
+        """Return runs from `to_mapping`."""
+        kinds = {name: np.bool_ if name in ("fell", "balanced") else np.float64 for name in COLUMNS}
+        return cls(data["world"], **{name: np.array(data[name], kind) for name, kind in kinds.items()})
+
+
+COLUMNS = tuple(item.name for item in fields(Runs) if item.name != "world")
+"""Columns of a table of runs."""

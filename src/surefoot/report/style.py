@@ -1,0 +1,116 @@
+"""What all figures share: colours, style, and parts that several of them draw."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surefoot.errors import SurefootError
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+DPI = 130
+INK, QUIET, GRID = "#22272e", "#6b7480", "#e3e7eb"
+BLUE, ORANGE, GREEN = "#1f5fa8", "#c4560f", "#2f8f5b"
+COLORS = (BLUE, ORANGE, GREEN, "#7a4fa3", "#a8324a", "#1d8a99", "#5a6b1f", "#8a6d3b")
+"""One a policy, group or world, in order; more begin anew."""
+MARKERS = "osD^vPX*"
+# Fore feet blue, hind feet orange, the left side dark and the right side light: safe for colour-blind eyes.
+LEG_COLORS = {
+    "front_left": "#1f5fa8",
+    "front_right": "#6aa5e0",
+    "back_left": "#c4560f",
+    "back_right": "#f0a35e",
+}
+
+_STYLE: dict[str, Any] = {
+    "font.family": "DejaVu Sans",
+    "font.size": 9.0,
+    "text.color": INK,
+    "axes.titlesize": 10.0,
+    "axes.titlelocation": "left",
+    "axes.titlepad": 8.0,
+    "axes.edgecolor": QUIET,
+    "axes.labelcolor": INK,
+    "axes.linewidth": 0.8,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "grid.color": GRID,
+    "grid.linewidth": 0.8,
+    "xtick.color": QUIET,
+    "ytick.color": QUIET,
+    "xtick.labelcolor": INK,
+    "ytick.labelcolor": INK,
+    "lines.linewidth": 1.4,
+    "legend.frameon": False,
+    "legend.fontsize": 8.0,
+    "legend.handlelength": 1.4,
+}
+
+
+@contextmanager
+def new_figure(
+    path: str | Path, size: tuple[float, float], rows: int = 1, columns: int = 1
+) -> Iterator[tuple[Figure, list[Axes]]]:
+    """Give a new figure in the style of all figures and its axes, row by row; write it to path when done.
+
+    matplotlib is imported here, and only its Agg canvas is used: no display, no global state, nothing of the user's
+    own style.
+
+    Raises:
+        SurefootError: a name that does not end in .png.
+    """
+    import matplotlib.style
+    from matplotlib import rc_context
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+    from matplotlib.layout_engine import ConstrainedLayoutEngine
+
+    path = Path(path)
+    if path.suffix.lower() != ".png":
+        raise SurefootError(f"figure {path}: the name must end in .png")
+    with rc_context(), matplotlib.style.context(["default", _STYLE]):
+        padding = ConstrainedLayoutEngine(w_pad=0.1, h_pad=0.08, wspace=0.03, hspace=0.03)
+        figure = Figure(figsize=size, dpi=DPI, layout=padding)
+        FigureCanvasAgg(figure)
+        axes = figure.subplots(rows, columns, squeeze=False)
+        yield figure, list(axes.flat)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        figure.savefig(path, dpi=DPI, facecolor="white")
+
+
+def heading(figure: Figure, text: str) -> None:
+    """Put a bold title over all panels."""
+    figure.suptitle(text, x=0.01, ha="left", fontweight="bold", color=INK)
+
+
+def place_labels(axis: Axes, labels: list[str], vertical: bool = False) -> None:
+    """Label the places 0, 1, ... of an axis of names, which needs neither ticks nor grid."""
+    name = "y" if vertical else "x"
+    (axis.set_yticks if vertical else axis.set_xticks)(range(len(labels)), labels)
+    axis.tick_params(axis=name, length=0)  # type: ignore[arg-type]
+    axis.grid(visible=False, axis=name)  # type: ignore[arg-type]
+
+
+def scattered(count: int, width: float) -> NDArray[np.float64]:
+    """Return places (count,) around 0 for dots that would cover each other: spread evenly by the golden ratio."""
+    return np.asarray(width * ((np.arange(count) * 0.618034) % 1.0 - 0.5), np.float64)
+
+
+def spoken(name: str) -> str:
+    """Turn front_left into front left."""
+    return name.replace("_", " ").replace("imu", "IMU")
+
+
+def capital(text: str) -> str:
+    """Return text with a capital first letter."""
+    return text[0].upper() + text[1:]

@@ -1,0 +1,83 @@
+"""Tables as lists of rows, each a mapping from column to value: written as CSV, as Markdown, or to a terminal."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from surefoot.files import whole_file
+
+Rows = Sequence[Mapping[str, object]]
+"""Rows of a table, all with the columns of the first one."""
+
+
+def plain_value(value: object) -> object:
+    """Return a value as JSON holds it: None for a number that is not finite."""
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def write_csv(path: str | Path, rows: Rows) -> Path:
+    """Write rows as CSV, whole or not at all, with the file's folder; returns the path.
+
+    Numbers have nine significant digits, flags are 0 or 1, and what is not known (None or NaN) is empty.
+    """
+    path, text = Path(path), io.StringIO()
+    writer = csv.DictWriter(text, list(rows[0]) if rows else [], lineterminator="\n")
+    writer.writeheader()
+    writer.writerows({name: _csv_cell(value) for name, value in row.items()} for row in rows)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with whole_file(path) as file:
+        file.write(text.getvalue().encode())
+    return path
+
+
+def _csv_cell(value: object) -> object:
+    value = plain_value(value)
+    if isinstance(value, bool):
+        return int(value)
+    return f"{value:.9g}" if isinstance(value, float) else value
+
+
+def markdown(rows: Rows) -> str:
+    """Return rows as a Markdown table; all columns but the first are aligned to the right."""
+    header = list(rows[0])
+    lines = [header, ["---", *["---:"] * (len(header) - 1)], *([str(row[name]) for name in header] for row in rows)]
+    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+
+
+def print_table(rows: Rows, title: str = "", text_columns: int = 1) -> None:
+    """Print rows to standard output, numbers aligned to the right; into a file as wide as it takes.
+
+    Args:
+        rows: one or more.
+        title: over the table.
+        text_columns: columns at the left that hold text, which may be folded.
+    """
+    from rich import box
+    from rich.console import Console
+    from rich.measure import Measurement
+    from rich.table import Table
+
+    console = Console()
+    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False, collapse_padding=True)
+    for number, column in enumerate(rows[0]):
+        if number < text_columns:
+            table.add_column(column, overflow="fold")
+        else:
+            table.add_column(column.replace(" (", "\n("), justify="right", no_wrap=True)
+    for row in rows:
+        table.add_row(*map(str, row.values()))
+    if not console.is_terminal:
+        console.width = max(console.width, Measurement.get(console, console.options.update(width=1000), table).maximum)
+    console.print(table)
+
+
+def print_files(files: Sequence[Path], folder: Path) -> None:
+    """Print the names of files that were written, counted from a folder, in one line."""
+    from rich.console import Console
+
+    told = f"wrote {folder}: {', '.join(str(file.relative_to(folder)) for file in files)}"
+    Console().print(told, highlight=False, markup=False, soft_wrap=True)
