@@ -146,12 +146,10 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, subprocess
     """Folder of an experiment that was recorded on the robot's computer, and what was said."""
     pytest.importorskip("mujoco")
     folder = tmp_path_factory.mktemp("contact")
-    emulator = Emulator(folder / "emulator", "--set", "contact_friction=0.7")
-    try:
-        words = ["contact", "--port", emulator.port, "--lockstep", "--yes", "--record-only", "--out", folder / "run"]
+    with emulators() as start:
+        port = start("--lockstep", "--set", "contact_friction=0.7").port
+        words = ["contact", "--port", port, "--lockstep", "--yes", "--record-only", "--out", folder / "run"]
         return folder / "run", run(words, bare=True)
-    finally:
-        emulator.stop()
 
 
 def test_recording_needs_the_bare_install_only(recorded: tuple[Path, subprocess.CompletedProcess[str]]):
