@@ -103,8 +103,8 @@ class Process(Emulator):
         return self.hosts[-1]
 
     def stop(self) -> tuple[int, str]:
-        for host in self.hosts:
-            host.close()
+        while self.hosts:
+            self.hosts.pop().close()
         return super().stop()
 
 
