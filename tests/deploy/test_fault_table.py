@@ -27,6 +27,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from processes import TooBusyError, in_real_time
 
 from surefoot.deploy.motion import UP
 from surefoot.deploy.poses import pose, sitting
@@ -67,8 +68,6 @@ DAMPED_WITHIN = 0.100
 """What the table allows between a host's last command and damped motors [s]."""
 LEAN = 0.03
 """Roll or pitch [rad] that counts as a fall for one of the policies; the trot leans further in every stride."""
-BUSY = 0.010
-"""Lateness [s] of a sleep from which on the computer is too busy for real time."""
 AT_EASE = Mode.DISARMED, Reason.NONE
 
 
@@ -205,49 +204,6 @@ def scenarios(*names: str) -> pytest.MarkDecorator:
 
 
 # Runs in real time.
-
-
-class TooBusyError(AssertionError):
-    """The computer had no time for what the test wanted to do just then."""
-
-
-class Watchman(threading.Thread):
-    """Sleeps for a millisecond again and again, and sees how much too late it wakes at worst [s]."""
-
-    def __init__(self) -> None:
-        super().__init__(daemon=True)
-        self.worst, self._over = 0.0, False
-
-    def run(self) -> None:
-        while not self._over:
-            before = time.monotonic()
-            time.sleep(0.001)
-            self.worst = max(self.worst, time.monotonic() - before - 0.001)
-
-    def __enter__(self) -> Watchman:
-        self.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._over = True
-        self.join()
-
-
-def in_real_time(attempt: Callable[[Path], None], folder: Path) -> None:
-    """Make an attempt; if it fails and the computer was busy meanwhile, make another one, four in all."""
-    for number in range(4):
-        watchman = Watchman()
-        try:
-            with watchman:
-                attempt(folder / str(number))
-            return
-        except AssertionError as error:
-            late = f"{1e3 * watchman.worst:.0f} ms"
-            if watchman.worst < BUSY and not isinstance(error, TooBusyError):
-                raise
-            print(f"attempt {number} failed while a sleep took {late} longer than asked: {error}")
-            time.sleep(1.0)
-    pytest.skip(f"this computer is too busy for real time: a sleep took {late} longer than asked")
 
 
 @pytest.fixture(scope="module")

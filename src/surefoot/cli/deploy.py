@@ -63,7 +63,7 @@ class DeployCommand:
 
 def main(argv: list[str]) -> int:
     """Run the command with the words after its name; returns the exit code."""
-    command = parse(DeployCommand, argv, "surefoot deploy", config=(tyro.conf.FlagCreatePairsOff,))
+    command = parse(DeployCommand, argv, "surefoot deploy")
     if command.out is not None and command.out.exists() and not command.out.is_dir():
         raise SurefootError(f"out is {command.out}; it must be a folder")
     from surefoot.cli.policies import find_policy

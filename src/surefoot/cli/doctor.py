@@ -62,7 +62,7 @@ class DoctorCommand:
 
 def main(argv: list[str]) -> int:
     """Run the command with the words after its name; returns the exit code."""
-    command = parse(DoctorCommand, argv, "surefoot doctor", config=(tyro.conf.FlagCreatePairsOff,))
+    command = parse(DoctorCommand, argv, "surefoot doctor")
     if command.rack and command.ground:
         raise SurefootError("--rack and --ground don't go together; a robot hangs or sits: give one")
     policy = PolicyRuntime.load(find_policy(command.policy))

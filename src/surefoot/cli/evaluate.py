@@ -67,9 +67,8 @@ class EvaluateCommand:
 
 def main(argv: list[str]) -> int:
     """Run the command with the words after its name; returns the exit code."""
-    config = (tyro.conf.FlagCreatePairsOff,)
     words, ranges = take_ranges(argv, RandomizeConfig())
-    command = parse(EvaluateCommand, words, "surefoot evaluate", config=config)
+    command = parse(EvaluateCommand, words, "surefoot evaluate")
     if command.trace:
         traces, robot, about = _recorded(command, bool(ranges.ranges))
     elif command.policy is None:

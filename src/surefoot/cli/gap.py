@@ -81,7 +81,7 @@ class GapCommand:
 
 def main(argv: list[str]) -> int:
     """Run the command with the words after its name; returns the exit code."""
-    command = parse(GapCommand, argv, "surefoot gap", config=(tyro.conf.FlagCreatePairsOff,))
+    command = parse(GapCommand, argv, "surefoot gap")
     if not command.policies:
         raise SurefootError("no policy is given; give one or more .onnx files, or names of policies that ship")
     home, away = Side.of_words("--from", command.home), [Side.of_words("--to", words) for words in command.away]

@@ -12,8 +12,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-import tyro
-
 from surefoot.cli.parsing import parse
 from surefoot.configuration import Within
 from surefoot.deploy.link import BAUD
@@ -83,7 +81,7 @@ class TracesCommand:
 
 def from_trace(argv: list[str]) -> int:
     """Run `surefoot identify --from-trace` with all of its words; returns the exit code."""
-    command = parse(TracesCommand, argv, "surefoot identify", config=(tyro.conf.FlagCreatePairsOff,))
+    command = parse(TracesCommand, argv, "surefoot identify")
     _check_files(command)
     from surefoot.evaluate.recorded import find_traces
 
@@ -105,7 +103,7 @@ def from_trace(argv: list[str]) -> int:
 
 def main(name: str, argv: list[str]) -> int:
     """Run an experiment's command with the words after its name; returns the exit code."""
-    command = parse(ExperimentCommand, argv, f"surefoot identify {name}", config=(tyro.conf.FlagCreatePairsOff,))
+    command = parse(ExperimentCommand, argv, f"surefoot identify {name}")
     _check(command)
     experiment, robot = EXPERIMENTS[name], RobotDescription.load(command.robot)
     known = read_known(command.params, robot)

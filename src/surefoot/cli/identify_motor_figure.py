@@ -8,8 +8,6 @@ from importlib import import_module
 from pathlib import Path
 from typing import Annotated
 
-import tyro
-
 from surefoot.cli.evaluate import Settings
 from surefoot.cli.parsing import parse
 from surefoot.configuration import Duration, Within
@@ -50,7 +48,7 @@ class MotorFigureCommand:
 
 def main(argv: list[str]) -> int:
     """Run the command with the words after its name; returns the exit code."""
-    command = parse(MotorFigureCommand, argv, "surefoot identify motor-figure", config=(tyro.conf.FlagCreatePairsOff,))
+    command = parse(MotorFigureCommand, argv, "surefoot identify motor-figure")
     if command.out.suffix.lower() != ".png":
         raise SurefootError(f"figure {command.out}: the name must end in .png")
     import_module("matplotlib")

@@ -18,7 +18,7 @@ from surefoot.errors import SurefootError
 T = TypeVar("T")
 
 
-def parse(kind: type[T], words: Sequence[str], prog: str, default: T | None = None, config: Sequence[Any] = ()) -> T:
+def parse(kind: type[T], words: Sequence[str], prog: str, default: T | None = None) -> T:
     """Parse words into a dataclass, as `tyro.cli` does.
 
     Args:
@@ -26,7 +26,6 @@ def parse(kind: type[T], words: Sequence[str], prog: str, default: T | None = No
         words: what stands behind the command.
         prog: the command, for the help text.
         default: values of options that are not given; the dataclass's own, if left out.
-        config: tyro's configuration markers.
 
     Raises:
         SurefootError: words that do not fit, in one line; tyro would draw a box. Numbers out of their fields' bounds.
@@ -34,9 +33,11 @@ def parse(kind: type[T], words: Sequence[str], prog: str, default: T | None = No
     _check_lists(kind, words)
     said = io.StringIO()
     given: dict[str, Any] = {} if default is None else {"default": default}
+    # A preset may have flags that are on, and then each flag needs an option that turns it off.
+    pairs = () if given else (tyro.conf.FlagCreatePairsOff,)
     try:
         with contextlib.redirect_stderr(said):
-            parsed: T = tyro.cli(kind, args=list(words), prog=prog, config=tuple(config), **given)
+            parsed: T = tyro.cli(kind, args=list(words), prog=prog, config=pairs, **given)
     except SystemExit as stop:
         if stop.code in (0, None):
             raise

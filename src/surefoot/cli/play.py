@@ -45,8 +45,7 @@ class PlayCommand:
 
 def main(argv: list[str]) -> int:
     """Run the command with the words after its name; return the exit code."""
-    config = (tyro.conf.FlagCreatePairsOff,)
-    command = parse(PlayCommand, argv, "surefoot play", config=config)
+    command = parse(PlayCommand, argv, "surefoot play")
     if command.out is not None and command.out.suffix.lower() != ".mp4":
         raise SurefootError(f"video {command.out}: the name must end in .mp4")
     from surefoot.cli.policies import adjust_task, find_policy, find_world, load_policy

@@ -57,7 +57,7 @@ class SensitivityCommand:
 
 def main(argv: list[str]) -> int:
     """Run the command with the words after its name; returns the exit code."""
-    command = parse(SensitivityCommand, argv, "surefoot sensitivity", config=(tyro.conf.FlagCreatePairsOff,))
+    command = parse(SensitivityCommand, argv, "surefoot sensitivity")
     if not command.policies:
         raise SurefootError("no policy is given; give one or more .onnx files, or names of policies that ship")
     from surefoot.cli.policies import SIDE_BY_SIDE, find_policy, find_world, load_policies

@@ -14,7 +14,7 @@ from rich.console import Console
 
 from surefoot.cli.parsing import parse
 from surefoot.configuration import Seed, Threads, to_mapping
-from surefoot.errors import SurefootError
+from surefoot.errors import SurefootError, located
 from surefoot.learn.study_config import StudyConfig, StudyRun, load_study, study_runs
 from surefoot.learn.workers import Job, Outcome, run_jobs
 from surefoot.stop_signals import StopSignals
@@ -50,7 +50,7 @@ class StudyCommand:
 
 def main(argv: list[str]) -> int:
     """Run the command with the words after its name; returns the exit code."""
-    command = parse(StudyCommand, argv, "surefoot study", config=(tyro.conf.FlagCreatePairsOff,))
+    command = parse(StudyCommand, argv, "surefoot study")
     if command.train_only and command.report_only:
         raise SurefootError("--train-only and --report-only leave nothing to do; give one of them, or neither")
     from surefoot.cli.study_results import check_kinds, evaluate_runs, report
@@ -110,10 +110,8 @@ def _check_task(run: StudyRun) -> None:
     """Refuse a task that does not fit before anything is trained."""
     from surefoot.cli.train import check_config
 
-    try:
+    with located(f"group {run.group}"):
         check_config(run.config)
-    except SurefootError as error:
-        raise SurefootError(f"group {run.group}: {error}") from None
 
 
 def _listen(console: Console) -> StopSignals:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -62,16 +62,14 @@ class TrainCommand(TrainConfig):
 
 def _parse(argv: list[str]) -> tuple[TrainConfig, Path]:
     base = load_train_config(argv[0])
-    names = [item.name for item in fields(TrainConfig)]
     words, ranges = take_ranges(argv[1:], base.task.randomize)
-    preset = TrainCommand(**{name: getattr(base, name) for name in names})
-    preset = replace(preset, task=replace(base.task, randomize=ranges))
+    preset = TrainCommand(**vars(base) | {"task": replace(base.task, randomize=ranges)})
     command = parse(TrainCommand, words, f"surefoot train {argv[0]}", preset)
     # What is given by name goes over a file of parameters, which takes the place of the task's own.
     given = {name: value for name, value in command.task.params.items() if base.task.params.get(name) != value}
     task = command.simulator.of(replace(command.task, params=base.task.params), given)
     task = replace(task, pushes=replace(task.pushes, enabled=task.pushes.enabled or command.pushes))
-    return TrainConfig(**{name: getattr(command, name) for name in names} | {"task": task}), command.runs
+    return TrainConfig(**{name: getattr(command, name) for name in vars(base)} | {"task": task}), command.runs
 
 
 def _train(config: TrainConfig | None, path: Path) -> int:

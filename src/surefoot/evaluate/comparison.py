@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -84,7 +85,7 @@ class SeedResult:
     best: int | None = None
     """Control steps after which the policy was what is evaluated: the best of its training; None if not known."""
 
-    @property
+    @cached_property
     def figures(self) -> dict[str, float]:
         """What the evaluations came to, by name."""
         parts = self.results.items()
@@ -110,7 +111,7 @@ class GroupResult:
         """A figure's mean over seeds."""
         return t_interval(self.values(figure))
 
-    @property
+    @cached_property
     def sensitivities(self) -> list[Sensitivity]:
         """Test worlds of every seed; empty where the study has none."""
         return [
@@ -119,7 +120,7 @@ class GroupResult:
             if "sensitivity" in seed.results
         ]
 
-    @property
+    @cached_property
     def gap(self) -> PolicyGap:
         """Runs of all policies at home, away and, last, at home as described."""
         parts = [gap_of(seed.results["gap"], f"{self.label}, seed {seed.seed}") for seed in self.seeds]

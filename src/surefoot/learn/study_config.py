@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from surefoot.configuration import Seed, Within, check_bounds, from_mapping, read_yaml, write_yaml
-from surefoot.errors import SurefootError, check_name, choices
+from surefoot.errors import SurefootError, check_name, choices, located
 from surefoot.files import read_json_lines
 from surefoot.learn.config import TrainConfig, load_train_config
 from surefoot.task.config import preset_names
@@ -205,22 +205,20 @@ def load_study(path: Path) -> StudyConfig:
         SurefootError: it can't be read, or does not fit.
     """
     data = {"name": path.stem, **read_yaml(path)}
-    try:
+    with located(path):
         study = from_mapping(StudyConfig, data)
         if study.task not in preset_names():
             study = replace(study, task=str(path.parent / study.task))
         groups = {
-            name: replace(group, train=_located(group.train, path.parent)) for name, group in study.groups.items()
+            name: replace(group, train=_with_paths(group.train, path.parent)) for name, group in study.groups.items()
         }
-        study = replace(study, train=_located(study.train, path.parent), groups=groups)
+        study = replace(study, train=_with_paths(study.train, path.parent), groups=groups)
         for name in study.groups:
             group_config(study, name)
-    except SurefootError as error:
-        raise SurefootError(f"{path}: {error}") from None
     return study
 
 
-def _located(train: dict[str, Any], folder: Path) -> dict[str, Any]:
+def _with_paths(train: dict[str, Any], folder: Path) -> dict[str, Any]:
     """Settings with the files that they name found: tables of ranges as their rows, references by whole path."""
     task = train.get("task")
     if not isinstance(task, Mapping):
