@@ -570,7 +570,7 @@ def warm_up() -> None:
         importlib.import_module(module)
     for module in (
         *("cli.results", "cli.study_results", "cli.progress", "learn.run", "learn.progress", "learn.export"),
-        *("world.sim_world", "report.video", "report.figures", "report.gap_figures", "report.sensitivity_figures"),
+        *("world.sim_world", "report.video", "report.figures", "report.gap_figures", "report.parameter_figures"),
         *("evaluate.gap", "identify.from_trace", "cli.identify_experiment"),
         *("cli.identify_motor_figure", "cli.identify_results", "emulator.process", "report.motor_figure"),
     ):

@@ -26,9 +26,9 @@ import mujoco
 import numpy as np
 
 from surefoot.robot import PhysicalParams, RobotDescription
+from surefoot.rotations import xyzw_matrix
 from surefoot.world.bullet_engine import bullet_engine
 from surefoot.world.bullet_import import import_pybullet
-from surefoot.world.bullet_tick import rotations
 from surefoot.world.interface import WorldConfig
 from surefoot.world.sim_world import EngineFactory, SimWorld, mujoco_engine
 
@@ -239,7 +239,7 @@ def bullet_parts(engine: object) -> Parts:
             if link < 0
             else p.getLinkState(model.body, link, computeForwardKinematics=1, physicsClientId=client)[:2]
         )
-        turn = rotations(np.array(quat))
+        turn = xyzw_matrix(np.array(quat))
         parts.append((info[0], np.array(place), turn @ np.diag(info[2]) @ turn.T))
     return parts
 
