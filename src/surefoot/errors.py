@@ -18,14 +18,9 @@ class SurefootError(ValueError):
 
 @contextmanager
 def located(where: object) -> Iterator[None]:
-    """Put a file's path, or another place, before the message of an error that is raised inside: `WHERE: MESSAGE`.
-
-    A file that cannot be read or written becomes such an error too.
-    """
+    """Put a file's path, or another place, before the message of an error that is raised inside: `WHERE: MESSAGE`."""
     try:
         yield
-    except OSError as error:
-        raise SurefootError(f"{where}: {error.strerror or error}") from error
     except SurefootError as error:
         raise SurefootError(f"{where}: {error}") from error.__cause__
 

@@ -42,7 +42,7 @@ def run(*words: str) -> int:
         (["--hidden-seed", "1", "--hidden-out", "x.txt"], "hidden_out x.txt: the name must end in .toml"),
         (["--motion-capture", "x.txt"], "motion_capture x.txt: the name must end in .csv"),
         (["--set", "voltage=99"], "voltage is 99; minitaur allows 5 to 30"),
-        (["--params", "missing.toml"], "missing.toml: No such file"),
+        (["--params", "missing.toml"], "missing.toml: can't be read: No such file"),
         (["--nonsense"], "--nonsense"),
     ],
 )

@@ -239,7 +239,7 @@ BAD = {
     "step.toml": "[params]\ncontrol_step = 0.008\n",
 }
 SAID = [
-    ("nowhere.toml", "nowhere.toml: No such file or directory"),
+    ("nowhere.toml", "nowhere.toml: can't be read: No such file or directory"),
     ("broken.toml", "broken.toml: is not TOML"),
     ("bare.toml", "bare.toml: has no table [params]"),
     ("cat.toml", "cat.toml: has parameters of robot 'cat', not of 'minitaur'"),
@@ -273,7 +273,7 @@ def test_a_file_that_does_not_fit_is_told_in_one_line(line: str, here: Path, cap
 def test_no_traceback_reaches_the_user(here: Path):
     words = [sys.executable, "-m", "surefoot", "evaluate", "trot", "--params", "nowhere.toml"]
     done = subprocess.run(words, cwd=here, capture_output=True, text=True, timeout=120, check=False)
-    told = "surefoot: error: nowhere.toml: No such file or directory\n"
+    told = "surefoot: error: nowhere.toml: can't be read: No such file or directory\n"
     assert (done.returncode, done.stdout, done.stderr) == (2, "", told)
 
 

@@ -17,7 +17,7 @@ from surefoot.identify.fitting import (
     fit_least_squares,
     jacobian_of,
 )
-from surefoot.identify.result import CONFIDENCE
+from surefoot.identify.result import NORMAL_95
 
 Array = NDArray[np.float64]
 
@@ -206,7 +206,7 @@ def test_ninety_five_of_a_hundred_intervals_hold_the_truth():
     inside = []
     for _ in range(200):
         fit = fit_least_squares(Decay(clean + rng.normal(size=60)))
-        inside.append(np.abs(fit.values - truth) <= CONFIDENCE * fit.deviation)
+        inside.append(np.abs(fit.values - truth) <= NORMAL_95 * fit.deviation)
     share = np.mean(inside)
     assert 0.92 <= share <= 0.985, share
 

@@ -11,7 +11,7 @@ import pytest
 from surefoot import __version__
 from surefoot.errors import SurefootError
 from surefoot.identify.overlay import overlay, read_known, write_known
-from surefoot.identify.result import CONFIDENCE, Estimate, Identification
+from surefoot.identify.result import NORMAL_95, Estimate, Identification
 from surefoot.robot import RobotDescription
 
 TEXT = """robot = "minitaur"
@@ -71,12 +71,12 @@ def test_what_was_found_is_written_and_read_to_the_last_bit(robot: RobotDescript
 
 def test_intervals_of_numbers_and_of_motors(robot: RobotDescription):
     tables = overlay(read_known(None, robot), motor(), robot).tables
-    reach = CONFIDENCE * 0.1
+    reach = NORMAL_95 * 0.1
     assert tables["intervals"]["voltage"] == pytest.approx([15.4 - reach, 15.4 + reach])
     strength = tables["intervals"]["motor_strength"]
     assert len(strength) == 8
     assert strength[3] == [-math.inf, math.inf]
-    assert strength[0] == pytest.approx([0.9 - CONFIDENCE * 0.005, 0.9 + CONFIDENCE * 0.005])
+    assert strength[0] == pytest.approx([0.9 - NORMAL_95 * 0.005, 0.9 + NORMAL_95 * 0.005])
     # Friction was told of the first motor only, and can't be less than none.
     assert tables["intervals"]["motor_friction"][0][0] == 0.0
     assert tables["intervals"]["motor_friction"][1:] == [[-math.inf, math.inf]] * 7
@@ -115,7 +115,7 @@ def test_an_experiment_done_again_replaces_what_it_said(robot: RobotDescription,
     assert known.params.motor_strength[0, 3] == pytest.approx(0.83)
     # Of the motor that is not told this time the former interval is still the best there is.
     assert known.params.motor_strength[0, 5] == pytest.approx(0.95)
-    assert known.tables["intervals"]["motor_strength"][5][0] == pytest.approx(0.95 - CONFIDENCE * 0.005)
+    assert known.tables["intervals"]["motor_strength"][5][0] == pytest.approx(0.95 - NORMAL_95 * 0.005)
     assert known.tables["identified"]["motor"]["file"] == "b.npz"
 
 

@@ -14,7 +14,7 @@ from surefoot.identify.fitting import Unknown, fit_least_squares
 from surefoot.identify.rack_model import TORQUE_GAIN, Noise, RackModel, moving_legs, params_of
 from surefoot.identify.recording import Recording
 from surefoot.identify.replay import Replayer, stretch_of
-from surefoot.identify.result import CONFIDENCE
+from surefoot.identify.result import NORMAL_95
 from surefoot.robot import PhysicalParams, RobotDescription
 
 UNKNOWNS = [
@@ -129,7 +129,7 @@ def test_a_fit_finds_what_the_sheet_has_wrong(model: RackModel, robot: RobotDesc
     ]
     begun = RackModel(robot, model.recording, model.stretches, unknowns, model.base, every=4, replayer=replayer)
     fit = fit_least_squares(begun)
-    reach = CONFIDENCE * fit.deviation * 1.5
+    reach = NORMAL_95 * fit.deviation * 1.5
     assert fit.start_cost > 10 * fit.cost
     assert np.all(np.abs(fit.values - [0.186, 1.0, 0.020]) < reach)
     assert fit.told.all()

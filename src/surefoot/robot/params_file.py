@@ -116,8 +116,11 @@ def write_params(
     for key, value in others.items():
         if _is_table(value):
             lines += _table(_key(key), value)
-    with located(path), whole_file(path) as file:
-        file.write("\n".join([*lines, ""]).encode())
+    try:
+        with whole_file(path) as file:
+            file.write("\n".join([*lines, ""]).encode())
+    except OSError as error:
+        raise SurefootError(f"{path}: can't be written: {error.strerror}") from error
     return path
 
 
