@@ -1,4 +1,4 @@
-"""Processes that tests start: `surefoot` as a user gives it, and robots that are emulated; attempts in real time."""
+"""Processes that tests start: `surefoot` as a user gives it, and robots that are emulated; how busy the computer is."""
 
 from __future__ import annotations
 
@@ -8,10 +8,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from pathlib import Path
 from typing import Any
-
-import pytest
 
 SUREFOOT = (sys.executable, "-m", "surefoot")
 BUSY = 0.010
@@ -85,20 +82,3 @@ class Watchman(threading.Thread):
     def __exit__(self, *_: object) -> None:
         self._over = True
         self.join()
-
-
-def in_real_time(attempt: Callable[[Path], None], folder: Path) -> None:
-    """Make an attempt; if it fails and the computer was busy meanwhile, make another one, four in all."""
-    for number in range(4):
-        watchman = Watchman()
-        try:
-            with watchman:
-                attempt(folder / str(number))
-            return
-        except AssertionError as error:
-            late = f"{1e3 * watchman.worst:.0f} ms"
-            if watchman.worst < BUSY and not isinstance(error, TooBusyError):
-                raise
-            print(f"attempt {number} failed while a sleep took {late} longer than asked: {error}")
-            time.sleep(1.0)
-    pytest.skip(f"this computer is too busy for real time: a sleep took {late} longer than asked")

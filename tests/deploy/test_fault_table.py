@@ -27,7 +27,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from processes import TooBusyError, in_real_time
+from processes import TooBusyError
 
 from surefoot.deploy.motion import UP
 from surefoot.deploy.poses import pose, sitting
@@ -270,52 +270,43 @@ def assert_sat_and_disarmed(record: Record) -> None:
 
 @pytest.mark.realtime
 def test_row_1_a_host_that_is_killed(living_robot, tmp_path):
-    def attempt(folder: Path) -> None:
-        with deployed(living_robot, folder) as (cable, host):
-            wait_for(cable.moment(RUNNING), host)
-            host.popen.kill()
-            time.sleep(1.2)
-            assert 0.045 < damped_after(cable.record) <= DAMPED_WITHIN
-        (partial,) = (folder / "traces").glob(f"*{SUFFIX}")
-        assert recover(partial).num_steps > 10
-
-    in_real_time(attempt, tmp_path)
+    with deployed(living_robot, tmp_path) as (cable, host):
+        wait_for(cable.moment(RUNNING), host)
+        host.popen.kill()
+        time.sleep(1.2)
+        assert 0.045 < damped_after(cable.record) <= DAMPED_WITHIN
+    (partial,) = (tmp_path / "traces").glob(f"*{SUFFIX}")
+    assert recover(partial).num_steps > 10
 
 
 @pytest.mark.realtime
 def test_row_1_a_host_that_hangs(living_robot, tmp_path):
-    def attempt(folder: Path) -> None:
-        with deployed(living_robot, folder) as (cable, host):
-            wait_for(cable.moment(0.4), host)
-            host.popen.send_signal(signal.SIGSTOP)
-            time.sleep(1.2)
-            assert 0.045 < damped_after(cable.record) <= DAMPED_WITHIN
-            # Nothing that the host says when it wakes moves the robot.
-            told = len(cable.record.told)
-            host.popen.send_signal(signal.SIGCONT)
-            assert host.end().code == 3
-            modes = {frame.message.mode for frame in cable.record.told[told:] if isinstance(frame.message, State)}
-            assert modes <= {Mode.FAULT, Mode.DISARMED}
-
-    in_real_time(attempt, tmp_path)
+    with deployed(living_robot, tmp_path) as (cable, host):
+        wait_for(cable.moment(0.4), host)
+        host.popen.send_signal(signal.SIGSTOP)
+        time.sleep(1.2)
+        assert 0.045 < damped_after(cable.record) <= DAMPED_WITHIN
+        # Nothing that the host says when it wakes moves the robot.
+        told = len(cable.record.told)
+        host.popen.send_signal(signal.SIGCONT)
+        assert host.end().code == 3
+        modes = {frame.message.mode for frame in cable.record.told[told:] if isinstance(frame.message, State)}
+        assert modes <= {Mode.FAULT, Mode.DISARMED}
 
 
 @pytest.mark.realtime
 @pytest.mark.parametrize(("port", "reason"), [("gone", "link"), ("silent", "stale state")])
 def test_row_1_a_cable_that_is_pulled(living_robot, tmp_path, port, reason):
-    def attempt(folder: Path) -> None:
-        with deployed(living_robot, folder) as (cable, host):
-            wait_for(cable.moment(0.4), host)
-            if port == "gone":
-                cable.pull()
-            else:
-                cable.silent = True
-            ended = host.end()
-            time.sleep(1.1)  # its operator must be silent for a second before there is another one
-            assert 0.045 < damped_after(cable.record) <= DAMPED_WITHIN
-            assert ended.outcome == (3, "fault", reason)
-
-    in_real_time(attempt, tmp_path)
+    with deployed(living_robot, tmp_path) as (cable, host):
+        wait_for(cable.moment(0.4), host)
+        if port == "gone":
+            cable.pull()
+        else:
+            cable.silent = True
+        ended = host.end()
+        time.sleep(1.1)  # its operator must be silent for a second before there is another one
+        assert 0.045 < damped_after(cable.record) <= DAMPED_WITHIN
+        assert ended.outcome == (3, "fault", reason)
 
 
 @scenarios("unplug")
@@ -424,21 +415,18 @@ def test_row_2_commands_that_are_old_repeated_or_backward(client, how):
 
 @pytest.mark.realtime
 def test_row_2_a_microcontroller_that_stands_still(tmp_path):
-    def attempt(folder: Path) -> None:
-        robot = Robot("--fault", "hang=0.2@0.4", lockstep=False)
-        try:
-            with deployed(robot, folder) as (cable, host):
-                ended = host.end()
-                time.sleep(0.3)
-                assert ended.outcome == (3, "fault", "stale state")
-                assert_damped_at_once(cable.record)
-                # When it goes on it finds commands that are too old, and nobody who sends new ones.
-                assert {Reason.STALE, Reason.TIMEOUT, Reason.HOST} & set(cable.record.reasons)
-                assert cable.record.left[0] != Mode.POSITION
-        finally:
-            robot.end()
-
-    in_real_time(attempt, tmp_path)
+    robot = Robot("--fault", "hang=0.2@0.4", lockstep=False)
+    try:
+        with deployed(robot, tmp_path) as (cable, host):
+            ended = host.end()
+            time.sleep(0.3)
+            assert ended.outcome == (3, "fault", "stale state")
+            assert_damped_at_once(cable.record)
+            # When it goes on it finds commands that are too old, and nobody who sends new ones.
+            assert {Reason.STALE, Reason.TIMEOUT, Reason.HOST} & set(cable.record.reasons)
+            assert cable.record.left[0] != Mode.POSITION
+    finally:
+        robot.end()
 
 
 # 3: numbers that are none, exceptions, a contract that does not fit.
@@ -498,19 +486,16 @@ def test_row_3_a_robot_that_does_not_fit(ended, text):
 
 @pytest.mark.realtime
 def test_row_3_a_robot_that_starts_anew(tmp_path):
-    def attempt(folder: Path) -> None:
-        robot = Robot("--fault", f"reboot={RUNNING}", lockstep=False)
-        try:
-            with deployed(robot, folder) as (cable, host):
-                ended = host.end()
-                assert ended.outcome == (3, "fault", "stale state")
-                assert ended.kept.num_steps > 20
-                assert_damped_at_once(cable.record)
-        finally:
-            summary = robot.end()
-        assert "mode DISARMED, reason NONE" in summary
-
-    in_real_time(attempt, tmp_path)
+    robot = Robot("--fault", f"reboot={RUNNING}", lockstep=False)
+    try:
+        with deployed(robot, tmp_path) as (cable, host):
+            ended = host.end()
+            assert ended.outcome == (3, "fault", "stale state")
+            assert ended.kept.num_steps > 20
+            assert_damped_at_once(cable.record)
+    finally:
+        summary = robot.end()
+    assert "mode DISARMED, reason NONE" in summary
 
 
 # 4: roll or pitch over the limit.
@@ -549,32 +534,29 @@ def test_row_4_roll_or_pitch_over_the_limit(ended, scenario, limit, after):
 
 @pytest.mark.realtime
 def test_row_5_late_steps_are_held_and_counted_and_too_many_damp(living_robot, tmp_path):
-    def attempt(folder: Path) -> None:
-        with deployed(living_robot, folder) as (cable, host):
-            wait_for(cable.moment(UP + 0.2), host)
-            for _ in range(4):
-                stop_for(host, 0.013)
-                time.sleep(0.25)
-            if host.popen.poll() is not None:
-                raise TooBusyError("a stop of 13 ms ended the run")
-            stop_for(host, 0.032)
-            ended = host.end()
-            # Two steps of 6 ms pass in every short stop, so that at least one is missed, and five in the long one.
-            assert ended.outcome == (3, "fault", "late")
-            assert "control steps in a row were missed; at most 2" in ended.run["what"]
-            print(f"{ended.run['timing']['missed']} missed; {ended.run['what']}")
-            assert ended.run["timing"]["missed"] >= 4 + 3
-            # It held its target then, and went on.
-            trace = ended.kept
-            held = [k for k in trace.meta["missed_steps"] if k < trace.num_steps - 20]
-            assert len(held) >= 4
-            for k in held:
-                assert trace.target[k].tolist() == trace.target[k - 1].tolist()
-            assert np.diff(trace.time) == pytest.approx(STEP)
-            assert_damped_at_once(cable.record)
-            assert Reason.HOST in cable.record.reasons
-
-    in_real_time(attempt, tmp_path)
+    with deployed(living_robot, tmp_path) as (cable, host):
+        wait_for(cable.moment(UP + 0.2), host)
+        for _ in range(4):
+            stop_for(host, 0.013)
+            time.sleep(0.25)
+        if host.popen.poll() is not None:
+            raise TooBusyError("a stop of 13 ms ended the run")
+        stop_for(host, 0.032)
+        ended = host.end()
+        # Two steps of 6 ms pass in every short stop, so that at least one is missed, and five in the long one.
+        assert ended.outcome == (3, "fault", "late")
+        assert "control steps in a row were missed; at most 2" in ended.run["what"]
+        print(f"{ended.run['timing']['missed']} missed; {ended.run['what']}")
+        assert ended.run["timing"]["missed"] >= 4 + 3
+        # It held its target then, and went on.
+        trace = ended.kept
+        held = [k for k in trace.meta["missed_steps"] if k < trace.num_steps - 20]
+        assert len(held) >= 4
+        for k in held:
+            assert trace.target[k].tolist() == trace.target[k - 1].tolist()
+        assert np.diff(trace.time) == pytest.approx(STEP)
+        assert_damped_at_once(cable.record)
+        assert Reason.HOST in cable.record.reasons
 
 
 def stop_for(host: Host, seconds: float) -> None:
