@@ -18,7 +18,7 @@ import json
 import os
 import statistics
 import time
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from rounds import measure, median_ratio
@@ -56,10 +56,10 @@ class Bench:
         env = LocomotionEnv(task, self.num_envs, make_world, seed=1, threads=1)
         self.robot = env.robot
         observation, _ = env.reset(seed=1)
-        targets = []
+        targets, world = [], cast(Any, env.world)
         for _ in range(self.steps):
             observation, *_ = env.step(env.gait.action(self.policy.feedback(observation)))
-            targets.append(env.world.drive.target.copy())
+            targets.append(world.drive.target.copy())
         return np.array(targets)
 
     def _make(self, make_world: SimulationFactory, threads: int) -> Simulation:

@@ -441,7 +441,7 @@ def _archive(content: bytes, rng: random.Random) -> bytes:
     if "sent_number" in arrays and rng.random() < 0.8:
         arrays = _signed(arrays)
     file = io.BytesIO()
-    np.savez_compressed(file, **arrays)  # type: ignore[arg-type]
+    np.savez_compressed(file, **arrays)
     return file.getvalue()
 
 
@@ -512,8 +512,8 @@ def make_seeds(folder: Path, wanted: set[str]) -> None:
         "bars: {both: [plain, drawn]}\nfindings: [{groups: [plain, drawn], text: nothing}]\n"
     )
     header = [f"{part}_{leg}" for part in ("swing", "extension") for leg in robot.leg_names]
-    rows = [[0.1 * k] * 4 + [1.6] * 4 for k in range(4)]
-    (folder / "poses.csv").write_text("\n".join(",".join(map(str, row)) for row in (header, *rows)) + "\n")
+    rows = [[str(0.1 * k)] * 4 + ["1.6"] * 4 for k in range(4)]
+    (folder / "poses.csv").write_text("\n".join(",".join(row) for row in (header, *rows)) + "\n")
     log = "".join(f"{0.006 * k:.3f},{1.5 + 0.01 * k:.3f},{1.5 + 0.009 * k:.3f}\n" for k in range(12))
     (folder / "log.csv").write_text("time,target,angle\n" + log)
     _make_recording(folder / "recording.npz", robot)

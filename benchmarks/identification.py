@@ -46,7 +46,9 @@ ORDER = ("motor", "mass", "contact", "latency")
 
 def one_draw(robot: RobotDescription, world: str, seed: int) -> dict[str, Any]:
     """Identify one robot."""
-    known, sensors, found = PhysicalParams.nominal(robot), {}, {}
+    known = PhysicalParams.nominal(robot)
+    sensors: dict[str, Any] = {}
+    found: dict[str, Any] = {}
     times: dict[str, tuple[float, float]] = {}
     with tempfile.TemporaryDirectory() as folder:
         for name in ORDER:

@@ -29,7 +29,7 @@ import time
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import mujoco
 import mujoco.rollout
@@ -69,7 +69,7 @@ class Bare:
     """MuJoCo alone: the robots of a world with the forces that this world put on them, recorded."""
 
     def __init__(self, env: LocomotionEnv, threads: int) -> None:
-        self.world: Any = env.world
+        self.world = cast(Any, env.world)
         self.threads, self.pool = threads, ThreadPoolExecutor(threads)
         self.model = build_model(env.robot)
         self.datas = [mujoco.MjData(self.model) for _ in range(env.num_envs)]
@@ -195,7 +195,7 @@ class Bench:
         targets = []
         for _ in range(self.steps):
             observation, *_ = self.servo_env.step(self._act(self.servo_env, observation))
-            targets.append(self.servo_env.world.drive.target.copy())
+            targets.append(cast(Any, self.servo_env.world).drive.target.copy())
         self.servo_env.world.set_state(world_start)
         return np.array(targets)
 
@@ -294,11 +294,11 @@ class Bench:
         """As many control steps as an episode has on average here, the reset included."""
         start = self.clock()
         observation, _ = env.reset()
-        physics = 0
+        physics, world = 0, cast(Any, env.world)
         for _ in range(self.steps):
-            servo_steps = env.world.drive.ticks.copy()
+            servo_steps = world.drive.ticks.copy()
             observation, *_ = env.step(self._act(env, observation))
-            went = env.world.drive.ticks - servo_steps
+            went = world.drive.ticks - servo_steps
             physics += int(went[went > 0].sum())
         return physics, self.clock() - start
 

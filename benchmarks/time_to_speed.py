@@ -13,6 +13,7 @@ import json
 import time
 from dataclasses import replace
 from functools import cache
+from typing import Any
 
 import numpy as np
 
@@ -59,7 +60,8 @@ def main() -> int:
     start, start_cpu = time.perf_counter(), time.process_time()
     config = replace(load_train_config("gallop"), seed=options.seed)
     trainer = Trainer(config, SimWorld)
-    world, engine = trainer.env.world, trainer.env.world.engine
+    world: Any = trainer.env.world
+    engine = world.engine
     advance, physics = engine.advance, [0.0]
 
     def timed_advance(servo_steps: object) -> None:

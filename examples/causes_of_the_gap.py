@@ -36,7 +36,7 @@ class Change:
     """One thing that differs from the robot's description."""
 
     name: str
-    params: dict[str, float] = field(default_factory=dict)
+    params: dict[str, float | tuple[float, ...]] = field(default_factory=dict)
     contact: dict[str, float] = field(default_factory=dict)
     thick_feet: bool = False
     thermal_protection: bool = False

@@ -24,6 +24,7 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import mujoco
 import numpy as np
+from matplotlib.figure import Figure
 
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.rotations import xyzw_matrix
@@ -69,14 +70,14 @@ class Comparison:
     def rest(self, _time: float) -> np.ndarray:
         return self.robot.resting_angles
 
-    def figure(self, name: str, title: str, rows: int = 1) -> tuple[plt.Figure, np.ndarray]:
+    def figure(self, name: str, title: str, rows: int = 1) -> tuple[Figure, np.ndarray]:
         figure, axes = plt.subplots(rows, 1, figsize=(8, 2.2 + 1.6 * rows), sharex=True, squeeze=False)
         axes[0, 0].set_title(title, loc="left")
         axes[-1, 0].set_xlabel("time [s]")
         figure.set_label(name)
         return figure, axes[:, 0]
 
-    def save(self, figure: plt.Figure) -> None:
+    def save(self, figure: Figure) -> None:
         for axes in figure.axes:
             axes.grid(alpha=0.3)
         figure.axes[0].legend(loc="upper right", fontsize=8)
@@ -246,11 +247,11 @@ def bullet_parts(engine: object) -> Parts:
 
 def composite(parts: Parts) -> tuple[float, np.ndarray, np.ndarray]:
     """Mass, centre and inertia about it of all parts together."""
-    mass = sum(part[0] for part in parts)
-    centre = sum(m * at for m, at, _ in parts) / mass
+    mass = float(sum(part[0] for part in parts))
+    centre = np.sum([m * at for m, at, _ in parts], axis=0) / mass
     away = [at - centre for _, at, _ in parts]
-    inertia = sum(i + m * (d @ d * np.eye(3) - np.outer(d, d)) for (m, _, i), d in zip(parts, away, strict=True))
-    return mass, centre, inertia
+    inertias = [i + m * (d @ d * np.eye(3) - np.outer(d, d)) for (m, _, i), d in zip(parts, away, strict=True)]
+    return mass, centre, np.sum(inertias, axis=0)
 
 
 def main() -> int:
