@@ -71,13 +71,14 @@ def main() -> int:
 
     engine.advance = timed_advance
     dt = world.params.control_step[0]
-    reached, evaluations = None, 0
+    reached, evaluations, next_evaluation = None, 0, 0
     while reached is None and time.perf_counter() - start < options.limit:
         figures = trainer.update()
-        # An evaluation costs as much as an update or two: only ask where exploration alone already runs, and then
-        # where a short one says so.
-        if figures.reward_rate / dt > 0.35 and early_speed(trainer) > 0.7 * TARGET:
-            evaluations += 1
+        # An evaluation costs as much as ten updates: only ask where exploration alone already runs, then where a short
+        # one says so, and not again at once after one that failed.
+        promising = trainer.steps >= next_evaluation and figures.reward_rate / dt > 0.35
+        if promising and early_speed(trainer) > 0.7 * TARGET:
+            evaluations, next_evaluation = evaluations + 1, trainer.steps + 30_000
             evaluation = evaluate_policy(trainer, SimWorld, 8)
             if evaluation.speed_mean >= TARGET and evaluation.falls == 0:
                 reached = evaluation
