@@ -1,9 +1,9 @@
-"""Why a gait runs differently in another simulator: one physical thing changed at a time, in one world.
+"""Find why a gait runs differently in another simulator: change one physical property at a time, in one world.
 
     python examples/causes_of_the_gap.py gallop --world bullet
 
-Prints speed, power, steps and the share of time that feet are on the ground, for the world as it is and for each
-change. What is nowhere varied is no cause; what moves the speed by as much as the worlds differ may be one.
+Prints speed, power, steps and the share of time that feet are on the ground, for the unchanged world and for each
+change. A change that moves the speed by as much as the worlds differ may be a cause.
 """
 
 from __future__ import annotations
@@ -25,7 +25,6 @@ from surefoot.evaluate.gap import away_task
 from surefoot.evaluate.rollout import run_episodes
 from surefoot.evaluate.runs import Runs
 from surefoot.robot import PhysicalParams, RobotDescription
-from surefoot.task.config import TaskConfig
 from surefoot.world.interface import SimulationFactory, WorldConfig
 
 FOOT_RADIUS = 0.02  # m, in place of .0085
@@ -33,7 +32,7 @@ FOOT_RADIUS = 0.02  # m, in place of .0085
 
 @dataclass(frozen=True)
 class Change:
-    """One thing that differs from the robot's description."""
+    """One property that differs from the robot's description."""
 
     name: str
     params: dict[str, float | tuple[float, ...]] = field(default_factory=dict)
@@ -44,7 +43,7 @@ class Change:
 
 CHANGES = (
     Change("as described"),
-    # In the sheet too: on it, robots settle before an episode.
+    # In the data sheet too: robots settle with it before an episode.
     Change("foot stiffness x 10", params={"contact_stiffness": 30_000.0}, contact={"stiffness": 30_000.0}),
     Change("foot stiffness / 2", params={"contact_stiffness": 1500.0}, contact={"stiffness": 1500.0}),
     Change("foot damping x 3", contact={"damping": 300.0}),
@@ -64,7 +63,7 @@ CHANGES = (
 
 @dataclass(frozen=True)
 class Command:
-    """Run a policy in one world with one physical thing changed at a time."""
+    """Run a policy in one world with one physical property changed at a time."""
 
     policies: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="POLICY [POLICY ...]")]
     """Policy files, or names of policies that ship."""
@@ -79,7 +78,7 @@ class Command:
 
 
 def thick_feet(robot: RobotDescription, folder: Path) -> RobotDescription:
-    """The robot with rounder feet, whose lowest point in the leg's line stays where it was."""
+    """Return the robot with rounder feet, whose lowest point along the leg stays the same."""
     shutil.copytree(robot.folder, folder)
     thin, end = robot.leg_geometry.foot_radius, robot.leg_geometry.foot
     sheet, urdf = folder / "robot.toml", folder / robot.urdf.path.name
@@ -90,7 +89,7 @@ def thick_feet(robot: RobotDescription, folder: Path) -> RobotDescription:
 
 
 def changed(make: SimulationFactory, change: Change, other: RobotDescription | None) -> SimulationFactory:
-    """The world with another contact or another robot in it."""
+    """Return the world with another contact or another robot."""
 
     def world(robot: RobotDescription, num_envs: int, params: PhysicalParams, seed: int, config: WorldConfig) -> Any:
         robot = other or replace(robot, contact=replace(robot.contact, **change.contact))
@@ -100,10 +99,9 @@ def changed(make: SimulationFactory, change: Change, other: RobotDescription | N
 
 
 def measure(command: Command, name: str) -> Iterator[dict[str, Any]]:
-    """One row of figures for each change."""
+    """Yield one row of figures for each change."""
     policy, robot, task = load_policy(find_policy(name), None)
-    base: TaskConfig = away_task(task)
-    make = find_world(command.world)
+    base, make = away_task(task), find_world(command.world)
     with tempfile.TemporaryDirectory() as scratch:
         for change in CHANGES:
             other = thick_feet(robot, Path(scratch) / "thick") if change.thick_feet else None

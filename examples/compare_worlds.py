@@ -1,14 +1,14 @@
-"""The same robot in MuJoCo and in Bullet: one figure for each question, and the numbers in lines.
+"""Compare the same robot in MuJoCo and in Bullet: draw one figure for each question, and print the numbers.
 
 python examples/compare_worlds.py [--out out/worlds]
 
-masses    do both have the same mass and inertia of the whole robot?
-standing  how high does it stand once it has settled?
-drop      how does it land from .3 m, and how far is each world from what a step of .1 ms gives?
-sines     do legs on a rack follow the same sines?
-steps     do they answer the same steps?
-squat     does the robot squat alike on its own feet?
-trot      how far does an open loop trot go, and what does spinning friction do to it?
+masses    do mass and inertia of the whole robot agree?
+standing  how high does it stand after it has settled?
+drop      how does it land from .3 m, and how far is each world from a simulation with a step of .1 ms?
+sines     do legs on a rack follow sines equally?
+steps     do they respond equally to steps?
+squat     does the robot squat equally on its own feet?
+trot      how far does an open-loop trot go, and what is the effect of spinning friction?
 """
 
 from __future__ import annotations
@@ -116,7 +116,7 @@ class Comparison:
         self.save(figure)
 
     def drop(self) -> None:
-        """Both follow the sheet's spring and damper into the ground; a step of .1 ms shows each world's own law."""
+        """Compare the landing with the data sheet's spring and damper; a step of .1 ms shows each world's own law."""
         fine = replace(self.robot, timing=replace(self.robot.timing, servo_step=1e-4))
         figure, axes = self.figure("drop", "A drop from .3 m; dashed: the same with a step of .1 ms", 2)
         for name in ENGINES:
@@ -206,7 +206,7 @@ class Comparison:
 
 
 def lift(world: SimWorld, height: float) -> None:
-    """Put the robot so much higher, and let its history begin there."""
+    """Raise the robot by a height [m]."""
     if world.engine.name == "mujoco":
         world.engine.datas[0].qpos[2] += height  # type: ignore[attr-defined]
         return
@@ -219,7 +219,7 @@ Parts = list[tuple[float, np.ndarray, np.ndarray]]
 
 
 def mujoco_parts(engine: object) -> Parts:
-    """Mass, centre and inertia in the world of every body."""
+    """Return mass, centre and inertia in the world frame of every body."""
     model, data = engine.models[0], engine.datas[0]  # type: ignore[attr-defined]
     mujoco.mj_forward(model, data)
     turns = data.ximat.reshape(-1, 3, 3)
@@ -230,7 +230,7 @@ def mujoco_parts(engine: object) -> Parts:
 
 
 def bullet_parts(engine: object) -> Parts:
-    """Mass, centre and inertia in the world of every link."""
+    """Return mass, centre and inertia in the world frame of every link."""
     p, model, client = import_pybullet(), engine.model, engine._clients[0]  # type: ignore[attr-defined]
     parts = []
     for link in model.links.values():
@@ -246,7 +246,7 @@ def bullet_parts(engine: object) -> Parts:
 
 
 def composite(parts: Parts) -> tuple[float, np.ndarray, np.ndarray]:
-    """Mass, centre and inertia about it of all parts together."""
+    """Return total mass, centre of mass, and inertia about it."""
     mass = float(sum(part[0] for part in parts))
     centre = np.sum([m * at for m, at, _ in parts], axis=0) / mass
     away = [at - centre for _, at, _ in parts]
@@ -259,8 +259,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--out", type=Path, default=Path("out/worlds"), help="folder for the figures")
     comparison = Comparison(parser.parse_args().out)
-    questions = ("masses", "standing", "drop", "sines", "steps", "squat", "trot")
-    for question in questions:
+    for question in ("masses", "standing", "drop", "sines", "steps", "squat", "trot"):
         getattr(comparison, question)()
     print(f"figures in {comparison.folder}")
     return 0

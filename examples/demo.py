@@ -1,13 +1,12 @@
-"""The demonstration: learn a gallop, see how far two trots hold, deploy one on a robot. Some four minutes on two cores.
+"""Train a gallop, test the robustness of two trots, deploy a trot on an emulated robot: some four minutes, two cores.
 
 1. `surefoot train gallop`: a short training, with its evaluation, figures and video in runs/.
-2. `surefoot evaluate trot-robust --randomize table1`: the robust trot on robots that are not the one simulated.
-3. `surefoot sensitivity trot trot-robust`: what breaks a trot that was trained without randomization, and one that
-   was trained with it.
+2. `surefoot evaluate trot-robust --randomize table1`: the robust trot on robots that differ from the data sheet.
+3. `surefoot sensitivity trot trot-robust`: which parameters break a trot trained without and one with randomization.
 4. `surefoot emulate`, `doctor`, `deploy`, `gap`: a trot on an emulated robot, in another physics engine and in real
-   time, and then beside its simulation.
+   time, compared with its simulation.
 
-Arguments are passed on to the training, so `--steps 200000` makes a shorter one.
+Arguments are passed to the training, so `--steps 200000` makes it shorter.
 """
 
 import sys

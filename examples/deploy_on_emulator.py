@@ -1,9 +1,9 @@
-"""A trained gait on a robot, without a robot: emulator and operator in two processes, a serial line between them.
+"""Deploy a trained gait on an emulated robot: emulator and host in two processes, connected by a serial line.
 
-1. `surefoot emulate` is the robot: a microcontroller and a Minitaur, in another engine than the gait has learned in.
-2. `surefoot doctor` looks at link, contract and computer before a motor moves.
-3. `surefoot deploy` stands the robot up, runs the gait for a whole episode, sits it down; three times.
-4. `surefoot gap` measures simulation and deployed runs by the same ruler and draws them beside each other.
+1. `surefoot emulate` is the robot: a microcontroller and a Minitaur, in another engine than that of the training.
+2. `surefoot doctor` checks link, contract and computer before a motor moves.
+3. `surefoot deploy` makes the robot stand up, run the gait for a whole episode, and sit down; three times.
+4. `surefoot gap` measures simulation and deployed runs with the same functions and draws both.
 
     python examples/deploy_on_emulator.py                    # trot-steady, in Bullet where there is PyBullet
     python examples/deploy_on_emulator.py gallop --runs 1
@@ -22,13 +22,12 @@ from contextlib import contextmanager
 from pathlib import Path
 
 REFUSED, LATE = 2, 3
-"""Exit codes: of what can't be done at all, such as a policy for another robot; and of a run that safety ended, such as
-one on a computer that was too busy."""
+"""Exit codes: refused, as a policy for another robot; and ended by a safety rule, as on a computer that is too busy."""
 
 
 @contextmanager
 def emulator(*words: str | Path) -> Iterator[str]:
-    """Run an emulator and give the name of its port."""
+    """Run an emulator; yield the name of its port."""
     command = [sys.executable, "-m", "surefoot", "emulate", *map(str, words)]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     try:
@@ -43,19 +42,19 @@ def emulator(*words: str | Path) -> Iterator[str]:
 
 
 def surefoot(*words: str | Path) -> int:
-    """Run a command as a user would, in a process of its own; returns its exit code."""
+    """Run a command in its own process, as a user would; return its exit code."""
     print(f"\n$ surefoot {' '.join(map(str, words))}", flush=True)
     return subprocess.run([sys.executable, "-m", "surefoot", *map(str, words)], check=False).returncode
 
 
 def deploy(policy: str, world: str, runs: int, out: Path, lockstep: bool = False) -> int:
-    """Deploy a policy on an emulator and measure its gap; returns the exit code."""
+    """Deploy a policy on an emulator and measure its gap; return the exit code."""
     shutil.rmtree(out, ignore_errors=True)
     out.mkdir(parents=True)
     capture, traces = out / "motion_capture.csv", out / "deployed"
     clock = ["--lockstep"] if lockstep else []
     with emulator("--world", world, "--motion-capture", capture, *clock) as port:
-        # What a robot should not be trusted with does an emulator no harm: a busy computer is told here, and tried.
+        # An emulator cannot be damaged: go on after a failed check, such as that of a busy computer.
         if surefoot("doctor", policy, "--port", port, *clock) == REFUSED:
             return REFUSED
         code = surefoot(
@@ -66,15 +65,15 @@ def deploy(policy: str, world: str, runs: int, out: Path, lockstep: bool = False
 
 
 def other_world() -> str:
-    """An engine that the gait has not learned in, where there is one."""
+    """Return an engine other than that of the training, if it is installed."""
     return "bullet" if importlib.util.find_spec("pybullet") is not None else "mujoco"
 
 
 def show(policy: str, world: str, runs: int, out: Path, lockstep: bool = False) -> int:
-    """Deploy a policy in real time, or in lockstep if the computer has no time for it; returns the exit code."""
+    """Deploy a policy in real time, or in lockstep if the computer is too busy; return the exit code."""
     code = deploy(policy, world, runs, out, lockstep)
     if code == LATE and not lockstep:
-        print("\nA safety rule ended it; a computer that is busy with other things does that. Once more, in lockstep.")
+        print("\nA safety rule ended the run; the computer may be too busy. Try again in lockstep.")
         code = deploy(policy, world, runs, out, lockstep=True)
     return code
 
@@ -85,7 +84,7 @@ def main() -> int:
     parser.add_argument("--world", default=other_world())
     parser.add_argument("--runs", type=int, default=3)
     parser.add_argument("--out", type=Path, default=Path("out/deployed"))
-    parser.add_argument("--lockstep", action="store_true", help="time follows the link instead of the computer's clock")
+    parser.add_argument("--lockstep", action="store_true", help="robot time follows the times in the host's frames")
     asked = parser.parse_args()
     return show(asked.policy, asked.world, asked.runs, asked.out, asked.lockstep)
 

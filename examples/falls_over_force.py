@@ -1,9 +1,9 @@
-"""How hard a push a gait survives: the share of episodes that end in a fall, over the force of the pushes.
+"""Measure which pushes a gait survives: the share of episodes that end in a fall, over the force of the pushes.
 
     python examples/falls_over_force.py trot trot-robust trot-steady
 
-Every push that is due is given (one each 1.2 s, for .06 s, in a random direction), all of one force; MuJoCo, the
-robot of the data sheet. Prints a table and draws pushes.png.
+Every push that is due is given (every 1.2 s, for .06 s, in a random direction), all with the same force, on the nominal
+robot in MuJoCo. Prints a table and draws pushes.png.
 """
 
 from __future__ import annotations

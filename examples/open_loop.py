@@ -1,4 +1,4 @@
-"""How far the reference gait goes by itself, without feedback: speed and falls in each world.
+"""Measure the reference gait without feedback: speed and falls in each world.
 
     python examples/open_loop.py trot
 

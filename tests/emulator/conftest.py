@@ -1,20 +1,20 @@
-"""The robot and a small operator that tests of this room share."""
+"""The robot and a small operator that tests of this package share."""
 
 from __future__ import annotations
 
 import os
 import select
+import threading
 import time
 import tty
 from collections.abc import Callable, Iterator
 from typing import Any
 
-import numpy as np
 import pytest
 from processes import Emulator, emulators
 
 from surefoot.deploy.wire.frames import Decoder, Frame, encode_frame
-from surefoot.deploy.wire.messages import Codec, Fault, Message, Ping, Pong, State
+from surefoot.deploy.wire.messages import Codec, Message, Ping, Pong
 from surefoot.robot import RobotDescription
 
 
@@ -27,7 +27,7 @@ class Bytes:
         self.number = 0
 
     def frame(self, message: Message, time: float, number: int | None = None) -> bytes:
-        """Encode with the next number, or with one of one's own that does not count."""
+        """Encode with the next number, or with a given one that does not count."""
         if number is None:
             self.number = number = self.number + 1
         return encode_frame(self.codec, message, number, time)
@@ -44,7 +44,7 @@ class Host:
         self.start = time.monotonic()
         self.token = 0
         self.frames: list[Frame] = []
-        """Everything that has come, oldest first."""
+        """All frames received, oldest first."""
 
     def close(self) -> None:
         os.close(self.file)
@@ -52,11 +52,11 @@ class Host:
     def now(self) -> float:
         return time.monotonic() - self.start
 
-    def send(self, message: Message, at: float | None = None, number: int | None = None) -> None:
-        os.write(self.file, self.bytes.frame(message, self.now() if at is None else at, number))
+    def send(self, message: Message, at: float | None = None) -> None:
+        os.write(self.file, self.bytes.frame(message, self.now() if at is None else at))
 
     def look(self, wait: float = 0.0) -> list[Frame]:
-        """What has come, after waiting for something at most so long."""
+        """Wait for something, at most so long, and return what has arrived."""
         if wait > 0:
             select.select([self.file], [], [], wait)
         try:
@@ -66,33 +66,26 @@ class Host:
         self.frames += found
         return found
 
-    def until(self, condition: Callable[[Frame], bool], patience: float = 20.0) -> Frame:
-        """The first frame to come for which a condition holds."""
-        end = time.monotonic() + patience
-        while time.monotonic() < end:
-            for frame in self.look(0.05):
-                if condition(frame):
-                    return frame
-        raise AssertionError(f"nothing of the kind came; last {self.frames[-3:]}")
-
-    def of(self, kind: type[Any], *conditions: Callable[[Any], bool]) -> Frame:
-        return self.until(lambda f: isinstance(f.message, kind) and all(check(f.message) for check in conditions))
-
-    def run_to(self, at: float) -> list[Frame]:
-        """In lockstep: let the robot run to a time, and take all that it says until then."""
-        self.token += 1
-        self.send(Ping(self.token), at)
-        found: list[Frame] = []
+    def of(self, kind: type[Any], condition: Callable[[Any], bool] = lambda message: True) -> Frame:
+        """Return the first frame to arrive of a kind for which a condition holds."""
         end = time.monotonic() + 20.0
         while time.monotonic() < end:
-            found += self.look(0.5)
-            if any(isinstance(frame.message, Pong) and frame.message.token == self.token for frame in found):
-                return found
-        raise AssertionError("the robot does not answer")
+            for frame in self.look(0.05):
+                if isinstance(frame.message, kind) and condition(frame.message):
+                    return frame
+        raise AssertionError(f"no such frame; last {self.frames[-3:]}")
+
+    def run_to(self, at: float, kind: type[Message] = Message) -> list[Frame]:
+        """In lockstep: let the robot run to a time, and return all frames of a kind that it sends until then."""
+        self.token += 1
+        self.send(Ping(self.token), at)
+        before = len(self.frames)
+        self.of(Pong, lambda pong: pong.token == self.token)
+        return [frame for frame in self.frames[before:] if isinstance(frame.message, kind)]
 
 
 class Process(Emulator):
-    """A running `surefoot emulate`, and hosts of it."""
+    """A running `surefoot emulate`, and its hosts."""
 
     def __init__(self, *words: str) -> None:
         super().__init__(*words)
@@ -108,32 +101,62 @@ class Process(Emulator):
         return super().stop()
 
 
+class Thread:
+    """What `surefoot emulate` runs, in a thread of the test: in lockstep, or in real time with `--baud 0`."""
+
+    def __init__(self, robot: RobotDescription, *words: str) -> None:
+        from surefoot.cli.emulate import EmulateCommand, _build
+        from surefoot.cli.parsing import parse
+        from surefoot.emulator.process import Lockstep, RealTime, Summary
+        from surefoot.emulator.pty_port import PtyPort
+
+        command = parse(EmulateCommand, list(words), "surefoot emulate")
+        self.board, self.summary = _build(command, robot, {}), Summary()
+        self._port = PtyPort(held=not command.lockstep)
+        loop = (Lockstep if command.lockstep else RealTime)(self.board, self._port, self.summary)
+        self.hosts: list[Host] = []
+        self._thread = threading.Thread(target=loop.run, daemon=True)
+        self._thread.start()
+
+    host = Process.host
+
+    @property
+    def port(self) -> str:
+        return self._port.path
+
+    @property
+    def unread(self) -> int:
+        return self._port.unread
+
+    def stop(self) -> None:
+        while self.hosts:
+            self.hosts.pop().close()
+        self.summary.stop = True
+        self._thread.join()
+        self._port.close()
+
+
 @pytest.fixture
 def emulate() -> Iterator[Callable[..., Process]]:
-    """Start emulators that end with the test."""
+    """Start processes that end with the test."""
     with emulators(Process) as start:
         yield start
 
 
-def states(frames: list[Frame]) -> list[Frame]:
-    return [frame for frame in frames if isinstance(frame.message, State)]
-
-
-def faults(frames: list[Frame]) -> list[Fault]:
-    return [frame.message for frame in frames if isinstance(frame.message, Fault)]
-
-
 @pytest.fixture
-def pick() -> dict[str, Callable[[list[Frame]], list[Any]]]:
-    """Pick states (as frames) or faults (as messages) out of frames."""
-    return {"states": states, "faults": faults}
+def emulate_here(robot: RobotDescription) -> Iterator[Callable[..., Thread]]:
+    """Start threads that end with the test."""
+    started: list[Thread] = []
+
+    def start(*words: str) -> Thread:
+        started.append(Thread(robot, *words))
+        return started[-1]
+
+    yield start
+    for thread in started:
+        thread.stop()
 
 
 @pytest.fixture
 def wire_bytes() -> Bytes:
     return Bytes()
-
-
-@pytest.fixture
-def resting(robot: RobotDescription) -> np.ndarray:
-    return robot.resting_angles

@@ -45,14 +45,6 @@ def test_rows_are_what_is_seen_at_full_precision(plant, tmp_path, later):
     assert last[8:] == [1.0] * 4  # it has not slid yet
 
 
-def test_in_lockstep_every_row_is_there_at_once(plant, tmp_path):
-    capture = MotionCapture(tmp_path / "a.csv", plant)
-    for count in range(1, 5):
-        run(capture, plant, 5)
-        assert len((tmp_path / "a.csv").read_text().splitlines()) == 1 + count
-    capture.close()
-
-
 def test_a_file_that_cannot_be_written_is_told_at_once(plant, tmp_path):
     (tmp_path / "a.csv").write_text("mine")
     with pytest.raises(SurefootError, match="exists; give another name"):

@@ -15,7 +15,7 @@ from surefoot.emulator.hardware import PowerConfig, SensorConfig, power_tick
 from surefoot.emulator.plant import Plant
 from surefoot.emulator.signals import MotorOrder
 from surefoot.robot import PhysicalParams
-from surefoot.world.drive import set_drive_params
+from surefoot.world.drive import new_drive, set_drive_params
 from surefoot.world.interface import WorldConfig
 from surefoot.world.sim_world import SimWorld
 
@@ -39,7 +39,7 @@ def test_it_moves_and_reads_as_a_simulation_does_to_the_last_bit(robot):
     set_drive_params(world.drive, np.arange(1), world.params)
     rng = np.random.default_rng(1)
     target = pose(robot, 0.0, 1.5)
-    for _ in range(200):
+    for _ in range(80):
         target = np.clip(target + rng.uniform(-0.05, 0.05, 8), 1.0, 2.2)
         readings = world.step(target)
         order = position(target)
@@ -50,6 +50,7 @@ def test_it_moves_and_reads_as_a_simulation_does_to_the_last_bit(robot):
         np.testing.assert_array_equal(seen.motor_velocity, readings.motor_velocity[0])
         np.testing.assert_array_equal(seen.roll_pitch_yaw, readings.roll_pitch_yaw[0])
         np.testing.assert_array_equal(seen.angular_velocity_base, readings.angular_velocity_base[0])
+        np.testing.assert_array_equal(seen.motor_torque, plant.world.drive.motor_torque[0])
         np.testing.assert_array_equal(plant.capture().position, world.truth().base_position_world[0])
 
 
@@ -65,12 +66,12 @@ def test_it_sits_when_switched_on_and_lies_down_damped(robot):
     assert np.abs(plant.world.drive.now[0, 8:16]).max() < 1.0
 
 
-@pytest.mark.parametrize("servo_latency", [0.001, 0.003, 0.005])
+@pytest.mark.parametrize("servo_latency", [0.001, 0.005])
 def test_damped_motors_come_to_rest_whatever_the_servos_latency(robot, servo_latency):
     params = PhysicalParams.nominal(robot).with_values(robot, servo_latency=servo_latency)
     plant = Plant(robot, params, rack=True)
-    for _ in range(8000):  # the legs sink until they hang
-        plant.step(DAMPED)
+    for _ in range(800):  # the legs sink until they hang
+        plant.step(DAMPED, 10)
     assert np.abs(plant.world.drive.now[0, 8:16]).max() < 0.05
 
 
@@ -129,14 +130,14 @@ def test_torques_are_told_with_an_error_of_each_motors_own_and_noise(robot):
 
 def test_the_error_of_a_motors_torque_is_constant_and_of_the_size_stated(robot):
     config, gains = replace(SensorConfig(), torque_noise=0.0), []
-    for seed in range(25):
+    for seed in range(12):
         plant = Plant(robot, seed=seed, sensors=config, rack=True)
         for torque in (0.5, -2.0):
             plant.world.drive.motor_torque[0] = torque
             gains.append(plant.read(0.0, 0.0).motor_torque / torque)
         np.testing.assert_allclose(gains[-1], gains[-2], rtol=1e-12)
-    # 200 motors: the standard deviation is known to 5 % of itself.
-    assert np.mean(gains) == pytest.approx(1.0, abs=4 * config.torque_gain / np.sqrt(200))
+    # 96 motors: the standard deviation is known to 7 % of itself.
+    assert np.mean(gains) == pytest.approx(1.0, abs=4 * config.torque_gain / np.sqrt(96))
     assert np.std(gains) == pytest.approx(config.torque_gain, rel=0.2)
     assert len(np.unique(gains[0])) == 8
 
@@ -153,14 +154,6 @@ def test_the_torques_error_is_in_nothing_else(robot):
             assert np.array_equal(told[name], true[name]) == (name != "motor_torque"), name
         np.testing.assert_array_equal(true["motor_torque"], truth.world.drive.motor_torque[0])
     np.testing.assert_array_equal(plant.capture().position, truth.capture().position)
-
-
-def test_ideal_sensors_tell_the_torque(robot):
-    plant = ideal(robot, rack=True)
-    plant.step(MotorOrder(Mode.PWM, np.full(8, 0.03)))
-    torque = plant.read(0.0, 0.0).motor_torque
-    assert torque.all()
-    np.testing.assert_array_equal(torque, plant.world.drive.motor_torque[0])
 
 
 def test_a_motor_that_gets_a_duty_turns_as_a_dc_motor_does(robot):
@@ -211,18 +204,21 @@ def test_a_duty_is_part_of_a_worlds_state_and_gone_after_a_reset(robot):
     assert not plant.world.drive.duty.any()
 
 
-def test_battery_and_heat_by_hand():
+def test_battery_and_heat_by_hand(robot):
     temperature = np.array([25.0, 65.0])
     # 1.45 N m is 15 A of the nominal motor; with half the strength .725 N m is. Speed 10 rad/s, K_t .1, R .2.
-    current = power_tick(
-        np.array([0.725, -0.5]),
-        np.array([10.0, 0.0]),
-        np.array([0.5, 0.5]),
-        np.array([0.0, 10.0, 20.0]),
-        np.array([0.0, 1.0, 1.9]),
-        *(0.1, 0.2, 16.0, 0.001, 25.0, 80.0, 2.0),
-        temperature,
+    drive = new_drive(robot, 1, 1)._replace(
+        motor_torque=np.array([[0.725, -0.5]]),
+        now=np.array([[0.0, 0.0, 10.0, 0.0]]),
+        strength=np.array([[0.5, 0.5]]),
+        table_current=np.array([0.0, 10.0, 20.0]),
+        table_torque=np.array([0.0, 1.0, 1.9]),
+        torque_constant=np.array([0.1]),
+        resistance=np.array([0.2]),
+        voltage=np.array([16.0]),
     )
+    power = PowerConfig(ambient=25.0, heat_capacity=80.0, heat_resistance=2.0)
+    current = power_tick(drive, power, 0.001, temperature)
     # Motor 1: R I^2 = 45 W and K_t w I = 15 W. Motor 2 stands: -10 A, 20 W of heat. 80 W from 16 V.
     assert current == pytest.approx(5.0)
     # 45 W into 80 J/K; 20 W in and (65 - 25) / 2 W out.
@@ -230,26 +226,19 @@ def test_battery_and_heat_by_hand():
 
 
 def test_the_battery_sags_under_load_and_empties(robot):
-    plant = Plant(robot, power=replace(PowerConfig(), battery_capacity=100.0))
+    plant = Plant(robot, power=PowerConfig(battery_capacity=100.0))
     assert plant.voltage == 16.0
     for step in range(1000):
         plant.step(position(pose(robot, 0.0, min(0.9 + 0.002 * step, 2.0))))
     used = plant._used
     assert used > 0.5
-    rested = 16.0 - PowerConfig.battery_drop * used / 100.0
+    rested = 16.0 - plant.power.battery_drop * used / 100.0
     assert rested - 1.0 < plant.voltage < rested
     assert plant.temperature.max() > 25.0
     plant.voltage_drop = 2.0
     plant.step(DAMPED)
     plant.step(DAMPED)
     assert plant.voltage == pytest.approx(rested - 2.0, abs=0.3)
-
-
-def test_a_nominal_battery_stays_near_its_voltage(robot):
-    plant = Plant(robot)
-    for step in range(600):
-        plant.step(position(pose(robot, 0.0, min(0.9 + 0.002 * step, 2.0))))
-    assert 15.0 < plant.voltage < 16.0
 
 
 def test_a_slow_servo_holds_its_duty_between_two_steps(robot):

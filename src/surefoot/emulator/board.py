@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
-from surefoot.deploy.wire.frames import Frame, encode_frame
+from surefoot.deploy.wire.frames import encode_frame
 from surefoot.deploy.wire.messages import Codec, Handshake, Mode
 from surefoot.emulator.fault_injector import FaultInjector
-from surefoot.emulator.faults import Fault, line_config
+from surefoot.emulator.faults import Fault
 from surefoot.emulator.firmware import Firmware
 from surefoot.emulator.limits import Limits
 from surefoot.emulator.line import Line
@@ -20,7 +18,6 @@ from surefoot.emulator.plant import Plant
 from surefoot.emulator.signals import MotorOrder, Sensors
 from surefoot.seeding import generator
 
-Array = NDArray[np.float64]
 _BOOT_TIME = 200_000
 """Time [us] that a microcontroller takes to start."""
 
@@ -28,20 +25,20 @@ _BOOT_TIME = 200_000
 class Board:
     """The whole emulated robot. Times are whole microseconds since it was switched on.
 
-    At the same moment, first the physics gets there, then a state that is due is sent, then what arrives is heard: a
+    At the same moment, the physics advances first, then a state that is due is sent, then what arrives is heard: a
     command that arrives at a servo step acts from that step on.
 
     Args:
         plant: the body.
-        introduction: what the robot says of itself.
-        limits: when it damps itself.
+        introduction: the robot's handshake.
+        limits: when the robot damps itself.
         faults: what goes wrong.
-        baud: bits a second of the line; 0: bytes take no time.
-        seed: of what goes wrong at random.
-        stride: servo steps that the physics may go through at once while nothing comes or is due. The microcontroller
-            looks at tilt, battery and heat between them alone. With faults it is 1.
-        lead: how long [s] before they are used a deployment asks for states: the control latency counts up to there,
-            so that sensors are younger by this when a state is sent.
+        baud: bits per second of the line; 0: bytes take no time.
+        seed: of the line's faults.
+        stride: servo steps that the physics may advance at once while nothing arrives or is due. The microcontroller
+            checks tilt, battery and heat only between them. With faults it is 1.
+        lead: time [s] before their use at which a deployment requests states. The control latency counts up to the
+            use, so readings are younger by this when a state is sent.
     """
 
     def __init__(
@@ -55,52 +52,50 @@ class Board:
         stride: int = 1,
         lead: float = 0.0,
     ) -> None:
-        self.stride = stride if not faults and plant.servo_every == 1 else 1
-        self.plant, self.limits, self.lead = plant, limits or Limits(), lead
         faults = faults or {}
+        self.stride = stride if not faults and plant.servo_every == 1 else 1
+        self.plant, self.limits, self.lead = plant, limits, lead
         self.injector = FaultInjector(faults, plant, introduction)
-        self._introduction = self.injector.introduction
         self.codec = Codec(len(introduction.motor_names))
         if "other-schema" in faults:
             self.codec.schema ^= 0xFFFF
-        self.firmware = self._boot()
-        self.inbound, self.outbound = (
-            Line(line_config(faults, baud, to_host), generator(seed, "line to host" if to_host else "line to robot"))
-            for to_host in (False, True)
-        )
-        self._harm_lines()
-        self.now = 0
-        self.reboots = 0
+        batch = faults["batching"].value if "batching" in faults else 0.0
+        self.inbound = Line(generator(seed, "line to robot"), baud)
+        self.outbound = Line(generator(seed, "line to host"), baud, batch)
+        self.inbound.chances = self.outbound.chances = self.injector.chances
+        self.now = self.reboots = 0
         self.on_step: list[Callable[[int], None]] = []
-        """Called after servo steps with the time [us]; if not after all, then after each that motion capture sees."""
+        """Called with the time [us] after servo steps: after all, or at least after each that motion capture sees."""
         self._step = round(plant.robot.timing.servo_step * 1e6)
+        self.firmware = self._boot()
         self._booted = 0
         self._order: MotorOrder | None = None
-        self._last = MotorOrder(Mode.DISARMED, np.zeros(self.codec.motors))
+        self._damped = self._last = MotorOrder(Mode.DISARMED, np.zeros(self.codec.motors))
 
     def _boot(self) -> Firmware:
-        return Firmware(self.codec, self._introduction, self.limits)
+        return Firmware(self.codec, self.injector.introduction, self.limits)
 
     @property
     def next_step(self) -> int:
-        """When the servo step ends that the physics goes through."""
+        """When the servo step in progress ends."""
         return (self.plant.ticks + 1) * self._step
 
     @property
-    def next_time(self) -> int:
-        """When there is something to do next: physics may wait until it can go through `stride` steps."""
+    def next_time(self) -> float:
+        """When there is something to do next: physics may wait until it can advance `stride` steps."""
         physics = self.next_step + (self.stride - 1) * self._step
-        times = [physics, self.inbound.next_time, self.outbound.next_time, self.firmware.next_state]
-        return max(min(time for time in times if time is not None), self.now)
+        return max(min(physics, self.inbound.next_time, self.outbound.next_time, self.firmware.next_state), self.now)
 
     def hear(self, now: int, data: bytes) -> None:
-        """Bytes go on the line to the robot."""
+        """Put bytes on the line to the robot."""
         self.inbound.send(now, data)
 
     def run_to(self, time: int) -> None:
-        """Let everything happen until then."""
+        """Let everything happen that happens until then."""
         while True:
-            step, due, arrival = self.next_step, self._due(), self._arrival()
+            standing = self._standing_until()
+            step, due = self.next_step, max(self.firmware.next_state, standing)
+            arrival = max(self.inbound.next_time, self.now, standing)
             at = min(step, due, arrival)
             if at > time:
                 break
@@ -117,9 +112,9 @@ class Board:
         self.now = max(self.now, time)
 
     def _steps_until(self, moment: float) -> int:
-        """Servo steps that can be gone through at once, the last one ending at `moment` or before."""
+        """Return how many servo steps can be run at once, the last one ending at `moment` or before."""
         if self.stride == 1 or self._order is not None:
-            # The step that is under way keeps its order; what has come meanwhile acts from the next one on.
+            # The step in progress keeps its order; what has arrived meanwhile acts from the next one on.
             return 1
         first = self.next_step
         possible = min(self.stride, int(moment - first) // self._step + 1)
@@ -127,34 +122,25 @@ class Board:
         return min(possible, (-first % PERIOD) // self._step + 1)
 
     def said(self) -> bytes:
-        """Bytes that have reached the host by now."""
+        """Return the bytes that have reached the host by now."""
         parts = []
-        while (time := self.outbound.next_time) is not None and time <= self.now:
+        while self.outbound.next_time <= self.now:
             parts.append(self.outbound.take())
         return b"".join(parts)
 
-    def _due(self) -> float:
-        due = self.firmware.next_state
-        return math.inf if due is None else max(due, self._standing_until())
-
-    def _arrival(self) -> float:
-        arrival = self.inbound.next_time
-        return math.inf if arrival is None else max(arrival, self.now, self._standing_until())
-
-    def _standing_until(self) -> float:
+    def _standing_until(self) -> int:
         return max(self.injector.hangs_until, self._booted)
 
     def _begin_step(self) -> None:
-        """What happens within a servo step changes nothing of it: its order stands from its start."""
+        """Fix the order of the step in progress: nothing that happens within it changes it."""
         if self._order is None and self.now > self.plant.ticks * self._step:
             self._order = self._decide()
             self._send()
 
     def _decide(self) -> MotorOrder:
         now = self.plant.ticks * self._step
-        if now < self._standing_until():
-            return self._last
-        self._last = self.injector.order(self.firmware.tick(now, self.plant.vitals()))
+        if now >= self._standing_until():
+            self._last = self.injector.order(self.firmware.tick(now, self.plant.vitals()))
         return self._last
 
     def _physics(self, count: int) -> None:
@@ -165,27 +151,20 @@ class Board:
         end = self.plant.ticks * self._step
         self.now = max(self.now, end)
         self.injector.tick(end, self.firmware.armed)
-        self._harm_lines()
-        if self.injector.unplugged and not self.inbound.dead:
+        self.inbound.chances = self.outbound.chances = self.injector.chances
+        if self.injector.began("unplug"):
             self.inbound.cut_off()
             self.outbound.cut_off()
-        if self.injector.reboots():
-            self.firmware, self._booted = self._boot(), end + _BOOT_TIME
-            self._last = MotorOrder(Mode.DISARMED, np.zeros(self.codec.motors))
-            self.reboots += 1
+        if not self.reboots and self.injector.began("reboot"):
+            self.firmware, self._last = self._boot(), self._damped
+            self.reboots, self._booted = 1, end + _BOOT_TIME
         for look in self.on_step:
             look(end)
-
-    def _harm_lines(self) -> None:
-        self.inbound.harmful = self.outbound.harmful = self.injector.harms_lines
 
     def _read(self) -> Sensors:
         since = (self.now - self.plant.ticks * self._step) / 1e6
         return self.injector.sensors(self.plant.read(since, self.lead))
 
     def _send(self) -> None:
-        for frame in self.firmware.take():
-            self._send_frame(self.injector.frame(frame))
-
-    def _send_frame(self, frame: Frame) -> None:
-        self.outbound.send(self.now, encode_frame(self.codec, frame.message, frame.sequence, frame.time))
+        for frame in map(self.injector.frame, self.firmware.take()):
+            self.outbound.send(self.now, encode_frame(self.codec, frame.message, frame.sequence, frame.time))

@@ -1,4 +1,4 @@
-"""Faults at work: what they change in orders, readings, messages and the body, and when."""
+"""Active faults: what they change in orders, readings, messages and the body, and when."""
 
 from __future__ import annotations
 
@@ -6,24 +6,23 @@ import math
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from surefoot.deploy.wire.frames import Frame
-from surefoot.deploy.wire.messages import Handshake, State
-from surefoot.emulator.faults import RATES, Fault
+from surefoot.deploy.wire.messages import Handshake, Mode, State
+from surefoot.emulator.faults import Fault
+from surefoot.emulator.line import HARMS
 from surefoot.emulator.plant import Plant
 from surefoot.emulator.signals import MotorOrder, Sensors
-
-Array = NDArray[np.float64]
 
 TILT_FORCE = 80.0
 """Force [N] of the push that topples a robot; it weighs about 58 N."""
 TILT_TIME = 0.4
-"""How long it lasts [s]."""
+"""Duration of the push [s]."""
 FALL_OF_VOLTAGE = 2.0
-"""Rate [V/s] at which a battery gets low."""
+"""Rate [V/s] at which a battery becomes low."""
 RISE_OF_TEMPERATURE = 40.0
-"""Rate [degC/s] at which a motor gets hot."""
+"""Rate [degC/s] at which a motor becomes hot."""
+_IMU_SIGNS = {1: (-1, 1), 2: (1, -1), 3: (-1, -1)}
 
 
 class FaultInjector:
@@ -32,7 +31,7 @@ class FaultInjector:
     Args:
         faults: by name.
         plant: the body.
-        introduction: what the robot says of itself; `introduction` has what it says with its faults.
+        introduction: the robot's handshake; `self.introduction` is the one with its faults.
     """
 
     def __init__(self, faults: dict[str, Fault], plant: Plant, introduction: Handshake) -> None:
@@ -40,13 +39,10 @@ class FaultInjector:
         self._rest = plant.robot.resting_angles
         self.introduction = self._introduce(introduction)
         self.armed_at: int | None = None
-        """When the robot was armed first."""
+        """When the robot was first armed."""
         self.hangs_until = 0
         """When the microcontroller's program goes on."""
-        self.unplugged = False
-        """Whether the cable is pulled."""
         self._now = 0
-        self._booted = self._hung = self._pushing = False
         self._given: MotorOrder | None = None
         self._changed: MotorOrder | None = None
         self._old: Frame | None = None
@@ -68,109 +64,87 @@ class FaultInjector:
             said = replace(said, servo_period=faults["slow-servo"].value)
         return said
 
-    def _on(self, name: str) -> Fault | None:
-        """The fault of this name, if it is there and its time has come."""
-        fault = self._faults.get(name)
-        if fault is None:
-            return None
-        return fault if fault.start == 0 or self._since(fault) >= 0 else None
-
     def _since(self, fault: Fault) -> float:
-        """Time since a fault has begun [s]; below 0 before."""
+        """Return the time since a fault began [s]; below 0 before."""
         return -math.inf if self.armed_at is None else (self._now - self.armed_at) / 1e6 - fault.start
 
+    def _active(self, name: str) -> Fault | None:
+        """Return the fault of this name if it was requested and has begun."""
+        fault = self._faults.get(name)
+        return fault if fault and (fault.start == 0 or self._since(fault) >= 0) else None
+
+    def began(self, name: str) -> bool:
+        """Return whether a fault was requested whose time, after arming, has come."""
+        return name in self._faults and self._since(self._faults[name]) >= 0
+
+    @property
+    def chances(self) -> dict[str, float]:
+        """Chance per frame of each harm on the line that has begun."""
+        return {name: fault.value for name in HARMS if (fault := self._active(name))}
+
     def tick(self, now: int, armed: bool) -> None:
-        """A servo step has ended."""
-        if not self._faults:
-            return
+        """Take note that a servo step has ended."""
         self._now = now
         if armed and self.armed_at is None:
             self.armed_at = now
         if self.armed_at is None:
             return
         plant = self._plant
-        self.unplugged = self._began("unplug")
-        if fault := self._on("battery-low"):
+        if fault := self._active("battery-low"):
             fall = max(float(plant.params.voltage[0]) - fault.value, 0.0)
             plant.voltage_drop = min(FALL_OF_VOLTAGE * max(self._since(fault), 0.0), fall)
-        if (fault := self._on("motor-hot")) and plant.temperature[0] < fault.value:
+        if (fault := self._active("motor-hot")) and plant.temperature[0] < fault.value:
             plant.temperature[0] += RISE_OF_TEMPERATURE * plant.robot.timing.servo_step
         if fault := self._faults.get("tilt"):
-            pushing = 0 <= self._since(fault) < TILT_TIME
-            if pushing != self._pushing:
-                self._pushing = pushing
-                plant.push(np.array([0.0, TILT_FORCE if pushing else 0.0, 0.0]))
-        if not self._hung and self._began("hang"):
-            self._hung, self.hangs_until = True, now + round(self._faults["hang"].value * 1e6)
-
-    def _began(self, name: str) -> bool:
-        """Whether a fault is there whose time, after arming, has come."""
-        return name in self._faults and self._since(self._faults[name]) >= 0
-
-    @property
-    def harms_lines(self) -> bool:
-        """Whether anything happens to frames on the line by now."""
-        return bool(self._faults) and any(self._on(name) is not None for name in RATES)
-
-    def reboots(self) -> bool:
-        """Whether the microcontroller starts anew now."""
-        if self._booted or not self._began("reboot"):
-            return False
-        self._booted = True
-        return True
+            force = TILT_FORCE if 0 <= self._since(fault) < TILT_TIME else 0.0
+            plant.push(np.array([0.0, force, 0.0]))
+        if not self.hangs_until and self.began("hang"):
+            self.hangs_until = now + round(self._faults["hang"].value * 1e6)
 
     def order(self, order: MotorOrder) -> MotorOrder:
-        """What the motors get instead of an order."""
+        """Return what the motors get instead of an order; the same for the same order."""
         if order is not self._given:
             self._given, self._changed = order, self._change(order)
         return self._changed or order
 
     def _change(self, order: MotorOrder) -> MotorOrder:
-        values = order.values
-        if fault := self._on("swap-motors"):
+        values = order.values.copy()
+        if fault := self._active("swap-motors"):
             motor = int(fault.value)
-            values = values.copy()
             values[[motor, motor + 1]] = values[[motor + 1, motor]]
-        if fault := self._on("flip-sign"):
+        if fault := self._active("flip-sign"):
             motor = int(fault.value)
-            values = values.copy()
-            # PWM has no rest to turn round: it is simply turned over.
-            middle = self._rest[motor] if order.mode == 1 else 0.0
+            # An angle is mirrored at the resting angle, a duty at zero.
+            middle = self._rest[motor] if order.mode == Mode.POSITION else 0.0
             values[motor] = 2 * middle - values[motor]
         return replace(order, values=values)
 
     def sensors(self, seen: Sensors) -> Sensors:
-        """What the sensors tell instead."""
-        if fault := self._on("flip-encoder"):
+        """Return the readings with the faults of the sensors."""
+        if fault := self._active("flip-encoder"):
             motor = int(fault.value)
             angle, velocity = seen.motor_angle.copy(), seen.motor_velocity.copy()
             angle[motor], velocity[motor] = 2 * self._rest[motor] - angle[motor], -velocity[motor]
             seen = replace(seen, motor_angle=angle, motor_velocity=velocity)
-        if fault := self._on("imu-flip"):
+        if fault := self._active("imu-flip"):
             angles, rates = seen.roll_pitch_yaw.copy(), seen.angular_velocity_base.copy()
             for array in (angles, rates):
                 if fault.value == 0:
                     array[:2] = array[[1, 0]]
-                if fault.value in (1, 3):
-                    array[0] *= -1
-                if fault.value in (2, 3):
-                    array[1] *= -1
+                else:
+                    array[:2] *= _IMU_SIGNS[int(fault.value)]
             seen = replace(seen, roll_pitch_yaw=angles, angular_velocity_base=rates)
         return seen
 
     def frame(self, frame: Frame) -> Frame:
-        """What is sent instead of a frame."""
-        if not self._faults or not isinstance(frame.message, State):
-            self._number = frame.sequence
-            return frame
-        if self._began("stale-state"):
-            self._old = self._old or frame
-            frame = replace(frame, message=self._old.message, time=self._old.time)
-        if self._began("repeat-sequence"):
-            frame = replace(frame, sequence=max(self._number, 1))
-        elif self._began("backward-sequence"):
-            self._number = max(self._number - 1, 1)
-            frame = replace(frame, sequence=self._number)
-        else:
-            self._number = frame.sequence
+        """Return what is sent instead of a frame."""
+        if isinstance(frame.message, State):
+            if self.began("stale-state"):
+                self._old = self._old or frame
+                frame = replace(frame, message=self._old.message, time=self._old.time)
+            if self.began("repeat-sequence"):
+                frame = replace(frame, sequence=max(self._number, 1))
+            elif self.began("backward-sequence"):
+                frame = replace(frame, sequence=max(self._number - 1, 1))
+        self._number = frame.sequence
         return frame

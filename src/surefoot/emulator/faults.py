@@ -1,4 +1,4 @@
-"""Faults that an emulated robot can be given by name, as `--fault NAME[=VALUE][@TIME]`."""
+"""Faults of an emulated robot, by name, as in `--fault NAME[=VALUE][@TIME]`."""
 
 from __future__ import annotations
 
@@ -6,40 +6,38 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from surefoot.emulator.line import LineConfig
 from surefoot.errors import SurefootError, choices
+
+_MOTOR = "number of the motor"
+_AFTER_ARMING = "s after arming"
 
 
 @dataclass(frozen=True)
 class FaultKind:
-    """A fault that can be asked for."""
+    """A fault that can be requested."""
 
     meaning: str
-    """What goes wrong."""
     value: float = math.nan
-    """What its number is, if none is given; NaN: it takes none."""
+    """Default of its number; NaN: it takes none."""
     low: float = 0.0
-    """Least number."""
     high: float = math.inf
-    """Greatest number."""
     unit: str = ""
-    """Of the number."""
     start: float = math.nan
-    """When it begins, in s after the robot was first armed, if no time is given; NaN: it is always there."""
+    """Default of its start, in s after the robot was first armed; NaN: it is always active."""
     real_time: bool = False
-    """It is about real time, and means nothing in lockstep."""
+    """It concerns real time, and has no meaning in lockstep."""
 
 
 def _rate(meaning: str) -> FaultKind:
-    return FaultKind(meaning, 0.05, 0.0, 1.0, "chance a frame")
+    return FaultKind(meaning, 0.05, high=1.0, unit="chance a frame")
 
 
-def _moment(meaning: str, value: float = 1.0) -> FaultKind:
-    return FaultKind(meaning, value, 0.0, math.inf, "s after arming")
+def _moment(meaning: str) -> FaultKind:
+    return FaultKind(meaning, 1.0, unit=_AFTER_ARMING)
 
 
 def _motor(meaning: str) -> FaultKind:
-    return FaultKind(meaning, 0.0, 0.0, 255.0, "number of the motor")
+    return FaultKind(meaning, 0.0, unit=_MOTOR)
 
 
 FAULTS: dict[str, FaultKind] = {
@@ -79,20 +77,16 @@ FAULTS: dict[str, FaultKind] = {
     "overload": FaultKind("physics needs more than real time", 1.5, 0.0, 1000.0, "times real time", real_time=True),
 }
 """Every fault, by name."""
-RATES = {name: name for name in ("corrupt", "drop", "duplicate", "reorder", "garbage")} | {"cut-frames": "cut"}
-"""Faults of the line that strike frames at random, and the fields of `LineConfig` that have their chances."""
 
 
 @dataclass(frozen=True)
 class Fault:
-    """One fault as it was asked for."""
+    """One fault as requested."""
 
-    name: str
-    """Which; see `FAULTS`."""
     value: float
     """Its number, in the fault's unit; NaN where it takes none."""
     start: float
-    """When it begins [s], after the robot was first armed; 0: it is always there."""
+    """When it begins [s], after the robot was first armed; 0: it is always active."""
 
 
 def parse_faults(words: Sequence[str], lockstep: bool = False, motors: int = 8) -> dict[str, Fault]:
@@ -100,7 +94,7 @@ def parse_faults(words: Sequence[str], lockstep: bool = False, motors: int = 8) 
 
     Args:
         words: as given on a command line.
-        lockstep: whether the emulator follows the link's clock.
+        lockstep: whether robot time follows the times in the host's frames.
         motors: number of motors.
 
     Raises:
@@ -121,22 +115,19 @@ def parse_faults(words: Sequence[str], lockstep: bool = False, motors: int = 8) 
         if equals and math.isnan(kind.value):
             raise SurefootError(f"fault {name} takes no number; '{word}' gives one")
         high = kind.high
-        if kind.unit == "number of the motor":
+        if kind.unit == _MOTOR:
             high = motors - 2 if name == "swap-motors" else motors - 1
         if equals and not kind.low <= value <= high:
-            raise SurefootError(
-                f"fault {name} is {value:g}; it must be {kind.low:g} to {high:g} (unit: {kind.unit})"
-                if high < math.inf
-                else f"fault {name} is {value:g}; it must be {kind.low:g} or more (unit: {kind.unit})"
-            )
-        if kind.unit in ("number of the motor", "way") and value != round(value):
+            allowed = f"{kind.low:g} to {high:g}" if high < math.inf else f"{kind.low:g} or more"
+            raise SurefootError(f"fault {name} is {value:g}; it must be {allowed} (unit: {kind.unit})")
+        if kind.unit in (_MOTOR, "way") and value != round(value):
             raise SurefootError(f"fault {name} is {value:g}; it must be a whole number")
-        if at and kind.unit == "s after arming":
+        if at and kind.unit == _AFTER_ARMING:
             raise SurefootError(f"fault {name} takes its time as {name}=TIME; '{word}' gives another")
         start = _number(word, time) if at else 0.0 if math.isnan(kind.start) else kind.start
         if not 0 <= start < math.inf:
             raise SurefootError(f"fault {name} begins at {start:g} s; it must be 0 or more")
-        found[name] = Fault(name, value, value if kind.unit == "s after arming" else start)
+        found[name] = Fault(value, value if kind.unit == _AFTER_ARMING else start)
     return found
 
 
@@ -150,15 +141,8 @@ def _number(word: str, text: str) -> float:
     return value
 
 
-def line_config(faults: dict[str, Fault], baud: float, to_host: bool) -> LineConfig:
-    """What happens on one direction of the line."""
-    rates = {field: faults[name].value for name, field in RATES.items() if name in faults}
-    batch = faults["batching"].value if to_host and "batching" in faults else 0.0
-    return LineConfig(baud=baud, batch=batch, **rates)
-
-
 def describe() -> list[str]:
-    """One line a fault, for a list."""
+    """Return one line per fault, for a list."""
     lines = []
     for name, kind in FAULTS.items():
         number = "" if math.isnan(kind.value) else f"={kind.value:g} ({kind.unit})"

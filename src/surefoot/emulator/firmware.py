@@ -1,8 +1,8 @@
 """The microcontroller's program, without its hardware: messages and time in, orders for the motors and messages out.
 
-It knows neither physics nor ports. Somebody tells it what came (`receive`), asks once a servo step what the motors are
-to do (`tick`), lets it report when a state is due (`report`), and sends what it has to say (`take`). All times are
-whole microseconds on the robot's own clock.
+It knows neither physics nor ports. Its caller passes what arrives (`receive`), asks once per servo step what the motors
+are to do (`tick`), lets it report when a state is due (`report`), and sends its frames (`take`). All times are whole
+microseconds on the robot's own clock.
 
     mode       motors                            left by
     DISARMED   damped                            Arm
@@ -13,6 +13,7 @@ whole microseconds on the robot's own clock.
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
@@ -50,7 +51,7 @@ class Firmware:
 
     Args:
         codec: of the robot.
-        introduction: what the robot says of itself.
+        introduction: the robot's handshake.
         limits: when it damps itself.
     """
 
@@ -60,7 +61,7 @@ class Firmware:
         self.watch = LinkWatch(microseconds(self.limits.clean_gap))
         self.mode, self.reason, self.owner = Mode.DISARMED, Reason.NONE, 0
         self.period = 0
-        self.next_state: int | None = None
+        self.next_state = math.inf
         """When the next state is due."""
         self.stale = 0
         """Commands dropped because they were too old."""
@@ -72,8 +73,7 @@ class Firmware:
         self._report_after = 0
         self._command = self._command_time = 0
         self._dropped = self._dropped_in_a_row = 0
-        self._alive_until = 0
-        self._low_since: int | None = None
+        self._low_since = math.inf
         self._vitals: Vitals | None = None
         self._energy_start: float | None = None
         self._mentioned: dict[Reason, deque[int]] = {}
@@ -84,12 +84,12 @@ class Firmware:
         return self.mode in ARMED
 
     def is_taken(self, now: int) -> bool:
-        """Whether the robot has an operator who may keep it."""
+        """Return whether the robot has an operator who may keep it."""
         silent = now - self.watch.last_heard > microseconds(self.limits.owner_timeout)
         return bool(self.owner) and (self.armed or not silent)
 
     def take(self) -> list[Frame]:
-        """What there is to send, oldest first; it is the caller's now."""
+        """Return and forget the frames to send, oldest first."""
         said, self._out = self._out, []
         return said
 
@@ -97,10 +97,10 @@ class Firmware:
         self._sent += 1
         self._out.append(Frame(message, self._sent, now / 1e6))
 
-    # What comes over the link.
+    # Messages.
 
     def receive(self, now: int, data: bytes) -> None:
-        """Bytes came from the link."""
+        """Take bytes from the link."""
         counts = self.decoder.counts
         damaged, foreign = counts.damaged + counts.unknown, counts.foreign
         frames = self.decoder.feed(data)
@@ -115,7 +115,7 @@ class Firmware:
     def _handle(self, now: int, frame: Frame) -> None:
         message = frame.message
         if isinstance(message, Ping):
-            # A ping names nobody, and changes nothing: it is answered whatever its number.
+            # A ping has no session and changes nothing: it is answered whatever its number.
             if self.owner:
                 self.watch.heard(now)
             self._say(now, Pong(message.token))
@@ -146,7 +146,7 @@ class Firmware:
                 self._disarm(now)
         elif isinstance(message, Bye):
             self._disarm(now)
-            self.owner, self.next_state = 0, None
+            self.owner, self.next_state = 0, math.inf
 
     def _greet_stranger(self, now: int, frame: Frame, hello: Hello) -> None:
         if self.is_taken(now):
@@ -166,11 +166,7 @@ class Firmware:
         shortest, longest = self.limits.state_period
         self._state_period = microseconds(min(max(hello.state_period, shortest), longest))
         self._say(now, replace(self.introduction, session=self.owner))
-        self._report_at(now + self._state_period)
-
-    def _report_at(self, time: int) -> None:
-        """A state is due then, or when one was due anyway, if that is sooner."""
-        self.next_state = time if self.next_state is None else min(self.next_state, time)
+        self.next_state = min(self.next_state, now + self._state_period)
 
     def _arm(self, now: int, arm: Arm) -> None:
         shortest, longest = self.limits.command_period
@@ -179,7 +175,7 @@ class Firmware:
         elif not (shortest <= arm.command_period <= longest and arm.report_after <= arm.command_period):
             text = f"command period is {arm.command_period:g} s; it must be {shortest:g} to {longest:g}"
             self._refuse(now, self.owner, Reason.COMMAND, text)
-        elif not self.armed and self.reason and not self._is_clean(now):
+        elif not self.armed and self.reason and self.watch.clean_for(now) < microseconds(self.limits.rearm_after):
             text = f"the link must be clean for {self.limits.rearm_after:g} s ({self.reason.name.lower()})"
             self._refuse(now, self.owner, Reason.NOT_CLEAN, text)
         elif (wrong := self._wrong(now)) is not None:
@@ -192,15 +188,16 @@ class Firmware:
                 self._command_time, self._dropped_in_a_row, self._fresh = now, 0, True
             self.next_state = now + self._report_after
 
-    def _is_clean(self, now: int) -> bool:
-        return self.watch.clean_for(now) >= microseconds(self.limits.rearm_after)
-
     # Commands.
 
     def _obey(self, now: int, number: int, message: Position | Pwm, age: float) -> None:
-        position = isinstance(message, Position)
-        values = message.target if isinstance(message, Position) else message.duty
-        if self.mode != (Mode.POSITION if position else Mode.PWM):
+        said = self.introduction
+        if isinstance(message, Position):
+            mode, values, low, high = Mode.POSITION, message.target, said.angle_low, said.angle_high
+        else:
+            high = np.full_like(message.duty, self.limits.duty)
+            mode, values, low = Mode.PWM, message.duty, -high
+        if self.mode != mode:
             self._dropped += 1
             if self.mode != Mode.FAULT:  # a faulted robot has said why, and says it in every state
                 self._mention(now, self.owner, Reason.MODE, f"a command came while {self.mode.name}")
@@ -209,13 +206,10 @@ class Firmware:
             self.stale += 1
             self._drop(now, f"commands were late, the last by {age / 1e6:.3f} s")
             return
-        low = self.introduction.angle_low if position else -self.limits.duty
-        high = self.introduction.angle_high if position else self.limits.duty
         bad = np.flatnonzero(~((values >= low) & (values <= high)))
         if bad.size:
             self._dropped += 1
-            name = self.introduction.motor_names[bad[0]]
-            self._fail(now, Reason.COMMAND, f"{name} was to go to {values[bad[0]]:g}")
+            self._fail(now, Reason.COMMAND, f"{said.motor_names[bad[0]]} was to go to {values[bad[0]]:g}")
             return
         self._command, self._command_time, self._dropped_in_a_row, self._fresh = number, now, 0, False
         self._order = MotorOrder(self.mode, values)
@@ -230,13 +224,9 @@ class Firmware:
     # What the robot does by itself.
 
     def tick(self, now: int, vitals: Vitals) -> MotorOrder:
-        """A servo step begins: what the motors are to do in it."""
+        """Return what the motors are to do in the servo step that begins."""
         self._vitals = vitals
-        low = vitals.voltage < self.limits.voltage
-        if not low:
-            self._low_since = None
-        elif self._low_since is None:
-            self._low_since = now
+        self._low_since = min(self._low_since, now) if vitals.voltage < self.limits.voltage else math.inf
         if self.armed:
             if now - self._command_time >= microseconds(self.limits.command_timeout):
                 self._fail(now, Reason.TIMEOUT, f"no command for {self.limits.command_timeout:g} s")
@@ -245,20 +235,20 @@ class Firmware:
         if not self.armed:
             return self._damped
         if self._fresh:
-            # Nothing was commanded yet: servos hold what they find, motors get no duty.
+            # Nothing was commanded yet: servos hold the present angles, motors get no duty.
             self._fresh = False
             held = vitals.motor_angle.copy() if self.mode == Mode.POSITION else np.zeros_like(vitals.motor_angle)
             self._order = MotorOrder(self.mode, held)
         return self._order
 
     def _wrong(self, now: int) -> tuple[Reason, str] | None:
-        """What forbids motors to move, by the sensors of the last servo step."""
+        """Return what forbids motors to move, by the sensors of the last servo step."""
         vitals, limits = self._vitals, self.limits
         if vitals is None:
             return None
         if not vitals.tilt <= limits.tilt:
             return Reason.TILT, f"tilt is {vitals.tilt:.2f} rad; the limit is {limits.tilt:g}"
-        if self._low_since is not None and now - self._low_since >= microseconds(limits.voltage_time):
+        if now - self._low_since >= microseconds(limits.voltage_time):
             return Reason.BATTERY, f"battery has {vitals.voltage:.2f} V; the limit is {limits.voltage:g}"
         if not vitals.temperature <= limits.temperature:
             return Reason.TEMPERATURE, f"a motor has {vitals.temperature:.0f} degC; the limit is {limits.temperature:g}"
@@ -266,23 +256,23 @@ class Firmware:
 
     def _fail(self, now: int, reason: Reason, text: str) -> None:
         if self.mode == Mode.FAULT:
-            return  # what went wrong first is what counts
+            return  # the first reason is kept
         self.mode, self.reason = Mode.FAULT, reason
-        self._say(now, Fault(self.owner, int(reason), text))
+        self._refuse(now, self.owner, reason, text)
         if self.owner:
-            self._report_at(now)
+            self.next_state = min(self.next_state, now)
 
     def _disarm(self, now: int) -> None:
         self.mode = Mode.DISARMED
         if self.owner:
-            self._report_at(now + self._state_period)
+            self.next_state = min(self.next_state, now + self._state_period)
 
     def _refuse(self, now: int, session: int, reason: Reason, text: str) -> None:
-        """Tell that a message has no effect."""
+        """Send a fault."""
         self._say(now, Fault(session, int(reason), text))
 
     def _mention(self, now: int, session: int, reason: Reason, text: str) -> None:
-        """Refuse what may come often, and tell it `Limits.refusals` times a second at most."""
+        """Refuse what may come often, at most `Limits.refusals` times per second for each reason."""
         times = self._mentioned.setdefault(reason, deque(maxlen=self.limits.refusals))
         if len(times) == self.limits.refusals and now - times[0] < 1_000_000:
             return
@@ -290,13 +280,8 @@ class Firmware:
         self._refuse(now, session, reason, text)
 
     def report(self, now: int, read: Callable[[], Sensors]) -> None:
-        """Send a state if one is due.
-
-        Args:
-            now: time.
-            read: reads the sensors.
-        """
-        if self.next_state is None or now < self.next_state:
+        """Send a state if one is due, with what `read` returns."""
+        if now < self.next_state:
             return
         sensors = read()
         if self._energy_start is None:

@@ -1,24 +1,27 @@
-"""What an emulated robot's hardware is like beyond `PhysicalParams`: sensors, battery, heat. All numbers are assumed.
+"""Sensors, battery and heat of an emulated robot, beyond `PhysicalParams`. All numbers are assumed.
 
-None of them has been measured on a robot. They are of the size that data sheets of such parts give, and each says where
-it comes from; a robot of one's own will differ.
+None of them was measured on a robot. They are typical of the data sheets of such parts, and each states its source;
+another robot will differ.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
+
+from surefoot.world.drive import Drive
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class SensorConfig:
-    """Encoders, IMU and current sensors. Bias and noise of roll and pitch are physical parameters and stand there."""
+    """Encoders, IMU and current sensors. Bias and noise of roll and pitch are physical parameters."""
 
     encoder_step: float = 2 * math.pi / 2**14
     """Resolution of the motor angles [rad]: 14 bits a turn, as magnetic encoders of the AS5047 kind have."""
@@ -38,12 +41,11 @@ class SensorConfig:
 
     @classmethod
     def ideal(cls) -> SensorConfig:
-        """Sensors that tell the truth."""
+        """Return sensors without error."""
         return cls(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
-@dataclass(frozen=True)
-class PowerConfig:
+class PowerConfig(NamedTuple):
     """Battery and heat of the motors."""
 
     battery_resistance: float = 0.015
@@ -57,57 +59,37 @@ class PowerConfig:
     heat_capacity: float = 80.0
     """Of one motor [J/K]: winding and stator, some 200 g of copper and iron at .4 J/(g K)."""
     heat_resistance: float = 1.5
-    """From winding to air [K/W]; with the capacity a time constant of two minutes."""
+    """From winding to air [K/W]; with the capacity, a time constant of two minutes."""
 
     @classmethod
     def ideal(cls) -> PowerConfig:
-        """A battery that never sags and never empties; motors still grow warm."""
+        """Return a battery that never sags and never empties; motors still grow warm."""
         return cls(battery_resistance=0.0, battery_capacity=math.inf)
 
 
 @njit(cache=True)
-def power_tick(
-    torque: Array,
-    speed: Array,
-    strength: Array,
-    table_current: Array,
-    table_torque: Array,
-    torque_constant: float,
-    resistance: float,
-    voltage: float,
-    dt: float,
-    ambient: float,
-    heat_capacity: float,
-    heat_resistance: float,
-    temperature: Array,
-) -> float:
-    """Warm the motors for one step, and return the current that they draw from the battery [A].
+def power_tick(drive: Drive, power: PowerConfig, dt: float, temperature: Array) -> float:
+    """Warm the motors of a robot for one step, and return the current that they draw from the battery [A].
 
-    A motor's current is found from its torque by the torque table turned round; with I and speed w it takes the power
+    A motor's current follows from its torque by the inverse of the torque table; with I and speed w it takes the power
     I (R I + K_t w) from the battery, and turns R I^2 of it into heat:
 
         C dT/dt = R I^2 - (T - T_air) / R_heat
 
-    Where the table is flat the least current that gives the torque is taken.
+    Where the table is flat, the least current that gives the torque is taken.
 
     Args:
-        torque: of the motors, without friction (M,) [N m].
-        speed: of the motors (M,) [rad/s].
-        strength: ratio to the nominal motor (M,).
-        table_current: rising currents of the torque table [A].
-        table_torque: their torques [N m].
-        torque_constant: K_t [N m/A].
-        resistance: R [Ohm].
-        voltage: of the battery [V].
+        drive: a batch of one robot, after the step.
+        power: C, T_air and R_heat.
         dt: step [s].
-        ambient: temperature of the air [degC].
-        heat_capacity: C [J/K].
-        heat_resistance: R_heat [K/W].
         temperature: of the motors (M,) [degC]; updated.
     """
-    power = 0.0
-    for m in range(len(torque)):
-        nominal = abs(torque[m]) / strength[m] if strength[m] > 0.0 else 0.0
+    table_current, table_torque = drive.table_current, drive.table_torque
+    motors = len(temperature)
+    total = 0.0
+    for m in range(motors):
+        torque, strength = drive.motor_torque[0, m], drive.strength[0, m]
+        nominal = abs(torque) / strength if strength > 0.0 else 0.0
         current = table_current[-1]
         for k in range(len(table_torque) - 1):
             if nominal <= table_torque[k + 1]:
@@ -115,8 +97,8 @@ def power_tick(
                 share = (nominal - table_torque[k]) / rise if rise > 0.0 else 0.0
                 current = table_current[k] + share * (table_current[k + 1] - table_current[k])
                 break
-        current = math.copysign(current, torque[m])
-        heat = resistance * current * current
-        power += heat + current * torque_constant * speed[m]
-        temperature[m] += dt / heat_capacity * (heat - (temperature[m] - ambient) / heat_resistance)
-    return power / voltage
+        current = math.copysign(current, torque)
+        heat = drive.resistance[0] * current * current
+        total += heat + current * drive.torque_constant[0] * drive.now[0, motors + m]
+        temperature[m] += dt / power.heat_capacity * (heat - (temperature[m] - power.ambient) / power.heat_resistance)
+    return total / drive.voltage[0]

@@ -1,23 +1,22 @@
-"""What a microcontroller allows, and what it says of itself when it is greeted."""
+"""What a microcontroller allows, and the handshake with which it answers a greeting."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from surefoot.deploy.wire.messages import Handshake
 from surefoot.robot import RobotDescription
 
 ANGLE_ROOM = 1.0
-"""Room [rad] beyond the angles of leg space that a command may ask for. Legs of a damped robot that lies on its belly
+"""Room [rad] beyond the angles of leg space that a command may request. Legs of a damped robot that lies on its belly
 fold further than a gait may, and standing up begins with the angles that they have."""
 
 
 @dataclass(frozen=True)
 class Limits:
-    """When the microcontroller damps its motors by itself, and when it lets them go again. Times in s."""
+    """When the microcontroller damps its motors by itself, and when it arms again. Times in s."""
 
     command_timeout: float = 0.050
     """Silence after which an armed robot damps itself."""
@@ -34,7 +33,7 @@ class Limits:
     command_period: tuple[float, float] = (0.002, 0.050)
     """Shortest and longest time between two commands."""
     state_period: tuple[float, float] = (0.001, 1.0)
-    """Shortest and longest time between two states; what is asked for beyond is clipped."""
+    """Shortest and longest time between two states; requests are clipped to them."""
     tilt: float = 1.0
     """Roll or pitch [rad] beyond which the robot damps itself."""
     voltage: float = 12.5
@@ -44,29 +43,32 @@ class Limits:
     temperature: float = 90.0
     """Motor temperature [degC] beyond which the robot damps itself."""
     duty: float = 1.0
-    """Largest duty that a PWM command may ask for."""
+    """Largest duty that a PWM command may request."""
     damping: float = 0.015
-    """Gain [s/rad] with which motors are damped: duty = -damping * speed. The servo's own: with speeds that are 3 ms
-    old motors swing by themselves from .04 s/rad on, and with such that are 5 ms old from .025."""
+    """Gain [s/rad] with which motors are damped: duty = -damping * speed. It is the servo's own: motors oscillate by
+    themselves from .04 s/rad on with speeds that are 3 ms old, and from .025 with speeds that are 5 ms old."""
     refusals: int = 10
-    """How often a second a message that nobody should send is answered: a stranger's, or one of another schema."""
+    """How often per second a message that nobody should send is answered, for each reason."""
 
 
 def introduction(robot: RobotDescription, limits: Limits, firmware: str, servo_period: float) -> Handshake:
-    """What a robot says of itself, from its description; the session is filled in when it is greeted.
+    """Return the handshake of a robot; the session is filled in when it is greeted.
 
     Motor angles of a leg are e + s and e - s for extension e and swing s (see `robot.leg`): the extremes of leg space,
-    with `ANGLE_ROOM`, are what a command may ask for. They are numbers that the wire can tell: a command that asks for
-    just what the handshake allows must be within.
+    with `ANGLE_ROOM`, are what a command may request.
 
     Args:
-        robot: nominal gains come from its sheet, whatever the emulated motors truly do.
-        limits: what the microcontroller keeps to.
+        robot: its data sheet gives the nominal gains, whatever the emulated motors do.
+        limits: what the microcontroller enforces.
         firmware: name and version.
         servo_period: time between two servo steps [s].
     """
-    swing = max(map(abs, robot.swing_range))
-    motors = robot.num_motors
+    swing = max(map(abs, robot.swing_range)) + ANGLE_ROOM
+    # Rounded as on the wire: a command of just what the handshake allows must be within.
+    low, high = (
+        np.full(robot.num_motors, angle, np.float32).astype(np.float64)
+        for angle in (robot.extension_range[0] - swing, robot.extension_range[1] + swing)
+    )
     return Handshake(
         session=0,
         robot=robot.name,
@@ -78,16 +80,11 @@ def introduction(robot: RobotDescription, limits: Limits, firmware: str, servo_p
         servo_kd=robot.actuator.kd,
         command_period_min=limits.command_period[0],
         command_period_max=limits.command_period[1],
-        angle_low=_told(motors, robot.extension_range[0] - swing - ANGLE_ROOM),
-        angle_high=_told(motors, robot.extension_range[1] + swing + ANGLE_ROOM),
+        angle_low=low,
+        angle_high=high,
         tilt_limit=limits.tilt,
         voltage_min=limits.voltage,
         temperature_max=limits.temperature,
         command_timeout=limits.command_timeout,
         rearm_after=limits.rearm_after,
     )
-
-
-def _told(motors: int, angle: float) -> NDArray[np.float64]:
-    """One angle for all motors, rounded as the wire does it."""
-    return np.full(motors, angle, np.float32).astype(np.float64)

@@ -1,86 +1,53 @@
-"""One direction of a serial line: bytes take their time, and what can happen to them happens."""
+"""One direction of a serial line: transmission time, and what happens to frames on the way."""
 
 from __future__ import annotations
 
-from collections import deque
-from dataclasses import dataclass
+import math
+from collections import Counter, deque
+from collections.abc import Mapping
 
 import numpy as np
 
+HARMS = ("garbage", "drop", "cut-frames", "corrupt", "reorder", "duplicate")
+"""What can happen to a frame, in the order in which it is drawn; `faults.FAULTS` describes each."""
 BITS_PER_BYTE = 10
 """Start bit, eight data bits, stop bit."""
 _LONGEST = 4096
 """Bytes that are kept while no zero ends a frame."""
 
 
-@dataclass(frozen=True)
-class LineConfig:
-    """What happens to the frames of one direction; all by chances from 0 to 1 a frame, unless said otherwise."""
-
-    baud: float = 0.0
-    """Bits a second; 0: bytes take no time."""
-    batch: float = 0.0
-    """Bytes arrive only at multiples of this time [s], as USB adapters hand them over; 0: when they come."""
-    corrupt: float = 0.0
-    """One to three bits are turned over."""
-    drop: float = 0.0
-    """Lost."""
-    duplicate: float = 0.0
-    """Comes twice."""
-    reorder: float = 0.0
-    """Comes after the next one."""
-    garbage: float = 0.0
-    """Bytes that nobody sent come before it."""
-    cut: float = 0.0
-    """Only its beginning, or only its end, comes."""
-
-    @property
-    def harms(self) -> bool:
-        """Whether anything at all can happen to a frame."""
-        return any((self.corrupt, self.drop, self.duplicate, self.reorder, self.garbage, self.cut))
-
-
-@dataclass
-class LineCounts:
-    """Frames to which something happened."""
-
-    corrupt: int = 0
-    drop: int = 0
-    duplicate: int = 0
-    reorder: int = 0
-    garbage: int = 0
-    cut: int = 0
-
-
 class Line:
     """One direction of the line. Times are whole microseconds.
 
     Args:
-        config: what happens to frames.
-        random: draws it.
+        random: draws what happens to frames.
+        baud: bits per second; 0: bytes take no time.
+        batch: bytes arrive only at multiples of this time [s], as some USB adapters deliver them; 0: when they come.
     """
 
-    def __init__(self, config: LineConfig, random: np.random.Generator) -> None:
-        self.config, self.counts, self.dead = config, LineCounts(), False
-        self.harmful = config.harms
-        """Whether something may happen to frames just now."""
-        self._random = random
+    def __init__(self, random: np.random.Generator, baud: float = 0.0, batch: float = 0.0) -> None:
+        self.chances: Mapping[str, float] = {}
+        """Chance of each harm that may happen now, 0 to 1 per frame."""
+        self.counts: Counter[str] = Counter()
+        """Frames to which something happened, by harm."""
+        self.dead = False
+        self._random, self._baud, self._batch = random, baud, batch
         self._open = bytearray()
         self._late: bytes | None = None
         self._free_at = 0.0
         self._coming: deque[tuple[int, bytes]] = deque()
 
     @property
-    def next_time(self) -> int | None:
-        """When the next bytes arrive."""
-        return self._coming[0][0] if self._coming else None
+    def next_time(self) -> float:
+        """When the next bytes arrive; infinite if none are on their way."""
+        return self._coming[0][0] if self._coming else math.inf
 
     def take(self) -> bytes:
-        """The bytes that arrive next."""
+        """Return the bytes that arrive next."""
         return self._coming.popleft()[1]
 
     def send(self, now: int, data: bytes) -> None:
-        """Put bytes on the line; frames are told apart by their zeros."""
+        """Put bytes on the line; zeros separate frames."""
         if self.dead:
             return
         self._open += data
@@ -92,13 +59,13 @@ class Line:
                 start = 0
             else:
                 start = end + 1
-        # A zero that begins a frame waits for its rest; bytes that never become a frame are passed on as they are.
+        # A zero that begins a frame waits for the rest; bytes that never become a frame are passed on as they are.
         if len(self._open) > _LONGEST:
             self._put(now, bytes(self._open))
             self._open.clear()
 
     def _send_frame(self, now: int, frame: bytes) -> None:
-        if not self.harmful:
+        if not self.chances:
             self._put(now, frame)
             return
         late, self._late = self._late, None
@@ -108,49 +75,43 @@ class Line:
             self._put(now, late)
 
     def _harmed(self, frame: bytes) -> list[bytes]:
-        """What becomes of a frame; one that is to come later is kept."""
-        config, counts, random = self.config, self.counts, self._random
-        chances = random.random(6)
+        """Return what becomes of a frame; keep one that is to come later."""
+        random = self._random
+        draws = dict(zip(HARMS, random.random(len(HARMS)).tolist(), strict=True))
+
+        def strikes(harm: str) -> bool:
+            hit = draws[harm] < self.chances.get(harm, 0.0)
+            self.counts[harm] += hit
+            return hit
+
         pieces = []
-        if chances[0] < config.garbage:
-            counts.garbage += 1
+        if strikes("garbage"):
             pieces.append(random.bytes(int(random.integers(1, 64))))
-        if chances[1] < config.drop:
-            counts.drop += 1
+        if strikes("drop"):
             return pieces
-        if chances[2] < config.cut:
-            counts.cut += 1
+        if strikes("cut-frames"):
             at = int(random.integers(1, len(frame) - 1))
             frame = frame[:at] if random.random() < 0.5 else frame[at:]
-        if chances[3] < config.corrupt:
-            counts.corrupt += 1
+        if strikes("corrupt"):
             bits = np.unpackbits(np.frombuffer(frame, np.uint8))
             bits[random.choice(len(bits), int(random.integers(1, 4)), replace=False)] ^= 1
             frame = np.packbits(bits).tobytes()
-        if chances[4] < config.reorder:
-            counts.reorder += 1
+        if strikes("reorder"):
             self._late = frame
             return pieces
-        pieces.append(frame)
-        if chances[5] < config.duplicate:
-            counts.duplicate += 1
-            pieces.append(frame)
-        return pieces
+        return [*pieces, frame, frame] if strikes("duplicate") else [*pieces, frame]
 
     def _put(self, now: int, data: bytes) -> None:
-        config = self.config
         at = float(now)
-        if config.baud:
-            self._free_at = max(self._free_at, at) + len(data) * BITS_PER_BYTE * 1e6 / config.baud
+        if self._baud:
+            self._free_at = max(self._free_at, at) + len(data) * BITS_PER_BYTE * 1e6 / self._baud
             at = self._free_at
-        if config.batch:
-            step = config.batch * 1e6
+        if self._batch:
+            step = self._batch * 1e6
             at = -(-at // step) * step
         self._coming.append((round(at), data))
 
     def cut_off(self) -> None:
-        """The cable is pulled: what is on its way is lost, and all that follows."""
+        """Pull the cable: what is on its way is lost, and all that follows."""
         self.dead = True
         self._coming.clear()
-        self._open.clear()
-        self._late = None

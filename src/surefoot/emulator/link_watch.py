@@ -1,4 +1,4 @@
-"""What a microcontroller knows of its link: which numbers came, how old a frame is, whether the link is clean."""
+"""What a microcontroller knows of its link: frame numbers, age of frames, whether the link is clean."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from surefoot.deploy.clock_sync import ClockSync
 
 
 class LinkWatch:
-    """One operator's frames, seen from the robot. All times are whole microseconds.
+    """One operator's frames, seen from the robot. All times are whole microseconds on the robot's clock.
 
     Args:
         clean_gap: longest silence on a clean link.
@@ -17,20 +17,19 @@ class LinkWatch:
         self.last_number = 0
         """Highest number of a frame that was taken."""
         self.last_heard = 0
-        """When the operator was last heard, on the robot's clock."""
         self.old_numbers = 0
         """Frames dropped because their number was not above the last one taken."""
         self._clean_since: int | None = None
         self._sync = ClockSync(second=1_000_000)
 
     def restart(self) -> None:
-        """Another session: its numbers and its clock are new."""
+        """Begin another session: its numbers and its clock are new."""
         self.last_number = 0
         self._sync.forget()
         self._clean_since = None
 
     def takes(self, number: int) -> bool:
-        """Whether a frame's number is above all before; if so, it is the last one now."""
+        """Return whether a frame's number is above all before; if so, it is the last one from now on."""
         if number <= self.last_number:
             self.old_numbers += 1
             return False
@@ -38,26 +37,22 @@ class LinkWatch:
         return True
 
     def heard(self, now: int) -> None:
-        """The operator was heard."""
+        """Take note that the operator was heard."""
         if self._clean_since is None or now - self.last_heard > self.clean_gap:
             self._clean_since = now
         self.last_heard = now
 
     def damaged(self) -> None:
-        """A damaged frame came: the link is clean from the next good one on, at best."""
+        """Take note of a damaged frame: at best, the link is clean from the next good one on."""
         self._clean_since = None
 
     def clean_for(self, now: int) -> int:
-        """How long the link has been clean."""
+        """Return how long the link has been clean."""
         if self._clean_since is None or now - self.last_heard > self.clean_gap:
             return 0
         return now - self._clean_since
 
     def age(self, now: int, sent: int) -> float:
-        """How old a frame is that was sent at `sent` on the operator's clock.
-
-        The two clocks start at different times: the least difference between arrival and sending that was seen in the
-        last ten seconds is taken for a frame that travelled in no time.
-        """
+        """Return the age of a frame that was sent at `sent` on the operator's clock; see `ClockSync`."""
         self._sync.add(sent, now)
         return self._sync.age(sent, now)

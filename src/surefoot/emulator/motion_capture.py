@@ -1,4 +1,4 @@
-"""What a motion capture system and foot switches would see of the emulated robot, as a growing CSV file."""
+"""What a motion capture system and foot switches see of the emulated robot, as a growing CSV file."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ class MotionCapture:
     Args:
         path: file to write (.csv); it must not be there yet.
         plant: the body.
-        later: a thread writes, 20 times a second, so that a disk that is slow for a moment holds up nothing; otherwise
-            every row is in the file when `see` returns.
+        later: let a thread write, 20 times per second, so that a slow disk does not delay the robot; otherwise every
+            row is in the file when `see` returns.
 
     Raises:
         SurefootError: the file exists, or its folder does not.
@@ -45,13 +45,13 @@ class MotionCapture:
         self._rows: deque[str] = deque()
         self._ended = threading.Event()
         self.failed: str | None = None
-        """Why nothing more is written, if so."""
+        """Why writing stopped, if it did."""
         self._writer = threading.Thread(target=self._write_on, daemon=True) if later else None
         if self._writer is not None:
             self._writer.start()
 
     def see(self, now: int) -> None:
-        """A servo step has ended at this time [us]."""
+        """Take note of a servo step that ended at this time [us]."""
         if now % PERIOD:
             return
         seen, ticks = self._plant.capture(), self._plant.ticks
@@ -69,7 +69,7 @@ class MotionCapture:
             self._write()
 
     def _write(self) -> None:
-        """Put what is waiting into the file; a full disk ends the recording, and not the robot."""
+        """Write the waiting rows; a full disk ends the recording, not the robot."""
         text = "".join(self._rows.popleft() for _ in range(len(self._rows)))
         if text and self.failed is None:
             try:
@@ -79,7 +79,7 @@ class MotionCapture:
                 self.failed = error.strerror or str(error)
 
     def close(self) -> None:
-        """End the file."""
+        """Write what is left and close the file."""
         self._ended.set()
         if self._writer is not None:
             self._writer.join()

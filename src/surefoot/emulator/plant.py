@@ -1,4 +1,4 @@
-"""The emulated robot's body: physics one servo step at a time, battery, heat, and what its sensors read."""
+"""The emulated robot's body: physics, battery, heat and sensors."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Capture:
-    """What a motion capture system sees, and what foot switches would."""
+    """What a motion capture system and foot switches see."""
 
     position: Array
     """Origin of the base link in the world (3,) [m]."""
@@ -37,7 +37,7 @@ class Capture:
 
 
 class Plant:
-    """One robot, switched on sitting, with its motors damped. Steps are those of the robot's servo.
+    """One robot, switched on while it sits, with damped motors. Steps are those of the robot's servo.
 
     Args:
         robot: what to emulate.
@@ -47,7 +47,6 @@ class Plant:
         power: battery and heat.
         rack: hold the base in the air.
         engine: makes the physics.
-        damping: gain of damped motors [s/rad].
         servo_every: physics steps between two of the servo.
 
     Raises:
@@ -63,34 +62,30 @@ class Plant:
         power: PowerConfig | None = None,
         rack: bool = False,
         engine: EngineFactory = mujoco_engine,
-        damping: float = Limits.damping,
         servo_every: int = 1,
     ) -> None:
         self.robot, self.params = robot, params or PhysicalParams.nominal(robot)
-        self.sensors, self.power, self.damping = sensors or SensorConfig(), power or PowerConfig(), damping
-        self.servo_every = servo_every
+        self.sensors, self.power, self.servo_every = sensors or SensorConfig(), power or PowerConfig(), servo_every
         config = WorldConfig(rest=(0.0, SIT_EXTENSION), rack=rack, threads=1)
         self.world = SimWorld(robot, 1, self.params, seed, config, engine)
         self.extra_latency = 0.0
         """Further age of all readings [s]."""
         self.voltage_drop = 0.0
-        """Lack of open-circuit voltage [V] besides the charge that was used."""
+        """Drop of the open-circuit voltage [V] besides that by the charge that was used."""
         motors = robot.num_motors
         self._noise = generator(seed, "emulated sensors")
         self._gyro_bias = self.sensors.gyro_bias * self._noise.standard_normal(3)
         self._torque_noise = generator(seed, "emulated torque sensors")
         self._torque_gain = 1.0 + self.sensors.torque_gain * self._torque_noise.standard_normal(motors)
         self._imu_bias, self._imu_noise = self.params.imu_bias[0], float(self.params.imu_noise[0])
-        self._table = robot.torque_table
         self._voltage = float(self.params.voltage[0])
         self._count = np.ones(1, np.int64)
         self._row = np.empty(2 * motors + 6)
-        self._order: MotorOrder | None = None
         self.temperature = np.full(motors, self.power.ambient)
         self.energy = self._used = 0.0
         self._contact = np.zeros(len(robot.legs))
         self._obey(MotorOrder(Mode.DISARMED, np.zeros(motors)))
-        # What is compiled is loaded now, not in the first step; physics has been run by the world.
+        # Load compiled code now, not in the first step; the world has run the physics already.
         self._look(0.0, 0.0)
         self._draw_power(np.zeros(motors))
 
@@ -105,20 +100,22 @@ class Plant:
         return float(self.world.drive.voltage[0])
 
     def step(self, order: MotorOrder, count: int = 1) -> None:
-        """Servo steps under one order; battery and heat are looked at after the last one.
+        """Run servo steps under one order; update battery and heat after the last one.
 
         Args:
             order: what the motors are to do.
-            count: how many steps. A robot whose servo runs less often than the physics takes them one by one.
+            count: how many steps; 1 if the servo runs less often than the physics.
 
         Raises:
-            SurefootError: the physics broke down.
+            SurefootError: the physics diverged.
         """
         world, drive = self.world, self.world.drive
         if order is not self._order:
             self._obey(order)
         if self.servo_every > 1 and order.mode != Mode.PWM and self.ticks % self.servo_every == 0:
-            drive.duty[0] = self._servo(order)
+            seen = self._look(0.0, float(self.params.servo_latency[0]))
+            motors = self.robot.num_motors
+            drive.duty[0] = servo_duty(order.values, seen[:motors], seen[motors : 2 * motors], *self._gains)
         self._count[0] = count
         world.engine.advance(self._count)
         if world.engine.diverged[0]:
@@ -128,42 +125,20 @@ class Plant:
         self._draw_power(self.temperature, count)
 
     def _obey(self, order: MotorOrder) -> None:
-        drive, nominal = self.world.drive, self.params
-        self._order = order
+        drive, follows = self.world.drive, order.mode == Mode.POSITION
+        self._order, self._gains = order, (0.0, Limits.damping)
+        if follows:
+            self._gains = float(self.params.servo_kp[0]), float(self.params.servo_kd[0])
+        elif order.mode == Mode.PWM:
+            self._gains = 0.0, 0.0
         drive.duty[0] = order.values if order.mode == Mode.PWM else 0.0
-        follows, damped = order.mode == Mode.POSITION, order.mode != Mode.PWM
-        slow = self.servo_every > 1
-        drive.kp[0] = nominal.servo_kp[0] if follows and not slow else 0.0
-        drive.kd[0] = 0.0 if slow or not damped else nominal.servo_kd[0] if follows else self.damping
         drive.target[0] = order.values if follows else 0.0
-
-    def _servo(self, order: MotorOrder) -> Array:
-        """Duty (M,) of a servo that runs less often than the physics, and holds it in between."""
-        follows = order.mode == Mode.POSITION
-        kp = float(self.params.servo_kp[0]) if follows else 0.0
-        kd = float(self.params.servo_kd[0]) if follows else self.damping
-        self._look(0.0, float(self.params.servo_latency[0]))
-        motors = self.robot.num_motors
-        duty: Array = servo_duty(order.values, self._row[:motors], self._row[motors : 2 * motors], kp, kd)
-        return duty
+        # A servo that runs less often than the physics is computed in `step`; its duty holds in between.
+        drive.kp[0], drive.kd[0] = self._gains if self.servo_every == 1 else (0.0, 0.0)
 
     def _draw_power(self, temperature: Array, count: int = 1) -> None:
         drive, power, dt = self.world.drive, self.power, count * self.robot.timing.servo_step
-        motors = self.robot.num_motors
-        current = power_tick(
-            drive.motor_torque[0],
-            drive.now[0, motors : 2 * motors],
-            drive.strength[0],
-            *self._table,
-            float(drive.torque_constant[0]),
-            float(drive.resistance[0]),
-            self.voltage,
-            dt,
-            power.ambient,
-            power.heat_capacity,
-            power.heat_resistance,
-            temperature,
-        )
+        current = power_tick(drive, power, dt, temperature)
         self._used += current * dt
         open_circuit = self._voltage - self.voltage_drop - power.battery_drop * self._used / power.battery_capacity
         drive.voltage[0] = max(open_circuit - power.battery_resistance * current, 1.0)
@@ -171,7 +146,7 @@ class Plant:
     # Sensors.
 
     def _look(self, since_step: float, latency: float) -> Array:
-        """The state `latency` [s] before now, which is `since_step` [s] after the last servo step."""
+        """Return the state `latency` [s] before now, which is `since_step` [s] after the last servo step."""
         read_delayed(self.world.drive, np.array([latency - since_step]), self._row[None])
         return self._row
 
@@ -181,7 +156,7 @@ class Plant:
             read_by_mounted_imu(tilt[None], rate[None], self.params.imu_mount)
 
     def vitals(self) -> Vitals:
-        """What the microcontroller sees itself, of now."""
+        """Return the present readings that the microcontroller checks."""
         now, motors = self.world.drive.now[0], self.robot.num_motors
         tilt, rate = now[-6:-3].copy(), now[-3:].copy()
         self._mount(tilt, rate)
@@ -194,21 +169,15 @@ class Plant:
         )
 
     def read(self, since_step: float, lead: float) -> Sensors:
-        """Readings as the control computer is told them.
-
-        They are older than now by the control latency, less the lead with which they are sent before they are used.
+        """Return the readings for the control computer, older than now by the control latency less the lead.
 
         Args:
             since_step: time since the last servo step [s].
-            lead: see there [s].
+            lead: time from sending the readings to their use [s].
         """
         latency = max(float(self.params.control_latency[0]) + self.extra_latency - lead, 0.0)
-        row, motors, config, noise = (
-            self._look(since_step, latency).copy(),
-            self.robot.num_motors,
-            self.sensors,
-            self._noise,
-        )
+        row, motors = self._look(since_step, latency).copy(), self.robot.num_motors
+        config, noise = self.sensors, self._noise
         angle, speed, tilt, rate = row[:motors], row[motors : 2 * motors], row[-6:-3], row[-3:]
         if config.encoder_step:
             angle = np.round(angle / config.encoder_step) * config.encoder_step
@@ -236,7 +205,7 @@ class Plant:
         )
 
     def capture(self) -> Capture:
-        """What a motion capture system sees now."""
+        """Return what a motion capture system sees now."""
         base = self.world.engine.base()[0]
         return Capture(base[:3].copy(), base[3:7].copy(), self._contact.copy())
 

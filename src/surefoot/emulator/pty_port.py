@@ -1,4 +1,4 @@
-"""The robot's end of a pseudo-terminal: hosts open the other one as they would a serial port."""
+"""The robot's end of a pseudo-terminal; hosts open the other end like a serial port."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ _CHUNK = 65_536
 
 
 class PtyPort:
-    """A pseudo-terminal in raw mode; hosts come and go. Never blocks, unless asked to.
+    """A pseudo-terminal in raw mode that hosts open and close. It blocks only where a timeout is given.
 
     Args:
-        link: symbolic link to make, which is removed when the port is closed.
-        held: keep the hosts' end open here too, so that it is not noticed when the last host closes it.
+        link: symbolic link to make, removed when the port is closed.
+        held: keep the hosts' end open here too, so that the last host's closing has no effect.
 
     Raises:
-        SurefootError: something stands where the link is to be.
+        SurefootError: the link exists.
     """
 
     def __init__(self, link: Path | None = None, held: bool = True) -> None:
@@ -45,23 +45,23 @@ class PtyPort:
                 raise SurefootError(f"link {link} exists; give another name") from None
 
     def read(self) -> bytes:
-        """What hosts have written since."""
+        """Return what hosts have written since the last call."""
         try:
             return os.read(self._master, _CHUNK)
         except OSError:  # nothing there, or nobody
             return b""
 
     def deserted(self) -> bool:
-        """Whether no host has the port open, and all that hosts have written is read; never so, if it is held."""
+        """Return whether no host has the port open and everything written is read; never, if it is held."""
         events = sum(event for _, event in self._hangup.poll(0))
         return bool(events & select.POLLHUP) and not events & select.POLLIN
 
     def wait(self, timeout: float) -> bool:
-        """Wait until something can be read, at most so long [s]; whether it can."""
+        """Wait until something can be read, at most so long [s]; return whether it can."""
         return bool(select.select([self._master], [], [], max(timeout, 0.0))[0])
 
     def write(self, data: bytes, patience: float = 0.0) -> None:
-        """Say something; what hosts leave unread for longer than `patience` [s] is dropped."""
+        """Write to the hosts; drop what they leave unread for longer than `patience` [s]."""
         while data:
             try:
                 data = data[os.write(self._master, data) :]

@@ -1,4 +1,4 @@
-"""What goes between the microcontroller's program and the body: readings one way, orders for the motors the other."""
+"""What microcontroller and body exchange: readings one way, orders for the motors the other."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Vitals:
-    """What the microcontroller looks at in every servo step."""
+    """What the microcontroller checks in every servo step."""
 
     motor_angle: Array
     """Motor angles (M,) [rad]."""
@@ -28,7 +28,7 @@ class Vitals:
 
 @dataclass(frozen=True)
 class Sensors:
-    """What a state tells of the sensors; see `wire.State`."""
+    """What a state contains of the sensors; see `wire.messages.State`."""
 
     motor_angle: Array
     motor_velocity: Array
@@ -42,7 +42,7 @@ class Sensors:
 
 @dataclass(frozen=True)
 class MotorOrder:
-    """What the motors are to do until the next order."""
+    """What the motors do until the next order."""
 
     mode: Mode
     """POSITION: hold the target; PWM: duty; otherwise damped."""
@@ -51,5 +51,5 @@ class MotorOrder:
 
 
 def microseconds(seconds: float) -> int:
-    """Seconds as whole microseconds."""
+    """Return seconds as whole microseconds."""
     return round(seconds * 1e6)
