@@ -69,26 +69,18 @@ def test_an_observation_once_given_does_not_change(make_env):
 # --- reward and ends --------------------------------------------------------------------------------------
 
 
-def test_reward_is_displacement_less_weighted_energy(make_env):
-    env = make_env(2, energy_weight=0.01)
-    env.reset()
-    env.world.speed[:], env.world.power[:] = (1.0, -0.5), (100.0, 0.0)
-    _, reward, *_ = env.step(rest(env))
-    # .006 m - .01 x .6 J, and -.003 m.
-    np.testing.assert_allclose(reward, (0.0, -0.003), atol=1e-15)
-
-
 def test_an_episode_is_truncated_after_its_steps_and_has_its_figures(make_env):
-    env = make_env(2, max_steps=3)
+    env = make_env(2, max_steps=3, energy_weight=0.01)
     env.reset()
     for k, speed in enumerate((0.0, 1.0, 2.0)):
         env.world.speed[:], env.world.power[:] = (speed, 0.0), 100.0
-        *_, terminated, truncated, info = env.step(rest(env))
+        _, reward, terminated, truncated, info = env.step(rest(env))
+        np.testing.assert_allclose(reward, (0.006 * speed - 0.006, -0.006), atol=1e-15)
         assert not terminated.any()
         assert truncated.tolist() == [k == 2] * 2
         assert bool(info) == (k == 2)
-    # Of 6 ms each at 0, 1 and 2 m/s, with 100 W throughout.
-    np.testing.assert_allclose(info["figures"]["return"], (0.018 - 0.0144, -0.0144))
+    # Of 6 ms each at 0, 1 and 2 m/s, with 100 W throughout; .01 m/J.
+    np.testing.assert_allclose(info["figures"]["return"], (0.0, -0.018), atol=1e-15)
     np.testing.assert_allclose(info["figures"]["distance"], (0.018, 0.0))
     np.testing.assert_allclose(info["figures"]["steps"], 3)
     np.testing.assert_allclose(info["figures"]["duration"], 0.018)
