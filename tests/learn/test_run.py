@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import json
 import os
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -28,6 +29,8 @@ TINY = {
     "evaluate_every": 600,
     "evaluation_episodes": 2,
     "checkpoint_every": 512,
+    "threads": 1,
+    "learning_threads": 1,
     "task": {
         "max_steps": 40,
         "params": {"imu_noise": 0.02},
@@ -65,16 +68,15 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> TrainingRun:
     return train(tmp_path_factory.mktemp("whole"), tiny_config())
 
 
-def test_same_seed_gives_the_same_weights_to_the_last_bit(whole: TrainingRun, tmp_path: Path) -> None:
-    assert same_weights(whole, train(tmp_path, tiny_config()))
-
-
-def test_another_seed_gives_other_weights(whole: TrainingRun, tmp_path: Path) -> None:
-    assert not same_weights(whole, train(tmp_path, tiny_config(seed=1)))
+def test_another_seed_goes_another_way(whole: TrainingRun, tmp_path: Path) -> None:
+    other = train(tmp_path, tiny_config(seed=1), stop_after=1)
+    assert other.folder.rows()[0]["std_mean"] != whole.folder.rows()[0]["std_mean"]
 
 
 @pytest.mark.parametrize("stop_after", [1, 3])
-def test_an_interrupted_run_ends_as_one_that_was_not(whole: TrainingRun, tmp_path: Path, stop_after: int) -> None:
+def test_a_run_of_the_same_seed_ends_alike_to_the_last_bit_though_it_was_interrupted(
+    whole: TrainingRun, tmp_path: Path, stop_after: int
+) -> None:
     stopped = train(tmp_path, tiny_config(), stop_after)
     assert not stopped.finished
     again = resume(stopped.folder.path)
@@ -89,7 +91,7 @@ def test_an_interrupted_run_ends_as_one_that_was_not(whole: TrainingRun, tmp_pat
 
 def test_a_run_with_drawn_parameters_and_symmetry_resumes_exactly(tmp_path: Path) -> None:
     task = {**TINY["task"], "params": {}, "randomize": vars(load_ranges("table1"))}
-    config = tiny_config(task=task, ppo={"symmetry": True, "fall_cost": 1.0})
+    config = tiny_config(task=task, ppo={"symmetry": True, "fall_cost": 1.0}, steps=16 * 16 * 3)
     through = train(tmp_path / "through", config)
     stopped = train(tmp_path / "stopped", config, stop_after=2)
     resumed = resume(stopped.folder.path)
@@ -98,7 +100,7 @@ def test_a_run_with_drawn_parameters_and_symmetry_resumes_exactly(tmp_path: Path
 
 
 def test_a_run_starts_with_anothers_networks_and_goes_its_own_way(whole: TrainingRun, tmp_path: Path) -> None:
-    config = tiny_config(start_from=str(whole.folder.path), seed=5)
+    config = tiny_config(start_from=str(whole.folder.path), seed=5, steps=256)
     run = TrainingRun(config, RunFolder.create(config, tmp_path), SimWorld)
     last = whole.folder.load()["trainer"]["algorithm"]["actor_state_dict"]
     first = run.trainer.policy.state_dict()
@@ -129,13 +131,16 @@ def test_folder_holds_what_the_run_was_made_with(whole: TrainingRun) -> None:
     assert len(list(whole.folder.checkpoints.glob("steps_*.ckpt"))) == 3
 
 
-def test_cut_off_checkpoint_is_refused_and_the_one_before_named(tmp_path: Path) -> None:
-    run = train(tmp_path, tiny_config())
-    content = run.folder.latest.read_bytes()
-    run.folder.latest.write_bytes(content[: len(content) // 2])
+def test_cut_off_checkpoint_is_refused_and_the_one_before_named(whole: TrainingRun, tmp_path: Path) -> None:
+    folder = RunFolder(shutil.copytree(whole.folder.path, tmp_path / "run"))
+    content = folder.latest.read_bytes()
+    folder.latest.write_bytes(content[: len(content) // 2])
     with pytest.raises(SurefootError, match=r"broken.*previous\.ckpt beside it is whole, at 1024 steps") as error:
-        resume(run.folder.path)
+        folder.load()
     assert "\n" not in str(error.value)
+    folder.previous.unlink()
+    with pytest.raises(SurefootError, match=r"broken.*there is no older checkpoint to resume from"):
+        folder.load()
 
 
 def test_one_flipped_bit_is_found(tmp_path: Path) -> None:
@@ -161,7 +166,8 @@ class Intruder:
 @pytest.mark.parametrize("inside", ["array", "table"])
 def test_a_checkpoint_that_would_run_code_is_refused(tmp_path: Path, inside: str) -> None:
     """With a digest that fits: whoever writes such a file writes that too."""
-    bad, path, mark = Intruder(f"touch {tmp_path / 'was-here'}"), tmp_path / "a.ckpt", tmp_path / "was-here"
+    path, mark = tmp_path / "a.ckpt", tmp_path / "was-here"
+    bad = Intruder(f"touch {mark}")
     write_checkpoint(path, {"steps": np.array([bad], object) if inside == "array" else bad})
     with pytest.raises(SurefootError, match=r"a\.ckpt: is not a checkpoint that surefoot wrote") as error:
         read_checkpoint(path)
@@ -179,17 +185,12 @@ def test_arrays_come_back_to_the_last_bit(tmp_path: Path, kind: type) -> None:
     assert again["stream"] == state["stream"]
 
 
-def test_folder_of_another_version_is_refused(whole: TrainingRun, tmp_path: Path) -> None:
-    folder = RunFolder.create(whole.config, tmp_path)
+def test_folder_of_another_version_is_refused(tmp_path: Path) -> None:
+    folder = RunFolder.create(tiny_config(), tmp_path)
     about = json.loads((folder.path / "run.json").read_text())
     (folder.path / "run.json").write_text(json.dumps({**about, "format": 99, "surefoot": "9.0"}))
     with pytest.raises(SurefootError, match=r"format 99, by surefoot 9\.0.*reads format 3"):
         RunFolder.open(folder.path)
-
-
-def test_no_run_folder_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(SurefootError, match="is not a run folder"):
-        RunFolder.open(tmp_path)
 
 
 def test_full_disk_leaves_the_old_checkpoint_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

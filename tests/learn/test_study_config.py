@@ -15,6 +15,7 @@ from surefoot.errors import SurefootError
 from surefoot.learn.config import TrainConfig, load_train_config
 from surefoot.learn.study_config import (
     CHECKPOINT_EVERY,
+    GroupConfig,
     StudyConfig,
     StudyRun,
     difference,
@@ -35,8 +36,8 @@ evaluate: [table1]
 """
 
 
-def study_file(folder: Path, text: str = STUDY, name: str = "walks.yaml") -> Path:
-    path = folder / name
+def study_file(folder: Path, text: str = STUDY) -> Path:
+    path = folder / "walks.yaml"
     path.write_text(text)
     return path
 
@@ -56,11 +57,8 @@ def test_groups_keep_what_they_do_not_name(tmp_path: Path) -> None:
     assert plain.task.randomize.ranges == {}
     assert drawn.task.randomize == load_ranges("table1")
     assert (study.label("plain"), study.label("drawn")) == ("plain", "Drawn")
-
-
-def test_runs_share_cores_and_save_often(tmp_path: Path) -> None:
-    config = group_config(load_study(study_file(tmp_path)), "plain")
-    assert (config.threads, config.learning_threads, config.checkpoint_every) == (1, 1, CHECKPOINT_EVERY)
+    # Runs share cores and save often.
+    assert (plain.threads, plain.learning_threads, plain.checkpoint_every) == (1, 1, CHECKPOINT_EVERY)
 
 
 def test_a_named_table_replaces_every_range(tmp_path: Path) -> None:
@@ -127,8 +125,7 @@ def test_what_is_no_study_is_refused(text: str, message: str, tmp_path: Path) ->
 
 
 def test_every_pair_is_compared_unless_some_are_named() -> None:
-    groups = {name: {} for name in "abc"}
-    study = StudyConfig(groups=groups)  # type: ignore[arg-type]
+    study = StudyConfig(groups={name: GroupConfig() for name in "abc"})
     assert study.pairs == (("a", "b"), ("a", "c"), ("b", "c"))
     assert replace(study, compare=(("c", "a"),)).pairs == (("c", "a"),)
 
@@ -231,13 +228,8 @@ def test_the_reality_gap_study_is_what_it_says() -> None:
     # The paper's first two groups have neither its motors nor its delays, the third has both.
     one, two, three = (group_config(study, name).task for name in study.bars["simulators"])
     half, other = (group_config(study, name).task for name in ("actuator_only", "latency_only"))
-    assert [t.actuator for t in (one, two, three, half, other)] == [
-        "constraint",
-        "constraint",
-        "dc",
-        "dc",
-        "constraint",
-    ]
+    actuators = [task.actuator for task in (one, two, three, half, other)]
+    assert actuators == ["constraint", "constraint", "dc", "dc", "constraint"]
     assert [t.pushes.enabled for t in (one, two, three, half, other)] == [False, True, True, True, True]
     for task in (one, two, half):
         assert (task.params["control_latency"], task.params["servo_latency"]) == (0.0, 0.0)

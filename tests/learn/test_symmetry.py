@@ -37,7 +37,9 @@ def test_a_column_without_counterpart_is_refused():
         mirror_columns(["angle.left_1"])
 
 
-def wave(phases: dict[str, float]) -> TaskConfig:
+def wave(*phase: float) -> TaskConfig:
+    """A task whose reference has these phases: front left, back left, front right, back right."""
+    phases = dict(zip(("front_left", "back_left", "front_right", "back_right"), phase, strict=True))
     waves = ReferenceConfig(
         kind="sine",
         swing=WaveConfig(amplitude=0.2, frequency=2.0, phase=phases),
@@ -49,18 +51,18 @@ def wave(phases: dict[str, float]) -> TaskConfig:
 @pytest.mark.parametrize(
     ("phases", "half"),
     [
-        ({"front_left": 0.0, "back_left": np.pi, "front_right": np.pi, "back_right": 0.0}, True),  # trot
-        ({"front_left": 0.0, "back_left": 0.0, "front_right": np.pi, "back_right": np.pi}, True),  # pace
-        ({"front_left": 0.0, "back_left": np.pi, "front_right": 0.0, "back_right": np.pi}, False),  # bound
+        ((0.0, np.pi, np.pi, 0.0), True),  # trot
+        ((0.0, 0.0, np.pi, np.pi), True),  # pace
+        ((0.0, np.pi, 0.0, np.pi), False),  # bound
     ],
 )
 def test_a_symmetric_reference_is_its_own_image_at_once_or_half_a_period_later(phases, half):
-    assert reference_shift(make_env(wave(phases))) is half
+    assert reference_shift(make_env(wave(*phases))) is half
 
 
 def test_a_reference_that_is_not_symmetric_is_refused():
     with pytest.raises(SurefootError, match=r"ppo\.symmetry.*not left-right symmetric"):
-        reference_shift(make_env(wave({"front_left": 0.0, "back_left": 1.0, "front_right": 2.0, "back_right": 3.0})))
+        reference_shift(make_env(wave(0.0, 1.0, 2.0, 3.0)))
 
 
 @pytest.fixture(scope="module")
@@ -111,8 +113,7 @@ def test_a_mirrored_robot_moves_as_the_mirror_image():
         start_angular_speed=0.0,
         pushes=PushConfig(),
     )
-    phases = {"front_left": 0.0, "back_left": 0.0, "front_right": 0.0, "back_right": 0.0}
-    pronk = wave(phases).reference
+    pronk = wave(0.0, 0.0, 0.0, 0.0).reference
     env = make_env(replace(task, reference=pronk, feedback=FeedbackConfig((-0.2, 0.2), (-0.2, 0.2))))
     mirror = MirrorSamples(env)
     draws = np.random.default_rng(1)

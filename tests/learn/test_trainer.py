@@ -19,7 +19,7 @@ def rewards_given(fall_cost: float) -> tuple[torch.Tensor, torch.Tensor, Trainer
     config = replace(
         preset,
         num_envs=8,
-        steps_per_update=60,
+        steps_per_update=40,
         threads=1,
         learning_threads=1,
         task=replace(preset.task, fall_angle=0.03),

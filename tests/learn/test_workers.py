@@ -26,7 +26,7 @@ if request["do"] == "raise":
     raise RuntimeError("the leg broke")
 if request["do"] == "die":
     os.kill(os.getpid(), signal.SIGKILL)
-end = time.time() + (60 if request["do"] == "wait" else 0.3)
+end = time.time() + (60 if request["do"] == "wait" else 0.1)
 while time.time() < end and not stop and not orphaned():
     time.sleep(0.02)
 sys.exit(130 if stop or orphaned() else 0)

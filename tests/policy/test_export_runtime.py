@@ -25,13 +25,8 @@ from surefoot.world.sim_world import SimWorld  # noqa: E402
 
 def make_trainer(task: str, activation: str = "elu", history: int = 1) -> Trainer:
     """An untrained trainer whose normalizer and last layer are not those of the first moment."""
-    config = load_train_config(task)
-    config = replace(
-        config,
-        task=replace(config.task, history=history),
-        num_envs=2,
-        ppo=PPOConfig(policy_hidden=(16, 8), activation=activation),
-    )
+    config, ppo = load_train_config(task), PPOConfig(policy_hidden=(16, 8), activation=activation)
+    config = replace(config, task=replace(config.task, history=history), num_envs=2, threads=1, ppo=ppo)
     trainer = Trainer(config, SimWorld)
     with torch.no_grad():
         trainer.policy.mlp[-1].weight.mul_(20)
@@ -52,13 +47,7 @@ def policy_file(trainer: Trainer, tmp_path_factory: pytest.TempPathFactory) -> P
 
 @pytest.mark.parametrize(
     ("task", "activation", "history"),
-    [
-        ("trot", "elu", 1),
-        ("gallop", "tanh", 3),
-        ("trot", "relu", 2),
-        ("gallop", "selu", 1),
-        ("trot", "swish", 1),
-    ],
+    [("trot", "elu", 1), ("gallop", "tanh", 3), ("trot", "relu", 2), ("gallop", "selu", 1), ("trot", "swish", 1)],
 )
 def test_the_file_computes_what_the_network_and_the_environment_do(
     task: str, activation: str, history: int, tmp_path: Path, rng: np.random.Generator

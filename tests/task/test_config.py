@@ -12,17 +12,6 @@ from surefoot.errors import SurefootError
 from surefoot.task.config import TaskConfig, load_task, preset_names
 
 
-def test_the_papers_two_gaits_are_presets():
-    assert {"gallop", "trot"} <= set(preset_names())
-
-
-@pytest.mark.parametrize("name", ["gallop", "trot"])
-def test_a_preset_loads(name):
-    config, _ = load_task(name)
-    assert config.name == name
-    assert config.robot == "minitaur"
-
-
 def test_gallop_learns_from_scratch_and_trot_follows_a_reference():
     gallop, trot = load_task("gallop")[0], load_task("trot")[0]
     assert gallop.reference.kind == "none"
@@ -38,11 +27,7 @@ def load(tmp_path: Path, text: str) -> TaskConfig:
     return load_task(str(tmp_path / "mine.yaml"))[0]
 
 
-def test_a_file_without_a_name_gives_its_own(tmp_path):
-    assert load(tmp_path, "robot: minitaur\n").name == "mine"
-
-
-def test_an_empty_table_gives_the_defaults(tmp_path):
+def test_an_empty_table_gives_the_defaults_and_the_files_name(tmp_path):
     assert load(tmp_path, "{}\n") == TaskConfig(name="mine")
 
 
@@ -70,9 +55,10 @@ def test_a_tables_path_counts_from_the_tasks_file(tmp_path):
     assert config.reference.period == 0.5
 
 
-@pytest.mark.parametrize("name", ["gallop", "trot"])
+@pytest.mark.parametrize("name", preset_names())
 def test_written_and_read_again_it_is_the_same(tmp_path, name):
     config, _ = load_task(name)
+    assert config.name == name
     write_yaml(tmp_path / "again.yaml", config)
     assert load_task(str(tmp_path / "again.yaml"))[0] == config
     assert to_mapping(config)["feedback"]["swing"] == list(config.feedback.swing)
@@ -83,10 +69,7 @@ def test_written_and_read_again_it_is_the_same(tmp_path, name):
     [
         ("robott: minitaur", ["robott is not a key", "choices: name, robot, observations"]),
         ("feedback: {swign: [0, 1]}", ["feedback.swign is not a key", "choices: swing, extension"]),
-        (
-            "feedback: {swing: [0, 1, 2]}",
-            ["feedback.swing is [0, 1, 2]", "a list of 2 values, each a number"],
-        ),
+        ("feedback: {swing: [0, 1, 2]}", ["feedback.swing is [0, 1, 2]", "a list of 2 values, each a number"]),
         ("feedback: {swing: [0, big]}", ["feedback.swing[1] is 'big'", "a number"]),
         ("feedback: {swing: [1, 0]}", ["feedback.swing is [1, 0]", "the lower bound must come first"]),
         ("feedback: 3", ["feedback is 3", "must be a table", "swing, extension"]),

@@ -7,24 +7,10 @@ import pytest
 
 from surefoot.errors import SurefootError
 from surefoot.robot import PhysicalParams
-from surefoot.task.hidden import SERVO_LATENCY, draw_hidden
-from surefoot.task.randomize import ROWS, load_ranges
+from surefoot.task.randomize import ROWS, SERVO_LATENCY, draw_hidden, load_ranges
 
 RANGES = load_ranges("table1").ranges
-PARAMS = {
-    "mass": ("base_mass_ratio", "leg_mass_ratio"),
-    "motor_friction": ("motor_friction",),
-    "inertia": ("base_inertia_ratio", "leg_inertia_ratio"),
-    "motor_strength": ("motor_strength",),
-    "latency": ("control_latency",),
-    "voltage": ("voltage",),
-    "contact_friction": ("contact_friction",),
-    "imu_bias": ("imu_bias",),
-    "imu_noise": ("imu_noise",),
-    "torque_constant": ("torque_constant",),
-    "resistance": ("resistance",),
-    "servo_latency": ("servo_latency",),
-}
+DRAWN = (*RANGES, "torque_constant", "resistance", "servo_latency")
 
 
 def test_every_number_is_within_its_range_and_the_rest_is_nominal(robot):
@@ -32,8 +18,8 @@ def test_every_number_is_within_its_range_and_the_rest_is_nominal(robot):
     drawn = [draw_hidden(robot, RANGES, seed) for seed in range(200)]
     for name in PhysicalParams.names():
         values = np.array([getattr(params, name)[0] for params in drawn])
-        row = next((row for row, names in PARAMS.items() if name in names), None)
-        if row is None:
+        row = next((row for row in DRAWN if name in ROWS[row].params), None)
+        if row in (None, "control_step"):  # the control step is the host's
             np.testing.assert_array_equal(values, np.broadcast_to(getattr(nominal, name)[0], values.shape))
             continue
         value = float(np.ravel(getattr(nominal, name))[0])
@@ -45,14 +31,12 @@ def test_every_number_is_within_its_range_and_the_rest_is_nominal(robot):
         assert values.max() - values.min() > 0.9 * (high - low), name
 
 
-def test_the_control_step_is_the_hosts(robot):
-    assert "control_step" in RANGES
-    assert draw_hidden(robot, RANGES, 3).control_step[0] == 0.006
-
-
-def test_rows_are_those_of_randomization():
-    for row, names in PARAMS.items():
-        assert ROWS[row].params == names
+def test_the_ensembles_table_says_the_same_of_motors_and_servo(robot):
+    ranges = load_ranges("ensemble").ranges
+    alone = {row: bounds for row, bounds in ranges.items() if row not in DRAWN[-3:]}
+    with_rows, without = (draw_hidden(robot, given, 3) for given in (ranges, alone))
+    for name in DRAWN[-3:]:
+        assert getattr(with_rows, name) == getattr(without, name)
 
 
 def test_a_seed_is_a_robot(robot):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from surefoot.errors import SurefootError
-from surefoot.task.observation import IMU_4D, IMU_AND_MOTORS_12D, PARTS, Moment, Observer
+from surefoot.task.observation import IMU_4D, IMU_AND_MOTORS_12D, Moment, Observer
 from surefoot.task.reference import make_reference
 from surefoot.world.interface import Readings
 
@@ -41,11 +41,6 @@ def test_twelve_numbers_add_the_motor_angles_in_the_robots_order(robot, moment):
     assert observer.observe(moment)[1, 4:].tolist() == list(range(8, 16))
 
 
-def test_the_order_is_as_given(robot, moment):
-    observer = Observer(robot, ("pitch", "motor_speeds", "roll"))
-    assert observer.observe(moment)[0].tolist() == [0.2, *range(100, 108), 0.1]
-
-
 def test_phase_goes_round_with_the_reference(robot, moment):
     # Two hertz: .125 s is a quarter.
     observed = Observer(robot, ("reference_phase",)).observe(moment)
@@ -57,22 +52,6 @@ def test_last_action_is_the_feedback_in_leg_space(robot, moment):
     assert observer.columns[0] == "last_swing.front_left"
     assert observer.columns[-1] == "last_extension.back_right"
     assert np.array_equal(observer.observe(moment), moment.last_feedback)
-
-
-@pytest.mark.parametrize("name", PARTS)
-def test_columns_and_numbers_agree(robot, moment, name):
-    observer = Observer(robot, (name,))
-    assert observer.observe(moment).shape == (2, observer.width)
-    assert len(set(observer.columns)) == observer.width
-
-
-def test_units_and_frames(robot):
-    described = Observer(robot, ("roll", "pitch_rate", "motor_speeds")).describe()
-    assert described == [
-        {"name": "roll", "unit": "rad", "frame": "base in world"},
-        {"name": "pitch_rate", "unit": "rad/s", "frame": "base, about y"},
-        {"name": "motor_speeds", "unit": "rad/s", "frame": "motor"},
-    ]
 
 
 @pytest.mark.parametrize(

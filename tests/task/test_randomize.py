@@ -17,6 +17,7 @@ from surefoot.robot import PhysicalParams
 from surefoot.seeding import generators
 from surefoot.task.config import FeedbackConfig, TaskConfig, load_task
 from surefoot.task.env import LocomotionEnv
+from surefoot.task.pushes import PushConfig
 from surefoot.task.randomize import (
     ROWS,
     RandomizeConfig,
@@ -24,7 +25,6 @@ from surefoot.task.randomize import (
     check_ranges,
     load_ranges,
     range_names,
-    row_values,
 )
 from surefoot.world.mujoco_engine import BULLET_ONLY
 from surefoot.world.mujoco_model import build_model
@@ -109,16 +109,13 @@ def test_draws_are_uniform_over_the_range(many, row):
 def test_all_numbers_are_independent(many):
     drawn = np.array([np.concatenate([numbers(params, row) for row in ROWS], axis=1) for params in many])
     assert drawn.shape == (40, 100, 31)
+    assert np.all(many[0].motor_friction == many[0].motor_friction[:, :1])  # all motors share one
     between = np.corrcoef(drawn.reshape(4000, 31), rowvar=False) - np.eye(31)
     # The standard error of a correlation of 4000 pairs is .016; this is four of them.
     assert np.abs(between).max() < 0.064
     for first, second in ((drawn[:-1], drawn[1:]), (drawn[:, :-1], drawn[:, 1:])):  # episodes, and robots, in a row
         for k in range(31):
             assert abs(np.corrcoef(first[..., k].ravel(), second[..., k].ravel())[0, 1]) < 0.064
-
-
-def test_all_motors_share_one_friction(many):
-    assert np.all(many[0].motor_friction == many[0].motor_friction[:, :1])
 
 
 def test_what_has_no_row_or_no_range_stays_nominal(make_randomizer, robot):
@@ -220,25 +217,18 @@ def wave(env: LocomotionEnv, k: int) -> np.ndarray:
     return env.robot.leg_to_motor_angles(0.3 * np.sin(phase), 2.0 + 0.35 * np.sin(phase))
 
 
-def lift(env: LocomotionEnv, height: float = 2.0) -> None:
-    for data in env.world.engine.datas:
-        data.qpos[2] = height
-
-
-def test_mass_base_and_legs_weigh_what_was_drawn(robot):
-    env = make_env({"mass": (0.8, 1.2)}, num_envs=16)
+def test_what_robots_weigh_and_how_deep_their_feet_stand_is_as_drawn(robot):
+    env = make_env({"mass": (0.8, 1.2), "contact_stiffness": (1500.0, 6000.0)}, num_envs=12)
     for _ in range(450):
         env.world.step(env.world.resting_angles)
-    depth = robot.leg_geometry.foot_radius - env.world.foot_positions()[:, :, 2]
-    weighed = robot.contact.stiffness * depth.sum(axis=1) / 9.81
-    ratios = np.stack([env.world.params.base_mass_ratio, env.world.params.leg_mass_ratio], axis=1)
+    depth, params = robot.leg_geometry.foot_radius - env.world.foot_positions()[:, :, 2], env.world.params
+    weighed = params.contact_stiffness * depth.sum(axis=1) / 9.81
+    assert params.contact_stiffness.max() > 2 * params.contact_stiffness.min()
+    ratios = np.stack([params.base_mass_ratio, params.leg_mass_ratio], axis=1)
     base = sum(robot.urdf.links[name].mass for name in robot.urdf.fixed_to(robot.base))
     expected = base, robot.urdf.total_mass - base
     assert expected == pytest.approx((5.993, 1.48))
     np.testing.assert_allclose(weighed, ratios @ expected, rtol=1e-3)
-    # Kilograms for one unit of either ratio, from the weights alone.
-    slopes = np.linalg.lstsq(ratios, weighed, rcond=None)[0]
-    np.testing.assert_allclose(slopes, expected, rtol=0.01)
 
 
 def own_model(env: LocomotionEnv, i: int, without: str = "") -> mujoco.MjModel:
@@ -266,158 +256,59 @@ def own_motion(model: mujoco.MjModel, start: np.ndarray, forces: list[tuple[np.n
     return np.array(path)
 
 
-@pytest.mark.parametrize("row", ["mass", "inertia"])
-def test_mass_and_inertia_move_as_in_a_model_of_our_own(row):
-    env = make_env({row: FULL.ranges[row]}, num_envs=3, params=FINE)
+def test_mass_and_inertia_move_as_in_a_model_of_our_own():
+    env = make_env({row: FULL.ranges[row] for row in ("mass", "inertia")}, num_envs=3, params=FINE)
     engine = env.world.engine
     size = mujoco.mj_stateSize(build_model(env.robot), mujoco.mjtState.mjSTATE_INTEGRATION)
     start = [engine.get_state(i)[:size] for i in range(3)]
     forces: list[list[Any]] = [[], [], []]
     path: list[list[np.ndarray]] = [[], [], []]
-    for k in range(120):
+    for k in range(80):
         env.world.step(wave(env, k))
         for i, data in enumerate(engine.datas):
             forces[i].append((data.qfrc_applied.copy(), data.xfrc_applied.copy()))
             path[i].append(data.qpos.copy())
     for i in range(3):
         assert np.array_equal(own_motion(own_model(env, i), start[i], forces[i]), path[i])
-        for part in ("base", "leg"):
-            other = own_motion(own_model(env, i, without=f"{part}_{row}_ratio"), start[i], forces[i])
+        for name in ("base_mass_ratio", "leg_mass_ratio", "base_inertia_ratio", "leg_inertia_ratio"):
+            other = own_motion(own_model(env, i, without=name), start[i], forces[i])
             assert np.abs(other - path[i]).max() > 1e-6
 
 
-def angular_momentum(model: mujoco.MjModel, data: mujoco.MjData, base_ratio: float, leg_ratio: float) -> np.ndarray:
-    """About the centre of mass [N m s], summed body by body; ratios of inertia."""
-    mine, velocity, total = mujoco.MjData(model), np.empty(6), np.zeros(3)
-    mine.qpos[:], mine.qvel[:] = data.qpos, data.qvel
-    mujoco.mj_forward(model, mine)
-    centre = model.body_mass @ mine.xipos / model.body_mass.sum()
-    for body in range(1, model.nbody):
-        mujoco.mj_objectVelocity(model, mine, mujoco.mjtObj.mjOBJ_BODY, body, velocity, 0)
-        ratio = base_ratio if model.body(body).name == "base" else leg_ratio
-        frame = mine.ximat[body].reshape(3, 3)
-        total += frame * (ratio * model.body_inertia[body]) @ frame.T @ velocity[:3]
-        total += model.body_mass[body] * np.cross(mine.xipos[body] - centre, velocity[3:])
-    return total
+def torques_by_hand(env: LocomotionEnv, target: np.ndarray, angle: np.ndarray, speed: np.ndarray, **changed: Any):
+    """Torque on each motor's shaft (steps, N, M) by eq. 5 to 7 of the paper; `changed` parameters for all."""
+    params = env.world.params.with_values(env.robot, **changed)
+    time = 0.001 * np.arange(len(angle))
+    expected = np.empty_like(angle)
+    for i, m in np.ndindex(*angle.shape[1:]):
+        seen, turning = (np.interp(time - params.servo_latency[i], time, x[:, i, m]) for x in (angle, speed))
+        duty = params.servo_kp[i] * (target[:, m] - seen) - params.servo_kd[i] * turning
+        now = speed[:, i, m]
+        net = np.clip(duty, -1, 1) * params.voltage[i] - params.torque_constant[i] * now
+        current = net / params.resistance[i]
+        torque = np.sign(current) * np.interp(np.abs(current), *env.robot.torque_table) * params.motor_strength[i, m]
+        expected[:, i, m] = torque - params.motor_friction[i, m] * np.tanh(now / 0.1)
+    return expected
 
 
-def test_inertia_sets_what_a_torque_turns(robot):
-    # In the air, a torque for a time is the gain of angular momentum, whatever the legs do.
-    env = make_env({"inertia": (0.5, 1.5)}, num_envs=6)
-    lift(env)
-    params, model, datas = env.world.params, build_model(robot), env.world.engine.datas
-    ratios = list(zip(params.base_inertia_ratio, params.leg_inertia_ratio, strict=True))
-    torque = np.array([1.0, -0.5, 2.0])
-    for data in datas:
-        data.xfrc_applied[model.body(robot.base).id, 3:] = torque
-    start = [angular_momentum(model, data, *ratio) for data, ratio in zip(datas, ratios, strict=True)]
-    unaware = [angular_momentum(model, data, 1.0, 1.0) for data in datas]
-    for _ in range(10):
-        env.world.step(env.world.resting_angles)
-    for i, data in enumerate(datas):
-        gained = angular_momentum(model, data, *ratios[i]) - start[i]
-        np.testing.assert_allclose(gained, 0.06 * torque, atol=1e-3)
-        if abs(ratios[i][0] - 1) > 0.1:
-            gained = angular_momentum(model, data, 1.0, 1.0) - unaware[i]
-            assert np.abs(gained - 0.06 * torque).max() > 5e-3
-
-
-class MotorLog:
-    """What the motors of an environment went through, one entry a servo step."""
-
-    def __init__(self, env: LocomotionEnv, targets: list[np.ndarray]) -> None:
-        self.robot, self.params = env.robot, env.world.params
-        engine, robot = env.world.engine, env.robot
-        model = build_model(robot)
-        dofs = [model.joint(name).dofadr[0] for name in robot.motor_names]
-        angle, speed, torque, applied = [], [], [], []
-        for target in targets:
-            truth = env.world.truth()
-            angle.append(truth.motor_angle)
-            speed.append(truth.motor_velocity)
-            env.world.step(target)
-            torque.append(env.world.truth().motor_torque)
-            applied.append(np.array([data.qfrc_applied[dofs] * robot.motor_sign for data in engine.datas]))
-        self.target = np.array([np.broadcast_to(target, angle[0].shape) for target in targets])
-        self.angle, self.speed = np.array(angle), np.array(speed)
-        self.torque, self.applied = np.array(torque), np.array(applied)
-
-    def by_hand(self, **changed: Any) -> np.ndarray:
-        """Torque on each motor's shaft (steps, N, M) by eq. 5 to 7 of the paper; `changed` parameters for all."""
-        robot, steps = self.robot, len(self.angle)
-        params = self.params.with_values(robot, **changed)
-        time = 0.001 * np.arange(steps)
-        expected = np.empty_like(self.torque)
-        for i, m in np.ndindex(*self.angle.shape[1:]):
-            angle, speed = (
-                np.interp(time - params.servo_latency[i], time, x[:, i, m]) for x in (self.angle, self.speed)
-            )
-            duty = params.servo_kp[i] * (self.target[:, i, m] - angle) - params.servo_kd[i] * speed
-            now = self.speed[:, i, m]
-            net = np.clip(duty, -1, 1) * params.voltage[i] - params.torque_constant[i] * now
-            current = net / params.resistance[i]
-            torque = np.sign(current) * np.interp(np.abs(current), *robot.torque_table) * params.motor_strength[i, m]
-            expected[:, i, m] = torque - params.motor_friction[i, m] * np.tanh(now / 0.1)
-        return expected
-
-
-@pytest.mark.parametrize(
-    "row", ["motor_strength", "motor_friction", "voltage", "torque_constant", "resistance", "servo_latency"]
-)
-def test_the_motors_answer_as_drawn(row):
-    env = make_env({row: FULL.ranges[row]}, num_envs=3, params=FINE)
-    log = MotorLog(env, [wave(env, k) for k in range(80)])
-    np.testing.assert_allclose(log.applied, log.by_hand(), rtol=1e-9, atol=1e-9)
-    nominal = {name: env.robot.nominal_params()[name] for name in ROWS[row].params}
-    apart = np.abs(log.applied - log.by_hand(**nominal)).max(axis=0)
-    assert np.all(apart > 1e-6)  # each motor of each robot
-
-
-def test_motor_strength_each_motor_its_own(robot):
-    # All robots start in the same state: the first servo step's torque differs by strength alone.
-    env, nominal = make_env({"motor_strength": (0.8, 1.2)}, params=FINE), make_env({}, num_envs=1, params=FINE)
-    target = env.world.resting_angles + 0.3
-    for world in (env.world, nominal.world):
-        world.step(target)
-    ratio = env.world.truth().motor_torque / nominal.world.truth().motor_torque
-    np.testing.assert_allclose(ratio, env.world.params.motor_strength, rtol=1e-12)
-    assert len(np.unique(env.world.params.motor_strength)) == 4 * 8
-
-
-def test_motor_friction_brakes_a_turning_motor():
-    env = make_env({"motor_friction": (0.01, 0.05)}, params=FINE)
-    log = MotorLog(env, [wave(env, k) for k in range(80)])
-    turning = np.abs(log.speed) > 0.5
-    assert turning.sum() > 500
-    measured = -(log.applied - log.torque) * np.sign(log.speed)
-    drawn = np.broadcast_to(env.world.params.motor_friction, measured.shape)
-    np.testing.assert_allclose(measured[turning], drawn[turning], rtol=1e-3)
-
-
-@pytest.mark.parametrize(
-    ("row", "given"),
-    [("voltage", (14.0, 16.8)), ("torque_constant", (0.08, 0.11)), ("resistance", (0.4, 0.6))],
-)
-def test_torque_at_full_duty_follows_the_current(row, given):
-    # I = (V - K_t qdot) / R, solved for what was drawn. R of half an ohm keeps I below 60 A, where the torque is flat.
-    env = make_env({row: given}, params={**FINE, "resistance": 0.5})
-    log = MotorLog(env, [env.world.resting_angles + 1.5] * 30)  # 1.5 rad at k_p = 1: duty is cut to 1
-    currents, torques = env.robot.torque_table
-    current = np.interp(log.torque, torques, currents)
-    speed, params = log.speed, env.world.params
-    volt, constant, resistance = (
-        value[None, :, None] for value in (params.voltage, params.torque_constant, params.resistance)
-    )
-    use = (log.target - log.angle > 1.2) & (speed > 2.0) & (current > 1.0)
-    assert use.sum(axis=(0, 2)).min() > 20
-    measured = {
-        "voltage": current * resistance + constant * speed,
-        "torque_constant": (volt - current * resistance) / np.where(use, speed, 1.0),
-        "resistance": (volt - constant * speed) / np.where(use, current, 1.0),
-    }[row]
-    drawn = np.broadcast_to(getattr(params, row)[None, :, None], measured.shape)
-    np.testing.assert_allclose(measured[use], drawn[use], rtol=1e-9)
-    assert len(np.unique(getattr(params, row))) == 4
+def test_the_motors_answer_as_drawn():
+    rows = ("motor_strength", "motor_friction", "voltage", "torque_constant", "resistance", "servo_latency")
+    env = make_env({row: FULL.ranges[row] for row in rows}, num_envs=3, params=FINE)
+    robot, datas, model = env.robot, env.world.engine.datas, build_model(env.robot)
+    dofs = [model.joint(name).dofadr[0] for name in robot.motor_names]
+    target = np.array([wave(env, k) for k in range(80)])
+    angle, speed, applied = [], [], []
+    for now in target:
+        truth = env.world.truth()
+        angle.append(truth.motor_angle)
+        speed.append(truth.motor_velocity)
+        env.world.step(now)
+        applied.append([data.qfrc_applied[dofs] * robot.motor_sign for data in datas])
+    went = target, np.array(angle), np.array(speed)
+    np.testing.assert_allclose(applied, torques_by_hand(env, *went), rtol=1e-9, atol=1e-9)
+    for row in rows:  # which is also the name of its parameter
+        apart = np.abs(applied - torques_by_hand(env, *went, **{row: robot.nominal_params()[row]})).max(axis=0)
+        assert np.all(apart > 1e-6)  # each motor of each robot
 
 
 def test_control_step_on_the_robots_clocks():
@@ -475,49 +366,19 @@ def test_contact_friction_sets_where_feet_slide_and_how_they_slow():
     np.testing.assert_allclose(ratio[slide], mu[slide], rtol=1e-9)
 
 
-def test_contact_stiffness_is_what_feet_stand_on(robot):
-    env = make_env({"contact_stiffness": (1500.0, 6000.0)}, num_envs=16)
-    for _ in range(450):
-        env.world.step(env.world.resting_angles)
-    depth = robot.leg_geometry.foot_radius - env.world.foot_positions()[:, :, 2]
-    drawn = env.world.params.contact_stiffness
-    np.testing.assert_allclose(7.473 * 9.81 / depth.sum(axis=1), drawn, rtol=1e-3)
-    assert drawn.max() > 2 * drawn.min()
-
-
-def errors(env: LocomotionEnv, steps: int) -> np.ndarray:
-    """Read roll, pitch and yaw less the true ones (steps, N, 3)."""
+def test_imu_bias_and_noise_are_in_the_readings():
+    env = make_env({"imu_bias": (-0.05, 0.05), "imu_noise": (0.01, 0.03)}, params={"control_latency": 0.0})
     path = []
-    for _ in range(steps):
-        env.step(np.zeros((env.num_envs, 8)))
+    for _ in range(500):
+        env.step(np.zeros((4, 8)))
         path.append(env.readings.roll_pitch_yaw - env.truth.roll_pitch_yaw)
-    return np.array(path)
-
-
-def test_imu_bias_is_in_the_readings():
-    env = make_env({"imu_bias": (-0.05, 0.05)}, params={"control_latency": 0.0})
-    error, drawn = errors(env, 20), env.world.params.imu_bias
-    np.testing.assert_allclose(error[..., :2], np.broadcast_to(drawn, (20, 4, 2)), atol=1e-12)
+    error, params = np.array(path), env.world.params
     assert np.all(error[..., 2] == 0)
-    assert len(np.unique(drawn)) == 8
-
-
-def test_imu_noise_is_in_the_readings():
-    env = make_env({"imu_noise": (0.01, 0.05)}, params={"control_latency": 0.0})
-    error, drawn = errors(env, 900), env.world.params.imu_noise
-    assert np.all(error[..., 2] == 0)
-    # The standard error of a standard deviation of 1800 numbers is 1.7 %, that of a mean 2.4 %.
-    spread = error[..., :2].std(axis=(0, 2))
-    np.testing.assert_allclose(spread, drawn, rtol=0.06)
-    assert np.all(np.abs(error[..., :2].mean(axis=(0, 2))) < 0.08 * drawn)
-    assert drawn.max() > 1.5 * drawn.min()
-
-
-def test_bias_and_noise_add_up():
-    env = make_env({"imu_bias": (-0.05, 0.05), "imu_noise": (0.01, 0.02)}, params={"control_latency": 0.0})
-    error, params = errors(env, 900)[..., :2], env.world.params
-    assert np.all(np.abs(error.mean(axis=0) - params.imu_bias) < 0.15 * params.imu_noise[:, None])
-    np.testing.assert_allclose(error.std(axis=0).mean(axis=1), params.imu_noise, rtol=0.06)
+    # The standard error of a standard deviation of 1000 numbers is 2.2 %, that of a mean of 500 numbers 4.5 %.
+    assert np.all(np.abs(error[..., :2].mean(axis=0) - params.imu_bias) < 0.15 * params.imu_noise[:, None])
+    np.testing.assert_allclose(error[..., :2].std(axis=0).mean(axis=1), params.imu_noise, rtol=0.08)
+    assert len(np.unique(params.imu_bias)) == 8
+    assert params.imu_noise.max() > 1.5 * params.imu_noise.min()
 
 
 # --- when it is drawn -------------------------------------------------------------------------------------
@@ -552,13 +413,9 @@ def kept(env: LocomotionEnv) -> PhysicalParams:
     return env.world.params.rows(np.arange(env.num_envs))
 
 
-def test_the_first_episode_is_drawn():
-    env, nominal = make_env(TABLE_1), PhysicalParams.nominal(make_env({}).robot, 4)
-    assert changed(env, nominal).all()
-
-
 def test_every_reset_draws_anew_for_the_robots_that_restart():
     env = make_env(TABLE_1)
+    assert changed(env, PhysicalParams.nominal(env.robot, 4)).all()
     env.reset()
     before = kept(env)
     env.reset(options={"reset_mask": np.array([False, True, False, True])})
@@ -606,13 +463,22 @@ def test_without_autoreset_an_episode_that_is_over_keeps_its_parameters():
     assert not changed(env, before).any()
 
 
+PUSHED: dict[str, Any] = {
+    "max_steps": 20,
+    "start_linear_speed": 0.05,
+    "history": 2,
+    "pushes": PushConfig(enabled=True, period=0.05, duration=0.02),
+}
+
+
 def test_a_seeded_reset_repeats_all_draws():
-    env = make_env(TABLE_1, max_steps=12, seed=8)
-    env.reset(seed=3)
+    env = make_env(TABLE_1, num_envs=2, seed=8, **PUSHED)
+    first, _ = env.reset(seed=3)
     path = run(env, 30)
-    env.reset(seed=3)
+    again, _ = env.reset(seed=3)
+    assert np.array_equal(first, again)
     assert same_path(path, run(env, 30))
-    assert same_path(path, run(make_env(TABLE_1, max_steps=12, seed=3), 30))
+    assert same_path(path, run(make_env(TABLE_1, num_envs=2, seed=3, **PUSHED), 30))
     env.reset(seed=4)
     assert not same_path(path, run(env, 30))
 
@@ -629,16 +495,13 @@ def test_a_robots_episodes_do_not_depend_on_the_batch():
 
 def test_a_state_taken_and_given_back_goes_on_alike():
     table = {row: bounds for row, bounds in {**TABLE_1, **MORE}.items() if row not in BULLET_ONLY}
-    env, other = (
-        make_env(table, num_envs=3, seed=seed, max_steps=20, start_linear_speed=0.05, history=2) for seed in (1, 2)
-    )
+    env, other = (make_env(table, num_envs=2, seed=seed, **PUSHED) for seed in (1, 2))
     run(env, 30)
     state = env.get_state()
-    path = run(env, 55)  # over the ends of several episodes, whose parameters are drawn after the state was taken
-    other.set_state(state)
-    assert same_path(path, run(other, 55))
-    env.set_state(state)
-    assert same_path(path, run(env, 55))
+    path = run(env, 45)  # over the ends of several episodes, whose parameters are drawn after the state was taken
+    for one in (other, env):
+        one.set_state(state)
+        assert same_path(path, run(one, 45))
 
 
 # --- nothing to draw --------------------------------------------------------------------------------------
@@ -689,22 +552,16 @@ def test_scaled_by_hand(robot, make_randomizer):
     np.testing.assert_allclose(make_randomizer(2, config).scaled(params), expected, atol=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("ranges", "width"),
-    [
-        ({}, 0),
-        ({"mass": (0.8, 1.2)}, 2),
-        ({"motor_strength": (0.8, 1.2)}, 8),
+def test_the_critics_state_grows_by_what_is_drawn():
+    plain = make_env({}).privileged().shape[1]
+    for ranges, width in (
         ({"motor_friction": (0.0, 0.05)}, 1),
         ({"imu_bias": (-0.05, 0.05), "latency": (0.01, 0.01)}, 2),
         (TABLE_1, 20),
-    ],
-)
-def test_the_critics_state_grows_by_what_is_drawn(ranges, width):
-    env, plain = make_env(ranges), make_env({})
-    grown = env.privileged()
-    assert grown.shape[1] - plain.privileged().shape[1] == width
-    if width:
+    ):
+        env = make_env(ranges)
+        grown = env.privileged()
+        assert grown.shape[1] - plain == width
         np.testing.assert_allclose(grown[:, -width:], env.randomizer.scaled(env.world.params), atol=1e-6)
 
 
@@ -714,15 +571,6 @@ def test_the_critics_state_grows_by_what_is_drawn(ranges, width):
 def test_table1_is_the_papers():
     assert load_ranges("table1").ranges == TABLE_1
     assert range_names() == ["ensemble", "none", "table1"]
-
-
-def test_row_values_are_the_rows_parameters():
-    values = row_values("mass", [0.8, 1.2])
-    assert {name: list(value) for name, value in values.items()} == {
-        "base_mass_ratio": [0.8, 1.2],
-        "leg_mass_ratio": [0.8, 1.2],
-    }
-    assert list(row_values("latency", [0.0, 0.04])) == ["control_latency"]
 
 
 @pytest.mark.parametrize(

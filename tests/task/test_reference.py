@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from surefoot.errors import SurefootError
-from surefoot.task.reference import make_reference
+from surefoot.task.reference import Reference, make_reference
 
 LEGS = ("front_left", "back_left", "front_right", "back_right")
 DIAGONAL = {"front_left": 0.0, "back_left": np.pi, "front_right": np.pi, "back_right": 0.0}
@@ -46,34 +46,27 @@ def test_sine_at_known_phases(time: float, sine: float):
     np.testing.assert_allclose(extension, [2.0 + 0.35 * sine * one], atol=1e-12)
 
 
-def test_a_sines_extent_and_period():
-    reference = make_reference(TROT, LEGS)
-    np.testing.assert_allclose(reference.extent(), ((-0.3, 0.3), (1.65, 2.35)))
-    assert reference.period == 0.5
-
-
 def test_extent_covers_every_leg():
+    np.testing.assert_allclose(make_reference(TROT, LEGS).extent(), ((-0.3, 0.3), (1.65, 2.35)))
     offset = dict(zip(LEGS, (0.0, 0.1, -0.2, 0.0), strict=True))
     data = {"kind": "sine", "swing": {"amplitude": -0.3, "frequency": 1.0, "offset": offset}}
     np.testing.assert_allclose(make_reference(data, LEGS).extent()[0], (-0.5, 0.4))
 
 
+# A wave that does not move does not count.
 @pytest.mark.parametrize(
-    ("swing", "extension", "period"),
-    [(2.0, 2.0, 0.5), (2.0, 4.0, 0.5), (4.0, 2.0, 0.5), (0.0, 2.0, 0.5), (2.0, 3.1, None), (0.0, 0.0, None)],
+    ("swing", "extension", "amplitude", "period"),
+    [
+        *((2.0, 2.0, 0.1, 0.5), (2.0, 4.0, 0.1, 0.5), (4.0, 2.0, 0.1, 0.5), (0.0, 2.0, 0.1, 0.5)),
+        *((2.0, 3.1, 0.1, None), (0.0, 0.0, 0.1, None), (3.1, 2.0, 0.0, 0.5)),
+    ],
 )
-def test_the_period_is_common_to_swing_and_extension(swing: float, extension: float, period: float | None):
-    data = {
-        "kind": "sine",
-        "swing": {"amplitude": 0.1, "frequency": swing},
-        "extension": {"amplitude": 0.1, "frequency": extension},
-    }
-    assert make_reference(data, LEGS).period == period
-
-
-def test_waves_that_do_not_move_do_not_count_for_the_period():
-    data = {"kind": "sine", "swing": {"frequency": 3.1}, "extension": {"amplitude": 0.1, "frequency": 2.0}}
-    assert make_reference(data, LEGS).period == 0.5
+def test_the_period_is_common_to_swing_and_extension(
+    swing: float, extension: float, amplitude: float, period: float | None
+):
+    waves = {"swing": {"amplitude": amplitude, "frequency": swing}}
+    waves["extension"] = {"amplitude": 0.1, "frequency": extension}
+    assert make_reference({"kind": "sine", **waves}, LEGS).period == period
 
 
 # Rows stand for 0, .2, .4 and .6 s; after the last row comes the first.
@@ -115,19 +108,21 @@ def write(path: Path, table: dict[str, list[float]]) -> Path:
     return path
 
 
+def from_file(path: Path) -> Reference:
+    return make_reference({"kind": "table", "file": str(path), "period": 0.8}, LEGS)
+
+
 @pytest.mark.parametrize("name", ["gait.csv", "gait.npz"])
 def test_a_file_gives_what_its_rows_would(tmp_path: Path, name: str):
     write(tmp_path / name, columns())
-    reference = make_reference({"kind": "table", "file": name, "period": 0.8}, LEGS, tmp_path)
     time = np.linspace(0, 2, 37)
-    assert np.array_equal(reference.pose(time), make_reference(ROWS, LEGS).pose(time))
+    assert np.array_equal(from_file(tmp_path / name).pose(time), make_reference(ROWS, LEGS).pose(time))
 
 
 def test_columns_go_by_name_not_by_place(tmp_path: Path):
     table = columns()
     table["swing_back_right"] = [0.1, 0.1, 0.1, 0.1]
-    write(tmp_path / "gait.csv", dict(reversed(table.items())) | {})
-    reference = make_reference({"kind": "table", "file": "gait.csv", "period": 0.8}, LEGS, tmp_path)
+    reference = from_file(write(tmp_path / "gait.csv", dict(reversed(table.items()))))
     np.testing.assert_allclose(reference.pose([0.2])[0], [[0.4, 0.4, 0.4, 0.1]])
 
 
@@ -146,10 +141,7 @@ def test_to_dict_makes_it_again(data):
         ({"kind": "square"}, ["reference.kind is 'square'", "sine, table"]),
         ({"kind": "sine", "swign": {}}, ["reference.swign is not a key", "choices: kind, swing, extension"]),
         ({"kind": "sine", "swing": {"amp": 1.0}}, ["reference.swing.amp is not a key", "amplitude, frequency"]),
-        (
-            {"kind": "sine", "swing": {"amplitude": "big"}},
-            ["reference.swing.amplitude is 'big'", "finite number"],
-        ),
+        ({"kind": "sine", "swing": {"amplitude": "big"}}, ["reference.swing.amplitude is 'big'", "finite number"]),
         ({"kind": "sine", "swing": {"amplitude": np.inf}}, ["reference.swing.amplitude is inf"]),
         ({"kind": "sine", "swing": {"amplitude": True}}, ["reference.swing.amplitude is True"]),
         ({"kind": "sine", "swing": {"frequency": -1.0}}, ["reference.swing.frequency is -1", "below 0 Hz"]),
@@ -186,34 +178,30 @@ def test_what_does_not_fit_is_refused_in_one_line(data, pieces):
         assert piece in message
 
 
-def without(name: str) -> dict[str, list[float]]:
-    return {key: values for key, values in columns().items() if key != name}
-
-
 @pytest.mark.parametrize("name", ["gait.csv", "gait.npz"])
 @pytest.mark.parametrize(
     ("table", "piece"),
     [
         (
-            without("extension_back_left"),
+            {key: values for key, values in columns().items() if key != "extension_back_left"},
             "has no column extension_back_left; a table has columns swing_front_left",
         ),
         (columns() | {"swing_back_left": [0.0, np.nan, 0.0, 0.0]}, "row 2 of the table is not finite"),
-        (
-            {key: values[:1] for key, values in columns().items()},
-            "has 1 row(s); a periodic reference needs 2",
-        ),
+        ({key: values[:1] for key, values in columns().items()}, "has 1 row(s); a periodic reference needs 2"),
         ({key: [] for key in columns()}, "has 0 row(s); a periodic reference needs 2"),
     ],
 )
 @pytest.mark.filterwarnings("ignore:.*input contained no data")
 def test_a_file_that_does_not_fit_is_refused_in_one_line(tmp_path: Path, name: str, table, piece: str):
-    write(tmp_path / name, table)
+    refused(write(tmp_path / name, table), piece)
+
+
+def refused(path: Path, piece: str) -> None:
     with pytest.raises(SurefootError) as caught:
-        make_reference({"kind": "table", "file": name, "period": 0.8}, LEGS, tmp_path)
+        from_file(path)
     message = str(caught.value)
     assert "\n" not in message
-    assert message.startswith(f"{tmp_path / name}: ")
+    assert message.startswith(f"{path}: ")
     assert piece in message
 
 
@@ -229,24 +217,18 @@ def test_a_file_that_does_not_fit_is_refused_in_one_line(tmp_path: Path, name: s
         ("gait.csv", b"a,b\n1,2,3\n", "can't be read as a table"),
         ("gait.csv", b"\xff\xfe\x00\x01", "gait.csv: "),
         ("gait.csv", b"a,b\n1,2\n", "has no column swing_front_left"),
+        ("gait.csv", None, "can't be read"),
+        ("gait.npz", None, "can't be read"),
     ],
 )
 @pytest.mark.filterwarnings("ignore:.*Empty input file", "ignore:.*input contained no data")
-def test_a_file_that_is_no_table_is_refused_in_one_line(tmp_path: Path, name: str, content: bytes, piece: str):
-    (tmp_path / name).write_bytes(content)
-    with pytest.raises(SurefootError) as caught:
-        make_reference({"kind": "table", "file": name, "period": 0.8}, LEGS, tmp_path)
-    assert "\n" not in str(caught.value)
-    assert piece in str(caught.value)
-
-
-@pytest.mark.parametrize("name", ["gait.csv", "gait.npz"])
-def test_a_missing_file_is_refused(tmp_path: Path, name: str):
-    with pytest.raises(SurefootError, match=f"{name}: can't be read"):
-        make_reference({"kind": "table", "file": name, "period": 0.8}, LEGS, tmp_path)
+def test_a_file_that_is_no_table_is_refused_in_one_line(tmp_path: Path, name: str, content: bytes | None, piece: str):
+    if content is not None:
+        (tmp_path / name).write_bytes(content)
+    refused(tmp_path / name, piece)
 
 
 def test_npz_columns_of_unequal_length_are_refused(tmp_path: Path):
-    write(tmp_path / "gait.npz", columns() | {"swing_back_left": [0.0, 0.1]})
-    with pytest.raises(SurefootError, match=r"columns differ in length \(2, 4\)"):
-        make_reference({"kind": "table", "file": "gait.npz", "period": 0.8}, LEGS, tmp_path)
+    refused(
+        write(tmp_path / "gait.npz", columns() | {"swing_back_left": [0.0, 0.1]}), "columns differ in length (2, 4)"
+    )

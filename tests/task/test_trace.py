@@ -134,8 +134,9 @@ def test_bad_arrays_are_refused(name: str, value: np.ndarray, match: str) -> Non
     [
         ({"ended": "tired"}, "time, fall, fault, stopped"),
         ({"schema": 99}, "schema 99"),
-        ({"control_step": 0.0}, "control_step"),
-        ({"energy_weight": "much"}, "energy_weight"),
+        ({"control_step": 0.0}, "control_step 0.0 must be above 0"),
+        ({"max_steps": True}, "max_steps True must be above 0"),
+        ({"energy_weight": "much"}, "energy_weight 'much' must be 0 or above"),
         ({"leg_names": ["a", "a", "b", "c"]}, "leg_names"),
         ({"params": {"f": lambda: None}}, "JSON"),
     ],
@@ -147,14 +148,11 @@ def test_bad_meta_is_refused(change: dict[str, Any], match: str) -> None:
         EpisodeTrace(**arguments)
 
 
-def test_missing_meta_is_named() -> None:
+def test_missing_meta_is_named_and_an_episode_without_steps_refused() -> None:
     arguments = trace_arguments()
     del arguments["meta"]["world"]
     with pytest.raises(SurefootError, match="lacks world"):
         EpisodeTrace(**arguments)
-
-
-def test_an_episode_without_steps_is_refused() -> None:
     with pytest.raises(SurefootError, match="at least one control step"):
         EpisodeTrace(**trace_arguments(steps=0))
 

@@ -145,8 +145,7 @@ def _params(command: EmulateCommand, robot: RobotDescription) -> PhysicalParams:
 
 def _hidden(command: EmulateCommand, robot: RobotDescription, seed: int) -> PhysicalParams:
     from surefoot.robot.params_file import write_params
-    from surefoot.task.hidden import draw_hidden
-    from surefoot.task.randomize import load_ranges
+    from surefoot.task.randomize import draw_hidden, load_ranges
 
     params = draw_hidden(robot, load_ranges(command.hidden_ranges).ranges, seed)
     if command.hidden_out is not None:

@@ -11,10 +11,10 @@ Without the second import, `gymnasium.make("surefoot.cli.envs:surefoot/Gallop-v0
 
 from __future__ import annotations
 
-from surefoot.task.config import TaskConfig, load_task
-from surefoot.task.env import LocomotionEnv
-from surefoot.task.registration import register_envs
-from surefoot.task.single import LocomotionSingleEnv
+import gymnasium
+
+from surefoot.task.config import TaskConfig, load_task, preset_names
+from surefoot.task.env import LocomotionEnv, LocomotionSingleEnv
 from surefoot.world.sim_world import SimWorld
 
 
@@ -32,5 +32,10 @@ def _config(task: str | TaskConfig) -> TaskConfig:
     return task if isinstance(task, TaskConfig) else load_task(task)[0]
 
 
-IDS = register_envs("surefoot.cli.envs:make_single", "surefoot.cli.envs:make_vector")
-"""Ids that are registered."""
+IDS = [f"surefoot/{task.title().replace('-', '')}-v0" for task in preset_names()]
+"""Ids that are registered, one a preset: that of `trot-robust` is `surefoot/TrotRobust-v0`."""
+for _task, _id in zip(preset_names(), IDS, strict=True):
+    # No `max_episode_steps`: the task itself truncates episodes.
+    gymnasium.register(
+        _id, f"{__name__}:make_single", vector_entry_point=f"{__name__}:make_vector", kwargs={"task": _task}
+    )

@@ -13,8 +13,7 @@ import numpy as np
 
 from surefoot.errors import SurefootError
 from surefoot.robot import PhysicalParams, RobotDescription
-from surefoot.task.hidden import draw_hidden
-from surefoot.task.randomize import load_ranges
+from surefoot.task.randomize import draw_hidden, load_ranges
 from surefoot.world.interface import Simulation, WorldConfig
 
 RANGES = "ensemble"

@@ -21,7 +21,7 @@ from surefoot.evaluate.runs import Runs
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.task.config import MOST_STEPS, TaskConfig
 from surefoot.task.env import LocomotionEnv
-from surefoot.task.randomize import ROWS, RandomizeConfig, check_ranges, load_ranges, row_values
+from surefoot.task.randomize import ROWS, RandomizeConfig, check_ranges, load_ranges
 from surefoot.world.interface import Simulation, SimulationFactory, WorldConfig
 
 Array = NDArray[np.float64]
@@ -301,8 +301,8 @@ def _in_worlds(make_world: SimulationFactory, worlds: Sequence[TestWorld], episo
         params = nominal.rows(np.arange(num_envs))
         for number, world in enumerate(worlds, start=1):
             rows = slice(number * episodes, (number + 1) * episodes)
-            for name, value in row_values(world.row, world.value).items():
-                getattr(params, name)[rows] = value
+            for name in ROWS[world.row].params:
+                getattr(params, name)[rows] = world.value
         return make_world(robot, num_envs, params, seed, config)
 
     return make

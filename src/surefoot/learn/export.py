@@ -10,34 +10,33 @@ from typing import Any
 
 from surefoot import __version__
 from surefoot.configuration import to_mapping
+from surefoot.learn.config import TrainConfig
 from surefoot.learn.run import TrainingRun
 from surefoot.learn.trainer import Trainer
-from surefoot.policy.contract import Contract, ObservationPart, config_hash
+from surefoot.policy.contract import RANGES, Contract, ObservationPart, config_hash
 from surefoot.policy.export import export_policy
+from surefoot.task.config import TaskConfig
 from surefoot.task.env import LocomotionEnv
 
 
 def make_contract(
     env: LocomotionEnv,
+    config: TrainConfig | TaskConfig | None = None,
     figures: Mapping[str, Any] | None = None,
-    *,
-    name: str = "",
-    config: Mapping[str, Any] | None = None,
     created: str = "",
 ) -> Contract:
     """Return the contract of a policy that was trained in an environment.
 
     Args:
         env: robot, observer, gait, task and nominal parameters are read from it.
+        config: the whole configuration of the run, for the policy's name and the hash; the task's, if not given.
         figures: figures of the run that made the policy.
-        name: name of the policy; the task's, if not given.
-        config: the whole configuration of the run as plain tables, for its hash; the task's, if not given.
         created: when the policy was made, ISO 8601.
     """
-    robot, gait, task = env.robot, env.gait, to_mapping(env.task)
+    robot, gait, config = env.robot, env.gait, config or env.task
     assumed = env.task.nominal(robot)
     return Contract(
-        name=name or env.task.name,
+        name=config.name,
         robot=robot.name,
         motor_names=robot.motor_names,
         motor_signs=tuple(float(sign) for sign in robot.motor_sign),
@@ -50,14 +49,9 @@ def make_contract(
         high=tuple(gait.high.tolist()),
         reference=None if env.task.reference.kind == "none" else gait.reference.to_dict(),
         rest=env.task.rest or gait.rest,
-        control_step=float(assumed.control_step[0]),
-        servo_latency=float(assumed.servo_latency[0]),
-        control_latency=float(assumed.control_latency[0]),
-        servo_kp=float(assumed.servo_kp[0]),
-        servo_kd=float(assumed.servo_kd[0]),
-        voltage=float(assumed.voltage[0]),
-        task=task,
-        config_hash=config_hash(task if config is None else config),
+        **{assumption: float(getattr(assumed, assumption)[0]) for assumption in RANGES},
+        task=to_mapping(env.task),
+        config_hash=config_hash(to_mapping(config)),
         figures=dict(figures or {}),
         version=__version__,
         created=created,
@@ -65,26 +59,20 @@ def make_contract(
 
 
 def export_trainer(
-    trainer: Trainer,
-    path: str | Path,
-    figures: Mapping[str, Any] | None = None,
-    *,
-    name: str = "",
-    created: str = "",
+    trainer: Trainer, path: str | Path, figures: Mapping[str, Any] | None = None, created: str = ""
 ) -> Path:
     """Write a trainer's present policy as a policy file; see `make_contract` and `export_policy`."""
-    config = trainer.config
-    contract = make_contract(trainer.env, figures, name=name or config.name, config=to_mapping(config), created=created)
-    return export_policy(trainer.policy, config.ppo.activation, contract, path)
+    contract = make_contract(trainer.env, trainer.config, figures, created)
+    return export_policy(trainer.policy, trainer.config.ppo.activation, contract, path)
 
 
 def export_run(run: TrainingRun, path: str | Path) -> Path:
-    """Write the best policy of a run, with the figures of its training."""
-    run.use_best()
+    """Write the best evaluated policy of a run, with the figures of its training."""
+    run.trainer.policy.load_state_dict(run.best_actor)
     figures = {
         "training": asdict(run.best) if run.best else {},
         "seconds": round(run.seconds, 1),
         "seed": run.config.seed,
         "steps": run.trainer.steps,
     }
-    return export_trainer(run.trainer, path, figures, created=time.strftime("%Y-%m-%dT%H:%M:%S%z"))
+    return export_trainer(run.trainer, path, figures, time.strftime("%Y-%m-%dT%H:%M:%S%z"))

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import functools
 import math
 import time
-from types import TracebackType
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
@@ -27,7 +27,8 @@ class TrainingProgress:
 
     def __init__(self, config: TrainConfig, console: Console, done: int = 0) -> None:
         self._console, self._total = console, config.updates * config.samples_per_update
-        self._steps, self._start, self._first = done, time.perf_counter(), done
+        self._print = functools.partial(console.print, highlight=False, soft_wrap=True)
+        self._start, self._first = time.perf_counter(), done
         self._return = self._speed = math.nan
         self._spoke = 0.0
         self._bar = Progress(
@@ -47,34 +48,26 @@ class TrainingProgress:
         self._bar.start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """Stop the display."""
         self._bar.stop()
 
     def update(self, figures: UpdateFigures, evaluation: Evaluation | None) -> None:
         """Show the figures of an update."""
-        self._steps = figures.steps
+        steps = figures.steps
         if not math.isnan(figures.return_mean):
             self._return, self._speed = figures.return_mean, figures.speed_mean
         seconds = time.perf_counter() - self._start
-        rate = (self._steps - self._first) / seconds
+        rate = (steps - self._first) / seconds
         text = f"{rate:,.0f} steps/s  speed {self._speed:.2f} m/s  return {self._return:.2f}"
-        self._bar.update(self._task, completed=self._steps, figures=text)
-        if not self._console.is_terminal and (seconds - self._spoke > _LINE_EVERY or self._steps >= self._total):
+        self._bar.update(self._task, completed=steps, figures=text)
+        if not self._console.is_terminal and (seconds - self._spoke > _LINE_EVERY or steps >= self._total):
             self._spoke = seconds
-            left = (self._total - self._steps) / rate
-            self._console.print(
-                f"{self._steps:>9,} of {self._total:,} steps  {text}  {left:.0f} s left",
-                highlight=False,
-                soft_wrap=True,
-            )
+            left = (self._total - steps) / rate
+            self._print(f"{steps:>9,} of {self._total:,} steps  {text}  {left:.0f} s left")
         if evaluation is not None:
             pushed = f", {evaluation.pushed_falls} with pushes" if evaluation.pushed_falls else ""
-            self._console.print(
+            self._print(
                 f"{evaluation.steps:>9,} steps, evaluated: {evaluation.speed_mean:.2f} m/s, "
-                f"return {evaluation.return_mean:.2f}, {evaluation.power_mean:.0f} W, {evaluation.falls} falls{pushed}",
-                highlight=False,
-                soft_wrap=True,
+                f"return {evaluation.return_mean:.2f}, {evaluation.power_mean:.0f} W, {evaluation.falls} falls{pushed}"
             )

@@ -80,16 +80,13 @@ class TrainingRun:
         self.seconds = 0.0
         self._saved_steps = -1
         if resume:
-            self._load()
+            state = folder.load()
+            self.trainer.set_state(state["trainer"])
+            self.best = Evaluation(**state["best"]) if state["best"] else None
+            self.best_actor, self.seconds = state["best_actor"], state["seconds"]
+            self._saved_steps = self.trainer.steps
+            folder.drop_rows_after(self.trainer.steps)
         self._writer = SummaryWriter(str(folder.path), purge_step=self.trainer.steps if resume else None)
-
-    def _load(self) -> None:
-        state = self.folder.load()
-        self.trainer.set_state(state["trainer"])
-        self.best = Evaluation(**state["best"]) if state["best"] else None
-        self.best_actor, self.seconds = state["best_actor"], state["seconds"]
-        self._saved_steps = self.trainer.steps
-        self.folder.drop_rows_after(self.trainer.steps)
 
     def save(self) -> None:
         """Save everything that the run needs to continue."""
@@ -169,7 +166,3 @@ class TrainingRun:
         if evaluation is not None:
             for key, value in asdict(evaluation).items():
                 self._writer.add_scalar(f"evaluation/{key}", value, figures.steps)
-
-    def use_best(self) -> None:
-        """Put the best evaluated policy's weights into the trainer's network, for export."""
-        self.trainer.policy.load_state_dict(self.best_actor)

@@ -31,6 +31,7 @@ _MAGIC = b"surefoot checkpoint 1\n"
 _KINDS = (bool, np.int64, np.float32, np.float64)
 _ARRAYS: list[Any] = [np.zeros(0).__reduce__()[0], np.ndarray, np.dtype, *(type(np.dtype(kind)) for kind in _KINDS)]
 """What a checkpoint holds besides tensors, tables and numbers: NumPy's arrays of these kinds of numbers."""
+_TIME = "%Y-%m-%d_%H-%M-%S"
 _PACKAGES = ("mujoco", "numpy", "numba", "torch", "rsl-rl-lib", "gymnasium", "onnx", "onnxruntime")
 
 
@@ -118,16 +119,9 @@ def alone(path: Path, patience: float = 0.0) -> Iterator[None]:
 
 
 def _git_revision() -> str | None:
+    command = ["git", "describe", "--always", "--dirty"]
     try:
-        here = Path(__file__).parent
-        result = subprocess.run(
-            ["git", "describe", "--always", "--dirty"],
-            cwd=here,
-            capture_output=True,
-            text=True,
-            timeout=10,
-            check=False,
-        )
+        result = subprocess.run(command, cwd=Path(__file__).parent, capture_output=True, text=True, timeout=10)
     except (OSError, subprocess.TimeoutExpired):
         return None
     return result.stdout.strip() or None
@@ -152,8 +146,7 @@ class RunFolder:
         Raises:
             SurefootError: it can't be made.
         """
-        stamp = time.strftime("%Y-%m-%d_%H-%M-%S")
-        base = root / config.task.name / f"{stamp}_{config.name}_seed{config.seed}"
+        base = root / config.task.name / f"{time.strftime(_TIME)}_{config.name}_seed{config.seed}"
         path, count = base, 1
         while path.exists():
             count += 1
@@ -179,7 +172,7 @@ class RunFolder:
             "surefoot": __version__,
             "git": _git_revision(),
             "command": ["surefoot", *sys.argv[1:]],
-            "started": time.strftime("%Y-%m-%d_%H-%M-%S"),
+            "started": time.strftime(_TIME),
             "seed": config.seed,
             "python": platform.python_version(),
             "packages": {name: metadata.version(name) for name in _PACKAGES},
@@ -206,8 +199,7 @@ class RunFolder:
         if written != FORMAT:
             raise SurefootError(
                 f"{path}: is of run format {written}, by surefoot {about.get('surefoot')}; "
-                f"this is surefoot {__version__}, "
-                f"which reads format {FORMAT}"
+                f"this is surefoot {__version__}, which reads format {FORMAT}"
             )
         config_path = path / "config.yaml"
         data = read_yaml(config_path)

@@ -82,10 +82,7 @@ class Trainer:
 
     def _make_algorithm(self) -> PPO:
         ppo, obs = self.config.ppo, self.observation
-        groups = {
-            "actor": ["policy"],
-            "critic": ["policy", "privileged"] if ppo.privileged_critic else ["policy"],
-        }
+        groups = {"actor": ["policy"], "critic": ["policy", "privileged"] if ppo.privileged_critic else ["policy"]}
         actions = len(self.env.gait.action_names)
         actor = MLPModel(
             obs,
@@ -95,11 +92,7 @@ class Trainer:
             ppo.policy_hidden,
             ppo.activation,
             obs_normalization=True,
-            distribution_cfg={
-                "class_name": "GaussianDistribution",
-                "init_std": ppo.init_std,
-                "std_type": "log",
-            },
+            distribution_cfg={"class_name": "GaussianDistribution", "init_std": ppo.init_std, "std_type": "log"},
         )
         critic = MLPModel(obs, groups, "critic", 1, ppo.value_hidden, ppo.activation, obs_normalization=True)
         # A first policy near the middle of the bounds for any observation.
@@ -151,10 +144,8 @@ class Trainer:
                 self.observation = self._tensors(observation)
                 rewards += float(reward.mean())
                 if "figures" in info:
-                    rows = info["_figures"]
-                    ended.append(
-                        np.stack([info["figures"][key][rows] for key in ("return", "steps", "distance", "duration")])
-                    )
+                    figures, rows = info["figures"], info["_figures"]
+                    ended.append([figures[key][rows] for key in ("return", "steps", "distance", "duration")])
                 algorithm.process_env_step(
                     self.observation,
                     torch.from_numpy(gain.astype(np.float32)),

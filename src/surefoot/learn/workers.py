@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import queue
@@ -44,16 +45,12 @@ class Outcome:
     """Whether it was ended by a wish to stop, with jobs left."""
 
 
-Event = Callable[[Job, dict[str, Any]], None]
-Tell = Callable[[Job, str], None]
-
-
 def run_jobs(
     command: Sequence[str],
     jobs: Sequence[Job],
     workers: int,
-    on_event: Event,
-    on_change: Tell,
+    on_event: Callable[[Job, dict[str, Any]], None],
+    on_change: Callable[[Job, str], None],
     stops: Callable[[], int] = lambda: 0,
 ) -> Outcome:
     """Run jobs, each in its own process, which writes its progress as lines of JSON.
@@ -75,7 +72,9 @@ def run_jobs(
     asked = 0
     try:
         while waiting or running:
-            asked = _pass_on(asked, stops(), running.values())
+            before, asked = asked, stops()
+            for worker in running.values() if asked > before else ():
+                worker.process.send_signal(signal.SIGTERM if asked == 1 else signal.SIGKILL)
             while waiting and len(running) < workers and not asked:
                 worker = _Worker(command, waiting.pop(0), told)
                 running[worker.process.pid] = worker
@@ -89,8 +88,14 @@ def run_jobs(
             if event is not None:
                 on_event(worker.job, event)
                 continue
-            running.pop(worker.process.pid)
-            on_change(worker.job, _ended(worker, outcome, asked))
+            del running[worker.process.pid]
+            ended = "stopped" if asked else "failed"
+            if worker.process.returncode == 0:
+                outcome.done.append(worker.job.name)
+                ended = "done"
+            elif not asked:
+                outcome.failed[worker.job.name] = worker.last_line()
+            on_change(worker.job, ended)
     finally:
         for worker in running.values():
             worker.process.terminate()
@@ -120,16 +125,12 @@ class _Worker:
     def _read(self) -> None:
         assert self.process.stdin is not None
         assert self.process.stdout is not None
-        try:
-            with self.process.stdin as pipe:
-                pipe.write(json.dumps(self.job.request).encode() + b"\n")
-        except OSError:
-            pass  # It has died already; its end is reported below.
+        # One that has died already is reported by its end.
+        with contextlib.suppress(OSError), self.process.stdin as pipe:
+            pipe.write(json.dumps(self.job.request).encode() + b"\n")
         for line in self.process.stdout:
-            try:
+            with contextlib.suppress(ValueError):
                 self._told.put((self, json.loads(line)))
-            except ValueError:
-                continue
         self.process.wait()
         self._told.put((self, None))
 
@@ -141,26 +142,6 @@ class _Worker:
             log.seek(self._logged)
             lines = log.read().decode(errors="replace").strip().splitlines()
         return f"{lines[-1].strip()} ({end})" if lines else end
-
-
-def _pass_on(before: int, now: int, running: Any) -> int:
-    """Ask workers to stop, or end them, if that was requested since the last call."""
-    if now > before:
-        for worker in running:
-            worker.process.send_signal(signal.SIGTERM if now == 1 else signal.SIGKILL)
-    return now
-
-
-def _ended(worker: _Worker, outcome: Outcome, asked: int) -> str:
-    """Record how a worker ended; return it in one word."""
-    code = worker.process.returncode
-    if code == 0:
-        outcome.done.append(worker.job.name)
-        return "done"
-    if asked:
-        return "stopped"
-    outcome.failed[worker.job.name] = worker.last_line()
-    return "failed"
 
 
 def orphaned() -> bool:

@@ -51,11 +51,7 @@ class _Graph:
 
 
 def build_model(
-    layers: list[Layer],
-    mean: NDArray[np.float32],
-    scale: NDArray[np.float32],
-    activation: str,
-    contract: Contract,
+    layers: list[Layer], mean: NDArray[np.float32], scale: NDArray[np.float32], activation: str, contract: Contract
 ) -> onnx.ModelProto:
     """Return the ONNX model of a multilayer perceptron.
 

@@ -14,7 +14,7 @@ from surefoot.robot.params_file import ParamValue
 from surefoot.task.observation import IMU_AND_MOTORS_12D
 from surefoot.task.pushes import PushConfig
 from surefoot.task.randomize import RandomizeConfig, with_ranges
-from surefoot.task.reward import ENERGY_WEIGHT
+from surefoot.task.trace import ENERGY_WEIGHT
 
 _PRESETS = Path(__file__).parent / "presets"
 
@@ -59,13 +59,11 @@ class ReferenceConfig:
         """Return the mapping that `make_reference` takes."""
         if self.kind == "none":
             return None
-        if self.kind == "table" and self.rows is not None:
-            return {"kind": "table", "period": self.period, **self.rows}
-        if self.kind == "table":
-            if self.file is None:
-                raise SurefootError("reference.file is missing; a reference of kind table needs a CSV or NPZ file")
-            return {"kind": "table", "file": self.file, "period": self.period}
-        return {"kind": "sine", "swing": vars(self.swing), "extension": vars(self.extension)}
+        if self.kind == "sine":
+            return {"kind": "sine", "swing": vars(self.swing), "extension": vars(self.extension)}
+        if self.rows is None and self.file is None:
+            raise SurefootError("reference.file is missing; a reference of kind table needs a CSV or NPZ file")
+        return {"kind": "table", "period": self.period, **({"file": self.file} if self.rows is None else self.rows)}
 
 
 @dataclass(frozen=True)
@@ -145,26 +143,17 @@ def preset_names() -> list[str]:
     return sorted(path.stem for path in _PRESETS.glob("*.yaml"))
 
 
-def task_path(task: str) -> Path:
-    """Return the YAML file of a task, given by preset name or by path.
-
-    Raises:
-        SurefootError: neither a preset nor a file.
-    """
-    if task in preset_names():
-        return _PRESETS / f"{task}.yaml"
-    if Path(task).is_file():
-        return Path(task)
-    raise SurefootError(f"task '{task}' does not exist; choices: {choices(preset_names())}, or the path of a YAML file")
-
-
 def load_task(task: str) -> tuple[TaskConfig, dict[str, Any]]:
     """Read a task by preset name or path; returns it and the file's `train` table (empty, if there is none).
 
     Raises:
         SurefootError: no such task, or a file that does not fit.
     """
-    path = task_path(task)
+    path = _PRESETS / f"{task}.yaml" if task in preset_names() else Path(task)
+    if not path.is_file():
+        raise SurefootError(
+            f"task '{task}' does not exist; choices: {choices(preset_names())}, or the path of a YAML file"
+        )
     data = read_yaml(path)
     train = data.pop("train", None) or {}
     with located(path):

@@ -1,8 +1,7 @@
-"""`LocomotionEnv`: a batch of robots that learn a gait, as a Gymnasium vector environment."""
+"""Robots that learn a gait: a batch as a Gymnasium vector environment, or one robot as a Gymnasium environment."""
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import gymnasium
@@ -14,16 +13,36 @@ from numpy.typing import ArrayLike, NDArray
 from surefoot.robot import RobotDescription
 from surefoot.task.config import TaskConfig
 from surefoot.task.gait import HybridGait
-from surefoot.task.observation import Moment, Observer
+from surefoot.task.observation import Moment, Observer, phase
 from surefoot.task.pushes import Pusher
 from surefoot.task.randomize import Randomizer
 from surefoot.task.reference import make_reference
-from surefoot.task.reward import has_fallen, locomotion_reward
 from surefoot.world.interface import Readings, Simulation, SimulationFactory, Truth, WorldConfig
 
-__all__ = ["LocomotionEnv", "SimulationFactory"]
+__all__ = ["LocomotionEnv", "LocomotionSingleEnv", "SimulationFactory"]
 
 Array = NDArray[np.float64]
+
+
+def locomotion_reward(displacement: Array, energy: Array, energy_weight: float) -> Array:
+    """Return the reward of a control step: (p_n - p_{n-1}) . d - w dt |tau . qdot|, summed over its servo steps.
+
+    Source: Tan et al. 2018, eq. 2; the direction d is the world's x axis.
+
+    Args:
+        displacement: how far the base moved along d [m], (N,).
+        energy: integral of |tau . qdot| over the step [J], (N,).
+        energy_weight: w [m/J].
+    """
+    return displacement - energy_weight * energy
+
+
+def has_fallen(roll_pitch_yaw: Array, limit: float) -> NDArray[np.bool_]:
+    """Return whether roll or pitch is beyond `limit` [rad] (N,), by true angles (N, 3).
+
+    Tan et al. 2018, section IV-C: an episode ends when the base tilts by more than .5 rad; the axis is not stated.
+    """
+    return np.any(np.abs(roll_pitch_yaw[:, :2]) > limit, axis=1)
 
 
 class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
@@ -62,7 +81,7 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
         self.task, self.num_envs, self.autoreset, self._threads = task, num_envs, autoreset, threads
         self.robot = robot = RobotDescription.load(task.robot)
         self.observer = Observer(robot, task.observations)
-        reference = make_reference(task.reference.to_mapping(), robot.leg_names, Path())
+        reference = make_reference(task.reference.to_mapping(), robot.leg_names)
         self.gait = HybridGait(robot, reference, task.feedback.swing, task.feedback.extension)
         self.nominal = task.nominal(robot).rows(np.zeros(max(num_envs, 1), np.int64))
         self._make_world = make_world
@@ -187,61 +206,95 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
         speeds [rad/s], phase of the reference, horizontal force of a push [100 N], and physical parameters that
         were drawn, from -1 to 1 over their range.
         """
-        truth = self.truth
-        parts = [
-            truth.base_position_world[:, 2:],
-            truth.base_velocity_world,
-            truth.roll_pitch_yaw,
-            truth.motor_angle,
-            truth.motor_velocity,
-        ]
-        period = self.gait.reference.period
-        if period is not None:
-            angle = 2 * np.pi * self.readings.time / period
-            parts.append(np.stack([np.sin(angle), np.cos(angle)], -1))
-        if self.task.pushes.enabled:
-            parts.append(self.pusher.force[:, :2] / 100.0)
-        if self.randomizer.enabled:
-            parts.append(self.randomizer.scaled(self.world.params))
-        return np.concatenate(parts, axis=1).astype(np.float32)
+        return np.concatenate([values for _, values in self._privileged()], axis=1).astype(np.float32)
 
     @property
     def privileged_columns(self) -> list[str]:
         """Names of the numbers of `privileged`, in order."""
-        names = ["height", "velocity_x", "velocity_y", "velocity_z", "roll", "pitch", "yaw"]
-        names += [f"{part}.{motor}" for part in ("angle", "speed") for motor in self.robot.motor_names]
-        if self.gait.reference.period is not None:
-            names += ["phase_sin", "phase_cos"]
+        return [name for names, _ in self._privileged() for name in names]
+
+    def _privileged(self) -> list[tuple[list[str], Array]]:
+        """Return the parts of the true state: names and numbers (N, width)."""
+        truth, motors, period = self.truth, self.robot.motor_names, self.gait.reference.period
+        parts = [
+            (["height"], truth.base_position_world[:, 2:]),
+            (["velocity_x", "velocity_y", "velocity_z"], truth.base_velocity_world),
+            (["roll", "pitch", "yaw"], truth.roll_pitch_yaw),
+            ([f"angle.{motor}" for motor in motors], truth.motor_angle),
+            ([f"speed.{motor}" for motor in motors], truth.motor_velocity),
+        ]
+        if period is not None:
+            parts.append((["phase_sin", "phase_cos"], phase(self.readings.time, period)))
         if self.task.pushes.enabled:
-            names += ["push_x", "push_y"]
-        return names + (self.randomizer.columns if self.randomizer.enabled else [])
+            parts.append((["push_x", "push_y"], self.pusher.force[:, :2] / 100.0))
+        if self.randomizer.enabled:
+            parts.append((self.randomizer.columns, self.randomizer.scaled(self.world.params)))
+        return parts
 
     def get_state(self) -> dict[str, Any]:
         """Return the whole state of the environment, for an exact resume."""
-        return {
-            "world": self.world.get_state(),
-            "steps": self.steps.copy(),
-            "returns": self.returns.copy(),
-            "start_position": self.start_position.copy(),
-            "feedback": self.feedback.copy(),
-            "history": self._history.copy(),
-            "push_force": self.pusher.force.copy(),
-            "pushes_drawn": self.pusher.drawn.copy(),
-            "push_streams": [stream.bit_generator.state for stream in self.pusher.streams],
-            "randomize_streams": [stream.bit_generator.state for stream in self.randomizer.streams],
-            "over": self.over.copy(),
-        }
+        arrays = {name: array.copy() for name, array in self._arrays().items()}
+        streams = {name: [one.bit_generator.state for one in streams] for name, streams in self._streams().items()}
+        return {"world": self.world.get_state(), **arrays, **streams}
 
     def set_state(self, state: dict[str, Any]) -> None:
         """Continue from `get_state`, exactly."""
         self.world.set_state(state["world"])
         self.readings, self.truth = self.world.readings(), self.world.truth()
-        self.steps[:], self.returns[:] = state["steps"], state["returns"]
-        self.start_position[:] = state["start_position"]
-        self.feedback = state["feedback"].copy()
-        self._history[:] = state["history"]
-        self.pusher.force[:], self.pusher.drawn[:] = state["push_force"], state["pushes_drawn"]
-        self.over[:] = state["over"]
-        for streams, name in ((self.pusher.streams, "push_streams"), (self.randomizer.streams, "randomize_streams")):
+        for name, array in self._arrays().items():
+            array[:] = state[name]
+        for name, streams in self._streams().items():
             for stream, saved in zip(streams, state[name], strict=True):
                 stream.bit_generator.state = saved
+
+    def _arrays(self) -> dict[str, NDArray[Any]]:
+        return {
+            **{name: getattr(self, name) for name in ("steps", "returns", "start_position", "feedback", "over")},
+            **{"history": self._history, "push_force": self.pusher.force, "pushes_drawn": self.pusher.drawn},
+        }
+
+    def _streams(self) -> dict[str, list[np.random.Generator]]:
+        return {"push_streams": self.pusher.streams, "randomize_streams": self.randomizer.streams}
+
+
+class LocomotionSingleEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
+    """One robot on one task, for learners without support of vector environments: a batch of one.
+
+    Observations (O,), actions (2 L,) and rewards are `LocomotionEnv`'s. At the end of an episode `info` holds
+    its `figures`.
+
+    Args:
+        task: its configuration.
+        make_world: makes the simulation.
+        seed: seeds every stream of random numbers; any, if not given.
+
+    Raises:
+        SurefootError: a task that does not fit its robot.
+    """
+
+    metadata = {"render_modes": []}  # noqa: RUF012
+
+    def __init__(self, task: TaskConfig, make_world: SimulationFactory, seed: int | None = None) -> None:
+        first = int(self.np_random.integers(2**31)) if seed is None else seed
+        self.batch = LocomotionEnv(task, 1, make_world, first, autoreset=False, threads=1)
+        self.observation_space = self.batch.single_observation_space
+        self.action_space = self.batch.single_action_space
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[NDArray[np.float32], dict[str, Any]]:
+        """Start an episode; with a seed, every stream of random numbers too."""
+        super().reset(seed=seed)
+        observation, _ = self.batch.reset(seed=seed)
+        return observation[0], {}
+
+    def step(self, action: ArrayLike) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
+        """Run one control step."""
+        observation, reward, terminated, truncated, info = self.batch.step(np.asarray(action)[None])
+        single: dict[str, Any] = {}
+        if "diverged" in info:
+            single["diverged"] = True
+        # Not under the key `episode`, which belongs to Gymnasium's own wrapper.
+        if "figures" in info:
+            single["figures"] = {name: float(values[0]) for name, values in info["figures"].items()}
+        return observation[0], float(reward[0]), bool(terminated[0]), bool(truncated[0]), single

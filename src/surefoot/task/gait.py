@@ -28,16 +28,9 @@ class HybridGait:
 
     def __init__(self, robot: RobotDescription, reference: Reference, swing: Range, extension: Range) -> None:
         self.robot, self.reference = robot, reference
-        legs = len(robot.legs)
-        self.low = np.repeat([swing[0], extension[0]], legs).astype(float)
-        self.high = np.repeat([swing[1], extension[1]], legs).astype(float)
-        spans = zip(
-            ("swing", "extension"),
-            reference.extent(),
-            (swing, extension),
-            (robot.swing_range, robot.extension_range),
-            strict=True,
-        )
+        self.low, self.high = np.repeat(np.array([swing, extension], float).T, len(robot.legs), axis=1)
+        given, allowed = (swing, extension), (robot.swing_range, robot.extension_range)
+        spans = zip(("swing", "extension"), reference.extent(), given, allowed, strict=True)
         for name, (least, most), (low, high), (allowed_low, allowed_high) in spans:
             if least + low < allowed_low - 1e-9 or most + high > allowed_high + 1e-9:
                 raise SurefootError(
@@ -55,11 +48,8 @@ class HybridGait:
     def rest(self) -> Range:
         """Swing and extension [rad] in the middle of the range of commands."""
         (s_low, s_high), (e_low, e_high) = self.reference.extent()
-        legs = len(self.robot.legs)
-        return (
-            float(s_low + s_high + self.low[0] + self.high[0]) / 2,
-            float(e_low + e_high + self.low[legs] + self.high[legs]) / 2,
-        )
+        swing, extension = s_low + s_high + self.low[0] + self.high[0], e_low + e_high + self.low[-1] + self.high[-1]
+        return float(swing) / 2, float(extension) / 2
 
     def feedback(self, action: ArrayLike) -> Array:
         """Return feedback (N, 2 L) [rad] for actions in [-1, 1], clipped: -1 is the lower bound, 1 the upper one."""

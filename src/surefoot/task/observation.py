@@ -38,11 +38,15 @@ class Part:
     """Its numbers (N, width)."""
 
 
-def _phase(moment: Moment) -> Array:
-    period = moment.reference.period
+def phase(time: Array, period: float | None) -> Array:
+    """Return sine and cosine (N, 2) of the phase of a reference with this period [s] at times (N,) [s].
+
+    Raises:
+        SurefootError: no period.
+    """
     if period is None:
         raise SurefootError("observation 'reference_phase' needs a periodic reference; this task's has no period")
-    angle = 2 * np.pi * moment.readings.time / period
+    angle = 2 * np.pi * time / period
     return np.stack([np.sin(angle), np.cos(angle)], -1)
 
 
@@ -61,7 +65,12 @@ PARTS: dict[str, Part] = {
     ),
     "motor_angles": Part("rad", "motor", _motor_columns("angle"), lambda m: m.readings.motor_angle),
     "motor_speeds": Part("rad/s", "motor", _motor_columns("speed"), lambda m: m.readings.motor_velocity),
-    "reference_phase": Part("1", "reference gait", lambda _: ["phase_sin", "phase_cos"], _phase),
+    "reference_phase": Part(
+        "1",
+        "reference gait",
+        lambda _: ["phase_sin", "phase_cos"],
+        lambda m: phase(m.readings.time, m.reference.period),
+    ),
     "last_action": Part(
         "rad",
         "leg space",

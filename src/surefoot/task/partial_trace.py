@@ -60,8 +60,7 @@ class Layout:
 
     def columns(self, rows: Array) -> dict[str, Array]:
         """Return the rows (T, width) as arrays by name, (T,) or (T, n)."""
-        found: dict[str, Array] = {}
-        at = 0
+        found, at = dict[str, Array](), 0
         for name, width in self.widths.items():
             found[name] = rows[:, at] if width == 1 else rows[:, at : at + width]
             at += width
@@ -95,8 +94,7 @@ def trace_of(layout: Layout, rows: Array, meta: dict[str, Any], truth: dict[str,
 
 def head_line(layout: Layout, meta: dict[str, Any]) -> bytes:
     """Return the first line of a partial file."""
-    head = {"kind": _KIND, "motors": layout.motors, "legs": layout.legs, "observations": layout.observations}
-    return json.dumps({**head, "meta": meta}).encode() + b"\n"
+    return json.dumps({"kind": _KIND, **vars(layout), "meta": meta}).encode() + b"\n"
 
 
 def row_bytes(rows: Array) -> bytes:

@@ -1,4 +1,4 @@
-"""Randomization: an episode's physical parameters, drawn uniformly from ranges.
+"""Physical parameters that are drawn uniformly from ranges: an episode's, and a robot's that differs from its sheet.
 
 The rows are those of Tan et al. 2018, table I, and a few further uncertain parameters. A range is the least
 and the greatest value; a row without a range keeps its nominal value.
@@ -7,22 +7,27 @@ and the greatest value; a row without a range keeps its nominal value.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from surefoot.configuration import from_mapping, read_yaml
 from surefoot.errors import SurefootError, choices, located
 from surefoot.robot import PhysicalParams, RobotDescription
-from surefoot.seeding import generators
+from surefoot.seeding import generator, generators
 
 Array = NDArray[np.float64]
 Range = tuple[float, float] | None
 
 _RANGES = Path(__file__).parent / "ranges"
+RELATIVE_RANGE = 0.1
+"""How far hidden torque constant and resistance may be from the sheet's, of their value."""
+SERVO_LATENCY = (0.001, 0.005)
+"""Hidden age of what the servo sees [s], least and greatest."""
 
 
 @dataclass(frozen=True)
@@ -128,11 +133,6 @@ def load_ranges(name: str, folder: Path = Path()) -> RandomizeConfig:
         return from_mapping(RandomizeConfig, data, "randomize")
 
 
-def row_values(row: str, values: ArrayLike) -> dict[str, Array]:
-    """Return the physical parameters that a row sets, each to the same `values` (N,)."""
-    return {name: np.asarray(values, np.float64) for name in ROWS[row].params}
-
-
 def check_ranges(config: RandomizeConfig, robot: RobotDescription) -> None:
     """Refuse ranges outside what the robot's description allows.
 
@@ -172,13 +172,12 @@ class Randomizer:
         self.ranges, self.nominal, self._motor_names = config.ranges, nominal, robot.motor_names
         self.streams = generators(seed, "randomize", nominal.num_envs)
         self._places: dict[str, tuple[str, slice]] = {}
-        used = {False: 0, True: 0}
+        self._numbers = {False: 0, True: 0}
         for row, what in ROWS.items():
             for name in what.params:
-                width = getattr(nominal, name)[0].size if what.each else 1
-                self._places[name] = (row, slice(used[what.apart], used[what.apart] + width))
-                used[what.apart] += width
-        self._numbers, self._numbers_apart = used[False], used[True]
+                start = self._numbers[what.apart]
+                self._numbers[what.apart] += getattr(nominal, name)[0].size if what.each else 1
+                self._places[name] = (row, slice(start, self._numbers[what.apart]))
 
     @property
     def enabled(self) -> bool:
@@ -187,10 +186,10 @@ class Randomizer:
 
     def draw(self, index: NDArray[np.int64]) -> PhysicalParams:
         """Return the parameters of new episodes of the robots at `index`, one row each."""
-        apart = np.empty((len(index), self._numbers_apart))
+        apart = np.empty((len(index), self._numbers[True]))
         if any(ROWS[row].apart for row in self.ranges):
-            apart[:] = [_far_ahead(self.streams[i]).uniform(size=self._numbers_apart) for i in index]
-        together = np.array([self.streams[i].uniform(size=self._numbers) for i in index])
+            apart[:] = [_far_ahead(self.streams[i]).uniform(size=self._numbers[True]) for i in index]
+        together = np.array([self.streams[i].uniform(size=self._numbers[False]) for i in index])
         params = self.nominal.rows(index)
         for name, (row, place) in self._places.items():
             if row in self.ranges:
@@ -206,24 +205,25 @@ class Randomizer:
         angles = ("roll", "pitch", "yaw")
         parts = {"motor_strength": self._motor_names, "imu_bias": angles[:2], "imu_mount": angles}
         names = []
-        for name, (row, _) in self._places.items():
-            if self._varies(row):
-                names += [f"{name}.{part}" for part in parts[name]] if ROWS[row].each else [name]
+        for name, row in self._varying():
+            names += [f"{name}.{part}" for part in parts[name]] if ROWS[row].each else [name]
         return names
 
-    def _varies(self, row: str) -> bool:
-        return row in self.ranges and self.ranges[row][1] > self.ranges[row][0]
+    def _varying(self) -> Iterator[tuple[str, str]]:
+        """Yield each drawn parameter, and its row, whose range has a width."""
+        for name, (row, _) in self._places.items():
+            if row in self.ranges and self.ranges[row][1] > self.ranges[row][0]:
+                yield name, row
 
     def scaled(self, params: PhysicalParams) -> Array:
         """Return drawn parameters scaled to -1 to 1 (N, P), for a privileged critic."""
         columns = []
-        for name, (row, _) in self._places.items():
-            if self._varies(row):
-                low, high = self.ranges[row]
-                values = getattr(params, name).reshape(params.num_envs, -1)
-                if not ROWS[row].each:
-                    values = values[:, :1]
-                columns.append((2 * values - low - high) / (high - low))
+        for name, row in self._varying():
+            low, high = self.ranges[row]
+            values = getattr(params, name).reshape(params.num_envs, -1)
+            if not ROWS[row].each:
+                values = values[:, :1]
+            columns.append((2 * values - low - high) / (high - low))
         return np.concatenate(columns, axis=1) if columns else np.zeros((params.num_envs, 0))
 
 
@@ -244,3 +244,31 @@ def with_ranges(data: dict[str, Any], folder: Path = Path()) -> dict[str, Any]:
     if not isinstance(given, str):
         return data
     return {**data, "randomize": vars(load_ranges(given, folder))}
+
+
+def draw_hidden(robot: RobotDescription, ranges: Mapping[str, tuple[float, float]], seed: int) -> PhysicalParams:
+    """Draw one robot's hidden parameters, uniformly; motors have their own strengths, axes of the IMU their own biases.
+
+    Args:
+        robot: whose sheet they are drawn around.
+        ranges: least and greatest value by row of `ROWS`, as of Tan et al. 2018, table I. K_t and R are drawn within
+            `RELATIVE_RANGE`, the servo's latency from `SERVO_LATENCY`, unless they have ranges; others stay nominal.
+        seed: decides everything.
+
+    Raises:
+        SurefootError: a range beyond what the robot allows.
+    """
+    nominal = PhysicalParams.nominal(robot)
+    known: dict[str, tuple[float, float]] = {"servo_latency": SERVO_LATENCY}
+    for name in ("torque_constant", "resistance"):
+        value = getattr(robot.actuator, name)
+        known[name] = (value * (1 - RELATIVE_RANGE), value * (1 + RELATIVE_RANGE))
+    known |= ranges
+    known.pop("control_step", None)  # the time between commands is the host's
+    drawn = {}
+    for row, (low, high) in known.items():
+        for name in ROWS[row].params:
+            # A stream for each name: what one row draws does not change with the others.
+            size = np.shape(getattr(nominal, name)) if ROWS[row].each else 1
+            drawn[name] = low + (high - low) * generator(seed, f"hidden {name}").uniform(size=size)
+    return nominal.with_values(robot, **drawn)

@@ -10,7 +10,7 @@ import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -20,33 +20,13 @@ from surefoot.errors import SurefootError, choices, quoted
 from surefoot.files import check_readable
 
 Array = NDArray[np.float64]
-
+_PARTS = ("swing", "extension")
+_QUANTITIES = ("amplitude", "frequency", "phase", "offset")
 # What NumPy raises for files that are empty, cut off or of another kind.
 _UNREADABLE = (
     *(OSError, ValueError, KeyError, EOFError, IndexError, TypeError, AttributeError),
     *(zipfile.BadZipFile, zlib.error),
 )
-
-
-class Reference(Protocol):
-    """A function of time that gives leg poses."""
-
-    @property
-    def period(self) -> float | None:
-        """Time [s] after which the reference repeats; None if it does not move or has no common period."""
-        ...
-
-    def pose(self, time: ArrayLike) -> tuple[Array, Array]:
-        """Return the swing and extension (N, L) [rad] at times (N,) [s] since the episode's start."""
-        ...
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return everything that `make_reference` needs to make it again, as JSON values."""
-        ...
-
-    def extent(self) -> tuple[tuple[float, float], tuple[float, float]]:
-        """Return the lowest and highest swing, lowest and highest extension [rad] over all legs and times."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -73,10 +53,7 @@ class Wave:
 
     def to_dict(self, legs: tuple[str, ...]) -> dict[str, dict[str, float]]:
         """Return each quantity as a mapping from leg to number."""
-        return {
-            name: dict(zip(legs, getattr(self, name).tolist(), strict=True))
-            for name in ("amplitude", "frequency", "phase", "offset")
-        }
+        return {name: dict(zip(legs, values.tolist(), strict=True)) for name, values in vars(self).items()}
 
 
 @dataclass(frozen=True)
@@ -89,7 +66,7 @@ class SineReference:
 
     @property
     def period(self) -> float | None:
-        """Common period [s], or None."""
+        """Time [s] after which the reference repeats; None if it does not move or has no common period."""
         moving = [wave.frequency[wave.amplitude != 0] for wave in (self.swing, self.extension)]
         frequencies = np.unique(np.abs(np.concatenate(moving)))
         frequencies = frequencies[frequencies > 0]
@@ -99,20 +76,16 @@ class SineReference:
         return float(1 / frequencies[0]) if np.allclose(ratios, np.round(ratios)) else None
 
     def pose(self, time: ArrayLike) -> tuple[Array, Array]:
-        """Return the swing and extension (N, L) [rad]."""
+        """Return the swing and extension (N, L) [rad] at times (N,) [s] since the episode's start."""
         return self.swing.at(time), self.extension.at(time)
 
     def extent(self) -> tuple[tuple[float, float], tuple[float, float]]:
-        """Return the extents of swing and extension [rad]."""
+        """Return the lowest and highest swing, lowest and highest extension [rad] over all legs and times."""
         return self.swing.extent, self.extension.extent
 
     def to_dict(self) -> dict[str, Any]:
-        """Return a mapping of YAML or JSON values."""
-        return {
-            "kind": "sine",
-            "swing": self.swing.to_dict(self.legs),
-            "extension": self.extension.to_dict(self.legs),
-        }
+        """Return everything that `make_reference` needs to make it again, as JSON values."""
+        return {"kind": "sine", **{part: getattr(self, part).to_dict(self.legs) for part in _PARTS}}
 
 
 @dataclass(frozen=True)
@@ -123,45 +96,38 @@ class TableReference:
     """
 
     legs: tuple[str, ...]
-    table_period: float
+    period: float
+    """Time [s] after which the reference repeats."""
     swing: Array
+    """Swing (rows, L) [rad]."""
     extension: Array
-
-    @property
-    def period(self) -> float | None:
-        """The table's period [s]."""
-        return self.table_period
+    """Extension (rows, L) [rad]."""
 
     def pose(self, time: ArrayLike) -> tuple[Array, Array]:
-        """Return the swing and extension (N, L) [rad]."""
+        """Return the swing and extension (N, L) [rad] at times (N,) [s] since the episode's start."""
         rows = len(self.swing)
-        place = np.asarray(time, float) / self.table_period % 1.0 * rows
+        place = np.asarray(time, float) / self.period % 1.0 * rows
         first = np.floor(place).astype(int) % rows
         share = (place - np.floor(place))[..., None]
         after = (first + 1) % rows
-        return (
-            self.swing[first] + share * (self.swing[after] - self.swing[first]),
-            self.extension[first] + share * (self.extension[after] - self.extension[first]),
-        )
+        swing, extension = (part[first] + share * (part[after] - part[first]) for part in (self.swing, self.extension))
+        return swing, extension
 
     def extent(self) -> tuple[tuple[float, float], tuple[float, float]]:
-        """Return the extents of swing and extension [rad]."""
-        return (
-            (float(self.swing.min()), float(self.swing.max())),
-            (float(self.extension.min()), float(self.extension.max())),
-        )
+        """Return the lowest and highest swing, lowest and highest extension [rad] over all legs and times."""
+        swing, extension = ((float(part.min()), float(part.max())) for part in (self.swing, self.extension))
+        return swing, extension
 
     def to_dict(self) -> dict[str, Any]:
-        """Return a mapping of YAML or JSON values; it contains the rows, so that the file is not needed again."""
-        return {
-            "kind": "table",
-            "period": self.table_period,
-            "swing": dict(zip(self.legs, self.swing.T.tolist(), strict=True)),
-            "extension": dict(zip(self.legs, self.extension.T.tolist(), strict=True)),
-        }
+        """Return what `make_reference` needs to make it again, as JSON values: rows in place of the file."""
+        rows = {part: dict(zip(self.legs, getattr(self, part).T.tolist(), strict=True)) for part in _PARTS}
+        return {"kind": "table", "period": self.period, **rows}
 
 
-def make_reference(data: Mapping[str, Any] | None, legs: tuple[str, ...], folder: Path | None = None) -> Reference:
+Reference = SineReference | TableReference
+
+
+def make_reference(data: Mapping[str, Any] | None, legs: tuple[str, ...]) -> Reference:
     """Make a reference from configuration.
 
     Three forms: nothing (zero at all times); `kind: sine` with `swing` and `extension`, each with
@@ -171,15 +137,13 @@ def make_reference(data: Mapping[str, Any] | None, legs: tuple[str, ...], folder
     Raises:
         SurefootError: an unknown key or leg, a value that is not a number, or a table that does not fit.
     """
-    if data is None:
-        data = {"kind": "sine"}
+    data = {"kind": "sine"} if data is None else data
     kind = data.get("kind")
     if kind == "sine":
-        _only(data, "reference", ("kind", "swing", "extension"))
-        waves = [_wave(data.get(part) or {}, f"reference.{part}", legs) for part in ("swing", "extension")]
-        return SineReference(legs, waves[0], waves[1])
+        _only(data, "reference", ("kind", *_PARTS))
+        return SineReference(legs, *(_wave(data.get(part) or {}, f"reference.{part}", legs) for part in _PARTS))
     if kind == "table":
-        return _table(data, legs, folder)
+        return _table(data, legs)
     raise SurefootError(f"reference.kind is {kind!r}; choices: sine, table")
 
 
@@ -198,10 +162,9 @@ def _number(value: Any, where: str) -> float:
 
 
 def _wave(data: Mapping[str, Any], where: str, legs: tuple[str, ...]) -> Wave:
-    keys = ("amplitude", "frequency", "phase", "offset")
-    _only(data, where, keys)
+    _only(data, where, _QUANTITIES)
     values = {}
-    for key in keys:
+    for key in _QUANTITIES:
         given = data.get(key, 0.0)
         if isinstance(given, Mapping):
             _only(given, f"{where}.{key}", legs)
@@ -216,19 +179,18 @@ def _wave(data: Mapping[str, Any], where: str, legs: tuple[str, ...]) -> Wave:
     return Wave(**values)
 
 
-def _table(data: Mapping[str, Any], legs: tuple[str, ...], folder: Path | None) -> TableReference:
-    _only(data, "reference", ("kind", "period", "file", "swing", "extension"))
+def _table(data: Mapping[str, Any], legs: tuple[str, ...]) -> TableReference:
+    _only(data, "reference", ("kind", "period", "file", *_PARTS))
     period = _number(data.get("period"), "reference.period")
     if not period > 0:
         raise SurefootError(f"reference.period is {period:g}; it must be over 0 s")
+    where = "reference"
+    parts: list[Array] = []
     if "file" in data:
-        path = (folder or Path()) / str(data["file"])
-        swing, extension = _read_table(path, legs)
-        where = str(path)
+        where = str(Path(str(data["file"])))
+        parts = _read_table(Path(where), legs)
     else:
-        where = "reference"
-        parts = []
-        for part in ("swing", "extension"):
+        for part in _PARTS:
             _only(data.get(part, {}), f"reference.{part}", legs)
             try:
                 parts.append(np.array([data[part][leg] for leg in legs], dtype=np.float64).T)
@@ -236,7 +198,7 @@ def _table(data: Mapping[str, Any], legs: tuple[str, ...], folder: Path | None) 
                 raise SurefootError(
                     f"reference.{part} must give one list of numbers, equally long, for {choices(legs)}"
                 ) from None
-        swing, extension = parts
+    swing, extension = parts
     if swing.ndim != 2 or swing.shape != extension.shape or len(swing) < 2:
         raise SurefootError(f"{where}: the table has {len(swing)} row(s); a periodic reference needs 2 or more")
     bad = ~np.isfinite(np.concatenate([swing, extension], axis=1)).all(axis=1)
@@ -247,8 +209,8 @@ def _table(data: Mapping[str, Any], legs: tuple[str, ...], folder: Path | None) 
     return TableReference(legs, period, swing, extension)
 
 
-def _read_table(path: Path, legs: tuple[str, ...]) -> tuple[Array, Array]:
-    columns = [f"{part}_{leg}" for part in ("swing", "extension") for leg in legs]
+def _read_table(path: Path, legs: tuple[str, ...]) -> list[Array]:
+    columns = [f"{part}_{leg}" for part in _PARTS for leg in legs]
     rule = f"a table has columns {choices(columns)}"
     try:
         check_readable(path)
@@ -267,9 +229,7 @@ def _read_table(path: Path, legs: tuple[str, ...]) -> tuple[Array, Array]:
     missing = [name for name in columns if name not in table]
     if missing:
         raise SurefootError(f"{path}: has no column {missing[0]}; {rule}")
-    count = len(legs)
     lengths = {len(table[name]) for name in columns}
     if len(lengths) != 1:
         raise SurefootError(f"{path}: columns differ in length ({choices(map(str, sorted(lengths)))}); make them equal")
-    values = np.stack([table[name] for name in columns], axis=1)
-    return values[:, :count], values[:, count:]
+    return np.split(np.stack([table[name] for name in columns], axis=1), 2, axis=1)

@@ -92,12 +92,11 @@ class EpisodeTrace:
     def __post_init__(self) -> None:
         """Check the record and freeze its arrays."""
         object.__setattr__(self, "meta", _checked_meta(self.meta))
-        shapes = _shapes(np.size(self.time), self.meta)
-        for name in ("foot_position_world", "true_motor_angle"):
-            if getattr(self, name) is None or np.size(getattr(self, name)) == 0:
-                object.__setattr__(self, name, np.full(shapes[name], np.nan))
-        for name, shape in shapes.items():
-            object.__setattr__(self, name, _checked_array(name, getattr(self, name), shape))
+        for name, shape in _shapes(np.size(self.time), self.meta).items():
+            value = getattr(self, name)
+            if name in ("foot_position_world", "true_motor_angle") and np.size(value) == 0:
+                value = np.full(shape, np.nan)
+            object.__setattr__(self, name, _checked_array(name, value, shape))
         if self.time[0] <= 0.0 or np.any(np.diff(self.time) <= 0.0):
             raise SurefootError("trace: time must be above 0 s at the first step and strictly increasing")
         if np.any(self.energy < 0.0):
@@ -171,14 +170,12 @@ class EpisodeTrace:
 def _shapes(steps: int, meta: dict[str, Any]) -> dict[str, tuple[int, ...]]:
     """Return the shape of each array of a trace of `steps` control steps."""
     legs, motors = len(meta["leg_names"]), len(meta["motor_names"])
-    per_motor = dict.fromkeys(("motor_angle", "motor_velocity", "motor_torque", "target"), (steps, motors))
     return {
         "time": (steps,),
         "base_position_world": (steps + 1, 3),
         "base_quat_world": (steps + 1, 4),
-        "roll_pitch_yaw": (steps, 3),
-        "angular_velocity_base": (steps, 3),
-        **per_motor,
+        **dict.fromkeys(("roll_pitch_yaw", "angular_velocity_base"), (steps, 3)),
+        **dict.fromkeys(("motor_angle", "motor_velocity", "motor_torque", "target"), (steps, motors)),
         "observation": (steps, len(meta["observation_names"])),
         "feedback": (steps, 2 * legs),
         "energy": (steps,),
@@ -217,12 +214,11 @@ def _checked_meta(meta: dict[str, Any]) -> dict[str, Any]:
         raise SurefootError(f"trace: schema {plain['schema']}, but surefoot writes schema {SCHEMA}")
     if plain["ended"] not in ENDINGS:
         raise SurefootError(f"trace: ended {plain['ended']!r} is not one of {choices(ENDINGS)}")
-    for name in ("control_step", "max_steps"):
-        if isinstance(plain[name], bool) or not isinstance(plain[name], int | float) or not plain[name] > 0:
-            raise SurefootError(f"trace: {name} {plain[name]!r} must be above 0")
-    weight = plain["energy_weight"]
-    if isinstance(weight, bool) or not isinstance(weight, int | float) or not weight >= 0:
-        raise SurefootError(f"trace: energy_weight {weight!r} must be 0 or above")
+    for name in ("control_step", "max_steps", "energy_weight"):
+        value, may_be_zero = plain[name], name == "energy_weight"
+        is_number = isinstance(value, int | float) and not isinstance(value, bool)
+        if not is_number or not (value > 0 or (may_be_zero and value == 0)):
+            raise SurefootError(f"trace: {name} {value!r} must be {'0 or above' if may_be_zero else 'above 0'}")
     for name in ("leg_names", "motor_names", "observation_names"):
         names = plain[name]
         if not isinstance(names, list) or len(set(map(str, names))) != len(names):
