@@ -28,7 +28,7 @@ from surefoot.evaluate.rollout import task_from_contract
 from surefoot.policy.runtime import PolicyRuntime
 from surefoot.robot import PhysicalParams
 from surefoot.task.env import LocomotionEnv
-from surefoot.world.bullet_import import import_pybullet
+from surefoot.world.bullet_model import import_pybullet
 from surefoot.world.interface import Simulation, SimulationFactory, WorldConfig
 from surefoot.world.process_world import bullet_world
 from surefoot.world.sim_world import SimWorld
@@ -82,9 +82,10 @@ class Bench:
         p, world = import_pybullet(), self.bare_world
         world.reset()
         engine: Any = world.engine  # type: ignore[attr-defined]
-        motors, body, seconds = engine.model.motors, engine.model.body, 0.0
+        motors, body, seconds = engine.models[0].motors, engine.models[0].body, 0.0
         for torques in self.torques:
-            for client, torque in zip(engine._clients, torques.tolist(), strict=True):
+            for model, torque in zip(engine.models, torques.tolist(), strict=True):
+                client = model.client
                 p.setJointMotorControlArray(body, motors, p.TORQUE_CONTROL, forces=torque, physicsClientId=client)
                 start = time.perf_counter()
                 p.stepSimulation(client)

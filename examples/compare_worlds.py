@@ -28,12 +28,12 @@ from matplotlib.figure import Figure
 
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.rotations import xyzw_matrix
-from surefoot.world.bullet_engine import bullet_engine
-from surefoot.world.bullet_import import import_pybullet
+from surefoot.world.bullet_engine import BulletEngine
+from surefoot.world.bullet_model import import_pybullet
 from surefoot.world.interface import WorldConfig
 from surefoot.world.sim_world import EngineFactory, SimWorld, mujoco_engine
 
-ENGINES: dict[str, EngineFactory] = {"MuJoCo": mujoco_engine, "Bullet": bullet_engine}
+ENGINES: dict[str, EngineFactory] = {"MuJoCo": mujoco_engine, "Bullet": BulletEngine}
 COLOURS = {"MuJoCo": "#1f6f8b", "Bullet": "#d1495b", "asked": "#555555"}
 MotorPath = Callable[[float], np.ndarray]
 
@@ -231,14 +231,14 @@ def mujoco_parts(engine: object) -> Parts:
 
 def bullet_parts(engine: object) -> Parts:
     """Return mass, centre and inertia in the world frame of every link."""
-    p, model, client = import_pybullet(), engine.model, engine._clients[0]  # type: ignore[attr-defined]
+    p, model = import_pybullet(), engine.models[0]  # type: ignore[attr-defined]
     parts = []
     for link in model.links.values():
-        info = p.getDynamicsInfo(model.body, link, client)
+        info = p.getDynamicsInfo(model.body, link, model.client)
         place, quat = (
-            p.getBasePositionAndOrientation(model.body, client)
+            p.getBasePositionAndOrientation(model.body, model.client)
             if link < 0
-            else p.getLinkState(model.body, link, computeForwardKinematics=1, physicsClientId=client)[:2]
+            else p.getLinkState(model.body, link, computeForwardKinematics=1, physicsClientId=model.client)[:2]
         )
         turn = xyzw_matrix(np.array(quat))
         parts.append((info[0], np.array(place), turn @ np.diag(info[2]) @ turn.T))

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from surefoot.actuator import coulomb_friction, motor_current, motor_friction, motor_torque, overheat
+from surefoot.actuator import motor_current, motor_friction, motor_torque
+from surefoot.actuator.motor import overheat_kernel
 
 VOLTAGE, KT, RESISTANCE, CLIP = 16.0, 0.0954, 0.186, 50.0
 CURRENTS = np.array([0.0, 10, 20, 30, 40, 50, 60])
@@ -32,41 +33,26 @@ def torque(amperes, strength=1.0):
         (0.5, 100.0, -8.2796),  # (8 - 9.54) / .186: the motor brakes
         (0.0, 100.0, -51.2903),  # -9.54 / .186
         (0.0, 0.0, 0.0),
+        # The net voltage is clipped at 50 V.
+        (1.0, 1000.0, -50 / 0.186),  # 16 - 95.4 = -79.4 V
+        (1.0, -1000.0, 50 / 0.186),  # 16 + 95.4 = 111.4 V
+        (1.0, 691.0, (16 - 65.9214) / 0.186),  # -49.9 V is within
     ],
 )
 def test_current(duty: float, speed: float, expected: float):
     assert current(duty, speed) == pytest.approx(expected, abs=1e-4)
 
 
-def test_stall_torque_is_the_end_of_the_table():
+def test_torque_at_stall_and_at_a_working_point():
     assert torque(current(1.0, 0.0)) == 3.5
-
-
-def test_torque_at_a_working_point():
     # 34.7312 A is .47312 of the way from 30 A to 40 A: 2.45 + .47312 x .55
     assert torque(current(1.0, 100.0)) == pytest.approx(2.71022, abs=1e-5)
 
 
 @pytest.mark.parametrize(
-    ("speed", "expected"),
-    [
-        (1000.0, -50 / 0.186),  # 16 - 95.4 = -79.4 V
-        (-1000.0, 50 / 0.186),  # 16 + 95.4 = 111.4 V
-        (691.0, (16 - 65.9214) / 0.186),  # -49.9 V is within
-    ],
-)
-def test_net_voltage_is_clipped(speed: float, expected: float):
-    assert current(1.0, speed) == pytest.approx(expected)
-
-
-@pytest.mark.parametrize(("amperes", "expected"), list(zip(CURRENTS, TORQUES, strict=True)))
-def test_torque_at_the_tables_points(amperes: float, expected: float):
-    assert torque(amperes) == pytest.approx(expected, abs=1e-15)
-
-
-@pytest.mark.parametrize(
     ("amperes", "expected"),
     [
+        *zip(CURRENTS, TORQUES, strict=True),
         (5.0, 0.5),
         (12.5, 1.225),  # 1 + .25 x .9
         (59.0, 3.475),
@@ -77,8 +63,8 @@ def test_torque_at_the_tables_points(amperes: float, expected: float):
         (-1e6, -3.5),
     ],
 )
-def test_torque_between_and_beyond_the_tables_points(amperes: float, expected: float):
-    assert torque(amperes) == pytest.approx(expected)
+def test_torque_at_between_and_beyond_the_tables_points(amperes: float, expected: float):
+    assert torque(amperes) == pytest.approx(expected, abs=1e-12)
 
 
 def test_what_is_no_number_gives_no_torque():
@@ -94,38 +80,29 @@ def test_strength_scales_the_torque(strength: float):
 
 @pytest.mark.parametrize("speed", [0.5, 3.0, 100.0])
 @pytest.mark.parametrize("friction", [0.01, 0.05])
-def test_friction_opposes_motion(speed: float, friction: float):
-    assert coulomb_friction(speed, friction) == pytest.approx(-friction, rel=2e-3)
-    assert coulomb_friction(-speed, friction) == pytest.approx(friction, rel=2e-3)
+def test_coulomb_friction_opposes_motion(speed: float, friction: float):
+    assert motor_friction(speed, friction, 0.0) == pytest.approx(-friction, rel=2e-3)
+    assert motor_friction(-speed, friction, 0.0) == pytest.approx(friction, rel=2e-3)
 
 
-def test_friction_is_zero_at_rest_and_without_friction():
-    assert coulomb_friction(0.0, 0.05) == 0.0
-    assert coulomb_friction(10.0, 0.0) == 0.0
-
-
-def test_friction_at_low_speed():
-    # tanh(.05 / .1) = .462117
-    assert coulomb_friction(0.05, 0.05) == pytest.approx(-0.0231059, abs=1e-7)
+@pytest.mark.parametrize(
+    ("speed", "coulomb", "viscous", "expected"),
+    [
+        (0.0, 0.05, 0.02, 0.0),
+        (10.0, 0.0, 0.0, 0.0),
+        (0.05, 0.05, 0.0, -0.0231059),  # tanh(.05 / .1) = .462117
+        (0.05, 0.05, 0.02, -0.0241059),  # and .02 x .05 = .001
+        (-10.0, 0.05, 0.02, 0.25),
+        (10.0, 0.0, 0.02, -0.2),
+    ],
+)
+def test_friction_by_hand(speed: float, coulomb: float, viscous: float, expected: float):
+    assert motor_friction(speed, coulomb, viscous) == pytest.approx(expected, abs=1e-7)
 
 
 def test_friction_takes_power():
     speed = np.linspace(-20, 20, 101)
-    assert np.all(coulomb_friction(speed, 0.05) * speed <= 0)
-
-
-def test_friction_by_hand():
-    # .05 tanh(.05 / .1) = .0231059, and .02 x .05 = .001; at 10 rad/s .05 and .2.
-    assert motor_friction(0.05, 0.05, 0.02) == pytest.approx(-0.0241059, abs=1e-7)
-    assert motor_friction(-10.0, 0.05, 0.02) == pytest.approx(0.25)
-    assert motor_friction(10.0, 0.0, 0.02) == pytest.approx(-0.2)
-    assert motor_friction(0.0, 0.05, 0.02) == 0.0
-
-
-def test_without_viscous_friction_it_is_coulombs_to_the_last_bit(rng: np.random.Generator):
-    speed = np.concatenate([[0.0, -0.0], rng.normal(0, 20, 1000)])
-    for coulomb in (0.0, 0.05):
-        assert motor_friction(speed, coulomb, 0.0).tobytes() == coulomb_friction(speed, coulomb).tobytes()
+    assert np.all(motor_friction(speed, 0.05, 0.0) * speed <= 0)
 
 
 @pytest.mark.parametrize(
@@ -159,11 +136,11 @@ def test_a_step_of_friction_does_not_turn_a_motor_back():
 def test_hot_time_counts_and_starts_anew():
     hot = 0.0
     for _ in range(5):
-        hot = overheat(2.5, hot, 0.001, 2.45)
+        hot = overheat_kernel(2.5, hot, 0.001, 2.45)
     assert hot == pytest.approx(0.005)
-    assert overheat(-2.5, hot, 0.001, 2.45) == pytest.approx(0.006)
-    assert overheat(2.45, hot, 0.001, 2.45) == 0.0
-    assert overheat(0.0, hot, 0.001, 2.45) == 0.0
+    assert overheat_kernel(-2.5, hot, 0.001, 2.45) == pytest.approx(0.006)
+    assert overheat_kernel(2.45, hot, 0.001, 2.45) == 0.0
+    assert overheat_kernel(0.0, hot, 0.001, 2.45) == 0.0
 
 
 def test_laws_broadcast_over_robots_and_motors(rng: np.random.Generator):
@@ -175,6 +152,4 @@ def test_laws_broadcast_over_robots_and_motors(rng: np.random.Generator):
     expected = np.sign(amperes) * np.interp(np.abs(amperes), CURRENTS, TORQUES) * strength
     np.testing.assert_allclose(answer, expected, rtol=1e-14)
     np.testing.assert_allclose(amperes, (duty * voltage - KT * speed) / RESISTANCE, rtol=1e-14)
-    assert coulomb_friction(speed, np.full(8, 0.05)).shape == (5, 8)
     assert motor_friction(speed, np.full(8, 0.05), np.full((5, 1), 0.02)).shape == (5, 8)
-    assert overheat(answer, np.zeros((5, 8)), 0.001, 2.45).shape == (5, 8)

@@ -25,70 +25,48 @@ def test_motor_to_leg_undoes_leg_to_motor(swing: float, extension: float):
     np.testing.assert_allclose(back, (swing, extension), atol=1e-12)
 
 
-@given(theta_1=ANGLE, theta_2=ANGLE)
-def test_leg_to_motor_undoes_motor_to_leg(theta_1: float, theta_2: float):
-    back = leg_to_motor(*motor_to_leg(theta_1, theta_2))
-    np.testing.assert_allclose(back, (theta_1, theta_2), atol=1e-12)
-
-
 def test_leg_space_broadcasts():
     theta_1, theta_2 = leg_to_motor(np.zeros((5, 4)), 2.0)
     assert theta_1.shape == theta_2.shape == (5, 4)
 
 
-def test_upper_links_at_a_right_angle_point_away_from_the_leg():
-    # theta = pi/2 is horizontal: motor 1 forward, motor 2 backward.
-    front, back = MINITAUR.knees(np.pi / 2, np.pi / 2)
-    np.testing.assert_allclose(front, (0.101, 0), atol=1e-15)
-    np.testing.assert_allclose(back, (-0.101, 0), atol=1e-15)
-
-
-def test_upper_links_straight_down_meet():
-    front, back = MINITAUR.knees(np.pi, np.pi)
-    np.testing.assert_allclose(front, (0, -0.101), atol=1e-15)
-    np.testing.assert_allclose(back, front, atol=1e-15)
+# theta = pi/2 is horizontal, motor 1 forward and motor 2 backward; at pi both point straight down and meet.
+@pytest.mark.parametrize(
+    ("theta", "front", "back"),
+    [(np.pi / 2, (0.101, 0), (-0.101, 0)), (np.pi, (0, -0.101), (0, -0.101))],
+)
+def test_upper_links(theta: float, front: tuple[float, float], back: tuple[float, float]):
+    np.testing.assert_allclose(MINITAUR.knees(theta, theta), (front, back), atol=1e-15)
 
 
 # At e = pi/2 the knees are at x = +-.101, z = 0, a distance d = .202 apart. From knee 2 the pin lies
 #   (d^2 + .208^2 - .200^2) / 2d = .044068 / .404 = .109079 along, sqrt(.208^2 - .109079^2) = .177104 down,
 # and the foot .240 / .208 times as far along the same link.
-def test_pin_at_a_right_angle():
-    np.testing.assert_allclose(MINITAUR.pin(np.pi / 2, np.pi / 2), (-0.101 + 0.109079, -0.177104), atol=1e-6)
-
-
-def test_foot_at_a_right_angle():
-    np.testing.assert_allclose(MINITAUR.foot_position(np.pi / 2, np.pi / 2), (-0.101 + 0.125860, -0.204350), atol=1e-6)
-
-
-def test_equal_lower_links_put_pin_and_foot_of_a_symmetric_pose():
-    # Equal links of .2: knees at +-.1, pin sqrt(.04 - .01) = .173205 below the axis, foot .3 from knee 2
-    # along a link at 60 degrees: x = -.1 + .3 cos 60 = .05, z = -.3 sin 60 = -.259808.
-    leg = FiveBar(upper=0.1, lower=(0.2, 0.2), foot=0.3, foot_radius=0.0)
-    np.testing.assert_allclose(leg.pin(np.pi / 2, np.pi / 2), (0, -0.173205), atol=1e-6)
-    np.testing.assert_allclose(leg.foot_position(np.pi / 2, np.pi / 2), (0.05, -0.259808), atol=1e-6)
+# With equal links of .2: knees at +-.1, pin sqrt(.04 - .01) = .173205 below the axis, foot .3 from knee 2
+# along a link at 60 degrees: x = -.1 + .3 cos 60 = .05, z = -.3 sin 60 = -.259808.
+@pytest.mark.parametrize(
+    ("leg", "pin", "foot"),
+    [
+        (MINITAUR, (-0.101 + 0.109079, -0.177104), (-0.101 + 0.125860, -0.204350)),
+        (FiveBar(upper=0.1, lower=(0.2, 0.2), foot=0.3, foot_radius=0.0), (0, -0.173205), (0.05, -0.259808)),
+    ],
+)
+def test_pin_and_foot_at_a_right_angle(leg: FiveBar, pin: tuple[float, float], foot: tuple[float, float]):
+    np.testing.assert_allclose(leg.pin(np.pi / 2, np.pi / 2), pin, atol=1e-6)
+    np.testing.assert_allclose(leg.foot_position(np.pi / 2, np.pi / 2), foot, atol=1e-6)
 
 
 @pytest.mark.parametrize("extension", np.linspace(0.6, 2.7, 8))
 @pytest.mark.parametrize("swing", [-0.5, 0.0, 0.5])
-def test_loop_keeps_every_length(swing: float, extension: float):
+def test_loop_keeps_every_length_and_knee_angles_lead_to_the_pin(swing: float, extension: float):
     theta = leg_to_motor(swing, extension)
     (knee_1, knee_2), pin, foot = MINITAUR.knees(*theta), MINITAUR.pin(*theta), MINITAUR.foot_position(*theta)
     lengths = [np.linalg.norm(x) for x in (knee_1, knee_2, pin - knee_1, pin - knee_2, foot - knee_2)]
     np.testing.assert_allclose(lengths, (0.101, 0.101, 0.200, 0.208, 0.240), rtol=1e-12)
-
-
-@pytest.mark.parametrize("extension", np.linspace(0.6, 2.7, 8))
-@pytest.mark.parametrize("swing", [-0.5, 0.0, 0.5])
-def test_knee_angles_lead_from_upper_links_to_the_pin(swing: float, extension: float):
-    theta = leg_to_motor(swing, extension)
-    turns = MINITAUR.knee_angles(*theta)
     # Absolute angle from straight up, about +y: motor 1 turns by theta_1, motor 2 by -theta_2.
-    for knee, start, turn, length in zip(
-        MINITAUR.knees(*theta), (theta[0], -theta[1]), turns, MINITAUR.lower, strict=True
-    ):
-        angle = start + turn
-        end = knee + length * np.array([np.sin(angle), np.cos(angle)])
-        np.testing.assert_allclose(end, MINITAUR.pin(*theta), atol=1e-12)
+    angles = np.array([theta[0], -theta[1]]) + MINITAUR.knee_angles(*theta)
+    ends = [knee_1, knee_2] + np.array([MINITAUR.lower] * 2).T * np.stack([np.sin(angles), np.cos(angles)], axis=1)
+    np.testing.assert_allclose(ends, [pin, pin], atol=1e-12)
 
 
 def test_knees_bend_to_either_side():

@@ -24,52 +24,31 @@ def test_every_array_has_a_row_for_each_robot(params: PhysicalParams, name: str)
     assert value.dtype == np.float64
 
 
+def test_nominal_values_are_the_sheets(params: PhysicalParams):
+    expected = dict.fromkeys(PhysicalParams.names(), 0.0) | {
+        **dict.fromkeys(("base_mass_ratio", "leg_mass_ratio", "base_inertia_ratio", "leg_inertia_ratio"), 1.0),
+        **{"motor_strength": 1.0, "torque_constant": 0.0954, "resistance": 0.186, "voltage": 16.0},
+        **{"servo_kp": 1.0, "servo_kd": 0.015, "servo_latency": 0.003, "control_latency": 0.02, "control_step": 0.006},
+        **{"contact_friction": 1.0, "contact_stiffness": 3000.0, "contact_spinning_friction": 0.004},
+    }
+    for name, value in expected.items():
+        assert np.all(getattr(params, name) == value), name
+
+
+ROBOTS, MOTORS = [0.8, 0.9, 1.0, 1.1, 1.2], np.linspace(0.8, 1.2, 8)
+
+
 @pytest.mark.parametrize(
-    ("name", "value"),
+    ("name", "given", "expected"),
     [
-        ("base_mass_ratio", 1.0),
-        ("motor_strength", 1.0),
-        ("motor_friction", 0.0),
-        ("motor_viscous_friction", 0.0),
-        ("torque_constant", 0.0954),
-        ("resistance", 0.186),
-        ("voltage", 16.0),
-        ("servo_kp", 1.0),
-        ("servo_kd", 0.015),
-        ("servo_latency", 0.003),
-        ("control_step", 0.006),
-        ("contact_friction", 1.0),
-        ("contact_stiffness", 3000.0),
-        ("contact_spinning_friction", 0.004),
-        ("knee_friction", 0.0),
-        ("knee_play", 0.0),
-        ("floor_unevenness", 0.0),
-        ("imu_mount", 0.0),
-        ("imu_bias", 0.0),
-        ("imu_noise", 0.0),
+        ("motor_strength", 0.8, 0.8),
+        ("voltage", [14, 15, 16, 16.5, 16.8], [14, 15, 16, 16.5, 16.8]),
+        ("motor_strength", ROBOTS, np.array(ROBOTS)[:, None]),  # one number a robot goes to all its motors
+        ("motor_strength", MOTORS, MOTORS),  # one a motor to all robots
     ],
 )
-def test_nominal_values_are_the_sheets(params: PhysicalParams, name: str, value: float):
-    assert np.all(getattr(params, name) == value)
-
-
-def test_one_value_goes_to_all(robot, params):
-    assert np.all(params.with_values(robot, motor_strength=0.8).motor_strength == 0.8)
-
-
-def test_a_row_of_numbers_gives_each_robot_its_own(robot, params):
-    changed = params.with_values(robot, voltage=[14, 15, 16, 16.5, 16.8])
-    assert changed.voltage.tolist() == [14, 15, 16, 16.5, 16.8]
-
-
-def test_one_number_a_robot_goes_to_all_its_motors(robot, params):
-    strength = params.with_values(robot, motor_strength=[0.8, 0.9, 1.0, 1.1, 1.2]).motor_strength
-    assert np.all(strength == np.array([0.8, 0.9, 1.0, 1.1, 1.2])[:, None])
-
-
-def test_one_number_a_motor_goes_to_all_robots(robot, params):
-    ratios = np.linspace(0.8, 1.2, 8)
-    assert np.all(params.with_values(robot, motor_strength=ratios).motor_strength == ratios)
+def test_values_go_to_robots_and_motors(robot, params, name, given, expected):
+    assert np.all(getattr(params.with_values(robot, **{name: given}), name) == expected)
 
 
 def test_with_values_leaves_the_original_alone(robot, params):
@@ -108,10 +87,14 @@ def test_rows_takes_robots_by_index(robot, params):
     assert rows.motor_strength.shape == (2, 8)
 
 
-def test_summary_is_the_mean_over_robots(robot, params):
-    summary = params.with_values(robot, voltage=[14, 15, 16, 17, 18]).summary()
-    assert summary["voltage"] == 16.0
-    assert set(summary) == set(PhysicalParams.names())
+def test_rows_are_set_all_or_none(robot, params):
+    given = params.rows([0, 0]).with_values(robot, voltage=[14.0, 15.0])
+    params.set_rows(robot, [4, 1], given)
+    assert params.voltage.tolist() == [16.0, 15.0, 16.0, 16.0, 14.0]
+    given.base_mass_ratio[:], given.imu_noise[0] = 2.0, 9.0
+    with pytest.raises(SurefootError, match="imu_noise is 9"):
+        params.set_rows(robot, [4, 1], given)
+    assert np.all(params.base_mass_ratio == 1.0)
 
 
 def test_settings_of_a_command_line():

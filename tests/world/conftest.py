@@ -1,4 +1,4 @@
-"""The robot and worlds that tests of this room share."""
+"""The robot and worlds that tests of this package share."""
 
 from __future__ import annotations
 
@@ -10,18 +10,67 @@ import pytest
 
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.world.interface import WorldConfig
-from surefoot.world.sim_world import SimWorld
+from surefoot.world.sim_world import EngineFactory, SimWorld, mujoco_engine
 
 
 @pytest.fixture
 def make_world(robot: RobotDescription) -> Callable[..., SimWorld]:
     """Make a world of so many robots, with parameters by name and the rest as `SimWorld` takes it."""
 
-    def make(num_envs: int = 1, *, seed: int = 0, config: dict[str, Any] | None = None, **values: Any) -> SimWorld:
+    def make(
+        num_envs: int = 1,
+        *,
+        seed: int = 0,
+        config: dict[str, Any] | None = None,
+        engine: EngineFactory = mujoco_engine,
+        **values: Any,
+    ) -> SimWorld:
         params = PhysicalParams.nominal(robot, num_envs).with_values(robot, **values)
-        return SimWorld(robot, num_envs, params, seed, WorldConfig(**(config or {})))
+        return SimWorld(robot, num_envs, params, seed, WorldConfig(**(config or {})), engine)
 
     return make
+
+
+@pytest.fixture(params=["mujoco", "bullet"])
+def engine(request: pytest.FixtureRequest) -> EngineFactory:
+    """Give MuJoCo's engine, and Bullet's."""
+    if request.param == "mujoco":
+        return mujoco_engine
+    pytest.importorskip("pybullet")
+    from surefoot.world.bullet_engine import BulletEngine
+
+    return BulletEngine
+
+
+@pytest.fixture(scope="session")
+def varied() -> Callable[..., dict[str, np.ndarray]]:
+    """Different values of many parameters for so many robots."""
+
+    def values(num_envs: int, bullet: bool = False) -> dict[str, np.ndarray]:
+        draw = np.random.default_rng(7)
+        of_bullet = {
+            "knee_friction": draw.uniform(0, 0.02, num_envs),
+            "knee_play": draw.uniform(0.0001, 0.0005, num_envs),
+            "floor_unevenness": draw.uniform(0.001, 0.004, num_envs),
+        }
+        return {
+            "base_mass_ratio": draw.uniform(0.8, 1.2, num_envs),
+            "leg_inertia_ratio": draw.uniform(0.5, 1.5, num_envs),
+            "motor_strength": draw.uniform(0.8, 1.2, (num_envs, 8)),
+            "motor_viscous_friction": draw.uniform(0, 0.02, (num_envs, 8)),
+            "voltage": draw.uniform(14, 16.8, num_envs),
+            "contact_friction": draw.uniform(0.5, 1.25, num_envs),
+            "control_step": draw.uniform(0.003, 0.012, num_envs),
+            "control_latency": draw.uniform(0, 0.04, num_envs),
+            "servo_latency": draw.uniform(0, 0.01, num_envs),
+            "imu_noise": draw.uniform(0.01, 0.05, num_envs),
+            "imu_mount": draw.uniform(-0.02, 0.02, (num_envs, 3)),
+            "contact_stiffness": draw.uniform(1500, 6000, num_envs),
+            "contact_spinning_friction": draw.uniform(0.002, 0.006, num_envs),
+            **(of_bullet if bullet else {}),
+        }
+
+    return values
 
 
 @pytest.fixture
@@ -36,7 +85,7 @@ def trot(robot: RobotDescription) -> Callable[[int], np.ndarray]:
 
 
 @pytest.fixture
-def assert_same() -> Callable[[Any, Any], None]:
+def assert_same() -> Callable[..., None]:
     """Compare two dataclasses of arrays to the last bit, NaN equal to NaN."""
 
     def compare(a: Any, b: Any, rows_a: Any = slice(None), rows_b: Any = slice(None)) -> None:

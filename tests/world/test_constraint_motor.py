@@ -1,9 +1,10 @@
 from __future__ import annotations
 
+import mujoco
 import numpy as np
 import pytest
 
-from surefoot.actuator import constraint_speed, constraint_torque
+from surefoot.actuator.constraint import constraint_speed_kernel, constraint_torque_kernel
 from surefoot.errors import SurefootError
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.world.interface import WorldConfig
@@ -19,19 +20,19 @@ def make(robot: RobotDescription, rack: bool = True, **values: float) -> SimWorl
 
 def test_speed_sought_by_hand() -> None:
     # .032 rad away, gains 1 and .015, step 1 ms: .032 / (.001 + .015).
-    speed = constraint_speed(1.032, 1.0, 1.0, 0.015, 0.001)
+    speed = constraint_speed_kernel(1.032, 1.0, 1.0, 0.015, 0.001)
     assert speed == pytest.approx(2.0)
     # The error at the end of the step is zero.
     assert 1.0 * (1.032 - (1.0 + 0.001 * speed)) - 0.015 * speed == pytest.approx(0.0, abs=1e-15)
     # Without damping the motor is at its target one step later; without stiffness it stands.
-    assert constraint_speed(1.02, 1.0, 0.5, 0.0, 0.001) == pytest.approx(20.0)
-    assert constraint_speed(1.02, 1.0, 0.0, 0.015, 0.001) == 0.0
+    assert constraint_speed_kernel(1.02, 1.0, 0.5, 0.0, 0.001) == pytest.approx(20.0)
+    assert constraint_speed_kernel(1.02, 1.0, 0.0, 0.015, 0.001) == 0.0
 
 
 def test_torque_limit_by_hand() -> None:
     # An ideal motor of .0954 N m/A and .186 Ohm on 16 V: 86.0 A, 8.21 N m.
-    assert constraint_torque(16.0, 0.0954, 0.186, 1.0) == pytest.approx(8.2065, abs=1e-4)
-    assert constraint_torque(16.0, 0.0954, 0.186, 0.5) == pytest.approx(4.1032, abs=1e-4)
+    assert constraint_torque_kernel(16.0, 0.0954, 0.186, 1.0) == pytest.approx(8.2065, abs=1e-4)
+    assert constraint_torque_kernel(16.0, 0.0954, 0.186, 0.5) == pytest.approx(4.1032, abs=1e-4)
 
 
 @pytest.mark.parametrize("kd", [0.0, 0.015])
@@ -73,8 +74,6 @@ def test_work_done_on_the_rack_is_the_energy_gained(robot: RobotDescription) -> 
     world.step(world.resting_angles[None] + 0.03)
     truth = world.truth()
     data, model = world.engine.datas[0], world.engine.models[0]
-    import mujoco
-
     mujoco.mj_forward(model, data)
     mass = np.zeros((model.nv, model.nv))
     mujoco.mj_fullM(model, data, mass)
@@ -91,11 +90,14 @@ def test_servo_latency_does_not_matter_to_it(robot: RobotDescription) -> None:
     np.testing.assert_array_equal(one.truth().motor_angle, other.truth().motor_angle)
 
 
-def test_thermal_protection_is_of_dc_motors_only() -> None:
-    with pytest.raises(SurefootError, match="thermal_protection"):
-        WorldConfig(actuator="constraint", thermal_protection=True)
-
-
-def test_an_unknown_actuator_is_refused() -> None:
-    with pytest.raises(SurefootError, match="dc, constraint"):
-        WorldConfig(actuator="servo")  # type: ignore[arg-type]
+@pytest.mark.parametrize(
+    ("config", "said"),
+    [
+        ({"actuator": "constraint", "thermal_protection": True}, "thermal_protection"),
+        ({"actuator": "servo"}, "dc, constraint"),
+        ({"threads": -1}, "threads is -1; it must be 0"),
+    ],
+)
+def test_configurations_that_are_none_are_refused(config, said):
+    with pytest.raises(SurefootError, match=said):
+        WorldConfig(**config)

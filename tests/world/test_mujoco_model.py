@@ -2,31 +2,27 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import mujoco
 import numpy as np
 import pytest
 
 from surefoot.robot import RobotDescription, leg_to_motor
-from surefoot.world.mujoco_model import build_model, build_spec, foot_geoms
+from surefoot.world.interface import WorldConfig
+from surefoot.world.mujoco_model import build_model, foot_geoms, resting_qpos
 
 
 class Rack:
     """The robot with its base fixed in space, every loop closed at swing 0 and an extension."""
 
     def __init__(self, robot: RobotDescription, extension: float, gravity: bool) -> None:
-        spec = build_spec(robot)
-        spec.delete(spec.body(robot.base).joints[0])
+        self.robot, self.model = robot, build_model(robot, WorldConfig(rack=True))
         if not gravity:
-            spec.option.gravity = [0, 0, 0]
-        self.robot, self.model = robot, spec.compile()
+            self.model.opt.gravity[:] = 0.0
         self.data = mujoco.MjData(self.model)
         self.motors = [self.model.joint(name) for name in robot.motor_names]
-        for joint, sign in zip(self.motors, robot.motor_sign, strict=True):
-            self.data.qpos[joint.qposadr[0]] = sign * extension
-        knees = robot.leg_geometry.knee_angles(extension, extension)
-        for leg in robot.legs:
-            for name, angle in zip(leg.knees, knees, strict=True):
-                self.data.qpos[self.model.joint(name).qposadr[0]] = angle
+        self.data.qpos[:] = resting_qpos(replace(robot, rest=(0.0, extension)), self.model)
         mujoco.mj_forward(self.model, self.data)
 
     @property
@@ -60,20 +56,14 @@ def foot_centre(robot: RobotDescription, theta_1: np.ndarray, theta_2: np.ndarra
     return knee + (end - knee) * (1 - bars.foot_radius / bars.foot)
 
 
-def test_mass_is_the_descriptions(robot: RobotDescription):
-    assert build_model(robot).body_mass.sum() == pytest.approx(7.473, abs=1e-6)
-
-
-def test_rails_add_to_the_bases_inertia(robot: RobotDescription):
+def test_the_model_has_the_descriptions_masses_and_coordinates(robot: RobotDescription):
     model = build_model(robot)
+    assert model.body_mass.sum() == pytest.approx(7.473, abs=1e-6)
     # Turning about x through the common centre of mass at z = -.0185 x 2.64 / 5.993 = -.0081495:
     # .006837 + 3.353 x .0081495^2 + 2 (.004147 + 1.32 (.1265^2 + .0103505^2)) = .0578824
     assert model.body(robot.base).mass[0] == pytest.approx(5.993)
     assert sorted(model.body(robot.base).inertia)[0] == pytest.approx(0.0578824, rel=2e-2)
-
-
-def test_six_free_eight_motor_and_eight_knee_coordinates(robot: RobotDescription):
-    model = build_model(robot)
+    # Six free, eight of motors and eight of knees.
     assert (model.nv, model.neq, model.opt.timestep) == (6 + 8 + 8, 4, 0.001)
 
 

@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -25,33 +26,45 @@ from surefoot.world.sim_world import SimWorld, mujoco_engine
 NUM = 5
 
 
-def values(robot: RobotDescription) -> PhysicalParams:
-    draw = np.random.default_rng(7)
-    return PhysicalParams.nominal(robot, NUM).with_values(
-        robot,
-        base_mass_ratio=draw.uniform(0.8, 1.2, NUM),
-        voltage=draw.uniform(14, 16.8, NUM),
-        control_step=draw.uniform(0.003, 0.012, NUM),
-        imu_noise=draw.uniform(0.01, 0.05, NUM),
-        motor_viscous_friction=np.random.default_rng(8).uniform(0, 0.02, (NUM, 8)),
-        contact_stiffness=draw.uniform(1500, 6000, NUM),
-    )
-
-
 CONFIG = {"start_linear_speed": 0.05, "start_angular_speed": 0.1}
 
 
+@pytest.fixture
+def single(make_world, varied) -> SimWorld:
+    """Five robots of different parameters in one world."""
+    return make_world(NUM, seed=3, config={"threads": 1, **CONFIG}, **varied(NUM))
+
+
 @pytest.fixture(scope="module")
-def spread(robot: RobotDescription) -> Any:
-    """Five robots in three processes; every test resets what it needs."""
-    config = WorldConfig(threads=3, **CONFIG)
-    world = ProcessWorld(robot, NUM, values(robot), 3, config, mujoco_engine)
-    yield world
+def processes(robot: RobotDescription, varied) -> Iterator[tuple[ProcessWorld, dict[str, Any]]]:
+    """The same in three processes, and its state in the beginning."""
+    params = PhysicalParams.nominal(robot, NUM).with_values(robot, **varied(NUM))
+    world = ProcessWorld(robot, NUM, params, 3, WorldConfig(threads=3, **CONFIG), mujoco_engine)
+    yield world, world.get_state()
     world.close()
 
 
-def single(robot: RobotDescription) -> SimWorld:
-    return SimWorld(robot, NUM, values(robot), 3, WorldConfig(threads=1, **CONFIG))
+@pytest.fixture
+def spread(processes) -> ProcessWorld:
+    """The world in three processes, as it was in the beginning."""
+    world, state = processes
+    world.set_state(state)
+    return world
+
+
+def assert_same_state(one: dict[str, Any], other: dict[str, Any]) -> None:
+    assert one.keys() == other.keys()
+    assert one["streams"] == other["streams"]
+    for key in ("engine", "control_steps", "noise", "diverged", "divergences"):
+        np.testing.assert_array_equal(one[key], other[key])
+    for part in ("drive", "params"):
+        assert one[part].keys() == other[part].keys()
+        for name in one[part]:
+            np.testing.assert_array_equal(one[part][name], other[part][name], err_msg=name)
+
+
+def ids(world: ProcessWorld) -> list[int]:
+    return [process.pid for process in world._pool._processes]
 
 
 def gone(process_id: int, within: float = 20.0) -> bool:
@@ -85,58 +98,36 @@ def play(world: Any, trot: Any) -> list[Any]:
     return said
 
 
-def test_processes_and_one_world_say_the_same(robot, trot, assert_same, spread):
-    one = single(robot)
-    state = spread.get_state()
-    for a, b in zip(play(one, trot), play(spread, trot), strict=True):
+def test_processes_and_one_world_say_the_same(single, spread, processes, trot, assert_same):
+    assert_same_state(single.get_state(), processes[1])
+    for a, b in zip(play(single, trot), play(spread, trot), strict=True):
         assert_same(a, b)
-    np.testing.assert_array_equal(one.foot_positions(), spread.foot_positions())
-    assert one.divergences == spread.divergences == 1
-    for name in PhysicalParams.names():
-        np.testing.assert_array_equal(getattr(one.params, name), getattr(spread.params, name))
-    spread.set_state(state)
-    assert spread.divergences == 0
+    np.testing.assert_array_equal(single.foot_positions(), spread.foot_positions())
+    assert single.divergences == spread.divergences == 1
+    assert_same(single.params, spread.params)
 
 
-def test_a_state_is_that_of_one_world_and_goes_on_in_any(robot, trot, assert_same, spread):
-    one = single(robot)
-    spread.set_state(one.get_state())
+def test_a_state_is_that_of_one_world_and_goes_on_in_any(single, spread, trot, assert_same):
     for k in range(7):
         spread.step(trot(k))
-        one.step(trot(k))
-    theirs, ours = one.get_state(), spread.get_state()
-    assert theirs["streams"] == ours["streams"]
-    assert theirs.keys() == ours.keys()
-    for key in ("engine", "control_steps", "noise", "diverged", "divergences"):
-        np.testing.assert_array_equal(theirs[key], ours[key])
-    for part in ("drive", "params"):
-        assert theirs[part].keys() == ours[part].keys()
-        for name in theirs[part]:
-            np.testing.assert_array_equal(theirs[part][name], ours[part][name], err_msg=name)
+        single.step(trot(k))
+    state = spread.get_state()
+    assert_same_state(single.get_state(), state)
     for k in range(30):
         spread.step(trot(k))
-    for world in (spread, one):
-        world.set_state(ours)
+    for world in (spread, single):
+        world.set_state(state)
     for k in range(7, 20):
-        assert_same(spread.step(trot(k)), one.step(trot(k)))
-    assert_same(spread.truth(), one.truth())
+        assert_same(spread.step(trot(k)), single.step(trot(k)))
+    assert_same(spread.truth(), single.truth())
 
 
 def test_a_state_from_before_a_parameter_goes_on_with_its_nominal_value(robot, trot, assert_same, spread):
     one = SimWorld(robot, NUM)
     state = one.get_state()
-    del state["params"]["contact_stiffness"]
+    del state["params"]["contact_stiffness"], state["params"]["motor_viscous_friction"], state["drive"]["viscous"]
     spread.set_state(state)
     assert spread.params.contact_stiffness.tolist() == [3000.0] * NUM
-    for k in range(10):
-        assert_same(spread.step(trot(k)), one.step(trot(k)))
-
-
-def test_a_state_from_before_viscous_friction_goes_on_without(robot, trot, assert_same, spread):
-    one = SimWorld(robot, NUM)
-    state = one.get_state()
-    del state["params"]["motor_viscous_friction"], state["drive"]["viscous"]
-    spread.set_state(state)
     assert not spread.params.motor_viscous_friction.any()
     for k in range(10):
         assert_same(spread.step(trot(k)), one.step(trot(k)))
@@ -144,7 +135,7 @@ def test_a_state_from_before_viscous_friction_goes_on_without(robot, trot, asser
 
 def test_arrays_of_all_robots_are_known(robot):
     # A row each for 3 and for 7 robots, or the same whatever the number.
-    three, seven = new_drive(robot, 3, 5)._asdict(), new_drive(robot, 7, 5)._asdict()
+    three, seven = (new_drive(robot, num, 5, WorldConfig())._asdict() for num in (3, 7))
     for name in three:
         assert (len(three[name]), len(seven[name])) == (3, 7) or name in OF_ALL_ROBOTS, name
     for name in OF_ALL_ROBOTS:
@@ -176,7 +167,7 @@ def test_an_error_in_a_process_is_raised_here_and_the_world_goes_on(robot, sprea
 @pytest.mark.parametrize("num_envs", [0, 2])
 def test_a_world_of_no_or_of_other_robots_is_refused(robot, num_envs):
     with pytest.raises(SurefootError, match=r"num_envs is 0|params are for 5 robots; the world has 2"):
-        ProcessWorld(robot, num_envs, values(robot), 0, WorldConfig(), mujoco_engine)
+        ProcessWorld(robot, num_envs, PhysicalParams.nominal(robot, 5), 0, WorldConfig(), mujoco_engine)
 
 
 def test_an_error_while_it_is_made_is_raised_and_ends_all_processes(robot):
@@ -188,24 +179,28 @@ def test_an_error_while_it_is_made_is_raised_and_ends_all_processes(robot):
         assert ours not in (process / "status").read_text()
 
 
-def test_a_process_that_dies_is_one_clear_error(robot, trot):
-    world = ProcessWorld(robot, 2, None, 0, WorldConfig(threads=2), mujoco_engine)
-    ids = world._pool.process_ids
-    os.kill(ids[1], signal.SIGKILL)
+@pytest.fixture
+def pair(robot: RobotDescription) -> ProcessWorld:
+    return ProcessWorld(robot, 2, None, 0, WorldConfig(threads=2), mujoco_engine)
+
+
+def test_a_process_that_dies_is_one_clear_error(pair, trot):
+    pids = ids(pair)
+    os.kill(pids[1], signal.SIGKILL)
     with pytest.raises(SurefootError, match=r"a process of the simulated world ended on its own \(exit code -9\)"):
-        world.step(trot(0))
-    assert all(gone(process_id) for process_id in ids)
+        pair.step(trot(0))
+    assert all(map(gone, pids))
     with pytest.raises(SurefootError, match="this world is closed, or one of its processes is gone"):
-        world.step(trot(0))
+        pair.step(trot(0))
 
 
 def test_processes_end_with_the_world(robot):
-    world = ProcessWorld(robot, 2, None, 0, WorldConfig(threads=2), mujoco_engine)
-    ids = world._pool.process_ids
-    assert not any(gone(process_id, 0.1) for process_id in ids)
+    world = ProcessWorld(robot, 1, None, 0, WorldConfig(threads=1), mujoco_engine)
+    (pid,) = ids(world)
+    assert not gone(pid, 0.1)
     del world
     gc.collect()
-    assert all(gone(process_id) for process_id in ids)
+    assert gone(pid)
 
 
 OWNER = """
@@ -216,7 +211,7 @@ from surefoot.world.interface import WorldConfig
 from surefoot.world.process_world import ProcessWorld
 from surefoot.world.sim_world import mujoco_engine
 world = ProcessWorld(RobotDescription.load("minitaur"), 2, None, 0, WorldConfig(threads=2), mujoco_engine)
-print(*world._pool.process_ids, flush=True)
+print(*(process.pid for process in world._pool._processes), flush=True)
 while True:
     world.step(np.full(8, 2.0))
 """
@@ -226,12 +221,12 @@ def test_no_process_outlives_an_owner_that_is_killed():
     # No guard for __main__, and no chance to clean up.
     owner = subprocess.Popen([sys.executable, "-c", OWNER], stdout=subprocess.PIPE, text=True)
     assert owner.stdout is not None
-    ids = [int(word) for word in owner.stdout.readline().split()]
-    assert len(ids) == 2
+    pids = [int(word) for word in owner.stdout.readline().split()]
+    assert len(pids) == 2
     owner.kill()
     owner.wait()
     owner.stdout.close()
-    assert all(gone(process_id) for process_id in ids)
+    assert all(map(gone, pids))
 
 
 @pytest.mark.parametrize(("threads", "num_envs", "expected"), [(3, 5, 3), (8, 5, 5), (1, 5, 1), (0, 1, 1)])

@@ -2,22 +2,16 @@
 
 from __future__ import annotations
 
-from numba import njit, vectorize
+from numba import njit
 
 
 @njit(cache=True, inline="always")
 def constraint_speed_kernel(target: float, angle: float, kp: float, kd: float, dt: float) -> float:
-    """Return `constraint_speed` for scalars."""
-    return kp * (target - angle) / (kp * dt + kd) if kp > 0.0 else 0.0
-
-
-@vectorize(cache=True)
-def constraint_speed(target, angle, kp, kd, dt):  # type: ignore[no-untyped-def]
     """Return the speed [rad/s] at the end of a step for which a constraint motor's error is zero.
 
         e_{n+1} = k_p (q_target - q_{n+1}) - k_d qdot_{n+1} = 0,    q_{n+1} = q_n + dt qdot_{n+1}
 
-    An engine finds the torque, up to `constraint_torque`, for which this holds together with all its other
+    An engine finds the torque, up to `constraint_torque_kernel`, for which this holds together with all its other
     constraints. With the servo's gains the motor approaches its target with the time constant k_d / k_p + dt,
     independent of the load, and never overshoots: the servo sets a voltage, this motor a motion.
 
@@ -31,17 +25,11 @@ def constraint_speed(target, angle, kp, kd, dt):  # type: ignore[no-untyped-def]
         kd: the servo's derivative gain [s/rad].
         dt: step [s].
     """
-    return constraint_speed_kernel(target, angle, kp, kd, dt)
+    return kp * (target - angle) / (kp * dt + kd) if kp > 0.0 else 0.0
 
 
 @njit(cache=True, inline="always")
 def constraint_torque_kernel(voltage: float, torque_constant: float, resistance: float, strength: float) -> float:
-    """Return `constraint_torque` for scalars."""
-    return strength * torque_constant * voltage / resistance
-
-
-@vectorize(cache=True)
-def constraint_torque(voltage, torque_constant, resistance, strength):  # type: ignore[no-untyped-def]
     """Return the greatest torque [N m] of a constraint motor: strength K_t V / R, at any speed.
 
     This is the stall torque of an ideal DC motor: a simulator without a model of the motor has neither saturation nor
@@ -53,4 +41,4 @@ def constraint_torque(voltage, torque_constant, resistance, strength):  # type: 
         resistance: armature resistance R [Ohm].
         strength: ratio to the nominal motor.
     """
-    return constraint_torque_kernel(voltage, torque_constant, resistance, strength)
+    return strength * torque_constant * voltage / resistance

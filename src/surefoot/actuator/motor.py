@@ -77,29 +77,9 @@ def motor_torque(current, strength, table_current, table_torque, torque):  # typ
 
 
 @njit(cache=True, inline="always")
-def coulomb_friction_kernel(speed: float, friction: float) -> float:
-    """Return `coulomb_friction` for scalars."""
-    return -friction * math.tanh(speed / STICTION_SPEED) if friction > 0.0 else 0.0
-
-
-@vectorize(cache=True)
-def coulomb_friction(speed, friction):  # type: ignore[no-untyped-def]
-    """Return the Coulomb friction torque [N m]: -f tanh(qdot / v_s), with v_s = `STICTION_SPEED`.
-
-    Within 0.2 % of -f sign(qdot) above 4 v_s = 0.4 rad/s. A motor at rest creeps instead of sticking: under a
-    load of half the friction it turns at .055 rad/s.
-
-    Args:
-        speed: motor speed [rad/s].
-        friction: magnitude f [N m].
-    """
-    return coulomb_friction_kernel(speed, friction)
-
-
-@njit(cache=True, inline="always")
 def motor_friction_kernel(speed: float, coulomb: float, viscous: float) -> float:
     """Return `motor_friction` for scalars."""
-    torque = coulomb_friction_kernel(speed, coulomb)
+    torque = -coulomb * math.tanh(speed / STICTION_SPEED) if coulomb > 0.0 else 0.0
     return torque - viscous * speed if viscous > 0.0 else torque
 
 
@@ -107,8 +87,9 @@ def motor_friction_kernel(speed: float, coulomb: float, viscous: float) -> float
 def motor_friction(speed, coulomb, viscous):  # type: ignore[no-untyped-def]
     """Return the friction torque [N m] of a motor, Coulomb and viscous: -f tanh(qdot / v_s) - b qdot.
 
-    Taken at the start of a step of dt, it brakes a motor that turns an inertia J without overshoot as long as
-    (f / v_s + b) dt < J.
+    With v_s = `STICTION_SPEED`, Coulomb friction is within 0.2 % of -f sign(qdot) above 4 v_s = 0.4 rad/s. A motor at
+    rest creeps instead of sticking: under a load of half the friction it turns at .055 rad/s. Taken at the start of a
+    step of dt, friction brakes a motor that turns an inertia J without overshoot as long as (f / v_s + b) dt < J.
 
     Args:
         speed: motor speed [rad/s].
@@ -120,12 +101,6 @@ def motor_friction(speed, coulomb, viscous):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, inline="always")
 def overheat_kernel(torque: float, hot_time: float, dt: float, limit: float) -> float:
-    """Return `overheat` for scalars."""
-    return hot_time + dt if abs(torque) > limit else 0.0
-
-
-@vectorize(cache=True)
-def overheat(torque, hot_time, dt, limit):  # type: ignore[no-untyped-def]
     """Return the time [s] that a motor has been over its thermal torque limit without a break.
 
     The motor is switched off, until the next reset, once this time passes the robot's `overheat_time`
@@ -137,4 +112,4 @@ def overheat(torque, hot_time, dt, limit):  # type: ignore[no-untyped-def]
         dt: servo step [s].
         limit: torque limit [N m].
     """
-    return overheat_kernel(torque, hot_time, dt, limit)
+    return hot_time + dt if abs(torque) > limit else 0.0

@@ -165,9 +165,9 @@ def _build(command: EmulateCommand, robot: RobotDescription, faults: dict[str, F
 
     engine: EngineFactory = mujoco_engine
     if command.world == "bullet":
-        from surefoot.world.bullet_engine import bullet_engine
+        from surefoot.world.bullet_engine import BulletEngine
 
-        engine = bullet_engine
+        engine = BulletEngine
     every = 1
     if "slow-servo" in faults:
         every = round(faults["slow-servo"].value / robot.timing.servo_step)

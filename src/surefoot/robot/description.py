@@ -7,7 +7,7 @@ a robot that ships with surefoot or the path of such a folder.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -216,10 +216,8 @@ class RobotDescription:
                 raise SurefootError(f"allowed.{name} is unknown; choices: {choices(PhysicalParams.names())}")
         space = sheet.leg_space
         ranges = {"leg_space.swing": space.swing, "leg_space.extension": space.extension}
-        for key, (low, high) in {
-            **ranges,
-            **{f"allowed.{name}": value for name, value in sheet.allowed.items()},
-        }.items():
+        ranges |= {f"allowed.{name}": bounds for name, bounds in sheet.allowed.items()}
+        for key, (low, high) in ranges.items():
             if not low <= high:
                 raise SurefootError(f"{key} is [{low:g}, {high:g}]; the lower bound must come first")
         description = cls(
@@ -239,7 +237,7 @@ class RobotDescription:
             actuator=sheet.actuator,
             timing=sheet.timing,
             contact=sheet.contact,
-            allowed={**PhysicalParams.default_bounds(), **sheet.allowed},
+            allowed={**{item.name: item.metadata["bounds"] for item in fields(PhysicalParams)}, **sheet.allowed},
         )
         description._check_legs()
         return description
@@ -298,7 +296,7 @@ class RobotDescription:
         return np.array(self.actuator.torque_table_current), np.array(self.actuator.torque_table_torque)
 
     def leg_to_motor_angles(self, swing: ArrayLike, extension: ArrayLike) -> NDArray[np.float64]:
-        """Return the motor angles (..., motors) [rad] for swing and extension (..., legs) [rad]."""
+        """Return the motor angles (..., motors) [rad] for swing and extension (..., legs) or () [rad]."""
         theta_1, theta_2 = leg_to_motor(swing, extension)
         index = self.leg_motor_index
         angles = np.empty((*theta_1.shape[:-1], self.num_motors))
@@ -314,8 +312,7 @@ class RobotDescription:
     @property
     def resting_angles(self) -> NDArray[np.float64]:
         """Motor angles (motors,) [rad] of the resting pose."""
-        legs = len(self.legs)
-        return self.leg_to_motor_angles(np.full(legs, self.rest[0]), np.full(legs, self.rest[1]))
+        return self.leg_to_motor_angles(*self.rest)
 
     @property
     def resting_joint_angles(self) -> dict[str, float]:

@@ -13,21 +13,13 @@ from surefoot.errors import SurefootError, choices
 Array = NDArray[np.float64]
 
 
-class Described(Protocol):
+class _Described(Protocol):
     """What parameters ask of a robot's description."""
 
     @property
-    def num_motors(self) -> int:
-        """Number of motors M."""
-        ...
-
-    def nominal_params(self) -> dict[str, float]:
-        """Nominal value of each parameter, by name."""
-        ...
-
-    def check_allowed(self, name: str, values: Array) -> None:
-        """Raise a `SurefootError` for values that the robot does not allow."""
-        ...
+    def num_motors(self) -> int: ...
+    def nominal_params(self) -> dict[str, float]: ...
+    def check_allowed(self, name: str, values: Array) -> None: ...
 
 
 def _row(unit: str, meaning: str, bounds: tuple[float, float], width: str = "one") -> Any:
@@ -86,22 +78,14 @@ class PhysicalParams:
         return str(cls.__dataclass_fields__[name].metadata["unit"])
 
     @classmethod
-    def default_bounds(cls) -> dict[str, tuple[float, float]]:
-        """Return the least and greatest value by name, where a robot's sheet does not give them."""
-        return {item.name: item.metadata["bounds"] for item in fields(cls)}
-
-    @classmethod
-    def nominal(cls, robot: Described, num_envs: int = 1) -> PhysicalParams:
+    def nominal(cls, robot: _Described, num_envs: int = 1) -> PhysicalParams:
         """Return the parameters that the robot's description states, for `num_envs` robots."""
         nominal = robot.nominal_params()
         widths = {"one": (), "motors": (robot.num_motors,), "roll, pitch": (2,), "roll, pitch, yaw": (3,)}
-        values = {}
-        for item in fields(cls):
-            width = widths[item.metadata["width"]]
-            values[item.name] = np.full((num_envs, *width), nominal[item.name], dtype=np.float64)
-        return cls(**values)
+        shapes = {item.name: (num_envs, *widths[item.metadata["width"]]) for item in fields(cls)}
+        return cls(**{name: np.full(shape, nominal[name], np.float64) for name, shape in shapes.items()})
 
-    def with_values(self, robot: Described, **values: ArrayLike) -> PhysicalParams:
+    def with_values(self, robot: _Described, **values: ArrayLike) -> PhysicalParams:
         """Return a copy with some parameters set, each given for all robots or one row per robot.
 
         Raises:
@@ -126,9 +110,16 @@ class PhysicalParams:
         """Return the parameters of some of the robots, by index."""
         return replace(self, **{name: getattr(self, name)[np.asarray(index)] for name in self.names()})
 
-    def summary(self) -> dict[str, float]:
-        """Return the mean over the robots of each parameter, for reports and contracts."""
-        return {name: float(np.mean(getattr(self, name))) for name in self.names()}
+    def set_rows(self, robot: _Described, index: ArrayLike, params: PhysicalParams) -> None:
+        """Take other parameters for the robots at `index`, one row each.
+
+        Raises:
+            SurefootError: a value outside what the robot's description allows; then nothing has changed.
+        """
+        for name in self.names():
+            robot.check_allowed(name, getattr(params, name))
+        for name in self.names():
+            getattr(self, name)[index] = getattr(params, name)
 
 
 def parse_settings(settings: list[str] | tuple[str, ...]) -> dict[str, float]:

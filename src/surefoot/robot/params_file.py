@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from datetime import date, time
@@ -144,26 +143,18 @@ def _table(path: str, entries: Mapping[str, Any]) -> list[str]:
 
 
 def _key(key: str) -> str:
-    return key if key.replace("_", "").replace("-", "").isalnum() and key.isascii() else _text(key)
-
-
-def _text(text: str) -> str:
-    # A JSON text is a TOML basic string, but for what JSON may leave as it is: DEL.
-    return json.dumps(text).replace("\x7f", "\\u007f")
+    return key if key.replace("_", "").replace("-", "").isalnum() and key.isascii() else _toml(key)
 
 
 def _toml(value: Any) -> str:
     """Return a number, boolean, text, date, or list or inline table of them as TOML."""
     if isinstance(value, np.generic):
         value = value.item()
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, int):
-        return str(value)
+    if isinstance(value, bool | int | str):
+        # JSON writes them as TOML does, but for what JSON may leave as it is: DEL.
+        return json.dumps(value).replace("\x7f", "\\u007f")
     if isinstance(value, float):
-        return repr(value) if math.isfinite(value) else str(value)
-    if isinstance(value, str):
-        return _text(value)
+        return repr(value)
     if isinstance(value, list | tuple):
         return f"[{', '.join(map(_toml, value))}]"
     if isinstance(value, date | time):

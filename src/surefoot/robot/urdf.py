@@ -33,7 +33,7 @@ class Joint:
     parent: str
     child: str
     axis: tuple[float, float, float]
-    origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    origin: tuple[float, float, float]
 
 
 @dataclass(frozen=True)
@@ -52,8 +52,7 @@ class Urdf:
     @property
     def root(self) -> str:
         """Name of the link that has no parent joint."""
-        children = {joint.child for joint in self.joints.values()}
-        return next(name for name in self.links if name not in children)
+        return _roots(self.links, self.joints)[0]
 
     def fixed_to(self, link: str) -> set[str]:
         """Return the names of the links that move as one with `link`, itself included."""
@@ -66,6 +65,16 @@ class Urdf:
             if more == group:
                 return group
             group = more
+
+
+def _roots(links: dict[str, Link], joints: dict[str, Joint]) -> list[str]:
+    """Return the names of the links that have no parent joint."""
+    return [name for name in links if name not in {joint.child for joint in joints.values()}]
+
+
+def attribute(element: ElementTree.Element | None, key: str, default: str = "") -> str:
+    """Return an attribute of an element; the default if either is missing."""
+    return default if element is None else element.get(key, default)
 
 
 def _floats(text: str, count: int, where: str) -> tuple[float, ...]:
@@ -103,9 +112,9 @@ def read_urdf(path: Path) -> Urdf:
             raise SurefootError(
                 f"{path}: link '{name}' has no <inertial> with <mass> and <inertia>; every link needs both"
             )
-        (mass,) = _floats(mass_element.get("value", ""), 1, f"{path}: link '{name}': mass")
+        (mass,) = _floats(attribute(mass_element, "value"), 1, f"{path}: link '{name}': mass")
         ixx, iyy, izz = (
-            _floats(inertia_element.get(key, ""), 1, f"{path}: link '{name}': {key}")[0]
+            _floats(attribute(inertia_element, key), 1, f"{path}: link '{name}': {key}")[0]
             for key in ("ixx", "iyy", "izz")
         )
         if not mass > 0:
@@ -120,23 +129,17 @@ def read_urdf(path: Path) -> Urdf:
     joints = {}
     for element in robot.findall("joint"):
         name = element.get("name", "")
-        parent, child, axis = element.find("parent"), element.find("child"), element.find("axis")
-        ends = (
-            parent.get("link", "") if parent is not None else "",
-            child.get("link", "") if child is not None else "",
-        )
+        ends = attribute(element.find("parent"), "link"), attribute(element.find("child"), "link")
         for end in ends:
             if end not in links:
                 raise SurefootError(f"{path}: joint '{name}' joins '{end}', not a link; choices: {choices(links)}")
-        xyz = _floats(axis.get("xyz", ""), 3, f"{path}: joint '{name}': axis") if axis is not None else (1.0, 0.0, 0.0)
-        origin = element.find("origin")
-        place = _floats(
-            origin.get("xyz", "0 0 0") if origin is not None else "0 0 0", 3, f"{path}: joint '{name}': origin"
-        )
-        kind, axis_xyz = element.get("type", ""), (xyz[0], xyz[1], xyz[2])
-        joints[name] = Joint(name, kind, *ends, axis_xyz, (place[0], place[1], place[2]))
+        axis = element.find("axis")
+        x, y, z = _floats(attribute(axis, "xyz") if axis is not None else "1 0 0", 3, f"{path}: joint '{name}': axis")
+        place = attribute(element.find("origin"), "xyz", "0 0 0")
+        u, v, w = _floats(place, 3, f"{path}: joint '{name}': origin")
+        joints[name] = Joint(name, attribute(element, "type"), *ends, (x, y, z), (u, v, w))
 
-    roots = [name for name in links if name not in {joint.child for joint in joints.values()}]
+    roots = _roots(links, joints)
     if len(roots) != 1:
         raise SurefootError(
             f"{path}: {len(roots)} links have no parent ({choices(roots)}); exactly one must be the root"

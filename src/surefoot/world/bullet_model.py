@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import sys
 import tempfile
+import weakref
 from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
@@ -16,20 +18,17 @@ from surefoot.errors import SurefootError
 from surefoot.native_output import quiet
 from surefoot.robot import GRAVITY, RobotDescription
 from surefoot.rotations import matrix_quat
-from surefoot.world.bullet_import import import_pybullet
 from surefoot.world.bullet_tick import pin_kernel
-from surefoot.world.drive import RACK_HEIGHT
-from surefoot.world.fused_urdf import FusedUrdf, frame_of, fuse_urdf, write_fused
+from surefoot.world.drive import BULLET_ONLY, CONTACT, RACK_HEIGHT, RATIOS
+from surefoot.world.fused_urdf import frame_of, fuse_urdf
 from surefoot.world.interface import WorldConfig
 
 Array = NDArray[np.float64]
 
 SOLVER_ITERATIONS = 50
-"""At most; the solver stops earlier when nothing changes any more.
-
-With 50, loops stay closed within .02 mm on a slow trot (.09 mm with constraint motors) and .4 mm at a gallop of 2 m/s,
-and a trot is within .6 mm of one with 1000 for a second. With 10, a step costs 17 % less, but constraint motors open
-the loops by 1.2 mm, and the robot ends elsewhere.
+"""With 50, loops stay closed within .02 mm on a slow trot (.09 mm with constraint motors) and .4 mm at a gallop of
+2 m/s, and a trot is within .6 mm of one with 1000 for a second. With 10, a step costs 17 % less, but constraint motors
+open the loops by 1.2 mm, and the robot ends elsewhere.
 """
 FLOOR_CELL = 0.1
 """Distance [m] of the points at which an uneven floor has its heights, linear between."""
@@ -48,7 +47,7 @@ class BulletSettings:
     """Settings of Bullet that decide how bodies and contacts are solved."""
 
     solver_iterations: int = SOLVER_ITERATIONS
-    """Iterations of the constraint solver, at most."""
+    """Iterations of the constraint solver, at most; it stops earlier when nothing changes any more."""
     cone_friction: bool = True
     """A cone of friction; without it Bullet takes a pyramid and solves no spinning friction."""
     gravity: float = GRAVITY
@@ -63,39 +62,49 @@ PUBLISHED = BulletSettings(cone_friction=False, gravity=10.0, feet="shank", grou
 """The simulator that was published with the Minitaur's description (pybullet_envs, minitaur_gym_env): no cone friction,
 300 solver iterations over 6 steps, gravity 10 m/s2, lower links as boxes on a box (on a plane, `trot` falls in 5 of 10
 episodes; there it never does)."""
+PARAMETERS = (*CONTACT, *RATIOS, *BULLET_ONLY)
+"""Physical parameters that are a client's own; servo, motors and sensors have the others."""
 
 
-@dataclass(frozen=True)
-class Pins:
-    """The constraints that close L loops, each with its place in its second link's inertial frame."""
+def import_pybullet() -> ModuleType:
+    """Import PyBullet without its banner.
 
-    constraints: list[int]
-    """Numbers of the constraints."""
-    links: list[int]
-    """Their second links."""
-    places: Array
-    """Places of the pins [m], (L, 3)."""
-    axes: Array
-    """Unit vectors (L, 3) along the pins: forces along them do not move a pin in its bore."""
+    Raises:
+        ModuleNotFoundError: it is not installed.
+    """
+    if "pybullet" in sys.modules:
+        return sys.modules["pybullet"]
+    with quiet():
+        import pybullet
+    module: ModuleType = pybullet
+    return module
 
 
-@dataclass(frozen=True)
 class BulletModel:
-    """Indices of links and joints in a client, the same for all clients. Bullet's link frames are inertial frames.
+    """A robot in a Bullet client of its own, over a ground plane at z = 0, motors off; the client ends with the object.
 
-    L links besides the base, each with one joint; M motors, F feet.
+    Bullet's link frames are inertial frames. L links besides the base, each with one joint; M motors, F feet, P pins
+    that close loops. Indices of links and joints are the same in all clients.
+
+    Raises:
+        SurefootError: Bullet has no room for another client, or reads other masses than the file has.
+        ModuleNotFoundError: PyBullet is not installed.
     """
 
-    robot: RobotDescription
-    rack: bool
-    fused: FusedUrdf
+    client: int
     ground: int
+    """Body of the plane, on which all but the feet may stand."""
+    floor: int
+    """Body that the feet stand on: the plane, or an uneven floor."""
     body: int
+    """The robot's."""
     links: dict[str, int]
     """Link index by name of the fused link; -1 is the base."""
     joints: dict[str, int]
     motors: list[int]
     """Joint indices in the robot's motor order."""
+    knees: list[int]
+    """Indices of the joints without a motor."""
     feet: list[int]
     """Link indices in the order of the legs."""
     foot_centre: Array
@@ -106,318 +115,277 @@ class BulletModel:
     base_quat: Array
     """Orientation of the base's inertial frame in the base link's frame, (4,), w x y z."""
     mass: dict[str, tuple[float, Array]]
-    """Nominal mass [kg] and principal moments [kg m2] of each fused link."""
-    pins: Pins
+    """Nominal mass [kg] and principal moments [kg m2] of each fused link that moves."""
+    pins: list[int]
+    """Numbers of the constraints that close loops."""
+    pin_shift: Array
+    """Displacement of each pin with play in its bore, in its link's inertial frame [m], (P, 3)."""
+    values: dict[str, float]
+    """The `PARAMETERS` that the client has."""
 
-    @property
-    def num_joints(self) -> int:
-        """Number of joints, motors and knees."""
-        return len(self.joints)
+    def __init__(self, robot: RobotDescription, config: WorldConfig, settings: BulletSettings) -> None:
+        self.robot, self.rack, self._p = robot, config.rack, import_pybullet()
+        self._fused = fuse_urdf(robot.urdf)
+        with quiet():
+            try:
+                self.client = self._p.connect(self._p.DIRECT)
+            except self._p.error:
+                self.client = -1
+            if self.client < 0:
+                raise SurefootError("Bullet has no room for another robot in this process; simulate fewer at once")
+            self.close = weakref.finalize(self, self._p.disconnect, self.client)
+            self._load(settings)
 
-    @property
-    def knees(self) -> list[int]:
-        """Indices of the joints without a motor."""
-        return [joint for joint in self.joints.values() if joint not in self.motors]
-
-
-def open_client(robot: RobotDescription, config: WorldConfig, settings: BulletSettings) -> tuple[int, BulletModel]:
-    """Return a new client with the robot over a ground plane at z = 0, motors off.
-
-    Raises:
-        SurefootError: Bullet has no room for another client, or reads other masses than the file has.
-    """
-    p = import_pybullet()
-    with quiet():
-        try:
-            client = p.connect(p.DIRECT)
-        except p.error:
-            client = -1
-        if client < 0:
-            raise SurefootError("Bullet has no room for another robot in this process; simulate fewer at once")
-        try:
-            return client, _load(p, client, robot, config, settings)
-        except Exception:
-            p.disconnect(client)
-            raise
-
-
-def _load(
-    p: ModuleType, client: int, robot: RobotDescription, config: WorldConfig, settings: BulletSettings
-) -> BulletModel:
-    fused = fuse_urdf(robot.urdf, visuals=False)
-    base, base_frame = fused.place[robot.base]
-    if base != robot.urdf.root:
-        raise SurefootError(f"{robot.urdf.path}: base '{robot.base}' moves against root '{robot.urdf.root}'")
-    p.setTimeStep(robot.timing.servo_step, physicsClientId=client)
-    p.setGravity(0, 0, -settings.gravity, physicsClientId=client)
-    p.setPhysicsEngineParameter(
-        numSolverIterations=settings.solver_iterations,
-        enableConeFriction=int(settings.cone_friction),
-        numSubSteps=0,
-        erp=LOOP_ERP,
-        deterministicOverlappingPairs=1,
-        physicsClientId=client,
-    )
-    if settings.ground == "box":
-        shape = p.createCollisionShape(p.GEOM_BOX, halfExtents=[100.0, 100.0, 5.0], physicsClientId=client)
-    else:
-        shape = p.createCollisionShape(p.GEOM_PLANE, physicsClientId=client)
-    place = [0.0, 0.0, -5.0 if settings.ground == "box" else 0.0]
-    ground = p.createMultiBody(0, shape, basePosition=place, physicsClientId=client)
-    p.changeDynamics(ground, -1, lateralFriction=1.0, restitution=0.0, physicsClientId=client)
-    text = fused.text if settings.feet == "sphere" else _with_shanks(fused, robot)
-    with tempfile.TemporaryDirectory() as folder:
-        try:
-            body = p.loadURDF(
-                str(write_fused(text, Path(folder))),
-                [0, 0, RACK_HEIGHT],
-                useFixedBase=config.rack,
-                flags=p.URDF_USE_INERTIA_FROM_FILE,
-                physicsClientId=client,
-            )
-        except p.error as error:
-            raise SurefootError(f"{robot.urdf.path}: Bullet refuses it: {error}") from error
-    infos = [
-        p.getJointInfo(body, j, physicsClientId=client) for j in range(p.getNumJoints(body, physicsClientId=client))
-    ]
-    joints = {info[1].decode(): info[0] for info in infos}
-    links = {base: -1} | {info[12].decode(): info[0] for info in infos}
-    feet = [links[fused.place[leg.foot][0]] for leg in robot.legs]
-    shapes = [_foot_sphere(fused, robot, leg.foot) for leg in robot.legs]
-    _, axes = fused.bodies[base].principal()
-    at_base = np.linalg.inv(base_frame)
-    model = BulletModel(
-        robot=robot,
-        rack=config.rack,
-        fused=fused,
-        ground=ground,
-        body=body,
-        links=links,
-        joints=joints,
-        motors=[joints[name] for name in robot.motor_names],
-        feet=feet,
-        foot_centre=np.array([centre for centre, _ in shapes]),
-        foot_radius=np.array([radius for _, radius in shapes]),
-        base_centre=(at_base @ [*fused.bodies[base].centre, 1.0])[:3],
-        base_quat=matrix_quat(at_base[:3, :3] @ axes),
-        mass={name: (item.mass, item.principal()[0]) for name, item in fused.bodies.items()},
-        pins=_close_loops(p, client, robot, fused, body, links),
-    )
-    _set_up_dynamics(p, client, model)
-    check_masses(p, client, model, model.mass)
-    return model
-
-
-def _foot_sphere(fused: FusedUrdf, robot: RobotDescription, link: str) -> tuple[Array, float]:
-    """Return the centre [m] of a foot's sphere in its link's inertial frame, and its radius [m]."""
-    name, _ = fused.place[link]
-    found = ElementTree.fromstring(fused.text).findall(f"link[@name='{name}']/collision")
-    spheres = [(item.find("geometry/sphere"), frame_of(item.find("origin"))) for item in found]
-    spheres = [(sphere, frame) for sphere, frame in spheres if sphere is not None]
-    if len(spheres) != 1:
-        raise SurefootError(f"{robot.urdf.path}: a foot has {len(spheres)} spheres to stand on; Bullet needs one")
-    sphere, frame = spheres[0]
-    assert sphere is not None
-    body = fused.bodies[name]
-    centre: Array = body.principal()[1].T @ (frame[:3, 3] - body.centre)
-    return centre, float(sphere.get("radius", ""))
-
-
-def _with_shanks(fused: FusedUrdf, robot: RobotDescription) -> str:
-    """Return the fused URDF with feet that are boxes: each lower link as wide as its visual, as long as to its foot."""
-    tree = ElementTree.fromstring(fused.text)
-    seen = ElementTree.parse(robot.urdf.path).getroot()
-    length = robot.leg_geometry.foot
-    for leg in robot.legs:
-        box = seen.find(f"link[@name='{leg.foot}']/visual/geometry/box")
-        link = tree.find(f"link[@name='{fused.place[leg.foot][0]}']")
-        if box is None or link is None:
-            raise SurefootError(
-                f"{robot.urdf.path}: link '{leg.foot}' has no visual box; its collision box takes that width"
-            )
-        for old in link.findall("collision"):
-            link.remove(old)
-        shape = ElementTree.SubElement(link, "collision")
-        ElementTree.SubElement(shape, "origin", xyz=f"0 0 {length / 2}", rpy="0 0 0")
-        width, depth, _ = box.get("size", "").split()
-        ElementTree.SubElement(ElementTree.SubElement(shape, "geometry"), "box", size=f"{width} {depth} {length}")
-    return ElementTree.tostring(tree, encoding="unicode")
-
-
-def _set_up_dynamics(p: ModuleType, client: int, model: BulletModel) -> None:
-    """Remove damping and default motors, and set the contact of the feet; all else is stiff against the ground."""
-    for link in model.links.values():
-        p.changeDynamics(
-            model.body,
-            link,
-            linearDamping=0.0,
-            angularDamping=0.0,
-            jointDamping=0.0,
-            restitution=0.0,
-            lateralFriction=1.0,
-            spinningFriction=0.0,
-            rollingFriction=0.0,
-            maxJointVelocity=_SPEED_CUT,
+    def _load(self, settings: BulletSettings) -> None:
+        p, client, robot, fused = self._p, self.client, self.robot, self._fused
+        base, base_frame = fused.place[robot.base]
+        if base != robot.urdf.root:
+            raise SurefootError(f"{robot.urdf.path}: base '{robot.base}' moves against root '{robot.urdf.root}'")
+        p.setTimeStep(robot.timing.servo_step, physicsClientId=client)
+        p.setGravity(0, 0, -settings.gravity, physicsClientId=client)
+        p.setPhysicsEngineParameter(
+            numSolverIterations=settings.solver_iterations,
+            enableConeFriction=int(settings.cone_friction),
+            numSubSteps=0,
+            erp=LOOP_ERP,
+            deterministicOverlappingPairs=1,
             physicsClientId=client,
         )
-    count = model.num_joints
-    p.setJointMotorControlArray(
-        model.body, list(range(count)), p.VELOCITY_CONTROL, forces=[0.0] * count, physicsClientId=client
-    )
-    contact = model.robot.contact
-    set_foot_contact(p, client, model, contact.friction, contact.stiffness, contact.spinning_friction)
+        if settings.ground == "box":
+            shape = p.createCollisionShape(p.GEOM_BOX, halfExtents=[100.0, 100.0, 5.0], physicsClientId=client)
+        else:
+            shape = p.createCollisionShape(p.GEOM_PLANE, physicsClientId=client)
+        self.ground = self.floor = self._lay(shape, [0.0, 0.0, -5.0 if settings.ground == "box" else 0.0])
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / "fused.urdf"
+            path.write_text(fused.text if settings.feet == "sphere" else self._with_shanks(), encoding="utf-8")
+            try:
+                self.body = p.loadURDF(
+                    str(path),
+                    [0, 0, RACK_HEIGHT],
+                    useFixedBase=self.rack,
+                    flags=p.URDF_USE_INERTIA_FROM_FILE,
+                    physicsClientId=client,
+                )
+            except p.error as error:
+                raise SurefootError(f"{robot.urdf.path}: Bullet refuses it: {error}") from error
+        count = p.getNumJoints(self.body, physicsClientId=client)
+        infos = [p.getJointInfo(self.body, joint, physicsClientId=client) for joint in range(count)]
+        self.joints = {info[1].decode(): info[0] for info in infos}
+        self.links = {base: -1} | {info[12].decode(): info[0] for info in infos}
+        self.motors = [self.joints[name] for name in robot.motor_names]
+        self.knees = [joint for joint in self.joints.values() if joint not in self.motors]
+        self.feet = [self.links[fused.place[leg.foot][0]] for leg in robot.legs]
+        centres, radii = zip(*(self._foot_sphere(leg.foot) for leg in robot.legs), strict=True)
+        self.foot_centre, self.foot_radius = np.array(centres), np.array(radii)
+        _, axes = fused.bodies[base].principal()
+        at_base = np.linalg.inv(base_frame)
+        self.base_centre = (at_base @ [*fused.bodies[base].centre, 1.0])[:3]
+        self.base_quat = matrix_quat(at_base[:3, :3] @ axes)
+        # A base on a rack has no mass.
+        moving = {name: item for name, item in fused.bodies.items() if not (self.rack and name == base)}
+        self.mass = {name: (item.mass, item.principal()[0]) for name, item in moving.items()}
+        self._close_loops()
+        self.values = {name: robot.nominal_params()[name] for name in PARAMETERS}
+        self._set_up_dynamics()
+        self.check_masses(self.mass)
 
+    def _lay(self, shape: int, place: list[float]) -> int:
+        """Return the number of a body to stand on, which does not move."""
+        p, client = self._p, self.client
+        number: int = p.createMultiBody(0, shape, basePosition=place, physicsClientId=client)
+        p.changeDynamics(number, -1, lateralFriction=1.0, restitution=0.0, physicsClientId=client)
+        return number
 
-def set_foot_contact(
-    p: ModuleType, client: int, model: BulletModel, friction: float, stiffness: float, spinning: float
-) -> None:
-    """Give the feet a friction coefficient, a stiffness [N/m] and a spinning friction [m]; damping is the sheet's."""
-    for link in model.feet:
-        p.changeDynamics(
-            model.body,
-            link,
-            lateralFriction=friction,
-            # Bullet takes it as a length: it bounds the torque about the normal by this times the normal force.
-            spinningFriction=spinning,
-            contactStiffness=stiffness,
-            # Bullet takes a stiffness only together with a damping.
-            contactDamping=model.robot.contact.damping,
+    def _foot_sphere(self, foot: str) -> tuple[Array, float]:
+        """Return the centre [m] of a foot's sphere in its link's inertial frame, and its radius [m]."""
+        name, _ = self._fused.place[foot]
+        found = ElementTree.fromstring(self._fused.text).findall(f"link[@name='{name}']/collision")
+        spheres = [
+            (sphere, frame_of(item.find("origin")))
+            for item in found
+            if (sphere := item.find("geometry/sphere")) is not None
+        ]
+        if len(spheres) != 1:
+            raise SurefootError(
+                f"{self.robot.urdf.path}: a foot has {len(spheres)} spheres to stand on; Bullet needs one"
+            )
+        sphere, frame = spheres[0]
+        return self._fused.bodies[name].in_principal(frame[:3, 3]), float(sphere.get("radius", ""))
+
+    def _with_shanks(self) -> str:
+        """Return the URDF with boxes for feet: each lower link as wide as its visual, as long as to its foot."""
+        robot, tree = self.robot, ElementTree.fromstring(self._fused.text)
+        seen = ElementTree.parse(robot.urdf.path).getroot()
+        length = robot.leg_geometry.foot
+        for leg in robot.legs:
+            box = seen.find(f"link[@name='{leg.foot}']/visual/geometry/box")
+            link = tree.find(f"link[@name='{self._fused.place[leg.foot][0]}']")
+            if box is None or link is None:
+                raise SurefootError(
+                    f"{robot.urdf.path}: link '{leg.foot}' has no visual box; its collision box takes that width"
+                )
+            for old in link.findall("collision"):
+                link.remove(old)
+            shape = ElementTree.SubElement(link, "collision")
+            ElementTree.SubElement(shape, "origin", xyz=f"0 0 {length / 2}", rpy="0 0 0")
+            width, depth, _ = box.get("size", "").split()
+            ElementTree.SubElement(ElementTree.SubElement(shape, "geometry"), "box", size=f"{width} {depth} {length}")
+        return ElementTree.tostring(tree, encoding="unicode")
+
+    def _close_loops(self) -> None:
+        p, body, robot, fused = self._p, self.body, self.robot, self._fused
+        self.pins, self._pin_links, places, axes = [], [], [], []
+        for loop in robot.loops:
+            ends, points = [], []
+            for link, point in zip(loop.links, loop.points, strict=True):
+                name, frame = fused.place[link]
+                ends.append(self.links[name])
+                points.append(fused.bodies[name].in_principal((frame @ [*point, 1.0])[:3]))
+            along = next(joint.axis for joint in robot.urdf.joints.values() if joint.child == name)
+            at = [point.tolist() for point in points]
+            self.pins.append(
+                p.createConstraint(
+                    body, ends[0], body, ends[1], p.JOINT_POINT2POINT, [0, 0, 0], *at, physicsClientId=self.client
+                )
+            )
+            self._pin_links.append(ends[1])
+            places.append(points[1])
+            axes.append(fused.bodies[name].principal()[1].T @ along)
+        self._pin_places, self._pin_axes = np.reshape(places, (-1, 3)), np.reshape(axes, (-1, 3))
+        self.pin_shift = np.zeros_like(self._pin_places)
+
+    def _set_up_dynamics(self) -> None:
+        """Remove damping and default motors, and set the contact of the feet; all else is stiff against the ground."""
+        for link in self.links.values():
+            self._p.changeDynamics(
+                self.body,
+                link,
+                linearDamping=0.0,
+                angularDamping=0.0,
+                jointDamping=0.0,
+                restitution=0.0,
+                lateralFriction=1.0,
+                spinningFriction=0.0,
+                rollingFriction=0.0,
+                maxJointVelocity=_SPEED_CUT,
+                physicsClientId=self.client,
+            )
+        self._brake(list(range(len(self.joints))), 0.0)
+        self._set_foot_contact()
+
+    def _brake(self, joints: list[int], torque: float) -> None:
+        """Give joints motors with target speed 0 and at most a torque [N m]."""
+        forces = [torque] * len(joints)
+        p = self._p
+        p.setJointMotorControlArray(self.body, joints, p.VELOCITY_CONTROL, forces=forces, physicsClientId=self.client)
+
+    def apply(self, values: dict[str, float]) -> None:
+        """Give the robot other values of all `PARAMETERS`; what depends on those that stay is left as it is."""
+        changed = {name for name in PARAMETERS if values[name] != self.values[name]}
+        self.values = values
+        if changed.intersection(CONTACT):
+            self._set_foot_contact()
+        if changed.intersection(RATIOS):
+            self._scale_masses()
+        if "knee_friction" in changed:
+            self._brake(self.knees, values["knee_friction"])
+        if "floor_unevenness" in changed:
+            self._lay_floor(values["floor_unevenness"])
+
+    def _set_foot_contact(self) -> None:
+        friction, stiffness, spinning = (self.values[name] for name in CONTACT)
+        for link in self.feet:
+            self._p.changeDynamics(
+                self.body,
+                link,
+                lateralFriction=friction,
+                # Bullet takes it as a length: it bounds the torque about the normal by this times the normal force.
+                spinningFriction=spinning,
+                contactStiffness=stiffness,
+                # Bullet takes a stiffness only together with a damping.
+                contactDamping=self.robot.contact.damping,
+                physicsClientId=self.client,
+            )
+
+    def _scale_masses(self) -> None:
+        """Multiply the nominal masses and moments of base and other links, and check that Bullet has them."""
+        base_mass, leg_mass, base_inertia, leg_inertia = (self.values[name] for name in RATIOS)
+        scaled = {}
+        for name, (mass, moments) in self.mass.items():
+            link = self.links[name]
+            mass = mass * (base_mass if link < 0 else leg_mass)
+            moments = moments * (base_inertia if link < 0 else leg_inertia)
+            # Given a mass alone, Bullet would take the inertia of the collision shape.
+            self._p.changeDynamics(
+                self.body, link, mass=mass, localInertiaDiagonal=moments.tolist(), physicsClientId=self.client
+            )
+            scaled[name] = (mass, moments)
+        self.check_masses(scaled)
+
+    def check_masses(self, mass: dict[str, tuple[float, Array]]) -> None:
+        """Refuse if Bullet has other masses or principal moments than these, by name of the link."""
+        for name, (value, moments) in mass.items():
+            info = self._p.getDynamicsInfo(self.body, self.links[name], physicsClientId=self.client)
+            if not (np.isclose(info[0], value, rtol=1e-9) and np.allclose(info[2], moments, rtol=1e-6, atol=0.0)):
+                raise SurefootError(
+                    f"{self.robot.urdf.path}: link '{name}': Bullet has mass {info[0]:g} kg and moments {info[2]}; "
+                    f"they must be {value:g} kg and {tuple(moments.tolist())}"
+                )
+
+    def _lay_floor(self, unevenness: float) -> None:
+        """Give the feet a floor whose heights have a standard deviation [m]; 0 is the plane.
+
+        The same unevenness gives the same floor. Its heights are independent at points `FLOOR_CELL` apart; it is level
+        where robots start. All of the robot but its feet meets the plane at z = 0: a floor under every link costs time.
+        """
+        p, client = self._p, self.client
+        if self.floor != self.ground:
+            p.removeBody(self.floor, physicsClientId=client)
+        self.floor = self.ground
+        for link in self.feet:
+            p.setCollisionFilterPair(self.body, self.ground, link, -1, int(unevenness == 0.0), physicsClientId=client)
+        if unevenness == 0.0:
+            return
+        seed, columns = int(np.float64(unevenness).view(np.uint64)), FLOOR_CELLS[1]
+        draws = np.clip(np.random.default_rng(seed).standard_normal(FLOOR_CELLS), -3.0, 3.0)
+        start = round(FLOOR_BEHIND / FLOOR_CELL)
+        draws[start - 5 : start + 5, columns // 2 - 5 : columns // 2 + 5] = 0.0
+        heights = unevenness * draws
+        shape = p.createCollisionShape(
+            p.GEOM_HEIGHTFIELD,
+            meshScale=[FLOOR_CELL, FLOOR_CELL, 1.0],
+            heightfieldData=heights.ravel(order="F").tolist(),  # the numbers along x follow each other
+            numHeightfieldRows=FLOOR_CELLS[0],
+            numHeightfieldColumns=columns,
             physicsClientId=client,
         )
+        # Bullet puts the middle between the first and the last point, and between the lowest and the highest, at the
+        # body's origin.
+        ahead = 0.5 * FLOOR_CELL * FLOOR_CELLS[0] - FLOOR_BEHIND
+        self.floor = self._lay(shape, [ahead, 0.0, float(heights.min() + heights.max()) / 2])
+        for link in set(self.links.values()) - set(self.feet):
+            p.setCollisionFilterPair(self.body, self.floor, link, -1, 0, physicsClientId=client)
 
+    def move_pins(self) -> None:
+        """Move pins with play in their bores, as the forces through them have it after a step; see `pin_kernel`."""
+        p, client = self._p, self.client
+        states = p.getLinkStates(self.body, self._pin_links, physicsClientId=client)
+        # Bullet states the force on the first link, where the bore is; the pin feels the opposite.
+        forces = np.array([p.getConstraintState(number, physicsClientId=client) for number in self.pins])
+        quats = np.array([state[1] for state in states])
+        pin_kernel(quats, -forces, self._pin_axes, self.values["knee_play"], self.pin_shift)
+        self._place_pins()
 
-def set_knee_friction(p: ModuleType, client: int, model: BulletModel, friction: float) -> None:
-    """Give all knees Coulomb friction [N m]: a joint motor with target speed 0 and at most this torque."""
-    count = len(model.knees)
-    p.setJointMotorControlArray(
-        model.body, model.knees, p.VELOCITY_CONTROL, forces=[friction] * count, physicsClientId=client
-    )
+    def forget(self) -> None:
+        """Forget the contacts that Bullet remembers, and centre pins with play."""
+        if self.pin_shift.any():
+            self.pin_shift[:] = 0.0
+            self._place_pins()
+        # A link that gets its collision filter again is taken out of Bullet's pairs, and put back.
+        for link in (-1, *self.feet):
+            self._p.setCollisionFilterGroupMask(self.body, link, 1, -1, self.client)
 
-
-def move_pins(p: ModuleType, client: int, model: BulletModel, play: float, shift: Array) -> None:
-    """Move pins with play in their bores, as the forces through them have it after a step; see `pin_kernel`.
-
-    Args:
-        p: PyBullet.
-        client: number of the client.
-        model: its robot.
-        play: radial clearance [m].
-        shift: displacement of each pin in its bore, in its link's inertial frame (L, 3) [m]; updated.
-    """
-    pins = model.pins
-    states = p.getLinkStates(model.body, pins.links, physicsClientId=client)
-    # Bullet states the force on the first link, where the bore is; the pin feels the opposite.
-    forces = np.array([p.getConstraintState(number, physicsClientId=client) for number in pins.constraints])
-    pin_kernel(np.array([state[1] for state in states]), -forces, pins.axes, play, shift)
-    place_pins(p, client, pins, shift)
-
-
-def place_pins(p: ModuleType, client: int, pins: Pins, shift: Array) -> None:
-    """Displace pins in their bores, in their links' inertial frames (L, 3) [m]."""
-    for number, place in zip(pins.constraints, (pins.places - shift).tolist(), strict=True):
-        p.changeConstraint(number, jointChildPivot=place, physicsClientId=client)
-
-
-def lay_floor(p: ModuleType, client: int, model: BulletModel, floor: int, unevenness: float) -> int:
-    """Give the feet a floor whose heights have a standard deviation [m]; return the number of its body.
-
-    The same unevenness gives the same floor. Its heights are independent at points `FLOOR_CELL` apart; it is level
-    where robots start. All of the robot but its feet meets the plane at z = 0: a floor under every link costs time.
-
-    Args:
-        p: PyBullet.
-        client: number of the client.
-        model: its robot.
-        floor: the body that the feet stand on so far; removed, unless it is the plane.
-        unevenness: 0 for the plane.
-    """
-    if floor != model.ground:
-        p.removeBody(floor, physicsClientId=client)
-    for link in model.feet:
-        p.setCollisionFilterPair(model.body, model.ground, link, -1, int(unevenness == 0.0), physicsClientId=client)
-    if unevenness == 0.0:
-        return model.ground
-    seed, columns = int(np.float64(unevenness).view(np.uint64)), FLOOR_CELLS[1]
-    draws = np.clip(np.random.default_rng(seed).standard_normal(FLOOR_CELLS), -3.0, 3.0)
-    start = round(FLOOR_BEHIND / FLOOR_CELL)
-    draws[start - 5 : start + 5, columns // 2 - 5 : columns // 2 + 5] = 0.0
-    heights = unevenness * draws
-    shape = p.createCollisionShape(
-        p.GEOM_HEIGHTFIELD,
-        meshScale=[FLOOR_CELL, FLOOR_CELL, 1.0],
-        heightfieldData=heights.ravel(order="F").tolist(),  # the numbers along x follow each other
-        numHeightfieldRows=FLOOR_CELLS[0],
-        numHeightfieldColumns=columns,
-        physicsClientId=client,
-    )
-    # Bullet puts the middle between the first and the last point, and between the lowest and the highest, at the
-    # body's origin.
-    ahead = 0.5 * FLOOR_CELL * FLOOR_CELLS[0] - FLOOR_BEHIND
-    place = [ahead, 0.0, float(heights.min() + heights.max()) / 2]
-    number: int = p.createMultiBody(0, shape, basePosition=place, physicsClientId=client)
-    p.changeDynamics(number, -1, lateralFriction=1.0, restitution=0.0, physicsClientId=client)
-    for link in set(model.links.values()) - set(model.feet):
-        p.setCollisionFilterPair(model.body, number, link, -1, 0, physicsClientId=client)
-    return number
-
-
-def _close_loops(
-    p: ModuleType, client: int, robot: RobotDescription, fused: FusedUrdf, body: int, links: dict[str, int]
-) -> Pins:
-    constraints, seconds, places, axes = [], [], [], []
-    for loop in robot.loops:
-        ends, points = [], []
-        for link, point in zip(loop.links, loop.points, strict=True):
-            name, frame = fused.place[link]
-            in_link = (frame @ [*point, 1.0])[:3]
-            _, turn = fused.bodies[name].principal()
-            ends.append(links[name])
-            points.append(turn.T @ (in_link - fused.bodies[name].centre))
-        along = next(joint.axis for joint in robot.urdf.joints.values() if joint.child == name)
-        at = [point.tolist() for point in points]
-        constraints.append(
-            p.createConstraint(
-                body, ends[0], body, ends[1], p.JOINT_POINT2POINT, [0, 0, 0], *at, physicsClientId=client
-            )
-        )
-        seconds.append(ends[1])
-        places.append(points[1])
-        axes.append(turn.T @ along)
-    return Pins(constraints, seconds, np.array(places).reshape(-1, 3), np.array(axes).reshape(-1, 3))
-
-
-def check_masses(p: ModuleType, client: int, model: BulletModel, mass: dict[str, tuple[float, Array]]) -> None:
-    """Refuse if Bullet has other masses or principal moments than these; a base on a rack has none."""
-    for name, (value, moments) in mass.items():
-        link = model.links[name]
-        if link < 0 and model.rack:
-            continue
-        info = p.getDynamicsInfo(model.body, link, physicsClientId=client)
-        if not (np.isclose(info[0], value, rtol=1e-9) and np.allclose(info[2], moments, rtol=1e-6, atol=0.0)):
-            raise SurefootError(
-                f"{model.robot.urdf.path}: link '{name}': Bullet has mass {info[0]:g} kg and moments {info[2]}; "
-                f"they must be {value:g} kg and {tuple(moments.tolist())}"
-            )
-
-
-def scale_masses(
-    p: ModuleType,
-    client: int,
-    model: BulletModel,
-    base_mass: float,
-    leg_mass: float,
-    base_inertia: float,
-    leg_inertia: float,
-) -> None:
-    """Multiply the nominal masses and moments of the base and of all other links, and check that Bullet has them."""
-    scaled = {}
-    for name, (mass, moments) in model.mass.items():
-        link = model.links[name]
-        if link < 0 and model.rack:
-            continue
-        mass = mass * (base_mass if link < 0 else leg_mass)
-        moments = moments * (base_inertia if link < 0 else leg_inertia)
-        # Given a mass alone, Bullet would take the inertia of the collision shape.
-        p.changeDynamics(model.body, link, mass=mass, localInertiaDiagonal=moments.tolist(), physicsClientId=client)
-        scaled[name] = (mass, moments)
-    check_masses(p, client, model, scaled)
+    def _place_pins(self) -> None:
+        for number, place in zip(self.pins, (self._pin_places - self.pin_shift).tolist(), strict=True):
+            self._p.changeConstraint(number, jointChildPivot=place, physicsClientId=self.client)

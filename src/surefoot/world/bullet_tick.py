@@ -8,14 +8,23 @@ then speeds of its joints.
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
 from surefoot.rotations import quat_matrix
-from surefoot.world.drive import SPEED_LIMIT, Drive, constraint_tick, record, roll_pitch_yaw, servo_tick
+from surefoot.world.drive import (
+    SPEED_LIMIT,
+    Drive,
+    constraint_tick,
+    quat_product,
+    record,
+    roll_pitch_yaw,
+    servo_tick,
+    turned_back,
+)
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -36,26 +45,6 @@ class Layout(NamedTuple):
     rack: bool
 
 
-@njit(cache=True, inline="always")
-def link_quat(base_quat: Array, x: Any, y: Any, z: Any, w: Any) -> tuple[Any, Any, Any, Any]:
-    """Return the orientation w x y z of a base link: that of Bullet's base without the inertial frame's rotation.
-
-    Args:
-        base_quat: orientation of Bullet's base in the base link (4,), w x y z.
-        x: of the quaternion of Bullet's base in the world, and so on; numbers, or arrays in Python.
-        y: see x.
-        z: see x.
-        w: see x.
-    """
-    bw, bx, by, bz = base_quat[0], -base_quat[1], -base_quat[2], -base_quat[3]
-    return (
-        w * bw - x * bx - y * by - z * bz,
-        w * bx + x * bw + y * bz - z * by,
-        w * by - x * bz + y * bw + z * bx,
-        w * bz + x * by - y * bx + z * bw,
-    )
-
-
 @njit(cache=True)
 def observe(layout: Layout, drive: Drive, i: int, seen: Array) -> bool:
     """Write robot `i`'s state to `drive.now`; return false, and write nothing, if it is not finite.
@@ -74,14 +63,11 @@ def observe(layout: Layout, drive: Drive, i: int, seen: Array) -> bool:
     if layout.rack:
         now[2 * motors :] = 0.0
         return True
-    w, x, y, z = link_quat(layout.base_quat, seen[3], seen[4], seen[5], seen[6])
-    now[2 * motors], now[2 * motors + 1], now[2 * motors + 2] = roll_pitch_yaw(w, x, y, z)
-    # World to base, by the conjugate q* = (w, -u): omega - 2 u x (w omega - u x omega).
-    ox, oy, oz = seen[OMEGA], seen[OMEGA + 1], seen[OMEGA + 2]
-    cx, cy, cz = w * ox - (y * oz - z * oy), w * oy - (z * ox - x * oz), w * oz - (x * oy - y * ox)
-    now[2 * motors + 3] = ox - 2 * (y * cz - z * cy)
-    now[2 * motors + 4] = oy - 2 * (z * cx - x * cz)
-    now[2 * motors + 5] = oz - 2 * (x * cy - y * cx)
+    b = layout.base_quat
+    quat = quat_product((seen[6], seen[3], seen[4], seen[5]), (b[0], -b[1], -b[2], -b[3]))
+    now[2 * motors], now[2 * motors + 1], now[2 * motors + 2] = roll_pitch_yaw(*quat)
+    omega = turned_back(quat, (seen[OMEGA], seen[OMEGA + 1], seen[OMEGA + 2]))
+    now[2 * motors + 3], now[2 * motors + 4], now[2 * motors + 5] = omega
     return True
 
 
@@ -147,11 +133,8 @@ def pin_kernel(quats: Array, forces: Array, axes: Array, play: float, shift: Arr
         shift: u in the links' frames (L, 3) [m]; updated.
     """
     for k in range(len(quats)):
-        x, y, z, w = -quats[k, 0], -quats[k, 1], -quats[k, 2], quats[k, 3]
-        fx, fy, fz = forces[k]
-        # World to link, by the conjugate quaternion: F + 2 v x (v x F + w F).
-        ax, ay, az = y * fz - z * fy + w * fx, z * fx - x * fz + w * fy, x * fy - y * fx + w * fz
-        fx, fy, fz = fx + 2 * (y * az - z * ay), fy + 2 * (z * ax - x * az), fz + 2 * (x * ay - y * ax)
+        quat = (quats[k, 3], quats[k, 0], quats[k, 1], quats[k, 2])
+        fx, fy, fz = turned_back(quat, (forces[k, 0], forces[k, 1], forces[k, 2]))
         along = fx * axes[k, 0] + fy * axes[k, 1] + fz * axes[k, 2]
         fx, fy, fz = fx - along * axes[k, 0], fy - along * axes[k, 1], fz - along * axes[k, 2]
         reach = play / (math.sqrt(fx * fx + fy * fy + fz * fz) + PIN_LOAD)
@@ -168,7 +151,9 @@ def base_links(rows: Array, base_quat: Array, base_centre: Array) -> Array:
         base_quat: orientation of Bullet's base in the base link (4,), w x y z.
         base_centre: centre of mass in the base link (3,) [m].
     """
-    quats = np.stack(link_quat.py_func(base_quat, *rows[:, 3:7].T), axis=1)
+    x, y, z, w = rows[:, 3:7].T
+    # Without the rotation of the inertial frame, by the conjugate.
+    quats = np.stack(quat_product.py_func((w, x, y, z), base_quat * [1, -1, -1, -1]), axis=1)
     arm = quat_matrix(quats) @ base_centre
     velocity = rows[:, VELOCITY:OMEGA] - np.cross(rows[:, OMEGA:JOINTS], arm)
     return np.concatenate([rows[:, :3] - arm, quats, velocity], axis=1)

@@ -89,18 +89,3 @@ def spinning_torque_kernel(normal: float, spin: float, coefficient: float) -> fl
         coefficient: spinning friction c [m].
     """
     return -coefficient * normal * min(max(spin / SPIN_SPEED, -1.0), 1.0)
-
-
-def foot_force(
-    depth: float,
-    velocity: Array,
-    stretch: Array,
-    friction: float,
-    stiffness: float,
-    damping: float,
-    dt: float,
-) -> tuple[Array, Array]:
-    """Return the ground's force (3,) [N] on a foot and the sole's new stretch (2,) [m]; see `foot_force_kernel`."""
-    force, after = np.zeros(3), np.array(stretch, dtype=np.float64)
-    foot_force_kernel(depth, np.asarray(velocity, float), after, friction, stiffness, damping, dt, force)
-    return force, after

@@ -16,7 +16,7 @@ Times of readings, with a servo step dt, servo latency L_s and control latency L
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
@@ -36,6 +36,8 @@ from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.world.interface import WorldConfig
 
 Array = NDArray[np.float64]
+Quat = tuple[Any, Any, Any, Any]
+Vector = tuple[float, float, float]
 
 RACK_HEIGHT = 1.0
 """Height [m] of the base on a rack."""
@@ -43,6 +45,19 @@ SPEED_LIMIT = 1e5
 """A generalized speed beyond this [m/s, rad/s] counts as diverged, before an engine itself would complain."""
 OF_ALL_ROBOTS = ("table_current", "table_torque", "limits", "constraint")
 """Arrays of `Drive` that have no row for each robot."""
+CONTACT = ("contact_friction", "contact_stiffness", "contact_spinning_friction")
+"""Physical parameters of the feet's contact."""
+RATIOS = ("base_mass_ratio", "leg_mass_ratio", "base_inertia_ratio", "leg_inertia_ratio")
+"""Physical parameters of masses and inertias."""
+BULLET_ONLY = ("knee_friction", "knee_play", "floor_unevenness")
+"""Physical parameters that MuJoCo's engine does not model."""
+_ROBOTS = ("torque_constant", "resistance", "voltage", "kp", "kd", "servo_latency", "energy")
+"""Arrays of `Drive` with a number for each robot."""
+_MOTORS = (
+    *("strength", "friction", "viscous", "target", "duty", "torque", "end_speed", "torque_limit", "motor_torque"),
+    "hot_time",
+)
+"""Arrays of `Drive` with a number for each motor."""
 IMU_WIDTH = 6
 """Numbers of the IMU in a reading: roll, pitch, yaw [rad], and angular velocity in the base frame [rad/s]."""
 
@@ -80,47 +95,29 @@ class Drive(NamedTuple):
     contact_ticks: Array  # (N, L) servo steps with the foot on the ground since it was set to zero
 
 
-def new_drive(robot: RobotDescription, num_envs: int, history: int, config: WorldConfig | None = None) -> Drive:
+def new_drive(robot: RobotDescription, num_envs: int, history: int, config: WorldConfig) -> Drive:
     """Return the arrays for `num_envs` robots with nominal parameters and an empty history of that many samples."""
-    config = config or WorldConfig()
-    motors, legs = robot.num_motors, len(robot.legs)
+    motors, data = robot.num_motors, robot.actuator
     width = 2 * motors + IMU_WIDTH
-    data = robot.actuator
+    shapes: dict[str, tuple[int, ...]] = {
+        **dict.fromkeys(_ROBOTS, ()),
+        **dict.fromkeys(_MOTORS, (motors,)),
+        "times": (history,),
+        "history": (history, width),
+        "now": (width,),
+        "seen": (2 * motors,),
+        "contact_ticks": (len(robot.legs),),
+    }
     current, torque = robot.torque_table
     overheat_time = data.overheat_time if config.thermal_protection else math.inf
-
-    def zeros(*shape: int) -> Array:
-        return np.zeros((num_envs, *shape))
-
     drive = Drive(
-        strength=zeros(motors),
-        friction=zeros(motors),
-        viscous=zeros(motors),
-        torque_constant=zeros(),
-        resistance=zeros(),
-        voltage=zeros(),
-        kp=zeros(),
-        kd=zeros(),
-        servo_latency=zeros(),
+        **{name: np.zeros((num_envs, *shape)) for name, shape in shapes.items()},
         table_current=current,
         table_torque=torque,
         limits=np.array([data.voltage_clip, data.overheat_torque, overheat_time, robot.timing.servo_step]),
         constraint=np.array([config.actuator == "constraint"]),
         ticks=np.zeros(num_envs, np.int64),
-        times=zeros(history),
-        history=zeros(history, width),
-        now=zeros(width),
-        seen=zeros(2 * motors),
-        target=zeros(motors),
-        duty=zeros(motors),
-        torque=zeros(motors),
-        end_speed=zeros(motors),
-        torque_limit=zeros(motors),
-        motor_torque=zeros(motors),
-        energy=zeros(),
-        hot_time=zeros(motors),
         switched_off=np.zeros((num_envs, motors), np.bool_),
-        contact_ticks=zeros(legs),
     )
     set_drive_params(drive, np.arange(num_envs), PhysicalParams.nominal(robot, num_envs))
     return drive
@@ -151,6 +148,29 @@ def roll_pitch_yaw(w: float, x: float, y: float, z: float) -> tuple[float, float
     pitch = math.asin(min(max(2 * (w * y - z * x), -1.0), 1.0))
     yaw = math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
     return roll, pitch, yaw
+
+
+@njit(cache=True, inline="always")
+def quat_product(a: Quat, b: Quat) -> Quat:
+    """Return the product of two quaternions w x y z, of numbers; in Python also of arrays."""
+    (aw, ax, ay, az), (bw, bx, by, bz) = a, b
+    return (
+        aw * bw - ax * bx - ay * by - az * bz,
+        aw * bx + ax * bw + ay * bz - az * by,
+        aw * by - ax * bz + ay * bw + az * bx,
+        aw * bz + ax * by - ay * bx + az * bw,
+    )
+
+
+@kernel
+def turned_back(quat: Quat, vector: Vector) -> Vector:
+    """Return a vector of the world in the frame of a body with a unit quaternion w x y z in it.
+
+    By the conjugate q* = (w, -u): v - 2 u x (w v - u x v).
+    """
+    (w, x, y, z), (vx, vy, vz) = quat, vector
+    cx, cy, cz = w * vx - (y * vz - z * vy), w * vy - (z * vx - x * vz), w * vz - (x * vy - y * vx)
+    return vx - 2 * (y * cz - z * cy), vy - 2 * (z * cx - x * cz), vz - 2 * (x * cy - y * cx)
 
 
 @kernel

@@ -14,12 +14,11 @@ from __future__ import annotations
 
 import xml.etree.ElementTree as ElementTree
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.robot.urdf import Urdf
+from surefoot.robot.urdf import Urdf, attribute
 from surefoot.rotations import matrix_rpy, rpy_matrix
 
 Array = NDArray[np.float64]
@@ -49,6 +48,11 @@ class RigidBody:
             axes[:, 2] *= -1
         return moments, axes
 
+    def in_principal(self, point: Array) -> Array:
+        """Return a point (3,) [m] of the link's frame in the frame at the centre of mass along the principal axes."""
+        place: Array = self.principal()[1].T @ (point - self.centre)
+        return place
+
 
 @dataclass(frozen=True)
 class FusedUrdf:
@@ -61,8 +65,7 @@ class FusedUrdf:
 
 
 def _vector(element: ElementTree.Element | None, key: str) -> Array:
-    text = "0 0 0" if element is None else element.get(key, "0 0 0")
-    return np.array([float(word) for word in text.split()])
+    return np.array([float(word) for word in attribute(element, key, "0 0 0").split()])
 
 
 def frame_of(element: ElementTree.Element | None) -> Array:
@@ -85,16 +88,12 @@ def _origin(frame: Array) -> ElementTree.Element:
 def _rigid_body(link: ElementTree.Element) -> RigidBody:
     """Return mass, centre and inertia of a link of the file, in the link's own frame."""
     frame = frame_of(link.find("inertial/origin"))
-    inertia_element, mass_element = link.find("inertial/inertia"), link.find("inertial/mass")
-    # `read_urdf` has refused links without.
-    assert inertia_element is not None
-    assert mass_element is not None
-    xx, xy, xz, yy, yz, zz = (
-        float(inertia_element.get(key, "0")) for key in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
-    )
+    # `read_urdf` has refused links without inertia and mass.
+    element = link.find("inertial/inertia")
+    xx, xy, xz, yy, yz, zz = (float(attribute(element, key, "0")) for key in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz"))
     inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
     turn = frame[:3, :3]
-    return RigidBody(float(mass_element.get("value", "")), frame[:3, 3], turn @ inertia @ turn.T)
+    return RigidBody(float(attribute(link.find("inertial/mass"), "value")), frame[:3, 3], turn @ inertia @ turn.T)
 
 
 def fuse(parts: list[tuple[RigidBody, Array]]) -> RigidBody:
@@ -113,12 +112,12 @@ def _places(joints: list[ElementTree.Element], root: str) -> dict[str, tuple[str
     """Return for each link the root of its group of fixed links, and its frame there."""
     children: dict[str, list[ElementTree.Element]] = {}
     for joint in joints:
-        children.setdefault(joint.find("parent").get("link", ""), []).append(joint)  # type: ignore[union-attr]
+        children.setdefault(attribute(joint.find("parent"), "link"), []).append(joint)
     place, waiting = {root: (root, np.eye(4))}, [root]
     while waiting:
         parent = waiting.pop()
         for joint in children.get(parent, []):
-            child = joint.find("child").get("link", "")  # type: ignore[union-attr]
+            child = attribute(joint.find("child"), "link")
             top, frame = place[parent]
             fixed = joint.get("type") == "fixed"
             place[child] = (top, frame @ frame_of(joint.find("origin"))) if fixed else (child, np.eye(4))
@@ -126,19 +125,16 @@ def _places(joints: list[ElementTree.Element], root: str) -> dict[str, tuple[str
     return place
 
 
-def fuse_urdf(urdf: Urdf, visuals: bool = True) -> FusedUrdf:
+def fuse_urdf(urdf: Urdf) -> FusedUrdf:
     """Fuse the links of a URDF that fixed joints join; a group takes the name and frame of its topmost link.
 
-    Args:
-        urdf: the file, read and checked.
-        visuals: keep what is only to be looked at.
+    Visuals are left out.
     """
     robot = ElementTree.parse(urdf.path).getroot()
     links = {link.get("name", ""): link for link in robot.findall("link")}
     joints = robot.findall("joint")
     place = _places(joints, urdf.root)
     fused = ElementTree.Element("robot", name=robot.get("name", ""))
-    fused.extend(robot.findall("material"))
     groups: dict[str, list[str]] = {}
     for name, (top, _) in place.items():
         groups.setdefault(top, []).append(name)
@@ -148,10 +144,9 @@ def fuse_urdf(urdf: Urdf, visuals: bool = True) -> FusedUrdf:
         link = ElementTree.SubElement(fused, "link", name=top)
         link.append(_inertial(bodies[top]))
         for name in names:
-            for kind in ("visual", "collision") if visuals else ("collision",):
-                for shape in links[name].findall(kind):
-                    _move(shape, place[name][1])
-                    link.append(shape)
+            for shape in links[name].findall("collision"):
+                _move(shape, place[name][1])
+                link.append(shape)
     for joint in joints:
         if joint.get("type") != "fixed":
             parent = joint.find("parent")
@@ -183,10 +178,3 @@ def _move(element: ElementTree.Element, frame: Array) -> None:
     if origin is not None:
         element.remove(origin)
     element.insert(0, _origin(moved))
-
-
-def write_fused(text: str, folder: Path) -> Path:
-    """Write the new URDF into a folder; return its path."""
-    path = folder / "fused.urdf"
-    path.write_text(text, encoding="utf-8")
-    return path

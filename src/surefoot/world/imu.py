@@ -7,7 +7,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from surefoot.rotations import rpy_quat
-from surefoot.world.drive import roll_pitch_yaw
+from surefoot.world.drive import quat_product, roll_pitch_yaw, turned_back
 
 Array = NDArray[np.float64]
 _rpy_quat = njit(cache=True)(rpy_quat)
@@ -26,17 +26,7 @@ def read_by_mounted_imu(attitude: Array, rates: Array, mount: Array) -> None:
         mount: roll, pitch and yaw of the IMU in the base frame (N, 3) [rad].
     """
     for i in range(len(attitude)):
-        bw, bx, by, bz = _rpy_quat(attitude[i, 0], attitude[i, 1], attitude[i, 2])
-        w, x, y, z = _rpy_quat(mount[i, 0], mount[i, 1], mount[i, 2])
-        attitude[i, 0], attitude[i, 1], attitude[i, 2] = roll_pitch_yaw(
-            bw * w - bx * x - by * y - bz * z,
-            bw * x + bx * w + by * z - bz * y,
-            bw * y - bx * z + by * w + bz * x,
-            bw * z + bx * y - by * x + bz * w,
-        )
-        # Base to IMU, by the conjugate q* = (w, -u): omega - 2 u x (w omega - u x omega).
-        ox, oy, oz = rates[i, 0], rates[i, 1], rates[i, 2]
-        cx, cy, cz = w * ox - (y * oz - z * oy), w * oy - (z * ox - x * oz), w * oz - (x * oy - y * ox)
-        rates[i, 0] = ox - 2 * (y * cz - z * cy)
-        rates[i, 1] = oy - 2 * (z * cx - x * cz)
-        rates[i, 2] = oz - 2 * (x * cy - y * cx)
+        base = _rpy_quat(attitude[i, 0], attitude[i, 1], attitude[i, 2])
+        imu = _rpy_quat(mount[i, 0], mount[i, 1], mount[i, 2])
+        attitude[i, 0], attitude[i, 1], attitude[i, 2] = roll_pitch_yaw(*quat_product(base, imu))
+        rates[i, 0], rates[i, 1], rates[i, 2] = turned_back(imu, (rates[i, 0], rates[i, 1], rates[i, 2]))

@@ -99,11 +99,9 @@ class World(Protocol):
 
     def reset(self, index: ArrayLike | None = None) -> Readings:
         """Bring the robots at `index` (all, if none is given) to the resting pose; return readings of all robots."""
-        ...
 
     def step(self, target: ArrayLike) -> Readings:
         """Send motor angles (N, M) [rad] and hold them for one control step; return readings at its end."""
-        ...
 
 
 class Simulation(World, Protocol):
@@ -115,35 +113,27 @@ class Simulation(World, Protocol):
 
     def step(self, target: ArrayLike, active: NDArray[np.bool_] | None = None) -> Readings:
         """Step as a world does; robots that are not `active` (N,) are not stepped."""
-        ...
 
     def readings(self) -> Readings:
         """Return the present readings again."""
-        ...
 
     def truth(self) -> Truth:
         """Return the true state; the arrays belong to the caller."""
-        ...
 
     def foot_positions(self) -> Array:
         """Return the centres of the rounded feet in the world frame [m], (N, L, 3)."""
-        ...
 
     def set_params(self, index: ArrayLike, params: PhysicalParams) -> None:
         """Give the robots at `index` other physical parameters, one row each."""
-        ...
 
     def push(self, force_world: ArrayLike) -> None:
         """Set the force (N, 3) [N] that acts at the base's centre of mass from now on, in the world frame."""
-        ...
 
     def get_state(self) -> dict[str, Any]:
         """Return the whole state of the world."""
-        ...
 
     def set_state(self, state: dict[str, Any]) -> None:
         """Continue from `get_state`, exactly."""
-        ...
 
 
 SimulationFactory = Callable[[RobotDescription, int, PhysicalParams, int, WorldConfig], Simulation]

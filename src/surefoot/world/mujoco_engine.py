@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 
 from surefoot.errors import SurefootError
 from surefoot.robot import GRAVITY, PhysicalParams, RobotDescription
-from surefoot.world.drive import Drive, racked_bases
+from surefoot.world.drive import BULLET_ONLY, RATIOS, Drive, racked_bases
 from surefoot.world.interface import WorldConfig
-from surefoot.world.mujoco_loop import Native, advance, gather_base, observe
+from surefoot.world.mujoco_loop import DATA_FIELDS, Native, advance, gather_base, observe
 from surefoot.world.mujoco_model import build_model, foot_geoms, resting_qpos
 from surefoot.world.native import function_address, struct_offset
 
@@ -31,15 +31,13 @@ Index = NDArray[np.int64]
 _STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 _LEAST = 8
 """Robots a thread is worth its start for."""
-BULLET_ONLY = ("knee_friction", "knee_play", "floor_unevenness")
-"""Physical parameters that this engine does not model."""
-_MASS_FIELDS = ("body_mass", "body_inertia", "body_subtreemass", "body_invweight0", "dof_M0", "dof_invweight0")
+MASS_FIELDS = ("body_mass", "body_inertia", "body_subtreemass", "body_invweight0", "dof_M0", "dof_invweight0")
 """Arrays of a MuJoCo model that depend on masses and inertias, `mj_setConst`'s results included."""
 
 
 def _masses(model: mujoco.MjModel) -> Array:
     """Return from a model the numbers that `_load_masses` writes."""
-    return np.concatenate([getattr(model, field).ravel() for field in _MASS_FIELDS])
+    return np.concatenate([getattr(model, field).ravel() for field in MASS_FIELDS])
 
 
 class MujocoEngine:
@@ -54,8 +52,8 @@ class MujocoEngine:
     name = "mujoco"
     gravity = GRAVITY
 
-    def __init__(self, robot: RobotDescription, drive: Drive, config: WorldConfig | None = None) -> None:
-        self.robot, self.drive, config = robot, drive, config or WorldConfig()
+    def __init__(self, robot: RobotDescription, drive: Drive, config: WorldConfig) -> None:
+        self.robot, self.drive = robot, drive
         # The Python package times MuJoCo's stages with a clock call each, some 3 % of a step; the times are not used.
         mujoco.set_mjcb_time(None)
         num_envs = len(drive.ticks)
@@ -77,32 +75,25 @@ class MujocoEngine:
         self.initial_state = self._resting_state()
 
     def _layout(self) -> Native:
-        model, robot = self._nominal, self.robot
+        model, robot, num_envs = self._nominal, self.robot, len(self.datas)
         joints = [model.joint(name) for name in robot.motor_names]
         free = model.body(robot.base).jntadr[0] if model.body(robot.base).jntnum[0] else -1
         motor_dof = np.array([joint.dofadr[0] for joint in joints], np.int64)
-
-        def addresses(field: str) -> Index:
-            return np.array([getattr(data, field).ctypes.data for data in self.datas], np.int64)
-
+        addresses: dict[str, Any] = {
+            field: np.array([getattr(data, field).ctypes.data for data in self.datas], np.int64)
+            for field in DATA_FIELDS
+        }
         return Native(
             step1=function_address("mj_step1"),
             step2=function_address("mj_step2"),
             model=np.array([item._address for item in self.models], np.int64),
             mass_fields=np.array(
-                [[getattr(item, field).ctypes.data for field in _MASS_FIELDS] for item in self.models], np.int64
+                [[getattr(item, field).ctypes.data for field in MASS_FIELDS] for item in self.models], np.int64
             ),
-            mass_sizes=np.array([getattr(model, field).size for field in _MASS_FIELDS], np.int64),
-            mass=np.tile(_masses(model), (len(self.datas), 1)),
+            mass_sizes=np.array([getattr(model, field).size for field in MASS_FIELDS], np.int64),
+            mass=np.tile(_masses(model), (num_envs, 1)),
             data=np.array([item._address for item in self.datas], np.int64),
-            qpos=addresses("qpos"),
-            qvel=addresses("qvel"),
-            applied=addresses("qfrc_applied"),
-            force=addresses("xfrc_applied"),
-            geom_xpos=addresses("geom_xpos"),
-            body_xipos=addresses("xipos"),
-            body_cvel=addresses("cvel"),
-            subtree_com=addresses("subtree_com"),
+            **addresses,
             motor_qpos=np.array([joint.qposadr[0] for joint in joints], np.int64),
             motor_dof=motor_dof,
             motor_sign=robot.motor_sign.astype(np.float64),
@@ -113,11 +104,11 @@ class MujocoEngine:
             foot_geom=self._feet,
             foot_body=model.geom_bodyid[self._feet].astype(np.int64),
             foot_radius=model.geom_size[self._feet, 0].copy(),
-            friction=np.full(len(self.datas), robot.contact.friction),
-            stiffness=np.full(len(self.datas), robot.contact.stiffness),
-            spinning=np.full(len(self.datas), robot.contact.spinning_friction),
+            friction=np.full(num_envs, robot.contact.friction),
+            stiffness=np.full(num_envs, robot.contact.stiffness),
+            spinning=np.full(num_envs, robot.contact.spinning_friction),
             damping=robot.contact.damping,
-            stretch=np.zeros((len(self.datas), len(self._feet), 2)),
+            stretch=np.zeros((num_envs, len(self._feet), 2)),
             num_qpos=model.nq,
             num_qvel=model.nv,
         )
@@ -196,12 +187,7 @@ class MujocoEngine:
         self._native.friction[i] = params.contact_friction[row]
         self._native.stiffness[i] = params.contact_stiffness[row]
         self._native.spinning[i] = params.contact_spinning_friction[row]
-        ratios = (
-            params.base_mass_ratio[row],
-            params.leg_mass_ratio[row],
-            params.base_inertia_ratio[row],
-            params.leg_inertia_ratio[row],
-        )
+        ratios = tuple(getattr(params, name)[row] for name in RATIOS)
         if self._ratios[i] != ratios:
             self._native.mass[i] = self._scaled_masses(*ratios)
             self._ratios[i] = ratios

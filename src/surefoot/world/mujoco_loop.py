@@ -19,6 +19,9 @@ from surefoot.world.native import call_step, doubles, pointers, take_number
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
+DATA_FIELDS = ("qpos", "qvel", "qfrc_applied", "xfrc_applied", "geom_xpos", "xipos", "cvel", "subtree_com")
+"""Arrays of MuJoCo's data whose addresses, one a robot, the loop takes."""
+
 
 class Native(NamedTuple):
     """Addresses and layout that the compiled loop works on."""
@@ -32,11 +35,11 @@ class Native(NamedTuple):
     data: Index
     qpos: Index
     qvel: Index
-    applied: Index
-    force: Index
+    qfrc_applied: Index
+    xfrc_applied: Index
     geom_xpos: Index
-    body_xipos: Index
-    body_cvel: Index
+    xipos: Index
+    cvel: Index
     subtree_com: Index
     motor_qpos: Index
     motor_dof: Index
@@ -99,9 +102,9 @@ def observe(native: Native, drive: Drive, i: int) -> bool:
 @kernel
 def _feet_on_ground(native: Native, drive: Drive, i: int, velocity: Array, force: Array) -> None:
     """Apply the ground's forces on robot `i`'s feet, from the positions and velocities that MuJoCo has computed."""
-    xpos, xipos = doubles(native.geom_xpos[i]), doubles(native.body_xipos[i])
-    cvel, com = doubles(native.body_cvel[i]), doubles(native.subtree_com[i])
-    applied = doubles(native.force[i])
+    xpos, xipos = doubles(native.geom_xpos[i]), doubles(native.xipos[i])
+    cvel, com = doubles(native.cvel[i]), doubles(native.subtree_com[i])
+    applied = doubles(native.xfrc_applied[i])
     root = 3 * native.base_body
     for leg in range(len(native.foot_geom)):
         g, b = 3 * native.foot_geom[leg], native.foot_body[leg]
@@ -163,7 +166,7 @@ def _run(native: Native, drive: Drive, i: int, servo_steps: int, model: int, vel
     """Run robot `i` for some servo steps on a thread's model; return false if it diverges."""
     drive.energy[i] = 0.0
     drive.contact_ticks[i] = 0.0
-    applied, data = doubles(native.applied[i]), native.data[i]
+    applied, data = doubles(native.qfrc_applied[i]), native.data[i]
     for _ in range(servo_steps):
         servo_tick(drive, i)
         for m in range(len(native.motor_dof)):

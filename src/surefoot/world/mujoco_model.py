@@ -19,8 +19,8 @@ MOTOR_ITERATIONS = 50
 """Torque limits that are reached and left take the solver more iterations than closed loops alone."""
 
 
-def build_spec(robot: RobotDescription, config: WorldConfig | None = None) -> mujoco.MjSpec:
-    """Return the robot over a ground plane at z = 0, its base free or on a rack, ready to compile.
+def build_model(robot: RobotDescription, config: WorldConfig | None = None) -> mujoco.MjModel:
+    """Return the robot over a ground plane at z = 0, its base free or on a rack.
 
     Feet meet the ground by the law in `surefoot.world.contact`, so their geoms collide with nothing here; the
     other collision shapes of the URDF meet the ground, and not each other, by MuJoCo's own contacts.
@@ -63,23 +63,18 @@ def build_spec(robot: RobotDescription, config: WorldConfig | None = None) -> mu
             joint.frictionloss = 1.0
             joint.solimp_friction = MOTOR_SOLIMP
     for loop in robot.loops:
-        equality = spec.add_equality(
+        pins = [f"{link}_pin" for link in loop.links]
+        for link, pin, point in zip(loop.links, pins, loop.points, strict=True):
+            spec.body(link).add_site(name=pin, pos=point)
+        spec.add_equality(
             type=mujoco.mjtEq.mjEQ_CONNECT,
             objtype=mujoco.mjtObj.mjOBJ_SITE,
+            name1=pins[0],
+            name2=pins[1],
             solref=LOOP_SOLREF,
             solimp=LOOP_SOLIMP,
         )
-        names = []
-        for link, point in zip(loop.links, loop.points, strict=True):
-            names.append(f"{link}_pin")
-            spec.body(link).add_site(name=names[-1], pos=point)
-        equality.name1, equality.name2 = names
-    return spec
-
-
-def build_model(robot: RobotDescription, config: WorldConfig | None = None) -> mujoco.MjModel:
-    """Return the compiled model."""
-    return build_spec(robot, config).compile()
+    return spec.compile()
 
 
 def foot_geoms(robot: RobotDescription, model: mujoco.MjModel) -> NDArray[np.int64]:

@@ -61,26 +61,23 @@ def struct_offset(struct: int, pointer: int) -> int:
     raise OSError("MuJoCo's data does not hold the array at the expected address")
 
 
-@intrinsic
-def pointers(typing_context: Any, address: Any) -> Any:
-    """Return the array of C pointers that starts at an address, as integers."""
-    signature = types.CPointer(types.int64)(types.int64)
+def _array_at(element: Any) -> Any:
+    @intrinsic
+    def array(typing_context: Any, address: Any) -> Any:
+        signature = types.CPointer(element)(types.int64)
 
-    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        return builder.inttoptr(args[0], context.get_value_type(signature.return_type))
+        def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+            return builder.inttoptr(args[0], context.get_value_type(signature.return_type))
 
-    return signature, codegen
+        return signature, codegen
+
+    return array
 
 
-@intrinsic
-def doubles(typing_context: Any, address: Any) -> Any:
-    """Return the array of C doubles that starts at an address; its length is not known and not checked."""
-    signature = types.CPointer(types.float64)(types.int64)
-
-    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        return builder.inttoptr(args[0], context.get_value_type(signature.return_type))
-
-    return signature, codegen
+pointers = _array_at(types.int64)
+"""Return the array of C pointers that starts at an address, as integers."""
+doubles = _array_at(types.float64)
+"""Return the array of C doubles that starts at an address; its length is not known and not checked."""
 
 
 @intrinsic

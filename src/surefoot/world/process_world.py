@@ -6,10 +6,17 @@ so results do not depend on the number of processes, to the last bit.
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import os
+import pickle
+import subprocess
+import sys
+import weakref
 from collections.abc import Sequence
 from dataclasses import fields, replace
+from functools import partial
+from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
@@ -19,17 +26,119 @@ from surefoot.errors import SurefootError
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.world.drive import OF_ALL_ROBOTS
 from surefoot.world.interface import Readings, Simulation, Truth, WorldConfig
-from surefoot.world.process_pool import ProcessPool
 from surefoot.world.sim_world import EngineFactory, SimWorld, check_batch
 
 Array = NDArray[np.float64]
 Rows = TypeVar("Rows", Readings, Truth)
+
+_WAIT = 2.0
+"""Time [s] that a process has to end by itself."""
+_ROWS = ("engine", "control_steps", "noise", "diverged")
+"""Arrays of a world's state with a row for each robot."""
+
+
+def _start() -> subprocess.Popen[bytes]:
+    """Start a process that waits for requests; it imports this package, and nothing of the user's script."""
+    package = str(Path(__file__).resolve().parents[2])
+    known = [package, *os.environ.get("PYTHONPATH", "").split(os.pathsep)]
+    environment = {
+        **os.environ,
+        "PYTHONPATH": os.pathsep.join(filter(None, known)),
+        # One core each: what they compute is too small to be shared between threads.
+        **dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"), "1"),
+    }
+    return subprocess.Popen(
+        [sys.executable, "-P", "-m", "surefoot.world.process_worker"],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        env=environment,
+        # Ctrl-C on the terminal is for the process that was started by hand; it ends these.
+        process_group=0,
+    )
+
+
+def _end(processes: Sequence[subprocess.Popen[bytes]]) -> None:
+    for process in processes:
+        for pipe in (process.stdin, process.stdout):
+            if pipe is not None:
+                with contextlib.suppress(OSError):
+                    pipe.close()
+    for process in processes:
+        try:
+            process.wait(_WAIT)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+
+
+class ProcessPool:
+    """Processes with a world each; they end with this object, when it is closed, or with the process that owns it.
+
+    Args:
+        count: number of processes.
+    """
+
+    def __init__(self, count: int) -> None:
+        self._processes: list[subprocess.Popen[bytes]] = []
+        self._finalizer = weakref.finalize(self, _end, self._processes)
+        self._processes.extend(_start() for _ in range(count))
+
+    def close(self) -> None:
+        """End the processes; no further request is possible."""
+        self._finalizer()
+
+    def ask(self, method: str, arguments: Sequence[Any]) -> list[Any]:
+        """Send each process its own arguments; return their answers in order.
+
+        Raises:
+            SurefootError: a process is gone. An error that a process reports is raised here as it was there, after
+                all have answered.
+        """
+        if not self._finalizer.alive:
+            raise SurefootError("this world is closed, or one of its processes is gone")
+        replies = []
+        try:
+            for process, own in zip(self._processes, arguments, strict=True):
+                assert process.stdin is not None
+                pickle.dump((method, own), process.stdin, protocol=pickle.HIGHEST_PROTOCOL)
+                process.stdin.flush()
+            for process in self._processes:
+                assert process.stdout is not None
+                replies.append(pickle.load(process.stdout))
+        except (BrokenPipeError, EOFError, pickle.UnpicklingError) as error:
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                process.wait(_WAIT)
+            self.close()
+            raise SurefootError(
+                f"a process of the simulated world ended on its own (exit code {process.returncode}); "
+                "it may have run out of memory"
+            ) from error
+        except BaseException:
+            self.close()  # answers that were not read would be taken for those to the next question
+            raise
+        for sound, answer in replies:
+            if not sound:
+                raise answer
+        return [answer for _, answer in replies]
 
 
 def _join(parts: Sequence[Rows]) -> Rows:
     """Join readings or truths of consecutive robots."""
     columns = {item.name: np.concatenate([getattr(part, item.name) for part in parts]) for item in fields(parts[0])}
     return type(parts[0])(**columns)
+
+
+def _joined(parts: Sequence[dict[str, Array]]) -> dict[str, Array]:
+    """Join arrays of a state by name, of consecutive robots."""
+    return {
+        name: array if name in OF_ALL_ROBOTS else np.concatenate([part[name] for part in parts])
+        for name, array in parts[0].items()
+    }
+
+
+def _cut(arrays: dict[str, Array], share: slice) -> dict[str, Array]:
+    """Return of arrays of a state by name the rows of some robots."""
+    return {name: array if name in OF_ALL_ROBOTS else array[share] for name, array in arrays.items()}
 
 
 class ProcessWorld:
@@ -138,10 +247,7 @@ class ProcessWorld:
             SurefootError: a value outside what the robot's description allows; then no robot has changed.
         """
         rows = np.atleast_1d(np.asarray(index, np.int64))
-        for name in PhysicalParams.names():
-            self.robot.check_allowed(name, getattr(params, name))
-        for name in PhysicalParams.names():
-            getattr(self.params, name)[rows] = getattr(params, name)
+        self.params.set_rows(self.robot, rows, params)
         self._truths = None
         self._pool.ask("set_params", [(own, params.rows(places)) for places, own in self._split(index)])
 
@@ -152,23 +258,13 @@ class ProcessWorld:
     def get_state(self) -> dict[str, Any]:
         """Return the whole state of the world, laid out as a single `SimWorld`'s."""
         states = self._pool.ask("get_state", self._each())
-        first = states[0]
         own = [share.stop - share.start for share in self._shares]
-
-        def joined(key: str, name: str | None = None) -> Array:
-            return np.concatenate([state[key] if name is None else state[key][name] for state in states])
-
         # Each part has the streams of its robots' sensors, then those of their starts.
         sensors = [stream for state, n in zip(states, own, strict=True) for stream in state["streams"][:n]]
         starts = [stream for state, n in zip(states, own, strict=True) for stream in state["streams"][n:]]
         return {
-            "engine": joined("engine"),
-            "drive": {
-                name: array if name in OF_ALL_ROBOTS else joined("drive", name)
-                for name, array in first["drive"].items()
-            },
-            "params": {name: joined("params", name) for name in first["params"]},
-            **{key: joined(key) for key in ("control_steps", "noise", "diverged")},
+            **_joined([{key: state[key] for key in _ROWS} for state in states]),
+            **{part: _joined([state[part] for state in states]) for part in ("drive", "params")},
             "streams": sensors + starts,
             "divergences": sum(state["divergences"] for state in states),
         }
@@ -177,22 +273,17 @@ class ProcessWorld:
         """Continue from `get_state`, exactly; the state may come from any number of processes, or from a `SimWorld`."""
         # As `SimWorld` does it: a parameter that an earlier version did not have is nominal.
         params = replace(PhysicalParams.nominal(self.robot, self.num_envs), **state["params"])
-        for name in PhysicalParams.names():
-            getattr(self.params, name)[:] = getattr(params, name)
+        self.params.set_rows(self.robot, np.arange(self.num_envs), params)
         count, parts = self.num_envs, []
         for number, share in enumerate(self._shares):
             sensors, starts = state["streams"][:count][share], state["streams"][count:][share]
-            part = {
-                "engine": state["engine"][share],
-                "drive": {
-                    name: array if name in OF_ALL_ROBOTS else array[share] for name, array in state["drive"].items()
-                },
-                "params": {name: array[share] for name, array in state["params"].items()},
-                **{key: state[key][share] for key in ("control_steps", "noise", "diverged")},
+            own = {
+                **_cut({key: state[key] for key in _ROWS}, share),
+                **{part: _cut(state[part], share) for part in ("drive", "params")},
                 "streams": [*sensors, *starts],
                 "divergences": state["divergences"] if number == 0 else 0,
             }
-            parts.append((part,))
+            parts.append((own,))
         self._truths = None
         self.divergences = sum(self._pool.ask("set_state", parts))
 
@@ -218,9 +309,10 @@ def bullet_world(
         SurefootError: as `SimWorld`, or more robots than so many processes can hold.
         ModuleNotFoundError: PyBullet is not installed.
     """
-    from surefoot.world.bullet_engine import MAX_ROBOTS, bullet_engine, published_bullet_engine
+    from surefoot.world.bullet_engine import MAX_ROBOTS, BulletEngine
+    from surefoot.world.bullet_model import PUBLISHED
 
-    engine = published_bullet_engine if published else bullet_engine
+    engine = partial(BulletEngine, settings=PUBLISHED) if published else BulletEngine
     config = config or WorldConfig()
     processes = processes_for(num_envs, config)
     if num_envs > MAX_ROBOTS * processes:

@@ -22,6 +22,7 @@ Index = NDArray[np.int64]
 SETTLE_TIME = 0.5
 """Time [s] for which a robot settles before an episode (the robot's published environment)."""
 _NOISE_BLOCK = 256
+_ZERO_AT_START = ("ticks", "duty", "torque", "motor_torque", "energy", "hot_time", "switched_off", "contact_ticks")
 
 
 class Engine(Protocol):
@@ -119,11 +120,9 @@ class SimWorld:
         self.drive = new_drive(robot, num_envs, self._history, self.config)
         self.engine = engine(robot, self.drive, self.config)
         self.params = PhysicalParams.nominal(robot, num_envs)
-        legs = len(robot.legs)
-        swing, extension = self.config.rest or robot.rest
-        self.resting_angles = robot.leg_to_motor_angles(np.full(legs, swing), np.full(legs, extension))
+        self.resting_angles = robot.leg_to_motor_angles(*(self.config.rest or robot.rest))
         # How deep nominal feet stand in the ground: weight over stiffness of all feet [m].
-        self._weight = self.engine.gravity * robot.urdf.total_mass / legs
+        self._weight = self.engine.gravity * robot.urdf.total_mass / len(robot.legs)
         self._sunk = self._weight / robot.contact.stiffness
         self._settled = self._settle(engine)
         self._imu_streams = generators(seed, "imu noise", first + num_envs)[first:]
@@ -161,17 +160,8 @@ class SimWorld:
 
     def _reset(self, rows: Index) -> None:
         drive, config = self.drive, self.config
-        for array in (
-            drive.ticks,
-            drive.duty,
-            drive.torque,
-            drive.motor_torque,
-            drive.energy,
-            drive.hot_time,
-            drive.contact_ticks,
-        ):
-            array[rows] = 0
-        drive.switched_off[rows] = False
+        for name in _ZERO_AT_START:
+            getattr(drive, name)[rows] = 0
         drive.target[rows] = self.resting_angles
         self._control_steps[rows] = 0
         self._draw_noise(rows)
@@ -268,13 +258,10 @@ class SimWorld:
         """Give the robots at `index` other physical parameters, one row each; best followed by their reset.
 
         Raises:
-            SurefootError: a value outside what the robot's description allows.
+            SurefootError: a value outside what the robot's description allows; then no robot has changed.
         """
         rows = np.atleast_1d(np.asarray(index, np.int64))
-        for name in PhysicalParams.names():
-            values = getattr(params, name)
-            self.robot.check_allowed(name, values)
-            getattr(self.params, name)[rows] = values
+        self.params.set_rows(self.robot, rows, params)
         set_drive_params(self.drive, rows, params)
         for row, i in enumerate(rows):
             self.engine.set_params(i, params, row)

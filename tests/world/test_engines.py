@@ -1,0 +1,133 @@
+"""What `SimWorld` does the same on either engine: independent robots, exact states, divergence."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from surefoot.world.sim_world import mujoco_engine
+
+START = {"start_linear_speed": 0.05, "start_angular_speed": 0.1}
+CHANGED = {
+    "base_mass_ratio": 1.2,
+    "leg_mass_ratio": 0.8,
+    "base_inertia_ratio": 1.5,
+    "leg_inertia_ratio": 1.5,
+    "motor_strength": 0.8,
+    "motor_friction": 0.05,
+    "motor_viscous_friction": 0.01,
+    "torque_constant": 0.09,
+    "resistance": 0.2,
+    "voltage": 14.0,
+    "servo_kp": 1.1,
+    "servo_kd": 0.02,
+    "servo_latency": 0.0,
+    "contact_friction": 0.2,
+    "contact_stiffness": 6000.0,
+    "contact_spinning_friction": 0.1,
+    "control_step": 0.008,
+}
+BULLET_ONLY = {"knee_friction": 0.02, "knee_play": 0.0005, "floor_unevenness": 0.002}
+
+
+def test_each_parameter_changes_the_motion(make_world, trot, robot, engine):
+    # Robot 0 is nominal, robot k has one parameter changed.
+    changed = CHANGED if engine is mujoco_engine else CHANGED | BULLET_ONLY
+    values = {name: np.full(len(changed) + 1, robot.nominal_params()[name]) for name in changed}
+    for k, (name, value) in enumerate(changed.items(), start=1):
+        values[name][k] = value
+    world = make_world(len(changed) + 1, engine=engine, **values)
+    for k in range(60):
+        world.step(trot(k))
+    angles = world.truth().motor_angle
+    for k, name in enumerate(changed, start=1):
+        assert np.abs(angles[k] - angles[0]).max() > 1e-6, name
+
+
+@pytest.mark.parametrize("place", [0, 3])
+def test_a_robot_moves_alike_alone_and_in_a_batch(make_world, trot, assert_same, varied, engine, place):
+    num_envs = 64 if engine is mujoco_engine else 4
+    values = varied(num_envs, bullet=engine is not mujoco_engine)
+    if place:
+        values["imu_noise"][:] = 0.0  # its stream is that of the place
+    crowd = make_world(num_envs, config={"threads": 2}, engine=engine, **values)
+    alone = make_world(1, engine=engine, **{name: value[place : place + 1] for name, value in values.items()})
+    for k in range(40):
+        assert_same(crowd.step(trot(k)), alone.step(trot(k)), slice(place, place + 1))
+    assert_same(crowd.truth(), alone.truth(), slice(place, place + 1))
+
+
+def test_the_same_seed_gives_the_same_world(make_world, trot, assert_same, engine):
+    paths = []
+    for seed in (4, 4, 5):
+        world = make_world(2, seed=seed, config=START, engine=engine, imu_noise=0.05)
+        path = [world.step(trot(k)) for k in range(20)]
+        paths.append([*path, world.reset(), *(world.step(trot(k)) for k in range(10)), world.truth()])
+    one, same, other = paths
+    for a, b in zip(one, same, strict=True):
+        assert_same(a, b)
+    for name in ("motor_angle", "roll_pitch_yaw"):
+        assert not np.array_equal(getattr(one[-2], name), getattr(other[-2], name))
+
+
+@pytest.mark.parametrize("actuator", ["dc", "constraint"])
+def test_a_state_goes_on_exactly_in_a_world_with_another_past(make_world, trot, assert_same, varied, engine, actuator):
+    config = {"actuator": actuator, "thermal_protection": actuator == "dc", **START}
+    values = varied(2, bullet=engine is not mujoco_engine)
+    world = make_world(2, seed=1, config=config, engine=engine, **values)
+    other = make_world(2, seed=2, config=config, engine=engine)
+    for k in range(20):
+        world.step(trot(k))
+        other.step(trot(3 * k))
+    world.push(np.tile([0, 50.0, 0], (2, 1)))
+    state, readings = world.get_state(), world.readings()
+    paths = []
+    for again in (world, other):
+        if again is other:
+            again.set_state(state)
+        assert_same(again.readings(), readings)
+        path = [again.step(trot(k)) for k in range(20, 60)]
+        paths.append([*path, again.reset([1]), again.step(trot(0)), again.truth()])
+    for one, another in zip(*paths, strict=True):
+        assert_same(one, another)
+    np.testing.assert_array_equal(world.get_state()["engine"], other.get_state()["engine"])
+
+
+@pytest.mark.parametrize("force", [1e12, np.nan])
+def test_a_robot_that_diverges_is_put_back_and_sound_again(make_world, trot, assert_same, engine, force):
+    values = {"base_mass_ratio": [1.0, 1.2], "contact_friction": [1.0, 0.6], "contact_stiffness": [3000.0, 2000.0]}
+    world, other = (make_world(2, engine=engine, **values) for _ in range(2))
+    world.push([[0.0, 0.0, 0.0], [force, 0.0, force]])
+    world.step(trot(0))
+    assert world.divergences == 1
+    assert world.truth().diverged.tolist() == [False, True]
+    world.push(np.zeros((2, 3)))
+    world.reset()
+    for k in range(20):
+        assert_same(world.step(trot(k)), other.step(trot(k)))
+    assert_same(world.truth(), other.truth())
+
+
+def test_a_push_stays_until_another_is_set(make_world, engine):
+    world, speeds = make_world(engine=engine), []
+    for force in (40.0 + 7.473 * 9.81, None, 0.0):
+        if force is not None:
+            world.push([[0.0, 0.0, force]])
+        for _ in range(6):
+            world.step(world.resting_angles)
+        speeds.append(world.truth().base_velocity_world[0, 2])
+    assert speeds[1] > speeds[0] + 0.1  # it still acts
+    assert speeds[2] < speeds[1] - 0.2
+
+
+def test_on_the_rack_the_base_is_still_and_its_readings_zero(make_world, trot, engine):
+    world = make_world(config={"rack": True}, engine=engine)
+    for k in range(20):
+        readings = world.step(trot(k))
+    truth = world.truth()
+    assert not readings.roll_pitch_yaw.any()
+    assert not readings.angular_velocity_base.any()
+    assert truth.base_position_world.tolist() == [[0.0, 0.0, 1.0]]
+    assert truth.base_quat_world.tolist() == [[1.0, 0.0, 0.0, 0.0]]
+    assert not truth.foot_contact.any()
+    assert np.abs(truth.motor_velocity).max() > 0.5
