@@ -2,17 +2,46 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
+import os
 import subprocess
 import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
+from unittest import mock
+
+from surefoot.cli.main import main
 
 SUREFOOT = (sys.executable, "-m", "surefoot")
 BUSY = 0.010
 """Lateness [s] of a sleep from which on the computer is too busy for real time."""
+
+
+def surefoot(*words: object, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
+    """Run a command to its end in this process, where there is no display."""
+    out, err = io.StringIO(), io.StringIO()
+    environment = {"COLUMNS": "100", "DISPLAY": "", "WAYLAND_DISPLAY": ""}
+    with contextlib.ExitStack() as stack:
+        for context in (contextlib.redirect_stdout(out), contextlib.redirect_stderr(err), contextlib.chdir(cwd or ".")):
+            stack.enter_context(context)
+        stack.enter_context(mock.patch.dict(os.environ, environment))
+        code = main(list(map(str, words)))
+    return subprocess.CompletedProcess(words, code, out.getvalue(), err.getvalue())
+
+
+def refused(done: subprocess.CompletedProcess[str], *parts: str) -> None:
+    """Exit code 2, nothing on stdout, one line on stderr that has all parts."""
+    assert done.returncode == 2, done.stderr
+    assert done.stdout == ""
+    assert done.stderr.startswith("surefoot: error: ")
+    assert done.stderr.count("\n") == 1
+    for part in parts:
+        assert part in done.stderr
 
 
 def run_surefoot(*words: object, timeout: float = 200, **how: Any) -> subprocess.CompletedProcess[str]:

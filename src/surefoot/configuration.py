@@ -210,24 +210,21 @@ def from_mapping(kind: type[T], data: Mapping[str, Any], where: str = "", base: 
         SurefootError: an unknown key, a missing one, or a value of the wrong type.
     """
     hints = typing.get_type_hints(kind)
-    names = [item.name for item in dataclasses.fields(kind)]  # type: ignore[arg-type]
+    fields = {item.name: item for item in dataclasses.fields(kind)}  # type: ignore[arg-type]
     if not isinstance(data, Mapping):
         raise SurefootError(
-            f"{where or kind.__name__} is {quoted(data)}; it must be a table with keys out of: {choices(names)}"
+            f"{where or kind.__name__} is {quoted(data)}; it must be a table with keys out of: {choices(fields)}"
         )
+    prefix = f"{where}." if where else ""
     for key in data:
-        if key not in names:
-            raise SurefootError(f"{where}{'.' if where else ''}{key} is not a key; choices: {choices(names)}")
-    values: dict[str, Any] = {}
-    for item in dataclasses.fields(kind):  # type: ignore[arg-type]
-        way = f"{where}.{item.name}" if where else item.name
-        if item.name in data:
-            now = getattr(base, item.name) if base is not None else None
-            values[item.name] = _convert(hints[item.name], data[item.name], way, now)
-        elif base is not None:
-            values[item.name] = getattr(base, item.name)
-        elif item.default is dataclasses.MISSING and item.default_factory is dataclasses.MISSING:
-            raise SurefootError(f"{way} is missing; it must be given")
+        if key not in fields:
+            raise SurefootError(f"{prefix}{key} is not a key; choices: {choices(fields)}")
+    values = {} if base is None else {name: getattr(base, name) for name in fields}
+    for name, item in fields.items():
+        if name in data:
+            values[name] = _convert(hints[name], data[name], prefix + name, values.get(name))
+        elif base is None and item.default is dataclasses.MISSING and item.default_factory is dataclasses.MISSING:
+            raise SurefootError(f"{prefix}{name} is missing; it must be given")
     made = kind(**values)
     check_bounds(made, where)
     return made

@@ -15,14 +15,14 @@ class StopSignals:
 
     Args:
         names: of the signals.
-        on_signal: called after each signal.
+        on_signal: called after each signal with the number of signals so far.
         respect_nohup: a SIGHUP that is ignored stays so: the process goes on when its terminal is closed.
     """
 
     def __init__(
         self,
         names: tuple[str, ...] = ALL,
-        on_signal: Callable[[], object] | None = None,
+        on_signal: Callable[[int], object] | None = None,
         respect_nohup: bool = False,
     ) -> None:
         self.count = 0
@@ -43,7 +43,7 @@ class StopSignals:
         self.count += 1
         self._interrupts += number == signal.SIGINT
         if self._on_signal is not None:
-            self._on_signal()
+            self._on_signal(self.count)
 
     def __enter__(self) -> Self:
         """Listen."""

@@ -1,4 +1,4 @@
-"""`surefoot deploy` against the emulator's process on a real pseudo-terminal."""
+"""`surefoot deploy` against the emulator's process on a pseudo-terminal; stopped and killed, it is a process too."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
-from processes import SUREFOOT, Emulator
+from edited import edited_policy
+from processes import SUREFOOT, Emulator, refused, surefoot
 
 from surefoot.evaluate.recorded import find_traces
-from surefoot.policy.contract import METADATA_KEY
-from surefoot.policy.digest import DIGEST_KEY, stamped
 from surefoot.policy.runtime import PolicyRuntime
 from surefoot.task.partial_trace import recover
 from surefoot.task.trace import EpisodeTrace
@@ -35,19 +35,14 @@ def emulator(emulate: Callable[..., Emulator]) -> Callable[..., str]:
     return lambda *options: emulate("--lockstep", *options).port
 
 
-def deploy_command(port: str, *options: str) -> list[str]:
-    return [*SUREFOOT, "deploy", "trot", "--port", port, "--lockstep", *options]
-
-
-def deploy(port: str, *options: str, **how) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(deploy_command(port, *options), capture_output=True, text=True, timeout=PATIENCE, **how)
+def deploy(port: str, *options: object, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
+    return surefoot("deploy", "trot", "--port", port, "--lockstep", *options, cwd=cwd)
 
 
 def start_deploy(port: str, *options: str, until: str = "surefoot: run") -> subprocess.Popen[str]:
     """Start a deployment and wait until it says a line."""
-    process = subprocess.Popen(
-        deploy_command(port, *options), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    )
+    command = [*SUREFOOT, "deploy", "trot", "--port", port, "--lockstep", *options]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     assert process.stderr is not None
     for line in process.stderr:
         if line.startswith(until):
@@ -75,12 +70,7 @@ def test_the_trot_goes_as_far_as_in_simulation(emulator, tmp_path, repository):
     assert trace.observation[1:, 0] == pytest.approx(trace.roll_pitch_yaw[:-1, 0], abs=1e-7)
     assert_readings_are_20_ms_old(trace, capture)
 
-    read = subprocess.run(
-        [sys.executable, "-m", "surefoot", "evaluate", "--trace", run["trace"], "--json"],
-        capture_output=True,
-        text=True,
-        timeout=PATIENCE,
-    )
+    read = surefoot("evaluate", "--trace", run["trace"], "--json")
     assert read.returncode == 0, read.stderr
     assert json.loads(read.stdout)["speed_mean"] == pytest.approx(run["speed"])
 
@@ -196,8 +186,7 @@ def test_a_killed_host_loses_the_robot_to_the_next_one(emulator, tmp_path, until
     process = start_deploy(port, "--duration", "60", "--out", str(tmp_path), until=until)
     process.kill()
     process.communicate(timeout=PATIENCE)
-    words = [sys.executable, "-m", "surefoot", "doctor", "trot", "--port", port, "--lockstep"]
-    looked = subprocess.run(words, capture_output=True, text=True, timeout=PATIENCE)
+    looked = surefoot("doctor", "trot", "--port", port, "--lockstep")
     assert looked.returncode == 0, looked.stdout + looked.stderr
     done = deploy(port, "--duration", "0.1", "--out", str(tmp_path))
     assert done.returncode == 0, done.stderr
@@ -224,12 +213,7 @@ def test_motion_capture_that_is_missing_costs_only_the_base(emulator, tmp_path):
     ],
 )
 def test_what_cannot_be_done_is_told_in_one_line(words, match):
-    done = subprocess.run(
-        [sys.executable, "-m", "surefoot", "deploy", *words], capture_output=True, text=True, timeout=PATIENCE
-    )
-    assert done.returncode == 2
-    assert match in done.stderr.splitlines()[-1]
-    assert "Traceback" not in done.stderr
+    refused(surefoot("deploy", *words), match)
 
 
 @pytest.mark.parametrize(
@@ -240,34 +224,19 @@ def test_what_cannot_be_done_is_told_in_one_line(words, match):
         (["evaluate"], {"control_latency": -0.02}, "contract: control_latency is -0.02; it must be a number from 0 to"),
     ],
 )
-def test_a_contract_with_a_number_out_of_range_is_refused(tmp_path, repository, words, change, match):
-    onnx = pytest.importorskip("onnx")
-    model = onnx.load(repository / "policies" / "trot.onnx")
-    properties = {one.key: one.value for one in model.metadata_props if one.key != DIGEST_KEY}
-    contract = json.loads(properties[METADATA_KEY])
-    properties[METADATA_KEY] = json.dumps(contract | change | {"task": contract["task"] | change.get("task", {})})
-    onnx.helper.set_model_props(model, properties)
-    file = tmp_path / "edited.onnx"
-    file.write_bytes(stamped(model.SerializeToString()))
+def test_a_contract_with_a_number_out_of_range_is_refused(tmp_path, words, change, match):
+    def edit(contract: dict[str, Any]) -> None:
+        contract |= change | {"task": contract["task"] | change.get("task", {})}
+
     command, *rest = words
-    done = subprocess.run(
-        [sys.executable, "-m", "surefoot", command, str(file), *rest], capture_output=True, text=True, timeout=PATIENCE
-    )
-    assert done.returncode == 2
-    (said,) = done.stderr.splitlines()
-    assert match in said
+    refused(surefoot(command, edited_policy(tmp_path / "edited.onnx", edit, "trot"), *rest), match)
 
 
 def test_a_robot_that_says_nothing_is_told_in_one_line(tmp_path):
     """A port with nobody behind it."""
     master, slave = os.openpty()
     try:
-        done = subprocess.run(
-            [sys.executable, "-m", "surefoot", "deploy", "trot", "--port", os.ttyname(slave)],
-            capture_output=True,
-            text=True,
-            timeout=PATIENCE,
-        )
+        done = surefoot("deploy", "trot", "--port", os.ttyname(slave))
     finally:
         os.close(master)
         os.close(slave)

@@ -8,17 +8,13 @@ import sys
 
 import numpy as np
 import pytest
+from processes import refused, surefoot
 
 pytest.importorskip("mujoco")
 
-from surefoot.cli.main import main
+from surefoot.cli import emulate
 from surefoot.emulator.faults import FAULTS
-from surefoot.robot import RobotDescription
 from surefoot.robot.params_file import read_params
-
-
-def run(*words: str) -> int:
-    return main(["emulate", *words])
 
 
 @pytest.mark.parametrize(
@@ -46,69 +42,60 @@ def run(*words: str) -> int:
         (["--nonsense"], "--nonsense"),
     ],
 )
-def test_what_does_not_fit_is_told_in_one_line(capsys, monkeypatch, tmp_path, words, said):
-    monkeypatch.chdir(tmp_path)
-    assert run(*words) == 2
-    out, err = capsys.readouterr()
-    assert said in err
-    assert err.count("\n") == 1
-    assert "robot on" not in out
+def test_what_does_not_fit_is_told_in_one_line(tmp_path, words, said):
+    refused(surefoot("emulate", *words, cwd=tmp_path), said)
     assert list(tmp_path.iterdir()) == []
 
 
-def test_files_that_are_there_already_are_not_touched(capsys, tmp_path):
-    for option, name in (("--motion-capture", "a.csv"), ("--hidden-out", "a.toml"), ("--link", "a")):
-        file = tmp_path / name
-        file.write_text("mine")
-        assert run(option, str(file), "--hidden-seed", "1", "--duration", "0.01") == 2
-        assert "exists; give another name" in capsys.readouterr().err
-        assert file.read_text() == "mine"
+@pytest.mark.parametrize(
+    ("option", "name"), [("--motion-capture", "a.csv"), ("--hidden-out", "a.toml"), ("--link", "a")]
+)
+def test_files_that_are_there_already_are_not_touched(tmp_path, option, name):
+    file = tmp_path / name
+    file.write_text("mine")
+    words = (option, file, "--hidden-seed", "1", "--duration", "0.01")
+    refused(surefoot("emulate", *words), "exists; give another name")
+    assert file.read_text() == "mine"
 
 
-def test_a_viewer_needs_a_display(capsys, monkeypatch):
-    monkeypatch.delenv("DISPLAY", raising=False)
-    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
-    assert run("--viewer") == 2
-    assert "viewer: there is no display here" in capsys.readouterr().err
+def test_a_viewer_needs_a_display():
+    refused(surefoot("emulate", "--viewer"), "viewer: there is no display here")
 
 
-def test_a_missing_engine_is_told_before_anything_runs(capsys, monkeypatch):
+def test_a_missing_engine_is_told_before_anything_runs(monkeypatch):
     monkeypatch.setattr("surefoot.cli.policies.find_spec", lambda name: None)
-    assert run("--world", "bullet") == 2
-    assert "pip install 'surefoot[bullet]'" in capsys.readouterr().err
+    refused(surefoot("emulate", "--world", "bullet"), "pip install 'surefoot[bullet]'")
 
 
-def test_the_faults_are_listed(capsys):
-    assert run("--fault", "help") == 0
-    lines = capsys.readouterr().out.splitlines()
+def test_the_faults_are_listed():
+    lines = surefoot("emulate", "--fault", "help").stdout.splitlines()
     assert [re.split("[=:@]", line)[0] for line in lines] == list(FAULTS)
 
 
-def test_it_runs_for_a_while_and_sums_up(capsys, tmp_path):
+def test_it_runs_for_a_while_and_sums_up(tmp_path):
     file = tmp_path / "seen.csv"
-    assert run("--duration", "0.1", "--motion-capture", str(file), "--rack") == 0
-    out, err = capsys.readouterr()
-    assert re.fullmatch(r"robot on /dev/pts/\d+\n", out)
-    assert re.match(r"surefoot: 0\.1\d* s of robot time in 0\.\d s; \d+ % of a processor; ", err.splitlines()[-1])
+    done = surefoot("emulate", "--duration", "0.1", "--motion-capture", file, "--rack")
+    assert done.returncode == 0
+    assert re.fullmatch(r"robot on /dev/pts/\d+\n", done.stdout)
+    told = r"surefoot: 0\.1\d* s of robot time in 0\.\d s; \d+ % of a processor; "
+    assert re.match(told, done.stderr.splitlines()[-1])
     assert len(file.read_text().splitlines()) == 21
 
 
-def test_hidden_parameters_go_to_the_file_alone(capsys, tmp_path):
-    robot, file = RobotDescription.load("minitaur"), tmp_path / "hidden.toml"
-    assert run("--hidden-seed", "5", "--hidden-out", str(file), "--duration", "0.01") == 0
-    out, err = capsys.readouterr()
+def test_hidden_parameters_go_to_the_file_alone(robot, tmp_path):
+    file = tmp_path / "hidden.toml"
+    done = surefoot("emulate", "--hidden-seed", "5", "--hidden-out", file, "--duration", "0.01")
+    assert done.returncode == 0
     found = read_params(file, robot)
     assert found.tables["origin"] == {"hidden_seed": 5}
     assert 14.0 <= found.params.voltage[0] <= 16.8
-    assert f"{found.params.voltage[0]:.2f}" not in out + err
+    assert f"{found.params.voltage[0]:.2f}" not in done.stdout + done.stderr
     # The file makes the same robot.
-    assert run("--params", str(file), "--set", "voltage=15.5", "--duration", "0.01") == 0
+    assert surefoot("emulate", "--params", file, "--set", "voltage=15.5", "--duration", "0.01").returncode == 0
 
 
-def test_parameters_come_from_a_file_and_from_words(tmp_path, monkeypatch):
-    from surefoot.cli import emulate
-
-    robot, file = RobotDescription.load("minitaur"), tmp_path / "p.toml"
+def test_parameters_come_from_a_file_and_from_words(robot, tmp_path):
+    file = tmp_path / "p.toml"
     file.write_text("[params]\nmotor_strength = 0.9\nvoltage = 15\n")
     command = emulate.EmulateCommand(params=file, settings=(("voltage=14.5", "servo_kp=0.9"),))
     params = emulate._params(command, robot)
@@ -121,10 +108,9 @@ def test_importing_the_command_brings_no_physics():
     assert subprocess.run([sys.executable, "-c", script], timeout=60).returncode == 0
 
 
-def test_what_the_viewer_draws_is_where_the_robot_is():
-    from surefoot.cli.emulate_viewer import pose_of
+def test_what_the_viewer_draws_is_where_the_robot_is(robot):
+    from surefoot.cli.viewer import pose_of
 
-    robot = RobotDescription.load("minitaur")
     drawn = pose_of(robot, [1.0, 2.0, 0.3, 1.0, 0.0, 0.0, 0.0, *robot.resting_angles])
     np.testing.assert_allclose(drawn[robot.base][0, :3, 3], [1.0, 2.0, 0.3])
     assert len(drawn) == len(robot.urdf.links)

@@ -6,10 +6,9 @@ import os
 from pathlib import Path
 
 import pytest
+from processes import refused, surefoot
 
 pytest.importorskip("mujoco")
-
-from surefoot.cli.main import main
 
 FAR = [
     ("train trot --seed 12345678901234567890123", "seed is 12345678901234567890123; it must be 4294967295 or less"),
@@ -41,30 +40,23 @@ FAR = [
 
 @pytest.mark.timeout(60)
 @pytest.mark.parametrize(("line", "said"), FAR, ids=[line.encode(errors="replace").decode() for line, _ in FAR])
-def test_what_is_out_of_bounds_is_refused_at_once(
-    line: str, said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-):
+def test_what_is_out_of_bounds_is_refused_at_once(line: str, said: str, tmp_path: Path):
     if line.startswith(("train", "study")):
         pytest.importorskip("torch")
-    monkeypatch.chdir(tmp_path)
-    Path("name.yaml").write_text("name: ../../x\ngroups: {a: {}}\n" if "study" in line else "name: ../../x\n")
-    Path("digits.yaml").write_text(f"fall_angle: {'9' * 6000}\n")
-    Path("large.yaml").write_text(f"fall_angle: 1{'0' * 400}\n")
-    Path("list.yaml").write_text("train: [1]\n")
-    os.mkfifo("pipe")
+    (tmp_path / "name.yaml").write_text("name: ../../x\ngroups: {a: {}}\n" if "study" in line else "name: ../../x\n")
+    (tmp_path / "digits.yaml").write_text(f"fall_angle: {'9' * 6000}\n")
+    (tmp_path / "large.yaml").write_text(f"fall_angle: 1{'0' * 400}\n")
+    (tmp_path / "list.yaml").write_text("train: [1]\n")
+    os.mkfifo(tmp_path / "pipe")
     before = sorted(tmp_path.iterdir())
-    assert main(line.split(" ")) == 2
-    told = capsys.readouterr()
-    assert (told.out, told.err.count("\n")) == ("", 1)
-    assert told.err.startswith("surefoot: error: ")
-    assert said in told.err
+    refused(surefoot(*line.split(" "), cwd=tmp_path), said)
     assert sorted(tmp_path.iterdir()) == before
 
 
-def test_an_error_is_one_short_line_that_steers_no_terminal(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+def test_an_error_is_one_short_line_that_steers_no_terminal(tmp_path: Path):
     path = tmp_path / "a.yaml"
     path.write_text(f'"\\e[2J{"x" * 100_000}": 1\n')
-    assert main(["evaluate", "trot", "--randomize", str(path)]) == 2
-    told = capsys.readouterr().err
-    assert len(told) < 2500
-    assert "\033" not in told
+    told = surefoot("evaluate", "trot", "--randomize", path)
+    refused(told)
+    assert len(told.stderr) < 2500
+    assert "\033" not in told.stderr

@@ -1,18 +1,15 @@
-"""`--randomize NAME` and `--randomize.ROW LOW HIGH`: as words, and as a user gives them to a process."""
+"""`--randomize NAME` and `--randomize.ROW LOW HIGH`, as words and in commands."""
 
 from __future__ import annotations
 
 import json
-import os
 import re
-import subprocess
-import sys
-import time
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 import yaml
+from processes import refused, surefoot
 
 from surefoot.cli.ranges import ranges_help, take_ranges
 from surefoot.errors import SurefootError
@@ -40,25 +37,22 @@ def test_without_options_all_stays():
     assert ranges == load_ranges("table1")
 
 
-@pytest.mark.parametrize("line", ["--randomize table1", "--randomize=table1"])
-def test_a_table_by_name(line):
-    assert ranges_of(line) == TABLE_1
-    assert ranges_of(line, RandomizeConfig(resistance=(0.1, 0.2))) == TABLE_1  # in place of the task's, not over them
-
-
-def test_none_draws_nothing():
-    assert ranges_of("--randomize none", load_ranges("table1")) == {}
-
-
-def test_a_table_by_path(tmp_path: Path):
+@pytest.mark.parametrize(
+    ("line", "ranges"),
+    [
+        ("--randomize table1", TABLE_1),
+        ("--randomize=table1", TABLE_1),
+        ("--randomize none", {}),
+        ("--randomize table1 --randomize none", {}),
+        ("--randomize none --randomize table1", TABLE_1),
+        ("--randomize mine.yaml", {"voltage": (15.0, 16.0)}),
+        ("--randomize=mine.yaml", {"voltage": (15.0, 16.0)}),
+    ],
+)
+def test_a_table_stands_in_place_of_the_task_s(line, ranges, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     (tmp_path / "mine.yaml").write_text("voltage: [15, 16]\n")
-    assert ranges_of(f"--randomize {tmp_path / 'mine.yaml'}") == {"voltage": (15.0, 16.0)}
-    assert ranges_of(f"--randomize={tmp_path / 'mine.yaml'}") == {"voltage": (15.0, 16.0)}
-
-
-def test_the_last_table_counts():
-    assert ranges_of("--randomize table1 --randomize none") == {}
-    assert ranges_of("--randomize none --randomize table1") == TABLE_1
+    monkeypatch.chdir(tmp_path)
+    assert ranges_of(line, RandomizeConfig(resistance=(0.1, 0.2))) == ranges
 
 
 @pytest.mark.parametrize(
@@ -166,16 +160,7 @@ def test_help_has_every_row():
     assert max(map(len, lines)) <= 120
 
 
-# --- processes --------------------------------------------------------------------------------------------
-
-
-def environment() -> dict[str, str]:
-    return os.environ | {"PYTHONPATH": str(Path(__file__).resolve().parents[2] / "src"), "COLUMNS": "100"}
-
-
-def surefoot(*words: str, cwd: Path) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "surefoot", *words]
-    return subprocess.run(command, capture_output=True, text=True, timeout=120, env=environment(), cwd=cwd)
+# --- commands ---------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -195,9 +180,7 @@ def surefoot(*words: str, cwd: Path) -> subprocess.CompletedProcess[str]:
 def test_ranges_that_do_not_fit_get_one_line_and_exit_code_2(line: str, message: str, tmp_path: Path):
     (tmp_path / "bad.yaml").write_text("randomize: {mass: [1.2, 0.8]}\n")
     done = surefoot(*line.split(), cwd=tmp_path)
-    assert done.returncode == 2, done.stderr
-    assert done.stdout == ""
-    assert done.stderr.count("\n") == 1
+    refused(done)
     assert re.search(message, done.stderr), done.stderr
     assert [path.name for path in tmp_path.iterdir()] == ["bad.yaml"]
 
@@ -210,12 +193,10 @@ def test_train_help_shows_the_table(tmp_path: Path):
     assert re.search(r"imu_bias +-0\.05 to 0\.05\n", done.stdout)
 
 
-def test_an_evaluation_says_what_was_drawn(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    from surefoot.cli.evaluate import main
-
-    words = ["trot", "--episodes", "2", "--json", "--seed", "3"]
-    ranges = ["--randomize", "table1", "--randomize.latency", "0.01", "0.02", "--randomize.mass", "none"]
-    drawn = surefoot("evaluate", *words, *ranges, cwd=tmp_path)
+def test_an_evaluation_says_what_was_drawn(tmp_path: Path):
+    words = ("evaluate", "trot", "--episodes", "2", "--json", "--seed", "3")
+    ranges = ("--randomize", "table1", "--randomize.latency", "0.01", "0.02", "--randomize.mass", "none")
+    drawn = surefoot(*words, *ranges, cwd=tmp_path)
     assert drawn.returncode == 0, drawn.stderr
     assert drawn.stdout.count("\n") == 1
     result = json.loads(drawn.stdout)
@@ -223,10 +204,8 @@ def test_an_evaluation_says_what_was_drawn(tmp_path: Path, capsys: pytest.Captur
     expected = {row: list(given) for row, given in {**TABLE_1, "latency": (0.01, 0.02)}.items() if row != "mass"}
     assert result["randomize"] == expected
     # The same words draw the same, and without the options nothing is drawn.
-    assert main([*words, *ranges]) == 0
-    assert capsys.readouterr().out == drawn.stdout
-    assert main(words) == 0
-    plain = json.loads(capsys.readouterr().out)
+    assert surefoot(*words, *ranges).stdout == drawn.stdout
+    plain = json.loads(surefoot(*words).stdout)
     assert plain["randomize"] == {}
     assert plain["distance_mean"] != result["distance_mean"]
 
@@ -249,26 +228,15 @@ def test_a_trace_holds_the_parameters_of_its_episode():
 
 
 def test_a_run_keeps_its_ranges(tmp_path: Path):
+    from surefoot.cli.train import _parse
     from surefoot.learn.run_folder import RunFolder
 
-    line = "train trot --randomize table1 --randomize.latency 0.01 0.02 --randomize.mass none"
-    process = subprocess.Popen(
-        [sys.executable, "-m", "surefoot", *line.split(), "--num-envs", "16"],
-        cwd=tmp_path, env=environment(), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-    )  # fmt: skip
-    try:
-        deadline, made = time.monotonic() + 100, []
-        while time.monotonic() < deadline and process.poll() is None and not made:
-            made = list(tmp_path.glob("runs/trot/*/run.json"))
-            time.sleep(0.05)
-    finally:
-        # The folder is made before the training starts; there is nothing more to wait for.
-        process.kill()
-        process.wait()
-    assert made
+    line = "trot --randomize table1 --randomize.latency 0.01 0.02 --randomize.mass none"
+    config, _ = _parse(line.split())
+    folder = RunFolder.create_at(config, tmp_path / "run")
     expected = {**TABLE_1, "latency": (0.01, 0.02)}
     del expected["mass"]
-    assert RunFolder.open(made[0].parent)[1].task.randomize.ranges == expected
-    stored = yaml.safe_load((made[0].parent / "config.yaml").read_text())["task"]["randomize"]
+    assert RunFolder.open(folder.path)[1].task.randomize.ranges == expected
+    stored = yaml.safe_load((folder.path / "config.yaml").read_text())["task"]["randomize"]
     assert {row: tuple(given) for row, given in stored.items() if given is not None} == expected
     assert stored["mass"] is None

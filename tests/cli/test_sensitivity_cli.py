@@ -1,17 +1,15 @@
-"""`surefoot sensitivity` as a user runs it: in a process of its own, with the policies that ship."""
+"""`surefoot sensitivity` with the policies that ship."""
 
 from __future__ import annotations
 
 import csv
 import json
-import os
 import re
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
+from processes import refused, surefoot
 
 pytest.importorskip("mujoco")
 pytest.importorskip("matplotlib")
@@ -23,28 +21,8 @@ ROWS = ["mass", "motor_friction", "inertia", "motor_strength", "control_step", "
 ROWS += ["contact_friction", "imu_bias", "imu_noise"]
 
 
-def environment() -> dict[str, str]:
-    source = str(Path(__file__).resolve().parents[2] / "src")
-    return dict(os.environ) | {"PYTHONPATH": source, "COLUMNS": "100"}
-
-
-def surefoot(*words: str | Path, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "surefoot", "sensitivity", *map(str, words)]
-    return subprocess.run(command, capture_output=True, text=True, timeout=120, env=environment(), cwd=cwd)
-
-
-def refused(done: subprocess.CompletedProcess[str], *parts: str) -> None:
-    """Exit code 2, nothing on stdout, one line on stderr that has all parts."""
-    assert done.returncode == 2, done.stderr
-    assert done.stdout == ""
-    assert done.stderr.startswith("surefoot: error: ")
-    assert done.stderr.count("\n") == 1
-    for part in parts:
-        assert part in done.stderr
-
-
 def test_tables_and_figures(tmp_path: Path):
-    done = surefoot("trot", "gallop", *SHORT, cwd=tmp_path)
+    done = surefoot("sensitivity", "trot", "gallop", *SHORT, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert done.stderr == ""
     out = tmp_path / "sensitivity"
@@ -65,7 +43,7 @@ def test_tables_and_figures(tmp_path: Path):
 def test_json_is_one_object_and_the_ranges_are_the_user_s(tmp_path: Path):
     (tmp_path / "mine.yaml").write_text("voltage: [12.0, 16.0]\nresistance: [0.15, 0.25]\n")
     words = ("gallop", *SHORT, "--values", "3", "--ranges", "mine.yaml", "--json", "--seed", "4", "--out", "a/b")
-    done = surefoot(*words, cwd=tmp_path)
+    done = surefoot("sensitivity", *words, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert done.stdout.count("\n") == 1
     result = json.loads(done.stdout)
@@ -85,10 +63,10 @@ def test_policies_of_one_name_are_told_apart(tmp_path: Path):
     for folder, name in (("a", "mine"), ("b", "mine"), ("b", "other")):
         (tmp_path / folder).mkdir(exist_ok=True)
         shutil.copy(find_policy("trot"), tmp_path / folder / f"{name}.onnx")
-    done = surefoot("a/mine.onnx", "b/mine.onnx", "b/other.onnx", *SHORT, "--ranges", "r.yaml", "--json", cwd=tmp_path)
-    refused(done, "r.yaml")
+    words = ("sensitivity", "a/mine.onnx", "b/mine.onnx", "b/other.onnx", *SHORT, "--ranges", "r.yaml", "--json")
+    refused(surefoot(*words, cwd=tmp_path), "r.yaml")
     (tmp_path / "r.yaml").write_text("mass: [0.8, 1.2]\n")
-    done = surefoot("a/mine.onnx", "b/mine.onnx", "b/other.onnx", *SHORT, "--ranges", "r.yaml", "--json", cwd=tmp_path)
+    done = surefoot(*words, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     policies = json.loads(done.stdout)["policies"]
     assert [policy["policy"] for policy in policies] == ["mine-1", "mine-2", "other"]
@@ -104,21 +82,21 @@ def test_names():
 
 
 @pytest.mark.parametrize(
-    ("words", "parts"),
+    ("line", "part"),
     [
-        ((), ("no policy is given",)),
-        (("trot", "nowhere"), ("policy 'nowhere' does not exist",)),
-        (("trot", "--episodes", "0"), ("episodes is 0; it must be 1 or more",)),
-        (("trot", "--values", "1"), ("values is 1; it must be 2 or more",)),
-        (("trot", "--duration", "0"), ("duration is 0; it must be over 0",)),
-        (("trot", "--duration", "inf"), ("duration is inf; it must be 3600 or less",)),
-        (("trot", "--seed", "-1"), ("seed is -1",)),
-        (("trot", "--world", "moon"), ("world 'moon' does not exist; choices: mujoco",)),
-        (("trot", "--ranges", "table9"), ("'table9' does not exist; choices: ensemble, none, table1",)),
-        (("trot", "--ranges", "none"), ("the table of ranges has no rows",)),
-        (("trot", "--out", "/dev/null/out"), ("/dev/null",)),
-        (("trot", "--colour", "red"), ("--colour",)),
+        ("", "no policy is given"),
+        ("trot nowhere", "policy 'nowhere' does not exist"),
+        ("trot --episodes 0", "episodes is 0; it must be 1 or more"),
+        ("trot --values 1", "values is 1; it must be 2 or more"),
+        ("trot --duration 0", "duration is 0; it must be over 0"),
+        ("trot --duration inf", "duration is inf; it must be 3600 or less"),
+        ("trot --seed -1", "seed is -1"),
+        ("trot --world moon", "world 'moon' does not exist; choices: mujoco"),
+        ("trot --ranges table9", "'table9' does not exist; choices: ensemble, none, table1"),
+        ("trot --ranges none", "the table of ranges has no rows"),
+        ("trot --out /dev/null/out", "/dev/null"),
+        ("trot --colour red", "--colour"),
     ],
 )
-def test_what_does_not_fit_is_refused(words: tuple[str, ...], parts: tuple[str, ...], tmp_path: Path):
-    refused(surefoot(*words, cwd=tmp_path), *parts)
+def test_what_does_not_fit_is_refused(line: str, part: str, tmp_path: Path):
+    refused(surefoot("sensitivity", *line.split(), cwd=tmp_path), part)

@@ -7,8 +7,8 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from processes import refused, surefoot
 
-from surefoot.cli.main import main
 from surefoot.cli.simulator import Simulator
 from surefoot.errors import SurefootError
 from surefoot.task.config import TaskConfig
@@ -22,18 +22,6 @@ TASK = TaskConfig(params={"voltage": 15.0, "control_latency": 0.02})
 @pytest.fixture(autouse=True)
 def _elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-
-
-def refused(words: list[str], capsys: pytest.CaptureFixture[str], *parts: str) -> None:
-    """Exit code 2, nothing on stdout, one line on stderr that has all parts, no file."""
-    assert main(words) == 2
-    said = capsys.readouterr()
-    assert said.out == ""
-    assert said.err.startswith("surefoot: error: ")
-    assert said.err.count("\n") == 1
-    for part in parts:
-        assert part in said.err
-    assert list(Path().iterdir()) == []
 
 
 # --- words ------------------------------------------------------------------------------------------------
@@ -56,24 +44,23 @@ def test_settings_go_over_the_task_and_not_over_the_options():
 # --- commands ---------------------------------------------------------------------------------------------
 
 
-def test_an_evaluation_in_another_simulator(capsys: pytest.CaptureFixture[str]):
+def test_an_evaluation_in_another_simulator():
     results = []
     for words in ([], ["--actuator", "constraint", "--control-latency", "0", "--servo-latency", "0"]):
-        assert main(["evaluate", "trot", "--episodes", "1", "--threads", "1", "--json", *words]) == 0
-        results.append(json.loads(capsys.readouterr().out))
+        done = surefoot("evaluate", "trot", "--episodes", "1", "--threads", "1", "--json", *words)
+        results.append(json.loads(done.stdout))
     own, ideal = results
     assert (own["actuator"], own["set"]) == ("dc", {})
     assert (ideal["actuator"], ideal["set"]) == ("constraint", {"control_latency": 0.0, "servo_latency": 0.0})
     assert own["distance_mean"] != ideal["distance_mean"]
 
 
-def test_a_sensitivity_study_in_another_simulator(capsys: pytest.CaptureFixture[str]):
+def test_a_sensitivity_study_in_another_simulator():
     Path("ranges.yaml").write_text("mass: [0.9, 1.1]\n")
     words = ["--values", "2", "--episodes", "1", "--duration", "0.12", "--threads", "1", "--ranges", "ranges.yaml"]
     results = []
     for more in ([], ["--actuator", "constraint", "--control-latency", "0"]):
-        assert main(["sensitivity", "trot", *words, "--json", *more]) == 0
-        (policy,) = json.loads(capsys.readouterr().out)["policies"]
+        (policy,) = json.loads(surefoot("sensitivity", "trot", *words, "--json", *more).stdout)["policies"]
         results.append(policy)
     own, ideal = results
     assert (own["actuator"], own["params"]) == ("dc", {})
@@ -118,9 +105,8 @@ def test_a_training_takes_the_options():
         ("train trot --actuator constraint --task.thermal-protection", ("thermal_protection is on",)),
     ],
 )
-def test_what_does_not_fit_is_refused_before_anything_is_done(
-    line: str, parts: tuple[str, ...], capsys: pytest.CaptureFixture[str]
-):
+def test_what_does_not_fit_is_refused_before_anything_is_done(line: str, parts: tuple[str, ...]):
     if line.startswith("train"):
         pytest.importorskip("torch")
-    refused(line.split(), capsys, *parts)
+    refused(surefoot(*line.split()), *parts)
+    assert list(Path().iterdir()) == []

@@ -1,4 +1,4 @@
-"""`surefoot train` as a real process: errors in one line, Ctrl-C saves, resume finishes."""
+"""`surefoot train`: errors in one line; Ctrl-C to a real process saves, resume finishes."""
 
 from __future__ import annotations
 
@@ -7,35 +7,19 @@ import pty
 import re
 import signal
 import subprocess
-import sys
 import time
 from pathlib import Path
 
 import pytest
+from processes import SUREFOOT, refused, surefoot
 
-TINY = [
-    "--num-envs",
-    "16",
-    "--steps-per-update",
-    "16",
-    "--evaluate-every",
-    "100000",
-    "--evaluation-episodes",
-    "2",
-]
-TINY += ["--task.max-steps", "60"]
+pytest.importorskip("torch")
+pytest.importorskip("mujoco")
 
-
-def surefoot(*words: str, cwd: Path) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-m", "surefoot", *words],
-        cwd=cwd,
-        capture_output=True,
-        text=True,
-        timeout=280,
-        check=False,
-    )
-
+TINY = (
+    *("--num-envs", "16", "--steps-per-update", "16", "--evaluate-every", "100000"),
+    *("--evaluation-episodes", "2", "--task.max-steps", "60"),
+)
 
 BAD = [
     (["train", "walk"], "task 'walk' does not exist; choices: gallop, gallop-robust, trot"),
@@ -62,7 +46,6 @@ BAD = [
     (["train", "nan.yaml"], r"nan.csv: row 2 of the table is not finite"),
     (["train", "one.yaml"], r"one.csv: the table has 1 row\(s\); a periodic reference needs 2 or more"),
     (["train", "amplitude.yaml"], "extension can be .* a leg of minitaur allows 0.6 to 2.7"),
-    (["fly"], "'fly' is not a command; choices: train, evaluate, play"),
 ]
 
 
@@ -94,11 +77,8 @@ def bad_files(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize(("words", "message"), BAD, ids=[" ".join(words)[:40] for words, _ in BAD])
 def test_bad_input_gets_one_line_and_exit_code_2(words: list[str], message: str, bad_files: Path) -> None:
     result = surefoot(*words, cwd=bad_files)
-    assert result.returncode == 2, result.stderr
-    assert "Traceback" not in result.stderr
-    lines = result.stderr.strip().splitlines()
-    assert len(lines) == 1, result.stderr
-    assert re.search(message, lines[0]), lines[0]
+    refused(result)
+    assert re.search(message, result.stderr), result.stderr
     assert not (bad_files / "runs").exists()
 
 
@@ -106,7 +86,7 @@ def test_ctrl_c_on_a_terminal_saves_and_resume_finishes(tmp_path: Path) -> None:
     host, terminal = pty.openpty()
     words = ["train", "trot", "--steps", "100000", "--seed", "3", *TINY]
     process = subprocess.Popen(
-        [sys.executable, "-m", "surefoot", *words],
+        [*SUREFOOT, *words],
         cwd=tmp_path, stdin=terminal, stdout=terminal, stderr=terminal, env={**os.environ, "COLUMNS": "120"},
     )  # fmt: skip
     os.close(terminal)
@@ -136,11 +116,5 @@ def test_ctrl_c_on_a_terminal_saves_and_resume_finishes(tmp_path: Path) -> None:
     result = surefoot("train", "--resume", str(run), cwd=tmp_path)
     assert result.returncode == 0, result.stderr
     made = {str(path.relative_to(run)) for path in run.rglob("*") if path.is_file()}
-    wanted = {
-        "policy.onnx",
-        "evaluation.json",
-        "figures/video.mp4",
-        "figures/footfalls.png",
-        "figures/episode.png",
-    }
-    assert wanted <= made, made
+    figures = {f"figures/{name}" for name in ("video.mp4", "footfalls.png", "episode.png")}
+    assert {"policy.onnx", "evaluation.json", *figures} <= made, made

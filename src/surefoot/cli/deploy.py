@@ -12,18 +12,28 @@ import math
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Any
 
-import tyro
-
+from surefoot.cli.options import Baud, Count, Json, Lockstep, PolicyName, Port, check_folder
 from surefoot.cli.parsing import parse
-from surefoot.configuration import Duration, Within
+from surefoot.cli.policies import find_policy
+from surefoot.configuration import Duration
+from surefoot.deploy.checks import check_contract, refusal
+from surefoot.deploy.connection import open_connection
+from surefoot.deploy.controller import Controller
+from surefoot.deploy.deployment import Deployment, Outcome
+from surefoot.deploy.display import LiveDisplay, PlainLines
+from surefoot.deploy.link import BAUD
+from surefoot.deploy.motion import DOWN, UP
+from surefoot.deploy.pacer import Timing
+from surefoot.deploy.realtime import undisturbed
+from surefoot.deploy.recording.partial import next_free
+from surefoot.deploy.recording.run_saver import RunSaver, SavedRun
+from surefoot.deploy.wire.messages import Handshake
 from surefoot.errors import SurefootError
-
-if TYPE_CHECKING:
-    from surefoot.deploy.deployment import Deployment, Outcome
-    from surefoot.deploy.pacer import Timing
-    from surefoot.deploy.recording.run_saver import SavedRun
+from surefoot.policy.runtime import PolicyRuntime
+from surefoot.robot import RobotDescription
+from surefoot.stop_signals import StopSignals
 
 SAFETY = 3
 """Exit code of a run that safety ended."""
@@ -37,50 +47,33 @@ class DeployCommand:
     by the operator, 2 refused before anything moved, 3 ended by safety or the trace was lost.
     """
 
-    policy: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="POLICY")]
-    """Path of a policy file (.onnx), or the name of a policy that ships with surefoot."""
-    port: str
-    """Serial port of the robot, such as /dev/ttyUSB0, or the emulator's pseudo-terminal."""
+    policy: PolicyName
+    port: Port
     duration: Duration | None = None
     """Time for which the policy runs [s]; its episode's, if not given."""
-    runs: Annotated[int, Within(1, 10_000)] = 1
+    runs: Count = 1
     """How many runs, one after another; the robot sits in between."""
     out: Path | None = None
     """Folder for traces (run_000.npz and so on); `deploy`, if not given. A dry run keeps none if this is not given."""
     dry_run: bool = False
     """Do everything but arm the robot: states are read and commands computed, none is sent."""
-    json: bool = False
-    """Print one JSON object instead of lines."""
+    json: Json = False
     motion_capture: Path | None = None
     """Motion capture of the run (.csv), with times on the robot's clock; read when a run is over."""
     world_name: str = "robot"
     """Name of the world, for the traces."""
-    lockstep: bool = False
-    """The port is an emulator's that was started with --lockstep."""
-    baud: Annotated[int, Within(9600, 100_000_000)] = 921_600
-    """Bits a second."""
+    lockstep: Lockstep = False
+    baud: Baud = BAUD
 
 
 def main(argv: list[str]) -> int:
     """Run the command with the words after its name; returns the exit code."""
     command = parse(DeployCommand, argv, "surefoot deploy")
-    if command.out is not None and command.out.exists() and not command.out.is_dir():
-        raise SurefootError(f"out is {command.out}; it must be a folder")
-    from surefoot.cli.policies import find_policy
-    from surefoot.deploy.checks import check_contract, refusal
-    from surefoot.deploy.connection import open_connection
-    from surefoot.deploy.controller import Controller
-    from surefoot.deploy.deployment import Deployment
-    from surefoot.deploy.display import LiveDisplay, PlainLines
-    from surefoot.deploy.realtime import undisturbed
-    from surefoot.deploy.wire.messages import Handshake
-    from surefoot.policy.runtime import PolicyRuntime
-    from surefoot.robot import RobotDescription
-    from surefoot.stop_signals import StopSignals
-
+    check_folder(command.out)
     policy = PolicyRuntime.load(find_policy(command.policy))
     contract = policy.contract
     robot = RobotDescription.load(str(contract.task.get("robot", contract.robot)))
+    controller = Controller(policy, robot)
 
     def check(handshake: Handshake) -> None:
         why = refusal(check_contract(contract, handshake, robot, policy.digest))
@@ -92,12 +85,6 @@ def main(argv: list[str]) -> int:
         title = f"{contract.name} on {robot.name}, {command.port}" + (", dry run" if command.dry_run else "")
         watch = LiveDisplay(title) if sys.stderr.isatty() else PlainLines()
         stack.callback(watch.close)
-        controller: Any = None
-        try:
-            controller = Controller(policy, robot)
-        finally:
-            if controller is None:
-                connection.close()
         deployment = Deployment(connection, controller, stop, watch, dry_run=command.dry_run)
         stack.callback(deployment.close)
         if not command.lockstep:
@@ -109,21 +96,15 @@ def main(argv: list[str]) -> int:
 
 def _runs(command: DeployCommand, deployment: Deployment) -> tuple[list[dict[str, Any]], int]:
     """Run after run, until one ends early; returns what is to be told of each, and the exit code."""
-    from surefoot.deploy.motion import DOWN, UP
-    from surefoot.deploy.pacer import Timing
-    from surefoot.deploy.recording.partial import next_free
-    from surefoot.deploy.recording.run_saver import RunSaver
-
     contract = deployment.contract
     step = contract.control_step
     steps = int(contract.task.get("max_steps", 1000))
     if command.duration is not None:
         steps = max(round(command.duration / step), 1)
-    keeps = command.out is not None or not command.dry_run
     results: list[dict[str, Any]] = []
     code = 0
     for run in range(command.runs):
-        path = next_free(command.out or Path("deploy")) if keeps else None
+        path = None if command.dry_run and command.out is None else next_free(command.out or Path("deploy"))
         keeper = RunSaver(deployment, path, steps, command.world_name, run)
         timing = Timing(steps + round((UP + DOWN) / step) + 16)
         keeper.begin()

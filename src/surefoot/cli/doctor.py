@@ -5,13 +5,14 @@ from __future__ import annotations
 import contextlib
 import json
 import sys
+from collections import Counter
 from dataclasses import asdict, dataclass
 from typing import Annotated
 
-import tyro
 from rich.console import Console
 from rich.text import Text
 
+from surefoot.cli.options import Baud, Json, Lockstep, PolicyName, Port
 from surefoot.cli.parsing import parse
 from surefoot.cli.policies import find_policy
 from surefoot.configuration import Within
@@ -36,28 +37,23 @@ class DoctorCommand:
     not begin, such as without a robot.
     """
 
-    policy: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="POLICY")]
-    """Policy file, or the name of a policy that ships with surefoot."""
-    port: str
-    """Serial port or pseudo-terminal of the robot, such as /dev/ttyUSB0."""
+    policy: PolicyName
+    port: Port
     rack: bool = False
     """Also wiggle each motor by .05 rad: the robot hangs free, its legs in the air."""
     ground: bool = False
     """Also stand up and tilt with the legs: the robot sits on flat ground, with a metre of room."""
     yes: bool = False
     """Do not ask before motors move."""
-    lockstep: bool = False
-    """The robot is an emulator that runs with --lockstep."""
+    lockstep: Lockstep = False
     robot: str | None = None
     """Name or folder of the robot's description; the policy's, if not given."""
-    baud: Annotated[int, Within(9600, 100_000_000)] = BAUD
-    """Bits a second of a serial port."""
+    baud: Baud = BAUD
     pings: Annotated[int, Within(10, 100_000)] = Examination.pings
     """Pings that the link is measured with."""
     steps: Annotated[int, Within(10, 100_000)] = Examination.steps
     """Control steps and inferences that this computer is measured with."""
-    json: bool = False
-    """Print one JSON object."""
+    json: Json = False
 
 
 def main(argv: list[str]) -> int:
@@ -80,29 +76,23 @@ def main(argv: list[str]) -> int:
     finally:
         with contextlib.suppress(LinkLostError, OSError):
             connection.close()
-    failed = [finding for finding in findings if finding.passed is False]
-    undone = [finding for finding in findings if finding.passed is None]
+    counts = Counter(finding.passed for finding in findings)
     if command.json:
         data = {
             "policy": contract.name,
             "robot": contract.robot,
             "port": command.port,
-            "passed": not failed,
+            "passed": not counts[False],
             "findings": [asdict(finding) for finding in findings],
         }
         print(json.dumps(data))
     else:
-        passed = len(findings) - len(failed) - len(undone)
-        console.print(f"{passed} passed, {len(failed)} failed, {len(undone)} not done", markup=False)
-    return FAILED if failed else 0
+        console.print(f"{counts[True]} passed, {counts[False]} failed, {counts[None]} not done", markup=False)
+    return FAILED if counts[False] else 0
 
 
 def _ask(command: DoctorCommand) -> None:
-    """Ask before motors move.
-
-    Raises:
-        SurefootError: nobody can be asked, or the answer is not yes.
-    """
+    """Ask before motors move, and refuse to go on without a yes."""
     if command.yes or not (command.rack or command.ground):
         return
     place = "hang free, its legs in the air" if command.rack else "sit on flat ground with a metre of room"

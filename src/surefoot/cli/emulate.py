@@ -10,23 +10,17 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from surefoot.cli.evaluate import Settings
+from surefoot.cli.options import Repeated, Settings, check_suffix
 from surefoot.cli.parsing import parse
 from surefoot.configuration import Seed, Within
 from surefoot.errors import SurefootError
+from surefoot.robot import PhysicalParams, RobotDescription, parse_settings
+from surefoot.robot.params_file import read_params, write_params
 
 if TYPE_CHECKING:
-    from surefoot.cli.emulate_viewer import EmulateViewer
+    from surefoot.cli.viewer import EmulateViewer
     from surefoot.emulator.board import Board
     from surefoot.emulator.faults import Fault
-    from surefoot.robot import PhysicalParams, RobotDescription
-
-FaultWords = Annotated[
-    tuple[tuple[str, ...], ...],
-    tyro.conf.UseAppendAction,
-    tyro.conf.arg(name="fault", metavar="NAME[=VALUE][@TIME] [...]"),
-]
-
 
 STRIDE = 3
 """Servo steps that physics goes through at once in real time, if it can: one by one they cost half as much again in
@@ -55,7 +49,7 @@ class EmulateCommand:
     """Table of ranges to draw them from; with ensemble, seeds 1 to 20 are the robots of world ensemble."""
     hidden_out: Path | None = None
     """File (.toml) to write them to, for checking later."""
-    faults: FaultWords = ()
+    faults: Annotated[Repeated, tyro.conf.arg(name="fault", metavar="NAME[=VALUE][@TIME] [...]")] = ()
     """What goes wrong, such as drop=0.01, or unplug=1.5 (s after the robot is first armed); help lists them."""
     lockstep: bool = False
     """Follow the times in the frames that come, instead of the computer's clock."""
@@ -82,35 +76,31 @@ def main(argv: list[str]) -> int:
     command = parse(EmulateCommand, argv, "surefoot emulate")
     words = [word for group in command.faults for word in group]
     if "help" in words:
-        _print_faults()
+        from surefoot.emulator.faults import describe
+
+        print("\n".join(describe()))
         return 0
     _check(command)
     from surefoot.cli.policies import find_world
-    from surefoot.robot import RobotDescription
-
-    robot = RobotDescription.load(command.robot)
     from surefoot.emulator.faults import parse_faults
 
+    robot = RobotDescription.load(command.robot)
     faults = parse_faults(words, command.lockstep, robot.num_motors)
     if "tilt" in faults and command.rack:
         raise SurefootError("fault tilt needs a robot that can fall; it does not go with --rack")
+    servo_every = 1
     if "slow-servo" in faults:
         period, step = faults["slow-servo"].value, robot.timing.servo_step
-        if round(period / step) < 1 or abs(period / step - round(period / step)) > 1e-6:
+        servo_every = round(period / step)
+        if servo_every < 1 or abs(period / step - servo_every) > 1e-6:
             raise SurefootError(f"fault slow-servo is {period:g}; it must be whole servo steps of {step:g} s")
     find_world(command.world)
     if command.viewer:
-        from surefoot.cli.emulate_viewer import check_display
+        from surefoot.cli.play import has_display
 
-        check_display()
-    board = _build(command, robot, faults)
-    return _run(command, board, faults)
-
-
-def _print_faults() -> None:
-    from surefoot.emulator.faults import describe
-
-    print("\n".join(describe()))
+        if not has_display():
+            raise SurefootError("viewer: there is no display here (DISPLAY is not set); run without --viewer")
+    return _run(command, _build(command, robot, faults, servo_every), faults)
 
 
 def _check(command: EmulateCommand) -> None:
@@ -122,29 +112,20 @@ def _check(command: EmulateCommand) -> None:
         raise SurefootError("hidden_seed draws the parameters; it does not go with --params and --set")
     for name, suffix in (("hidden_out", ".toml"), ("motion_capture", ".csv")):
         path = getattr(command, name)
-        if path is None:
-            continue
-        if path.suffix.lower() != suffix:
-            raise SurefootError(f"{name} {path}: the name must end in {suffix}")
-        if path.exists():
+        check_suffix(name, path, suffix)
+        if path is not None and path.exists():
             raise SurefootError(f"{name} {path} exists; give another name")
 
 
 def _params(command: EmulateCommand, robot: RobotDescription) -> PhysicalParams:
-    from surefoot.robot import PhysicalParams, parse_settings
-
-    params = PhysicalParams.nominal(robot)
-    if command.params is not None:
-        from surefoot.robot.params_file import read_params
-
-        params = read_params(command.params, robot).params
     if command.hidden_seed is not None:
-        params = _hidden(command, robot, command.hidden_seed)
+        return _hidden(command, robot, command.hidden_seed)
+    nominal = PhysicalParams.nominal(robot)
+    params = nominal if command.params is None else read_params(command.params, robot).params
     return params.with_values(robot, **parse_settings([word for group in command.settings for word in group]))
 
 
 def _hidden(command: EmulateCommand, robot: RobotDescription, seed: int) -> PhysicalParams:
-    from surefoot.robot.params_file import write_params
     from surefoot.task.randomize import draw_hidden, load_ranges
 
     params = draw_hidden(robot, load_ranges(command.hidden_ranges).ranges, seed)
@@ -153,8 +134,8 @@ def _hidden(command: EmulateCommand, robot: RobotDescription, seed: int) -> Phys
     return params
 
 
-def _build(command: EmulateCommand, robot: RobotDescription, faults: dict[str, Fault]) -> Board:
-    """The robot, warmed up."""
+def _build(command: EmulateCommand, robot: RobotDescription, faults: dict[str, Fault], servo_every: int) -> Board:
+    """Return the robot, warmed up."""
     from surefoot import __version__
     from surefoot.deploy.connection import LEAD
     from surefoot.emulator.board import Board
@@ -168,9 +149,6 @@ def _build(command: EmulateCommand, robot: RobotDescription, faults: dict[str, F
         from surefoot.world.bullet_engine import BulletEngine
 
         engine = BulletEngine
-    every = 1
-    if "slow-servo" in faults:
-        every = round(faults["slow-servo"].value / robot.timing.servo_step)
     plant = Plant(
         robot,
         _params(command, robot),
@@ -179,7 +157,7 @@ def _build(command: EmulateCommand, robot: RobotDescription, faults: dict[str, F
         PowerConfig.ideal() if command.ideal_sensors else None,
         command.rack,
         engine,
-        servo_every=every,
+        servo_every=servo_every,
     )
     limits = Limits()
     said = introduction(robot, limits, f"surefoot emulator {__version__}", robot.timing.servo_step)
@@ -197,7 +175,7 @@ def _run(command: EmulateCommand, board: Board, faults: dict[str, Fault]) -> int
 
     summary = Summary()
 
-    def end() -> None:
+    def end(_: int) -> None:
         summary.stop = True
 
     port = PtyPort(command.link, held=not command.lockstep)
@@ -207,7 +185,7 @@ def _run(command: EmulateCommand, board: Board, faults: dict[str, Fault]) -> int
             if command.motion_capture is not None:
                 onlookers.append(MotionCapture(command.motion_capture, board.plant, later=not command.lockstep))
             if command.viewer:
-                from surefoot.cli.emulate_viewer import EmulateViewer
+                from surefoot.cli.viewer import EmulateViewer
 
                 onlookers.append(EmulateViewer(command.robot, board.plant))
             board.on_step = [onlooker.see for onlooker in onlookers]

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass, fields
-from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
+from surefoot.cli.options import Count, Json, RunOptions, Threads, make_figures_folder
 from surefoot.cli.parsing import parse
 from surefoot.cli.ranges import take_ranges
-from surefoot.cli.simulator import Simulator, SimulatorOptions
-from surefoot.configuration import Seed, Threads, Within
 from surefoot.errors import SurefootError
 from surefoot.task.randomize import RandomizeConfig
 
@@ -21,15 +19,9 @@ if TYPE_CHECKING:
     from surefoot.robot import RobotDescription
     from surefoot.task.trace import EpisodeTrace
 
-Settings = Annotated[
-    tuple[tuple[str, ...], ...],
-    tyro.conf.UseAppendAction,
-    tyro.conf.arg(name="set", metavar="NAME=VALUE [...]"),
-]
-
 
 @dataclass(frozen=True)
-class EvaluateCommand:
+class EvaluateCommand(RunOptions):
     """Run a policy for some episodes and print speed, power, return and gait; or measure runs that were recorded.
 
     With --randomize NAME (table1, none, or a YAML file) every episode draws its physical parameters;
@@ -41,28 +33,14 @@ class EvaluateCommand:
     """Path of a policy file (.onnx), or the name of a policy that ships with surefoot."""
     trace: tuple[Path, ...] = ()
     """Recorded runs instead of a policy: trace files (.npz), or folders of them."""
-    episodes: Annotated[int, Within(1, 10_000)] = 20
+    episodes: Count = 20
     """Episodes to run, side by side."""
-    pushes: bool = False
-    """Push the robot at random, as its task says how; without this nothing pushes."""
-    settings: Settings = ()
-    """Physical parameters that differ from the task's, such as motor_strength=0.8."""
-    seed: Seed = 1
-    """The one seed."""
-    json: bool = False
-    """Print one JSON object instead of a table."""
-    world: str = "mujoco"
-    """Where to run: mujoco or bullet."""
-    simulator: SimulatorOptions = Simulator()
-    """Another simulator than the policy's own."""
+    json: Json = False
     thermal_protection: bool = False
     """Switch off motors that overheat."""
-    robot: str | None = None
-    """Name or folder of the robot; the one of the policy's task, if not given."""
     out: Path | None = None
     """Folder for traces (.npz), a footfall diagram and an episode plot (.png)."""
     threads: Threads = 0
-    """Threads of the simulation; 0 means one a core."""
 
 
 def main(argv: list[str]) -> int:
@@ -84,7 +62,7 @@ def main(argv: list[str]) -> int:
     summary |= about | {"robot": robot.name}
     if command.out is not None:
         files = [] if command.trace else [t.save(command.out / f"episode_{i:03d}.npz") for i, t in enumerate(traces)]
-        summary["files"] = [str(file) for file in [*files, *_figures(command.out, traces, robot)]]
+        summary["files"] = [str(file) for file in [*files, *draw_episode(command.out, traces[0], robot)]]
     if command.json:
         print(json.dumps(summary, allow_nan=False))
     else:
@@ -98,7 +76,7 @@ def _simulated(
     command: EvaluateCommand, ranges: RandomizeConfig
 ) -> tuple[list[EpisodeTrace], RobotDescription, dict[str, Any]]:
     """Run the policy; returns its traces, the robot, and how it was run."""
-    from surefoot.cli.policies import adjust_task, find_policy, find_world, load_policy
+    from surefoot.cli.policies import adjust_task, described, find_policy, find_world, load_policy
     from surefoot.cli.progress import progress_bar
 
     path = find_policy(str(command.policy))
@@ -107,7 +85,7 @@ def _simulated(
     task = adjust_task(
         task, robot, command.settings, command.pushes, command.thermal_protection, ranges, command.simulator
     )
-    _make_folder(command.out)
+    make_figures_folder(command.out)
     from surefoot.evaluate.rollout import run_episodes
 
     with progress_bar(f"{command.episodes} episodes") as progress:
@@ -130,10 +108,8 @@ def _simulated(
             "seed": command.seed,
             "pushes": command.pushes,
             "randomize": {row: list(bounds) for row, bounds in ranges.ranges.items()},
-            "params": task.params,
-            "params_source": task.params_source,
             "set": command.simulator.latencies | {name: task.params[name] for name in given},
-            "actuator": task.actuator,
+            **described(task),
             "policy_file": str(path),
             "config_hash": policy.contract.config_hash,
         },
@@ -162,29 +138,22 @@ def _recorded(command: EvaluateCommand, drawn: bool) -> tuple[list[EpisodeTrace]
                 f"trace file {path}: is of robot '{trace.meta['robot']}', not of '{robot.name}'; "
                 "runs that are measured together must be of one robot"
             )
-    _make_folder(command.out)
+    make_figures_folder(command.out)
     return [trace for _, trace in found], robot, {"traces": [str(path) for path, _ in found]}
 
 
-def _make_folder(folder: Path | None) -> None:
-    """Make the folder for results, if one is wanted and figures can be drawn."""
-    if folder is not None:
-        import_module("matplotlib")
-        folder.mkdir(parents=True, exist_ok=True)
-
-
-def _figures(folder: Path, traces: list[EpisodeTrace], robot: RobotDescription) -> list[Path]:
-    """Draw a footfall diagram and a plot of the first episode; returns the files."""
+def draw_episode(folder: Path, trace: EpisodeTrace, robot: RobotDescription) -> list[Path]:
+    """Draw a footfall diagram and a plot of an episode; return the files."""
     import numpy as np
 
     from surefoot.report.figures import episode_plot, footfall_diagram
 
-    leg_angle = np.concatenate(robot.motor_to_leg_pose(traces[0].motor_angle), axis=-1)
-    plot = episode_plot(traces[0], folder / "episode.png", leg_angle=leg_angle)
+    leg_angle = np.concatenate(robot.motor_to_leg_pose(trace.motor_angle), axis=-1)
+    plot = episode_plot(trace, folder / "episode.png", leg_angle=leg_angle)
     # Without switches in the feet nothing is known of footfalls.
-    if np.isnan(traces[0].foot_contact).any():
+    if np.isnan(trace.foot_contact).any():
         return [plot]
-    return [footfall_diagram(traces[0], folder / "footfalls.png"), plot]
+    return [footfall_diagram(trace, folder / "footfalls.png"), plot]
 
 
 def print_summaries(summaries: dict[str, dict[str, Any]]) -> None:

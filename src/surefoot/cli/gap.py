@@ -3,18 +3,28 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, replace
-from importlib import import_module
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from surefoot.cli.evaluate import Settings
-from surefoot.cli.gap_sides import Side, check_heeded, check_lengths, check_sides, labels
+from surefoot.cli.options import (
+    Count,
+    Json,
+    PolicyNames,
+    Pushes,
+    Repeated,
+    Seed,
+    Settings,
+    Threads,
+    check_policies,
+    make_figures_folder,
+)
 from surefoot.cli.parsing import parse
 from surefoot.cli.simulator import Simulator
-from surefoot.configuration import Duration, Seed, Threads, Within
+from surefoot.configuration import Duration
 from surefoot.errors import SurefootError, check_name
 
 if TYPE_CHECKING:
@@ -22,7 +32,86 @@ if TYPE_CHECKING:
     from surefoot.evaluate.recorded import Recorded
     from surefoot.robot import RobotDescription
     from surefoot.task.config import TaskConfig
+    from surefoot.task.trace import EpisodeTrace
     from surefoot.world.interface import SimulationFactory
+
+
+TRACE = "trace"
+_SAME = 0.01
+"""Share of a length by which lengths may differ: whole control steps rarely make it exactly."""
+
+
+@dataclass(frozen=True)
+class Side:
+    """Where runs come from: a simulated world, or traces in a folder."""
+
+    world: str = ""
+    """Name of the world; empty for traces."""
+    folder: Path | None = None
+    """Folder of traces; None for a world."""
+
+    @classmethod
+    def of_words(cls, option: str, words: Sequence[str]) -> Side:
+        """Read the words behind `--from` or `--to`.
+
+        Raises:
+            SurefootError: neither one world nor `trace FOLDER`.
+        """
+        if len(words) == 2 and words[0] == TRACE:
+            return cls(folder=Path(words[1]))
+        if len(words) == 1 and words[0] != TRACE:
+            return cls(world=words[0])
+        said = " ".join(words) or "nothing"
+        raise SurefootError(f"{option} is '{said}'; it takes the name of a world, or {TRACE} FOLDER")
+
+    def __str__(self) -> str:
+        return self.world or f"{TRACE} {self.folder}"
+
+
+def _check_sides(out: Path, home: Side, away: Sequence[Side]) -> None:
+    """Refuse a side given twice, and runs that would be written where traces are read."""
+    if not away:
+        raise SurefootError(f"no --to is given; it takes the name of a world, or {TRACE} FOLDER")
+    for side in away:
+        if list(away).count(side) > 1:
+            raise SurefootError(f"--to {side} is given twice; give each once")
+    for side in (home, *away):
+        if side.folder is not None:
+            whole, part = out.resolve(), side.folder.resolve()
+            if whole == part or whole in part.parents or part in whole.parents:
+                raise SurefootError(
+                    f"--out {out} and the traces of {side.folder} lie one in the other; give --out a folder of its own"
+                )
+
+
+def _check_lengths(found: Sequence[tuple[Path, EpisodeTrace]], duration: float) -> None:
+    """Refuse traces, given with their files, of runs that were not to last as long [s] as the others."""
+    for path, trace in found:
+        length = trace.meta["max_steps"] * trace.meta["control_step"]
+        if abs(length - duration) > _SAME * duration:
+            raise SurefootError(
+                f"trace file {path}: its run was to last {length:.3g} s, the others last {duration:.3g} s; "
+                f"give --duration {length:.3g} to compare with runs as long"
+            )
+
+
+def labels(worlds: Sequence[str], sides: Sequence[Side]) -> list[str]:
+    """Names that tell sides apart, home first: a world that comes twice is marked.
+
+    Args:
+        worlds: name of each side's world.
+        sides: where its runs come from.
+    """
+    taken: list[str] = []
+    for world, side in zip(worlds, sides, strict=True):
+        stem = world
+        if world in taken:
+            stem = f"{world}-away" if side.folder is None else f"{world}-{side.folder.resolve().name}"
+        name, number = stem, 2
+        while name in taken:
+            name, number = f"{stem}-{number}", number + 1
+        taken.append(name)
+    return taken
 
 
 @dataclass(frozen=True)
@@ -35,17 +124,12 @@ class GapCommand:
     world, episodes.csv with one row a run, gap.png, and for each policy its runs over time in runs.png.
     """
 
-    policies: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="POLICY [POLICY ...]")]
-    """Paths of policy files (.onnx), or names of policies that ship with surefoot."""
+    policies: PolicyNames
     home: Annotated[tuple[str, ...], tyro.conf.arg(name="from", metavar="WORLD | trace FOLDER")] = ("mujoco",)
     """Home: mujoco or bullet, or recorded traces."""
-    away: Annotated[
-        tuple[tuple[str, ...], ...],
-        tyro.conf.UseAppendAction,
-        tyro.conf.arg(name="to", metavar="WORLD | trace FOLDER"),
-    ] = ()
+    away: Annotated[Repeated, tyro.conf.arg(name="to", metavar="WORLD | trace FOLDER")] = ()
     """Another world: mujoco or bullet, or recorded traces; as often as you like."""
-    runs: Annotated[int, Within(1, 10_000)] = 3
+    runs: Count = 3
     """Runs of each policy in each world."""
     duration: Duration | None = None
     """Length of a run [s], the same in all worlds; that of the policy's task, if not given."""
@@ -53,39 +137,26 @@ class GapCommand:
     """File of a robot's physical parameters (.toml): that robot is simulated on all sides, at home too."""
     settings: Settings = ()
     """Physical parameters in all worlds, such as contact_friction=0.8; over those of --params."""
-    from_settings: Annotated[
-        tuple[tuple[str, ...], ...],
-        tyro.conf.UseAppendAction,
-        tyro.conf.arg(name="from-set", metavar="NAME=VALUE [...]"),
-    ] = ()
+    from_settings: Annotated[Repeated, tyro.conf.arg(name="from-set", metavar="NAME=VALUE [...]")] = ()
     """Physical parameters at home, over those of --set."""
-    to_settings: Annotated[
-        tuple[tuple[str, ...], ...],
-        tyro.conf.UseAppendAction,
-        tyro.conf.arg(name="to-set", metavar="NAME=VALUE [...]"),
-    ] = ()
+    to_settings: Annotated[Repeated, tyro.conf.arg(name="to-set", metavar="NAME=VALUE [...]")] = ()
     """Physical parameters in the worlds of --to, over those of --set."""
     to_actuator: Literal["dc", "constraint"] = "dc"
     """Actuator in the worlds of --to; dc: servo and DC motor; constraint: the position motor of physics engines."""
-    pushes: bool = False
-    """Push the robot at random in all worlds, as its task says how; without this nothing pushes."""
+    pushes: Pushes = False
     seed: Seed = 1
-    """The one seed: run i starts alike in every world."""
     out: Path = Path("gap")
     """Folder for traces (.npz), tables (.csv) and the figure (.png)."""
-    json: bool = False
-    """Print one JSON object instead of a table."""
+    json: Json = False
     threads: Threads = 0
-    """Threads, or processes, of a simulation; 0 means one a core."""
 
 
 def main(argv: list[str]) -> int:
     """Run the command with the words after its name; returns the exit code."""
     command = parse(GapCommand, argv, "surefoot gap")
-    if not command.policies:
-        raise SurefootError("no policy is given; give one or more .onnx files, or names of policies that ship")
+    check_policies(command.policies)
     home, away = Side.of_words("--from", command.home), [Side.of_words("--to", words) for words in command.away]
-    check_sides(command.out, home, away)
+    _check_sides(command.out, home, away)
     for option, given, sides in (
         ("--params", command.params, [home, *away]),
         ("--set", command.settings, [home, *away]),
@@ -94,8 +165,8 @@ def main(argv: list[str]) -> int:
         ("--to-actuator", command.to_actuator != "dc", away),
         ("--pushes", command.pushes, [home, *away]),
     ):
-        if given:
-            check_heeded(option, sides)
+        if given and not any(side.world for side in sides):
+            raise SurefootError(f"{option} is given, but nothing is simulated on its side: {sides[0]}")
     from surefoot.cli.policies import find_policy, find_world, load_policies
     from surefoot.evaluate.recorded import by_policy, find_traces, world_of
     from surefoot.evaluate.sensitivity import episode_duration
@@ -110,11 +181,9 @@ def main(argv: list[str]) -> int:
     worlds = [world_of(found[side]) if side in found else side.world for side in (home, *away)]
     named = labels(worlds, (home, *away))
     for one, (at_home, _) in zip(candidates, tasks, strict=True):
-        check_lengths([trace for given in recorded.values() for trace in given[one.name]], episode_duration(at_home))
-    for one in candidates:
+        _check_lengths([trace for given in recorded.values() for trace in given[one.name]], episode_duration(at_home))
         check_name("policy name", one.name)
-    import_module("matplotlib")
-    command.out.mkdir(parents=True, exist_ok=True)
+    make_figures_folder(command.out)
     runs: dict[str, dict[str, Recorded]] = {one.name: {} for one in candidates}
     for one, (at_home, elsewhere) in zip(candidates, tasks, strict=True):
         for number, (side, label) in enumerate(zip((home, *away), named, strict=True)):
@@ -130,31 +199,18 @@ def main(argv: list[str]) -> int:
 
 def _tasks(command: GapCommand, task: TaskConfig, robot: RobotDescription) -> tuple[TaskConfig, TaskConfig]:
     """The task of a policy at home, and in the other worlds, lasting as long."""
-    from surefoot.cli.policies import adjust_task
+    from surefoot.cli.policies import adjust_task, lasting
     from surefoot.evaluate.gap import away_task, home_task
     from surefoot.evaluate.sensitivity import episode_duration
 
-    duration = command.duration or episode_duration(task)
-    at_home = adjust_task(
-        home_task(task),
-        robot,
-        (*command.settings, *command.from_settings),
-        command.pushes,
-        simulator=Simulator(params=command.params),
-    )
-    elsewhere = adjust_task(
-        away_task(task),
-        robot,
-        (*command.settings, *command.to_settings),
-        command.pushes,
-        simulator=Simulator(actuator=command.to_actuator, params=command.params),
-    )
-    # Returns over different times could not be compared, whatever the control step of each world.
-    steps = [duration / float(one.nominal(robot).control_step[0]) for one in (at_home, elsewhere)]
-    at_home, elsewhere = (
-        replace(one, max_steps=max(round(count), 1)) for one, count in zip((at_home, elsewhere), steps, strict=True)
-    )
-    return at_home, elsewhere
+    def adjusted(side: TaskConfig, settings: Repeated, actuator: Literal["dc", "constraint"] | None) -> TaskConfig:
+        simulator = Simulator(actuator, params=command.params)
+        side = adjust_task(side, robot, (*command.settings, *settings), command.pushes, simulator=simulator)
+        # Returns over different times could not be compared.
+        return lasting(side, robot, command.duration or episode_duration(task))
+
+    at_home = adjusted(home_task(task), command.from_settings, None)
+    return at_home, adjusted(away_task(task), command.to_settings, command.to_actuator)
 
 
 def _run(
@@ -182,6 +238,7 @@ def _report(
     runs: dict[str, dict[str, Recorded]],
 ) -> None:
     """Measure the runs of each policy in each world; write tables and figure, and print what came out."""
+    from surefoot.cli.policies import described
     from surefoot.evaluate.gap import PolicyGap
     from surefoot.evaluate.runs import Runs
     from surefoot.report.gap_figures import gap_figure
@@ -224,8 +281,8 @@ def _report(
                 "policy": one.name,
                 "policy_file": str(one.path),
                 "config_hash": one.policy.contract.config_hash,
-                "home": _described(at_home),
-                "away": _described(elsewhere),
+                "home": described(at_home),
+                "away": described(elsewhere),
                 "worlds": plain[one.name],
             }
             for one, (at_home, elsewhere) in zip(candidates, tasks, strict=True)
@@ -234,8 +291,3 @@ def _report(
         "files": [str(file) for file in files],
     }
     print(json.dumps(told, allow_nan=False))
-
-
-def _described(task: TaskConfig) -> dict[str, Any]:
-    """Return the robot on one side, as JSON holds it."""
-    return {"actuator": task.actuator, "params": task.params, "params_source": task.params_source}

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from importlib import import_module
 
+from surefoot.cli.main import table_lines
 from surefoot.errors import SurefootError, choices
 from surefoot.identify.registry import EXPERIMENTS
 
@@ -44,14 +45,10 @@ def main(argv: list[str]) -> int:
 
 
 def _usage() -> str:
-    places = {True: "rack", False: "ground"}
-    experiments = {name: f"{one.what} (on {places[one.rack]})" for name, one in EXPERIMENTS.items()}
+    experiments = {name: f"{one.what} (on {'rack' if one.rack else 'ground'})" for name, one in EXPERIMENTS.items()}
     others = {
         f"{FROM_TRACE} FOLDER": "motors and delays, from traces of runs",
         FIGURE: "one motor follows a sine: servo and DC motor, constraint motor, and a recording",
     }
     width = max(map(len, [*experiments, *others]))
-    tables = (
-        "\n".join(f"  {name:<{width}}  {what}" for name, what in table.items()) for table in (experiments, others)
-    )
-    return _USAGE.format(**dict(zip(("experiments", "others"), tables, strict=True)))
+    return _USAGE.format(experiments=table_lines(experiments, width), others=table_lines(others, width))

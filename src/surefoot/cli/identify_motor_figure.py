@@ -8,7 +8,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Annotated
 
-from surefoot.cli.evaluate import Settings
+from surefoot.cli.options import Settings
 from surefoot.cli.parsing import parse
 from surefoot.configuration import Duration, Within
 from surefoot.errors import SurefootError

@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from surefoot import __version__
 from surefoot.errors import SurefootError, choices
@@ -22,6 +22,14 @@ COMMANDS = {
     "sensitivity": ("surefoot.cli.sensitivity", "find which physical parameters break a policy"),
     "gap": ("surefoot.cli.gap", "measure what policies lose in another world, or on a robot"),
 }
+_USAGE = """usage: surefoot COMMAND ...
+
+Agile gaits for quadruped robots, learned in simulation and carried to the robot.
+
+commands:
+{commands}
+
+surefoot COMMAND --help lists a command's options; surefoot --version prints the version."""
 _LONGEST = 2000
 """Characters of an error that are told."""
 _EXTRAS = {
@@ -40,7 +48,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     """
     words = list(sys.argv[1:] if argv is None else argv)
     if not words or words[0] in ("-h", "--help", "help"):
-        print(_help(), file=sys.stdout if words else sys.stderr)
+        commands = table_lines({name: what for name, (_, what) in COMMANDS.items()})
+        print(_USAGE.format(commands=commands), file=sys.stdout if words else sys.stderr)
         return 0 if words else 2
     if words[0] == "--version":
         print(f"surefoot {__version__}")
@@ -84,18 +93,7 @@ def _fail(message: str) -> int:
     return 2
 
 
-def _help() -> str:
-    width = max(map(len, COMMANDS))
-    lines = [f"  {name:<{width}}  {what}" for name, (_, what) in COMMANDS.items()]
-    return "\n".join(
-        [
-            "usage: surefoot COMMAND ...",
-            "",
-            "Agile gaits for quadruped robots, learned in simulation and carried to the robot.",
-            "",
-            "commands:",
-            *lines,
-            "",
-            "surefoot COMMAND --help lists a command's options; surefoot --version prints the version.",
-        ]
-    )
+def table_lines(rows: Mapping[str, str], width: int = 0) -> str:
+    """Return names, in a column of `width` characters or more, with what they stand for."""
+    width = max(width, *map(len, rows))
+    return "\n".join(f"  {name:<{width}}  {what}" for name, what in rows.items())

@@ -52,11 +52,7 @@ def parse(kind: type[T], words: Sequence[str], prog: str, default: T | None = No
 
 
 def _check_lists(kind: type, words: Sequence[str]) -> None:
-    """Refuse an option that takes several values and has none: tyro would take that for an empty list.
-
-    Raises:
-        SurefootError: with the option.
-    """
+    """Refuse an option that takes several values and has none: tyro would take that for an empty list."""
     hints = options(kind)
     for word, after in zip(words, [*words[1:], "--"], strict=False):
         hint = hints.get(word.replace("_", "-"))

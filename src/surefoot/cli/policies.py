@@ -9,8 +9,9 @@ from dataclasses import dataclass, replace
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
-from surefoot.cli.simulator import Simulator, check_params
+from surefoot.cli.simulator import Simulator
 from surefoot.configuration import to_mapping
 from surefoot.deploy.contract_task import contradiction, other_gains, unreadable_observation
 from surefoot.errors import SurefootError, choices
@@ -29,18 +30,13 @@ SIDE_BY_SIDE = {"mujoco": 0, "bullet": 128, "bullet-published": 128, "ensemble":
 """Robots that many episodes are best run with at a time, 0 for all: Bullet takes some 33 MB for each."""
 
 
-def shipped_policies() -> dict[str, Path]:
-    """Return the policies that ship with surefoot, by name."""
-    return {path.stem: path for shelf in reversed(SHELVES) for path in sorted(shelf.glob("*.onnx"))}
-
-
 def find_policy(policy: str) -> Path:
     """Return the file of a policy given by path or by the name of one that ships.
 
     Raises:
         SurefootError: neither.
     """
-    shipped = shipped_policies()
+    shipped = {path.stem: path for shelf in reversed(SHELVES) for path in sorted(shelf.glob("*.onnx"))}
     if Path(policy).is_file():
         return Path(policy)
     if policy in shipped:
@@ -58,22 +54,19 @@ def find_world(name: str) -> SimulationFactory:
     """
     if name not in WORLDS:
         raise SurefootError(f"world '{name}' does not exist; choices: {choices(WORLDS)}")
-    if name != "mujoco":
-        # Its processes import it when the world is made; that would be too late for a plain word.
-        if find_spec("pybullet") is None:
-            raise ModuleNotFoundError("No module named 'pybullet'", name="pybullet")
-        from surefoot.evaluate.ensemble import ensemble_world
-        from surefoot.world.process_world import bullet_world
+    if name == "mujoco":
+        from surefoot.world.sim_world import SimWorld
 
-        worlds: dict[str, SimulationFactory] = {
-            "bullet": bullet_world,
-            "bullet-published": partial(bullet_world, published=True),
-            "ensemble": ensemble_world,
-        }
-        return worlds[name]
-    from surefoot.world.sim_world import SimWorld
+        return SimWorld
+    # Its processes import it when the world is made; that would be too late for a plain word.
+    if find_spec("pybullet") is None:
+        raise ModuleNotFoundError("No module named 'pybullet'", name="pybullet")
+    from surefoot.evaluate.ensemble import ensemble_world
+    from surefoot.world.process_world import bullet_world
 
-    return SimWorld
+    if name == "ensemble":
+        return ensemble_world
+    return partial(bullet_world, published=name == "bullet-published")
 
 
 def load_policy(path: Path, robot: str | None) -> tuple[PolicyRuntime, RobotDescription, TaskConfig]:
@@ -106,11 +99,7 @@ def load_policy(path: Path, robot: str | None) -> tuple[PolicyRuntime, RobotDesc
 
 
 def _check_contract(contract: Contract, robot: RobotDescription, task: TaskConfig) -> None:
-    """Refuse a policy whose contract contradicts a simulation of its task, as `deploy` refuses it.
-
-    Raises:
-        SurefootError: with the first difference.
-    """
+    """Refuse a policy whose contract contradicts a simulation of its task, as `deploy` refuses it."""
     check_robot(contract, robot)
     # With all that the task leaves to defaults, for that is what is simulated.
     whole, params = replace(contract, task=to_mapping(task)), task.nominal(robot)
@@ -208,11 +197,18 @@ def adjust_task(
     given = parse_settings([word for group in settings for word in group])
     task = replace(task, thermal_protection=task.thermal_protection or thermal_protection)
     task = (simulator or Simulator()).of(task, given)
-    check_params(task, robot)
+    task.nominal(robot)  # refuses parameters that the robot does not allow
     ranges = randomize or RandomizeConfig()
     check_ranges(ranges, robot)
-    return replace(
-        task,
-        randomize=ranges,
-        pushes=replace(task.pushes, enabled=pushes, probability=1.0),
-    )
+    return replace(task, randomize=ranges, pushes=replace(task.pushes, enabled=pushes, probability=1.0))
+
+
+def lasting(task: TaskConfig, robot: RobotDescription, duration: float) -> TaskConfig:
+    """Return the task with episodes of a duration [s], whatever its control step."""
+    steps = round(duration / float(task.nominal(robot).control_step[0]))
+    return replace(task, max_steps=max(steps, 1))
+
+
+def described(task: TaskConfig) -> dict[str, Any]:
+    """Return actuator and physical parameters of a task, as JSON holds them."""
+    return {"actuator": task.actuator, "params": task.params, "params_source": task.params_source}

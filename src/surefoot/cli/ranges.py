@@ -14,9 +14,9 @@ HELP = """--randomize NAME           ranges that an episode draws its parameters
 
 def ranges_help(indent: str = "  ") -> str:
     """Return the help of the options, with the rows of the paper's table."""
-    lines = HELP.format(names=choices(range_names())).splitlines()
-    lines += [f"    {row:<17}{low:g} to {high:g}" for row, (low, high) in load_ranges("table1").ranges.items()]
     drawn = load_ranges("table1").ranges
+    lines = HELP.format(names=choices(range_names())).splitlines()
+    lines += [f"    {row:<17}{low:g} to {high:g}" for row, (low, high) in drawn.items()]
     others = f"and, not in table1: {choices(row for row in ROWS if row not in drawn)}"
     lines += textwrap.wrap(others, 100, initial_indent="    ", subsequent_indent="    ")
     return "\n".join(indent + line for line in lines)

@@ -7,11 +7,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from rich.console import Console
 
-from surefoot.cli.evaluate import print_summaries
-from surefoot.cli.play import captions
+from surefoot.cli.evaluate import draw_episode, print_summaries
+from surefoot.cli.play import film
 from surefoot.evaluate.metrics import summarize
 from surefoot.evaluate.rollout import run_episodes
 from surefoot.policy.runtime import PolicyRuntime
@@ -40,10 +39,7 @@ def report_run(
         console: where to say what is done.
     """
     from surefoot.evaluate.comparison import Curve
-    from surefoot.report.figures import episode_plot, footfall_diagram
-    from surefoot.report.scene import scene, trace_poses
     from surefoot.report.study_figures import learning_curves
-    from surefoot.report.video import render_video
 
     policy, robot = PolicyRuntime.load(policy_path), RobotDescription.load(task.robot)
     figures = folder / "figures"
@@ -66,11 +62,8 @@ def report_run(
         learning_curves({task.name: [Curve.of_rows(rows)]}, figures / "learning_curve.png")
     nominal = traces["without_pushes"]
     median = sorted(nominal, key=lambda trace: trace.base_position_world[-1, 0])[len(nominal) // 2]
-    footfall_diagram(median, figures / "footfalls.png")
-    leg_angle = np.concatenate(robot.motor_to_leg_pose(median.motor_angle), axis=-1)
-    episode_plot(median, figures / "episode.png", leg_angle=leg_angle)
-    shapes, poses = scene(robot), trace_poses(robot, median)
-    render_video(shapes, poses, median.time, figures / "video.mp4", overlay=captions(median), follow=robot.base)
+    draw_episode(figures, median, robot)
+    film(robot, median, figures / "video.mp4")
     print_summaries({name.replace("_", " "): summary for name, summary in results.items()})
     console.print(f"Policy, table, figures and video are in {folder}", soft_wrap=True)
     return results

@@ -4,16 +4,23 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass
-from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import tyro
-
+from surefoot.cli.options import (
+    Count,
+    Json,
+    PolicyNames,
+    Pushes,
+    Seed,
+    Threads,
+    World,
+    check_policies,
+    make_figures_folder,
+)
 from surefoot.cli.parsing import parse
-from surefoot.cli.simulator import Simulator, SimulatorOptions, check_params
-from surefoot.configuration import Duration, Seed, Threads, Within
-from surefoot.errors import SurefootError
+from surefoot.cli.simulator import Simulator, SimulatorOptions
+from surefoot.configuration import Duration, Within
 
 if TYPE_CHECKING:
     from surefoot.evaluate.sensitivity import Sensitivity
@@ -29,38 +36,31 @@ class SensitivityCommand:
     each row and one for all of them.
     """
 
-    policies: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="POLICY [POLICY ...]")]
-    """Paths of policy files (.onnx), or names of policies that ship with surefoot."""
+    policies: PolicyNames
     out: Path = Path("sensitivity")
     """Folder for tables (.csv) and figures (.png)."""
     ranges: str = "table1"
     """Rows to vary and their ranges: the name of a table, or a YAML file."""
     values: Annotated[int, Within(2, 1000)] = 10
     """Values of each row, evenly spaced, the ends of its range included."""
-    episodes: Annotated[int, Within(1, 10_000)] = 8
+    episodes: Count = 8
     """Episodes in each world."""
     duration: Duration | None = None
     """Length of an episode [s], the same in all worlds; the longest of the policies' tasks, if not given."""
-    pushes: bool = False
-    """Push the robot at random, as its task says how; without this nothing pushes."""
+    pushes: Pushes = False
     seed: Seed = 1
-    """The one seed."""
-    json: bool = False
-    """Print one JSON object instead of tables."""
-    world: str = "mujoco"
-    """Where to run: mujoco or bullet."""
+    json: Json = False
+    world: World = "mujoco"
     simulator: SimulatorOptions = Simulator()
     """Another simulator than the policies' own, as the nominal world."""
     threads: Threads = 0
-    """Threads of the simulation; 0 means one a core."""
 
 
 def main(argv: list[str]) -> int:
     """Run the command with the words after its name; returns the exit code."""
     command = parse(SensitivityCommand, argv, "surefoot sensitivity")
-    if not command.policies:
-        raise SurefootError("no policy is given; give one or more .onnx files, or names of policies that ship")
-    from surefoot.cli.policies import SIDE_BY_SIDE, find_policy, find_world, load_policies
+    check_policies(command.policies)
+    from surefoot.cli.policies import SIDE_BY_SIDE, described, find_policy, find_world, load_policies
     from surefoot.task.randomize import check_ranges, load_ranges
 
     paths = [find_policy(policy) for policy in command.policies]
@@ -70,9 +70,8 @@ def main(argv: list[str]) -> int:
     check_ranges(ranges, robot)
     tasks = [command.simulator.of(one.task) for one in loaded]
     for task in tasks:
-        check_params(task, robot)
-    import_module("matplotlib")
-    command.out.mkdir(parents=True, exist_ok=True)
+        task.nominal(robot)  # refuses parameters that the robot does not allow
+    make_figures_folder(command.out)
     from surefoot.cli.progress import progress_bar
     from surefoot.evaluate.sensitivity import episode_duration, run_sensitivity
 
@@ -97,26 +96,20 @@ def main(argv: list[str]) -> int:
                     progress=progress,
                 )
             )
-    trained = {one.name: one.task.randomize.ranges for one in loaded}
-    files = write_files(command.out, results, trained)
+    files = _write_files(command.out, results, {one.name: one.task.randomize.ranges for one in loaded})
     if command.json:
         whole = {
             "world": command.world,
             "robot": robot.name,
             "ranges": {row: list(given) for row, given in ranges.ranges.items()},
-            "values": command.values,
-            "episodes": command.episodes,
+            **{name: getattr(command, name) for name in ("values", "episodes", "pushes", "seed")},
             "duration": duration,
-            "pushes": command.pushes,
-            "seed": command.seed,
             "policies": [
-                summary(result)
+                _summary(result)
                 | {
                     "policy_file": str(one.path),
                     "config_hash": one.policy.contract.config_hash,
-                    "actuator": task.actuator,
-                    "params": task.params,
-                    "params_source": task.params_source,
+                    **described(task),
                 }
                 for result, one, task in zip(results, loaded, tasks, strict=True)
             ],
@@ -124,11 +117,11 @@ def main(argv: list[str]) -> int:
         }
         print(json.dumps(whole, allow_nan=False))
     else:
-        print_tables(results, files)
+        _print_tables(results, files)
     return 0
 
 
-def write_files(
+def _write_files(
     folder: Path, results: list[Sensitivity], trained: dict[str, dict[str, tuple[float, float]]]
 ) -> list[Path]:
     """Write both tables, a figure for each row and one for all; returns the files."""
@@ -144,7 +137,7 @@ def write_files(
     ]
 
 
-def summary(result: Sensitivity) -> dict[str, Any]:
+def _summary(result: Sensitivity) -> dict[str, Any]:
     """Return what one policy's test worlds came to, as JSON holds it."""
     from surefoot.evaluate.breaks import find_breaks
 
@@ -160,7 +153,7 @@ def summary(result: Sensitivity) -> dict[str, Any]:
     }
 
 
-def print_tables(results: list[Sensitivity], files: list[Path]) -> None:
+def _print_tables(results: list[Sensitivity], files: list[Path]) -> None:
     """Print a table of the policies, and one of each row's range, worst world, and nearest values that break a gait."""
     from surefoot.evaluate.breaks import find_breaks
     from surefoot.evaluate.sensitivity import row_unit

@@ -12,7 +12,7 @@ import tyro
 
 from surefoot.errors import SurefootError
 from surefoot.robot import RobotDescription
-from surefoot.robot.params_file import ParamsFile, ParamValue, read_params
+from surefoot.robot.params_file import ParamValue, read_params
 from surefoot.task.config import TaskConfig
 from surefoot.world.interface import WorldConfig
 
@@ -65,15 +65,6 @@ SimulatorOptions = Annotated[Simulator, tyro.conf.OmitArgPrefixes]
 """The options as a field of a command."""
 
 
-def check_params(task: TaskConfig, robot: RobotDescription) -> None:
-    """Refuse physical parameters that a robot does not allow.
-
-    Raises:
-        SurefootError: no such parameter, or a value out of its bounds.
-    """
-    task.nominal(robot)
-
-
 def _with_file(task: TaskConfig, path: Path) -> TaskConfig:
     """Return the task on the robot of a file of parameters.
 
@@ -81,16 +72,12 @@ def _with_file(task: TaskConfig, path: Path) -> TaskConfig:
     robot is not run on a mixture of two; only the control step does, which belongs to the policy and to no robot.
     """
     robot = RobotDescription.load(task.robot)
-    found = read_params(path, robot)
-    _check_control_step(found, path, float(task.nominal(robot).control_step[0]))
-    kept = {name: value for name, value in task.params.items() if name == "control_step"}
-    return replace(task, params={**found.values, **kept}, params_source=found.source)
-
-
-def _check_control_step(found: ParamsFile, path: Path, expected: float) -> None:
+    found, expected = read_params(path, robot), float(task.nominal(robot).control_step[0])
     step = float(found.params.control_step[0])
     if "control_step" in found.given and not math.isclose(step, expected, rel_tol=1e-9):
         raise SurefootError(
             f"{path}: control_step is {step:g}, and the task's is {expected:g}; "
             "it belongs to the policy, not to the robot: leave it out of the file"
         )
+    kept = {name: value for name, value in task.params.items() if name == "control_step"}
+    return replace(task, params={**found.values, **kept}, params_source=found.source)

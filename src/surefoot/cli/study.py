@@ -86,40 +86,29 @@ def main(argv: list[str]) -> int:
 def train(study: StudyConfig, runs: list[StudyRun], workers: int, console: Console) -> Outcome:
     """Train every run that is not finished, some at a time, and show how far each is."""
     from surefoot.cli.study_progress import StudyProgress
+    from surefoot.cli.train import check_config
 
     waiting = [run for run in runs if run.state != "finished"]
     if not waiting:
         console.print(f"{study.name}: all {len(runs)} trainings are finished")
         return Outcome()
-    for group in dict.fromkeys(run.group for run in waiting):
-        _check_task(next(run for run in waiting if run.group == group))
-    jobs = [
-        Job(
-            run.name,
-            {"group": run.group, "path": str(run.path), "config": to_mapping(run.config)},
-            run.path / "worker.log",
-        )
-        for run in waiting
-    ]
+    for group, run in {run.group: run for run in waiting}.items():
+        with located(f"group {group}"):
+            check_config(run.config)
+    jobs = []
+    for run in waiting:
+        request = {"group": run.group, "path": str(run.path), "config": to_mapping(run.config)}
+        jobs.append(Job(run.name, request, run.path / "worker.log"))
     command = [sys.executable, "-m", "surefoot.cli.study_worker"]
     with StudyProgress(study, runs, workers, console) as progress, _listen(console) as stops:
         return run_jobs(command, jobs, workers, progress.event, progress.change, lambda: stops.count)
 
 
-def _check_task(run: StudyRun) -> None:
-    """Refuse a task that does not fit before anything is trained."""
-    from surefoot.cli.train import check_config
-
-    with located(f"group {run.group}"):
-        check_config(run.config)
-
-
 def _listen(console: Console) -> StopSignals:
     """Count Ctrl-C and requests to terminate, and say so the first time."""
 
-    def say() -> None:
-        if stops.count == 1:
+    def say(count: int) -> None:
+        if count == 1:
             console.print("Stopping after the updates under way; once more stops at once.")
 
-    stops = StopSignals(on_signal=say, respect_nohup=True)
-    return stops
+    return StopSignals(on_signal=say, respect_nohup=True)

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import time
-from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rich.console import Console
 
+from surefoot.cli.options import make_figures_folder
 from surefoot.cli.policies import find_world
 from surefoot.errors import SurefootError
 from surefoot.learn.study_config import StudyConfig, StudyRun, study_runs
@@ -17,12 +17,8 @@ if TYPE_CHECKING:
     from surefoot.evaluate.comparison import Comparison, SeedResult
 
 
-def check_kinds(study: StudyConfig, worlds: bool = False) -> None:
-    """Refuse evaluations that can't be made, before anything is trained.
-
-    Args:
-        study: the study.
-        worlds: refuse worlds that there are not, too.
+def check_kinds(study: StudyConfig, worlds: bool) -> None:
+    """Refuse evaluations that can't be made, and `worlds` that do not exist, before anything is trained.
 
     Raises:
         SurefootError: with what can't be made.
@@ -59,23 +55,18 @@ def evaluate_runs(study: StudyConfig, runs: list[StudyRun], threads: int, consol
 
 def report(study: StudyConfig, root: Path, out: Path, command: str, console: Console) -> None:
     """Write tables, figures and README of all runs that are finished and evaluated, whichever were asked for now."""
-    import_module("matplotlib")
+    comparison = _collect(study, root)
+    make_figures_folder(out)
     from surefoot.report.study_report import write_report
 
-    comparison = collect(study, root)
-    out.mkdir(parents=True, exist_ok=True)
     readme = write_report(comparison, out, command)
     if comparison.missing:
         console.print(f"Not in the report: {', '.join(comparison.missing)}")
     console.print(f"Report: {readme}")
 
 
-def collect(study: StudyConfig, root: Path) -> Comparison:
-    """All runs of a study that are finished and have every evaluation.
-
-    Raises:
-        SurefootError: there is none.
-    """
+def _collect(study: StudyConfig, root: Path) -> Comparison:
+    """Return all runs of a study that are finished and have every evaluation; one or more."""
     from surefoot.evaluate.comparison import Comparison, GroupResult
     from surefoot.evaluate.evaluations import evaluation_names
 

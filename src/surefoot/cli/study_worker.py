@@ -18,6 +18,7 @@ from surefoot.errors import SurefootError
 from surefoot.learn.config import TrainConfig
 from surefoot.learn.study_config import StudyRun
 from surefoot.learn.workers import orphaned
+from surefoot.stop_signals import StopSignals
 
 if TYPE_CHECKING:
     from surefoot.learn.run import Evaluation
@@ -30,21 +31,15 @@ PATIENCE = 120.0
 
 def main() -> int:
     """Train the run that standard input names; returns 0 when finished, 130 when stopped, 2 for what can be mended."""
-    asked = [False]
-
-    def stop(*_: object) -> None:
-        asked[0] = True
-
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    signal.signal(signal.SIGTERM, stop)
     request = json.loads(sys.stdin.readline())
     config = from_mapping(TrainConfig, request["config"])
     run = StudyRun(request["group"], config, Path(request["path"]))
     from surefoot.learn.run_folder import alone
 
     try:
-        with alone(run.path, PATIENCE):
-            return 0 if _train(run, lambda: asked[0] or orphaned()) else STOPPED
+        with StopSignals(("SIGTERM",)) as stop, alone(run.path, PATIENCE):
+            return 0 if _train(run, lambda: stop.count > 0 or orphaned()) else STOPPED
     except SurefootError as error:
         print(error, file=sys.stderr)
         return 2

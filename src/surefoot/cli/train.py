@@ -98,13 +98,12 @@ def _train(config: TrainConfig | None, path: Path) -> int:
 def _listen(console: Console) -> StopSignals:
     """Turn Ctrl-C and a request to terminate into a stop after the update under way; a second one stops at once."""
 
-    def stop() -> None:
-        if stops.count > 1:
+    def stop(count: int) -> None:
+        if count > 1:
             raise KeyboardInterrupt
         console.print("Stopping after this update; once more stops at once, back at the last checkpoint.")
 
-    stops = StopSignals(("SIGINT", "SIGTERM"), stop)
-    return stops
+    return StopSignals(("SIGINT", "SIGTERM"), stop)
 
 
 def check_config(config: TrainConfig) -> None:

@@ -1,16 +1,27 @@
-"""A recorded run in MuJoCo's viewer: every link is a mocap body at its recorded pose."""
+"""Robots in MuJoCo's viewer, where every link is a mocap body: recorded runs, and emulated robots while they run."""
 
 from __future__ import annotations
 
+import contextlib
+import multiprocessing
+import signal
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from surefoot.errors import SurefootError
 from surefoot.report.drawing import Shape
+from surefoot.report.scene import poses, scene, trace_poses
+from surefoot.robot import RobotDescription
 from surefoot.rotations import matrix_quat
+from surefoot.task.trace import EpisodeTrace
+
+if TYPE_CHECKING:
+    from surefoot.emulator.plant import Plant
 
 Array = NDArray[np.float64]
 _KINDS = {
@@ -18,6 +29,9 @@ _KINDS = {
     "cylinder": mujoco.mjtGeom.mjGEOM_CYLINDER,
     "sphere": mujoco.mjtGeom.mjGEOM_SPHERE,
 }
+_PERIOD = 33_000
+"""Time between two poses of an emulated robot [us]."""
+_BASE = 7
 
 
 def build_stage(shapes: Sequence[Shape]) -> mujoco.MjModel:
@@ -45,9 +59,9 @@ def build_stage(shapes: Sequence[Shape]) -> mujoco.MjModel:
     return spec.compile()
 
 
-def set_stage(model: mujoco.MjModel, data: mujoco.MjData, poses: Mapping[str, Array], step: int) -> None:
-    """Move every body to its pose at one step of `poses` (T, 4, 4)."""
-    for name, pose in poses.items():
+def set_stage(model: mujoco.MjModel, data: mujoco.MjData, at: Mapping[str, Array], step: int) -> None:
+    """Move every body to its pose at one step of `at` (T, 4, 4)."""
+    for name, pose in at.items():
         body = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, name)
         if body >= 0:
             row = model.body_mocapid[body]
@@ -55,26 +69,77 @@ def set_stage(model: mujoco.MjModel, data: mujoco.MjData, poses: Mapping[str, Ar
     mujoco.mj_kinematics(model, data)
 
 
-def replay(shapes: Sequence[Shape], poses: Mapping[str, Array], times: Array, follow: str) -> None:
-    """Show a run in real time, repeatedly, until the window is closed.
+def replay(robot: RobotDescription, trace: EpisodeTrace) -> None:
+    """Show a recorded run in real time, repeatedly, until the window is closed."""
+    recorded, times, start = trace_poses(robot, trace), trace.time, time.perf_counter()
 
-    Args:
-        shapes: what to draw.
-        poses: by body, (T, 4, 4).
-        times: (T,) s.
-        follow: body that the camera follows.
-    """
+    def now() -> tuple[Mapping[str, Array], int]:
+        played = (time.perf_counter() - start) % float(times[-1])
+        return recorded, min(int(np.searchsorted(times, played)), len(times) - 1)
+
+    _show(robot, now)
+
+
+def _show(robot: RobotDescription, now: Callable[[], tuple[Mapping[str, Array], int]]) -> None:
+    """Show a robot until the window is closed; `now` gives poses by body (T, 4, 4), and the step to show."""
     import mujoco.viewer
 
-    model = build_stage(shapes)
+    model = build_stage(scene(robot))
     data = mujoco.MjData(model)
     with mujoco.viewer.launch_passive(model, data, show_left_ui=False, show_right_ui=False) as viewer:
         viewer.cam.type = mujoco.mjtCamera.mjCAMERA_TRACKING
-        viewer.cam.trackbodyid = model.body(follow).id
+        viewer.cam.trackbodyid = model.body(robot.base).id
         viewer.cam.distance, viewer.cam.azimuth, viewer.cam.elevation = 1.4, 120, -15
-        start = time.perf_counter()
         while viewer.is_running():
-            now = (time.perf_counter() - start) % float(times[-1])
-            set_stage(model, data, poses, min(int(np.searchsorted(times, now)), len(times) - 1))
+            # Where a leg can't close its loop for a moment, the last picture stays.
+            with contextlib.suppress(SurefootError):
+                set_stage(model, data, *now())
             viewer.sync()
             time.sleep(1 / 60)
+
+
+class EmulateViewer:
+    """Shows an emulated robot while it runs, from another process: a window can't hold up the robot's.
+
+    Args:
+        robot: name or folder.
+        plant: its body.
+    """
+
+    def __init__(self, robot: str, plant: Plant) -> None:
+        self._plant = plant
+        context = multiprocessing.get_context("spawn")
+        # Written here and read there without a lock: half a pose is drawn at worst, and for 1/60 s.
+        self._shared = context.RawArray("d", _BASE + plant.robot.num_motors)
+        self._next = 0
+        self._write()
+        self._process = context.Process(target=_show_shared, args=(robot, self._shared), daemon=True)
+        self._process.start()
+
+    def see(self, now: int) -> None:
+        """Take in that a servo step has ended at this time [us]."""
+        if now >= self._next:
+            self._next = now + _PERIOD
+            self._write()
+
+    def _write(self) -> None:
+        base = self._plant.capture()
+        self._shared[:] = [*base.position, *base.quat, *self._plant.vitals().motor_angle]
+
+    def close(self) -> None:
+        """Close the window."""
+        self._process.terminate()
+        self._process.join()
+
+
+def pose_of(robot: RobotDescription, numbers: Any) -> dict[str, Array]:
+    """Return transforms (1, 4, 4) of all links, by name, from base position, quaternion and motor angles in a row."""
+    row = np.array(numbers)
+    return poses(robot, row[:3], row[3:_BASE], row[_BASE:])
+
+
+def _show_shared(name: str, shared: Any) -> None:
+    """Show a robot at the pose that is shared."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the emulator hears it too, and closes the window
+    robot = RobotDescription.load(name)
+    _show(robot, lambda: (pose_of(robot, shared), 0))

@@ -1,0 +1,102 @@
+"""Options that several commands share, and checks of the files and folders that options name."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from surefoot import configuration
+from surefoot.cli.simulator import Simulator, SimulatorOptions
+from surefoot.configuration import Within
+from surefoot.errors import SurefootError
+
+PolicyName = Annotated[
+    str,
+    tyro.conf.Positional,
+    tyro.conf.arg(
+        metavar="POLICY", help="Path of a policy file (.onnx), or the name of a policy that ships with surefoot."
+    ),
+]
+PolicyNames = Annotated[
+    tuple[str, ...],
+    tyro.conf.Positional,
+    tyro.conf.arg(
+        metavar="POLICY [POLICY ...]",
+        help="Paths of policy files (.onnx), or names of policies that ship with surefoot.",
+    ),
+]
+Repeated = Annotated[tuple[tuple[str, ...], ...], tyro.conf.UseAppendAction]
+"""Values of an option that may be given any number of times, with one or more values each time."""
+Settings = Annotated[Repeated, tyro.conf.arg(name="set", metavar="NAME=VALUE [...]")]
+Pushes = Annotated[
+    bool, tyro.conf.arg(help="Push the robot at random, as its task says how; without this nothing pushes.")
+]
+Count = Annotated[int, Within(1, 10_000)]
+"""Number of episodes or runs."""
+Seed = Annotated[configuration.Seed, tyro.conf.arg(help="Seed of all random numbers.")]
+Threads = Annotated[configuration.Threads, tyro.conf.arg(help="Threads of the simulation; 0 means one a core.")]
+World = Annotated[str, tyro.conf.arg(help="Where to run: mujoco or bullet.")]
+Json = Annotated[bool, tyro.conf.arg(help="Print one JSON object.")]
+Port = Annotated[str, tyro.conf.arg(help="Serial port or pseudo-terminal of the robot, such as /dev/ttyUSB0.")]
+Lockstep = Annotated[bool, tyro.conf.arg(help="The robot is an emulator that runs with --lockstep.")]
+Baud = Annotated[int, Within(9600, 100_000_000), tyro.conf.arg(help="Bits a second of a serial port.")]
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunOptions:
+    """Options of commands that run one policy in one world."""
+
+    pushes: Pushes = False
+    settings: Settings = ()
+    """Physical parameters that differ from the task's, such as motor_strength=0.8."""
+    seed: Seed = 1
+    world: World = "mujoco"
+    simulator: SimulatorOptions = Simulator()
+    """Another simulator than the policy's own."""
+    robot: str | None = None
+    """Name or folder of the robot; the one of the policy's task, if not given."""
+
+
+def check_policies(names: tuple[str, ...]) -> None:
+    """Refuse a command without any policy.
+
+    Raises:
+        SurefootError: there is none.
+    """
+    if not names:
+        raise SurefootError("no policy is given; give one or more .onnx files, or names of policies that ship")
+
+
+def check_suffix(what: str, path: Path | None, suffix: str) -> None:
+    """Refuse the name of a file that does not end as it must.
+
+    Raises:
+        SurefootError: with what the file is for, its name, and the rule.
+    """
+    if path is not None and path.suffix.lower() != suffix:
+        raise SurefootError(f"{what} {path}: the name must end in {suffix}")
+
+
+def check_folder(path: Path | None) -> None:
+    """Refuse a file where `--out` must be a folder.
+
+    Raises:
+        SurefootError: there is one.
+    """
+    if path is not None and path.exists() and not path.is_dir():
+        raise SurefootError(f"out is {path}; it must be a folder")
+
+
+def make_figures_folder(path: Path | None) -> None:
+    """Make the folder for results with figures, if one is wanted, before anything is simulated.
+
+    Raises:
+        ModuleNotFoundError: what draws figures is not installed.
+    """
+    if path is not None:
+        import_module("matplotlib")
+        path.mkdir(parents=True, exist_ok=True)

@@ -1,0 +1,39 @@
+"""Policies and robots that ship, edited."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from surefoot.cli.policies import find_policy
+from surefoot.policy.contract import METADATA_KEY
+from surefoot.policy.digest import stamped
+from surefoot.robot import RobotDescription
+
+
+def edited_policy(
+    path: Path, change: Callable[[dict[str, Any]], object], policy: str = "gallop", signed: bool = True
+) -> Path:
+    """Write a policy whose contract is changed, with a digest that fits, or with none."""
+    onnx = pytest.importorskip("onnx")
+    model = onnx.load(find_policy(policy))
+    (entry,) = (entry for entry in model.metadata_props if entry.key == METADATA_KEY)
+    contract = json.loads(entry.value)
+    change(contract)
+    onnx.helper.set_model_props(model, {METADATA_KEY: json.dumps(contract)})
+    content = model.SerializeToString()
+    path.write_bytes(stamped(content) if signed else content)
+    return path
+
+
+def maxitaur(folder: Path) -> Path:
+    """Copy the robot minitaur into a folder and call it maxitaur; return the folder."""
+    shutil.copytree(RobotDescription.load("minitaur").folder, folder)
+    sheet = folder / "robot.toml"
+    sheet.write_text(sheet.read_text().replace('name = "minitaur"', 'name = "maxitaur"'))
+    return folder
