@@ -179,8 +179,7 @@ def _figures(folder: Path, traces: list[EpisodeTrace], robot: RobotDescription) 
 
     from surefoot.report.figures import episode_plot, footfall_diagram
 
-    leg_angle = np.concatenate(robot.motor_to_leg_pose(traces[0].motor_angle), axis=-1)
-    plot = episode_plot(traces[0], folder / "episode.png", leg_angle=leg_angle)
+    plot = episode_plot(traces[0], robot, folder / "episode.png")
     # Without switches in the feet nothing is known of footfalls.
     if np.isnan(traces[0].foot_contact).any():
         return [plot]

@@ -7,7 +7,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from rich.console import Console
 
 from surefoot.cli.evaluate import print_summaries
@@ -67,8 +66,7 @@ def report_run(
     nominal = traces["without_pushes"]
     median = sorted(nominal, key=lambda trace: trace.base_position_world[-1, 0])[len(nominal) // 2]
     footfall_diagram(median, figures / "footfalls.png")
-    leg_angle = np.concatenate(robot.motor_to_leg_pose(median.motor_angle), axis=-1)
-    episode_plot(median, figures / "episode.png", leg_angle=leg_angle)
+    episode_plot(median, robot, figures / "episode.png")
     shapes, poses = scene(robot), trace_poses(robot, median)
     render_video(shapes, poses, median.time, figures / "video.mp4", overlay=captions(median), follow=robot.base)
     print_summaries({name.replace("_", " "): summary for name, summary in results.items()})
