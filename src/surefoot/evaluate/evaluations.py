@@ -138,7 +138,11 @@ def gap_of(result: Result, name: str) -> PolicyGap:
 
 def _mean(*keys: str, factor: float = 1.0) -> Callable[[Result], float]:
     """Return what reads the mean of a column, which lies at the end of some keys."""
-    return lambda result: factor * float(np.mean(functools.reduce(operator.getitem, keys, result)))
+
+    def read(result: Any) -> float:
+        return factor * float(np.mean(functools.reduce(operator.getitem, keys, result)))
+
+    return read
 
 
 def _over_worlds(name: str) -> Callable[[Result], float]:

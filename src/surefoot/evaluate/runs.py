@@ -98,9 +98,10 @@ class Runs:
         if not runs:
             raise SurefootError("no runs; a gap is measured from 1 run or more in each world")
         name = common(runs, "world") if world is None else world
-        columns = np.array([_measured(trace) for trace in runs]).T.copy()
+        returns, distance, speed, power, steps = np.array([_measured(trace) for trace in runs]).T.copy()
+        fell = np.array([trace.fell for trace in runs])
         balanced = np.array([trace.meta["ended"] == "time" for trace in runs])
-        return cls(name, *columns, fell=np.array([trace.fell for trace in runs]), balanced=balanced)
+        return cls(name, returns, distance, speed, power, steps, fell, balanced)
 
     @classmethod
     def pooled(cls, parts: Sequence[Runs]) -> Runs:
