@@ -15,8 +15,8 @@ pytest.importorskip("gymnasium")
 
 from surefoot.configuration import to_mapping
 from surefoot.errors import SurefootError
-from surefoot.evaluate.metrics import episode_metrics
 from surefoot.evaluate.rollout import run_episodes, task_from_contract
+from surefoot.evaluate.runs import Runs
 from surefoot.policy.contract import Contract, ObservationPart
 from surefoot.robot import RobotDescription
 from surefoot.task.config import FeedbackConfig, ReferenceConfig, TaskConfig, load_task
@@ -65,8 +65,7 @@ def test_a_trace_is_what_the_environment_did_step_by_step():
         assert np.array_equal(second.base_position_world[step + 1], env.truth.base_position_world[1])
         assert np.array_equal(second.foot_contact[step], env.truth.foot_contact[1])
     assert np.allclose(second.feedback, policy.row)
-    for trace, total in zip((first, second), reward, strict=True):
-        assert episode_metrics(trace).return_ == pytest.approx(total, abs=1e-9)
+    assert Runs.of_traces([first, second]).returns == pytest.approx(reward, abs=1e-9)
     assert first.meta["policy"] == "constant"
     assert first.meta["ended"] == "time"
     assert first.num_steps == 40

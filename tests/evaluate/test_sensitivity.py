@@ -17,19 +17,20 @@ from numpy.typing import ArrayLike, NDArray
 pytest.importorskip("mujoco")
 pytest.importorskip("gymnasium")
 
+
 from surefoot.errors import SurefootError
-from surefoot.evaluate.breaks import find_breaks
-from surefoot.evaluate.metrics import episode_metrics
 from surefoot.evaluate.rollout import run_episodes
+from surefoot.evaluate.runs import Runs
 from surefoot.evaluate.sensitivity import (
     Nominal,
     Sensitivity,
     TestWorld,
+    find_breaks,
     make_test_worlds,
     row_unit,
     run_sensitivity,
 )
-from surefoot.robot import PhysicalParams, RobotDescription
+from surefoot.robot import PhysicalParams
 from surefoot.tables import write_csv
 from surefoot.task.config import TaskConfig, load_task
 from surefoot.task.randomize import RandomizeConfig, load_ranges
@@ -139,13 +140,6 @@ def test_worlds_are_the_ends_and_what_lies_between():
     assert worlds == (TestWorld("mass", 0.9), TestWorld("mass", 1.0), TestWorld("mass", 1.1), TestWorld("voltage", 15))
 
 
-def test_worlds_that_can_not_be_are_refused():
-    with pytest.raises(SurefootError, match="values is 1; it must be 2 or more"):
-        make_test_worlds(load_ranges("table1"), 1)
-    with pytest.raises(SurefootError, match="the table of ranges has no rows"):
-        make_test_worlds(RandomizeConfig())
-
-
 def test_returns_by_hand_over_the_same_time():
     ranges = RandomizeConfig(control_step=(0.003, 0.020), contact_friction=(0.5, 1.0))
     policy = Constant()
@@ -193,9 +187,8 @@ def test_the_default_time_is_the_task_s():
     ranges = RandomizeConfig(control_step=(0.003, 0.020))
     result = run_sensitivity(Constant(), trot(100), scripted(), ranges=ranges, values=2, episodes=1)
     assert np.allclose(result.returns, 0.552)
-    slower = run_sensitivity(
-        Constant(), trot(100, params={"control_step": 0.012}), scripted(), ranges=ranges, values=2, episodes=1
-    )
+    task = trot(100, params={"control_step": 0.012})
+    slower = run_sensitivity(Constant(), task, scripted(), ranges=ranges, values=2, episodes=1)
     assert np.allclose(slower.returns, 1.104)
     assert slower.nominal.values["control_step"] == 0.012
 
@@ -222,9 +215,8 @@ def test_an_episode_is_the_one_that_evaluate_runs(pushes: bool, max_steps: int):
     ranges = RandomizeConfig(
         mass=(0.8, 1.2), motor_strength=(0.8, 1.1), control_step=(0.003, 0.02), latency=(0.0, 0.04)
     )
-    result = run_sensitivity(
-        Reactive(), task, SimWorld, ranges=ranges, values=2, episodes=3, seed=7, threads=1, pushes=pushes
-    )
+    options: dict[str, Any] = {"ranges": ranges, "values": 2, "episodes": 3, "seed": 7, "threads": 1}
+    result = run_sensitivity(Reactive(), task, SimWorld, pushes=pushes, **options)
     assert [world.row for world in result.worlds[::2]] == list(ranges.ranges)
     checked: list[tuple[dict[str, float], int, Any, Any]] = [
         ({}, max_steps, result.nominal.returns, result.nominal.speed),
@@ -235,10 +227,8 @@ def test_an_episode_is_the_one_that_evaluate_runs(pushes: bool, max_steps: int):
     ]
     for params, steps, returns, speed in checked:
         same = replace(task, params=params, max_steps=steps)
-        traces = run_episodes(Reactive(), same, 3, SimWorld, seed=7, threads=1)
-        metrics = [episode_metrics(trace) for trace in traces]
-        assert np.allclose(returns, [item.return_ for item in metrics], rtol=0, atol=1e-9), params
-        assert np.allclose(speed, [item.speed for item in metrics], rtol=0, atol=1e-9), params
+        runs = Runs.of_traces(run_episodes(Reactive(), same, 3, SimWorld, seed=7, threads=1))
+        assert np.allclose([returns, speed], [runs.returns, runs.speed], rtol=0, atol=1e-9), params
     assert len(np.unique(result.returns.round(9))) == result.returns.size
 
 
@@ -261,16 +251,9 @@ def test_robots_side_by_side_change_nothing_but_the_memory():
 def test_progress_counts_to_the_end():
     seen: list[float] = []
     ranges = RandomizeConfig(control_step=(0.003, 0.020))
-    run_sensitivity(
-        Constant(),
-        trot(),
-        scripted(fall_time=staticmethod(lambda p: np.where(p.control_step < 0.005, 0.3, math.inf))),
-        ranges=ranges,
-        values=2,
-        episodes=1,
-        duration=0.6,
-        progress=seen.append,
-    )
+    world = scripted(fall_time=staticmethod(lambda p: np.where(p.control_step < 0.005, 0.3, math.inf)))
+    options: dict[str, Any] = {"ranges": ranges, "values": 2, "episodes": 1, "duration": 0.6}
+    run_sensitivity(Constant(), trot(), world, progress=seen.append, **options)
     # 100 nominal steps, 200 of 3 ms of which a fall spares the second half, 30 of 20 ms.
     assert seen == sorted(seen)
     assert seen[0] == pytest.approx(3 / 330)
@@ -282,6 +265,8 @@ def test_progress_counts_to_the_end():
     [
         ({"episodes": 0}, "episodes is 0; it must be 1 or more"),
         ({"seed": -1}, "seed is -1; it must be 0 or more"),
+        ({"values": 1}, "values is 1; it must be 2 or more"),
+        ({"ranges": RandomizeConfig()}, "the table of ranges has no rows"),
         ({"duration": 0.0}, "duration is 0 s; it must be over 0"),
         ({"duration": math.nan}, "duration is nan s"),
         ({"ranges": RandomizeConfig(voltage=(1.0, 16.0))}, r"randomize.voltage is \[1, 16\]; minitaur allows voltage"),
@@ -289,7 +274,7 @@ def test_progress_counts_to_the_end():
 )
 def test_what_does_not_fit_is_refused(options: dict[str, Any], message: str):
     with pytest.raises(SurefootError, match=message):
-        run_sensitivity(Constant(), trot(), scripted(), **options)
+        run_sensitivity(Constant(), trot(), scripted(), **{"ranges": load_ranges("table1"), **options})
 
 
 def made_up(
@@ -362,16 +347,8 @@ def test_tables_hold_the_worlds_and_the_raw_episodes(tmp_path: Path):
     study = made_up({"latency": [4.0, 8.0], "mass": [5.0, 6.0]}, {"latency": [3, 0]})
     first, *_, last = study.world_rows()
     numbers = {"return_mean": 4.0, "return_error": pytest.approx(math.sqrt(1 / 3)), "return_std": 1.0}
-    about = {
-        "policy": "trot",
-        "row": "latency",
-        "unit": "s",
-        "value": 0.0,
-        "episodes": 4,
-        "speed_mean": 0.5,
-        "falls": 3,
-    }
-    assert first == about | numbers
+    about = {"policy": "trot", "row": "latency", "unit": "s", "value": 0.0, "episodes": 4}
+    assert first == about | numbers | {"speed_mean": 0.5, "falls": 3}
     assert (last["row"], last["unit"], last["value"], last["return_mean"]) == ("mass", "", 1.2, 6.0)
     with write_csv(tmp_path / "e.csv", study.episode_rows()).open() as file:
         rows = list(csv.DictReader(file))
@@ -391,7 +368,6 @@ def test_results_come_back_from_json():
 
 
 def test_the_robot_s_nominal_values_are_told():
-    assert RobotDescription.load("minitaur").nominal_params()["control_latency"] == 0.02
     ranges = RandomizeConfig(latency=(0.0, 0.04), motor_strength=(0.8, 1.2), mass=(0.8, 1.2))
     task = trot(params={"motor_strength": 0.9})
     result = run_sensitivity(Constant(), task, scripted(), ranges=ranges, values=2, episodes=1, duration=0.1)

@@ -17,9 +17,8 @@ from surefoot.evaluate.statistics import Interval, crossed_interval, t_interval,
 def test_t_interval_of_three_numbers_by_hand() -> None:
     # Mean 2, standard deviation 1, standard error 1 / sqrt 3, and t(0.975, 2) = 4.302653.
     interval = t_interval([1.0, 2.0, 3.0])
-    assert interval.mean == 2
-    assert interval.high - 2 == pytest.approx(4.302653 / math.sqrt(3), rel=1e-6)
-    assert 2 - interval.low == pytest.approx(4.302653 / math.sqrt(3), rel=1e-6)
+    half = pytest.approx(4.302653 / math.sqrt(3), rel=1e-6)
+    assert (interval.mean, interval.high - 2, 2 - interval.low) == (2, half, half)
 
 
 def test_welch_interval_of_alike_spreads_by_hand() -> None:
@@ -46,20 +45,18 @@ def test_welch_turned_round_is_the_negative() -> None:
 
 def test_intervals_cover_the_truth_as_often_as_they_say() -> None:
     random = np.random.default_rng(1)
-    rounds, inside, between = 3000, 0, 0
+    rounds, inside, between = 1000, 0, 0
     for _ in range(rounds):
         a, b = random.normal(2.0, 1.0, 3), random.normal(1.0, 0.3, 4)
         inside += (found := t_interval(a)).low <= 2 <= found.high
         between += (found := welch_interval(a, b)).low <= 1 <= found.high
-    assert inside / rounds == pytest.approx(0.95, abs=0.015)
+    assert inside / rounds == pytest.approx(0.95, abs=0.02)
     assert between / rounds == pytest.approx(0.95, abs=0.02)
 
 
 def test_one_number_has_no_interval() -> None:
     for interval in (t_interval([1.5]), welch_interval([2.0], [0.5]), welch_interval([2.0, 2.0], [0.5])):
-        assert interval.mean == 1.5
-        assert not interval.known
-        assert interval.covers_zero
+        assert (interval.mean, interval.known, interval.covers_zero) == (1.5, False, True)
 
 
 def test_numbers_that_do_not_vary_give_a_point() -> None:
@@ -70,9 +67,8 @@ def test_numbers_that_do_not_vary_give_a_point() -> None:
 
 
 def test_covers_zero() -> None:
-    assert Interval(1.0, -0.1, 2.1).covers_zero
-    assert not Interval(1.0, 0.1, 1.9).covers_zero
-    assert not Interval(-1.0, -1.9, -0.1).covers_zero
+    intervals = Interval(1.0, -0.1, 2.1), Interval(1.0, 0.1, 1.9), Interval(-1.0, -1.9, -0.1)
+    assert [interval.covers_zero for interval in intervals] == [True, False, False]
 
 
 @pytest.mark.parametrize("values", [[], [1.0, math.nan], [[1.0, 2.0]]])

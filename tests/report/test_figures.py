@@ -24,10 +24,10 @@ from surefoot.evaluate.gap import PolicyGap
 from surefoot.evaluate.runs import Runs
 from surefoot.evaluate.sensitivity import Nominal, Sensitivity, TestWorld
 from surefoot.report.figures import episode_plot, footfall_diagram
-from surefoot.report.gap_figures import gap_figure
+from surefoot.report.gap_figures import _mean_power, gap_figure, side_by_side
 from surefoot.report.parameter_figures import aggregate_figure, parameter_figure, parameters_figure
-from surefoot.report.side_by_side import _mean_power, side_by_side
 from surefoot.report.study_figures import group_figure, learning_curves
+from surefoot.robot import RobotDescription
 from surefoot.task.trace import EpisodeTrace
 
 pytestmark = pytest.mark.filterwarnings("error")
@@ -69,7 +69,7 @@ def trot(make_run: MakeRun, steps: int = 700, known: bool = True) -> EpisodeTrac
         "base_position_world": np.outer(np.arange(steps + 1) * 0.006, [0.6, 0.02, 0.0]) + gap,
         "base_quat_world": np.tile([1.0, 0.0, 0.0, 0.0], (steps + 1, 1)) + gap,
         "roll_pitch_yaw": 0.05 * rng.normal(size=(steps, 3)),
-        "feedback": 0.2 * np.sin(time[:, None] * 12 + np.arange(8)),
+        "motor_angle": 0.2 * np.sin(time[:, None] * 12 + np.arange(8)),
         "energy": 0.4 * rng.random(steps),
         "foot_contact": ((time[:, None] / 0.5 - phases) % 1.0 < 0.4).astype(float) + gap,
     }
@@ -78,13 +78,12 @@ def trot(make_run: MakeRun, steps: int = 700, known: bool = True) -> EpisodeTrac
 
 @pytest.mark.parametrize(("steps", "known"), [(700, True), (1, True), (700, False)])
 def test_footfalls_and_an_episode(
-    steps: int, known: bool, make_run: MakeRun, tmp_path: Path, drawn: list[Figure]
+    steps: int, known: bool, robot: RobotDescription, make_run: MakeRun, tmp_path: Path, drawn: list[Figure]
 ) -> None:
     trace = trot(make_run, steps, known)
     assert footfall_diagram(trace, tmp_path / "deeper" / "feet.png").exists()
-    episode_plot(trace, tmp_path / "episode.png")
-    episode_plot(trace, tmp_path / "episode.png", leg_angle=trace.feedback)
-    feet, episode, _ = drawn
+    episode_plot(trace, robot, tmp_path / "episode.png")
+    feet, episode = drawn
     # Four feet, one row each; bars of the front left foot start at its touchdowns, 0.5 s apart.
     assert [label.get_text().split(" (")[0] for label in feet.axes[0].get_yticklabels()] == [
         *("back right", "front right", "front left", "back left")
@@ -94,16 +93,16 @@ def test_footfalls_and_an_episode(
         np.testing.assert_allclose(np.diff(starts[1:]), 0.5, atol=0.01)
     roll, pitch = lines(episode, 0, 1)
     np.testing.assert_array_equal([roll, pitch], trace.roll_pitch_yaw[:, :2].T)
-    assert len(lines(episode, 4, 1)) == 4
+    # One second, from 2 s on where there is as much.
+    shown = (trace.time >= min(trace.duration, 2.0) - 1e-9) & (trace.time <= 3.0) if steps > 1 else [0]
+    np.testing.assert_array_equal(lines(episode, 4, 1), robot.motor_to_leg_pose(trace.motor_angle[shown])[0].T)
     power = lines(episode, 3, 1)[0]
     assert np.mean(power) == pytest.approx(trace.energy.mean() / 0.006)
 
 
-def test_figures_of_an_episode_refuse_what_does_not_fit(make_run: MakeRun, tmp_path: Path) -> None:
-    with pytest.raises(SurefootError, match="leg_angle"):
-        episode_plot(trot(make_run), tmp_path / "a.png", leg_angle=np.zeros((3, 8)))
+def test_a_figure_is_a_png(make_run: MakeRun, tmp_path: Path) -> None:
     with pytest.raises(SurefootError, match=r"must end in \.png"):
-        episode_plot(trot(make_run), tmp_path / "a.pdf")
+        footfall_diagram(trot(make_run), tmp_path / "a.pdf")
     assert list(tmp_path.iterdir()) == []
 
 
@@ -204,13 +203,9 @@ def test_the_return_over_all_test_worlds(tmp_path: Path, drawn: list[Figure]) ->
     assert sorted(drawn[0].axes[0].lines[0].get_xdata()) == pytest.approx(sorted([3.0, 2.5, 2.0, 1.5, 1.0] * 2))
 
 
-def test_figures_of_test_worlds_refuse_what_does_not_fit(tmp_path: Path) -> None:
+def test_a_parameter_figure_refuses_a_row_that_was_not_varied(tmp_path: Path) -> None:
     with pytest.raises(SurefootError, match="row 'voltage' is in no test world of trot"):
         parameter_figure("voltage", {"trot": [sensitivity()]}, tmp_path / "a.png")
-    with pytest.raises(SurefootError, match="no test worlds"):
-        parameters_figure({"trot": []}, tmp_path / "a.png")
-    with pytest.raises(SurefootError, match="no sensitivity is given"):
-        aggregate_figure([], tmp_path / "a.png")
     assert list(tmp_path.iterdir()) == []
 
 
@@ -237,8 +232,6 @@ def test_groups_side_by_side(seeds: int, tmp_path: Path, drawn: list[Figure], ga
     assert widths == pytest.approx([group.interval("nominal_return").mean for group in study.groups])
     dots = [line.get_xdata() for line in first.lines if line.get_marker() == "o"]
     assert [list(values) for values in dots] == [list(group.values("nominal_return")) for group in study.groups]
-    with pytest.raises(SurefootError, match="none of the figures"):
-        group_figure(study, tmp_path / "b.png", ["table1_falls"])
 
 
 @pytest.mark.parametrize("steps", [1, 20, 200, 1000])
@@ -252,8 +245,6 @@ def test_runs_in_several_worlds_side_by_side(
     assert home[-1] == 2.0
     assert np.isnan(robot).all()
     np.testing.assert_allclose(lines(drawn[0], 2, 1), 20.0)
-    with pytest.raises(SurefootError, match="every world needs one run or more"):
-        side_by_side({"home": []}, tmp_path / "b.png", "trot")
 
 
 def test_power_is_the_energy_of_the_last_half_second(make_run: MakeRun) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,7 +14,6 @@ pytest.importorskip("PIL.Image")
 from surefoot.errors import SurefootError
 from surefoot.report.scene import poses, scene, trace_poses
 from surefoot.robot import RobotDescription
-from surefoot.rotations import quat_matrix
 from surefoot.task.trace import EpisodeTrace
 
 ROBOT = RobotDescription.load("minitaur")
@@ -33,18 +33,6 @@ def test_every_visual_becomes_a_shape_of_its_color():
     assert (base.body, base.kind, base.size) == ("base", "box", (0.15, 0.065, 0.0435))
     rotor = next(shape for shape in shapes if shape.kind == "cylinder")
     assert np.allclose(rotor.rotation @ np.array([0, 0, 1]), [0, -1, 0])
-
-
-@pytest.mark.parametrize(
-    ("quat", "turned"),
-    [
-        ([1, 0, 0, 0], [1, 0, 0]),
-        ([np.sqrt(0.5), 0, 0, np.sqrt(0.5)], [0, 1, 0]),
-        ([np.sqrt(0.5), 0, np.sqrt(0.5), 0], [0, 0, -1]),
-    ],
-)
-def test_a_quaternion_turns_x(quat: list[float], turned: list[float]):
-    assert np.allclose(quat_matrix(quat) @ np.array([1.0, 0, 0]), turned)
 
 
 def test_feet_are_where_the_leg_geometry_says():
@@ -91,8 +79,6 @@ def test_what_is_not_known_is_not_drawn():
 
 
 def test_a_robot_without_visuals_is_refused(tmp_path: Path):
-    import re
-
     text = re.sub(r"<visual>.*?</visual>", "", ROBOT.urdf.path.read_text())
     (tmp_path / "bare.urdf").write_text(text)
     bare = replace(ROBOT, urdf=replace(ROBOT.urdf, path=tmp_path / "bare.urdf"))

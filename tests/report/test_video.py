@@ -107,7 +107,7 @@ def test_nearer_covers_farther_whatever_the_order_of_the_shapes() -> None:
         Shape("far", "box", (0.1, 0.05, 0.05), color=BLUE),
     )
     for shapes in ([near, far], [far, near]):
-        picture = render_frame(shapes, poses, size=SIZE, camera=camera)
+        picture = render_frame(shapes, poses, camera=camera)
         assert looks(picture, RED).sum() > 500
         assert looks(picture, BLUE).sum() == 0
 
@@ -122,7 +122,7 @@ def test_a_long_box_beside_a_small_one_is_ordered_by_planes_not_centres() -> Non
     camera = Camera(offset=(1.2, -0.8, 0.2))
 
     def red(*drawn: Shape) -> int:
-        return int(looks(render_frame(drawn, poses, size=SIZE, camera=camera), RED).sum())
+        return int(looks(render_frame(drawn, poses, camera=camera), RED).sum())
 
     assert red(shapes[0]) > 30
     assert red(*shapes) == red(*shapes[::-1]) > 0.9 * red(shapes[0])
@@ -157,8 +157,8 @@ def test_there_is_a_shadow_on_the_ground(walker) -> None:
     now = {body: p[0] for body, p in poses.items()}
     aloft = {body: p @ pose(z=5.0) for body, p in now.items()}
     camera = Camera(height=0.1)
-    low = np.asarray(render_frame(shapes, now, size=SIZE, camera=camera), float)
-    bare = np.asarray(render_frame(shapes, aloft, size=SIZE, camera=camera), float)
+    low = np.asarray(render_frame(shapes, now, camera=camera), float)
+    bare = np.asarray(render_frame(shapes, aloft, camera=camera), float)
     robot = looks(low, RED) | looks(low, GREEN)
     darker = (bare.sum(axis=-1) - low.sum(axis=-1) > 60) & ~robot
     assert 200 < darker.sum() < 0.3 * darker.size
@@ -178,7 +178,7 @@ def test_a_frame_is_drawn_between_two_times() -> None:
 def test_a_box_behind_the_camera_is_no_harm() -> None:
     camera = Camera(offset=(0.0, -1.0, 0.3))
     shapes = [Shape("a", "box", (0.1, 0.1, 0.1), color=RED), Shape("b", "box", (0.5, 0.5, 0.5), color=BLUE)]
-    picture = render_frame(shapes, {"a": pose(z=0.1), "b": pose(y=-3.0)}, size=SIZE, camera=camera)
+    picture = render_frame(shapes, {"a": pose(z=0.1), "b": pose(y=-3.0)}, camera=camera)
     assert looks(picture, RED).sum() > 200
     assert looks(picture, BLUE).sum() == 0
 
@@ -192,20 +192,13 @@ def test_a_shape_that_is_none_is_refused(kind: str, size: tuple[float, ...], mes
         Shape("base", kind, size)
 
 
-NAN = np.full((51, 4, 4), np.nan)
-
-
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"poses": {"base": NAN}}, "no poses of leg; there are base"),
-        ({"poses": {"base": NAN, "leg": NAN}}, "must be 51 finite 4 x 4"),
+        ({"poses": {"base": np.zeros((51, 4, 4))}}, "no poses of leg; there are base"),
         ({"size": (321, 180)}, "sides must be even"),
         ({"path": "run.gif"}, r"must end in \.mp4"),
-        ({"times": np.linspace(1.0, 0.0, 51)}, "strictly increasing"),
-        ({"overlay": ["a", "b"]}, "2 overlay texts for 51 times"),
         ({"follow": "tail"}, "no poses of tail"),
-        ({"shapes": []}, "at least one shape"),
         ({"path": "/proc/x.mp4"}, r"^video /proc/x\.mp4: can't be written: No such file or directory$"),
     ],
 )

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from surefoot.evaluate.metrics import episode_metrics
 from surefoot.evaluate.rollout import run_episodes
+from surefoot.evaluate.runs import Runs
 from surefoot.task.config import TaskConfig, load_task
 from surefoot.task.env import LocomotionEnv
 from surefoot.world.interface import SimulationFactory, Truth
@@ -103,4 +103,4 @@ def test_the_return_is_that_of_the_trace(task: TaskConfig, name: str) -> None:
     for _ in range(trace.num_steps):
         observation, reward, *_ = env.step(env.gait.action(wave.feedback(observation)))
         total += float(reward[0])
-    assert total == pytest.approx(episode_metrics(trace).return_, abs=1e-9)
+    assert total == pytest.approx(Runs.of_traces([trace]).returns[0], abs=1e-9)

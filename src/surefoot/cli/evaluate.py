@@ -148,8 +148,7 @@ def draw_episode(folder: Path, trace: EpisodeTrace, robot: RobotDescription) -> 
 
     from surefoot.report.figures import episode_plot, footfall_diagram
 
-    leg_angle = np.concatenate(robot.motor_to_leg_pose(trace.motor_angle), axis=-1)
-    plot = episode_plot(trace, folder / "episode.png", leg_angle=leg_angle)
+    plot = episode_plot(trace, robot, folder / "episode.png")
     # Without switches in the feet nothing is known of footfalls.
     if np.isnan(trace.foot_contact).any():
         return [plot]

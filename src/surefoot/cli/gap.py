@@ -241,8 +241,7 @@ def _report(
     from surefoot.cli.policies import described
     from surefoot.evaluate.gap import PolicyGap
     from surefoot.evaluate.runs import Runs
-    from surefoot.report.gap_figures import gap_figure
-    from surefoot.report.side_by_side import side_by_side
+    from surefoot.report.gap_figures import gap_figure, side_by_side
     from surefoot.tables import plain_value, print_files, print_table, write_csv
 
     gaps, episodes = [], []

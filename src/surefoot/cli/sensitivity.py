@@ -139,7 +139,7 @@ def _write_files(
 
 def _summary(result: Sensitivity) -> dict[str, Any]:
     """Return what one policy's test worlds came to, as JSON holds it."""
-    from surefoot.evaluate.breaks import find_breaks
+    from surefoot.evaluate.sensitivity import find_breaks
 
     return {
         "policy": result.policy,
@@ -155,8 +155,7 @@ def _summary(result: Sensitivity) -> dict[str, Any]:
 
 def _print_tables(results: list[Sensitivity], files: list[Path]) -> None:
     """Print a table of the policies, and one of each row's range, worst world, and nearest values that break a gait."""
-    from surefoot.evaluate.breaks import find_breaks
-    from surefoot.evaluate.sensitivity import row_unit
+    from surefoot.evaluate.sensitivity import find_breaks, row_unit
     from surefoot.tables import print_files, print_table
 
     policies, rows = [], []

@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from surefoot.errors import SurefootError
 from surefoot.evaluate.evaluations import EVALUATIONS, Figure, Result, gap_of
 from surefoot.evaluate.gap import PolicyGap
 from surefoot.evaluate.sensitivity import Sensitivity
@@ -137,21 +136,17 @@ class GroupResult:
 
 @dataclass(frozen=True)
 class Comparison:
-    """Groups side by side.
-
-    Raises:
-        SurefootError: no groups, or one without seeds.
-    """
+    """Groups side by side."""
 
     name: str
     """Name of the study."""
     kinds: tuple[str, ...]
     """Kinds of evaluation that every policy has."""
     groups: tuple[GroupResult, ...]
-    """The groups, each with one policy or more."""
+    """The groups, one or more, each with one policy or more."""
     pairs: tuple[tuple[str, str], ...] = ()
     """Names of groups whose difference is told, the second against the first."""
-    missing: tuple[str, ...] = field(default=())
+    missing: tuple[str, ...] = ()
     """Runs of the study that are not in it."""
     top: int = 3
     """How many policies of a group, those with the highest return in their own simulator, tell its reality gap."""
@@ -159,11 +154,6 @@ class Comparison:
     """Names of groups whose reality gaps stand side by side, by the name of the set."""
     findings: tuple[tuple[frozenset[str], str], ...] = ()
     """Names of groups, and what others found of the groups that these stand for."""
-
-    def __post_init__(self) -> None:
-        """Refuse what can't be compared."""
-        if not self.groups or not all(group.seeds for group in self.groups):
-            raise SurefootError("nothing to compare: a study's report needs one evaluated policy in a group or more")
 
     @property
     def figures(self) -> tuple[Figure, ...]:

@@ -31,11 +31,7 @@ def ensemble_params(robot: RobotDescription, num_envs: int) -> PhysicalParams:
 
 
 def ensemble_world(
-    robot: RobotDescription,
-    num_envs: int,
-    params: PhysicalParams | None = None,
-    seed: int = 0,
-    config: WorldConfig | None = None,
+    robot: RobotDescription, num_envs: int, params: PhysicalParams, seed: int, config: WorldConfig
 ) -> Simulation:
     """Return robots of the ensemble in Bullet, with the control steps of `params`.
 
@@ -46,11 +42,10 @@ def ensemble_world(
     from surefoot.world.process_world import bullet_world
 
     nominal = PhysicalParams.nominal(robot, num_envs)
-    given = nominal if params is None else params
     for name in PhysicalParams.names():
-        if name != "control_step" and not np.array_equal(getattr(given, name), getattr(nominal, name)):
+        if name != "control_step" and not np.array_equal(getattr(params, name), getattr(nominal, name)):
             raise SurefootError(
                 f"{name} is given; robots of the ensemble have their own: leave it out, or world bullet"
             )
-    hidden = replace(ensemble_params(robot, num_envs), control_step=given.control_step)
+    hidden = replace(ensemble_params(robot, num_envs), control_step=params.control_step)
     return bullet_world(robot, num_envs, hidden, seed, config)

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import json
+import operator
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from surefoot import __version__
-from surefoot.configuration import to_mapping
 from surefoot.errors import SurefootError, choices
 from surefoot.evaluate.ensemble import ROBOTS
 from surefoot.evaluate.gap import PolicyGap, away_task, home_task
@@ -33,6 +34,9 @@ SEED = 1
 GAP_SEED = 2
 """Another one: the runs that tell a gap are not those that policies are chosen by, and owe nothing to the choice."""
 Result = dict[str, Any]
+"""What an evaluation came to, as JSON holds it."""
+Traces = dict[str, list[EpisodeTrace]]
+"""Episodes that are worth keeping, by the name of their world."""
 FindWorld = Callable[[str], SimulationFactory]
 """What makes worlds of a name."""
 
@@ -66,9 +70,7 @@ class EvaluationKind:
     """What is done, in words."""
     settings: dict[str, Any]
     """All that the result depends on besides the policy."""
-    worlds: tuple[str, ...]
-    """Keys of the settings that name a world."""
-    run: Callable[[PolicyRuntime, TaskConfig, FindWorld, dict[str, Any], int], Evaluated]
+    run: Callable[[PolicyRuntime, TaskConfig, FindWorld, dict[str, Any], int], tuple[Result, Traces]]
     """Does it, with some number of threads."""
     figures: tuple[Figure, ...]
     """The numbers that policies are compared by."""
@@ -76,22 +78,12 @@ class EvaluationKind:
     @property
     def world_names(self) -> tuple[str, ...]:
         """Names of the worlds that it takes."""
-        return tuple(self.settings[key] for key in self.worlds)
-
-
-@dataclass(frozen=True)
-class Evaluated:
-    """What an evaluation came to."""
-
-    result: Result
-    """A table that JSON can hold."""
-    traces: dict[str, list[EpisodeTrace]] = field(default_factory=dict)
-    """Episodes that are worth keeping, by the name of their world."""
+        return tuple(self.settings[key] for key in ("world", "home", "away") if key in self.settings)
 
 
 def _episodes(
     policy: PolicyRuntime, task: TaskConfig, find_world: FindWorld, settings: dict[str, Any], threads: int
-) -> Evaluated:
+) -> tuple[Result, Traces]:
     """Run whole episodes without pushes, each with parameters drawn from a table of ranges.
 
     Actuator and nominal parameters are those of the policy's task: a policy is at home in the simulator that it was
@@ -103,22 +95,22 @@ def _episodes(
     summary = summarize(traces, RobotDescription.load(task.robot).urdf.total_mass)
     # A diverged simulation counts as a fall: the policy has brought the robot where nothing holds.
     columns = {"returns": runs.returns, "speed": runs.speed, "fell": ~runs.balanced}
-    return Evaluated({"summary": summary, **{name: column.tolist() for name, column in columns.items()}})
+    return {"summary": summary, **{name: column.tolist() for name, column in columns.items()}}, {}
 
 
 def _sensitivity(
     policy: PolicyRuntime, task: TaskConfig, find_world: FindWorld, settings: dict[str, Any], threads: int
-) -> Evaluated:
+) -> tuple[Result, Traces]:
     """Run test worlds that differ from the nominal one in one parameter."""
     options = {name: settings[name] for name in ("values", "episodes", "seed")}
     ranges = load_ranges(settings["ranges"])
     found = run_sensitivity(policy, task, find_world(settings["world"]), ranges=ranges, threads=threads, **options)
-    return Evaluated(found.to_mapping())
+    return found.to_mapping(), {}
 
 
 def _gap(
     policy: PolicyRuntime, task: TaskConfig, find_world: FindWorld, settings: dict[str, Any], threads: int
-) -> Evaluated:
+) -> tuple[Result, Traces]:
     """Run some episodes at home, and as many in another world, one on each of its robots.
 
     As many again in the engine of home, with the robot as its data sheet describes it, tell what motors and delays
@@ -128,17 +120,11 @@ def _gap(
     parts = {"home": (home_task(task), home, home), "described": (away_task(task), home, f"{home}-described")}
     parts["away"] = (away_task(task), away, away)
     traces = {name: _run(policy, given, find_world, world, settings, threads) for given, world, name in parts.values()}
-    result = {part: Runs.of_traces(traces[name], name).to_mapping() for part, (_, _, name) in parts.items()}
-    return Evaluated(result, traces)
+    return {part: Runs.of_traces(traces[name], name).to_mapping() for part, (_, _, name) in parts.items()}, traces
 
 
 def _run(
-    policy: PolicyRuntime,
-    task: TaskConfig,
-    find_world: FindWorld,
-    world: str,
-    settings: dict[str, Any],
-    threads: int,
+    policy: PolicyRuntime, task: TaskConfig, find_world: FindWorld, world: str, settings: dict[str, Any], threads: int
 ) -> list[EpisodeTrace]:
     episodes, seed, name = settings["episodes"], settings["seed"], policy.contract.name
     return run_episodes(policy, task, episodes, find_world(world), seed, threads, world_name=world, policy_name=name)
@@ -153,11 +139,8 @@ def gap_of(result: Result, name: str) -> PolicyGap:
 def _mean(*keys: str, factor: float = 1.0) -> Callable[[Result], float]:
     """Return what reads the mean of a column, which lies at the end of some keys."""
 
-    def read(result: Result) -> float:
-        found: Any = result
-        for key in keys:
-            found = found[key]
-        return factor * float(np.mean(found))
+    def read(result: Any) -> float:
+        return factor * float(np.mean(functools.reduce(operator.getitem, keys, result)))
 
     return read
 
@@ -176,7 +159,6 @@ EVALUATIONS: dict[str, EvaluationKind] = {
     "nominal": EvaluationKind(
         "20 episodes in the nominal world of the policy's own simulator, without pushes",
         {"world": "mujoco", "episodes": 20, "seed": SEED, "ranges": "none"},
-        ("world",),
         _episodes,
         (
             Figure("nominal_speed", "speed, nominal", "m/s", 3, _mean("speed")),
@@ -187,7 +169,6 @@ EVALUATIONS: dict[str, EvaluationKind] = {
     "table1": EvaluationKind(
         "100 episodes with every parameter of table I drawn at random, without pushes",
         {"world": "mujoco", "episodes": 100, "seed": SEED, "ranges": "table1"},
-        ("world",),
         _episodes,
         (
             Figure("table1_speed", "speed, table I drawn", "m/s", 3, _mean("speed")),
@@ -197,7 +178,6 @@ EVALUATIONS: dict[str, EvaluationKind] = {
     "sensitivity": EvaluationKind(
         "test worlds: one parameter of table I at a time takes 10 values, all else nominal; 4 episodes in each",
         {"world": "mujoco", "values": 10, "episodes": 4, "seed": SEED, "ranges": "table1"},
-        ("world",),
         _sensitivity,
         (
             Figure("sensitivity_mean", "mean return over test worlds", "m", 2, _over_worlds("mean")),
@@ -209,7 +189,6 @@ EVALUATIONS: dict[str, EvaluationKind] = {
         f"a run on each of the ensemble's {ROBOTS} robots in Bullet, and as many in the policy's own simulator and "
         "there with the robot of the data sheet; none with pushes, each from a start of its own",
         {"home": "mujoco", "away": "ensemble", "described": True, "episodes": ROBOTS, "seed": GAP_SEED},
-        ("home", "away"),
         _gap,
         (
             Figure("gap_home", "return at home", "m", 2, _mean("home", "returns")),
@@ -242,11 +221,8 @@ def stored_result(policy: Path, name: str) -> Result | None:
     """Return the stored result of an evaluation of a policy file as it is now; None if there is none that holds."""
     try:
         record = json.loads(_result_path(policy, name).read_text(encoding="utf-8"))
-        of = record["of"]
-        if "ranges" in of:
-            of["ranges"] = _drawn(of["ranges"])
-        return record["result"] if of == _identity(policy, name) else None
-    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        return record["result"] if record["of"] == _identity(policy, name) else None
+    except (OSError, ValueError, KeyError, TypeError):
         return None
 
 
@@ -268,14 +244,14 @@ def evaluate(policy: Path, name: str, find_world: FindWorld, threads: int = 0) -
     if found is not None:
         return found
     runtime, what, path = PolicyRuntime.load(policy), EVALUATIONS[name], _result_path(policy, name)
-    made = what.run(runtime, task_from_contract(runtime.contract), find_world, what.settings, threads)
+    result, kept = what.run(runtime, task_from_contract(runtime.contract), find_world, what.settings, threads)
     path.parent.mkdir(exist_ok=True)
     # Before the result: where that is, traces are.
-    for world, traces in made.traces.items():
+    for world, traces in kept.items():
         save_runs(path.with_suffix("") / world, traces)
     with whole_file(path) as file:
-        file.write(json.dumps({"of": _identity(policy, name), "result": made.result}).encode() + b"\n")
-    return made.result
+        file.write(json.dumps({"of": _identity(policy, name), "result": result}).encode() + b"\n")
+    return result
 
 
 def _result_path(policy: Path, name: str) -> Path:
@@ -286,10 +262,6 @@ def _identity(policy: Path, name: str) -> dict[str, Any]:
     """Return what a result belongs to: the policy file and everything that decides what is done with it."""
     settings = dict(EVALUATIONS[name].settings)
     if "ranges" in settings:
-        settings["ranges"] = _drawn(to_mapping(load_ranges(settings["ranges"])))
+        # A row that stays nominal has no range: one that a later version adds does not make a result another one.
+        settings["ranges"] = {row: list(bounds) for row, bounds in load_ranges(settings["ranges"]).ranges.items()}
     return {"surefoot": __version__, "policy": hashlib.sha256(policy.read_bytes()).hexdigest(), **settings}
-
-
-def _drawn(ranges: dict[str, Any]) -> dict[str, Any]:
-    """Ranges without the rows that stay nominal: a row that a later version has does not make a result another one."""
-    return {row: bounds for row, bounds in ranges.items() if bounds is not None}

@@ -21,13 +21,13 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from surefoot.errors import SurefootError, choices
+from surefoot.errors import choices
+from surefoot.task.trace import EpisodeTrace
 
 FEET = ("front_left", "back_left", "front_right", "back_right")
 
@@ -38,6 +38,7 @@ MIN_CONCENTRATION = 0.75  # circular scatter of about .12 stride
 MIN_STRIDES = 3
 TRANSIENT = 1.0  # s at the start that are left out, never more than a third of the episode
 DEBOUNCE = 0.015  # s
+SHORTEST_STRIDE = 0.08  # s
 
 FloatArray = NDArray[np.float64]
 Intervals = tuple[tuple[float, float], ...]
@@ -72,25 +73,13 @@ class Footfalls:
     window: tuple[float, float]
 
 
-def analyze_footfalls(contact: ArrayLike, time: ArrayLike, leg_names: Sequence[str]) -> Footfalls:
-    """Measure strides and name the gait.
+def analyze_footfalls(trace: EpisodeTrace) -> Footfalls:
+    """Measure strides and name the gait, which needs legs with the names of `FEET`, in any order.
 
     Readings at odds with those around them, then shorter losses of contact than `DEBOUNCE`, then shorter contacts are
     taken for chatter. Once the stride period is known, losses and contacts shorter than a tenth of it are too.
-
-    Args:
-        contact: (T, L) fraction of each control step in which the foot touched, or booleans.
-        time: (T,) s at the END of each control step.
-        leg_names: L names; the gait is named when they are `FEET`, in any order.
     """
-    touch, clock, names = np.asarray(contact, np.float64), np.asarray(time, np.float64), tuple(leg_names)
-    if clock.ndim != 1 or len(clock) == 0 or touch.shape != (len(clock), len(names)):
-        shapes = f"contact {touch.shape} must be (steps, legs) = ({clock.size}, {len(names)})"
-        raise SurefootError(f"footfalls: {shapes}, with one step or more")
-    if np.any(np.diff(clock) <= 0):
-        raise SurefootError("footfalls: time must be strictly increasing")
-    if len(set(names)) != len(names):
-        raise SurefootError(f"footfalls: leg names {choices(names)} must differ")
+    touch, clock, names = trace.foot_contact, trace.time, trace.leg_names
     start = min(TRANSIENT, clock[-1] / 3.0)
     window = (float(start), float(clock[-1]))
     if np.isnan(touch).any():
@@ -208,7 +197,7 @@ def stance_intervals(contact: ArrayLike, time: ArrayLike, debounce: float = 0.0)
     return tuple(s for s in spans if s[1] - s[0] >= debounce or s[0] <= first or s[1] >= last)
 
 
-def stride_period(contact: FloatArray, step: float, shortest: float = 0.08) -> float:
+def stride_period(contact: FloatArray, step: float) -> float:
     """Return the stride period in s, or NaN: the first high peak of the contacts' autocorrelation.
 
     Each foot is correlated with itself alone, so two feet half a stride apart do not halve the period.
@@ -216,7 +205,6 @@ def stride_period(contact: FloatArray, step: float, shortest: float = 0.08) -> f
     Args:
         contact: (T, L) contacts, 0 to 1.
         step: s between samples.
-        shortest: s; no stride is shorter.
     """
     signal = contact - contact.mean(axis=0)
     count = len(signal)
@@ -228,7 +216,7 @@ def stride_period(contact: FloatArray, step: float, shortest: float = 0.08) -> f
     correlation = raw[:longest] / (count - np.arange(longest)) * (count / raw[0])
     inner = correlation[1:-1]
     peaks = np.flatnonzero((inner >= correlation[:-2]) & (inner > correlation[2:])) + 1
-    peaks = peaks[(peaks * step >= shortest) & (correlation[peaks] > 0.2)]
+    peaks = peaks[(peaks * step >= SHORTEST_STRIDE) & (correlation[peaks] > 0.2)]
     if not peaks.size:
         return math.nan
     best = peaks[correlation[peaks] >= 0.7 * correlation[peaks].max()][0]
@@ -255,8 +243,13 @@ def _phase(touchdowns: FloatArray, reference: FloatArray, period: float) -> tupl
 def _circular_mean(phases: ArrayLike) -> tuple[float, float]:
     """Return mean in [0, 1) and resultant length of phases given in strides."""
     vector = np.exp(2j * np.pi * np.asarray(phases, dtype=np.float64)).mean()
-    mean = float(np.angle(vector) / (2 * np.pi)) % 1.0
-    return (0.0 if mean > 1.0 - 1e-9 else mean), float(np.abs(vector))
+    return circular_phase(vector), float(np.abs(vector))
+
+
+def circular_phase(vector: complex) -> float:
+    """Return the direction of a vector in the complex plane as a phase in [0, 1); what rounds to 1 is 0."""
+    phase = float(np.angle(vector) / (2 * np.pi)) % 1.0
+    return 0.0 if phase > 1.0 - 1e-9 else phase
 
 
 def _lag(phase: float, reference: float = 0.0) -> float:

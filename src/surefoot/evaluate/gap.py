@@ -12,7 +12,6 @@ beside it: run k of every policy away is on robot k.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -39,6 +38,11 @@ class PolicyGap:
     """Runs in the other worlds, one entry each."""
     parts: tuple[PolicyGap, ...] = ()
     """The policies that these runs are of, if they are of several."""
+
+    @property
+    def runs(self) -> tuple[Runs, ...]:
+        """Runs in each world, home first."""
+        return self.home, *self.away
 
     def gap(self, world: str) -> Estimate:
         """Return at home less return away [m]: above zero where the policy does worse than its simulation says.
@@ -91,13 +95,11 @@ class PolicyGap:
 
     def rows(self) -> list[dict[str, Any]]:
         """Return a row for each world, home first, with its runs' means and errors and the gap; NaN: not known."""
-        rows = []
-        for runs in (self.home, *self.away):
-            at_home = runs is self.home
-            gap = Estimate(math.nan, math.nan) if at_home else self.gap(runs.world)
-            side = {"policy": self.name, "side": "home" if at_home else "away"}
-            rows.append(side | runs.summary() | {"gap": gap.mean, "gap_error": gap.error})
-        return rows
+        sides = [("home", Estimate.of([])), *(("away", self.gap(runs.world)) for runs in self.away)]
+        return [
+            {"policy": self.name, "side": side, **runs.summary(), "gap": gap.mean, "gap_error": gap.error}
+            for (side, gap), runs in zip(sides, self.runs, strict=True)
+        ]
 
     def text_rows(self) -> list[dict[str, str]]:
         """Return a row of text for each world, home first: means with one standard error."""
@@ -112,29 +114,22 @@ class PolicyGap:
                 "falls": f"{runs.fell.sum()} of {len(runs)}",
                 "success": f"{100 * runs.success_rate:.0f} %",
             }
-            for runs in (self.home, *self.away)
+            for runs in self.runs
         ]
 
 
-@dataclass(frozen=True)
-class GapDifference:
-    """How much wider the gap of one group of policies is than another's."""
+def gap_difference(base: PolicyGap, other: PolicyGap) -> tuple[Estimate, Interval, Interval]:
+    """Return how much wider the gap of one group of policies is than another's, each to its first world away.
 
-    runs: Estimate
-    """Difference of the gaps [m], with the standard error over runs."""
-    crossed: Interval
-    """The same [m], with its interval over policies and over robots (or starts) away."""
-    away: Interval
-    """Difference of the returns away [m], with the same interval."""
-
-    @classmethod
-    def of(cls, base: PolicyGap, other: PolicyGap) -> GapDifference:
-        """Return the gap of `other` less that of `base`, to the first world away of each."""
-        worlds = [group.away[0].world for group in (base, other)]
-        gaps = [group.gaps(world) for group, world in zip((base, other), worlds, strict=True)]
-        away = [np.array([part.away[0].returns for part in group.parts]) for group in (base, other)]
-        runs = other.gap_over_runs(worlds[1]) - base.gap_over_runs(worlds[0])
-        return cls(runs, crossed_interval(gaps[1], gaps[0]), crossed_interval(away[1], away[0]))
+    Returns:
+        the gap of `other` less that of `base` [m] with its standard error over runs, the same with its interval over
+        policies and robots (or starts), and the difference of their returns away [m] with that interval.
+    """
+    worlds = [group.away[0].world for group in (base, other)]
+    gaps = [group.gaps(world) for group, world in zip((base, other), worlds, strict=True)]
+    away = [np.array([part.away[0].returns for part in group.parts]) for group in (base, other)]
+    over_runs = other.gap_over_runs(worlds[1]) - base.gap_over_runs(worlds[0])
+    return over_runs, crossed_interval(gaps[1], gaps[0]), crossed_interval(away[1], away[0])
 
 
 def home_task(task: TaskConfig) -> TaskConfig:

@@ -168,8 +168,7 @@ def run_episodes(
         SurefootError: no episodes, or a task that does not fit.
     """
     at_least("episodes", episodes, 1)
-    if seed < 0:
-        raise SurefootError(f"seed is {seed}; it must not be below 0")
+    at_least("seed", seed, 0)
     env = LocomotionEnv(task, episodes, make_world, seed, autoreset=False, threads=threads)
     observation, _ = env.reset()
     recorder = _Recorder(env)

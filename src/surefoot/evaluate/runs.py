@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from surefoot.errors import SurefootError, choices
-from surefoot.evaluate.metrics import episode_metrics
 from surefoot.evaluate.statistics import decimal
 from surefoot.tables import plain_value
 from surefoot.task.trace import EpisodeTrace
@@ -98,15 +97,11 @@ class Runs:
         runs = list(traces)
         if not runs:
             raise SurefootError("no runs; a gap is measured from 1 run or more in each world")
-        names = sorted({str(trace.meta["world"]) for trace in runs})
-        if world is None and len(names) > 1:
-            raise SurefootError(f"traces come from several worlds: {choices(names)}; measure one at a time")
-        metrics = [episode_metrics(trace) for trace in runs]
-        rows = [(one.return_, one.distance, one.speed, one.power, float(one.steps)) for one in metrics]
-        returns, distance, speed, power, steps = np.array(rows).T.copy()
-        fell = np.array([one.fell for one in metrics])
+        name = common(runs, "world") if world is None else world
+        returns, distance, speed, power, steps = np.array([_measured(trace) for trace in runs]).T.copy()
+        fell = np.array([trace.fell for trace in runs])
         balanced = np.array([trace.meta["ended"] == "time" for trace in runs])
-        return cls(world or names[0], returns, distance, speed, power, steps, fell, balanced)
+        return cls(name, returns, distance, speed, power, steps, fell, balanced)
 
     @classmethod
     def pooled(cls, parts: Sequence[Runs]) -> Runs:
@@ -151,6 +146,30 @@ class Runs:
         """Return runs from `to_mapping`."""
         kinds = {name: np.bool_ if name in ("fell", "balanced") else np.float64 for name in COLUMNS}
         return cls(data["world"], **{name: np.array(data[name], kind) for name, kind in kinds.items()})
+
+
+def _measured(trace: EpisodeTrace) -> tuple[float, ...]:
+    """Return return [m], distance [m], speed [m/s], power [W] and control steps of a run.
+
+    The paper's reward r = (p_n - p_{n-1}) . d - w dt |tau . qdot| with d = world x sums to distance less w times the
+    energy.
+    """
+    distance = float(trace.base_position_world[-1, 0] - trace.base_position_world[0, 0])
+    energy, duration = float(trace.energy.sum()), trace.duration
+    gained = distance - float(trace.meta["energy_weight"]) * energy
+    return gained, distance, distance / duration, energy / duration, trace.num_steps
+
+
+def common(traces: Sequence[EpisodeTrace], name: str) -> str:
+    """Return the `world` or `policy` that all traces name.
+
+    Raises:
+        SurefootError: they name several, whose runs must not be averaged.
+    """
+    said = sorted({str(trace.meta[name]) for trace in traces})
+    if len(said) > 1:
+        raise SurefootError(f"the traces come from more than one {name}: {choices(said)}; measure one at a time")
+    return said[0]
 
 
 COLUMNS = tuple(item.name for item in fields(Runs) if item.name != "world")

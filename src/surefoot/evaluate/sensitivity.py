@@ -21,7 +21,7 @@ from surefoot.evaluate.runs import Runs
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.task.config import MOST_STEPS, TaskConfig
 from surefoot.task.env import LocomotionEnv
-from surefoot.task.randomize import ROWS, RandomizeConfig, check_ranges, load_ranges
+from surefoot.task.randomize import ROWS, RandomizeConfig, check_ranges
 from surefoot.world.interface import Simulation, SimulationFactory, WorldConfig
 
 Array = NDArray[np.float64]
@@ -117,6 +117,10 @@ class Sensitivity:
         """Indices of a row's test worlds, values rising."""
         return np.array([i for i, world in enumerate(self.worlds) if world.row == row], np.int64)
 
+    def values_of(self, row: str) -> Array:
+        """Return the values of a row's test worlds, rising."""
+        return np.array([world.value for world in self.worlds if world.row == row])
+
     def world_rows(self) -> list[dict[str, Any]]:
         """Return a row for each test world: returns [m] and speed [m/s] over its episodes, and falls."""
         return [
@@ -137,15 +141,13 @@ class Sensitivity:
 
     def episode_rows(self) -> list[dict[str, Any]]:
         """Return a row for each episode, those of the nominal world first (row `nominal`, without unit and value)."""
-        nominal = self.nominal
-        parts = [({"row": "nominal", "unit": "", "value": math.nan}, nominal.returns, nominal.speed, nominal.fell)]
-        for world, *columns in zip(self.worlds, self.returns, self.speed, self.fell, strict=True):
-            parts.append(({"row": world.row, "unit": row_unit(world.row), "value": world.value}, *columns))
+        places = [("nominal", "", math.nan), *((world.row, row_unit(world.row), world.value) for world in self.worlds)]
+        columns = ([getattr(self.nominal, name), *getattr(self, name)] for name in ("returns", "speed", "fell"))
         return [
-            {"policy": self.policy, **where, "run": run}
+            {"policy": self.policy, "row": row, "unit": unit, "value": value, "run": run}
             | {"return": float(gained), "speed": float(speed), "fell": bool(fell)}
-            for where, *columns in parts
-            for run, (gained, speed, fell) in enumerate(zip(*columns, strict=True))
+            for (row, unit, value), *episodes in zip(places, *columns, strict=True)
+            for run, (gained, speed, fell) in enumerate(zip(*episodes, strict=True))
         ]
 
     def to_mapping(self) -> dict[str, Any]:
@@ -180,8 +182,7 @@ def make_test_worlds(ranges: RandomizeConfig, values: int = 10) -> tuple[TestWor
     Raises:
         SurefootError: nothing to vary, or fewer than two values.
     """
-    if values < 2:
-        raise SurefootError(f"values is {values}; it must be 2 or more, the ends of a range")
+    at_least("values", values, 2)
     if not ranges.ranges:
         raise SurefootError("the table of ranges has no rows; a sensitivity study needs 1 or more, such as table1's")
     return tuple(
@@ -207,8 +208,8 @@ def run_sensitivity(
     task: TaskConfig,
     make_world: SimulationFactory,
     *,
+    ranges: RandomizeConfig,
     policy_name: str = "",
-    ranges: RandomizeConfig | None = None,
     values: int = 10,
     episodes: int = 8,
     duration: float | None = None,
@@ -229,8 +230,8 @@ def run_sensitivity(
         policy: gives the feedback.
         task: what is run; its own physical parameters are the nominal ones.
         make_world: makes the simulation.
+        ranges: rows to vary and their ranges.
         policy_name: for the results.
-        ranges: rows to vary and their ranges; the paper's table I, if not given.
         values: evenly spaced values in each range.
         episodes: episodes in each world.
         duration: length of an episode [s]; `task.max_steps` nominal control steps, if not given.
@@ -244,12 +245,11 @@ def run_sensitivity(
     Raises:
         SurefootError: a number that does not fit, or ranges outside what the robot allows.
     """
-    for name, number, least in (("episodes", episodes, 1), ("seed", seed, 0)):
-        at_least(name, number, least)
+    at_least("episodes", episodes, 1)
+    at_least("seed", seed, 0)
     duration = episode_duration(task) if duration is None else duration
     if not 0 < duration < math.inf:
         raise SurefootError(f"duration is {duration:g} s; it must be over 0")
-    ranges = load_ranges("table1") if ranges is None else ranges
     worlds = make_test_worlds(ranges, values)
     check_ranges(ranges, RobotDescription.load(task.robot))
     task = replace(
@@ -263,9 +263,8 @@ def run_sensitivity(
     parts: list[Runs] = []
     for first in range(0, len(worlds), batch):
         chosen = worlds[first : first + batch]
-        env = LocomotionEnv(
-            task, (1 + len(chosen)) * episodes, _in_worlds(make_world, chosen, episodes), seed, False, threads
-        )
+        count, make = (1 + len(chosen)) * episodes, _in_worlds(make_world, chosen, episodes)
+        env = LocomotionEnv(task, count, make, seed, autoreset=False, threads=threads)
         _share_streams(env, episodes)
         steps = np.maximum(np.round(duration / env.world.params.control_step), 1).astype(np.int64)
         if first:
@@ -277,9 +276,9 @@ def run_sensitivity(
             feedback[going] = policy.feedback(observation[going])
             return env.gait.action(feedback)
 
-        def show(share: float, first: int = first, count: int = len(chosen)) -> None:
+        def show(share: float, first: int = first, tried: int = len(chosen)) -> None:
             if progress is not None:
-                progress((first + share * count) / len(worlds))
+                progress((first + share * tried) / len(worlds))
 
         parts.append(run_to_end(act, env, env.reset()[0], steps, show))
     # A diverged simulation counts as a fall: the policy has brought the robot where nothing holds.
@@ -318,3 +317,65 @@ def _share_streams(env: LocomotionEnv, episodes: int) -> None:
     state["world"]["streams"] = shared(state["world"]["streams"])
     state["push_streams"] = shared(state["push_streams"])
     env.set_state(state)
+
+
+@dataclass(frozen=True)
+class Break:
+    """Where a gait stops to hold, going from a row's nominal value to one end of its range.
+
+    A gait breaks in a world in which it falls in half of the episodes or more, or in which its mean return is below
+    half of the nominal one (if that is over 0).
+    """
+
+    row: str
+    """Row of the table."""
+    value: float
+    """Value nearest to the nominal one in whose world the gait breaks."""
+    above: bool
+    """Whether the value is over the nominal one."""
+    fraction: float
+    """How far from the nominal value, over 0, to the end of the range on this side, 1."""
+    falls: int
+    """Episodes in which the robot falls there."""
+    mean_return: float
+    """Mean return there [m]."""
+    beyond: int
+    """Values that were tried beyond."""
+    broken_beyond: int
+    """At how many of these the gait breaks too."""
+
+
+def find_breaks(sensitivity: Sensitivity) -> list[Break]:
+    """Where the gait breaks, up to two a row (below and above its nominal value), the nearest to nominal first."""
+    means, nominal = sensitivity.mean_return, sensitivity.nominal.mean_return
+    broken = sensitivity.fell.mean(axis=1) >= 0.5
+    if nominal > 0:
+        broken |= means < 0.5 * nominal
+    found = []
+    for row in sensitivity.rows:
+        rows, values = sensitivity.of_row(row), sensitivity.values_of(row)
+        centre = sensitivity.nominal.values.get(row, float(values.mean()))
+        for above in (True, False):
+            distance = values - centre if above else centre - values
+            # A value that is the nominal one but for rounding belongs to neither side.
+            side = np.flatnonzero(distance > 1e-9 * max(np.ptp(values), abs(centre)))
+            side = side[np.argsort(distance[side])]
+            bad = broken[rows[side]]
+            if not bad.any():
+                continue
+            first = int(np.argmax(bad))
+            world = rows[side[first]]
+            found.append(
+                Break(
+                    row=row,
+                    value=float(values[side[first]]),
+                    above=above,
+                    fraction=float(distance[side[first]] / distance[side[-1]]),
+                    falls=int(sensitivity.fell[world].sum()),
+                    mean_return=float(means[world]),
+                    beyond=len(side) - first - 1,
+                    broken_beyond=int(bad[first + 1 :].sum()),
+                )
+            )
+    # Equal fractions differ in their last digits; rounded, they keep the order of the table.
+    return sorted(found, key=lambda item: round(item.fraction, 9))

@@ -24,9 +24,9 @@ class Interval:
 
     mean: float
     """The estimate."""
-    low: float
+    low: float = math.nan
     """Lower end; NaN where there are too few numbers to tell."""
-    high: float
+    high: float = math.nan
     """Upper end; NaN where there are too few numbers to tell."""
 
     @property
@@ -62,7 +62,7 @@ def t_interval(values: ArrayLike) -> Interval:
     array = _checked(values)
     mean = float(array.mean())
     if len(array) < 2:
-        return Interval(mean, math.nan, math.nan)
+        return Interval(mean)
     half = _quantile(len(array) - 1) * float(array.std(ddof=1)) / math.sqrt(len(array))
     return Interval(mean, mean - half, mean + half)
 
@@ -81,10 +81,7 @@ def welch_interval(values: ArrayLike, base: ArrayLike) -> Interval:
         SurefootError: no numbers, or ones that are not finite.
     """
     first, second = _checked(values), _checked(base)
-    difference = float(first.mean() - second.mean())
-    if len(first) < 2 or len(second) < 2:
-        return Interval(difference, math.nan, math.nan)
-    return _satterthwaite(difference, (first, second))
+    return _satterthwaite(float(first.mean() - second.mean()), (first, second))
 
 
 def crossed_interval(values: ArrayLike, base: ArrayLike | None = None) -> Interval:
@@ -107,14 +104,13 @@ def crossed_interval(values: ArrayLike, base: ArrayLike | None = None) -> Interv
         raise SurefootError(f"tables of shapes {[table.shape for table in tables]}; they need the same columns")
     rows = [_checked(table.mean(axis=1)) for table in tables]
     columns = tables[0].mean(axis=0) - (tables[1].mean(axis=0) if base is not None else 0.0)
-    mean, samples = float(columns.mean()), [*rows, columns]
-    if min(map(len, samples)) < 2:
-        return Interval(mean, math.nan, math.nan)
-    return _satterthwaite(mean, samples)
+    return _satterthwaite(float(columns.mean()), [*rows, columns])
 
 
 def _satterthwaite(mean: float, samples: Sequence[NDArray[np.float64]]) -> Interval:
-    """The interval of a sum of means of independent samples, whose variances need not be alike."""
+    """Return the interval of a sum of means of independent samples, whose variances need not be alike."""
+    if min(map(len, samples)) < 2:
+        return Interval(mean)
     parts = [float(sample.var(ddof=1)) / len(sample) for sample in samples]
     total = sum(parts)
     if total == 0:

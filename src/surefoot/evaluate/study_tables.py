@@ -9,7 +9,8 @@ from typing import Any
 
 from surefoot.evaluate.comparison import Comparison, GroupResult, difference
 from surefoot.evaluate.evaluations import EVALUATIONS
-from surefoot.evaluate.gap import GapDifference
+from surefoot.evaluate.gap import gap_difference
+from surefoot.evaluate.runs import Estimate
 from surefoot.evaluate.statistics import CONFIDENCE, Interval
 from surefoot.files import whole_file
 from surefoot.tables import Rows, plain_value, write_csv
@@ -106,7 +107,7 @@ def _episode_rows(group: GroupResult) -> list[dict[str, Any]]:
                 rows = group.sensitivities[number].episode_rows()
             elif name == "gap":
                 gap = group.gap.parts[number]
-                rows = [{"world": runs.world, **row} for runs in (gap.home, *gap.away) for row in runs.rows()]
+                rows = [{"world": runs.world, **row} for runs in gap.runs for row in runs.rows()]
             else:
                 columns = zip(result["returns"], result["speed"], result["fell"], strict=True)
                 rows = [{"run": i, "return": r, "speed": s, "fell": fell} for i, (r, s, fell) in enumerate(columns)]
@@ -119,25 +120,22 @@ def _episode_rows(group: GroupResult) -> list[dict[str, Any]]:
 
 def _gap_rows(which: str, group: GroupResult) -> list[dict[str, Any]]:
     """Return the rows of a group's gap, a row a world: home, away, and home as described."""
-    gap = group.gap
-    start = {"group": group.name, "label": group.label, "policies": which}
-    start["seeds"] = " ".join(str(seed.seed) for seed in group.seeds)
+    gap, seeds = group.gap, " ".join(str(seed.seed) for seed in group.seeds)
     rows = []
-    for runs in (gap.home, *gap.away):
-        row: dict[str, Any] = start | runs.summary()
+    for runs in gap.runs:
+        row = {"group": group.name, "label": group.label, "policies": which, "seeds": seeds, **runs.summary()}
         row |= {"balanced": int(runs.balanced.sum()), "far": int((runs.distance > FAR).sum())}
         row |= {"least_distance": float(runs.distance.min())}
-        over_runs = [math.nan, math.nan]
-        interval = Interval(math.nan, math.nan, math.nan)
+        over_runs, interval = Estimate.of([]), Interval(math.nan)
         if runs is not gap.home:
-            over_runs, interval = [*vars(gap.gap_over_runs(runs.world)).values()], gap.interval(runs.world)
-        row |= {"gap": over_runs[0], "gap_error": over_runs[1], "gap_low": interval.low, "gap_high": interval.high}
+            over_runs, interval = gap.gap_over_runs(runs.world), gap.interval(runs.world)
+        row |= {"gap": over_runs.mean, "gap_error": over_runs.error, "gap_low": interval.low, "gap_high": interval.high}
         rows.append(row)
     return rows
 
 
 def _gap_difference_row(which: str, base: GroupResult, other: GroupResult) -> dict[str, Any]:
-    change = GapDifference.of(base.gap, other.gap)
+    over_runs, crossed, away = gap_difference(base.gap, other.gap)
     row: dict[str, Any] = {"policies": which, "group": other.name, "against": base.name}
-    row |= {"difference": change.runs.mean, "error": change.runs.error}
-    return row | _interval("interval_difference", change.crossed) | _interval("away_difference", change.away)
+    row |= {"difference": over_runs.mean, "error": over_runs.error}
+    return row | _interval("interval_difference", crossed) | _interval("away_difference", away)

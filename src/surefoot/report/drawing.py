@@ -18,7 +18,8 @@ from surefoot.errors import SurefootError, choices
 
 FloatArray = NDArray[np.float64]
 
-KINDS = ("box", "cylinder", "sphere")
+SIZES = {"box": 3, "cylinder": 2, "sphere": 1}
+"""Kinds of solids, and how many sizes each has."""
 SUPERSAMPLE = 2
 TILE = 0.25  # m, side of a square of the ground
 FAR = 6.0  # m from the camera where the squares have faded out
@@ -26,7 +27,7 @@ NEAR = 0.1  # m from the camera; what is nearer is not drawn
 SEGMENTS = 20  # of a circle
 TO_LIGHT = np.array([-0.30, -0.42, 0.86]) / np.linalg.norm([-0.30, -0.42, 0.86])
 SKY, HAZE, GROUND, SQUARE = np.array([(150, 184, 216), (232, 238, 243), (208, 213, 216), (184, 191, 197)], float)
-SHADOW = (52, 58, 66)
+SHADOW, GREY = (52, 58, 66), (120, 130, 140)
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +36,7 @@ class Shape:
 
     Attributes:
         body: whose pose it follows.
-        kind: one of `KINDS`.
+        kind: one of `SIZES`.
         size: box: half extents x, y, z; cylinder: radius and half length along z; sphere: radius. In m.
         position: (3,) m, centre in the body's frame.
         rotation: (3, 3) from the shape's axes to the body's.
@@ -47,18 +48,15 @@ class Shape:
     size: Sequence[float]
     position: ArrayLike = (0.0, 0.0, 0.0)
     rotation: ArrayLike = field(default_factory=lambda: np.eye(3))
-    color: tuple[int, int, int] = (120, 130, 140)
+    color: tuple[int, int, int] = GREY
 
     def __post_init__(self) -> None:
         """Check kind and sizes."""
-        if self.kind not in KINDS:
-            raise SurefootError(f"shape of {self.body}: kind {self.kind!r} is not one of {choices(KINDS)}")
-        need = {"box": 3, "cylinder": 2, "sphere": 1}[self.kind]
-        if len(self.size) != need or not all(s > 0 for s in self.size):
-            rule = f"a {self.kind} has {need} sizes above 0 m"
+        if self.kind not in SIZES:
+            raise SurefootError(f"shape of {self.body}: kind {self.kind!r} is not one of {choices(SIZES)}")
+        if len(self.size) != SIZES[self.kind] or not all(s > 0 for s in self.size):
+            rule = f"a {self.kind} has {SIZES[self.kind]} sizes above 0 m"
             raise SurefootError(f"shape of {self.body}: size {tuple(self.size)}; {rule}")
-        if np.shape(self.position) != (3,) or np.shape(self.rotation) != (3, 3):
-            raise SurefootError(f"shape of {self.body}: position must be (3,) and rotation (3, 3)")
 
 
 @dataclass(frozen=True)
@@ -255,27 +253,19 @@ def _normal(corners: FloatArray) -> FloatArray:
 
 def _solid(kind: str, size: tuple[float, ...]) -> tuple[FloatArray, list[tuple[int, ...]]]:
     """Return points (P, 3) about the centre and faces (indices, counter-clockwise seen from outside)."""
-    if kind == "box":
-        corner = np.array([[x, y, z] for z in (-1, 1) for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))], float)
-        sides: list[tuple[int, ...]] = [
-            (0, 1, 5, 4),
-            (1, 2, 6, 5),
-            (2, 3, 7, 6),
-            (3, 0, 4, 7),
-            (3, 2, 1, 0),
-            (4, 5, 6, 7),
-        ]
-        return corner * np.array(size), sides
+    # Rings above each other, each with a scale and a height: two for a box and a cylinder, a stack for a sphere.
     angle = 2 * np.pi * np.arange(SEGMENTS) / SEGMENTS
-    # A sphere as a stack of rings, a cylinder as two: each ring has a radius and a height.
-    tilt = np.linspace(-0.44, 0.44, SEGMENTS // 2 - 2) * np.pi
-    sphere = [(size[0] * np.cos(t), size[0] * np.sin(t)) for t in tilt]
-    rings = sphere if kind == "sphere" else [(size[0], -size[1]), (size[0], size[1])]
-    points = np.array([(r * np.cos(a), r * np.sin(a), z) for r, z in rings for a in angle])
-    faces: list[tuple[int, ...]] = []
-    for ring in range(len(rings) - 1):
-        for i in range(SEGMENTS):
-            a, b = ring * SEGMENTS + i, ring * SEGMENTS + (i + 1) % SEGMENTS
-            faces.append((a, b, b + SEGMENTS, a + SEGMENTS))
-    top = (len(rings) - 1) * SEGMENTS
-    return points, [*faces, tuple(reversed(range(SEGMENTS))), tuple(range(top, top + SEGMENTS))]
+    ring = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    if kind == "box":
+        ring = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * np.array(size[:2])
+        levels = [(1.0, -size[2]), (1.0, size[2])]
+    elif kind == "cylinder":
+        levels = [(size[0], -size[1]), (size[0], size[1])]
+    else:
+        tilt = np.linspace(-0.44, 0.44, SEGMENTS // 2 - 2) * np.pi
+        levels = [(size[0] * np.cos(t), size[0] * np.sin(t)) for t in tilt]
+    points, count = np.array([(scale * x, scale * y, z) for scale, z in levels for x, y in ring]), len(ring)
+    below, top = range(0, len(points) - count, count), range(len(points) - count, len(points))
+    across = [(i, (i + 1) % count, (i + 1) % count + count, i + count) for i in range(count)]
+    sides = [tuple(start + i for i in face) for start in below for face in across]
+    return points, [*sides, tuple(reversed(range(count))), tuple(top)]

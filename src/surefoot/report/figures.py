@@ -7,58 +7,48 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from surefoot.errors import SurefootError
 from surefoot.evaluate.footfalls import Footfalls, analyze_footfalls
-from surefoot.evaluate.metrics import episode_metrics
-from surefoot.report.style import BLUE, GREEN, INK, LEG_COLORS, ORANGE, QUIET, heading, new_figure, spoken
+from surefoot.evaluate.runs import Runs
+from surefoot.report.style import BLUE, GREEN, INK, LEG_COLORS, ORANGE, QUIET, heading, new_figure, place_labels, spoken
+from surefoot.robot import RobotDescription
 from surefoot.task.trace import EpisodeTrace
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 # As Hildebrand drew it: hind above fore on each side, so that a trot shows as a diagonal pattern.
-DIAGRAM_ORDER = ("back_left", "front_left", "front_right", "back_right")
+_DIAGRAM_ORDER = ("back_left", "front_left", "front_right", "back_right")
+_SHOWN = 2.0  # s of the footfalls
 
 
-def footfall_diagram(trace: EpisodeTrace, path: str | Path, seconds: float = 2.0) -> Path:
-    """Draw a Hildebrand diagram of a trace: bars where a foot is on the ground.
+def footfall_diagram(trace: EpisodeTrace, path: str | Path) -> Path:
+    """Draw a Hildebrand diagram of two seconds of a trace, after the transient: bars where a foot is on the ground.
 
     Args:
         trace: the episode.
         path: PNG to write.
-        seconds: length of the part shown, starting after the transient.
     """
     with new_figure(path, (8.0, 2.4)) as (_, (ax,)):
-        feet = analyze_footfalls(trace.foot_contact, trace.time, trace.leg_names)
-        _stance_bars(ax, feet, seconds)
+        feet = analyze_footfalls(trace)
+        _stance_bars(ax, feet)
         ax.set_title(f"{_name(trace)}:  {feet.gait}", fontweight="bold", pad=20.0)
         ax.text(0.0, 1.06, _stride_text(feet), transform=ax.transAxes, color=QUIET, fontsize=8.0)
         ax.set_xlabel("time (s)")
     return Path(path)
 
 
-def episode_plot(
-    trace: EpisodeTrace,
-    path: str | Path,
-    *,
-    leg_angle: ArrayLike | None = None,
-) -> Path:
-    """Draw one episode: tilt, speed and power over its whole length, leg angles over one second.
+def episode_plot(trace: EpisodeTrace, robot: RobotDescription, path: str | Path) -> Path:
+    """Draw one episode: tilt, speed and power over its whole length, measured leg angles over one second.
 
     Args:
         trace: the episode.
+        robot: its description.
         path: PNG to write.
-        leg_angle: (T, 2L) rad, measured swing of each leg, then extension of each leg (from the robot's
-            description and `trace.motor_angle`). Without it the policy's feedback is drawn instead.
     """
-    legs = len(trace.leg_names)
-    angles = trace.feedback if leg_angle is None else np.asarray(leg_angle, dtype=np.float64)
-    if angles.shape != (trace.num_steps, 2 * legs):
-        raise SurefootError(f"episode plot: leg_angle {angles.shape} must be {(trace.num_steps, 2 * legs)}")
     step = np.diff(trace.time, prepend=0.0)
-    numbers = episode_metrics(trace)
+    runs = Runs.of_traces([trace])
     with new_figure(path, (9.0, 7.0), rows=3, columns=2) as (figure, axes):
         tilt, turn, speed, power, swing, extension = axes
         for column, (name, color) in enumerate((("roll", BLUE), ("pitch", ORANGE))):
@@ -67,48 +57,45 @@ def episode_plot(
         turn.plot(trace.time, np.unwrap(trace.roll_pitch_yaw[:, 2]), color=GREEN, linewidth=1.0)
         turn.set_title("Yaw as measured (rad)")
         forward = np.diff(trace.base_position_world[:, 0]) / step
-        _raw_and_smooth(speed, trace, forward, BLUE, numbers.speed, "m/s")
+        _raw_and_smooth(speed, trace, forward, BLUE, runs.speed[0], "m/s")
         speed.set_title("Forward speed (m/s)")
-        _raw_and_smooth(power, trace, trace.energy / step, ORANGE, numbers.power, "W")
+        _raw_and_smooth(power, trace, trace.energy / step, ORANGE, runs.power[0], "W")
         power.set_title("Mechanical power (W)")
         for ax in (tilt, turn, speed, power):
             ax.set_xlim(0.0, trace.duration)
         power.set_ylim(bottom=0.0)
         start = min(max(trace.duration - 1.0, 0.0), 2.0)
         shown = (trace.time >= start) & (trace.time <= start + 1.0)
-        what = "Feedback: " if leg_angle is None else "Leg: "
-        for ax, offset, name in ((swing, 0, "swing"), (extension, legs, "extension")):
+        angles = robot.motor_to_leg_pose(trace.motor_angle[shown])
+        for ax, angle, name in zip((swing, extension), angles, ("swing", "extension"), strict=True):
             for index, leg in enumerate(trace.leg_names):
                 # Dashed, so that a foot shows under the one that it moves with.
                 line = "--" if "right" in leg else "-"
                 color = LEG_COLORS.get(leg, f"C{index}")
-                values = angles[shown, offset + index]
-                ax.plot(trace.time[shown], values, line, color=color, label=spoken(leg))
-            ax.set_title(f"{what}{name} over one second (rad)")
+                ax.plot(trace.time[shown], angle[:, index], line, color=color, label=spoken(leg))
+            ax.set_title(f"Leg: {name} over one second (rad)")
             ax.set_xlim(start, start + 1.0)
             ax.set_xlabel("time (s)")
         _legend_above(tilt)
-        figure.legend(*swing.get_legend_handles_labels(), loc="outside lower center", ncols=max(legs, 1))
+        figure.legend(*swing.get_legend_handles_labels(), loc="outside lower center", ncols=len(trace.leg_names))
         heading(figure, f"{_name(trace)}, ended by {trace.meta['ended']}")
     return Path(path)
 
 
-def _stance_bars(ax: Axes, feet: Footfalls, seconds: float) -> None:
+def _stance_bars(ax: Axes, feet: Footfalls) -> None:
     """Draw each foot's stances as bars, from the end of the transient on."""
-    known = [leg for leg in DIAGRAM_ORDER if leg in feet.intervals]
+    known = [leg for leg in _DIAGRAM_ORDER if leg in feet.intervals]
     legs = known + [leg for leg in feet.intervals if leg not in known]
     start = feet.window[0]
-    end = min(start + seconds, feet.window[1])
+    end = min(start + _SHOWN, feet.window[1])
     for row, leg in enumerate(reversed(legs)):
         spans = [(max(a, start), min(b, end)) for a, b in feet.intervals[leg] if b > start and a < end]
         bars = [(a, b - a) for a, b in spans]
         ax.broken_barh(bars, (row - 0.34, 0.68), facecolors=LEG_COLORS.get(leg, BLUE), linewidth=0)
     labels = [f"{spoken(leg)} ({feet.duty_factor[leg]:.2f})" for leg in reversed(legs)]
-    ax.set_yticks(range(len(legs)), labels)
+    place_labels(ax, labels, vertical=True)
     ax.set_ylim(-0.6, len(legs) - 0.4)
     ax.set_xlim(start, end)
-    ax.grid(visible=False, axis="y")
-    ax.tick_params(axis="y", length=0)
 
 
 def _stride_text(feet: Footfalls) -> str:

@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
-import matplotlib
-
-matplotlib.use("Agg")
-import matplotlib.pyplot as plt
 import numpy as np
 from numpy.typing import ArrayLike
 
-STYLES = {"dc": ("tab:red", "servo and DC motor"), "constraint": ("tab:green", "constraint motor")}
+from surefoot.report.style import BLUE, GREEN, ORANGE, QUIET, heading, new_figure
+
+STYLES = {"dc": (ORANGE, "servo and DC motor"), "constraint": (GREEN, "constraint motor")}
+"""Colour and name of each actuator."""
 
 
 def motor_figure(
@@ -38,23 +37,18 @@ def motor_figure(
     reference, known = np.asarray(measured, float), np.isfinite(np.asarray(measured, float))
     told = "measured" if known.any() else "target"
     reference = reference if known.any() else np.asarray(target, float)
-    figure, (above, below) = plt.subplots(
-        2, 1, figsize=(8, 5.8), sharex=True, height_ratios=(2.2, 1), layout="constrained"
-    )
-    above.step(time, target, where="post", color="0.75", label="target")
-    if known.any():
-        above.plot(time, reference, color="tab:blue", linewidth=2.4, label="measured")
-    for name, angle in simulated.items():
-        color, label = STYLES[name]
-        above.plot(time, angle, color=color, linewidth=1.2, label=f"{label}, {1000 * errors[name]:.1f} mrad RMS")
-        below.plot(time, 1000 * (np.asarray(angle) - reference), color=color, linewidth=1.2)
-    above.set_ylabel("motor angle [rad]")
-    above.set_title(title)
-    figure.legend(*above.get_legend_handles_labels(), loc="outside upper center", ncols=2, fontsize=8, frameon=False)
-    below.axhline(0, color="0.6", linewidth=0.8)
-    below.set_ylabel(f"less {told} [mrad]")
-    below.set_xlabel("time [s]")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=130)
-    plt.close(figure)
+    with new_figure(path, (8.0, 5.8), rows=2, sharex=True, height_ratios=(2.2, 1)) as (figure, (above, below)):
+        above.step(time, target, where="post", color=QUIET, alpha=0.6, label="target")
+        if known.any():
+            above.plot(time, reference, color=BLUE, linewidth=2.4, label="measured")
+        for name, angle in simulated.items():
+            color, label = STYLES[name]
+            above.plot(time, angle, color=color, label=f"{label}, {1000 * errors[name]:.1f} mrad RMS")
+            below.plot(time, 1000 * (np.asarray(angle) - reference), color=color)
+        above.set_title("Motor angle (rad)")
+        below.axhline(0, color=QUIET, linewidth=0.8)
+        below.set_title(f"Less {told} (mrad)")
+        below.set_xlabel("time (s)")
+        figure.legend(*above.get_legend_handles_labels(), loc="outside lower center", ncols=2)
+        heading(figure, title)
     return path

@@ -11,18 +11,7 @@ from numpy.typing import NDArray
 
 from surefoot.errors import SurefootError
 from surefoot.evaluate.sensitivity import Sensitivity, row_unit
-from surefoot.report.style import (
-    COLORS,
-    INK,
-    MARKERS,
-    QUIET,
-    capital,
-    heading,
-    new_figure,
-    place_labels,
-    scattered,
-    spoken,
-)  # fmt: skip
+from surefoot.report.style import INK, MARKERS, QUIET, capital, heading, new_figure, place_labels, scattered, spoken
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -58,7 +47,7 @@ def parameter_figure(
             if row not in found[0].rows:
                 continue
             falls = np.array([100 * one.fell[one.of_row(row)].mean(axis=1) for one in found])
-            _band(right, _values(found[0], row), falls, number, label)
+            _band(right, found[0].values_of(row), falls, number, label)
             if trained_ranges is not None:
                 _training(left, found[0], row, number, trained_ranges.get(label, {}).get(row))
         left.set_title("Return (m)")
@@ -78,13 +67,8 @@ def parameters_figure(groups: Groups, path: str | Path) -> Path:
     Args:
         groups: one or more.
         path: PNG to write.
-
-    Raises:
-        SurefootError: no test worlds.
     """
     rows = tuple(dict.fromkeys(row for found in groups.values() for one in found for row in one.rows))
-    if not rows:
-        raise SurefootError("parameter figure: there are no test worlds; a study's evaluations must name 'sensitivity'")
     columns = min(len(rows), 5)
     lines = -(-len(rows) // columns)
     with new_figure(path, (2.7 * columns, 0.9 + 2.3 * lines), rows=lines, columns=columns) as (figure, axes):
@@ -111,15 +95,10 @@ def aggregate_figure(sensitivities: Sequence[Sensitivity], path: str | Path) -> 
     Args:
         sensitivities: one or more policies.
         path: PNG to write.
-
-    Raises:
-        SurefootError: no policy.
     """
-    if not sensitivities:
-        raise SurefootError("aggregate figure: no sensitivity is given; it takes 1 or more")
     with new_figure(path, (7.6, 1.2 + 0.62 * len(sensitivities))) as (_, (ax,)):
         for place, result in enumerate(sensitivities):
-            color, means = COLORS[place % len(COLORS)], result.mean_return
+            color, means = f"C{place}", result.mean_return
             ax.barh(place, result.mean, 0.62, color=color, alpha=0.35, linewidth=0)
             across = place + scattered(len(means), 0.5)
             ax.plot(means, across, "o", color=color, alpha=0.55, markersize=2.8, markeredgewidth=0)
@@ -135,10 +114,6 @@ def aggregate_figure(sensitivities: Sequence[Sensitivity], path: str | Path) -> 
     return Path(path)
 
 
-def _values(result: Sensitivity, row: str) -> NDArray[np.float64]:
-    return np.array([result.worlds[i].value for i in result.of_row(row)])
-
-
 def _returns(ax: Axes, groups: Groups, row: str) -> None:
     """Draw the return of every group against a parameter, and mark the nominal value."""
     for number, (label, found) in enumerate(groups.items()):
@@ -148,7 +123,7 @@ def _returns(ax: Axes, groups: Groups, row: str) -> None:
             if len(found) == 1:
                 error = np.nan_to_num(found[0].standard_error[rows])
                 returns = np.array([returns[0] - error, returns[0], returns[0] + error])
-            _band(ax, _values(found[0], row), returns, number, label)
+            _band(ax, found[0].values_of(row), returns, number, label)
     nominal = {one.nominal.values[row] for found in groups.values() for one in found if row in one.nominal.values}
     for value in sorted(nominal)[:1]:
         ax.axvline(value, color=QUIET, linewidth=0.9, linestyle=(0, (2, 2)), zorder=0, label="nominal")
@@ -156,14 +131,14 @@ def _returns(ax: Axes, groups: Groups, row: str) -> None:
 
 def _band(ax: Axes, x: NDArray[np.float64], curves: NDArray[np.float64], number: int, label: str) -> None:
     """Draw the mean of curves (S, K), and the band from the least to the greatest."""
-    color, marker = COLORS[number % len(COLORS)], MARKERS[number % len(MARKERS)]
+    color, marker = f"C{number}", MARKERS[number % len(MARKERS)]
     ax.fill_between(x, curves.min(axis=0), curves.max(axis=0), color=color, alpha=0.16, linewidth=0)
     ax.plot(x, curves.mean(axis=0), color=color, label=label, marker=marker, markersize=2.8)
 
 
 def _training(ax: Axes, result: Sensitivity, row: str, number: int, trained: tuple[float, float] | None) -> None:
     """Shade the range that a policy was trained in; a line at the value, if it was trained at one alone."""
-    color = COLORS[number % len(COLORS)]
+    color = f"C{number}"
     if trained is not None and trained[1] > trained[0]:
         ax.axvspan(*trained, color=color, alpha=0.07, linewidth=0, zorder=0)
     else:

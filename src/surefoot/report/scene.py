@@ -8,14 +8,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from surefoot.errors import SurefootError
-from surefoot.report.drawing import Shape
+from surefoot.report.drawing import GREY, Shape
 from surefoot.robot import RobotDescription
-from surefoot.rotations import quat_matrix
+from surefoot.rotations import quat_matrix, rpy_matrix
 from surefoot.task.trace import EpisodeTrace
 
 FloatArray = NDArray[np.float64]
-
-DEFAULT_COLOR = (120, 130, 140)
 
 
 def scene(robot: RobotDescription) -> list[Shape]:
@@ -36,9 +34,8 @@ def scene(robot: RobotDescription) -> list[Shape]:
             color = None
             if material is not None:
                 color = _color(material) or colors.get(material.get("name", ""))
-            shapes.append(
-                Shape(link.get("name", ""), kind, size, origin[:3, 3], origin[:3, :3], color or DEFAULT_COLOR)
-            )
+            place, turn = origin[:3, 3], origin[:3, :3]
+            shapes.append(Shape(link.get("name", ""), kind, size, place, turn, color or GREY))
     if not shapes:
         raise SurefootError(
             f"{robot.urdf.path}: has nothing to draw; a link's <visual> must be a box, cylinder or sphere"
@@ -121,9 +118,7 @@ def _origin(element: ElementTree.Element) -> FloatArray:
     origin = element.find("origin")
     if origin is not None:
         transform[:3, 3] = _numbers(origin.get("xyz", "0 0 0"))
-        roll, pitch, yaw = _numbers(origin.get("rpy", "0 0 0"))
-        turns = [_axis_turn(axis, np.array([a])) for axis, a in zip(np.eye(3), (roll, pitch, yaw), strict=True)]
-        transform[:3, :3] = turns[2][0] @ turns[1][0] @ turns[0][0]
+        transform[:3, :3] = rpy_matrix(*_numbers(origin.get("rpy", "0 0 0")))
     return transform
 
 

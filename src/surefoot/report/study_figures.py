@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from surefoot.errors import SurefootError
 from surefoot.evaluate.comparison import Comparison, Curve, GroupResult
-from surefoot.report.style import COLORS, QUIET, capital, heading, new_figure, place_labels
+from surefoot.report.style import QUIET, capital, heading, new_figure, place_labels
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -36,7 +35,7 @@ def learning_curves(groups: Mapping[str, Sequence[Curve]], path: str | Path) -> 
                 edges = np.linspace(0.0, ends[number], _BINS + 1)
                 binned = np.array([curve.binned(name, edges) for curve in curves])
                 known = np.isfinite(binned).any(axis=0)
-                color, x = COLORS[number % len(COLORS)], edges[1:][known] / scale
+                color, x = f"C{number}", edges[1:][known] / scale
                 with warnings.catch_warnings():
                     # A place that no seed has reached is left open.
                     warnings.simplefilter("ignore", RuntimeWarning)
@@ -52,22 +51,20 @@ def learning_curves(groups: Mapping[str, Sequence[Curve]], path: str | Path) -> 
     return Path(path)
 
 
-def group_figure(comparison: Comparison, path: str | Path, names: Sequence[str] = ()) -> Path:
+def group_figure(comparison: Comparison, path: str | Path, names: Sequence[str]) -> Path:
     """Draw figures of every group as bars: mean over seeds, its interval of 95 %, and every seed as a dot.
 
     Args:
         comparison: the groups.
         path: PNG to write.
-        names: figures to draw, a panel each; all, if empty.
+        names: figures to draw, a panel each; those that are not in the study are left out.
     """
-    figures = [figure for figure in comparison.figures if not names or figure.name in names]
-    if not figures:
-        raise SurefootError("group figure: none of the figures wanted is in the study")
+    figures = [figure for figure in comparison.figures if figure.name in names]
     groups = comparison.groups
     with new_figure(path, (3.4 * len(figures), 1.5 + 0.55 * len(groups)), columns=len(figures)) as (picture, axes):
         for ax, figure in zip(axes, figures, strict=True):
             for row, group in enumerate(groups):
-                _bar(ax, row, group, figure.name, COLORS[row % len(COLORS)])
+                _bar(ax, row, group, figure.name, f"C{row}")
             ax.set_title(capital(figure.heading))
             ax.set_ylim(len(groups) - 0.4, -0.6)
             place_labels(ax, [group.label if ax is axes[0] else "" for group in groups], vertical=True)

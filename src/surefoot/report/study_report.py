@@ -9,7 +9,7 @@ import numpy as np
 
 from surefoot.evaluate.comparison import Comparison, GroupResult, difference
 from surefoot.evaluate.evaluations import EVALUATIONS
-from surefoot.evaluate.gap import GapDifference
+from surefoot.evaluate.gap import gap_difference
 from surefoot.evaluate.statistics import CONFIDENCE, Interval, decimal, t_interval
 from surefoot.evaluate.study_tables import CONTENTS, FAR, write_tables
 from surefoot.files import whole_file
@@ -41,8 +41,7 @@ def write_report(comparison: Comparison, folder: Path, command: str) -> Path:
         command: what makes the report.
     """
     files = write_tables(comparison, folder)
-    bars = tuple(name for name in _BARS if name in {figure.name for figure in comparison.figures})
-    group_figure(comparison, folder / "groups.png", bars)
+    group_figure(comparison, folder / "groups.png", _BARS)
     text = [
         f"# Study: {comparison.name}",
         f"```sh\n{command}\n```",
@@ -159,15 +158,15 @@ def _gaps(comparison: Comparison, folder: Path) -> list[str]:
     changes = []
     for which, part in ((f"best {comparison.top}", best), ("all", comparison)):
         for base, other in part.present_pairs():
-            change = GapDifference.of(base.gap, other.gap)
+            over_runs, crossed, away = gap_difference(base.gap, other.gap)
             changes.append(
                 {
                     "group": other.label,
                     "against": base.label,
                     "policies": which,
-                    "gap (m)": change.runs.text(sign=True),
-                    "gap, interval (m)": change.crossed.text(sign=True),
-                    "return away, interval (m)": change.away.text(sign=True),
+                    "gap (m)": over_runs.text(sign=True),
+                    "gap, interval (m)": crossed.text(sign=True),
+                    "return away, interval (m)": away.text(sign=True),
                     "paper": comparison.finding((base.name, other.name)),
                 }
             )
@@ -182,7 +181,7 @@ def _finding(comparison: Comparison, name: str) -> list[str]:
 
 def _gap_rows(group: GroupResult) -> list[dict[str, str]]:
     gap, rows = group.gap, []
-    for runs, row in zip((gap.home, *gap.away), gap.text_rows(), strict=True):
+    for runs, row in zip(gap.runs, gap.text_rows(), strict=True):
         start = {"group": row.pop("policy"), "seeds": ", ".join(str(seed.seed) for seed in group.seeds)}
         if runs is not gap.home:
             row["gap (m)"] = gap.gap_over_runs(runs.world).text()

@@ -20,15 +20,10 @@ DPI = 130
 INK, QUIET, GRID = "#22272e", "#6b7480", "#e3e7eb"
 BLUE, ORANGE, GREEN = "#1f5fa8", "#c4560f", "#2f8f5b"
 COLORS = (BLUE, ORANGE, GREEN, "#7a4fa3", "#a8324a", "#1d8a99", "#5a6b1f", "#8a6d3b")
-"""One a policy, group or world, in order; more begin anew."""
+"""Policies, groups or worlds in order, as matplotlib's C0, C1, ...; more begin anew."""
 MARKERS = "osD^vPX*"
 # Fore feet blue, hind feet orange, the left side dark and the right side light: safe for colour-blind eyes.
-LEG_COLORS = {
-    "front_left": "#1f5fa8",
-    "front_right": "#6aa5e0",
-    "back_left": "#c4560f",
-    "back_right": "#f0a35e",
-}
+LEG_COLORS = {"front_left": BLUE, "front_right": "#6aa5e0", "back_left": ORANGE, "back_right": "#f0a35e"}
 
 _STYLE: dict[str, Any] = {
     "font.family": "DejaVu Sans",
@@ -40,6 +35,7 @@ _STYLE: dict[str, Any] = {
     "axes.edgecolor": QUIET,
     "axes.labelcolor": INK,
     "axes.linewidth": 0.8,
+    "axes.prop_cycle": f"cycler('color', {COLORS})",
     "axes.spines.top": False,
     "axes.spines.right": False,
     "axes.grid": True,
@@ -59,9 +55,11 @@ _STYLE: dict[str, Any] = {
 
 @contextmanager
 def new_figure(
-    path: str | Path, size: tuple[float, float], rows: int = 1, columns: int = 1
+    path: str | Path, size: tuple[float, float], rows: int = 1, columns: int = 1, **options: Any
 ) -> Iterator[tuple[Figure, list[Axes]]]:
     """Give a new figure in the style of all figures and its axes, row by row; write it to path when done.
+
+    Other options are those of matplotlib's `Figure.subplots`.
 
     matplotlib is imported here, and only its Agg canvas is used: no display, no global state, nothing of the user's
     own style.
@@ -82,7 +80,7 @@ def new_figure(
         padding = ConstrainedLayoutEngine(w_pad=0.1, h_pad=0.08, wspace=0.03, hspace=0.03)
         figure = Figure(figsize=size, dpi=DPI, layout=padding)
         FigureCanvasAgg(figure)
-        axes = figure.subplots(rows, columns, squeeze=False)
+        axes = figure.subplots(rows, columns, squeeze=False, **options)
         yield figure, list(axes.flat)
         path.parent.mkdir(parents=True, exist_ok=True)
         figure.savefig(path, dpi=DPI, facecolor="white")
