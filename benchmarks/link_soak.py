@@ -19,7 +19,7 @@ from dataclasses import asdict, dataclass, field
 import numpy as np
 
 from surefoot.deploy.clock import MonotonicClock
-from surefoot.deploy.link import Link
+from surefoot.deploy.link import Link, SerialPort
 from surefoot.deploy.wire.examples import EXAMPLES
 from surefoot.deploy.wire.frames import MAX_FRAME, Decoder, Frame, encode_frame
 from surefoot.deploy.wire.messages import Arm, Codec, Damp, Message, Ping, Position, Pwm, State
@@ -116,7 +116,7 @@ FATES = (
 )
 
 
-class Tape:
+class Tape(SerialPort):
     """A port that gives bytes in pieces of random size."""
 
     def __init__(self, rng: random.Random) -> None:
@@ -126,15 +126,6 @@ class Tape:
         size = self.rng.randint(1, 400)
         piece, self.data = self.data[:size], self.data[size:]
         return piece
-
-    def write(self, data: bytes) -> int:
-        return len(data)
-
-    def wait(self, timeout: float) -> None:
-        pass
-
-    def close(self) -> None:
-        pass
 
 
 class Listener(Decoder):

@@ -15,9 +15,7 @@ from surefoot.errors import SurefootError
 
 def operator_of(toy, session: int) -> RobotConnection:
     clock = LockstepClock()
-    link = Link(toy, toy.codec, clock)
-    clock.attach(link)
-    return RobotConnection(link, clock, session=session)
+    return RobotConnection(Link(toy, toy.codec, clock), clock, session)
 
 
 def test_a_greeting_is_answered_and_states_follow(connection):

@@ -14,7 +14,7 @@ from surefoot.deploy.motion import FLAT, FOLD, PAUSE, REST, UP
 from surefoot.deploy.pacer import Timing
 from surefoot.deploy.poses import pose, sitting
 from surefoot.deploy.recording.run_saver import RunSaver
-from surefoot.deploy.safety_limits import SafetyLimits
+from surefoot.deploy.safety import SafetyLimits
 from surefoot.deploy.wire.frames import Decoder
 from surefoot.deploy.wire.messages import Arm, Damp, Mode, Position, Reason
 from surefoot.errors import SurefootError

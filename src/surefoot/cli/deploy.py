@@ -67,11 +67,12 @@ def main(argv: list[str]) -> int:
     if command.out is not None and command.out.exists() and not command.out.is_dir():
         raise SurefootError(f"out is {command.out}; it must be a folder")
     from surefoot.cli.policies import find_policy
-    from surefoot.deploy.checks import check_contract, refusal
+    from surefoot.deploy.checks import check_contract
     from surefoot.deploy.connection import open_connection
     from surefoot.deploy.controller import Controller
     from surefoot.deploy.deployment import Deployment
     from surefoot.deploy.display import LiveDisplay, PlainLines
+    from surefoot.deploy.findings import refusal
     from surefoot.deploy.realtime import undisturbed
     from surefoot.deploy.wire.messages import Handshake
     from surefoot.policy.runtime import PolicyRuntime

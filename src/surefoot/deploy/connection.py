@@ -8,8 +8,7 @@ from collections.abc import Callable
 
 from numpy.typing import ArrayLike
 
-from surefoot.deploy.clock import Clock, LockstepClock, MonotonicClock
-from surefoot.deploy.clock_sync import ClockSync
+from surefoot.deploy.clock import Clock, ClockSync, LockstepClock, MonotonicClock
 from surefoot.deploy.link import BAUD, Arrival, Link, SerialPort
 from surefoot.deploy.wire.messages import (
     VERSION,
@@ -216,7 +215,4 @@ def open_connection(port: str, motors: int, lockstep: bool = False, baud: int = 
         SurefootError: a port that can't be opened, or that another program has.
     """
     clock = LockstepClock() if lockstep else MonotonicClock()
-    link = Link(SerialPort(port, baud), Codec(motors), clock)
-    if isinstance(clock, LockstepClock):
-        clock.attach(link)
-    return RobotConnection(link, clock)
+    return RobotConnection(Link(SerialPort(port, baud), Codec(motors), clock), clock)

@@ -18,8 +18,7 @@ from surefoot.deploy.motion import MotionRunner
 from surefoot.deploy.pacer import Timing
 from surefoot.deploy.poses import pose
 from surefoot.deploy.recording.recorder import Recorder
-from surefoot.deploy.safety import GO, Act, Guard, Verdict
-from surefoot.deploy.safety_limits import SafetyLimits
+from surefoot.deploy.safety import GO, Act, Guard, SafetyLimits, Verdict
 from surefoot.deploy.wire.messages import Handshake, State
 from surefoot.errors import SurefootError
 from surefoot.stop_signals import StopSignals

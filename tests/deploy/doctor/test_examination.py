@@ -16,7 +16,7 @@ from surefoot.cli.policies import find_policy
 from surefoot.deploy.connection import RobotConnection
 from surefoot.deploy.doctor import rack as doctor_rack
 from surefoot.deploy.doctor.computer import check_computer, time_inference
-from surefoot.deploy.doctor.examination import RACK, Examination, examine
+from surefoot.deploy.doctor.examination import examine
 from surefoot.deploy.doctor.ground import Tilted, check_tilts, tilted
 from surefoot.deploy.doctor.leashed_robot import LeashedRobot, MotionStoppedError
 from surefoot.deploy.doctor.link import LinkFigures, bursts, check_link, measure_link, rate
@@ -25,12 +25,13 @@ from surefoot.deploy.doctor.response import fit_response
 from surefoot.deploy.doctor.rest import Sample, check_rest
 from surefoot.deploy.findings import Finding
 from surefoot.deploy.poses import sitting
-from surefoot.deploy.safety_limits import SafetyLimits
+from surefoot.deploy.safety import SafetyLimits
 from surefoot.deploy.wire.messages import Mode, State
 from surefoot.policy.runtime import PolicyRuntime
 from surefoot.robot import RobotDescription
 
 NAMES = RobotDescription.load("minitaur").motor_names
+QUICK = {"pings": 20, "steps": 20}
 
 
 @pytest.fixture(scope="module")
@@ -495,12 +496,10 @@ def test_a_toy_that_is_as_old_as_the_policy_expects_passes_all(
     connection: RobotConnection, robot: RobotDescription, policy: PolicyRuntime, toy: Any
 ):
     toy.sensors = delayed(0.018)
-    told: list[Finding] = []
-    found = examine(connection, policy, robot, Examination(rack=True, pings=20, steps=20), told.append)
-    assert found == told
+    found = list(examine(connection, policy, robot, on_rack=True, **QUICK))
     assert [one.name for one in found if one.passed is False] == []
     by_name = {one.name: one for one in found}
-    assert all(by_name[name].passed for name in RACK)
+    assert all(by_name[name].passed for name in doctor_rack.NAMES)
     assert by_name["control latency"].value == pytest.approx(0.018, abs=0.004)
     assert toy.firmware.mode == Mode.DISARMED
 
@@ -509,7 +508,7 @@ def test_nothing_moves_while_a_check_fails(
     connection: RobotConnection, robot: RobotDescription, policy: PolicyRuntime, toy: Any
 ):
     toy.firmware.introduction = replace(toy.firmware.introduction, servo_kp=2.0)
-    found = examine(connection, policy, robot, Examination(True, True, 20, 20), lambda _: None)
+    found = list(examine(connection, policy, robot, True, True, **QUICK))
     undone = {one.name: one.why for one in found if one.passed is None}
     assert undone["motors, one by one"] == "nothing moves while a check fails (servo gains)"
     assert undone["IMU, nose down"] == "nothing moves while a check fails (servo gains)"
@@ -519,9 +518,9 @@ def test_nothing_moves_while_a_check_fails(
 def test_without_leave_nothing_moves(
     connection: RobotConnection, robot: RobotDescription, policy: PolicyRuntime, toy: Any
 ):
-    found = examine(connection, policy, robot, Examination(pings=20, steps=20), lambda _: None)
+    found = list(examine(connection, policy, robot, **QUICK))
     assert "Arm" not in toy.kinds()
-    assert [one.what_to_do for one in found if one.name == RACK[0]] == [
+    assert [one.what_to_do for one in found if one.name == doctor_rack.NAMES[0]] == [
         "hang the robot free, legs in the air, and run with --rack"
     ]
 
@@ -529,15 +528,12 @@ def test_without_leave_nothing_moves(
 def test_a_cable_that_is_pulled_ends_the_checks_with_a_finding(
     connection: RobotConnection, robot: RobotDescription, policy: PolicyRuntime, toy: Any
 ):
-    def tell(finding: Finding) -> None:
-        toy.cut = finding.name == "battery"
-
-    found = examine(connection, policy, robot, Examination(pings=20, steps=20), tell)
-    toy.cut = True
-    assert found[-1].name != "link"
-    found = examine(connection, policy, robot, Examination(pings=20, steps=20), tell)
-    assert found[-1].name == "link"
-    assert found[-1].passed is False
+    found = []
+    for finding in examine(connection, policy, robot, **QUICK):
+        found.append(finding)
+        toy.cut = finding.name == "angle limits"
+    assert found[-2].name == "angle limits"
+    assert (found[-1].name, found[-1].passed) == ("link", False)
 
 
 def test_a_wiggle_that_is_stopped_says_which_motor(

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from surefoot.deploy.connection import RobotConnection
 from surefoot.deploy.doctor.link import listen
 from surefoot.deploy.findings import Finding, judged
-from surefoot.deploy.safety_limits import SafetyLimits
+from surefoot.deploy.safety import SafetyLimits
 from surefoot.deploy.wire.messages import Handshake, State
 from surefoot.robot import RobotDescription
 
@@ -98,12 +98,11 @@ def _battery(voltage: float, handshake: Handshake, limits: SafetyLimits) -> Find
 
 def _temperature(temperature: Array, robot: RobotDescription, limits: SafetyLimits) -> Finding:
     hottest = int(np.argmax(temperature))
-    told, value = f"hottest motor: {robot.motor_names[hottest]}, {temperature[hottest]:.0f} degC", temperature.max()
-    rule, todo = (
-        f"; at most {limits.temperature_warn:g} to begin with",
-        "let the motors cool; if they are cold, check the sensor",
-    )
-    return judged("temperature", bool(value <= limits.temperature_warn), told, rule, todo, float(value))
+    value = float(temperature[hottest])
+    told = f"hottest motor: {robot.motor_names[hottest]}, {value:.0f} degC"
+    rule = f"; at most {limits.temperature_warn:g} to begin with"
+    todo = "let the motors cool; if they are cold, check the sensor"
+    return judged("temperature", value <= limits.temperature_warn, told, rule, todo, value)
 
 
 def _encoders(angles: Array, robot: RobotDescription) -> Finding:
