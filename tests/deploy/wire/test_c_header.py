@@ -18,9 +18,9 @@ from typing import Any
 import numpy as np
 import pytest
 from cobs import cobs
+from wire_vectors import EXAMPLES
 
 from surefoot.deploy.wire.c_header import c_header, main
-from surefoot.deploy.wire.examples import EXAMPLES
 from surefoot.deploy.wire.fields import wires
 from surefoot.deploy.wire.frames import CRC_BYTES, MAX_FRAME, Decoder, encode_frame
 from surefoot.deploy.wire.messages import HEADER, MESSAGES, VERSION, Codec, Fault, Handshake, Message
@@ -231,13 +231,13 @@ def test_structs_filled_in_c_give_the_frames_of_python(program: Path):
     frames = [bytes(1) + piece + bytes(1) for piece in said.split(b"\0") if piece]
     assert len(frames) == len(MESSAGES)
     for example, frame in zip(EXAMPLES, frames, strict=True):
-        assert frame == example.frame(), type(example.message).__name__
+        assert frame == example.data, type(example.message).__name__
     assert said == b"".join(frames)
 
 
 @needs_cc
 def test_frames_of_python_give_the_fields_in_c(program: Path):
-    said, counts = run(program, "fields", b"".join(example.frame() for example in EXAMPLES))
+    said, counts = run(program, "fields", b"".join(example.data for example in EXAMPLES))
     expected = []
     for example in EXAMPLES:
         kind = type(example.message)
