@@ -21,11 +21,7 @@ Array = NDArray[np.float64]
 
 
 class Controller:
-    """Observation, history, policy, reference: one control step after another.
-
-    Args:
-        policy: the policy.
-        robot: the robot that it is for.
+    """Observation, history, policy, reference: one control step after another, on the robot that the policy is for.
 
     Raises:
         SurefootError: observations that this surefoot makes otherwise, or a gait that the robot does not allow.

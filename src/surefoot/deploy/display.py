@@ -27,11 +27,7 @@ _SCALE = 1e3
 
 
 class LiveDisplay(Watch):
-    """Starts the display's process and feeds it.
-
-    Args:
-        title: first line.
-    """
+    """Starts the display's process and feeds it."""
 
     def __init__(self, title: str) -> None:
         command = [sys.executable, "-m", "surefoot.deploy.display"]
@@ -167,12 +163,7 @@ class Picture:
 
 
 def show(lines: Iterable[str], stream: TextIO) -> None:
-    """Draw what the lines tell until they end.
-
-    Args:
-        lines: messages, one JSON object each; what is none is passed over.
-        stream: the terminal.
-    """
+    """Draw on a terminal what messages tell until they end; a line that is no JSON object is passed over."""
     from rich.console import Console
     from rich.live import Live
 

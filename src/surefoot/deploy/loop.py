@@ -17,7 +17,7 @@ from surefoot.deploy.connection import RobotConnection
 from surefoot.deploy.link import LinkLostError
 from surefoot.deploy.pacer import Pacer, Timing
 from surefoot.deploy.safety import GO, Act, Guard, NotFiniteError, StepStatus, Verdict
-from surefoot.deploy.wire.messages import Mode, State
+from surefoot.deploy.wire.messages import State
 from surefoot.errors import SurefootError
 from surefoot.stop_signals import StopSignals
 
@@ -192,8 +192,7 @@ class ControlLoop:
             if self.timing.steps % 16 == 0:
                 self.connection.link.ping()
         elif self.target is not None:
-            send = self.connection.pwm if self.guard.mode == Mode.PWM else self.connection.position
-            send(self.target)
+            self.connection.command(self.guard.mode, self.target)
 
     def damp(self) -> None:
         """Ask for damped motors, if there is still somebody to ask."""

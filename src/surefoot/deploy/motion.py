@@ -168,11 +168,7 @@ class MotionRunner:
             end: motor angles (M,) [rad].
             duration: [s].
             start: motor angles (M,) [rad] to start from; the present target, if not given.
-            upright: whether a tilt is a fall.
-            sitting: the robot is about to be disarmed, so that nothing less than damping can come sooner.
-
-        Returns:
-            `GO`, or what ended the motion early.
+            upright, sitting: as of `ControlLoop.follow`, whose verdict is returned.
         """
         start, steps = self.target if start is None else start, self.loop.steps_of(duration)
 

@@ -251,13 +251,6 @@ def test_a_text_that_is_not_utf8_is_not_understood():
 # The schema.
 
 
-def test_types_are_distinct_and_tell_the_direction():
-    codes = [kind.CODE for kind in MESSAGES]
-    assert len(set(codes)) == len(codes)
-    to_robot = {Hello, Ping, Arm, Position, Pwm, Damp, Disarm, Bye}
-    assert all((kind.CODE < 64) == (kind in to_robot) for kind in MESSAGES)
-
-
 def test_every_field_has_a_meaning_and_a_whole_number_of_steps_in_its_unit():
     for kind in MESSAGES:
         for name, spec in wires(kind).items():

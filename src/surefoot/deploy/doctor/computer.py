@@ -42,12 +42,8 @@ def time_inference(policy: PolicyRuntime, count: int = STEPS) -> Array:
 def time_loop(policy: PolicyRuntime, connection: RobotConnection, steps: int = STEPS) -> tuple[Array, int]:
     """Lateness [s] of the steps of a control loop in real time, and how many steps were missed.
 
-    The loop reads the port, runs the policy and sends a frame, as a deployment does; the frame is a ping.
-
-    Args:
-        policy: what is run; its control step is the loop's.
-        connection: to a robot that was greeted.
-        steps: how many.
+    The loop reads the port, runs the policy at its control step and sends a frame, as a deployment does; the frame is
+    a ping.
 
     Raises:
         LinkLostError: the port is gone.

@@ -65,8 +65,7 @@ def tilt_robot(
     Args:
         connection: to a robot that sits on flat ground.
         contract: says how it stands.
-        robot: its data sheet.
-        operator: may ask to stop.
+        robot, operator: as of `MotionRunner`.
         at_rest: states of the robot at rest, for the bias of its gyro.
 
     Raises:

@@ -122,7 +122,7 @@ def check_link(figures: LinkFigures, lead: float, control_step: float, lockstep:
     """Judge what was measured.
 
     Args:
-        figures: of the link.
+        figures: what pings have shown.
         lead: how long before a control step the robot sends its state [s].
         control_step: of the policy [s].
         lockstep: the robot follows this computer's clock, so that frames take no time.

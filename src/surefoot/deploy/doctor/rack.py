@@ -55,8 +55,6 @@ class Wiggle:
     """How far it was asked to go [rad], with sign."""
     moved: Array
     """How far each motor had gone when it had settled (M,) [rad]."""
-    back: Array
-    """How far each motor was from where it began after the way back (M,) [rad]."""
     age: Array
     """Of readings after both steps: time since the command arrived at the robot (n,) [s]."""
     share: Array
@@ -97,15 +95,14 @@ def _wiggle(leashed: LeashedRobot, start: Array, motor: int, step: float) -> Wig
     before = _settled(leashed.samples)
     target = start.copy()
     target[motor] += step
-    points = []
-    settled = [before]
-    for goal, way in ((target, step), (start, -step)):
-        command, samples = leashed.hold(goal, HOLD)
-        points += _points(samples, command, settled[-1], motor, way, leashed.control_step)
-        settled.append(_settled(samples))
+    command, samples = leashed.hold(target, HOLD)
+    there = _settled(samples)
+    points = _points(samples, command, before, motor, step, leashed.control_step)
+    command, samples = leashed.hold(start, HOLD)
+    points += _points(samples, command, there, motor, -step, leashed.control_step)
     # The fit has to wait until the robot is disarmed: it takes longer than a robot waits for commands.
     age, share = np.array(points or np.empty((0, 2))).T
-    return Wiggle(motor, step, settled[1] - before, settled[2] - before, age, share)
+    return Wiggle(motor, step, there - before, age, share)
 
 
 def _settled(samples: Sequence[Sample]) -> Array:

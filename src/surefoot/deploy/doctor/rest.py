@@ -64,14 +64,7 @@ def watch(connection: RobotConnection, duration: float = DURATION) -> list[Sampl
 def check_rest(
     samples: Sequence[Sample], robot: RobotDescription, handshake: Handshake, limits: SafetyLimits
 ) -> list[Finding]:
-    """Judge a robot that nobody moves.
-
-    Args:
-        samples: states of about a second.
-        robot: its data sheet.
-        handshake: what it says of itself.
-        limits: of a deployment.
-    """
+    """Judge a robot that nobody moves, from states of about a second, by the limits of a deployment."""
     names = ("battery", "temperature", "encoders", "IMU")
     if len(samples) < 2:
         why = f"{len(samples)} states in {DURATION:g} s; the robot must send them by itself after the greeting"
@@ -106,11 +99,8 @@ def _temperature(temperature: Array, robot: RobotDescription, limits: SafetyLimi
 
 
 def _encoders(angles: Array, robot: RobotDescription) -> Finding:
-    """Whether the legs' loops close and all legs are alike: a mirrored or misplaced encoder makes one differ.
-
-    Legs of a robot that lies, sits or hangs without force are in about the same pose, whichever that is; they may be
-    folded far beyond what a gait asks for.
-    """
+    # Legs of a robot that lies, sits or hangs without force are in about the same pose, whichever that is; they may be
+    # folded far beyond what a gait asks for. A mirrored or misplaced encoder makes one differ, or keeps its loop open.
     name = "encoders"
     if not np.isfinite(angles).all():
         bad = robot.motor_names[int(np.argmin(np.isfinite(angles)))]
