@@ -25,7 +25,7 @@ import numpy as np
 
 from surefoot.actuator.motor import motor_torque
 from surefoot.deploy.connection import open_connection
-from surefoot.deploy.loop import Silent
+from surefoot.deploy.loop import Watch
 from surefoot.identify.experiment_runner import PERIOD, run_plan
 from surefoot.identify.recording import COMPLETE
 from surefoot.identify.registry import EXPERIMENTS
@@ -64,7 +64,7 @@ def one_draw(robot: RobotDescription, world: str, seed: int) -> dict[str, Any]:
                 port = process.stdout.readline().split()[-1] if process.stdout is not None else ""
                 connection = open_connection(port, robot.num_motors, lockstep=True)
                 connection.connect(state_period=PERIOD)
-                recording = run_plan(connection, experiment.plan(robot), robot, Silent())
+                recording = run_plan(connection, experiment.plan(robot), robot, Watch())
                 connection.close()
             finally:
                 process.send_signal(signal.SIGINT)

@@ -19,14 +19,29 @@ from dataclasses import asdict, dataclass, field
 import numpy as np
 
 from surefoot.deploy.clock import MonotonicClock
-from surefoot.deploy.link import Link
-from surefoot.deploy.wire.examples import EXAMPLES
+from surefoot.deploy.link import Link, SerialPort
 from surefoot.deploy.wire.frames import MAX_FRAME, Decoder, Frame, encode_frame
 from surefoot.deploy.wire.messages import Arm, Codec, Damp, Message, Ping, Position, Pwm, State
 
 BLOCK = 1000
 """Frames that are sent, carried and compared at a time."""
 CODEC = Codec(8)
+STATE = State(
+    session=4660,
+    mode=1,
+    reason=0,
+    command=4,
+    command_age=0.003,
+    dropped=0,
+    motor_angle=np.array([1.96875, 1.46875, 1.71875, 2.21875, 1.96875, 1.59375, 1.84375, 2.09375]),
+    motor_velocity=np.array([0.0, 1.5, -1.5, 12.25, -12.25, 0.5, -0.5, 3.0]),
+    motor_torque=np.array([0.0, 0.5, -0.5, 3.5, -3.5, 0.001, -0.001, 1.234]),
+    roll_pitch_yaw=np.array([0.0625, -0.125, 3.0]),
+    angular_velocity_base=np.array([0.5, -0.25, 0.0]),
+    energy=17.5,
+    voltage=16.0,
+    temperature=np.array([25.0, 26.0, 27.0, 28.0, 29.0, 30.0, 31.0, 90.0]),
+)
 
 
 class BadLine:
@@ -116,7 +131,7 @@ FATES = (
 )
 
 
-class Tape:
+class Tape(SerialPort):
     """A port that gives bytes in pieces of random size."""
 
     def __init__(self, rng: random.Random) -> None:
@@ -126,15 +141,6 @@ class Tape:
         size = self.rng.randint(1, 400)
         piece, self.data = self.data[:size], self.data[size:]
         return piece
-
-    def write(self, data: bytes) -> int:
-        return len(data)
-
-    def wait(self, timeout: float) -> None:
-        pass
-
-    def close(self) -> None:
-        pass
 
 
 class Listener(Decoder):
@@ -183,12 +189,11 @@ class Result:
 def traffic(rng: random.Random, count: int) -> list[Message]:
     """Messages to choose from; most are commands, as on a true line."""
     values = np.random.default_rng(rng.randrange(2**32))
-    state = next(example.message for example in EXAMPLES if isinstance(example.message, State))
     made: list[Message] = []
     for _ in range(count):
         session, kind = rng.randint(1, 65535), rng.randrange(20)
         if kind == 0:
-            made.append(state)
+            made.append(STATE)
         elif kind < 3:
             made.append(Ping(rng.randrange(2**32)))
         elif kind < 5:

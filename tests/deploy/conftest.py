@@ -147,9 +147,7 @@ def toy(robot: RobotDescription) -> ToyRobot:
 @pytest.fixture
 def connection(toy: ToyRobot) -> RobotConnection:
     clock = LockstepClock()
-    link = Link(toy, toy.codec, clock)
-    clock.attach(link)
-    return RobotConnection(link, clock, session=77)
+    return RobotConnection(Link(toy, toy.codec, clock), clock, session=77)
 
 
 @pytest.fixture

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from surefoot.cli.policies import find_policy
-from surefoot.deploy.checks import Finding, check_contract, refusal
+from surefoot.deploy.checks import check_contract
+from surefoot.deploy.findings import Finding, refusal
 from surefoot.deploy.poses import pose
 from surefoot.deploy.wire.messages import Handshake
 from surefoot.policy.contract import Contract

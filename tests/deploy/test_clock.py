@@ -35,15 +35,13 @@ def test_time_in_lockstep_passes_only_while_waiting():
 
 def test_the_robot_is_pinged_through_to_the_moment(toy):
     clock = LockstepClock()
-    clock.attach(Link(toy, toy.codec, clock))
+    Link(toy, toy.codec, clock)
     clock.wait_until(0.25)
     assert toy.heard == [(0.25, Ping(1))]
 
 
-def test_a_robot_that_does_not_follow_is_told_in_one_line(toy, monkeypatch):
+def test_a_robot_that_does_not_follow_is_told_in_one_line():
     clock = LockstepClock()
-    link = Link(toy, toy.codec, clock)
-    clock.attach(link)
-    monkeypatch.setattr(link, "ping_through", lambda patience: False)
+    clock.ping_through = lambda patience: False
     with pytest.raises(SurefootError, match="emulator run with --lockstep"):
         clock.wait_until(0.1)

@@ -15,9 +15,7 @@ from surefoot.errors import SurefootError
 
 def operator_of(toy, session: int) -> RobotConnection:
     clock = LockstepClock()
-    link = Link(toy, toy.codec, clock)
-    clock.attach(link)
-    return RobotConnection(link, clock, session=session)
+    return RobotConnection(Link(toy, toy.codec, clock), clock, session)
 
 
 def test_a_greeting_is_answered_and_states_follow(connection):
@@ -100,7 +98,7 @@ def test_armed_states_come_when_the_next_command_is_due(connection):
     connection.arm(Mode.POSITION, 0.006)
     start = connection.clock.now()
     for k in range(10):
-        connection.position(np.full(8, 2.0))
+        connection.command(Mode.POSITION, np.full(8, 2.0))
         before = connection.states
         connection.clock.wait_until(start + (k + 1) * 0.006)
         connection.update()
@@ -116,7 +114,7 @@ def test_a_state_is_never_due_after_the_next_command(period, connection):
     connection.arm(Mode.POSITION, period)
     start = connection.clock.now()
     for k in range(200):
-        connection.position(np.full(8, 2.0))
+        connection.command(Mode.POSITION, np.full(8, 2.0))
         before = connection.states
         connection.clock.wait_until(start + (k + 1) * period)
         connection.update()

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from surefoot.deploy.safety_limits import SafetyLimits
+from surefoot.deploy.safety import SafetyLimits
 
 
 @pytest.fixture(scope="module")

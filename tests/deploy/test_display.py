@@ -9,6 +9,8 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
+from types import SimpleNamespace
 
 import pytest
 
@@ -72,38 +74,19 @@ def test_it_draws_what_lines_tell_and_passes_over_the_rest():
 
 
 def test_messages_reach_the_displays_process(snapshot, monkeypatch):
-    sent = []
-    monkeypatch.setattr(subprocess, "Popen", lambda *a, **k: _Process())
+    sent, (read, write) = [], os.pipe()
+    process = SimpleNamespace(stdin=os.fdopen(write, "wb"), wait=lambda timeout: os.close(read))
+    monkeypatch.setattr(subprocess, "Popen", lambda *a, **k: process)
     display = LiveDisplay("title")
     monkeypatch.setattr(os, "write", lambda file, data: sent.append(data) or len(data))
     display.tick(snapshot)
-    display.phase("run", 6.0)
     message = json.loads(sent[0])
     assert message["lateness"] == [0.01, 0.02, 1.5]
     assert message["inference"] == 0.095
-    assert all(len(data) <= 4096 for data in sent)
-    display.close()
-
-
-class _Process:
-    def __init__(self) -> None:
-        read, write = os.pipe()
-        self.stdin, self._read = os.fdopen(write, "wb"), read
-
-    def wait(self, timeout):
-        os.close(self._read)
-
-
-def test_a_hundred_steps_fit_into_one_message(snapshot, monkeypatch):
-    """More than 4096 bytes a pipe may take in part."""
-    from dataclasses import replace
-
-    sent = []
-    monkeypatch.setattr(subprocess, "Popen", lambda *a, **k: _Process())
-    display = LiveDisplay("title")
-    monkeypatch.setattr(os, "write", lambda file, data: sent.append(data) or len(data))
+    # A hundred steps fit into one message: more than 4096 bytes a pipe may take in part.
     display.tick(replace(snapshot, lateness=(1.234567,) * 100))
-    assert len(json.loads(sent[0])["lateness"]) == 100
+    assert len(json.loads(sent[1])["lateness"]) == 100
+    assert all(len(data) <= 4096 for data in sent)
     display.close()
 
 

@@ -1,8 +1,9 @@
-"""Every row of the safety table, on the emulator's process and that of `surefoot deploy`, over pseudo-terminals.
+"""Every row of the safety table, on the emulator and `surefoot deploy`, over pseudo-terminals.
 
 Between the two lies a cable of the test's own: it hears what both say, knows when something is to happen, and can be
-pulled. Where timing allows the robot runs in lockstep: then all times are exact, whatever else the computer does. Where
-time is the point it runs in real time, and a test that fails while the computer is busy is tried again.
+pulled. Where timing allows the robot runs in lockstep, in this process: then all times are exact, whatever else the
+computer does. Where time is the point both are processes that run in real time, and a test that fails while the
+computer is busy is tried again.
 
 Times are those of the robot's clock or of the host's, as they stand in the frames. Rows are numbered as in
 `docs/deploy.md`.
@@ -11,14 +12,11 @@ Times are those of the robot's clock or of the host's, as they stand in the fram
 from __future__ import annotations
 
 import contextlib
-import importlib.util
+import functools
 import itertools
 import json
 import os
-import pickle
 import signal
-import subprocess
-import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -27,7 +25,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from processes import TooBusyError
+from processes import Emulator, TooBusyError, emulators
 
 from surefoot.deploy.motion import UP
 from surefoot.deploy.poses import pose, sitting
@@ -40,24 +38,20 @@ from surefoot.task.partial_trace import SUFFIX, recover
 
 pytest.importorskip("mujoco")
 
-BENCH = Path(__file__).with_name("fault_bench.py")
-_spec = importlib.util.spec_from_file_location("fault_bench", BENCH)
-assert _spec is not None
-assert _spec.loader is not None
-sys.modules["fault_bench"] = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(sys.modules["fault_bench"])
-from fault_bench import (  # noqa: E402
+from fault_bench import (
     LONG,
     OTHER,
     PATIENCE,
     RUNNING,
+    SCENARIOS,
     STEP,
     Cable,
     Client,
     Ended,
     Host,
+    LockstepRobot,
     Record,
-    Robot,
+    play,
     reasons,
 )
 
@@ -82,10 +76,10 @@ def target(extension: float) -> np.ndarray:
 @pytest.fixture(scope="module")
 def operators() -> Iterator[Callable[[], Client]]:
     """A robot in lockstep, and operators for it, one after another; it follows the commands of each."""
-    robot, sessions = Robot("--rack"), itertools.count(700)
+    robot, sessions = LockstepRobot("--rack"), itertools.count(700)
 
     def make() -> Client:
-        client = Client(robot.path, next(sessions))
+        client = Client(robot.port, next(sessions))
         client.send(Hello(client.session, 0.010))
         client.talk(0.6)
         assert client.arm() == []
@@ -94,7 +88,7 @@ def operators() -> Iterator[Callable[[], Client]]:
         return client
 
     yield make
-    robot.end()
+    robot.stop()
 
 
 @pytest.fixture
@@ -160,37 +154,10 @@ def policies(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def played(
-    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory, policies: Path
-) -> Callable[[str], Ended]:
-    """Give what came of a scenario, by its name.
-
-    All that chosen tests name are played ahead, by two workers. They are waited for, since tests in real time want the
-    processors for themselves.
-    """
+def played(tmp_path_factory: pytest.TempPathFactory, policies: Path) -> Callable[[str], Ended]:
+    """Give what came of a scenario, by its name; each is played once."""
     folder = tmp_path_factory.mktemp("lockstep")
-
-    def play(names: list[str]) -> None:
-        script = "import sys; sys.path.insert(0, sys.argv.pop(1)); import fault_bench; fault_bench.main()"
-        words = [sys.executable, "-c", script, str(BENCH.parent), str(folder), str(policies), *names]
-        workers = [subprocess.Popen(words) for _ in range(min(len(names), 2))]
-        try:
-            for worker in workers:
-                assert worker.wait(6 * PATIENCE) == 0
-        finally:
-            for worker in workers:
-                worker.kill()
-
-    def of(name: str) -> Ended:
-        if not (folder / name).exists():
-            play([name])
-        ended = pickle.loads((folder / name / "ended").read_bytes())
-        assert isinstance(ended, Ended), ended
-        return ended
-
-    calls = (getattr(item, "callspec", None) for item in request.session.items if item.path == request.path)
-    play(list(dict.fromkeys(call.params["scenario"] for call in calls if call and "scenario" in call.params)))
-    return of
+    return functools.cache(lambda name: play(SCENARIOS[name], folder / name, policies))
 
 
 @pytest.fixture
@@ -207,17 +174,16 @@ def scenarios(*names: str) -> pytest.MarkDecorator:
 
 
 @pytest.fixture(scope="module")
-def living_robot() -> Iterator[Robot]:
+def living_robot() -> Iterator[Emulator]:
     """A robot in real time, without faults."""
-    robot = Robot(lockstep=False)
-    yield robot
-    robot.end()
+    with emulators() as start:
+        yield start()
 
 
 @contextlib.contextmanager
-def deployed(robot: Robot, folder: Path) -> Iterator[tuple[Cable, Host]]:
+def deployed(robot: Emulator, folder: Path) -> Iterator[tuple[Cable, Host]]:
     """A policy on a robot in real time."""
-    cable = Cable(robot.path)
+    cable = Cable(robot.port)
     host = Host(cable.path, folder, "--duration", str(LONG), lockstep=False)
     try:
         yield cable, host
@@ -414,19 +380,15 @@ def test_row_2_commands_that_are_old_repeated_or_backward(client, how):
 
 
 @pytest.mark.realtime
-def test_row_2_a_microcontroller_that_stands_still(tmp_path):
-    robot = Robot("--fault", "hang=0.2@0.4", lockstep=False)
-    try:
-        with deployed(robot, tmp_path) as (cable, host):
-            ended = host.end()
-            time.sleep(0.3)
-            assert ended.outcome == (3, "fault", "stale state")
-            assert_damped_at_once(cable.record)
-            # When it goes on it finds commands that are too old, and nobody who sends new ones.
-            assert {Reason.STALE, Reason.TIMEOUT, Reason.HOST} & set(cable.record.reasons)
-            assert cable.record.left[0] != Mode.POSITION
-    finally:
-        robot.end()
+def test_row_2_a_microcontroller_that_stands_still(emulate, tmp_path):
+    with deployed(emulate("--fault", "hang=0.2@0.4"), tmp_path) as (cable, host):
+        ended = host.end()
+        time.sleep(0.3)
+        assert ended.outcome == (3, "fault", "stale state")
+        assert_damped_at_once(cable.record)
+        # When it goes on it finds commands that are too old, and nobody who sends new ones.
+        assert {Reason.STALE, Reason.TIMEOUT, Reason.HOST} & set(cable.record.reasons)
+        assert cable.record.left[0] != Mode.POSITION
 
 
 # 3: numbers that are none, exceptions, a contract that does not fit.
@@ -485,17 +447,14 @@ def test_row_3_a_robot_that_does_not_fit(ended, text):
 
 
 @pytest.mark.realtime
-def test_row_3_a_robot_that_starts_anew(tmp_path):
-    robot = Robot("--fault", f"reboot={RUNNING}", lockstep=False)
-    try:
-        with deployed(robot, tmp_path) as (cable, host):
-            ended = host.end()
-            assert ended.outcome == (3, "fault", "stale state")
-            assert ended.kept.num_steps > 20
-            assert_damped_at_once(cable.record)
-    finally:
-        summary = robot.end()
-    assert "mode DISARMED, reason NONE" in summary
+def test_row_3_a_robot_that_starts_anew(emulate, tmp_path):
+    robot = emulate("--fault", f"reboot={RUNNING}")
+    with deployed(robot, tmp_path) as (cable, host):
+        ended = host.end()
+        assert ended.outcome == (3, "fault", "stale state")
+        assert ended.kept.num_steps > 20
+        assert_damped_at_once(cable.record)
+    assert "mode DISARMED, reason NONE" in robot.stop()[1]
 
 
 # 4: roll or pitch over the limit.

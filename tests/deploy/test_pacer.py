@@ -24,7 +24,6 @@ class HandClock:
 
 def test_steps_come_at_whole_periods():
     pacer = Pacer(HandClock(), 0.006)
-    pacer.begin()
     ticks = [pacer.next() for _ in range(4)]
     assert [tick.index for tick in ticks] == [0, 1, 2, 3]
     assert [tick.due for tick in ticks] == pytest.approx([10.0, 10.006, 10.012, 10.018])
@@ -35,7 +34,6 @@ def test_steps_come_at_whole_periods():
 def test_a_step_that_starts_a_period_late_is_missed_and_the_beat_stays(late, missed):
     clock = HandClock()
     pacer = Pacer(clock, 0.006)
-    pacer.begin()
     pacer.next()
     clock.late = late
     tick = pacer.next()
@@ -50,7 +48,6 @@ def test_a_step_that_starts_a_period_late_is_missed_and_the_beat_stays(late, mis
 def test_a_new_count_takes_the_place_of_the_next_step():
     clock = HandClock()
     pacer = Pacer(clock, 0.006)
-    pacer.begin()
     for _ in range(3):
         pacer.next()
     pacer.restart()

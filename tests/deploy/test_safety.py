@@ -12,11 +12,11 @@ from surefoot.deploy.safety import (
     Act,
     Guard,
     NotFiniteError,
+    SafetyLimits,
     StepStatus,
     check_finite,
     is_finite,
 )
-from surefoot.deploy.safety_limits import SafetyLimits
 from surefoot.deploy.wire.messages import Mode, Reason
 from surefoot.errors import SurefootError
 

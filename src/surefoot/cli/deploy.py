@@ -18,11 +18,12 @@ from surefoot.cli.options import Baud, Count, Json, Lockstep, PolicyName, Port, 
 from surefoot.cli.parsing import parse
 from surefoot.cli.policies import find_policy
 from surefoot.configuration import Duration
-from surefoot.deploy.checks import check_contract, refusal
+from surefoot.deploy.checks import check_contract
 from surefoot.deploy.connection import open_connection
 from surefoot.deploy.controller import Controller
 from surefoot.deploy.deployment import Deployment, Outcome
 from surefoot.deploy.display import LiveDisplay, PlainLines
+from surefoot.deploy.findings import refusal
 from surefoot.deploy.link import BAUD
 from surefoot.deploy.motion import DOWN, UP
 from surefoot.deploy.pacer import Timing

@@ -17,7 +17,9 @@ from surefoot.cli.parsing import parse
 from surefoot.cli.policies import find_policy
 from surefoot.configuration import Within
 from surefoot.deploy.connection import open_connection
-from surefoot.deploy.doctor.examination import Examination, examine
+from surefoot.deploy.doctor.computer import STEPS
+from surefoot.deploy.doctor.examination import examine
+from surefoot.deploy.doctor.link import PINGS
 from surefoot.deploy.findings import Finding
 from surefoot.deploy.link import BAUD, LinkLostError
 from surefoot.errors import SurefootError
@@ -49,9 +51,9 @@ class DoctorCommand:
     robot: str | None = None
     """Name or folder of the robot's description; the policy's, if not given."""
     baud: Baud = BAUD
-    pings: Annotated[int, Within(10, 100_000)] = Examination.pings
+    pings: Annotated[int, Within(10, 100_000)] = PINGS
     """Pings that the link is measured with."""
-    steps: Annotated[int, Within(10, 100_000)] = Examination.steps
+    steps: Annotated[int, Within(10, 100_000)] = STEPS
     """Control steps and inferences that this computer is measured with."""
     json: Json = False
 
@@ -69,10 +71,12 @@ def main(argv: list[str]) -> int:
     if not command.json:
         console.print(f"policy '{contract.name}' for {contract.robot}, port {command.port}", markup=False)
     connection = open_connection(command.port, robot.num_motors, command.lockstep, command.baud)
-    what = Examination(command.rack, command.ground, command.pings, command.steps)
+    findings = []
     try:
-        tell = (lambda _: None) if command.json else (lambda finding: _print(console, finding))
-        findings = examine(connection, policy, robot, what, tell)
+        for finding in examine(connection, policy, robot, command.rack, command.ground, command.pings, command.steps):
+            findings.append(finding)
+            if not command.json:
+                _print(console, finding)
     finally:
         with contextlib.suppress(LinkLostError, OSError):
             connection.close()

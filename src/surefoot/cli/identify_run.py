@@ -17,7 +17,7 @@ from rich.text import Text
 from surefoot.deploy.connection import RobotConnection, open_connection
 from surefoot.deploy.display import LiveDisplay, PlainLines
 from surefoot.deploy.link import LinkLostError
-from surefoot.deploy.loop import Snapshot
+from surefoot.deploy.loop import Snapshot, Watch
 from surefoot.deploy.realtime import undisturbed
 from surefoot.deploy.wire.messages import Handshake
 from surefoot.errors import SurefootError
@@ -178,7 +178,7 @@ def _run(session: Session, connection: RobotConnection, plan: Plan, robot: Robot
         return run_plan(connection, plan, robot, watch)
 
 
-class Progress:
+class Progress(Watch):
     """How an experiment goes, and how long it still takes: a display on a terminal, lines elsewhere.
 
     Args:

@@ -5,8 +5,6 @@ Everything here is a pure function of the three; nothing is asked of the robot a
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
@@ -19,14 +17,13 @@ from surefoot.deploy.contract_task import (
     other_gains,
     unreadable_observation,
 )
-from surefoot.deploy.findings import Finding, judged, refusal
+from surefoot.deploy.findings import Finding, compared, judged, undone
+from surefoot.deploy.poses import pose
 from surefoot.deploy.wire.messages import Handshake
 from surefoot.errors import SurefootError, choices
 from surefoot.policy.contract import Contract
 from surefoot.robot import RobotDescription
 from surefoot.task.reference import make_reference
-
-__all__ = ["Finding", "check_contract", "refusal"]
 
 WATCHDOG_STEPS = 3
 """Control steps that the robot's watchdog must bear: a late command is held for two."""
@@ -34,14 +31,6 @@ _STEP_SHARE = 0.1
 """How far a control step may be from a whole number of servo periods, in servo periods."""
 _ANGLE = 1e-4
 """Angles [rad] closer than this are the same: they travel as 32-bit numbers."""
-
-
-@dataclass(frozen=True)
-class _Given:
-    contract: Contract
-    handshake: Handshake
-    robot: RobotDescription
-    digest: str | None
 
 
 def check_contract(
@@ -56,123 +45,129 @@ def check_contract(
         digest: `PolicyRuntime.digest`: what shows that network and contract belong together. A policy without one
             does not pass.
     """
-    given = _Given(contract, handshake, robot, digest)
-    return [check(given) for check in _CHECKS]
+    return [
+        _digest(digest),
+        _robot(contract, handshake, robot),
+        _motors(contract, handshake, robot),
+        _signs(contract, handshake, robot),
+        _legs(contract, robot),
+        _observation(contract, robot),
+        compared(
+            "contract",
+            contradiction(contract, robot),
+            "agrees with its task and the data sheet",
+            "the contract was edited or is of another task: export the policy again",
+        ),
+        _gains(contract, handshake),
+        _servo_period(handshake, robot),
+        _control_step(contract, handshake),
+        _watchdog(contract, handshake),
+        _angles(contract, handshake, robot),
+    ]
 
 
-def _digest(given: _Given) -> Finding:
-    name = "policy file"
-    if given.digest is None:
-        return Finding(
-            name,
-            False,
-            "has no digest, so nothing shows that network and contract belong together",
-            "export it again, or add the digest with `python -m surefoot.policy.digest FILE` if you know where the "
-            "file comes from",
-        )
-    return Finding(name, True, "network and contract are those that were exported together", value=given.digest[:12])
-
-
-def _robot(given: _Given) -> Finding:
-    names = (given.contract.robot, given.handshake.robot, given.robot.name)
-    if len(set(names)) == 1:
-        return Finding("robot", True, f"{names[0]}, firmware '{given.handshake.firmware}'", value=names[1])
-    return Finding(
-        "robot",
-        False,
-        f"the policy is for '{names[0]}', the robot says '{names[1]}', the data sheet is of '{names[2]}'; all must be "
-        "the same",
-        f"run a policy that was trained for '{names[1]}', or connect the robot that this one is for",
-        names[1],
+def _digest(digest: str | None) -> Finding:
+    return compared(
+        "policy file",
+        None if digest is not None else "has no digest, so nothing shows that network and contract belong together",
+        "network and contract are those that were exported together",
+        "export it again, or add the digest with `python -m surefoot.policy.digest FILE` if you know where the file "
+        "comes from",
+        digest and digest[:12],
     )
 
 
-def _motors(given: _Given) -> Finding:
-    who = {
-        "policy": given.contract.motor_names,
-        "robot": given.handshake.motor_names,
-        "data sheet": given.robot.motor_names,
-    }
+def _robot(contract: Contract, handshake: Handshake, robot: RobotDescription) -> Finding:
+    policys, name, sheets = contract.robot, handshake.robot, robot.name
+    why = (
+        f"the policy is for '{policys}', the robot says '{name}', the data sheet is of '{sheets}'; all must be the same"
+    )
+    todo = f"run a policy that was trained for '{name}', or connect the robot that this one is for"
+    same = policys == name == sheets
+    return compared("robot", None if same else why, f"{name}, firmware '{handshake.firmware}'", todo, name)
+
+
+def _motors(contract: Contract, handshake: Handshake, robot: RobotDescription) -> Finding:
+    who = {"policy": contract.motor_names, "robot": handshake.motor_names, "data sheet": robot.motor_names}
     todo = "put the motors in the policy's order in the firmware, or train with a data sheet that has the robot's order"
+    why = None
     if len({len(names) for names in who.values()}) > 1:
         counts = ", ".join(f"{name}: {len(names)}" for name, names in who.items())
-        return Finding("motors", False, f"their numbers differ ({counts}); all must have the same", todo)
-    for index, names in enumerate(zip(*who.values(), strict=True)):
-        if len(set(names)) > 1:
-            told = ", ".join(f"'{name}' ({one})" for one, name in zip(who, names, strict=True))
-            return Finding("motors", False, f"motor {index} is {told}; names and order must be the same", todo)
-    return Finding("motors", True, f"{len(who['robot'])}, same names in the same order")
+        why = f"their numbers differ ({counts}); all must have the same"
+    else:
+        for index, names in enumerate(zip(*who.values(), strict=True)):
+            if len(set(names)) > 1:
+                told = ", ".join(f"'{name}' ({one})" for one, name in zip(who, names, strict=True))
+                why = f"motor {index} is {told}; names and order must be the same"
+                break
+    return compared("motors", why, f"{len(robot.motor_names)}, same names in the same order", todo)
 
 
-def _signs(given: _Given) -> Finding:
-    signs = (given.contract.motor_signs, given.handshake.motor_signs, given.robot.motor_sign)
+def _signs(contract: Contract, handshake: Handshake, robot: RobotDescription) -> Finding:
+    signs = (contract.motor_signs, handshake.motor_signs, robot.motor_sign)
     todo = "set the sign in the firmware, or train with a data sheet that has the robot's signs"
-    for name, *three in zip(given.contract.motor_names, *signs, strict=False):
+    for name, *three in zip(contract.motor_names, *signs, strict=False):
         if len(set(map(float, three))) > 1:
             told = "{:+g} (policy), {:+g} (robot), {:+g} (data sheet)".format(*three)
             return Finding("motor signs", False, f"{name} has {told}; all must be the same", todo)
     return Finding("motor signs", True, "same for every motor")
 
 
-def _legs(given: _Given) -> Finding:
-    theirs, ours = given.contract.leg_names, given.robot.leg_names
-    if theirs == ours:
-        return Finding("legs", True, choices(ours))
-    why = f"the policy's are {choices(theirs)}, the data sheet's {choices(ours)}; names and order must be the same"
-    return Finding("legs", False, why, "export the policy again with the data sheet of this robot")
+def _legs(contract: Contract, robot: RobotDescription) -> Finding:
+    theirs, ours = choices(contract.leg_names), choices(robot.leg_names)
+    why = f"the policy's are {theirs}, the data sheet's {ours}; names and order must be the same"
+    same = contract.leg_names == robot.leg_names
+    return compared("legs", None if same else why, ours, "export the policy again with the data sheet of this robot")
 
 
-def _gains(given: _Given) -> Finding:
-    contract, (kp, kd) = given.contract, (given.handshake.servo_kp, given.handshake.servo_kd)
-    why = other_gains(contract, kp, kd)
-    if why is None:
-        return Finding("servo gains", True, gains_of(kp, kd), value=kp)
+def _observation(contract: Contract, robot: RobotDescription) -> Finding:
+    names = choices(part.name for part in contract.observation)
+    why = unreadable_observation(contract, robot)
+    todo = "export the policy with a surefoot of this version"
+    return compared("observation", why, f"{names}: all can be read from the robot's states", todo)
+
+
+def _gains(contract: Contract, handshake: Handshake) -> Finding:
+    kp, kd = handshake.servo_kp, handshake.servo_kd
     asked = gains_of(contract.servo_kp, contract.servo_kd)
     todo = f"set {asked} in the firmware, or train with servo_kp {kp:g} and servo_kd {kd:g}"
-    return Finding("servo gains", False, why, todo, kp)
+    return compared("servo gains", other_gains(contract, kp, kd), gains_of(kp, kd), todo, kp)
 
 
-def _servo_period(given: _Given) -> Finding:
-    theirs, ours = given.handshake.servo_period, given.robot.timing.servo_step
-    if near(theirs, ours):
-        return Finding("servo period", True, f"{1e3 * theirs:g} ms", value=theirs)
-    return Finding(
-        "servo period",
-        False,
+def _servo_period(handshake: Handshake, robot: RobotDescription) -> Finding:
+    theirs, ours = handshake.servo_period, robot.timing.servo_step
+    why = (
         f"the robot's servos step every {1e3 * theirs:g} ms; the data sheet says {1e3 * ours:g} ms, and it must be "
-        f"within {GAIN_TOLERANCE:.0%}",
-        "set the firmware's servo rate, or train with a data sheet that has the robot's",
-        theirs,
+        f"within {GAIN_TOLERANCE:.0%}"
     )
+    todo = "set the firmware's servo rate, or train with a data sheet that has the robot's"
+    return compared("servo period", None if near(theirs, ours) else why, f"{1e3 * theirs:g} ms", todo, theirs)
 
 
-def _control_step(given: _Given) -> Finding:
-    step, servo = given.contract.control_step, given.handshake.servo_period
-    least, most = given.handshake.command_period_min, given.handshake.command_period_max
+def _control_step(contract: Contract, handshake: Handshake) -> Finding:
+    step, servo = contract.control_step, handshake.servo_period
+    least, most = handshake.command_period_min, handshake.command_period_max
     name, todo = "control step", "train with a control_step that this robot takes"
     if not least - 1e-9 <= step <= most + 1e-9:
         why = f"{1e3 * step:g} ms; the robot takes commands every {1e3 * least:g} to {1e3 * most:g} ms"
         return Finding(name, False, why, todo, step)
     periods = step / servo
-    if round(periods) < 1 or abs(periods - round(periods)) > _STEP_SHARE:
-        why = f"{1e3 * step:g} ms is {periods:.2f} servo periods of {1e3 * servo:g} ms; it must be a whole number"
-        return Finding(name, False, why, todo, step)
-    return Finding(name, True, f"{1e3 * step:g} ms, {round(periods)} servo periods", value=step)
+    whole = round(periods) >= 1 and abs(periods - round(periods)) <= _STEP_SHARE
+    why = f"{1e3 * step:g} ms is {periods:.2f} servo periods of {1e3 * servo:g} ms; it must be a whole number"
+    return compared(name, None if whole else why, f"{1e3 * step:g} ms, {round(periods)} servo periods", todo, step)
 
 
-def _watchdog(given: _Given) -> Finding:
-    timeout, step = given.handshake.command_timeout, given.contract.control_step
-    why = f"the robot damps its motors after {1e3 * timeout:g} ms without a command"
-    rule = f"; it must bear {WATCHDOG_STEPS} control steps, {1e3 * WATCHDOG_STEPS * step:g} ms"
-    passed = timeout >= WATCHDOG_STEPS * step - 1e-9
-    return judged("watchdog", passed, why, rule, "raise the firmware's command timeout", timeout)
+def _watchdog(contract: Contract, handshake: Handshake) -> Finding:
+    timeout, least = handshake.command_timeout, WATCHDOG_STEPS * contract.control_step
+    told = f"the robot damps its motors after {1e3 * timeout:g} ms without a command"
+    rule = f"; it must bear {WATCHDOG_STEPS} control steps, {1e3 * least:g} ms"
+    return judged("watchdog", timeout >= least - 1e-9, told, rule, "raise the firmware's command timeout", timeout)
 
 
-def _angles(given: _Given) -> Finding:
-    contract, robot, handshake = given.contract, given.robot, given.handshake
-    name, todo = "angle limits", "widen the firmware's limits if the legs allow it, or train with narrower feedback"
+def _angles(contract: Contract, handshake: Handshake, robot: RobotDescription) -> Finding:
+    name = "angle limits"
     if contract.leg_names != robot.leg_names or len(handshake.angle_low) != robot.num_motors:
-        return Finding(name, None, "the policy's legs and motors are not the robot's", "mend that first")
+        return undone([name], "the policy's legs and motors are not the robot's")[0]
     try:
         swing, extension = make_reference(contract.reference, robot.leg_names).extent()
     except SurefootError as error:
@@ -184,34 +179,11 @@ def _angles(given: _Given) -> Finding:
         (extension[0] + bounds[0, legs:].min(), extension[1] + bounds[1, legs:].max()),
     )
     # Motor angles are sums and differences of swing and extension: their extremes are at the corners.
-    poses = [
-        robot.leg_to_motor_angles(np.full(legs, s), np.full(legs, e)) for s, e in (*product(*spans), contract.rest)
-    ]
+    poses = [pose(robot, s, e) for s, e in (*product(*spans), contract.rest)]
     least, most = np.min(poses, axis=0), np.max(poses, axis=0)
     room = np.minimum(least - handshake.angle_low, handshake.angle_high - most)
     worst = int(np.argmin(room))
     asked = f"{robot.motor_names[worst]} can be sent to {least[worst]:.3f} to {most[worst]:.3f} rad"
-    allowed = f"the robot takes {handshake.angle_low[worst]:.3f} to {handshake.angle_high[worst]:.3f}"
-    passed = bool(room[worst] >= -_ANGLE)
-    return Finding(name, passed, f"{asked}; {allowed}", "" if passed else todo, float(room[worst]))
-
-
-def _observation(given: _Given) -> Finding:
-    why = unreadable_observation(given.contract, given.robot)
-    if why is not None:
-        return Finding("observation", False, why, "export the policy with a surefoot of this version")
-    names = [part.name for part in given.contract.observation]
-    return Finding("observation", True, f"{choices(names)}: all can be read from the robot's states")
-
-
-def _consistent(given: _Given) -> Finding:
-    why = contradiction(given.contract, given.robot)
-    if why is None:
-        return Finding("contract", True, "agrees with its task and the data sheet")
-    return Finding("contract", False, why, "the contract was edited or is of another task: export the policy again")
-
-
-_CHECKS: tuple[Callable[[_Given], Finding], ...] = (
-    *(_digest, _robot, _motors, _signs, _legs, _observation, _consistent),
-    *(_gains, _servo_period, _control_step, _watchdog, _angles),
-)
+    allowed = f"; the robot takes {handshake.angle_low[worst]:.3f} to {handshake.angle_high[worst]:.3f}"
+    todo = "widen the firmware's limits if the legs allow it, or train with narrower feedback"
+    return judged(name, bool(room[worst] >= -_ANGLE), asked + allowed, "", todo, float(room[worst]))

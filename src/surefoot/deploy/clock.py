@@ -1,41 +1,25 @@
-"""The control computer's clock: the real one, or in lockstep one that the robot follows."""
+"""Clocks: the control computer's, one that an emulated robot follows, and how they relate to the robot's."""
 
 from __future__ import annotations
 
+import math
 import time
-from typing import Protocol
+from collections import deque
+from collections.abc import Callable
 
 from surefoot.errors import SurefootError
 
 SPIN = 150e-6
 """A wait's last part [s] is spent looking at the clock: a sleeping process is woken too late by up to so much."""
+WINDOW = 10.0
+"""Time [s] over which the quickest frame counts: within it clocks that run 50 ppm apart part by half a millisecond."""
 _PATIENCE = (0.05, 0.15, 0.5, 1.3, 3.0)
 """Real time [s] for which each of several pings is given to be answered. A robot in lockstep answers within a few
 milliseconds, unless the line lost the ping or its pong: then waiting is for nothing."""
 
 
-class Clock(Protocol):
-    """Time in seconds from 0, and a way to let it pass."""
-
-    def now(self) -> float:
-        """The time [s]."""
-        ...
-
-    def wait_until(self, moment: float) -> None:
-        """Return when it is `moment` [s], at once if that has passed."""
-        ...
-
-
-class Follower(Protocol):
-    """The other end of a link, whose time follows the times in what it is sent."""
-
-    def ping_through(self, patience: float) -> bool:
-        """Send a ping and wait for its answer, at most `patience` seconds of real time; return whether it came."""
-        ...
-
-
 class MonotonicClock:
-    """The computer's monotonic clock."""
+    """The computer's monotonic clock, in seconds from 0."""
 
     def __init__(self) -> None:
         self._start = time.monotonic()
@@ -45,7 +29,7 @@ class MonotonicClock:
         return time.monotonic() - self._start
 
     def wait_until(self, moment: float) -> None:
-        """Sleep most of the time, then look at the clock."""
+        """Wait until `moment` [s]: sleep most of the time, then look at the clock."""
         left = moment - self.now()
         if left > SPIN:
             time.sleep(left - SPIN)
@@ -61,11 +45,8 @@ class LockstepClock:
 
     def __init__(self) -> None:
         self._now = 0.0
-        self._link: Follower | None = None
-
-    def attach(self, link: Follower) -> None:
-        """Take the link whose other end follows this clock."""
-        self._link = link
+        self.ping_through: Callable[[float], bool] | None = None
+        """`Link.ping_through` of the link whose other end follows this clock."""
 
     def now(self) -> float:
         """The time [s]."""
@@ -80,8 +61,46 @@ class LockstepClock:
         if moment <= self._now:
             return
         self._now = moment
-        if self._link is None:
-            return
-        if any(self._link.ping_through(patience) for patience in _PATIENCE):
-            return
-        raise SurefootError("the robot does not answer; a clock in lockstep needs an emulator run with --lockstep")
+        if self.ping_through is not None and not any(map(self.ping_through, _PATIENCE)):
+            raise SurefootError("the robot does not answer; a clock in lockstep needs an emulator run with --lockstep")
+
+
+Clock = MonotonicClock | LockstepClock
+
+
+class ClockSync:
+    """The least difference between arrival here and sending there, over the last `WINDOW` seconds.
+
+    The frame that came quickest is taken to have come at once: what is told is how much later than the quickest one
+    a frame is, never how long the quickest one took. The robot judges the age of commands by the same, the other way
+    round.
+
+    Args:
+        second: a second in the unit of all times given: 1, or 1,000,000 for whole microseconds.
+    """
+
+    def __init__(self, second: int = 1) -> None:
+        self._second = second
+        self._buckets: deque[tuple[float, float]] = deque()
+
+    def add(self, sent: float, arrived: float) -> None:
+        """Take a frame: sent on the robot's clock [s], arrived on this computer's [s]."""
+        second, difference = arrived // self._second, arrived - sent
+        if self._buckets and self._buckets[-1][0] == second:
+            difference = min(difference, self._buckets.pop()[1])
+        self._buckets.append((second, difference))
+        while self._buckets[0][0] < second - WINDOW:
+            self._buckets.popleft()
+
+    @property
+    def offset(self) -> float:
+        """This computer's time [s] when the robot's is 0; infinite while nothing has come."""
+        return min((difference for _, difference in self._buckets), default=math.inf)
+
+    def age(self, sent: float, now: float) -> float:
+        """How long ago [s] the robot's clock showed `sent`, when it is `now` here."""
+        return now - (sent + self.offset)
+
+    def forget(self) -> None:
+        """Start anew, for a robot that was switched on again."""
+        self._buckets.clear()

@@ -6,10 +6,10 @@ import math
 import secrets
 from collections.abc import Callable
 
-from numpy.typing import ArrayLike
+import numpy as np
+from numpy.typing import NDArray
 
-from surefoot.deploy.clock import Clock, LockstepClock, MonotonicClock
-from surefoot.deploy.clock_sync import ClockSync
+from surefoot.deploy.clock import Clock, ClockSync, LockstepClock, MonotonicClock
 from surefoot.deploy.link import BAUD, Arrival, Link, SerialPort
 from surefoot.deploy.wire.messages import (
     VERSION,
@@ -179,13 +179,10 @@ class RobotConnection:
         report_after = math.floor(1e6 * report_after + 1e-3) * 1e-6
         self.link.send(Arm(self.session, int(mode), command_period, report_after))
 
-    def position(self, target: ArrayLike) -> int:
-        """Send motor angles (M,) [rad]; returns the number of the frame."""
-        return self.link.send(Position(self.session, target))  # type: ignore[arg-type]
-
-    def pwm(self, duty: ArrayLike) -> int:
-        """Send a duty for each motor (M,); returns the number of the frame."""
-        return self.link.send(Pwm(self.session, duty))  # type: ignore[arg-type]
+    def command(self, mode: Mode, values: NDArray[np.float64]) -> None:
+        """Send motor angles (M,) [rad], or a duty for each motor (M,) if the mode is that of duties."""
+        kind = Pwm if mode == Mode.PWM else Position
+        self.link.send(kind(self.session, values))
 
     def damp(self) -> None:
         """Have the motors damped at once."""
@@ -216,7 +213,4 @@ def open_connection(port: str, motors: int, lockstep: bool = False, baud: int = 
         SurefootError: a port that can't be opened, or that another program has.
     """
     clock = LockstepClock() if lockstep else MonotonicClock()
-    link = Link(SerialPort(port, baud), Codec(motors), clock)
-    if isinstance(clock, LockstepClock):
-        clock.attach(link)
-    return RobotConnection(link, clock)
+    return RobotConnection(Link(SerialPort(port, baud), Codec(motors), clock), clock)

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import time
-from typing import Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from surefoot.deploy.safety import check_finite
 from surefoot.deploy.wire.messages import State
 from surefoot.errors import SurefootError, choices
-from surefoot.policy.contract import Contract
+from surefoot.policy.runtime import PolicyRuntime
 from surefoot.robot import RobotDescription
 from surefoot.task.gait import HybridGait
 from surefoot.task.observation import Moment, Observer
@@ -21,39 +20,14 @@ from surefoot.world.interface import Readings
 Array = NDArray[np.float64]
 
 
-class Policy(Protocol):
-    """What gives leg-space feedback for observations, such as a `PolicyRuntime`."""
-
-    contract: Contract
-
-    def feedback(self, observation: ArrayLike) -> Array:
-        """Feedback (N, 2 L) [rad] for observations (N, O * history)."""
-        ...
-
-
-def readings_of(state: State, time: float) -> Readings:
-    """A state as the readings of a batch of one, at a time [s] of the policy's own clock."""
-    return Readings(
-        time=np.array([time]),
-        roll_pitch_yaw=state.roll_pitch_yaw[None],
-        angular_velocity_base=state.angular_velocity_base[None],
-        motor_angle=state.motor_angle[None],
-        motor_velocity=state.motor_velocity[None],
-    )
-
-
 class Controller:
-    """Observation, history, policy, reference: one control step after another.
-
-    Args:
-        policy: the policy.
-        robot: the robot that it is for.
+    """Observation, history, policy, reference: one control step after another, on the robot that the policy is for.
 
     Raises:
         SurefootError: observations that this surefoot makes otherwise, or a gait that the robot does not allow.
     """
 
-    def __init__(self, policy: Policy, robot: RobotDescription) -> None:
+    def __init__(self, policy: PolicyRuntime, robot: RobotDescription) -> None:
         self.policy, self.robot, self.contract = policy, robot, policy.contract
         contract, legs = self.contract, len(robot.legs)
         self.observer = Observer(robot, tuple(part.name for part in contract.observation))
@@ -94,15 +68,19 @@ class Controller:
         Raises:
             NotFiniteError: a reading that is not finite.
         """
-        seen = Moment(readings_of(state, moment), self.gait.reference, self.feedback[None])
-        self.observation = self.observer.observe(seen)[0]
+        readings = Readings(
+            time=np.array([moment]),
+            roll_pitch_yaw=state.roll_pitch_yaw[None],
+            angular_velocity_base=state.angular_velocity_base[None],
+            motor_angle=state.motor_angle[None],
+            motor_velocity=state.motor_velocity[None],
+        )
+        self.observation = self.observer.observe(Moment(readings, self.gait.reference, self.feedback[None]))[0]
         check_finite("observation", self.contract.columns, self.observation)
         if self._history is None:
             self._history = np.tile(self.observation, (self.contract.history, 1)).astype(np.float32)
             return self._history.reshape(1, -1)
-        for _ in range(min(missed, self.contract.history - 1)):
-            self._history[1:] = self._history[:-1].copy()
-        if self.contract.history > 1:
+        for _ in range(min(missed + 1, self.contract.history)):
             self._history[1:] = self._history[:-1].copy()
         self._history[0] = self.observation
         return self._history.reshape(1, -1)

@@ -18,8 +18,7 @@ from surefoot.deploy.motion import MotionRunner
 from surefoot.deploy.pacer import Timing
 from surefoot.deploy.poses import pose
 from surefoot.deploy.recording.recorder import Recorder
-from surefoot.deploy.safety import GO, Act, Guard, Verdict
-from surefoot.deploy.safety_limits import SafetyLimits
+from surefoot.deploy.safety import GO, Act, Guard, SafetyLimits, Verdict
 from surefoot.deploy.wire.messages import Handshake, State
 from surefoot.errors import SurefootError
 from surefoot.stop_signals import StopSignals
@@ -55,7 +54,6 @@ class Deployment:
         controller: the policy on it.
         operator: may ask to stop.
         watch: is told how it goes.
-        limits: when a run ends early.
         dry_run: compute everything, and neither arm nor send.
     """
 
@@ -65,15 +63,14 @@ class Deployment:
         controller: Controller,
         operator: StopSignals,
         watch: Watch,
-        limits: SafetyLimits | None = None,
         dry_run: bool = False,
     ) -> None:
         self.connection, self.controller, self.operator, self.watch = connection, controller, operator, watch
         self.contract, self.robot = controller.contract, controller.robot
-        self.limits, self.dry_run = limits or SafetyLimits(), dry_run
+        self.limits, self.dry_run = SafetyLimits(), dry_run
         self._moved = False
 
-    def greet(self, check: Callable[[Handshake], None]) -> Handshake:
+    def greet(self, check: Callable[[Handshake], None]) -> None:
         """Ask for the robot, check it, and wait until it tells its state.
 
         Args:
@@ -85,8 +82,7 @@ class Deployment:
         """
         self.watch.phase("greet", 0.0)
         try:
-            handshake = self.connection.connect(state_period=self.contract.control_step)
-            check(handshake)
+            check(self.connection.connect(state_period=self.contract.control_step))
             if not self.connection.wait_for(lambda: self.connection.state is not None, 1.0):
                 raise SurefootError("the robot tells nothing of itself within 1 s; switch it off and on again")
             self._warm_up()
@@ -95,7 +91,6 @@ class Deployment:
         except LinkLostError as error:
             raise SurefootError(f"the robot was lost before it was armed: {error}") from error
         self.controller.reset()
-        return handshake
 
     def _warm_up(self) -> None:
         """Ask the policy some times: a network's first runs are slow, and what fails is best found now."""
@@ -198,13 +193,7 @@ class Deployment:
         return loop.follow("run", recorder.max_steps, compute, after)
 
     def _finish(self, runner: MotionRunner, verdict: Verdict, running: bool) -> Outcome:
-        """Bring the robot to rest, whatever happened.
-
-        Args:
-            runner: of the robot.
-            verdict: what ended the run.
-            running: whether the policy was.
-        """
+        """Bring the robot to rest, whatever ended the run, and whether the policy was running or not."""
         outcome = _outcome(verdict)
         try:
             if verdict.act in (Act.GO, Act.SIT):

@@ -19,26 +19,22 @@ from typing import Any, TextIO
 
 import numpy as np
 
-from surefoot.deploy.loop import Snapshot
+from surefoot.deploy.loop import Snapshot, Watch
 
 WINDOW = 1000
 """Steps over which the display tells lateness."""
 _SCALE = 1e3
 
 
-class LiveDisplay:
-    """Starts the display's process and feeds it.
-
-    Args:
-        title: first line.
-    """
+class LiveDisplay(Watch):
+    """Starts the display's process and feeds it."""
 
     def __init__(self, title: str) -> None:
         command = [sys.executable, "-m", "surefoot.deploy.display"]
         self._process = subprocess.Popen(command, stdin=subprocess.PIPE)
-        if self._process.stdin is None:
+        if (stdin := self._process.stdin) is None:
             raise RuntimeError("the display has no pipe")
-        self._pipe = self._process.stdin.fileno()
+        self._stdin, self._pipe = stdin, stdin.fileno()
         os.set_blocking(self._pipe, False)
         self._send(title=title)
 
@@ -80,15 +76,14 @@ class LiveDisplay:
     def close(self) -> None:
         """End the display; its last picture stays on the terminal."""
         with contextlib.suppress(OSError):
-            if self._process.stdin is not None:
-                self._process.stdin.close()
+            self._stdin.close()
         try:
             self._process.wait(2.0)
         except subprocess.TimeoutExpired:
             self._process.kill()
 
 
-class PlainLines:
+class PlainLines(Watch):
     """A line for each phase and warning, for everything that is no terminal."""
 
     def __init__(self, stream: TextIO | None = None) -> None:
@@ -111,12 +106,6 @@ class PlainLines:
         if text:
             self._say(f"surefoot: {text}")
 
-    def tick(self, snapshot: Snapshot) -> None:
-        """Say nothing."""
-
-    def close(self) -> None:
-        """Nothing is open."""
-
 
 class Picture:
     """What the display shows, from the messages that came."""
@@ -133,13 +122,6 @@ class Picture:
             self.warnings.append(str(message.pop("warning")))
         self.now.update(message)
 
-    def lateness(self) -> tuple[float, float, float]:
-        """Median, 99th percentile and maximum over the last steps [ms]; NaN before the first."""
-        if not self._lateness:
-            return math.nan, math.nan, math.nan
-        median, high, most = np.percentile(np.array(self._lateness), (50, 99, 100))
-        return float(median), float(high), float(most)
-
     def rows(self) -> list[tuple[str, str]]:
         """Name and text of each line."""
         now = self.now
@@ -148,8 +130,10 @@ class Picture:
             value = now.get(key)
             return "-" if value is None else f"{value:{form}} {unit}".rstrip()
 
-        median, high, most = self.lateness()
-        late = "-" if math.isnan(median) else f"{median:.2f} median, {high:.2f} 99 %, {most:.2f} max ms"
+        late = "-"
+        if self._lateness:
+            median, high, most = np.percentile(self._lateness, (50, 99, 100))
+            late = f"{median:.2f} median, {high:.2f} 99 %, {most:.2f} max ms"
         return [
             ("phase", f"{now['phase']}, {now.get('left', 0.0):.1f} s left" if now.get("left") else str(now["phase"])),
             ("loop", text("rate", ".1f", "Hz")),
@@ -179,12 +163,7 @@ class Picture:
 
 
 def show(lines: Iterable[str], stream: TextIO) -> None:
-    """Draw what the lines tell until they end.
-
-    Args:
-        lines: messages, one JSON object each; what is none is passed over.
-        stream: the terminal.
-    """
+    """Draw on a terminal what messages tell until they end; a line that is no JSON object is passed over."""
     from rich.console import Console
     from rich.live import Live
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from surefoot.errors import choices
@@ -24,11 +24,21 @@ class Finding:
     """What was measured, if there is one number or word for it; SI units."""
 
 
+def compared(name: str, why: str | None, told: str, what_to_do: str, value: float | str | None = None) -> Finding:
+    """Return a finding that failed for a reason `why`, or passed if there is none."""
+    if why is None:
+        return Finding(name, True, told, value=value)
+    return Finding(name, False, why, what_to_do, value)
+
+
 def judged(name: str, passed: bool, told: str, rule: str, what_to_do: str, value: float | str | None = None) -> Finding:
     """Return a finding whose rule and advice are given only if it failed."""
-    if passed:
-        return Finding(name, True, told, value=value)
-    return Finding(name, False, f"{told}{rule}", what_to_do, value)
+    return compared(name, None if passed else f"{told}{rule}", told, what_to_do, value)
+
+
+def undone(names: Iterable[str], why: str, what_to_do: str = "mend that first") -> list[Finding]:
+    """Return findings of checks that were not done."""
+    return [Finding(name, None, why, what_to_do) for name in names]
 
 
 def refusal(findings: Sequence[Finding]) -> str | None:

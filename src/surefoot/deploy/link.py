@@ -7,13 +7,11 @@ import errno
 import os
 import select
 import time
-from collections import deque
 from dataclasses import dataclass
-from typing import Protocol
 
 import serial
 
-from surefoot.deploy.clock import Clock
+from surefoot.deploy.clock import Clock, LockstepClock
 from surefoot.deploy.wire.frames import Decoder, Frame, encode_frame
 from surefoot.deploy.wire.messages import Codec, Handshake, Message, Ping, Pong
 from surefoot.errors import SurefootError
@@ -24,26 +22,6 @@ _CHUNK = 65_536
 
 class LinkLostError(RuntimeError):
     """The port is gone: unplugged, or its other end has closed."""
-
-
-class Port(Protocol):
-    """A line to the robot."""
-
-    def read(self) -> bytes:
-        """What has come since, maybe nothing; never waits."""
-        ...
-
-    def write(self, data: bytes) -> int:
-        """Hand over bytes, never wait; returns how many the line took."""
-        ...
-
-    def wait(self, timeout: float) -> None:
-        """Wait until something can be read, at most `timeout` [s]."""
-        ...
-
-    def close(self) -> None:
-        """Give the line back."""
-        ...
 
 
 class SerialPort:
@@ -69,12 +47,14 @@ class SerialPort:
             raise SurefootError(f"port {path}: can't be opened: {reason}") from error
         self._file = self._serial.fileno()
         os.set_blocking(self._file, False)
+        self._poll = select.poll()
+        self._poll.register(self._file, select.POLLIN)
         # USB adapters otherwise hold bytes back for up to 16 ms; pseudo-terminals and some adapters have no such mode.
         with contextlib.suppress(OSError, ValueError, NotImplementedError):
             self._serial.set_low_latency_mode(True)
 
     def read(self) -> bytes:
-        """What has come since."""
+        """What has come since, maybe nothing; never waits."""
         parts = []
         try:
             while part := os.read(self._file, _CHUNK):
@@ -82,7 +62,7 @@ class SerialPort:
                 if len(part) < _CHUNK:
                     break
             else:
-                if self._gone():
+                if any(event & ~select.POLLIN for _, event in self._poll.poll(0)):
                     raise LinkLostError(f"port {self.path} is gone")
         except BlockingIOError:
             pass
@@ -90,14 +70,8 @@ class SerialPort:
             raise LinkLostError(f"port {self.path} is gone: {error.strerror}") from error
         return b"".join(parts)
 
-    def _gone(self) -> bool:
-        """Whether a read that gave nothing means that the other end has closed."""
-        poll = select.poll()
-        poll.register(self._file, select.POLLIN)
-        return any(event & (select.POLLHUP | select.POLLERR | select.POLLNVAL) for _, event in poll.poll(0))
-
     def write(self, data: bytes) -> int:
-        """Hand over bytes; returns how many were taken."""
+        """Hand over bytes, never wait; returns how many the line took."""
         try:
             return os.write(self._file, data)
         except BlockingIOError:
@@ -106,10 +80,8 @@ class SerialPort:
             raise LinkLostError(f"port {self.path} is gone: {error.strerror}") from error
 
     def wait(self, timeout: float) -> None:
-        """Wait until something can be read."""
-        poll = select.poll()
-        poll.register(self._file, select.POLLIN)
-        poll.poll(max(timeout, 0.0) * 1e3)
+        """Wait until something can be read, at most `timeout` [s]."""
+        self._poll.poll(max(timeout, 0.0) * 1e3)
 
     def close(self) -> None:
         """Give the port back."""
@@ -144,10 +116,10 @@ class Link:
     Args:
         port: the line.
         codec: of the robot.
-        clock: stamps what is sent and received.
+        clock: stamps what is sent and received; in lockstep the other end follows it.
     """
 
-    def __init__(self, port: Port, codec: Codec, clock: Clock) -> None:
+    def __init__(self, port: SerialPort, codec: Codec, clock: Clock) -> None:
         self.port, self.codec, self.clock = port, codec, clock
         self.decoder = Decoder(codec)
         self.counts = LinkCounts()
@@ -155,8 +127,10 @@ class Link:
         """Session whose handshake is waited for; 0: none. It is the one frame that is taken whatever its number."""
         self._sequence = 0
         self._last = 0
-        self._inbox: deque[Arrival] = deque()
+        self._inbox: list[Arrival] = []
         self._tokens = 0
+        if isinstance(clock, LockstepClock):
+            clock.ping_through = self.ping_through
 
     def send(self, message: Message) -> int:
         """Send a message; returns the number of its frame."""
@@ -172,19 +146,13 @@ class Link:
     def receive(self) -> list[Arrival]:
         """All frames that have come since, in order; never waits."""
         self._gather()
-        arrivals = list(self._inbox)
-        self._inbox.clear()
+        arrivals, self._inbox = self._inbox, []
         return arrivals
 
     def _gather(self) -> list[Arrival]:
-        found = []
-        data = self.port.read()
-        if data:
-            now = self.clock.now()
-            for frame in self.decoder.feed(data):
-                if self._is_next(frame):
-                    found.append(Arrival(frame, now))
-        self._inbox.extend(found)
+        data, now = self.port.read(), self.clock.now()
+        found = [Arrival(frame, now) for frame in self.decoder.feed(data) if self._is_next(frame)]
+        self._inbox += found
         return found
 
     def _is_next(self, frame: Frame) -> bool:

@@ -9,7 +9,6 @@ import contextlib
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +17,7 @@ from surefoot.deploy.connection import RobotConnection
 from surefoot.deploy.link import LinkLostError
 from surefoot.deploy.pacer import Pacer, Timing
 from surefoot.deploy.safety import GO, Act, Guard, NotFiniteError, StepStatus, Verdict
-from surefoot.deploy.wire.messages import Mode, State
+from surefoot.deploy.wire.messages import State
 from surefoot.errors import SurefootError
 from surefoot.stop_signals import StopSignals
 
@@ -58,40 +57,23 @@ class Snapshot:
     """Frames lost or damaged so far."""
 
 
-class Watch(Protocol):
-    """Somebody who watches a run; nothing here may take time."""
+class Watch:
+    """Somebody who watches a run, and here says nothing; no method may take time."""
 
     def phase(self, name: str, duration: float) -> None:
         """A phase of so many seconds starts."""
-        ...
 
     def tick(self, snapshot: Snapshot) -> None:
         """Several times a second."""
-        ...
 
     def warn(self, text: str) -> None:
         """Something that the operator should know."""
-        ...
 
     def recording(self, text: str) -> None:
         """How recording goes."""
-        ...
 
-
-class Silent:
-    """Watches and says nothing."""
-
-    def phase(self, name: str, duration: float) -> None:
-        """Nothing is said."""
-
-    def tick(self, snapshot: Snapshot) -> None:
-        """Nothing is said."""
-
-    def warn(self, text: str) -> None:
-        """Nothing is said."""
-
-    def recording(self, text: str) -> None:
-        """Nothing is said."""
+    def close(self) -> None:
+        """It is over."""
 
 
 class ControlLoop:
@@ -210,8 +192,7 @@ class ControlLoop:
             if self.timing.steps % 16 == 0:
                 self.connection.link.ping()
         elif self.target is not None:
-            send = self.connection.pwm if self.guard.mode == Mode.PWM else self.connection.position
-            send(self.target)
+            self.connection.command(self.guard.mode, self.target)
 
     def damp(self) -> None:
         """Ask for damped motors, if there is still somebody to ask."""

@@ -12,11 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.deploy.connection import RobotConnection
-from surefoot.deploy.loop import ControlLoop, Silent, Watch
+from surefoot.deploy.loop import ControlLoop, Watch
 from surefoot.deploy.pacer import Timing
 from surefoot.deploy.poses import between, lying, sitting
-from surefoot.deploy.safety import GO, Act, Guard, Verdict
-from surefoot.deploy.safety_limits import SafetyLimits
+from surefoot.deploy.safety import GO, Act, Guard, SafetyLimits, Verdict
 from surefoot.deploy.wire.messages import Fault, Handshake, Mode, Reason, State
 from surefoot.errors import SurefootError
 from surefoot.robot import RobotDescription
@@ -82,7 +81,7 @@ class MotionRunner:
         self.handshake: Handshake = connection.handshake
         self.mode = mode
         guard = Guard(limits or SafetyLimits(), control_step, connection.session, tilt, mode)
-        watch, timing = watch or Silent(), timing or Timing(0)
+        watch, timing = watch or Watch(), timing or Timing(0)
         self.loop = ControlLoop(connection, control_step, guard, operator, watch, timing, dry_run)
         self.clean_time = self.handshake.rearm_after + _CLEAN_MARGIN
         """Time [s] for which a damped robot wants a clean link, and a little more."""
@@ -169,11 +168,7 @@ class MotionRunner:
             end: motor angles (M,) [rad].
             duration: [s].
             start: motor angles (M,) [rad] to start from; the present target, if not given.
-            upright: whether a tilt is a fall.
-            sitting: the robot is about to be disarmed, so that nothing less than damping can come sooner.
-
-        Returns:
-            `GO`, or what ended the motion early.
+            upright, sitting: as of `ControlLoop.follow`, whose verdict is returned.
         """
         start, steps = self.target if start is None else start, self.loop.steps_of(duration)
 

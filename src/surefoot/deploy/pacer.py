@@ -38,10 +38,6 @@ class Pacer:
         self.clock, self.period = clock, period
         self.start, self.index = clock.now(), -1
 
-    def begin(self) -> None:
-        """Let step 0 be due now."""
-        self.start, self.index = self.clock.now(), -1
-
     def restart(self) -> None:
         """Count from 0 again: step 0 takes the place of the next step, or is due now if that has passed."""
         self.start, self.index = max(self.due(self.index + 1), self.clock.now()), -1

@@ -32,10 +32,6 @@ def lying(robot: RobotDescription, angles: ArrayLike) -> NDArray[np.float64]:
 
     Legs that slid out to one side stay on it: unfolded flat they move freely, and can then be drawn in from there. Legs
     under the body are put as in `sitting`.
-
-    Args:
-        robot: the robot.
-        angles: motor angles (M,) [rad] as they are.
     """
     swing, _ = robot.motor_to_leg_pose(angles)
     low, high = robot.extension_range

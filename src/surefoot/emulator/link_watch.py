@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from surefoot.deploy.clock_sync import ClockSync
+from surefoot.deploy.clock import ClockSync
 
 
 class LinkWatch:

@@ -12,8 +12,7 @@ from surefoot.deploy.connection import RobotConnection
 from surefoot.deploy.link import LinkLostError
 from surefoot.deploy.loop import Watch
 from surefoot.deploy.motion import MotionRunner
-from surefoot.deploy.safety import Act
-from surefoot.deploy.safety_limits import SafetyLimits
+from surefoot.deploy.safety import Act, SafetyLimits
 from surefoot.deploy.wire.messages import Handshake, Mode, State
 from surefoot.errors import SurefootError
 from surefoot.identify.plan import Phase, Plan

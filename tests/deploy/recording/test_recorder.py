@@ -223,7 +223,7 @@ def test_a_disk_that_does_not_answer_keeps_nobody_waiting(tmp_path, monkeypatch)
     file = PartialFile(tmp_path / "run.partial", LAYOUT, META)
     monkeypatch.setattr(file._thread, "join", lambda patience: time.sleep(0))
     monkeypatch.setattr(file._thread, "is_alive", lambda: True)
-    file.close(0.01)
+    file.close()
     assert file.stopped == "the disk does not answer"
 
 

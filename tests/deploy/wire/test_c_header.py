@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import importlib.util
 import random
 import re
 import shutil
 import struct
 import subprocess
-import sys
 import zlib
 from dataclasses import fields
 from pathlib import Path
@@ -18,9 +16,9 @@ from typing import Any
 import numpy as np
 import pytest
 from cobs import cobs
+from wire_vectors import EXAMPLES
 
 from surefoot.deploy.wire.c_header import c_header, main
-from surefoot.deploy.wire.examples import EXAMPLES
 from surefoot.deploy.wire.fields import wires
 from surefoot.deploy.wire.frames import CRC_BYTES, MAX_FRAME, Decoder, encode_frame
 from surefoot.deploy.wire.messages import HEADER, MESSAGES, VERSION, Codec, Fault, Handshake, Message
@@ -79,13 +77,22 @@ def c_examples() -> str:
     return "\n".join([*fill, "}", "", shown, ""])
 
 
+def warnings_of(source: Path, *options: str, compiler: str | None = CC) -> str:
+    """What a compiler has against a file, a warning being an error; only its syntax is checked unless it is told."""
+    words = [str(compiler), *STRICT, *(options or ["-std=c11"]), f"-I{ROOT / 'docs'}", f"-I{source.parent}"]
+    if "-o" not in options:
+        words.append("-fsyntax-only")
+    done = subprocess.run([*words, str(source)], capture_output=True, text=True, timeout=120)
+    assert (done.returncode == 0) == (not done.stderr)
+    return done.stderr
+
+
 def compile_program(folder: Path, *options: str) -> Path:
-    """The test's program, compiled; a warning is an error."""
+    """The test's program, compiled without a warning."""
     (folder / "examples.h").write_text(c_examples(), encoding="utf-8")
-    program = folder / "wire_program"
-    command = [str(CC), *STRICT, *options, f"-I{ROOT / 'docs'}", f"-I{folder}", str(HERE / "wire_program.c")]
-    done = subprocess.run([*command, "-o", str(program)], capture_output=True, text=True, timeout=120)
-    assert done.returncode == 0, done.stderr
+    source, program = folder / "wire_program.c", folder / "wire_program"
+    shutil.copy(HERE / source.name, source)
+    assert warnings_of(source, *options, "-o", str(program)) == ""
     return program
 
 
@@ -104,16 +111,6 @@ def run(program: Path, mode: str, data: bytes = b"") -> tuple[bytes, str]:
     done = subprocess.run([program, mode], input=data, capture_output=True, timeout=120)
     assert done.returncode == 0, done.stderr.decode()
     return done.stdout, done.stderr.decode()
-
-
-@pytest.fixture(scope="module")
-def link_soak() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("link_soak", ROOT / "benchmarks" / "link_soak.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = sys.modules["link_soak"] = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
 
 
 # The file.
@@ -165,10 +162,9 @@ def test_lines_fit_a_screen_and_every_field_says_what_it_is():
 
 
 @needs_cc
-@pytest.mark.parametrize("standard", ["c99", "c11", "gnu11"])
-@pytest.mark.parametrize("optimization", ["-O0", "-O2"])
-def test_it_compiles_without_a_warning(tmp_path: Path, standard: str, optimization: str):
-    program = compile_program(tmp_path, f"-std={standard}", optimization)
+@pytest.mark.parametrize("options", ["-std=c99 -O0", "-std=c11 -O2", "-std=gnu11 -O2"])
+def test_it_compiles_without_a_warning(tmp_path: Path, options: str):
+    program = compile_program(tmp_path, *options.split())
     assert run(program, "sizes")[0].split()[1] == b"8"
 
 
@@ -179,47 +175,34 @@ def test_it_is_good_for_firmware_in_cpp(tmp_path: Path, standard: str):
         pytest.skip("no C++ compiler on this machine")
     source = tmp_path / "firmware.cpp"
     source.write_text('#include "surefoot_wire.h"\nint main() { return 0; }\n')
-    command = [compiler, f"-std={standard}", *STRICT, f"-I{ROOT / 'docs'}", "-fsyntax-only", str(source)]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=120)
-    assert done.returncode == 0, done.stderr
+    assert warnings_of(source, f"-std={standard}", compiler=compiler) == ""
 
 
 @needs_cc
-@pytest.mark.parametrize("motors", [1, 2, 12, 27])
+@pytest.mark.parametrize("motors", [1, 12, 27])
 def test_sizes_hold_for_any_number_of_motors(tmp_path: Path, motors: int):
     # The header's own static assertions are the test.
-    (tmp_path / "wire.c").write_text(c_header(motors) + "\nint main(void) { return 0; }\n", encoding="utf-8")
-    command = [str(CC), "-std=c11", *STRICT, "-fsyntax-only", str(tmp_path / "wire.c")]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=120)
-    assert done.returncode == 0, done.stderr
+    source = tmp_path / "wire.c"
+    source.write_text(c_header(motors) + "\nint main(void) { return 0; }\n", encoding="utf-8")
+    assert warnings_of(source) == ""
 
 
 @needs_cc
 @pytest.mark.parametrize("standard", ["c99", "c11"])
 def test_the_document_s_program_compiles(tmp_path: Path, standard: str):
     (code,) = re.findall(r"```c\n(.*?)```", (ROOT / "docs" / "wire-protocol.md").read_text(encoding="utf-8"), re.S)
-    (tmp_path / "firmware.c").write_text(code, encoding="utf-8")
-    command = [
-        str(CC),
-        f"-std={standard}",
-        *STRICT,
-        f"-I{ROOT / 'docs'}",
-        "-fsyntax-only",
-        str(tmp_path / "firmware.c"),
-    ]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=120)
-    assert done.returncode == 0, done.stderr
+    source = tmp_path / "firmware.c"
+    source.write_text(code, encoding="utf-8")
+    assert warnings_of(source, f"-std={standard}") == ""
 
 
 @needs_cc
-def test_a_wrong_size_does_not_compile(tmp_path: Path):
-    for standard in ("c99", "c11"):
-        text = c_header(8).replace("SUREFOOT_SIZE(surefoot_state, 130)", "SUREFOOT_SIZE(surefoot_state, 132)")
-        (tmp_path / "wire.c").write_text(text, encoding="utf-8")
-        command = [str(CC), f"-std={standard}", "-fsyntax-only", str(tmp_path / "wire.c")]
-        done = subprocess.run(command, capture_output=True, text=True, timeout=120)
-        assert done.returncode != 0
-        assert "surefoot_state" in done.stderr
+@pytest.mark.parametrize("standard", ["c99", "c11"])
+def test_a_wrong_size_does_not_compile(tmp_path: Path, standard: str):
+    text = c_header(8).replace("SUREFOOT_SIZE(surefoot_state, 130)", "SUREFOOT_SIZE(surefoot_state, 132)")
+    source = tmp_path / "wire.c"
+    source.write_text(text, encoding="utf-8")
+    assert "surefoot_state" in warnings_of(source, f"-std={standard}")
 
 
 # Both sides say the same.
@@ -231,13 +214,13 @@ def test_structs_filled_in_c_give_the_frames_of_python(program: Path):
     frames = [bytes(1) + piece + bytes(1) for piece in said.split(b"\0") if piece]
     assert len(frames) == len(MESSAGES)
     for example, frame in zip(EXAMPLES, frames, strict=True):
-        assert frame == example.frame(), type(example.message).__name__
+        assert frame == example.data, type(example.message).__name__
     assert said == b"".join(frames)
 
 
 @needs_cc
 def test_frames_of_python_give_the_fields_in_c(program: Path):
-    said, counts = run(program, "fields", b"".join(example.frame() for example in EXAMPLES))
+    said, counts = run(program, "fields", b"".join(example.data for example in EXAMPLES))
     expected = []
     for example in EXAMPLES:
         kind = type(example.message)
@@ -301,8 +284,8 @@ def odd_frames(rng: random.Random) -> list[bytes]:
 @pytest.mark.parametrize("seed", range(3))
 def test_both_find_the_same_frames_in_a_damaged_stream(program: Path, link_soak: ModuleType, seed: int):
     rng = random.Random(seed)
-    frames = random_frames(3000, seed)
-    for odd in odd_frames(rng) * 10:
+    frames = random_frames(800, seed)
+    for odd in odd_frames(rng) * 8:
         frames.insert(rng.randrange(len(frames)), odd)
     stream, _ = link_soak.BadLine(rng).carry(frames)
     stream += b"".join(
@@ -328,7 +311,7 @@ def test_both_find_the_same_frames_in_a_damaged_stream(program: Path, link_soak:
     assert found == expected
     seen = decoder.counts
     assert counts.split() == [str(count) for count in (seen.frames, seen.damaged, seen.foreign, seen.unknown)]
-    assert seen.frames > 1500
+    assert seen.frames > 400
     assert min(seen.damaged, seen.foreign, seen.unknown) > 15
 
 

@@ -2,53 +2,26 @@
 
 from __future__ import annotations
 
-import importlib.util
-import json
-import subprocess
-import sys
-from pathlib import Path
 from types import ModuleType, SimpleNamespace
-from typing import Any
 
 import pytest
 
 import surefoot.deploy.wire.frames
 from surefoot.deploy.wire.messages import Codec
 
-SCRIPT = Path(__file__).resolve().parents[3] / "benchmarks" / "link_soak.py"
 
-
-@pytest.fixture(scope="module")
-def link_soak() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("link_soak", SCRIPT)
-    assert spec is not None
-    assert spec.loader is not None
-    module = sys.modules["link_soak"] = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-def run(frames: int, seed: int) -> dict[str, Any]:
-    command = [sys.executable, str(SCRIPT), "--frames", str(frames), "--seed", str(seed), "--json"]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=240)
-    assert done.returncode == 0, done.stdout + done.stderr
-    found: dict[str, Any] = json.loads(done.stdout)
-    return found
-
-
-def test_no_wrong_frame_is_taken_and_no_whole_one_is_lost():
-    result = run(60_000, seed=1)
-    assert result["frames"] == 60_000
-    assert (result["wrong"], result["lost"], result["wrongly_taken"], result["wrongly_dropped"]) == (0, 0, 0, 0)
-    assert result["found"] == result["whole"]
-    assert result["found"] == result["taken"] + result["repeated"]
+def test_no_wrong_frame_is_taken_and_no_whole_one_is_lost(link_soak: ModuleType):
+    result = link_soak.soak(12_000, seed=1)
+    assert (result.wrong, result.lost, result.wrongly_taken, result.wrongly_dropped) == (0, 0, 0, 0)
+    assert result.good
+    assert result.found == result.whole == result.taken + result.repeated
     # Nothing above passes because nothing happened.
-    fates = result["fates"]
-    assert sum(fates.values()) - fates["(garbage between)"] == 60_000
-    assert min(fates.values()) > 1000
-    assert 25_000 < fates["untouched"] <= result["taken"] < result["whole"] < 60_000
-    assert result["repeated"] > 5000
-    assert result["damaged_pieces"] > 15_000
+    fates = result.fates
+    assert sum(fates.values()) - fates["(garbage between)"] == result.frames == 12_000
+    assert min(fates.values()) > 200
+    assert 5000 < fates["untouched"] <= result.taken < result.whole < 12_000
+    assert result.repeated > 1000
+    assert result.damaged_pieces > 3000
 
 
 def test_the_soak_notices_a_receiver_without_a_checksum(link_soak: ModuleType, monkeypatch: pytest.MonkeyPatch):

@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 
 from surefoot.deploy.clock import MonotonicClock
 from surefoot.deploy.connection import RobotConnection
-from surefoot.deploy.controller import Policy
 from surefoot.deploy.findings import Finding, judged
 from surefoot.deploy.pacer import Pacer
 from surefoot.deploy.realtime import undisturbed
+from surefoot.policy.runtime import PolicyRuntime
 
 Array = NDArray[np.float64]
 
@@ -26,7 +26,7 @@ NAMES = ("inference", "control loop")
 _WARM_UP = 50
 
 
-def time_inference(policy: Policy, count: int = STEPS) -> Array:
+def time_inference(policy: PolicyRuntime, count: int = STEPS) -> Array:
     """Times [s] that the policy takes for observations drawn at random, warmed up."""
     width = policy.contract.width
     observations = np.random.default_rng(0).normal(scale=0.3, size=(64, 1, width)).astype(np.float32)
@@ -39,15 +39,11 @@ def time_inference(policy: Policy, count: int = STEPS) -> Array:
     return taken
 
 
-def time_loop(policy: Policy, connection: RobotConnection, steps: int = STEPS) -> tuple[Array, int]:
+def time_loop(policy: PolicyRuntime, connection: RobotConnection, steps: int = STEPS) -> tuple[Array, int]:
     """Lateness [s] of the steps of a control loop in real time, and how many steps were missed.
 
-    The loop reads the port, runs the policy and sends a frame, as a deployment does; the frame is a ping.
-
-    Args:
-        policy: what is run; its control step is the loop's.
-        connection: to a robot that was greeted.
-        steps: how many.
+    The loop reads the port, runs the policy at its control step and sends a frame, as a deployment does; the frame is
+    a ping.
 
     Raises:
         LinkLostError: the port is gone.
@@ -74,7 +70,7 @@ def check_computer(inference: Array, late: Array, missed: int, control_step: flo
 
 
 def _inference(taken: Array, control_step: float) -> Finding:
-    median, slow = (float(np.percentile(taken, share)) for share in (50, 99.9))
+    median, slow = map(float, np.percentile(taken, (50, 99.9)))
     step = f"a control step has {1e3 * control_step:g}"
     told = f"median {1e3 * median:.3f} ms, 99.9th percentile {1e3 * slow:.3f} ms; {step}"
     todo = "close other programs, take a faster computer, or train a smaller network"
@@ -82,7 +78,7 @@ def _inference(taken: Array, control_step: float) -> Finding:
 
 
 def _loop(late: Array, missed: int, control_step: float) -> Finding:
-    median, worst = (float(np.percentile(late, share)) for share in (50, 99.9))
+    median, worst = map(float, np.percentile(late, (50, 99.9)))
     steps = len(late) + missed
     told = (
         f"lateness: median {1e3 * median:.3f} ms, 99.9th percentile {1e3 * worst:.3f} ms; "

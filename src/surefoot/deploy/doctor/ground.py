@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from surefoot.deploy.connection import RobotConnection
 from surefoot.deploy.doctor.leashed_robot import LeashedRobot, MotionStoppedError
 from surefoot.deploy.doctor.rest import Sample
-from surefoot.deploy.findings import Finding, judged
+from surefoot.deploy.findings import Finding, judged, undone
 from surefoot.deploy.poses import pose
 from surefoot.errors import choices
 from surefoot.policy.contract import Contract
@@ -58,16 +58,15 @@ def tilt_robot(
     contract: Contract,
     robot: RobotDescription,
     operator: StopSignals,
-    gyro_bias: Array,
+    at_rest: Sequence[Sample],
 ) -> list[Finding]:
     """Let a robot stand up and tilt itself to the front and to the left, sit down and disarm, and judge its IMU.
 
     Args:
         connection: to a robot that sits on flat ground.
         contract: says how it stands.
-        robot: its data sheet.
-        operator: may ask to stop.
-        gyro_bias: mean of the gyro at rest (3,) [rad/s].
+        robot, operator: as of `MotionRunner`.
+        at_rest: states of the robot at rest, for the bias of its gyro.
 
     Raises:
         SurefootError: the robot does not arm.
@@ -75,9 +74,9 @@ def tilt_robot(
     """
     if not all(0 < sum(side in leg for leg in robot.leg_names) < len(robot.legs) for side in SIDES):
         why = f"the names of the legs ({choices(robot.leg_names)}) do not say which stand in front and which left"
-        return [Finding(name, None, why, "name them so in the data sheet") for name in NAMES]
-    swing, extension = contract.rest
-    stand = pose(robot, swing, extension)
+        return undone(NAMES, why, "name them so in the data sheet")
+    gyro_bias = np.mean([sample.state.angular_velocity_base for sample in at_rest], axis=0)
+    stand = pose(robot, *contract.rest)
     leashed = LeashedRobot(connection, robot, contract.control_step, operator, LEASH, sits=True)
     try:
         with leashed:
@@ -86,20 +85,20 @@ def tilt_robot(
             for shorter in SIDES:
                 leashed.hold(stand, SETTLE)
                 first = len(leashed.samples) - _SETTLED
-                leashed.go(_tilted(robot, swing, extension, shorter), TILT_TIME)
-                leashed.hold(_tilted(robot, swing, extension, shorter), SETTLE)
+                lean = _leaning(robot, *contract.rest, shorter)
+                leashed.go(lean, TILT_TIME)
+                leashed.hold(lean, SETTLE)
                 tilts.append(tilted(leashed.samples[first:], gyro_bias))
                 leashed.go(stand, TILT_TIME)
     except MotionStoppedError as stopped:
         if stopped.verdict.reason == "operator":
-            return [Finding(name, None, "stopped by the operator", "run it again") for name in NAMES]
-        first_finding = Finding(NAMES[0], False, stopped.verdict.text, "mend that, and run the doctor again")
-        others = [Finding(name, None, "the robot did not get so far", "mend that first") for name in NAMES[1:]]
-        return [first_finding, *others]
+            return undone(NAMES, "stopped by the operator", "run it again")
+        failed = Finding(NAMES[0], False, stopped.verdict.text, "mend that, and run the doctor again")
+        return [failed, *undone(NAMES[1:], "the robot did not get so far")]
     return check_tilts(*tilts)
 
 
-def _tilted(robot: RobotDescription, swing: float, extension: float, shorter: str) -> Array:
+def _leaning(robot: RobotDescription, swing: float, extension: float, shorter: str) -> Array:
     """Motor angles (M,) of a robot whose front or left legs are shorter and whose others are longer."""
     low, high = robot.extension_range
     side = np.array([shorter in leg for leg in robot.leg_names])
@@ -130,9 +129,7 @@ def _tilt(name: str, what: str, angles: Array, axis: int, sign: float) -> Findin
     main, other = float(angles[axis]), float(angles[1 - axis])
     told = f"{what}: {AXES[axis]} {main:+.3f}, {AXES[1 - axis]} {other:+.3f} rad"
     way = "grow" if sign > 0 else "fall"
-    if sign * main >= LEAST and abs(other) <= OTHER * abs(main):
-        return Finding(name, True, told, value=main)
-    rule = f"{AXES[axis]} must {way} by {LEAST:g} rad or more, {AXES[1 - axis]} stay"
+    rule = f"; {AXES[axis]} must {way} by {LEAST:g} rad or more, {AXES[1 - axis]} stay"
     if abs(other) >= LEAST and abs(main) <= OTHER * abs(other):
         todo = (
             "the IMU's x and y are exchanged, or legs are: set its mounting in the firmware, and check the legs' cables"
@@ -143,7 +140,7 @@ def _tilt(name: str, what: str, angles: Array, axis: int, sign: float) -> Findin
         todo = (
             "the legs did not tilt the robot: check the ground, the legs' cables, and that the IMU is fixed to the body"
         )
-    return Finding(name, False, f"{told}; {rule}", todo, main)
+    return judged(name, sign * main >= LEAST and abs(other) <= OTHER * abs(main), told, rule, todo, main)
 
 
 def _rates(front: Tilted, left: Tilted) -> Finding:

@@ -40,10 +40,7 @@ class LeashedRobot(MotionRunner):
     """A robot that is armed while this is entered; afterwards it is disarmed, or damped if anything went wrong.
 
     Args:
-        connection: to a robot that was greeted.
-        robot: its data sheet.
-        control_step: time between two commands [s].
-        operator: may ask to stop.
+        connection, robot, control_step, operator: as of `MotionRunner`.
         leash: how far [rad] a motor may be from where it was sent.
         sits: whether it stands on the ground, and sits down before it is disarmed.
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.deploy.connection import RobotConnection
-from surefoot.deploy.findings import Finding, judged
+from surefoot.deploy.findings import Finding, judged, undone
 
 Array = NDArray[np.float64]
 
@@ -49,15 +49,6 @@ class LinkFigures:
     """Median time between two such bursts."""
     clock_rate: float
     """Seconds on the robot's clock for one of this computer's."""
-
-    @property
-    def jitter(self) -> float:
-        """Standard deviation of the round trips [s]."""
-        return float(np.std(self.round_trips))
-
-    def percentile(self, share: float) -> float:
-        """A percentile of the round trips [s]."""
-        return float(np.percentile(self.round_trips, share))
 
 
 def listen(connection: RobotConnection, until: float) -> None:
@@ -131,7 +122,7 @@ def check_link(figures: LinkFigures, lead: float, control_step: float, lockstep:
     """Judge what was measured.
 
     Args:
-        figures: of the link.
+        figures: what pings have shown.
         lead: how long before a control step the robot sends its state [s].
         control_step: of the policy [s].
         lockstep: the robot follows this computer's clock, so that frames take no time.
@@ -139,7 +130,7 @@ def check_link(figures: LinkFigures, lead: float, control_step: float, lockstep:
     if lockstep or not len(figures.round_trips):
         why = "in lockstep frames take no time" if lockstep else "no ping was answered"
         todo = "run without --lockstep" if lockstep else "mend that first"
-        return [_losses(figures), *(Finding(name, None, why, todo) for name in TIMED)]
+        return [_losses(figures), *undone(TIMED, why, todo)]
     return [_losses(figures), _bursts(figures), _trips(figures, lead, control_step), _clock(figures)]
 
 
@@ -153,8 +144,9 @@ def _losses(figures: LinkFigures) -> Finding:
 
 
 def _trips(figures: LinkFigures, lead: float, control_step: float) -> Finding:
-    median, late = figures.percentile(50), figures.percentile(99)
-    told = f"median {1e3 * median:.2f} ms, 99th percentile {1e3 * late:.2f} ms, jitter {1e3 * figures.jitter:.2f} ms"
+    median, late = map(float, np.percentile(figures.round_trips, (50, 99)))
+    jitter = float(np.std(figures.round_trips))
+    told = f"median {1e3 * median:.2f} ms, 99th percentile {1e3 * late:.2f} ms, jitter {1e3 * jitter:.2f} ms"
     return judged(
         "link, round trip",
         median <= lead and late <= LATE_STEPS * control_step,

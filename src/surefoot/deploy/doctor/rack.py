@@ -16,13 +16,14 @@ from surefoot.deploy.connection import RobotConnection
 from surefoot.deploy.doctor.leashed_robot import LeashedRobot, MotionStoppedError
 from surefoot.deploy.doctor.response import WINDOW, fit_response
 from surefoot.deploy.doctor.rest import Sample
-from surefoot.deploy.findings import Finding, judged
+from surefoot.deploy.findings import Finding, judged, undone
 from surefoot.policy.contract import Contract
 from surefoot.robot import RobotDescription
 from surefoot.stop_signals import StopSignals
 
 Array = NDArray[np.float64]
 
+NAMES = ("motors, one by one", "control latency", "servo response")
 STEP = 0.05
 """How far each motor is asked to go [rad]: too little to hurt, a hundred times what an encoder tells apart."""
 LEASH = 0.15
@@ -54,8 +55,6 @@ class Wiggle:
     """How far it was asked to go [rad], with sign."""
     moved: Array
     """How far each motor had gone when it had settled (M,) [rad]."""
-    back: Array
-    """How far each motor was from where it began after the way back (M,) [rad]."""
     age: Array
     """Of readings after both steps: time since the command arrived at the robot (n,) [s]."""
     share: Array
@@ -73,7 +72,7 @@ def wiggle_motors(
     """
     state, handshake = connection.state, connection.handshake
     if state is None or handshake is None:
-        return [Finding("motors, one by one", False, "the robot tells nothing of its state", "switch it off and on")]
+        return [Finding(NAMES[0], False, "the robot tells nothing of its state", "switch it off and on")]
     start = np.clip(state.motor_angle, handshake.angle_low, handshake.angle_high)
     wiggles: list[Wiggle] = []
     leashed = LeashedRobot(connection, robot, contract.control_step, operator, LEASH)
@@ -88,7 +87,7 @@ def wiggle_motors(
                 step = STEP if start[motor] <= middle else -STEP
                 wiggles.append(_wiggle(leashed, start, motor, step))
     except MotionStoppedError as stopped:
-        return [_stopped(stopped, leashed, asked, robot), *_undone("the wiggle did not come to its end")]
+        return [_stopped(stopped, leashed, asked, robot), *undone(NAMES[1:], "the wiggle did not come to its end")]
     return [check_motors(wiggles, robot), *check_response(wiggles, contract, handshake.servo_period, connection.lead)]
 
 
@@ -96,15 +95,14 @@ def _wiggle(leashed: LeashedRobot, start: Array, motor: int, step: float) -> Wig
     before = _settled(leashed.samples)
     target = start.copy()
     target[motor] += step
-    points = []
-    settled = [before]
-    for goal, way in ((target, step), (start, -step)):
-        command, samples = leashed.hold(goal, HOLD)
-        points += _points(samples, command, settled[-1], motor, way, leashed.control_step)
-        settled.append(_settled(samples))
+    command, samples = leashed.hold(target, HOLD)
+    there = _settled(samples)
+    points = _points(samples, command, before, motor, step, leashed.control_step)
+    command, samples = leashed.hold(start, HOLD)
+    points += _points(samples, command, there, motor, -step, leashed.control_step)
     # The fit has to wait until the robot is disarmed: it takes longer than a robot waits for commands.
     age, share = np.array(points or np.empty((0, 2))).T
-    return Wiggle(motor, step, settled[1] - before, settled[2] - before, age, share)
+    return Wiggle(motor, step, there - before, age, share)
 
 
 def _settled(samples: Sequence[Sample]) -> Array:
@@ -132,7 +130,7 @@ def _points(
 
 def check_motors(wiggles: Sequence[Wiggle], robot: RobotDescription) -> Finding:
     """Whether each motor that was asked moved, by as much, and no other did."""
-    name, names, wrong = "motors, one by one", robot.motor_names, []
+    name, names, wrong = NAMES[0], robot.motor_names, []
     goes: dict[int, int] = {}
     for wiggle in wiggles:
         share = wiggle.moved / wiggle.step
@@ -182,7 +180,7 @@ def check_response(wiggles: Sequence[Wiggle], contract: Contract, servo_period: 
     clear = [w for w in wiggles if len(w.age) >= _FEWEST and abs(w.moved[w.motor]) > OTHERS * STEP]
     fits = [fit for fit in (fit_response(w.age, w.share) for w in clear) if fit.error < _FIT_ERROR]
     if len(fits) < max(len(wiggles) // 2, 1):
-        return _undone(f"only {len(fits)} of {len(wiggles)} motors answered clearly")
+        return undone(NAMES[1:], f"only {len(fits)} of {len(wiggles)} motors answered clearly")
     latency = float(np.median([fit.delay for fit in fits])) - servo_period / 2 + lead
     return [_latency(latency, contract, lead), _servo(float(np.median([fit.rise for fit in fits])))]
 
@@ -202,7 +200,7 @@ def _latency(latency: float, contract: Contract, lead: float) -> Finding:
         f"{1e3 * latency:.1f} ms (with {1e3 * lead:g} ms from sending to use); the policy was trained with {trained} ms"
     )
     return judged(
-        "control latency",
+        NAMES[1],
         low - LATENCY_TOLERANCE <= latency <= high + LATENCY_TOLERANCE,
         told,
         f", and it must be within {1e3 * LATENCY_TOLERANCE:g} ms of that",
@@ -214,13 +212,13 @@ def _latency(latency: float, contract: Contract, lead: float) -> Finding:
 def _servo(rise: float) -> Finding:
     told = f"63 % of a step in {1e3 * rise:.0f} ms"
     todo = "check servo gains, battery and friction in the legs"
-    return judged("servo response", rise <= RISE, told, f"; at most {1e3 * RISE:g} ms", todo, rise)
+    return judged(NAMES[2], rise <= RISE, told, f"; at most {1e3 * RISE:g} ms", todo, rise)
 
 
 def _stopped(stopped: MotionStoppedError, leashed: LeashedRobot, asked: int | None, robot: RobotDescription) -> Finding:
-    name = "motors, one by one"
+    name = NAMES[0]
     if stopped.verdict.reason == "operator":
-        return Finding(name, None, "stopped by the operator", "run it again")
+        return undone([name], "stopped by the operator", "run it again")[0]
     if leashed.strayed is None:
         return Finding(name, False, stopped.verdict.text, "mend that, and run the doctor again")
     motor, off = leashed.strayed
@@ -232,7 +230,3 @@ def _stopped(stopped: MotionStoppedError, leashed: LeashedRobot, asked: int | No
         "its sign, of motor or encoder, is flipped, or its commands belong to another motor: check cables and firmware",
         robot.motor_names[motor],
     )
-
-
-def _undone(why: str) -> list[Finding]:
-    return [Finding(name, None, why, "mend that first") for name in ("control latency", "servo response")]

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from surefoot.deploy.connection import RobotConnection
 from surefoot.deploy.doctor.link import listen
 from surefoot.deploy.findings import Finding, judged
-from surefoot.deploy.safety_limits import SafetyLimits
+from surefoot.deploy.safety import SafetyLimits
 from surefoot.deploy.wire.messages import Handshake, State
 from surefoot.robot import RobotDescription
 
@@ -64,14 +64,7 @@ def watch(connection: RobotConnection, duration: float = DURATION) -> list[Sampl
 def check_rest(
     samples: Sequence[Sample], robot: RobotDescription, handshake: Handshake, limits: SafetyLimits
 ) -> list[Finding]:
-    """Judge a robot that nobody moves.
-
-    Args:
-        samples: states of about a second.
-        robot: its data sheet.
-        handshake: what it says of itself.
-        limits: of a deployment.
-    """
+    """Judge a robot that nobody moves, from states of about a second, by the limits of a deployment."""
     names = ("battery", "temperature", "encoders", "IMU")
     if len(samples) < 2:
         why = f"{len(samples)} states in {DURATION:g} s; the robot must send them by itself after the greeting"
@@ -98,20 +91,16 @@ def _battery(voltage: float, handshake: Handshake, limits: SafetyLimits) -> Find
 
 def _temperature(temperature: Array, robot: RobotDescription, limits: SafetyLimits) -> Finding:
     hottest = int(np.argmax(temperature))
-    told, value = f"hottest motor: {robot.motor_names[hottest]}, {temperature[hottest]:.0f} degC", temperature.max()
-    rule, todo = (
-        f"; at most {limits.temperature_warn:g} to begin with",
-        "let the motors cool; if they are cold, check the sensor",
-    )
-    return judged("temperature", bool(value <= limits.temperature_warn), told, rule, todo, float(value))
+    value = float(temperature[hottest])
+    told = f"hottest motor: {robot.motor_names[hottest]}, {value:.0f} degC"
+    rule = f"; at most {limits.temperature_warn:g} to begin with"
+    todo = "let the motors cool; if they are cold, check the sensor"
+    return judged("temperature", value <= limits.temperature_warn, told, rule, todo, value)
 
 
 def _encoders(angles: Array, robot: RobotDescription) -> Finding:
-    """Whether the legs' loops close and all legs are alike: a mirrored or misplaced encoder makes one differ.
-
-    Legs of a robot that lies, sits or hangs without force are in about the same pose, whichever that is; they may be
-    folded far beyond what a gait asks for.
-    """
+    # Legs of a robot that lies, sits or hangs without force are in about the same pose, whichever that is; they may be
+    # folded far beyond what a gait asks for. A mirrored or misplaced encoder makes one differ, or keeps its loop open.
     name = "encoders"
     if not np.isfinite(angles).all():
         bad = robot.motor_names[int(np.argmin(np.isfinite(angles)))]

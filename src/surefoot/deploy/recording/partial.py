@@ -5,6 +5,7 @@ What stands in the file, and how it is read again: see `task.partial_trace`.
 
 from __future__ import annotations
 
+import itertools
 import os
 import threading
 from collections import deque
@@ -15,6 +16,8 @@ from surefoot.task.partial_trace import SUFFIX, Array, Layout, head_line, row_by
 
 FLUSH = 0.1
 """Time [s] between two writes."""
+PATIENCE = 2.0
+"""Time [s] that the disk has for the last write."""
 _MOST = 20_000
 """Rows that may wait for the disk; beyond that recording stops, the memory of a robot's computer is not endless."""
 
@@ -70,10 +73,10 @@ class PartialFile:
             self.stopped = error.strerror or str(error)
             self._waiting.clear()
 
-    def close(self, patience: float = 2.0) -> None:
-        """Write what waits, and end; waits for the disk no longer than `patience` [s]."""
+    def close(self) -> None:
+        """Write what waits, and end; waits for the disk no longer than `PATIENCE`."""
         self._end.set()
-        self._thread.join(patience)
+        self._thread.join(PATIENCE)
         if self._thread.is_alive() and not self.stopped:
             self.stopped = "the disk does not answer"
 
@@ -83,10 +86,8 @@ class PartialFile:
         self.path.unlink(missing_ok=True)
 
 
-def next_free(folder: Path, stem: str = "run") -> Path:
-    """The first of stem_000.npz, stem_001.npz, ... that stands for no run yet, whole or partial."""
+def next_free(folder: Path) -> Path:
+    """The first of run_000.npz, run_001.npz, ... that stands for no run yet, whole or partial."""
     taken = set(os.listdir(folder)) if folder.is_dir() else set()
-    number = 0
-    while {f"{stem}_{number:03d}.npz", f"{stem}_{number:03d}.npz{SUFFIX}"} & taken:
-        number += 1
-    return folder / f"{stem}_{number:03d}.npz"
+    names = (f"run_{number:03d}.npz" for number in itertools.count())
+    return folder / next(name for name in names if not {name, name + SUFFIX} & taken)

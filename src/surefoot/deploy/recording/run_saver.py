@@ -56,7 +56,6 @@ class RunSaver:
         self.path, self.connection, self._watch = path, deployment.connection, deployment.watch
         layout = Layout(robot.num_motors, len(robot.legs), deployment.controller.observer.width)
         self.recorder = Recorder(layout, contract.control_step, max_steps)
-        weight = contract.task.get("energy_weight", ENERGY_WEIGHT)
         handshake = self.connection.handshake
         self.meta: dict[str, Any] = {
             "robot": robot.name,
@@ -68,7 +67,7 @@ class RunSaver:
             "motor_names": list(contract.motor_names),
             "observation_names": list(contract.columns),
             "params": {},
-            "energy_weight": weight,
+            "energy_weight": contract.task.get("energy_weight", ENERGY_WEIGHT),
             "max_steps": max_steps,
             "firmware": handshake.firmware if handshake is not None else "",
             "config_hash": contract.config_hash,
@@ -78,11 +77,6 @@ class RunSaver:
         }
         self._partial: PartialFile | None = None
         self._told = False
-
-    @property
-    def stopped(self) -> str:
-        """Why nothing is written any more; empty while all goes well."""
-        return self._partial.stopped if self._partial is not None else ""
 
     def begin(self) -> None:
         """Get ready to write; the robot has not moved yet.
@@ -120,19 +114,23 @@ class RunSaver:
             timing: how late the loop was.
             capture: a motion capture file, if there is one.
         """
-        if self._partial is not None:
-            self._partial.close()
-        link = self.connection.link
-        figures = {
+        partial, notes = self._partial, []
+        if partial is not None:
+            partial.close()
+            if partial.stopped:
+                notes.append(f"recording stopped: {partial.stopped}")
+        meta = {
+            **self.meta,
+            "ended": outcome.ended,
+            "reason": outcome.reason,
+            "what": outcome.text,
             "missed_steps": self.recorder.missed,
             "timing": timing.figures(),
-            "frames_missing": link.counts.missing,
+            "frames_missing": self.connection.link.counts.missing,
         }
-        meta = {**self.meta, "ended": outcome.ended, "reason": outcome.reason, "what": outcome.text, **figures}
-        notes = [f"recording stopped: {self.stopped}"] if self.stopped else []
         if not self.recorder.steps:
-            if self._partial is not None:
-                self._partial.remove()
+            if partial is not None:
+                partial.remove()
             return SavedRun(notes=[*notes, "no control step was done, so there is no trace"])
         truth: dict[str, Array] | None = None
         if capture is not None:
@@ -151,24 +149,18 @@ class RunSaver:
             trace.save(self.path)
         except OSError as error:
             why = error.strerror or str(error)
-            notes.append(f"trace {self.path} can't be written: {why}; {self._what_is_left()}")
+            left = "it is lost"
+            if partial is not None and partial.path.exists():
+                left = f"what could be written is in {partial.path}"
+            notes.append(f"trace {self.path} can't be written: {why}; {left}")
             return SavedRun(trace, notes=notes, lost=True)
-        if self._partial is not None:
-            self._partial.remove()
+        if partial is not None:
+            partial.remove()
         return SavedRun(trace, self.path, notes)
 
     def _truth(self, capture: Path) -> dict[str, Array]:
         start = self.meta.get("robot_time_start")
         if start is None:
             raise SurefootError("the robot's time of the start is not known")
-        recorder = self.recorder
-        legs = tuple(self.meta["leg_names"])
+        recorder, legs = self.recorder, tuple(self.meta["leg_names"])
         return base_and_feet(read_capture(capture), start, recorder.control_step, recorder.steps, legs)
-
-    def _what_is_left(self) -> str:
-        partial = self._partial
-        return (
-            f"what could be written is in {partial.path}"
-            if partial is not None and partial.path.exists()
-            else "it is lost"
-        )

@@ -87,10 +87,7 @@ _END = """\
 
 
 def c_header(motors: int = DEFAULT_MOTORS) -> str:
-    """The whole header.
-
-    Args:
-        motors: number of motors.
+    """The whole header, for robots of so many motors.
 
     Raises:
         SurefootError: none, or more than fit a frame.

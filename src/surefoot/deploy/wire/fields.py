@@ -41,10 +41,6 @@ class Wire:
         """How many entries a robot of that many motors has."""
         return motors if self.count == MOTORS else self.count
 
-    def bytes(self, motors: int) -> int:
-        """How many bytes a robot of that many motors has for it."""
-        return struct.calcsize("<" + self.format(motors))
-
     def format(self, motors: int) -> str:
         """As `struct` writes it."""
         if self.kind == "text":

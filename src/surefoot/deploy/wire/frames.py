@@ -44,8 +44,6 @@ class Counts:
     """Whole frames of another version or schema."""
     unknown: int = 0
     """Whole frames of a kind or a length that this schema does not have, or with a text that is not UTF-8."""
-    received: int = 0
-    """Bytes."""
 
 
 def frame_bytes(codec: Codec, kind: type[Message]) -> int:
@@ -77,11 +75,7 @@ def encode_frame(codec: Codec, message: Message, sequence: int, time: float) -> 
 
 
 class Decoder:
-    """Finds whole frames in whatever bytes come. Keeps `MAX_FRAME` bytes at most, and never raises.
-
-    Args:
-        codec: of the robot.
-    """
+    """Finds whole frames in whatever bytes come. Keeps `MAX_FRAME` bytes at most, and never raises."""
 
     def __init__(self, codec: Codec) -> None:
         self.codec = codec
@@ -93,7 +87,6 @@ class Decoder:
 
     def feed(self, data: bytes) -> list[Frame]:
         """Take bytes, give the frames that they complete, in order."""
-        self.counts.received += len(data)
         found: list[Frame] = []
         *ended, rest = bytes(data).split(b"\0")
         for piece in ended:

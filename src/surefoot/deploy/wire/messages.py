@@ -219,9 +219,6 @@ COMMANDS: tuple[type[Message], ...] = (Position, Pwm)
 class Codec:
     """Messages to payloads and back, for robots of a number of motors.
 
-    Args:
-        motors: number of motors.
-
     Raises:
         SurefootError: none, or more than fit a frame.
     """

@@ -1,29 +1,30 @@
-"""What the tests of the safety table need: both processes, a cable between them that listens, runs in lockstep.
-
-Imported by `test_fault_table.py`, and by the workers that play runs in lockstep ahead of the tests.
-"""
+"""What the tests of the safety table need: robot and host, a cable between them that listens, runs in lockstep."""
 
 from __future__ import annotations
 
 import contextlib
 import json
 import os
-import pickle
 import select
 import signal
 import subprocess
 import sys
 import threading
 import time
-import traceback
 import tty
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 import numpy as np
+from processes import SUREFOOT
 
+from surefoot.cli import emulate
+from surefoot.cli.main import main
+from surefoot.cli.parsing import parse
 from surefoot.deploy.motion import UP
 from surefoot.deploy.wire.frames import Decoder, Frame, encode_frame
 from surefoot.deploy.wire.messages import (
@@ -43,6 +44,11 @@ from surefoot.deploy.wire.messages import (
     Reason,
     State,
 )
+from surefoot.emulator.faults import parse_faults
+from surefoot.emulator.process import Lockstep, Summary
+from surefoot.emulator.pty_port import PtyPort
+from surefoot.policy.runtime import PolicyRuntime
+from surefoot.robot import RobotDescription
 from surefoot.task.trace import EpisodeTrace
 
 STEP = 0.006
@@ -56,24 +62,24 @@ RUNNING = UP + 0.3
 """Time [s] after arming when the policy has run for some dozen steps."""
 
 
-class Robot:
-    """A running `surefoot emulate`."""
+class LockstepRobot:
+    """What `surefoot emulate --lockstep` runs, in a thread of this process; `port` is its pseudo-terminal."""
 
-    def __init__(self, *options: str, lockstep: bool = True) -> None:
-        words = [sys.executable, "-m", "surefoot", "emulate", *(["--lockstep"] if lockstep else []), *options]
-        self.popen = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-        assert self.popen.stdout is not None
-        line = self.popen.stdout.readline()
-        if not line.startswith("robot on "):
-            raise AssertionError(f"said {line!r}, {self.popen.communicate()}")
-        self.path = line.removeprefix("robot on ").strip()
+    def __init__(self, *options: str) -> None:
+        command = parse(emulate.EmulateCommand, ["--lockstep", *options], "surefoot emulate")
+        robot = RobotDescription.load(command.robot)
+        faults = parse_faults([word for group in command.faults for word in group], True, robot.num_motors)
+        self._board, self._pty, self._summary = emulate._build(command, robot, faults), PtyPort(held=False), Summary()
+        self.port = self._pty.path
+        self._thread = threading.Thread(target=Lockstep(self._board, self._pty, self._summary).run, daemon=True)
+        self._thread.start()
 
-    def end(self) -> str:
-        """Ask it to end; its last line sums up."""
-        if self.popen.poll() is None:
-            self.popen.terminate()
-        _, said = self.popen.communicate(timeout=PATIENCE)
-        return said.strip().splitlines()[-1]
+    def stop(self) -> str:
+        """End it; return the line that sums up."""
+        self._summary.stop = True
+        self._thread.join()
+        self._pty.close()
+        return self._summary.text(self._board, self._pty)
 
 
 @dataclass
@@ -225,9 +231,9 @@ def _states_for_somebody(count: int) -> Iterator[bytes]:
 
 
 def deploy_words(port: str, folder: Path, *options: str, policy: str = "trot", lockstep: bool = True) -> list[str]:
-    """Words of a command."""
+    """Words of a `surefoot deploy` after the program's name."""
     out = ("--out", str(folder / "traces"), "--json", *(["--lockstep"] if lockstep else []))
-    return [sys.executable, "-m", "surefoot", "deploy", policy, "--port", port, *out, *options]
+    return ["deploy", policy, "--port", port, *out, *options]
 
 
 class Host:
@@ -237,30 +243,18 @@ class Host:
         port: its port.
         folder: for what it says and keeps.
         options: of the command.
-        policy: file or name.
         lockstep: whether the robot is.
         before: words that start it.
     """
 
     def __init__(
-        self,
-        port: str,
-        folder: Path,
-        *options: str,
-        policy: str = "trot",
-        lockstep: bool = True,
-        before: tuple[str, ...] = (),
+        self, port: str, folder: Path, *options: str, lockstep: bool = True, before: tuple[str, ...] = ()
     ) -> None:
         folder.mkdir(parents=True, exist_ok=True)
         self.folder = folder
-        words = [*before, *deploy_words(port, folder, *options, policy=policy, lockstep=lockstep)]
+        words = [*before, *SUREFOOT, *deploy_words(port, folder, *options, lockstep=lockstep)]
         with (folder / "told").open("w") as told, (folder / "said").open("w") as said:
             self.popen = subprocess.Popen(words, stdout=told, stderr=said)
-
-    def signal(self, number: int) -> None:
-        """Send a signal, and let it arrive."""
-        self.popen.send_signal(number)
-        time.sleep(0.02)
 
     def end(self) -> Ended:
         """Wait until it ends by itself."""
@@ -286,7 +280,7 @@ class Ended:
     trace: EpisodeTrace | None = None
     record: Record = field(default_factory=Record)
     summary: str = ""
-    """The emulator's last line, if it was its only run."""
+    """The line with which the emulator sums up."""
     second: Ended | None = None
     """What came of a second program."""
 
@@ -397,34 +391,32 @@ class Scenario:
     """Another operator talks to the robot when `RUNNING`."""
     chatter: bool = False
     """The robot is in the middle of a frame when the host comes."""
-    fresh: bool = False
-    """The robot was just switched on; always so, if it has faults."""
     sunk: float = 0.0
     """How long the robot has been sinking onto its belly [s]; after 1 s its legs are folded beside it."""
 
 
 SCENARIOS = {
-    "whole": Scenario(fresh=True),
+    "whole": Scenario(),
     **{
         name: Scenario((f"{name}={RUNNING}",), duration=LONG)
         for name in ("stale-state", "repeat-sequence", "backward-sequence", "unplug", "tilt")
     },
     **{name: Scenario(policy=name, duration=LONG) for name in ("nan", "infinite")},
     "exception": Scenario(raises=True, duration=LONG),
-    "leaning": Scenario(policy="leaning", duration=LONG, fresh=True),
+    "leaning": Scenario(policy="leaning", duration=LONG),
     **{name: Scenario((name,)) for name in ("other-robot", "other-order", "other-gains", "other-schema")},
     "battery-low": Scenario((f"battery-low=13.6@{UP - 0.5}",), duration=LONG),
     "motor-hot": Scenario((f"motor-hot=84@{UP - 0.5}",), duration=LONG),
     "second": Scenario(duration=LONG, second=True),
-    "stranger": Scenario(stranger=True, fresh=True),
+    "stranger": Scenario(stranger=True),
     **{name: Scenario((f"{name}=0.02",)) for name in ("corrupt", "cut-frames", "drop", "reorder")},
     **{name: Scenario((f"{name}=0.05",)) for name in ("duplicate", "garbage")},
-    "in the middle": Scenario(chatter=True, fresh=True),
+    "in the middle": Scenario(chatter=True),
     "SIGINT": Scenario(duration=LONG, signals=((RUNNING, signal.SIGINT),)),
     "SIGTERM": Scenario(duration=LONG, signals=((RUNNING, signal.SIGTERM),)),
     "SIGINT twice": Scenario(duration=LONG, signals=((RUNNING, signal.SIGINT), (RUNNING + 0.1, signal.SIGINT))),
     **{
-        name: Scenario(duration=LONG, signals=((when, number),), fresh=True, sunk=1.0)
+        name: Scenario(duration=LONG, signals=((when, number),), sunk=1.0)
         for name, when, number in (
             ("SIGINT while it arms", 0.0, signal.SIGINT),
             ("SIGTERM while it lies", 0.05, signal.SIGTERM),
@@ -447,18 +439,6 @@ import os, resource, sys
 resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[1]), resource.RLIM_INFINITY))
 os.execv(sys.argv[2], sys.argv[2:])
 """
-_RAISING = """
-import sys
-from surefoot.cli.main import main
-from surefoot.policy.runtime import PolicyRuntime
-feedback = PolicyRuntime.feedback
-def breaking(self, observation):
-    if observation[0, 3] > 0.5:
-        raise RuntimeError("index out of data bounds")
-    return feedback(self, observation)
-PolicyRuntime.feedback = breaking
-sys.exit(main(sys.argv[4:]))  # after python -m surefoot
-"""
 _TERMINAL = """
 import os, subprocess, sys
 terminal = os.open(sys.argv[1], os.O_RDWR)  # it leads a session, so this terminal is now the session's
@@ -470,58 +450,80 @@ sys.stdin.read()
 by somebody who survives that."""
 
 
-def play(scenario: Scenario, folder: Path, policies: Path, robot: Robot) -> Ended:
-    """Run a policy on a robot.
+def play(scenario: Scenario, folder: Path, policies: Path) -> Ended:
+    """Run a policy on a robot that was just switched on, in this process where the scenario does not need another one.
 
     Args:
         scenario: what happens.
         folder: for what is said and kept.
         policies: folder of policies.
-        robot: with the faults of the scenario.
     """
+    folder.mkdir(parents=True)
+    robot = LockstepRobot(*(word for fault in scenario.faults for word in ("--fault", fault)))
     if scenario.sunk:
         _settle(robot, scenario.sunk)
-    cable = Cable(robot.path, scenario.chatter)
+    cable = Cable(robot.port, scenario.chatter)
     options = ("--duration", str(scenario.duration))
-    file = policies / f"{scenario.policy}.onnx"
-    policy = str(file) if file.exists() else scenario.policy
-    before = (sys.executable, "-c", _SMALL_FILES, str(scenario.disk)) if scenario.disk else ()
-    if scenario.raises:
-        before = (sys.executable, "-c", _RAISING)
+    second = None
     try:
+        for when, number in scenario.signals:
+            cable.after_arming(when, partial(_signal, number))
+        if scenario.stranger:
+            cable.after_arming(RUNNING, lambda: cable.meddle(STRANGERS))
         if scenario.terminal:
             ended = _in_a_terminal(cable, folder, *options)
-        else:
-            host = Host(cable.path, folder, *options, policy=policy, before=before)
-            for when, number in scenario.signals:
-                cable.after_arming(when, lambda number=number: host.signal(number))
-            if scenario.disk:
-                # In lockstep a run may be over before the disk has been asked for the first time.
-                cable.after_arming(RUNNING, lambda: time.sleep(0.7))
-            if scenario.stranger:
-                cable.after_arming(RUNNING, lambda: cable.meddle(STRANGERS))
-            second = _second(cable, folder, host) if scenario.second else None
+        elif scenario.disk:
+            # In lockstep a run may be over before the disk has been asked for the first time.
+            cable.after_arming(RUNNING, lambda: time.sleep(0.7))
+            before = (sys.executable, "-c", _SMALL_FILES, str(scenario.disk))
+            ended = Host(cable.path, folder, *options, before=before).end()
+        elif scenario.second:
+            running = cable.moment(RUNNING)
+            host = Host(cable.path, folder, *options)
+            assert running.wait(PATIENCE)
+            second = Host(cable.path, folder / "second", "--lockstep").end()
+            host.popen.send_signal(signal.SIGINT)
             ended = host.end()
-            ended.second = second
+        else:
+            file = policies / f"{scenario.policy}.onnx"
+            words = deploy_words(cable.path, folder, *options, policy=str(file) if file.exists() else scenario.policy)
+            ended = _in_this_process(words, folder, scenario.raises)
     finally:
         cable.close()
-    ended.record = cable.record
+        summary = robot.stop()
+    ended.record, ended.second, ended.summary = cable.record, second, summary
     return ended
 
 
-def _second(cable: Cable, folder: Path, first: Host) -> Ended:
-    running = cable.moment(RUNNING)
-    assert running.wait(PATIENCE)
-    second = Host(cable.path, folder / "second", "--lockstep").end()
-    first.signal(signal.SIGINT)
-    return second
+def _signal(number: int) -> None:
+    """Send the host in this process a signal, and let it arrive."""
+    signal.pthread_kill(threading.main_thread().ident or 0, number)
+    time.sleep(0.02)
+
+
+def _in_this_process(words: list[str], folder: Path, raises: bool) -> Ended:
+    feedback = PolicyRuntime.feedback
+
+    def breaking(self: PolicyRuntime, observation: np.ndarray) -> np.ndarray:
+        if raises and observation[0, 3] > 0.5:
+            raise RuntimeError("index out of data bounds")
+        return feedback(self, observation)
+
+    with (
+        (folder / "told").open("w") as told,
+        (folder / "said").open("w") as said,
+        contextlib.redirect_stdout(told),
+        contextlib.redirect_stderr(said),
+        mock.patch.object(PolicyRuntime, "feedback", breaking),
+    ):
+        code = main(words)
+    return Ended.read(code, folder)
 
 
 def _in_a_terminal(cable: Cable, folder: Path, *options: str) -> Ended:
-    folder.mkdir(exist_ok=True)
     window, terminal = os.openpty()
     code = folder / "code"
-    words = [sys.executable, "-c", _TERMINAL, os.ttyname(terminal), str(code)]
+    words = [sys.executable, "-c", _TERMINAL, os.ttyname(terminal), str(code), *SUREFOOT]
     words += deploy_words(cable.path, folder, *options)
     shell = subprocess.Popen(words, stdin=subprocess.PIPE, start_new_session=True)
 
@@ -542,52 +544,11 @@ def _in_a_terminal(cable: Cable, folder: Path, *options: str) -> Ended:
     return Ended.read(int(code.read_text()), folder)
 
 
-def _settle(robot: Robot, seconds: float = 3.0) -> None:
-    """Let a robot that was damped in the middle of a step come to rest."""
-    somebody = Client(robot.path, OTHER)
+def _settle(robot: LockstepRobot, seconds: float) -> None:
+    """Let a robot sink for a while."""
+    somebody = Client(robot.port, OTHER)
     somebody.send(Hello(OTHER, 0.1))
     somebody.pass_time(seconds)
     somebody.send(Bye(OTHER))
     somebody.pass_time(0.0)
     os.close(somebody.file)
-
-
-def work(folder: Path, policies: Path, names: Sequence[str]) -> None:
-    """Play scenarios that no other worker plays; what came of each is in the file `ended` of its own folder.
-
-    Args:
-        folder: of all runs.
-        policies: folder of policies.
-        names: of scenarios, in order.
-    """
-    shared: Robot | None = None
-    for name in names:
-        place, scenario = folder / name, SCENARIOS[name]
-        try:
-            place.mkdir()
-        except FileExistsError:
-            continue
-        came: Ended | str
-        try:
-            if scenario.faults or scenario.fresh:
-                robot = Robot(*(word for fault in scenario.faults for word in ("--fault", fault)))
-                try:
-                    came = play(scenario, place, policies, robot)
-                finally:
-                    summary = robot.end()
-                came.summary = summary
-            else:
-                shared = shared or Robot()
-                came = play(scenario, place, policies, shared)
-                _settle(shared)
-        except Exception:
-            came = traceback.format_exc()
-        (place / "ended.part").write_bytes(pickle.dumps(came))
-        (place / "ended.part").rename(place / "ended")
-    if shared is not None:
-        shared.end()
-
-
-def main() -> None:
-    """A worker: folder, folder of policies, names."""
-    work(Path(sys.argv[1]), Path(sys.argv[2]), sys.argv[3:])
