@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from surefoot.deploy.poses import sitting
+from surefoot.deploy.poses import pose, sitting
 from surefoot.deploy.wire.messages import Mode
 from surefoot.emulator.limits import Limits, introduction
 from surefoot.identify.experiments import contact, ground
-from surefoot.identify.experiments.ground import ends, legs_pose, rocking, sides, standing_up
+from surefoot.identify.experiments.ground import ends, rocking, sides, standing_up
 from surefoot.identify.experiments.latency import DUTY, SPIKE_EVERY, latency_plan
 from surefoot.identify.experiments.motor import PULSE, motor_plan
 from surefoot.identify.experiments.signals import FADE, sweep
@@ -40,9 +40,9 @@ def begun(robot: RobotDescription, name: str) -> NDArray[np.float64]:
     """Angles in which a robot may lie or hang when it is armed."""
     poses = {
         "sits": sitting(robot),
-        "lies": legs_pose(robot, [1.3, -1.2, 1.1, 1.4], 0.8),
-        "folded": legs_pose(robot, 0.0, 0.2),
-        "hangs": legs_pose(robot, 0.0, 2.6),
+        "lies": pose(robot, [1.3, -1.2, 1.1, 1.4], 0.8),
+        "folded": pose(robot, 0.0, 0.2),
+        "hangs": pose(robot, 0.0, 2.6),
     }
     return poses[name]
 
@@ -93,14 +93,6 @@ def test_experiments_are_short(plans: dict[str, Plan]):
     assert all(any(phase.use == "check" for phase in plans[name].phases) for name in ("motor", "mass"))
 
 
-def test_a_seed_draws_other_steps_and_pulses(robot: RobotDescription):
-    nobody = np.zeros(robot.num_motors)
-    for make in (motor_plan, latency_plan):
-        one, other = make(robot, 0), make(robot, 1)
-        steps = [next(p for p in plan.phases if p.name == "steps") for plan in (one, other)]
-        assert np.abs(steps[0].signal(0.1, nobody) - steps[1].signal(0.1, nobody)).max() > 0.01
-
-
 def test_pulses_go_there_and_back(robot: RobotDescription):
     phase = next(p for p in motor_plan(robot).phases if p.name == "PWM pulses")
     nobody = np.zeros(robot.num_motors)
@@ -124,7 +116,7 @@ def test_legs_of_the_ground(robot: RobotDescription):
     # Order: front left, back left, front right, back right.
     assert ends(robot).tolist() == [1, -1, 1, -1]
     assert sides(robot).tolist() == [1, 1, -1, -1]
-    angles = legs_pose(robot, [0.1, 0, 0, 0], ground.STANCE)
+    angles = pose(robot, [0.1, 0, 0, 0], ground.STANCE)
     swing, extension = robot.motor_to_leg_pose(angles)
     np.testing.assert_allclose(swing, [0.1, 0, 0, 0], atol=1e-12)
     np.testing.assert_allclose(extension, ground.STANCE)
@@ -132,7 +124,7 @@ def test_legs_of_the_ground(robot: RobotDescription):
 
 def test_rocking_is_around_standing(robot: RobotDescription):
     signal = rocking(robot, ends(robot), 0.12, 1.0, 4.0, 2.0)
-    nobody, stand = np.zeros(8), legs_pose(robot, 0.0, ground.STANCE)
+    nobody, stand = np.zeros(8), pose(robot, 0.0, ground.STANCE)
     np.testing.assert_allclose(signal(0.0, nobody), stand)
     np.testing.assert_allclose(signal(2.0, nobody), stand, atol=1e-12)
     for t in np.arange(0.0, 2.0, 0.05):
@@ -155,7 +147,7 @@ def test_a_sweep_of_one_frequency_is_a_sine():
 
 def test_legs_that_slid_out_are_drawn_in_from_their_side(robot: RobotDescription):
     out, unfold, draw_in = standing_up(robot)[:3]
-    start = legs_pose(robot, [1.0, -0.9, 0.1, 0.0], 0.4)
+    start = pose(robot, [1.0, -0.9, 0.1, 0.0], 0.4)
     swing, extension = robot.motor_to_leg_pose(out.signal(1.0, start))
     np.testing.assert_allclose(swing, [ground.SPREAD_SWING, -ground.SPREAD_SWING, 0.1, 0.0], atol=1e-12)
     np.testing.assert_allclose(extension, 0.4)
@@ -167,7 +159,7 @@ def test_legs_that_slid_out_are_drawn_in_from_their_side(robot: RobotDescription
 
 def test_a_diagonal_is_dragged_while_the_other_stands(robot: RobotDescription):
     drags = [phase for phase in EXPERIMENTS["contact"].plan(robot).phases if phase.name == "drag"]
-    stand = legs_pose(robot, 0.0, ground.STANCE)
+    stand = pose(robot, 0.0, ground.STANCE)
     moved = []
     for phase in drags:
         angles = asked(phase, stand)

@@ -8,7 +8,6 @@ import pytest
 from surefoot.deploy.wire.messages import Mode
 from surefoot.emulator.limits import Limits, introduction
 from surefoot.identify.experiments.signals import chirps, go_to, hold, steps
-from surefoot.identify.plan import Phase, Plan
 from surefoot.identify.registry import EXPERIMENTS
 from surefoot.robot import RobotDescription
 
@@ -45,19 +44,6 @@ def test_a_plan_is_the_same_every_time(name: str, robot: RobotDescription):
     for first, second in zip(one.phases, other.phases, strict=True):
         assert (first.name, first.duration, first.use) == (second.name, second.duration, second.use)
         np.testing.assert_array_equal(first.signal(0.05, start), second.signal(0.05, start))
-
-
-def test_rows_count_equal_neighbours():
-    still = hold(np.zeros(2))
-    phases = (
-        Phase("hold", "nothing", 0.5, still),
-        Phase("push", "a pulse", 0.25, still, Mode.PWM),
-        Phase("push", "a pulse", 0.25, still, Mode.PWM),
-        Phase("hold", "nothing", 0.5, still),
-    )
-    plan = Plan("motor", True, phases, np.zeros(2), np.ones(2), 0.1)
-    assert plan.duration == 1.5
-    assert plan.rows() == [("hold", "0.5 s", "nothing"), ("push x 2", "0.5 s", "a pulse"), ("hold", "0.5 s", "nothing")]
 
 
 def test_signals():

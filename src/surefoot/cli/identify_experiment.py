@@ -121,10 +121,9 @@ def main(name: str, argv: list[str]) -> int:
         if not command.record_only:
             check_installed(f"surefoot identify {name} --record-only")
             _warn(command, experiment, known)
-        from surefoot.cli.identify_run import Session, run_experiment
+        from surefoot.cli.identify_run import run_experiment
 
-        session = Session(str(command.port), command.lockstep, command.baud, command.yes, command.json)
-        recording = run_experiment(session, experiment.plan(robot), robot, path)
+        recording = run_experiment(command, experiment.plan(robot), robot, path)
         if recording.meta["ended"] != COMPLETE or command.record_only:
             return _tell_recording(command, recording, path)
     check_installed()

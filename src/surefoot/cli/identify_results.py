@@ -19,7 +19,8 @@ from rich.text import Text
 from surefoot.errors import SurefootError, choices
 from surefoot.identify.overlay import Known, overlay, write_known
 from surefoot.identify.result import Estimate, Identification
-from surefoot.report.identification import full_name, known_before, number, write_report
+from surefoot.report.identification import write_report
+from surefoot.report.identification_parts import cells, full_name, known_before
 from surefoot.robot import RobotDescription
 
 _NEEDED = {"mujoco": "sim", "numba": "sim", "scipy": "sim", "matplotlib": "report"}
@@ -124,18 +125,9 @@ def _estimates(robot: RobotDescription, known: Known, found: Identification) -> 
             unit = ""
         for item in items:
             label = name if item.index is None else "  " + full_name(item.label, robot).removeprefix(name).strip()
-            table.add_row(Text(label), *_cells(item, known), unit, style=None if item.told else "dim")
+            was, value, interval = cells(item, known.params)
+            table.add_row(Text(label), was or "-", value, interval, unit, style=None if item.told else "dim")
     return table
-
-
-def _cells(item: Estimate, known: Known) -> tuple[str, str, str]:
-    """What was known, what was found and its interval."""
-    before, (low, high) = known_before(item, known.params), item.interval
-    width = high - low if item.told else math.nan
-    was = "-" if before is None else number(before, width)
-    if not item.told:
-        return was, "not told", ""
-    return was, number(item.value, width), f"{number(low, width)} to {number(high, width)}"
 
 
 def _checks(found: Identification) -> Table:
