@@ -2,22 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from processes import emulators
 
 pytest.importorskip("mujoco")
 
-from surefoot.deploy.connection import open_connection
-from surefoot.deploy.display import PlainLines
 from surefoot.deploy.wire.messages import Mode
 from surefoot.errors import SurefootError
-from surefoot.identify.experiment_runner import run_plan
 from surefoot.identify.plan import Plan
-from surefoot.identify.recording import COMPLETE, Recording
+from surefoot.identify.recording import Recording
 from surefoot.identify.replay import HELD, Replayed, Replayer, Stretch, stretch_of
 from surefoot.robot import PhysicalParams, RobotDescription
 
@@ -34,16 +30,9 @@ TRUTH = {
 
 
 @pytest.fixture(scope="module")
-def ideal(robot: RobotDescription, make_plan: Callable[..., Plan]) -> Iterator[Recording]:
+def ideal(record: Callable[..., list[Recording]], make_plan: Callable[..., Plan]) -> Recording:
     """A robot on its rack with ideal sensors: unfold, a sweep, steps, centre, duties, centre, a sweep."""
-    words = ["--lockstep", "--rack", "--ideal-sensors", "--set", *(f"{name}={value}" for name, value in TRUTH.items())]
-    with emulators() as start:
-        connection = open_connection(start(*words).port, robot.num_motors, lockstep=True)
-        connection.connect()
-        recording = run_plan(connection, make_plan(), robot, PlainLines())
-        connection.close()
-    assert recording.meta["ended"] == COMPLETE
-    return recording
+    return record(TRUTH, make_plan())[0]
 
 
 @pytest.fixture(scope="module")

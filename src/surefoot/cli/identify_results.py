@@ -102,7 +102,10 @@ def tell(
     console = Console(highlight=False, emoji=False)
     console.print(_estimates(robot, known, found))
     if found.checks:
-        console.print(_checks(found))
+        table = _table("RMS error on data that were not fitted", "quantity", "before", "after", "unit")
+        for check in found.checks:
+            table.add_row(Text(check.what), f"{check.before:.3g}", f"{check.after:.3g}", check.unit)
+        console.print(table)
     lines = [
         f"{full_name(one, robot)} and {full_name(other, robot)} can hardly be told apart (correlation {value:+.2f})"
         for one, other, value in found.correlations
@@ -127,13 +130,6 @@ def _estimates(robot: RobotDescription, known: Known, found: Identification) -> 
             label = name if item.index is None else "  " + full_name(item.label, robot).removeprefix(name).strip()
             was, value, interval = cells(item, known.params)
             table.add_row(Text(label), was or "-", value, interval, unit, style=None if item.told else "dim")
-    return table
-
-
-def _checks(found: Identification) -> Table:
-    table = _table("RMS error on data that were not fitted", "quantity", "before", "after", "unit")
-    for check in found.checks:
-        table.add_row(Text(check.what), f"{check.before:.3g}", f"{check.after:.3g}", check.unit)
     return table
 
 
@@ -166,10 +162,7 @@ def as_mapping(robot: RobotDescription, known: Known, found: Identification) -> 
             }
             for item in found.estimates
         ],
-        "checks": [
-            {"what": one.what, "before": _finite(one.before), "after": _finite(one.after), "unit": one.unit}
-            for one in found.checks
-        ],
+        "checks": [{**vars(one), "before": _finite(one.before), "after": _finite(one.after)} for one in found.checks],
         "correlations": [[*pair[:2], _finite(pair[2])] for pair in found.correlations],
         "notes": list(found.notes),
         "sensors": found.sensors,
