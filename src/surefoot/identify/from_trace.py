@@ -28,7 +28,7 @@ from surefoot.identify.accuracy import with_floor
 from surefoot.identify.fits.motor import GAIN
 from surefoot.identify.fitting import Fit, Unknown, fit_least_squares
 from surefoot.identify.inverse_dynamics import InverseDynamics, Motion
-from surefoot.identify.recording import digest_of
+from surefoot.identify.recording import digest_of, read_at
 from surefoot.identify.registry import FitProgress, silent
 from surefoot.identify.result import Check, Estimate, Identification, Series, label_of
 from surefoot.identify.trace_data import (
@@ -356,15 +356,10 @@ def _vertical_force(
     trace, late = segment.trace, float(params.control_latency[0])
     angle, speed = thin.motion(0.0, late)
     acceleration = (thin.motion(-_DIFFERENCE, late)[1] - thin.motion(_DIFFERENCE, late)[1]) / (2 * _DIFFERENCE)
-    at = trace.time[thin.rows] - thin.timing.age
-
-    def read(values: Array) -> Array:
-        return np.stack([np.interp(at, trace.time - late, column) for column in values.T], axis=1)
-
-    tilt = read(trace.roll_pitch_yaw[:, :2])
-    turning = np.gradient(trace.angular_velocity_base, trace.time, axis=0)
+    at, times, rates = trace.time[thin.rows] - thin.timing.age, trace.time - late, trace.angular_velocity_base
+    tilt, rate = read_at(at, times, trace.roll_pitch_yaw[:, :2]), read_at(at, times, rates)
+    turning = read_at(at, times, np.gradient(rates, trace.time, axis=0))
     torque = thin.torque + motor_friction(speed, params.motor_friction[0], params.motor_viscous_friction[0])
-    rate = read(trace.angular_velocity_base)
-    forces = dynamics.forces(Motion(angle, speed, acceleration, torque, tilt, rate, read(turning)))
+    forces = dynamics.forces(Motion(angle, speed, acceleration, torque, tilt, rate, turning))
     forward, up = forces.force.sum(axis=1).T
     return at, (up * np.cos(tilt[:, 0]) * np.cos(tilt[:, 1])) - forward * np.sin(tilt[:, 1])

@@ -14,7 +14,7 @@ from surefoot.actuator.servo import servo_duty
 from surefoot.errors import SurefootError
 from surefoot.identify.inverse_dynamics import Forces, InverseDynamics, Motion
 from surefoot.identify.plan import Use
-from surefoot.identify.recording import CLOCK, Recording
+from surefoot.identify.recording import CLOCK, Recording, read_at
 from surefoot.robot import GRAVITY, PhysicalParams, RobotDescription
 
 Array = NDArray[np.float64]
@@ -80,7 +80,7 @@ def ground_motion(
     grid = np.arange(max(first, times[0]), min(last, times[-1] - age - STEP), STEP)
 
     def at(values: Array, shift: float) -> Array:
-        return np.stack([np.interp(grid + shift, times, column) for column in values.T], axis=1)
+        return read_at(grid + shift, times, values)
 
     gains = 1 + np.asarray(sensors.get("torque_gain", np.zeros(robot.num_motors)))
     velocity = at(recording.motor_velocity, age)
@@ -140,24 +140,21 @@ def _since_command(robot: RobotDescription, recording: Recording, params: Physic
     count = max(round(recording.period / dt), 1)
     latency = float(params.servo_latency[0])
 
-    def at(values: Array, moment: Array) -> Array:
-        return np.stack([np.interp(moment + age, times, column) for column in values.T], axis=1)
-
     steps = []
     for back in range(count, 0, -1):
         begins = times - back * dt
         order = np.clip(np.searchsorted(recording.arrival, begins + CLOCK, side="right") - 1, 0, None)
-        seen = begins - latency
+        seen = begins - latency + age
         duty = servo_duty(
             recording.sent_value[order],
-            at(recording.motor_angle, seen),
-            at(recording.motor_velocity, seen),
+            read_at(seen, times, recording.motor_angle),
+            read_at(seen, times, recording.motor_velocity),
             params.servo_kp[0],
             params.servo_kd[0],
         )
         current = motor_current(
             duty,
-            at(recording.motor_velocity, begins),
+            read_at(begins + age, times, recording.motor_velocity),
             recording.voltage[:, None],
             params.torque_constant[0],
             params.resistance[0],

@@ -12,7 +12,7 @@ from surefoot.deploy.wire.messages import Mode
 from surefoot.identify.accuracy import with_floor
 from surefoot.identify.fitting import Fit, Unknown, fit_least_squares
 from surefoot.identify.rack_model import NOISE, TORQUE_GAIN, RackModel
-from surefoot.identify.recording import Recording
+from surefoot.identify.recording import Recording, read_at
 from surefoot.identify.registry import FitProgress
 from surefoot.identify.replay import Replayer, Stretch, stretch_of
 from surefoot.identify.result import Check, Estimate, Identification, Series
@@ -231,9 +231,7 @@ def _curve(
     kept = stretch.states[driven]
     # A state's speeds are older than its torques by the control latency.
     later = recording.time[kept] + float(found.control_latency[0])
-    speed = np.stack(
-        [np.interp(later, recording.time, column) for column in recording.motor_velocity.T[motors]], axis=1
-    )
+    speed = read_at(later, recording.time, recording.motor_velocity[:, motors])
     before = np.maximum(kept - 1, 0)
     current = motor_current(
         stretch.order[order][driven][:, motors], speed, recording.voltage[before][:, None], found.torque_constant[0],
