@@ -5,18 +5,19 @@ from __future__ import annotations
 import contextlib
 import sys
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, TextIO
+from typing import Annotated, TextIO
 
 import numpy as np
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from surefoot.configuration import Within
 from surefoot.deploy.connection import RobotConnection, open_connection
 from surefoot.deploy.display import LiveDisplay, PlainLines
-from surefoot.deploy.link import LinkLostError
+from surefoot.deploy.link import BAUD, LinkLostError
 from surefoot.deploy.loop import Snapshot
 from surefoot.deploy.realtime import undisturbed
 from surefoot.deploy.wire.messages import Handshake
@@ -26,13 +27,41 @@ from surefoot.identify.plan import Plan
 from surefoot.identify.recording import Recording
 from surefoot.robot import RobotDescription
 
-if TYPE_CHECKING:
-    from surefoot.cli.identify_experiment import ExperimentCommand
-
 PLACES = {True: "hang free, its legs in the air", False: "sit on flat ground with a metre of room"}
 """Where the robot must be, by whether it is an experiment for the rack."""
 _PERIOD = 0.05
 """How far the robot's servo period may be from the data sheet's, as a share."""
+
+
+@dataclass(frozen=True)
+class ExperimentCommand:
+    """Run an experiment on a robot, or take a recording of one, and find the physical parameters that it tells.
+
+    What is going to happen is shown, and asked for, before a motor moves. The recording is kept however the experiment
+    ends; --record-only leaves the fit to another computer, such as one with MuJoCo. Exit codes: 0 done, 2 refused
+    before anything moved or data that tell nothing, 3 stopped.
+    """
+
+    port: str | None = None
+    """Serial port or pseudo-terminal of the robot, such as /dev/ttyUSB0."""
+    recording: Path | None = None
+    """Take this recording instead of a robot: the folder of an experiment, or its file."""
+    params: Path | None = None
+    """File of what is known of the robot (.toml); what is found is written to it. robot.toml in --out, if not given."""
+    out: Path | None = None
+    """Folder for recording and report; runs/identify/EXPERIMENT-TIME or the recording's, if not given."""
+    record_only: bool = False
+    """Record and do not fit; needs the bare install only."""
+    yes: bool = False
+    """Do not ask before motors move."""
+    lockstep: bool = False
+    """The robot is an emulator that runs with --lockstep."""
+    baud: Annotated[int, Within(9600, 100_000_000)] = BAUD
+    """Bits a second of a serial port."""
+    robot: str = "minitaur"
+    """Name or folder of the robot's description."""
+    json: bool = False
+    """Print one JSON object."""
 
 
 def run_experiment(command: ExperimentCommand, plan: Plan, robot: RobotDescription, path: Path) -> Recording:
