@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
+import io
 import json
-import os
-import pty
 import signal
 import subprocess
 import sys
@@ -120,6 +119,8 @@ def hanging() -> Iterator[Emulator]:
         yield start("--lockstep", "--rack")
 
 
+Recorded = tuple[Path, subprocess.CompletedProcess[str]]
+Identify = Callable[..., tuple[int, str, str]]
 ON_THE_ROBOTS_COMPUTER = """
 import sys
 
@@ -135,24 +136,36 @@ sys.exit(main(sys.argv[1:]))
 """
 
 
-def run(words: list[object], bare: bool = False) -> subprocess.CompletedProcess[str]:
-    """Run `surefoot identify` as a process; `bare`: on a computer that has only the bare install."""
-    begin = [sys.executable, "-c", ON_THE_ROBOTS_COMPUTER] if bare else [*SUREFOOT]
-    return subprocess.run([*begin, "identify", *map(str, words)], capture_output=True, text=True, timeout=200)
+def run_bare(*words: object) -> subprocess.CompletedProcess[str]:
+    """Run `surefoot identify` on a computer that has only the bare install."""
+    command = [sys.executable, "-c", ON_THE_ROBOTS_COMPUTER, "identify", *map(str, words)]
+    return subprocess.run(command, capture_output=True, text=True, timeout=200)
+
+
+@pytest.fixture
+def identify(capsys: pytest.CaptureFixture[str]) -> Callable[..., tuple[int, str, str]]:
+    """Run `surefoot identify` in this process; exit code, and what was said on stdout and on stderr."""
+
+    def run(*words: object) -> tuple[int, str, str]:
+        capsys.readouterr()
+        code = main(["identify", *map(str, words)])
+        return code, *capsys.readouterr()
+
+    return run
 
 
 @pytest.fixture(scope="module")
-def recorded(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, subprocess.CompletedProcess[str]]:
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Recorded:
     """Folder of an experiment that was recorded on the robot's computer, and what was said."""
     pytest.importorskip("mujoco")
     folder = tmp_path_factory.mktemp("contact")
     with emulators() as start:
         port = start("--lockstep", "--set", "contact_friction=0.7").port
         words = ["contact", "--port", port, "--lockstep", "--yes", "--record-only", "--out", folder / "run"]
-        return folder / "run", run(words, bare=True)
+        return folder / "run", run_bare(*words)
 
 
-def test_recording_needs_the_bare_install_only(recorded: tuple[Path, subprocess.CompletedProcess[str]]):
+def test_recording_needs_the_bare_install_only(recorded: Recorded):
     folder, done = recorded
     assert done.returncode == 0, done.stderr
     assert [path.name for path in folder.iterdir()] == ["recording.npz"]
@@ -172,28 +185,27 @@ def test_recording_needs_the_bare_install_only(recorded: tuple[Path, subprocess.
     assert "\x1b" not in done.stdout + done.stderr
 
 
-def test_a_recording_is_never_written_over(recorded: tuple[Path, subprocess.CompletedProcess[str]]):
+def test_a_recording_is_never_written_over(recorded: Recorded, identify: Identify):
     folder, _ = recorded
     before = (folder / "recording.npz").read_bytes()
-    done = run(["contact", "--port", "/dev/none", "--yes", "--record-only", "--out", folder])
-    assert done.returncode == 2
-    assert done.stderr == (
+    code, _, errors = identify("contact", "--port", "/dev/none", "--yes", "--record-only", "--out", folder)
+    assert code == 2
+    assert errors == (
         f"surefoot: error: {folder / 'recording.npz'} exists and is not written over; give another folder with --out\n"
     )
     assert (folder / "recording.npz").read_bytes() == before
 
 
-def test_a_recording_is_fitted(recorded: tuple[Path, subprocess.CompletedProcess[str]], tmp_path: Path):
+def test_a_recording_is_fitted(recorded: Recorded, identify: Identify, robot: RobotDescription, tmp_path: Path):
     folder, _ = recorded
     params, out = tmp_path / "known" / "robot.toml", tmp_path / "out"
     params.parent.mkdir()
     params.write_text('[params]\nvoltage = 15.5\nmotor_strength = 0.98\n[note]\nby = "hand"\n')
-    done = run(["contact", "--recording", folder, "--params", params, "--out", out])
-    assert done.returncode == 0, done.stderr
-    assert "surefoot: warning: contact should come after motor and mass, and " in done.stderr
-    assert " contact_friction " in done.stdout
-    assert f"wrote {params}, {out / 'report.png'}, {out / 'report.html'}" in done.stdout
-    robot = RobotDescription.load("minitaur")
+    code, said, errors = identify("contact", "--recording", folder, "--params", params, "--out", out)
+    assert code == 0, errors
+    assert "surefoot: warning: contact should come after motor and mass, and " in errors
+    assert " contact_friction " in said
+    assert f"wrote {params}, {out / 'report.png'}, {out / 'report.html'}" in said
     found = read_params(params, robot)
     assert {"voltage", "motor_strength", "contact_friction"} <= set(found.given)
     assert (found.params.voltage[0], found.tables["note"]) == (15.5, {"by": "hand"})
@@ -206,28 +218,27 @@ def test_a_recording_is_fitted(recorded: tuple[Path, subprocess.CompletedProcess
     assert (out / "report.png").read_bytes().startswith(b"\x89PNG")
     assert told["data"] in (out / "report.html").read_text()
     # Once more, with what is known now, as one object; without --params beside the report.
-    done = run(["contact", "--recording", folder / "recording.npz", "--json", "--out", tmp_path / "again"])
-    assert done.returncode == 0, done.stderr
-    again: dict[str, Any] = json.loads(done.stdout)
-    assert again["digest"] == told["data"]
-    assert again["lacks"] == ["motor", "mass"]
-    assert again["files"][0] == str(tmp_path / "again" / "robot.toml")
-    (friction,) = (item for item in again["estimates"] if item["name"] == "contact_friction")
+    again = tmp_path / "again"
+    code, said, errors = identify("contact", "--recording", folder / "recording.npz", "--json", "--out", again)
+    assert code == 0, errors
+    found_again: dict[str, Any] = json.loads(said)
+    assert found_again["digest"] == told["data"]
+    assert found_again["lacks"] == ["motor", "mass"]
+    assert found_again["files"][0] == str(again / "robot.toml")
+    (friction,) = (item for item in found_again["estimates"] if item["name"] == "contact_friction")
     assert friction["interval"][0] <= friction["value"] <= friction["interval"][1]
     assert friction["before"] == robot.contact.friction
-    assert "contact_friction" in tomllib.loads((tmp_path / "again" / "robot.toml").read_text())["params"]
+    assert "contact_friction" in tomllib.loads((again / "robot.toml").read_text())["params"]
 
 
-def test_a_recording_of_another_experiment(recorded: tuple[Path, subprocess.CompletedProcess[str]]):
-    folder, _ = recorded
-    done = run(["motor", "--recording", folder])
-    assert done.returncode == 2
-    assert "recording.npz: is of experiment contact, not motor" in done.stderr
+def test_a_recording_of_another_experiment(recorded: Recorded, identify: Identify):
+    code, _, errors = identify("motor", "--recording", recorded[0])
+    assert code == 2
+    assert "recording.npz: is of experiment contact, not motor" in errors
 
 
-def test_a_computer_that_can_not_fit_says_so_before_anything_moves(hanging: Emulator, tmp_path: Path):
-    words = ["latency", "--port", hanging.port, "--lockstep", "--yes", "--out", tmp_path / "out"]
-    done = run(words, bare=True)
+def test_a_computer_that_can_not_fit_says_so_before_anything_moves(tmp_path: Path):
+    done = run_bare("latency", "--port", "/dev/none", "--lockstep", "--yes", "--out", tmp_path / "out")
     assert done.returncode == 2
     assert "the fit needs mujoco, which is not installed: pip install 'surefoot[sim]'; surefoot identify latency" in (
         done.stderr
@@ -236,7 +247,7 @@ def test_a_computer_that_can_not_fit_says_so_before_anything_moves(hanging: Emul
     assert not (tmp_path / "out").exists()
 
 
-def test_ctrl_c_ends_it_and_keeps_what_was_recorded(hanging: Emulator, tmp_path: Path):
+def test_ctrl_c_ends_it_and_keeps_what_was_recorded(hanging: Emulator, identify: Identify, tmp_path: Path):
     out = tmp_path / "out"
     phase = EXPERIMENTS["motor"].plan(RobotDescription.load("minitaur")).phases[3].name
     words = ["motor", "--port", hanging.port, "--lockstep", "--yes", "--out", out]
@@ -257,55 +268,58 @@ def test_ctrl_c_ends_it_and_keeps_what_was_recorded(hanging: Emulator, tmp_path:
     assert "to fit it" not in said
     assert [path.name for path in out.iterdir()] == ["recording.npz"]
     # What was stopped is not fitted later either.
-    done = run(["motor", "--recording", out])
-    assert done.returncode == 2
-    assert "did not come to its end: stopped by the operator" in done.stderr
+    code, _, errors = identify("motor", "--recording", out)
+    assert code == 2
+    assert "did not come to its end: stopped by the operator" in errors
 
 
-@pytest.mark.parametrize(
-    ("fault", "why"),
-    [
-        ("other-robot", "the robot says that it is 'not-minitaur', and the data sheet is of 'minitaur'"),
-        ("other-order", "motor 0 is '"),
-        ("slow-servo", "the robot's servos step every 2 ms; the data sheet says 1 ms"),
-    ],
-)
-def test_another_robot_is_refused(emulate: Callable[..., Emulator], tmp_path: Path, fault: str, why: str):
-    port = emulate("--lockstep", "--rack", "--fault", fault).port
-    done = run(["motor", "--port", port, "--lockstep", "--yes", "--record-only", "--out", tmp_path / "out"])
-    assert done.returncode == 2
-    assert why in done.stderr
-    assert done.stderr.count("\n") == 1
+def test_another_robot_is_refused(emulate: Callable[..., Emulator], identify: Identify, tmp_path: Path):
+    port = emulate("--lockstep", "--rack", "--fault", "other-robot").port
+    words = ("--port", port, "--lockstep", "--yes", "--record-only", "--out", tmp_path / "out")
+    code, _, errors = identify("motor", *words)
+    assert code == 2
+    assert "the robot says that it is 'not-minitaur', and the data sheet is of 'minitaur'" in errors
+    assert errors.count("\n") == 1
     assert not (tmp_path / "out").exists()
 
 
-def test_a_motor_with_another_sign_is_refused():
-    robot = RobotDescription.load("minitaur")
+def test_a_robot_that_differs_is_refused(robot: RobotDescription):
     said = introduction(robot, Limits(), "", robot.timing.servo_step)
     check_robot(said, robot)
     signs = np.array(said.motor_signs, float)
     signs[3] *= -1
-    with pytest.raises(SurefootError, match=f"^{robot.motor_names[3]} has sign "):
-        check_robot(replace(said, motor_signs=signs), robot)
+    for other, why in (
+        (replace(said, motor_names=said.motor_names[::-1]), "motor 0 is '"),
+        (replace(said, servo_period=0.002), "the robot's servos step every 2 ms; the data sheet says 1 ms"),
+        (replace(said, motor_signs=signs), f"{robot.motor_names[3]} has sign "),
+    ):
+        with pytest.raises(SurefootError, match=f"^{why}"):
+            check_robot(other, robot)
 
 
-@pytest.mark.parametrize(("answer", "code"), [(b"n\n", 2), (b"\n", 2), (b"yes\n", 0)])
-def test_a_terminal_is_asked(hanging: Emulator, tmp_path: Path, answer: bytes, code: int):
-    ours, theirs = pty.openpty()
-    words = ("latency", "--port", str(hanging.port), "--lockstep", "--record-only", "--out", "out", "--json")
-    process = subprocess.Popen(
-        [*SUREFOOT, "identify", *words], stdin=theirs, stdout=subprocess.PIPE, stderr=subprocess.PIPE, cwd=tmp_path
-    )
-    os.write(ours, answer)
-    said, errors = (text.decode() for text in process.communicate(timeout=60))
-    os.close(ours)
-    os.close(theirs)
-    assert process.returncode == code, errors
+class Terminal(io.StringIO):
+    """Somebody who answers at a terminal."""
+
+    def isatty(self) -> bool:
+        return True
+
+
+@pytest.mark.parametrize(("answer", "code"), [("n\n", 2), ("\n", 2), ("yes\n", 0)])
+def test_a_terminal_is_asked(
+    hanging: Emulator, identify: Identify, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, answer: str, code: int
+):
+    plan = EXPERIMENTS["latency"].plan(RobotDescription.load("minitaur"))
+    monkeypatch.setattr("surefoot.identify.registry.Experiment.plan", lambda *_: replace(plan, phases=plan.phases[:2]))
+    monkeypatch.setattr("sys.stdin", Terminal(answer))
+    monkeypatch.chdir(tmp_path)
+    words = ("--port", hanging.port, "--lockstep", "--record-only", "--out", "out", "--json")
+    ended, said, errors = identify("latency", *words)
+    assert ended == code, errors
     # The plan comes first, then the question; stdout is the object's alone.
     question = errors.index("Motors will move. Does the robot hang free, its legs in the air? [y/N] ")
     assert 0 < errors.index("motor angles from ") < question
     assert ("not begun; nothing has moved" in errors) == (code == 2)
-    assert (tmp_path / "out" / "recording.npz").exists() == (code == 0)
+    assert Path("out/recording.npz").exists() == (code == 0)
     if code == 0:
         told = json.loads(said)
         assert (told["experiment"], told["ended"]) == ("latency", "complete")
@@ -332,32 +346,21 @@ def test_what_should_come_before_is_told(
 # --- recorded runs ----------------------------------------------------------------------------------------
 
 
-def test_runs_that_were_recorded_tell_too(tmp_path: Path):
+def test_runs_that_were_recorded_tell_too(identify: Identify, tmp_path: Path):
     pytest.importorskip("mujoco")
     pytest.importorskip("matplotlib")
     traces, out = tmp_path / "traces", tmp_path / "out"
-    words = [
-        "evaluate",
-        "trot",
-        "--episodes",
-        "2",
-        "--out",
-        str(traces),
-        "--threads",
-        "1",
-        "--set",
-        "motor_strength=0.9",
-    ]
-    assert main(words) == 0
-    done = run(["--from-trace", traces, "--fit", "motor_strength", "--out", out, "--json"])
-    assert done.returncode == 0, done.stderr
-    told = json.loads(done.stdout)
+    words = ["evaluate", "trot", "--episodes", "2", "--threads", "1", "--set", "motor_strength=0.9"]
+    assert main([*words, "--out", str(traces)]) == 0
+    code, said, errors = identify("--from-trace", traces, "--fit", "motor_strength", "--out", out, "--json")
+    assert code == 0, errors
+    told = json.loads(said)
     assert told["experiment"] == "traces"
     assert told["traces"] == [str(traces / f"episode_00{i}.npz") for i in range(2)]
     found = tomllib.loads((out / "robot.toml").read_text())
     assert set(found["params"]) == {"motor_strength"}
     assert np.mean(found["params"]["motor_strength"]) == pytest.approx(0.9, abs=0.03)
     assert found["identified"]["traces"]["file"] == str(traces)
-    done = run(["--from-trace", traces, "--fit", "contact_friction"])
-    assert done.returncode == 2
-    assert "traces do not tell 'contact_friction'; choices: motor_strength" in done.stderr
+    code, _, errors = identify("--from-trace", traces, "--fit", "contact_friction")
+    assert code == 2
+    assert "traces do not tell 'contact_friction'; choices: motor_strength" in errors

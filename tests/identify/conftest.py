@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 
 import numpy as np
 import pytest
 from processes import Emulator, emulators
 
+from surefoot.deploy.connection import open_connection
 from surefoot.deploy.display import PlainLines
+from surefoot.deploy.link import LinkLostError
 from surefoot.deploy.poses import pose
 from surefoot.deploy.wire.messages import Mode
+from surefoot.identify.experiment_runner import run_plan
 from surefoot.identify.experiments.signals import chirps, go_to, steps
 from surefoot.identify.plan import ExperimentLimits, Phase, Plan
-from surefoot.identify.recording import Recording
+from surefoot.identify.recording import COMPLETE, Recording
 from surefoot.robot import RobotDescription
 
 MIDDLE, REACH, DUTY = 1.7, 0.3, 0.2
@@ -53,14 +57,37 @@ def make_plan(robot: RobotDescription) -> Callable[..., Plan]:
 
 
 @pytest.fixture(scope="session")
-def recorded(healthy: Emulator, robot: RobotDescription, make_plan: Callable[..., Plan]) -> Recording:
-    """What a healthy robot told in a whole experiment."""
-    from surefoot.deploy.connection import open_connection
-    from surefoot.identify.experiment_runner import run_plan
+def run_on(robot: RobotDescription) -> Callable[..., Recording]:
+    """Take a robot at a port through a plan."""
 
-    connection = open_connection(str(healthy.port), robot.num_motors, lockstep=True)
-    try:
-        connection.connect()
-        return run_plan(connection, make_plan(), robot, PlainLines())
-    finally:
-        connection.close()
+    def run(port: str, plan: Plan, watch: PlainLines | None = None) -> Recording:
+        connection = open_connection(port, robot.num_motors, lockstep=True)
+        try:
+            connection.connect()
+            return run_plan(connection, plan, robot, watch or PlainLines())
+        finally:
+            with suppress(LinkLostError, OSError):
+                connection.close()
+
+    return run
+
+
+@pytest.fixture(scope="session")
+def record(run_on: Callable[..., Recording]) -> Callable[..., list[Recording]]:
+    """Take an emulated robot with ideal sensors and these parameters through plans, all to their ends."""
+
+    def recordings(params: dict[str, float], *plans: Plan) -> list[Recording]:
+        words = ["--lockstep", "--ideal-sensors", *(["--rack"] if plans[0].rack else [])]
+        with emulators() as start:
+            port = start(*words, "--set", *(f"{name}={value}" for name, value in params.items())).port
+            found = [run_on(port, plan) for plan in plans]
+        assert all(recording.meta["ended"] == COMPLETE for recording in found)
+        return found
+
+    return recordings
+
+
+@pytest.fixture(scope="session")
+def recorded(healthy: Emulator, make_plan: Callable[..., Plan], run_on: Callable[..., Recording]) -> Recording:
+    """What a healthy robot told in a whole experiment."""
+    return run_on(healthy.port, make_plan())

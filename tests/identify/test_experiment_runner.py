@@ -4,17 +4,15 @@ from __future__ import annotations
 
 import os
 import signal
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from surefoot.deploy.connection import RobotConnection, open_connection
+from surefoot.deploy.connection import open_connection
 from surefoot.deploy.display import PlainLines
-from surefoot.deploy.link import LinkLostError
 from surefoot.deploy.wire.messages import Mode
 from surefoot.errors import SurefootError
 from surefoot.identify.experiment_runner import run_plan
@@ -23,17 +21,7 @@ from surefoot.identify.recording import COMPLETE, Recording, load_recording
 from surefoot.robot import RobotDescription
 
 MakePlan = Callable[..., Plan]
-
-
-@contextmanager
-def greeted(port: str) -> Iterator[RobotConnection]:
-    connection = open_connection(port, 8, lockstep=True)
-    try:
-        connection.connect()
-        yield connection
-    finally:
-        with suppress(LinkLostError, OSError):
-            connection.close()
+RunOn = Callable[..., Recording]
 
 
 class Doing(PlainLines):
@@ -72,20 +60,24 @@ def test_a_whole_experiment(recorded: Recording, make_plan: MakePlan, robot: Rob
     assert recorded.motor_angle.shape == (len(recorded.time), robot.num_motors)
 
 
-def ended(port: str, plan: Plan, robot: RobotDescription, tmp_path: Path, watch: PlainLines | None = None) -> str:
+@pytest.fixture
+def ended(healthy: Any, robot: RobotDescription, tmp_path: Path) -> Callable[..., str]:
     """Why an experiment ended early; what it recorded until then is kept, and the robot is damped."""
-    with greeted(port) as connection:
+
+    def run(plan: Plan, watch: PlainLines | None = None) -> str:
+        connection = open_connection(healthy.port, robot.num_motors, lockstep=True)
+        connection.connect()
         recording = run_plan(connection, plan, robot, watch or PlainLines())
         assert len(recording.time) > 50
-        path = recording.save(tmp_path / "recording.npz")
-        assert connection.state is not None
-        connection.wait_for(lambda: connection.state.mode != Mode.POSITION, 0.1)
-        assert connection.state.mode in (Mode.FAULT, Mode.DISARMED)
-    why = str(recording.meta["ended"])
-    with pytest.raises(SurefootError, match="did not come to its end"):
-        load_recording(path, robot)
-    assert "\n" not in why
-    return why
+        connection.wait_for(lambda: connection.last_state().mode != Mode.POSITION, 0.1)
+        assert connection.last_state().mode in (Mode.FAULT, Mode.DISARMED)
+        connection.close()
+        with pytest.raises(SurefootError, match="did not come to its end"):
+            load_recording(recording.save(tmp_path / "recording.npz"), robot)
+        assert "\n" not in recording.meta["ended"]
+        return str(recording.meta["ended"])
+
+    return run
 
 
 @pytest.mark.parametrize(
@@ -99,32 +91,31 @@ def ended(port: str, plan: Plan, robot: RobotDescription, tmp_path: Path, watch:
     ids=["angle", "torque", "temperature", "time"],
 )
 def test_a_limit_of_the_plan_is_passed(
-    healthy: Any, robot: RobotDescription, make_plan: MakePlan, tmp_path: Path, limits: ExperimentLimits, why: str
+    ended: Callable[..., str], make_plan: MakePlan, limits: ExperimentLimits, why: str
 ):
-    assert why in ended(healthy.port, make_plan(limits), robot, tmp_path)
+    assert why in ended(make_plan(limits))
 
 
-def test_the_operator_stops_it(healthy: Any, robot: RobotDescription, make_plan: MakePlan, tmp_path: Path):
+def test_the_operator_stops_it_and_it_can_go_again(
+    ended: Callable[..., str], healthy: Any, make_plan: MakePlan, run_on: RunOn
+):
     watch = Doing("steps", lambda: os.kill(os.getpid(), signal.SIGINT))
-    assert ended(healthy.port, make_plan(), robot, tmp_path, watch) == "stopped by the operator (in phase 'steps')"
+    assert ended(make_plan(), watch) == "stopped by the operator (in phase 'steps')"
     assert watch.phases == ["unfold", "sweep", "steps"]
-
-
-def test_a_robot_that_is_stopped_can_go_again(healthy: Any, robot: RobotDescription, make_plan: MakePlan):
-    with greeted(healthy.port) as connection:
-        assert run_plan(connection, make_plan(), robot, PlainLines()).meta["ended"] == COMPLETE
+    assert run_on(healthy.port, make_plan()).meta["ended"] == COMPLETE
 
 
 def test_the_robot_damps_itself(healthy: Any, robot: RobotDescription, make_plan: MakePlan):
-    with greeted(healthy.port) as connection:
-        recording = run_plan(connection, make_plan(), robot, Doing("sweep", connection.damp))
+    connection = open_connection(healthy.port, robot.num_motors, lockstep=True)
+    connection.connect()
+    recording = run_plan(connection, make_plan(), robot, Doing("sweep", connection.damp))
+    connection.close()
     assert recording.meta["ended"] == "the robot has damped its motors (host) (in phase 'sweep')"
 
 
-def test_the_port_closes(emulate: Callable[..., Any], robot: RobotDescription, make_plan: MakePlan):
+def test_the_port_closes(emulate: Callable[..., Any], make_plan: MakePlan, run_on: RunOn):
     emulator = emulate("--lockstep", "--rack")
-    with greeted(emulator.port) as connection:
-        recording = run_plan(connection, make_plan(), robot, Doing("sweep", emulator.process.kill))
+    recording = run_on(emulator.port, make_plan(), Doing("sweep", emulator.process.kill))
     assert recording.meta["ended"] != COMPLETE
     assert len(recording.time) > 400
     assert recording.sent_phase.max() == 0

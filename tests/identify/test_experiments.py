@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from surefoot.deploy.poses import sitting
+from surefoot.deploy.poses import pose, sitting
 from surefoot.deploy.wire.messages import Mode
 from surefoot.emulator.limits import Limits, introduction
 from surefoot.identify.experiments import contact, ground
-from surefoot.identify.experiments.ground import ends, legs_pose, rocking, sides, standing_up
+from surefoot.identify.experiments.ground import ends, rocking, sides, standing_up
 from surefoot.identify.experiments.latency import DUTY, SPIKE_EVERY, latency_plan
 from surefoot.identify.experiments.motor import PULSE, motor_plan
-from surefoot.identify.experiments.signals import FADE, sweep
+from surefoot.identify.experiments.signals import FADE, chirps, go_to, hold, steps, sweep
 from surefoot.identify.plan import Phase, Plan
 from surefoot.identify.registry import EXPERIMENTS
 from surefoot.robot import RobotDescription
@@ -30,19 +30,26 @@ def plans(robot: RobotDescription) -> dict[str, Plan]:
     return {name: experiment.plan(robot) for name, experiment in EXPERIMENTS.items()}
 
 
+ASKED: dict[tuple[int, bytes], NDArray[np.float64]] = {}
+"""What phases asked for, by phase and start: most phases begin alike, however the robot lay."""
+
+
 def asked(phase: Phase, start: NDArray[np.float64]) -> NDArray[np.float64]:
     """All that a phase asks for (T, M), one command a period; the last one holds at its end."""
-    assert np.isfinite(phase.signal(phase.duration, start)).all()
-    return np.array([phase.signal(k * PERIOD, start) for k in range(round(phase.duration / PERIOD))])
+    key = (id(phase), start.tobytes())
+    if key not in ASKED:
+        assert np.isfinite(phase.signal(phase.duration, start)).all()
+        ASKED[key] = np.array([phase.signal(k * PERIOD, start) for k in range(round(phase.duration / PERIOD))])
+    return ASKED[key]
 
 
 def begun(robot: RobotDescription, name: str) -> NDArray[np.float64]:
     """Angles in which a robot may lie or hang when it is armed."""
     poses = {
         "sits": sitting(robot),
-        "lies": legs_pose(robot, [1.3, -1.2, 1.1, 1.4], 0.8),
-        "folded": legs_pose(robot, 0.0, 0.2),
-        "hangs": legs_pose(robot, 0.0, 2.6),
+        "lies": pose(robot, [1.3, -1.2, 1.1, 1.4], 0.8),
+        "folded": pose(robot, 0.0, 0.2),
+        "hangs": pose(robot, 0.0, 2.6),
     }
     return poses[name]
 
@@ -72,7 +79,9 @@ def test_a_robot_can_follow(name: str, lies: str, plans: dict[str, Plan], robot:
 
 def test_no_clipping_is_needed_to_stand_or_sit(plans: dict[str, Plan], robot: RobotDescription):
     said = introduction(robot, Limits(), "", robot.timing.servo_step)
-    for plan in plans.values():
+    for name, plan in plans.items():
+        assert (plan.experiment, plan.rack) == (name, EXPERIMENTS[name].rack)
+        assert plan.duration < plan.limits.duration
         before = sitting(robot)
         for phase in plan.phases:
             if phase.mode == Mode.POSITION:
@@ -80,6 +89,17 @@ def test_no_clipping_is_needed_to_stand_or_sit(plans: dict[str, Plan], robot: Ro
                 assert np.all(angles >= said.angle_low), phase.name
                 assert np.all(angles <= said.angle_high), phase.name
                 before = angles[-1]
+                if phase.use != "way":
+                    assert np.all(angles >= plan.angle_low - 1e-9), phase.name
+                    assert np.all(angles <= plan.angle_high + 1e-9), phase.name
+
+
+@pytest.mark.parametrize("name", EXPERIMENTS)
+def test_a_plan_is_the_same_every_time(name: str, plans: dict[str, Plan], robot: RobotDescription):
+    start = np.zeros(robot.num_motors)
+    for first, second in zip(plans[name].phases, EXPERIMENTS[name].plan(robot).phases, strict=True):
+        assert (first.name, first.duration, first.use) == (second.name, second.duration, second.use)
+        np.testing.assert_array_equal(first.signal(0.05, start), second.signal(0.05, start))
 
 
 def test_experiments_are_short(plans: dict[str, Plan]):
@@ -91,14 +111,6 @@ def test_experiments_are_short(plans: dict[str, Plan]):
         assert all(phase.duration > 0 and phase.what for phase in plan.phases)
     # Motor and mass keep a part back, on which the fit is tried.
     assert all(any(phase.use == "check" for phase in plans[name].phases) for name in ("motor", "mass"))
-
-
-def test_a_seed_draws_other_steps_and_pulses(robot: RobotDescription):
-    nobody = np.zeros(robot.num_motors)
-    for make in (motor_plan, latency_plan):
-        one, other = make(robot, 0), make(robot, 1)
-        steps = [next(p for p in plan.phases if p.name == "steps") for plan in (one, other)]
-        assert np.abs(steps[0].signal(0.1, nobody) - steps[1].signal(0.1, nobody)).max() > 0.01
 
 
 def test_pulses_go_there_and_back(robot: RobotDescription):
@@ -124,7 +136,7 @@ def test_legs_of_the_ground(robot: RobotDescription):
     # Order: front left, back left, front right, back right.
     assert ends(robot).tolist() == [1, -1, 1, -1]
     assert sides(robot).tolist() == [1, 1, -1, -1]
-    angles = legs_pose(robot, [0.1, 0, 0, 0], ground.STANCE)
+    angles = pose(robot, [0.1, 0, 0, 0], ground.STANCE)
     swing, extension = robot.motor_to_leg_pose(angles)
     np.testing.assert_allclose(swing, [0.1, 0, 0, 0], atol=1e-12)
     np.testing.assert_allclose(extension, ground.STANCE)
@@ -132,7 +144,7 @@ def test_legs_of_the_ground(robot: RobotDescription):
 
 def test_rocking_is_around_standing(robot: RobotDescription):
     signal = rocking(robot, ends(robot), 0.12, 1.0, 4.0, 2.0)
-    nobody, stand = np.zeros(8), legs_pose(robot, 0.0, ground.STANCE)
+    nobody, stand = np.zeros(8), pose(robot, 0.0, ground.STANCE)
     np.testing.assert_allclose(signal(0.0, nobody), stand)
     np.testing.assert_allclose(signal(2.0, nobody), stand, atol=1e-12)
     for t in np.arange(0.0, 2.0, 0.05):
@@ -155,7 +167,7 @@ def test_a_sweep_of_one_frequency_is_a_sine():
 
 def test_legs_that_slid_out_are_drawn_in_from_their_side(robot: RobotDescription):
     out, unfold, draw_in = standing_up(robot)[:3]
-    start = legs_pose(robot, [1.0, -0.9, 0.1, 0.0], 0.4)
+    start = pose(robot, [1.0, -0.9, 0.1, 0.0], 0.4)
     swing, extension = robot.motor_to_leg_pose(out.signal(1.0, start))
     np.testing.assert_allclose(swing, [ground.SPREAD_SWING, -ground.SPREAD_SWING, 0.1, 0.0], atol=1e-12)
     np.testing.assert_allclose(extension, 0.4)
@@ -167,7 +179,7 @@ def test_legs_that_slid_out_are_drawn_in_from_their_side(robot: RobotDescription
 
 def test_a_diagonal_is_dragged_while_the_other_stands(robot: RobotDescription):
     drags = [phase for phase in EXPERIMENTS["contact"].plan(robot).phases if phase.name == "drag"]
-    stand = legs_pose(robot, 0.0, ground.STANCE)
+    stand = pose(robot, 0.0, ground.STANCE)
     moved = []
     for phase in drags:
         angles = asked(phase, stand)
@@ -181,3 +193,33 @@ def test_a_diagonal_is_dragged_while_the_other_stands(robot: RobotDescription):
             ground.STANCE - extension.min(axis=0), np.where(moving, contact.LIFT, 0.0), atol=1e-9
         )
     assert moved == [[True, False, False, True], [False, True, True, False]]
+
+
+def test_signals():
+    start, target = np.array([1.0, 2.0]), np.array([3.0, 0.0])
+    way = go_to(target, 2.0)
+    np.testing.assert_allclose(way(0.0, start), start)
+    np.testing.assert_allclose(way(1.0, start), (start + target) / 2)
+    np.testing.assert_allclose(way(2.0, start), target)
+    np.testing.assert_allclose(way(9.0, start), target)
+    np.testing.assert_allclose(hold(target)(1.0, start), target)
+    rows = np.array([[1.0], [2.0], [3.0]])
+    jump = steps(rows, 0.25)
+    assert [jump(t, start)[0] for t in (0.0, 0.249, 0.25, 0.5, 5.0)] == [1.0, 1.0, 2.0, 3.0, 3.0]
+
+
+def test_a_chirp_begins_and_ends_at_its_frequencies():
+    sweep = chirps(np.array([0.5]), np.array([0.1]), 2.0, 8.0, 4.0, np.array([0.0]))
+    nobody = np.zeros(1)
+    time = np.arange(0.0, 4.0, 1e-4)
+    values = np.array([sweep(t, nobody)[0] for t in time]) - 0.5
+    assert abs(values[0]) < 1e-12
+    assert abs(sweep(4.0, nobody)[0] - 0.5) < 1e-12
+    assert np.abs(values).max() == pytest.approx(0.1, rel=1e-3)
+    # Exponentially growing: the frequency is their geometric mean in the middle.
+    crossings = time[1:][np.diff(np.sign(values)) != 0]
+    halves = np.diff(crossings)
+    middle = np.argmin(np.abs(crossings[1:] - 2.0))
+    assert 0.5 / halves[middle] == pytest.approx(4.0, rel=0.1)
+    assert 0.5 / halves[0] == pytest.approx(2.0, rel=0.15)
+    assert 0.5 / halves[-1] == pytest.approx(8.0, rel=0.15)

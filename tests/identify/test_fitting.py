@@ -69,13 +69,10 @@ def test_a_line_through_three_points():
     fit = fit_least_squares(line(1.0))
     np.testing.assert_allclose(fit.values, [3.0, 2.5], atol=1e-7)
     np.testing.assert_allclose(fit.residuals, [-0.5, 1.0, -0.5], atol=1e-6)
-    assert fit.cost == pytest.approx(0.5)
-    # At a = b = 0 residuals are minus the data: -1, -2, -6.
-    assert fit.start_cost == pytest.approx((1 + 4 + 36) / 3)
     # Residuals are smaller than their noise was said to be: H^-1 counts, H = diag(3, 2).
     np.testing.assert_allclose(fit.covariance, np.diag([1 / 3, 1 / 2]), atol=1e-5)
     np.testing.assert_allclose(fit.deviation, [3**-0.5, 2**-0.5], rtol=1e-4)
-    assert (fit.at("b"), fit.told.all(), fit.strongest_correlations()) == (1, True, [])
+    assert (fit.told.all(), fit.strongest_correlations()) == (True, [])
 
 
 def test_residuals_larger_than_their_noise_count():
@@ -106,7 +103,9 @@ def test_bounds_hold():
     model = Linear(np.ones((4, 1)), np.full(4, 2.0), [unknown(high=1.5)])
     assert fit_least_squares(model).values[0] == pytest.approx(1.5, abs=1e-9)
     # A start beyond them begins at them.
-    assert fit_least_squares(model, np.array([7.0])).start_cost == pytest.approx(0.25)
+    costs: list[float] = []
+    fit_least_squares(model, np.array([7.0]), lambda step, cost: costs.append(cost))
+    assert costs[0] == pytest.approx(0.25)
 
 
 def test_a_model_is_never_asked_beyond_its_bounds():
@@ -226,11 +225,10 @@ def test_a_fit_that_has_settled_ends_at_once():
     model = Rounded(30.0 * np.exp(-0.8 * Decay.time) + rng.normal(size=60))
     fit = fit_least_squares(model, tell=lambda k, cost: told.append((k, cost)))
     assert model.tried < 40
-    assert [k for k, _ in told] == list(range(1, fit.iterations + 1))
+    assert [k for k, _ in told] == list(range(1, len(told) + 1))
     costs = [cost for _, cost in told]
     assert costs == sorted(costs, reverse=True)
-    assert fit.cost <= costs[-1] * (1 + 1e-9)
-    assert costs[0] == pytest.approx(fit.start_cost)
+    assert np.mean(fit.residuals**2) <= costs[-1] * (1 + 1e-9)
 
 
 def test_a_model_that_breaks_down_is_refused():

@@ -84,7 +84,8 @@ def test_values_of_phases_by_name_and_use():
     names, uses = ("stand", "nod", "nod"), ("way", "fit", "check")
     standing = GroundMotion(np.arange(6) * 0.3, np.array([0, 0, 1, 1, 2, 2]), None, names, uses)
     assert standing.during("nod").tolist() == [False, False, True, True, False, False]
-    assert standing.during("nod", use="check").tolist() == [False, False, False, False, True, True]
+    assert standing.during("nod", uses=("check",)).tolist() == [False, False, False, False, True, True]
+    assert standing.during(uses=("fit", "check")).tolist() == [False, False, True, True, True, True]
     assert not standing.during("stand").any()
     # Blocks of half a second: 0 and .3; .6 and .9; 1.2; 1.5.
     assert standing.blocks.tolist() == [0, 0, 1, 1, 2, 3]

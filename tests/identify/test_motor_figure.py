@@ -1,12 +1,13 @@
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from surefoot.errors import SurefootError
-from surefoot.identify.motor_figure import MotorLog, run_motor_experiment
+from surefoot.identify.motor_figure import MotorLog, motor_index, run_motor_experiment
 from surefoot.robot import RobotDescription
 from surefoot.world.sim_world import SimWorld
 
@@ -20,6 +21,10 @@ def step_log(robot: RobotDescription, size: float, duration: float = 0.3) -> Mot
     return MotorLog("step", time, np.full(len(time), rest + size), np.full(len(time), np.nan))
 
 
+def follow(robot: RobotDescription, log: MotorLog, **params: float) -> dict[str, np.ndarray]:
+    return run_motor_experiment(robot, SimWorld, log, motor_index(robot, MOTOR), params)
+
+
 def test_a_sine_by_hand() -> None:
     log = MotorLog.sine(2.0, 0.3, 2.5, 0.4, 0.1)
     np.testing.assert_allclose(log.time, [0.0, 0.1, 0.2, 0.3, 0.4])
@@ -28,37 +33,32 @@ def test_a_sine_by_hand() -> None:
 
 
 def test_errors_by_hand(robot: RobotDescription) -> None:
-    experiment = run_motor_experiment(robot, SimWorld, step_log(robot, 0.1, 0.01), MOTOR)
-    angle = experiment.angle["dc"]
+    log, angle = step_log(robot, 0.1, 0.01), np.linspace(0.0, 0.1, 11)
     # Without a measurement the target is what is missed.
-    assert experiment.error("dc") == pytest.approx(np.sqrt(np.mean((angle - experiment.log.target) ** 2)))
+    assert log.error(angle) == pytest.approx(np.sqrt(np.mean((angle - log.target) ** 2)))
     # With one, only where there is one.
     measured = np.where(np.arange(len(angle)) < 3, angle + 0.03, np.nan)
-    log = MotorLog("log", experiment.log.time, experiment.log.target, measured)
-    assert type(experiment)(MOTOR, log, experiment.angle).error("dc") == pytest.approx(0.03)
+    assert replace(log, angle=measured).error(angle) == pytest.approx(0.03)
 
 
 def test_a_constraint_motor_closes_in_with_its_time_constant(robot: RobotDescription) -> None:
     # k_d / k_p + dt = 16 ms: after n steps (15 / 16)^n of a small error is left; the constraint knows no inertia.
     size = 0.02
-    experiment = run_motor_experiment(robot, SimWorld, step_log(robot, size, 0.05), MOTOR)
-    angle = experiment.angle["constraint"]
+    log = step_log(robot, size, 0.05)
+    angle = follow(robot, log)["constraint"]
     steps = np.arange(len(angle))
     # The first target is held while the motor comes to rest, so the first angle is the target already ...
-    np.testing.assert_allclose(angle, experiment.log.target, atol=1e-4)
+    np.testing.assert_allclose(angle, log.target, atol=1e-4)
     # ... and what comes later starts from there.
-    time = experiment.log.time
-    target = np.where(steps < 1, experiment.log.target[0], experiment.log.target[0] + size)
-    log = MotorLog("late step", time, target, np.full(len(time), np.nan))
-    angle = run_motor_experiment(robot, SimWorld, log, MOTOR).angle["constraint"]
+    target = np.where(steps < 1, log.target[0], log.target[0] + size)
+    angle = follow(robot, replace(log, target=target))["constraint"]
     left = (15 / 16) ** np.maximum(steps - 1, 0)
     np.testing.assert_allclose(target[-1] - angle, size * left, atol=3e-4)
 
 
 def test_physical_parameters_reach_the_models(robot: RobotDescription) -> None:
     log = MotorLog.sine(2.0, 0.3, 3.0, 0.4, 0.006)
-    free = run_motor_experiment(robot, SimWorld, log, MOTOR).angle["dc"]
-    slowed = run_motor_experiment(robot, SimWorld, log, MOTOR, {"motor_friction": 0.3}).angle["dc"]
+    free, slowed = (follow(robot, log, motor_friction=friction)["dc"] for friction in (0.0, 0.3))
     assert np.ptp(slowed) < 0.95 * np.ptp(free)
 
 
@@ -92,4 +92,4 @@ def test_a_missing_log_and_motor_are_refused(tmp_path: Path, robot: RobotDescrip
     with pytest.raises(SurefootError, match="can't be read"):
         MotorLog.read(tmp_path / "none.csv")
     with pytest.raises(SurefootError, match="motor 'tail' does not exist; motors: front_left_2_motor"):
-        run_motor_experiment(robot, SimWorld, MotorLog.sine(2.0, 0.1, 1.0, 0.1, 0.01), "tail")
+        motor_index(robot, "tail")

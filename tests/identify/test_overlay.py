@@ -130,7 +130,7 @@ def test_a_value_is_brought_within_what_the_robot_allows(robot: RobotDescription
     [
         ("sensors = 3\n[params]", "sensors is 3; it must be a table"),
         ("[params]\n[identified]\nmotor = 1", r"identified\.motor is 1; it must be a table"),
-        ('robot = "cat"\n[params]', "are for robot 'cat'"),
+        ('robot = "cat"\n[params]', "has parameters of robot 'cat', not of 'minitaur'"),
     ],
 )
 def test_a_file_that_does_not_fit(robot: RobotDescription, tmp_path: Path, text: str, said: str):

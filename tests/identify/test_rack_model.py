@@ -11,7 +11,7 @@ pytest.importorskip("mujoco")
 
 from surefoot.errors import SurefootError
 from surefoot.identify.fitting import Unknown, fit_least_squares
-from surefoot.identify.rack_model import TORQUE_GAIN, Noise, RackModel, moving_legs, params_of
+from surefoot.identify.rack_model import NOISE, TORQUE_GAIN, RackModel, moving_legs, params_of
 from surefoot.identify.recording import Recording
 from surefoot.identify.replay import Replayer, stretch_of
 from surefoot.identify.result import NORMAL_95
@@ -32,7 +32,7 @@ def nominal(robot: RobotDescription) -> PhysicalParams:
 
 @pytest.fixture(scope="module")
 def replayer(robot: RobotDescription) -> Replayer:
-    return Replayer(robot, 2, rack=True)
+    return Replayer(robot, 2)
 
 
 @pytest.fixture(scope="module")
@@ -42,7 +42,7 @@ def model(robot: RobotDescription, recorded: Recording, nominal: PhysicalParams,
     # Before the sweep it had not quite come to rest.
     kept = whole.state_time > 0.4
     stretch = replace(whole, state_time=whole.state_time[kept], states=whole.states[kept])
-    return RackModel(robot, recorded, [stretch], UNKNOWNS, nominal, replayer=replayer)
+    return RackModel(robot, recorded, stretch, UNKNOWNS, nominal, replayer)
 
 
 def test_values_go_to_their_places(nominal: PhysicalParams):
@@ -63,7 +63,7 @@ def test_residuals_of_the_true_robot_are_noise(model: RackModel):
     start = np.array([[u.start for u in UNKNOWNS]])
     angle, velocity, torque = np.sqrt(np.mean(model.residuals(start).reshape(3, -1) ** 2, axis=1))
     # Angles are read in steps of 2 pi / 2^14, which is a deviation of 1.1e-4 rad.
-    assert angle == pytest.approx(1.1e-4 / Noise().angle, rel=0.2)
+    assert angle == pytest.approx(1.1e-4 / NOISE[0], rel=0.2)
     assert velocity == pytest.approx(1.0, rel=0.15)
     assert torque == pytest.approx(1.0, rel=0.5)
     assert model.blocks.shape == model.residuals(start)[0].shape
@@ -97,7 +97,7 @@ def test_a_leg_whose_motor_never_moves_is_left_out(model: RackModel, robot: Robo
     # Motor 3 is of the back left leg, as is motor 2.
     assert moving_legs(robot, model.recording).tolist() == list(range(8))
     assert moving_legs(robot, stuck(3)).tolist() == [0, 1, 4, 5, 6, 7]
-    less = RackModel(robot, stuck(3), model.stretches, UNKNOWNS, model.base, replayer=replayer)
+    less = RackModel(robot, stuck(3), model.stretch, UNKNOWNS, model.base, replayer)
     start = np.array([[u.start for u in UNKNOWNS]])
     whole = model.residuals(start).reshape(3, -1, 8)
     np.testing.assert_array_equal(less.residuals(start).reshape(3, -1, 6), whole[:, :, [0, 1, 4, 5, 6, 7]])
@@ -127,10 +127,11 @@ def test_a_fit_finds_what_the_sheet_has_wrong(model: RackModel, robot: RobotDesc
         replace(UNKNOWNS[1], start=0.85),
         Unknown("control_latency", 0.018, 0.0, 0.1, 1e-8),
     ]
-    begun = RackModel(robot, model.recording, model.stretches, unknowns, model.base, every=4, replayer=replayer)
-    fit = fit_least_squares(begun)
+    begun = RackModel(robot, model.recording, model.stretch, unknowns, model.base, replayer, every=4)
+    costs: list[float] = []
+    fit = fit_least_squares(begun, tell=lambda step, cost: costs.append(cost))
     reach = NORMAL_95 * fit.deviation * 1.5
-    assert fit.start_cost > 10 * fit.cost
+    assert costs[0] > 10 * np.mean(fit.residuals**2)
     assert np.all(np.abs(fit.values - [0.186, 1.0, 0.020]) < reach)
     assert fit.told.all()
     assert reach[0] < 0.004

@@ -7,8 +7,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+pytest.importorskip("mujoco")
+
+from surefoot.identify.fits.motor import LEVEL, VOLTAGE, imu_estimates, rest_voltage
 from surefoot.identify.recording import Recording
-from surefoot.identify.rest import LEVEL, VOLTAGE, imu_estimates, rest_voltage
 
 
 def still(roll: float, pitch: float, noise: float, count: int = 20_000) -> SimpleNamespace:

@@ -7,9 +7,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+pytest.importorskip("mujoco")
+
 from surefoot.deploy.wire.messages import Mode
+from surefoot.identify.fits.latency import measure_spikes
 from surefoot.identify.recording import Recording
-from surefoot.identify.spikes import measure_spikes
 
 PERIOD, EVERY, SPIKES, MOTORS = 0.002, 0.12, 12, 8
 WAY = 0.0013

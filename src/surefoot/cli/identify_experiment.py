@@ -10,11 +10,9 @@ import json
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
 
+from surefoot.cli.identify_run import ExperimentCommand, run_experiment
 from surefoot.cli.parsing import parse
-from surefoot.configuration import Within
-from surefoot.deploy.link import BAUD
 from surefoot.errors import SurefootError
 from surefoot.identify.overlay import Known, read_known
 from surefoot.identify.recording import COMPLETE, Recording, load_recording
@@ -25,37 +23,6 @@ STOPPED = 3
 """Exit code of an experiment that did not come to its end."""
 RECORDING = "recording.npz"
 RUNS = Path("runs/identify")
-
-
-@dataclass(frozen=True)
-class ExperimentCommand:
-    """Run an experiment on a robot, or take a recording of one, and find the physical parameters that it tells.
-
-    What is going to happen is shown, and asked for, before a motor moves. The recording is kept however the experiment
-    ends; --record-only leaves the fit to another computer, such as one with MuJoCo. Exit codes: 0 done, 2 refused
-    before anything moved or data that tell nothing, 3 stopped.
-    """
-
-    port: str | None = None
-    """Serial port or pseudo-terminal of the robot, such as /dev/ttyUSB0."""
-    recording: Path | None = None
-    """Take this recording instead of a robot: the folder of an experiment, or its file."""
-    params: Path | None = None
-    """File of what is known of the robot (.toml); what is found is written to it. robot.toml in --out, if not given."""
-    out: Path | None = None
-    """Folder for recording and report; runs/identify/EXPERIMENT-TIME or the recording's, if not given."""
-    record_only: bool = False
-    """Record and do not fit; needs the bare install only."""
-    yes: bool = False
-    """Do not ask before motors move."""
-    lockstep: bool = False
-    """The robot is an emulator that runs with --lockstep."""
-    baud: Annotated[int, Within(9600, 100_000_000)] = BAUD
-    """Bits a second of a serial port."""
-    robot: str = "minitaur"
-    """Name or folder of the robot's description."""
-    json: bool = False
-    """Print one JSON object."""
 
 
 @dataclass(frozen=True)
@@ -121,10 +88,7 @@ def main(name: str, argv: list[str]) -> int:
         if not command.record_only:
             check_installed(f"surefoot identify {name} --record-only")
             _warn(command, experiment, known)
-        from surefoot.cli.identify_run import Session, run_experiment
-
-        session = Session(str(command.port), command.lockstep, command.baud, command.yes, command.json)
-        recording = run_experiment(session, experiment.plan(robot), robot, path)
+        recording = run_experiment(command, experiment.plan(robot), robot, path)
         if recording.meta["ended"] != COMPLETE or command.record_only:
             return _tell_recording(command, recording, path)
     check_installed()

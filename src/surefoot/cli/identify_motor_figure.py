@@ -60,34 +60,24 @@ def main(argv: list[str]) -> int:
     robot = RobotDescription.load(command.robot)
     make_world = find_world(command.world)
     motor = command.motor or robot.motor_names[0]
-    middle = float(robot.resting_angles[motor_index(robot, motor)])
+    index = motor_index(robot, motor)
     if command.log is not None:
         log = MotorLog.read(command.log)
     else:
-        step = robot.timing.control_step
+        middle, step = float(robot.resting_angles[index]), robot.timing.control_step
         log = MotorLog.sine(middle, command.amplitude, command.frequency, command.duration, step)
     params = parse_settings([word for group in command.settings for word in group])
-    experiment = run_motor_experiment(robot, make_world, log, motor, params)
-    errors = {name: experiment.error(name) for name in experiment.angle}
+    angles = run_motor_experiment(robot, make_world, log, index, params)
+    errors = {name: log.error(angle) for name, angle in angles.items()}
     title = f"{motor} of {robot.name} on the rack, in {command.world}"
     against = log.name if command.log is not None else "target"
-    motor_figure(command.out, log.time, log.target, log.angle, experiment.angle, errors, title)
+    motor_figure(command.out, log.time, log.target, log.angle, angles, errors, title)
     files = [command.out]
     if command.record is not None:
-        files.append(MotorLog(log.name, log.time, log.target, experiment.angle["dc"]).write(command.record))
+        files.append(MotorLog(log.name, log.time, log.target, angles["dc"]).write(command.record))
     if command.json:
-        print(
-            json.dumps(
-                {
-                    "motor": motor,
-                    "robot": robot.name,
-                    "world": command.world,
-                    "against": against,
-                    "rms_error": errors,
-                    "files": [str(file) for file in files],
-                }
-            )
-        )
+        told = {"motor": motor, "robot": robot.name, "world": command.world, "against": against, "rms_error": errors}
+        print(json.dumps({**told, "files": [str(file) for file in files]}))
         return 0
     for name, error in errors.items():
         print(f"{STYLES[name][1]}: {error:.4f} rad RMS from {against}")

@@ -19,7 +19,8 @@ from rich.text import Text
 from surefoot.errors import SurefootError, choices
 from surefoot.identify.overlay import Known, overlay, write_known
 from surefoot.identify.result import Estimate, Identification
-from surefoot.report.identification import full_name, known_before, number, write_report
+from surefoot.report.identification import write_report
+from surefoot.report.identification_parts import cells, full_name, known_before
 from surefoot.robot import RobotDescription
 
 _NEEDED = {"mujoco": "sim", "numba": "sim", "scipy": "sim", "matplotlib": "report"}
@@ -101,7 +102,10 @@ def tell(
     console = Console(highlight=False, emoji=False)
     console.print(_estimates(robot, known, found))
     if found.checks:
-        console.print(_checks(found))
+        table = _table("RMS error on data that were not fitted", "quantity", "before", "after", "unit")
+        for check in found.checks:
+            table.add_row(Text(check.what), f"{check.before:.3g}", f"{check.after:.3g}", check.unit)
+        console.print(table)
     lines = [
         f"{full_name(one, robot)} and {full_name(other, robot)} can hardly be told apart (correlation {value:+.2f})"
         for one, other, value in found.correlations
@@ -124,24 +128,8 @@ def _estimates(robot: RobotDescription, known: Known, found: Identification) -> 
             unit = ""
         for item in items:
             label = name if item.index is None else "  " + full_name(item.label, robot).removeprefix(name).strip()
-            table.add_row(Text(label), *_cells(item, known), unit, style=None if item.told else "dim")
-    return table
-
-
-def _cells(item: Estimate, known: Known) -> tuple[str, str, str]:
-    """What was known, what was found and its interval."""
-    before, (low, high) = known_before(item, known.params), item.interval
-    width = high - low if item.told else math.nan
-    was = "-" if before is None else number(before, width)
-    if not item.told:
-        return was, "not told", ""
-    return was, number(item.value, width), f"{number(low, width)} to {number(high, width)}"
-
-
-def _checks(found: Identification) -> Table:
-    table = _table("RMS error on data that were not fitted", "quantity", "before", "after", "unit")
-    for check in found.checks:
-        table.add_row(Text(check.what), f"{check.before:.3g}", f"{check.after:.3g}", check.unit)
+            was, value, interval = cells(item, known.params)
+            table.add_row(Text(label), was or "-", value, interval, unit, style=None if item.told else "dim")
     return table
 
 
@@ -174,10 +162,7 @@ def as_mapping(robot: RobotDescription, known: Known, found: Identification) -> 
             }
             for item in found.estimates
         ],
-        "checks": [
-            {"what": one.what, "before": _finite(one.before), "after": _finite(one.after), "unit": one.unit}
-            for one in found.checks
-        ],
+        "checks": [{**vars(one), "before": _finite(one.before), "after": _finite(one.after)} for one in found.checks],
         "correlations": [[*pair[:2], _finite(pair[2])] for pair in found.correlations],
         "notes": list(found.notes),
         "sensors": found.sensors,

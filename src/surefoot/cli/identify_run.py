@@ -7,16 +7,17 @@ import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TextIO
+from typing import Annotated, TextIO
 
 import numpy as np
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from surefoot.configuration import Within
 from surefoot.deploy.connection import RobotConnection, open_connection
 from surefoot.deploy.display import LiveDisplay, PlainLines
-from surefoot.deploy.link import LinkLostError
+from surefoot.deploy.link import BAUD, LinkLostError
 from surefoot.deploy.loop import Snapshot, Watch
 from surefoot.deploy.realtime import undisturbed
 from surefoot.deploy.wire.messages import Handshake
@@ -33,26 +34,41 @@ _PERIOD = 0.05
 
 
 @dataclass(frozen=True)
-class Session:
-    """How to reach a robot, and who is asked."""
+class ExperimentCommand:
+    """Run an experiment on a robot, or take a recording of one, and find the physical parameters that it tells.
 
-    port: str
-    """Serial port or pseudo-terminal."""
-    lockstep: bool
-    """The robot is an emulator that follows this computer's clock."""
-    baud: int
-    """Bits a second."""
-    yes: bool
+    What is going to happen is shown, and asked for, before a motor moves. The recording is kept however the experiment
+    ends; --record-only leaves the fit to another computer, such as one with MuJoCo. Exit codes: 0 done, 2 refused
+    before anything moved or data that tell nothing, 3 stopped.
+    """
+
+    port: str | None = None
+    """Serial port or pseudo-terminal of the robot, such as /dev/ttyUSB0."""
+    recording: Path | None = None
+    """Take this recording instead of a robot: the folder of an experiment, or its file."""
+    params: Path | None = None
+    """File of what is known of the robot (.toml); what is found is written to it. robot.toml in --out, if not given."""
+    out: Path | None = None
+    """Folder for recording and report; runs/identify/EXPERIMENT-TIME or the recording's, if not given."""
+    record_only: bool = False
+    """Record and do not fit; needs the bare install only."""
+    yes: bool = False
     """Do not ask before motors move."""
-    quiet: bool = False
-    """Leave stdout alone: what is said goes to stderr."""
+    lockstep: bool = False
+    """The robot is an emulator that runs with --lockstep."""
+    baud: Annotated[int, Within(9600, 100_000_000)] = BAUD
+    """Bits a second of a serial port."""
+    robot: str = "minitaur"
+    """Name or folder of the robot's description."""
+    json: bool = False
+    """Print one JSON object."""
 
 
-def run_experiment(session: Session, plan: Plan, robot: RobotDescription, path: Path) -> Recording:
+def run_experiment(command: ExperimentCommand, plan: Plan, robot: RobotDescription, path: Path) -> Recording:
     """Run a plan and keep the recording, however it ended.
 
     Args:
-        session: to whom, and how.
+        command: which port, how to reach it, and whether to ask.
         plan: what to do.
         robot: data sheet of the robot that must be there.
         path: file for the recording.
@@ -60,28 +76,25 @@ def run_experiment(session: Session, plan: Plan, robot: RobotDescription, path: 
     Raises:
         SurefootError: no robot or another one, nobody who says yes, or a robot that does not arm: nothing has moved.
     """
-    asks = not session.yes
-    if asks and not sys.stdin.isatty():
+    if not command.yes and not sys.stdin.isatty():
         raise SurefootError(
             f"motors will move and the robot must {PLACES[plan.rack]}; without a terminal, say so with --yes"
         )
-    with _greeted(session, robot) as connection:
-        _show_plan(session, plan, connection.handshake)
-        if not asks:
-            recording = _run(session, connection, plan, robot)
-            recording.save(path)
-            return recording
+    with _greeted(command, robot) as connection:
+        _show_plan(
+            plan, connection.handshake, Console(stderr=command.json, highlight=False, soft_wrap=True, emoji=False)
+        )
+        if command.yes:
+            return _run(command, connection, plan, robot, path)
     # A robot does not wait for slow answers: it is greeted anew.
     _ask(plan)
-    with _greeted(session, robot) as connection:
-        recording = _run(session, connection, plan, robot)
-        recording.save(path)
-    return recording
+    with _greeted(command, robot) as connection:
+        return _run(command, connection, plan, robot, path)
 
 
 @contextlib.contextmanager
-def _greeted(session: Session, robot: RobotDescription) -> Iterator[RobotConnection]:
-    connection = open_connection(session.port, robot.num_motors, session.lockstep, session.baud)
+def _greeted(command: ExperimentCommand, robot: RobotDescription) -> Iterator[RobotConnection]:
+    connection = open_connection(str(command.port), robot.num_motors, command.lockstep, command.baud)
     try:
         check_robot(connection.connect(), robot)
         yield connection
@@ -116,9 +129,8 @@ def check_robot(handshake: Handshake, robot: RobotDescription) -> None:
         )
 
 
-def _show_plan(session: Session, plan: Plan, handshake: Handshake | None) -> None:
+def _show_plan(plan: Plan, handshake: Handshake | None, console: Console) -> None:
     """Say what is going to happen."""
-    console = Console(stderr=session.quiet, highlight=False, soft_wrap=True, emoji=False)
     limits = plan.limits
     name, low, high = "the robot", plan.angle_low, plan.angle_high
     if handshake is not None:
@@ -128,8 +140,9 @@ def _show_plan(session: Session, plan: Plan, handshake: Handshake | None) -> Non
     place = "on its rack, legs in the air" if plan.rack else "on flat ground"
     head = f"{plan.experiment} experiment with {name} {place}, {plan.duration:.0f} s and a second at rest"
     table = Table(title=head, title_justify="left", title_style="bold")
-    for name, justify in (("phase", "left"), ("time", "right"), ("what the robot does", "left")):
-        table.add_column(name, justify="right" if justify == "right" else "left")
+    table.add_column("phase")
+    table.add_column("time", justify="right")
+    table.add_column("what the robot does")
     for row in plan_rows(plan):
         table.add_row(*map(Text, row))
     console.print(table)
@@ -145,10 +158,7 @@ def _show_plan(session: Session, plan: Plan, handshake: Handshake | None) -> Non
 
 
 def plan_rows(plan: Plan) -> list[tuple[str, str, str]]:
-    """Name, duration and motion of each kind of phase, in the order in which they first come.
-
-    Phases that take turns are counted too, which `Plan.rows` does for neighbours only.
-    """
+    """Name with count, duration and motion of each kind of phase, in the order in which they first come."""
     kinds: dict[tuple[str, str], list[float]] = {}
     for phase in plan.phases:
         kinds.setdefault((phase.name, phase.what), []).append(phase.duration)
@@ -169,13 +179,17 @@ def _ask(plan: Plan) -> None:
         raise SurefootError("not begun; nothing has moved")
 
 
-def _run(session: Session, connection: RobotConnection, plan: Plan, robot: RobotDescription) -> Recording:
+def _run(
+    command: ExperimentCommand, connection: RobotConnection, plan: Plan, robot: RobotDescription, path: Path
+) -> Recording:
     with contextlib.ExitStack() as stack:
-        watch = Progress(plan, f"{plan.experiment} experiment, {robot.name}, {session.port}", sys.stderr)
+        watch = Progress(plan, f"{plan.experiment} experiment, {robot.name}, {command.port}", sys.stderr)
         stack.callback(watch.close)
-        if not session.lockstep:
+        if not command.lockstep:
             stack.enter_context(undisturbed())
-        return run_plan(connection, plan, robot, watch)
+        recording = run_plan(connection, plan, robot, watch)
+    recording.save(path)
+    return recording
 
 
 class Progress(Watch):
@@ -189,7 +203,7 @@ class Progress(Watch):
 
     def __init__(self, plan: Plan, title: str, stream: TextIO) -> None:
         self._display = LiveDisplay(title) if stream.isatty() else None
-        self._lines = PlainLines(stream)
+        self._out = self._display or PlainLines(stream)
         self._phases, self._number, self._name = plan.phases, 0, ""
 
     def phase(self, name: str, duration: float) -> None:
@@ -199,7 +213,7 @@ class Progress(Watch):
         if self._display is not None:
             self._display.phase(self._name, duration + self._later())
         else:
-            self._lines.phase(f"{self._name}, {duration + self._later():.0f} s left", 0.0)
+            self._out.phase(f"{self._name}, {duration + self._later():.0f} s left", 0.0)
 
     def _later(self) -> float:
         """Time of the phases that come [s]."""
@@ -212,12 +226,12 @@ class Progress(Watch):
 
     def warn(self, text: str) -> None:
         """Something that the operator should know."""
-        (self._display or self._lines).warn(text)
+        self._out.warn(text)
 
     def recording(self, text: str) -> None:
         """How recording goes."""
-        (self._display or self._lines).recording(text)
+        self._out.recording(text)
 
     def close(self) -> None:
         """End the display."""
-        (self._display or self._lines).close()
+        self._out.close()

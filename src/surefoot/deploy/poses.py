@@ -15,8 +15,8 @@ SPREAD_SWING = 1.2
 _ASIDE = 0.3
 
 
-def pose(robot: RobotDescription, swing: float, extension: float) -> NDArray[np.float64]:
-    """Motor angles (M,) [rad] of all legs alike."""
+def pose(robot: RobotDescription, swing: ArrayLike, extension: ArrayLike) -> NDArray[np.float64]:
+    """Motor angles (M,) [rad] of legs with swing and extension [rad], of each (L,) or of all alike."""
     legs = len(robot.legs)
     return robot.leg_to_motor_angles(np.full(legs, swing), np.full(legs, extension))
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import datetime
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,10 +30,6 @@ LATE = 0.05
 """Age of the newest state [s], and time without a command, that end an experiment: the robot damps itself then."""
 BATTERY_ROOM = 0.3
 """Voltage [V] above the robot's own limit at which an experiment ends, if it stays there for a second."""
-_STATE_FIELDS = (
-    *("mode", "command", "command_age", "motor_angle", "motor_velocity", "motor_torque"),
-    *("roll_pitch_yaw", "angular_velocity_base", "voltage", "temperature"),
-)
 
 
 class ExperimentStoppedError(RuntimeError):
@@ -197,8 +193,9 @@ class ExperimentRunner:
             "time": np.array([sent for _, sent, _ in self._states], float),
             "host_time": np.array([came for _, _, came in self._states], float),
         }
-        for name in _STATE_FIELDS:
-            arrays[name] = np.array([getattr(state, name) for state in states], float)
+        for item in fields(Recording):
+            if item.name not in (*arrays, "meta"):
+                arrays[item.name] = np.array([getattr(state, item.name) for state in states], float)
         meta = {
             "schema": SCHEMA,
             "experiment": self.plan.experiment,

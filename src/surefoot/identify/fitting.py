@@ -16,6 +16,7 @@ from mujoco import minimize
 from numpy.typing import NDArray
 
 from surefoot.errors import SurefootError
+from surefoot.identify.result import label_of
 
 Array = NDArray[np.float64]
 
@@ -23,6 +24,10 @@ SMALL = 1e-5
 """Relative gain that a step must promise, or the fit has settled."""
 UNTOLD = 0.7
 """Share of a parameter's prior spread, or of a quarter of its bounds, beyond which the data are said not to tell it."""
+ALIKE = 0.8
+"""Correlation from which on two numbers can hardly be told apart."""
+MOST_STEPS = 25
+"""Iterations of a fit, at most."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +54,7 @@ class Unknown:
     @property
     def label(self) -> str:
         """Name with index."""
-        return self.name if self.index is None else f"{self.name}[{self.index}]"
+        return label_of(self.name, self.index)
 
 
 class _SettledError(Exception):
@@ -84,11 +89,6 @@ class Fit:
     """(n, n), of what is not known about the values."""
     residuals: Array
     """(m,), in standard deviations."""
-    cost: float
-    """Mean square of the residuals."""
-    start_cost: float
-    """The same where the fit began."""
-    iterations: int
 
     @property
     def deviation(self) -> Array:
@@ -107,14 +107,10 @@ class Fit:
         before = np.array([u.prior if u.prior is not None else (u.high - u.low) / 4 for u in self.unknowns])
         return self.deviation < UNTOLD * before
 
-    def at(self, name: str, index: int | None = None) -> int:
-        """Place of an unknown."""
-        return next(i for i, u in enumerate(self.unknowns) if u.name == name and u.index == index)
-
-    def strongest_correlations(self, count: int = 5, least: float = 0.8) -> list[tuple[str, str, float]]:
+    def strongest_correlations(self, count: int = 5) -> list[tuple[str, str, float]]:
         """Pairs of unknowns that the data can hardly tell apart, strongest first."""
         c = self.correlation
-        pairs = [(abs(c[i, j]), i, j) for i in range(len(c)) for j in range(i) if abs(c[i, j]) >= least]
+        pairs = [(abs(c[i, j]), i, j) for i in range(len(c)) for j in range(i) if abs(c[i, j]) >= ALIKE]
         return [
             (self.unknowns[j].label, self.unknowns[i].label, float(c[i, j])) for _, i, j in sorted(pairs)[::-1][:count]
         ]
@@ -123,15 +119,11 @@ class Fit:
 def jacobian_of(model: Model, values: Array, residuals: Array) -> Array:
     """Derivatives (m, n) by forward differences; unknowns of one colour are tried together."""
     unknowns = model.unknowns
-    groups: list[list[int]] = []
-    colours: dict[int, int] = {}
+    together: dict[tuple[str, int], list[int]] = {}
     for i, unknown in enumerate(unknowns):
-        if unknown.colour is not None and unknown.colour in colours:
-            groups[colours[unknown.colour]].append(i)
-            continue
-        if unknown.colour is not None:
-            colours[unknown.colour] = len(groups)
-        groups.append([i])
+        key = ("alone", i) if unknown.colour is None else ("colour", unknown.colour)
+        together.setdefault(key, []).append(i)
+    groups = list(together.values())
     tried = np.tile(values, (len(groups), 1))
     change = np.array([u.step if v + u.step <= u.high else -u.step for u, v in zip(unknowns, values, strict=True)])
     for row, group in enumerate(groups):
@@ -146,17 +138,9 @@ def jacobian_of(model: Model, values: Array, residuals: Array) -> Array:
     return jacobian
 
 
-def _with_priors(model: Model) -> tuple[NDArray[np.int64], Array, Array]:
-    known = [i for i, u in enumerate(model.unknowns) if u.prior is not None]
-    middle = np.array([model.unknowns[i].start for i in known])
-    spread = np.array([model.unknowns[i].prior for i in known], float)
-    return np.array(known, np.int64), middle, spread
-
-
 def fit_least_squares(
     model: Model,
     start: Array | None = None,
-    iterations: int = 25,
     tell: Callable[[int, float], None] | None = None,
 ) -> Fit:
     """Minimize the sum of squared residuals within bounds, priors counted as residuals.
@@ -164,17 +148,18 @@ def fit_least_squares(
     Args:
         model: what to fit.
         start: values (n,) to begin with; those of the unknowns, if not given.
-        iterations: at most.
         tell: is told each iteration's number and mean square.
 
     Raises:
         SurefootError: residuals that are not finite where the fit begins.
     """
     unknowns = tuple(model.unknowns)
-    scale = np.array([u.step for u in unknowns])
-    low, high = (np.array([getattr(u, side) for u in unknowns]) for side in ("low", "high"))
-    known, middle, spread = _with_priors(model)
-    first = np.clip(np.array([u.start for u in unknowns]) if start is None else start, low, high)
+    scale, low, high, starts = (
+        np.array([getattr(u, name) for u in unknowns]) for name in ("step", "low", "high", "start")
+    )
+    known = np.array([i for i, u in enumerate(unknowns) if u.prior is not None], np.int64)
+    middle, spread = starts[known], np.array([unknowns[i].prior for i in known], float)
+    first = np.clip(starts if start is None else start, low, high)
 
     def values_of(x: Array) -> Array:
         # The solver's bounds hold to rounding: a friction of -1e-19 is none.
@@ -211,10 +196,7 @@ def fit_least_squares(
     if not np.isfinite(begin).all():
         raise SurefootError("the model breaks down where the fit begins; check robot and recording")
 
-    trace: list[minimize.IterLog] = []
-
     def each(log: list[minimize.IterLog]) -> None:
-        trace[:] = log
         if tell is not None:
             tell(len(log), 2 * float(log[-1].objective) / len(begin))
 
@@ -224,7 +206,7 @@ def fit_least_squares(
             residual,
             [low / scale, high / scale],
             jacobian,
-            max_iter=iterations,
+            max_iter=MOST_STEPS,
             verbose=minimize.Verbosity.SILENT,
             iter_callback=each,
             x_scale="jac",
@@ -237,15 +219,7 @@ def fit_least_squares(
     count = len(final) - len(known)
     own = jacobian_of(model, values, final[:count])
     covariance = _covariance(own, final[:count], model.blocks, known, spread, high - low)
-    return Fit(
-        unknowns,
-        values,
-        covariance,
-        final[:count],
-        float(np.mean(final[:count] ** 2)),
-        float(np.mean(begin[:count] ** 2)),
-        len(trace),
-    )
+    return Fit(unknowns, values, covariance, final[:count])
 
 
 def _covariance(

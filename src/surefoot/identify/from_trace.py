@@ -16,7 +16,7 @@ them before and after, and over many strides the vertical momentum comes back to
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,9 +28,9 @@ from surefoot.identify.accuracy import with_floor
 from surefoot.identify.fits.motor import GAIN
 from surefoot.identify.fitting import Fit, Unknown, fit_least_squares
 from surefoot.identify.inverse_dynamics import InverseDynamics, Motion
-from surefoot.identify.recording import digest_of
-from surefoot.identify.registry import FitProgress
-from surefoot.identify.result import Check, Estimate, Identification, Series
+from surefoot.identify.recording import digest_of, read_at
+from surefoot.identify.registry import FitProgress, silent
+from surefoot.identify.result import Check, Estimate, Identification, Series, label_of
 from surefoot.identify.trace_data import (
     TraceSegment,
     check_traces,
@@ -84,7 +84,7 @@ def fit_traces(
     traces: Sequence[EpisodeTrace],
     names: Sequence[str] | None,
     known: PhysicalParams,
-    tell: FitProgress | None = None,
+    tell: FitProgress = silent,
 ) -> Identification:
     """Find physical parameters from recorded runs of a robot.
 
@@ -125,11 +125,10 @@ def fit_traces(
     found = Identification("traces", robot.name, tuple(estimates)).params(robot, known)
     check, series = trial.check(found, final)
     if MASS in wanted:
-        mass = walking_mass(robot, segments, found)
-        deviation = with_floor(MASS, mass.base_ratio, mass.deviation)
-        estimates.append(Estimate(MASS, mass.base_ratio, deviation, "1", None, True, 0.0))
+        total, ratio, deviation = _walking_mass(robot, segments, found)
+        estimates.append(Estimate(MASS, ratio, with_floor(MASS, ratio, deviation), "1", low=0.0))
         notes.append(
-            f"the robot weighs {mass.total:.2f} kg in all; {MASS} is what the base has of it if leg_mass_ratio is "
+            f"the robot weighs {total:.2f} kg in all; {MASS} is what the base has of it if leg_mass_ratio is "
             f"{float(known.leg_mass_ratio[0]):g}, as it was known"
         )
     columns = ("time", "motor_angle", "motor_velocity", "motor_torque", "target")
@@ -162,18 +161,7 @@ def _correlations(fit: Fit, estimates: Sequence[Estimate]) -> tuple[tuple[str, s
 
 
 class _TraceFit:
-    """A fit of the motors' law to segments of traces.
-
-    Args:
-        robot: its description.
-        segments: of its traces.
-        wanted: what to find.
-        known: what was known before, one row.
-        tell: is told how it goes.
-
-    Raises:
-        SurefootError: no motor moves.
-    """
+    """A fit of the motors' law to segments of traces; refused if no motor moves."""
 
     def __init__(
         self,
@@ -181,7 +169,7 @@ class _TraceFit:
         segments: Sequence[TraceSegment],
         wanted: tuple[str, ...],
         known: PhysicalParams,
-        tell: FitProgress | None,
+        tell: FitProgress,
     ) -> None:
         self.robot, self.wanted, self.known, self.tell = robot, wanted, known, tell
         self.fitted, self.held = split_segments(segments)
@@ -197,7 +185,7 @@ class _TraceFit:
 
     def _solve(self, unknowns: Sequence[Unknown], start: Array, what: str = "") -> Fit:
         def each(step: int, cost: float) -> None:
-            if self.tell is not None and what:
+            if what:
                 self.tell(f"{what}, step {step}", cost)
 
         model = TorqueModel(self.robot, self.fitted, unknowns, self.known, self.moving, self.noise)
@@ -232,10 +220,8 @@ class _TraceFit:
         spread = {u.label: (float(d), bool(t)) for u, d, t in zip(fit.unknowns, fit.deviation, fit.told, strict=True)}
         estimates = []
         for name in self.motors:
-            low, high = self.robot.allowed[name]
             for index in range(self.robot.num_motors) if name == "motor_strength" else (None,):
-                label = name if index is None else f"{name}[{index}]"
-                before = getattr(self.known, name)[0]
+                label, before = label_of(name, index), getattr(self.known, name)[0]
                 value = values.get(label, float(before if index is None else before[index]))
                 extra = GAIN * value if index is not None else 0.0
                 if name in LATENCIES:
@@ -243,7 +229,7 @@ class _TraceFit:
                 # A motor at rest has as wide an interval as before.
                 own, told = spread.get(label, (SPREAD * value, False))
                 deviation = with_floor(name, value, float(np.hypot(own, extra)))
-                estimates.append(Estimate(name, value, deviation, PhysicalParams.unit(name), index, told, low, high))
+                estimates.append(Estimate.of_parameter(self.robot, name, value, deviation, index, told))
         return estimates
 
     def check(self, found: PhysicalParams, fit: Fit) -> tuple[Check, Series]:
@@ -316,29 +302,10 @@ def _cost_with_priors(fit: Fit) -> float:
     return float(np.sum(fit.residuals**2) + np.sum(np.square(offs)))
 
 
-@dataclass(frozen=True)
-class WalkingMass:
-    """What a steady walk shows of a robot's mass."""
-
-    total: float
-    """Mass of the robot [kg]."""
-    base_ratio: float
-    """Of the base's mass, to the description's; that of the legs is taken as it is known."""
-    deviation: float
-    """Of the ratio."""
-
-
-def walking_mass(robot: RobotDescription, segments: Sequence[TraceSegment], params: PhysicalParams) -> WalkingMass:
-    """Find the mass of a robot that walks.
-
-    Args:
-        robot: its description.
-        segments: of traces.
-        params: latencies, friction, and mass of the legs, one row.
-
-    Raises:
-        SurefootError: no run is long enough with the robot upright, or the forces are not those of a robot on its feet.
-    """
+def _walking_mass(
+    robot: RobotDescription, segments: Sequence[TraceSegment], params: PhysicalParams
+) -> tuple[float, float, float]:
+    """Return the mass [kg] of a robot that walks, and the base's ratio to the description's with its deviation."""
     usable = [walk for walk in map(_walk, segments) if walk is not None]
     if not usable:
         raise SurefootError(
@@ -368,7 +335,7 @@ def walking_mass(robot: RobotDescription, segments: Sequence[TraceSegment], para
         )
     random = float(np.sqrt(np.sum((share * spreads) ** 2))) / GRAVITY
     systematic = np.hypot(WEIGHT_ERROR, GAIN / np.sqrt(robot.num_motors)) * total
-    return WalkingMass(total, (total - legs) / base, float(np.hypot(random, systematic)) / base)
+    return total, (total - legs) / base, float(np.hypot(random, systematic)) / base
 
 
 def _walk(segment: TraceSegment) -> TraceSegment | None:
@@ -389,15 +356,10 @@ def _vertical_force(
     trace, late = segment.trace, float(params.control_latency[0])
     angle, speed = thin.motion(0.0, late)
     acceleration = (thin.motion(-_DIFFERENCE, late)[1] - thin.motion(_DIFFERENCE, late)[1]) / (2 * _DIFFERENCE)
-    at = trace.time[thin.rows] - thin.timing.age
-
-    def read(values: Array) -> Array:
-        return np.stack([np.interp(at, trace.time - late, column) for column in values.T], axis=1)
-
-    tilt = read(trace.roll_pitch_yaw[:, :2])
-    turning = np.gradient(trace.angular_velocity_base, trace.time, axis=0)
+    at, times, rates = trace.time[thin.rows] - thin.timing.age, trace.time - late, trace.angular_velocity_base
+    tilt, rate = read_at(at, times, trace.roll_pitch_yaw[:, :2]), read_at(at, times, rates)
+    turning = read_at(at, times, np.gradient(rates, trace.time, axis=0))
     torque = thin.torque + motor_friction(speed, params.motor_friction[0], params.motor_viscous_friction[0])
-    rate = read(trace.angular_velocity_base)
-    forces = dynamics.forces(Motion(angle, speed, acceleration, torque, tilt, rate, read(turning)))
+    forces = dynamics.forces(Motion(angle, speed, acceleration, torque, tilt, rate, turning))
     forward, up = forces.force.sum(axis=1).T
     return at, (up * np.cos(tilt[:, 0]) * np.cos(tilt[:, 1])) - forward * np.sin(tilt[:, 1])

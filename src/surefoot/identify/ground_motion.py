@@ -13,7 +13,8 @@ from surefoot.actuator.motor import motor_current, motor_friction, motor_torque
 from surefoot.actuator.servo import servo_duty
 from surefoot.errors import SurefootError
 from surefoot.identify.inverse_dynamics import Forces, InverseDynamics, Motion
-from surefoot.identify.recording import CLOCK, Recording
+from surefoot.identify.plan import Use
+from surefoot.identify.recording import CLOCK, Recording, read_at
 from surefoot.robot import GRAVITY, PhysicalParams, RobotDescription
 
 Array = NDArray[np.float64]
@@ -26,6 +27,7 @@ SMOOTH = 15
 """Values that a cubic is fitted to, for smoothing and derivatives (Savitzky and Golay 1964): 30 ms, up to 20 Hz."""
 LEVELLING = 2.0
 """Time constant [s] with which the angles that the gyro adds up are drawn to those of the IMU, whose noise is large."""
+_USES: tuple[Use, ...] = ("fit", "check")
 STANDS = 0.3
 """Roll or pitch [rad] beyond which a robot does not stand."""
 BLOCK = 0.5
@@ -51,15 +53,9 @@ class GroundMotion:
         """Number of the block of time of each value (T,)."""
         return (self.time / BLOCK).astype(np.int64)
 
-    @property
-    def looked_at(self) -> NDArray[np.bool_]:
-        """Values in phases that do not only lead from pose to pose (T,)."""
-        inside: NDArray[np.bool_] = np.isin(self.phase, [k for k, use in enumerate(self.uses) if use != "way"])
-        return inside
-
-    def during(self, *names: str, use: str = "fit") -> NDArray[np.bool_]:
-        """Values in phases of these names and this use (T,)."""
-        wanted = [k for k, name in enumerate(self.names) if name in names and self.uses[k] == use]
+    def during(self, *names: str, uses: tuple[Use, ...] = ("fit",)) -> NDArray[np.bool_]:
+        """Values in phases of these names, of all if none is given, and these uses (T,)."""
+        wanted = [k for k, name in enumerate(self.names) if name in (names or self.names) and self.uses[k] in uses]
         inside: NDArray[np.bool_] = np.isin(self.phase, wanted)
         return inside
 
@@ -74,14 +70,17 @@ def ground_motion(
         recording: of an experiment on the ground.
         params: control latency and motor friction count here; one row.
         sensors: torque_gain of the motors' torque reports, if known.
+
+    Raises:
+        SurefootError: a robot that fell or never stood up, with its tilt.
     """
-    fitted = np.isin(recording.sent_phase, recording.phases("fit", "check"))
+    fitted = np.isin(recording.sent_phase, recording.phases(*_USES))
     times, age = recording.time, max(float(params.control_latency[0]) - float(recording.meta["lead"]), 0.0)
     first, last = recording.arrival[fitted][[0, -1]]
     grid = np.arange(max(first, times[0]), min(last, times[-1] - age - STEP), STEP)
 
     def at(values: Array, shift: float) -> Array:
-        return np.stack([np.interp(grid + shift, times, column) for column in values.T], axis=1)
+        return read_at(grid + shift, times, values)
 
     gains = 1 + np.asarray(sensors.get("torque_gain", np.zeros(robot.num_motors)))
     velocity = at(recording.motor_velocity, age)
@@ -101,24 +100,19 @@ def ground_motion(
     )
     place = np.clip(np.searchsorted(recording.arrival, grid, side="right") - 1, 0, None)
     phases = recording.meta["phases"]
-    return GroundMotion(
+    standing = GroundMotion(
         grid[::THIN],
         recording.sent_phase[place][::THIN].astype(np.int64),
         Motion(**{name: values[::THIN] for name, values in vars(motion).items()}),
         tuple(phase["name"] for phase in phases),
         tuple(phase["use"] for phase in phases),
     )
-
-
-def check_stands(standing: GroundMotion) -> None:
-    """Refuse a robot that fell or never stood up.
-
-    Raises:
-        SurefootError: with its tilt.
-    """
-    tilt = float(np.percentile(np.abs(standing.motion.roll_pitch[standing.looked_at]), 99))
-    if tilt > STANDS:
-        raise SurefootError(f"the robot tilts by {tilt:.2f} rad; one that stands stays within {STANDS:g}: run it again")
+    tilted = float(np.percentile(np.abs(standing.motion.roll_pitch[standing.during(uses=_USES)]), 99))
+    if tilted > STANDS:
+        raise SurefootError(
+            f"the robot tilts by {tilted:.2f} rad; one that stands stays within {STANDS:g}: run it again"
+        )
+    return standing
 
 
 def check_feet(standing: GroundMotion, forces: Forces, dynamics: InverseDynamics) -> None:
@@ -127,7 +121,7 @@ def check_feet(standing: GroundMotion, forces: Forces, dynamics: InverseDynamics
     Raises:
         SurefootError: with what its feet carry.
     """
-    carried = float(forces.force[standing.looked_at, :, 1].sum(axis=1).mean()) / GRAVITY
+    carried = float(forces.force[standing.during(uses=_USES), :, 1].sum(axis=1).mean()) / GRAVITY
     legs = dynamics.mass - dynamics.base_mass
     if not carried > legs:
         raise SurefootError(
@@ -146,24 +140,21 @@ def _since_command(robot: RobotDescription, recording: Recording, params: Physic
     count = max(round(recording.period / dt), 1)
     latency = float(params.servo_latency[0])
 
-    def at(values: Array, moment: Array) -> Array:
-        return np.stack([np.interp(moment + age, times, column) for column in values.T], axis=1)
-
     steps = []
     for back in range(count, 0, -1):
         begins = times - back * dt
         order = np.clip(np.searchsorted(recording.arrival, begins + CLOCK, side="right") - 1, 0, None)
-        seen = begins - latency
+        seen = begins - latency + age
         duty = servo_duty(
             recording.sent_value[order],
-            at(recording.motor_angle, seen),
-            at(recording.motor_velocity, seen),
+            read_at(seen, times, recording.motor_angle),
+            read_at(seen, times, recording.motor_velocity),
             params.servo_kp[0],
             params.servo_kd[0],
         )
         current = motor_current(
             duty,
-            at(recording.motor_velocity, begins),
+            read_at(begins + age, times, recording.motor_velocity),
             recording.voltage[:, None],
             params.torque_constant[0],
             params.resistance[0],
@@ -189,14 +180,6 @@ def _levelled(tilt: Array, rate: Array) -> Array:
         out[k] = now
     # A constant error of the gyro has become one of the angles; the IMU has none in the mean.
     return out + (tilt - out).mean(axis=0)
-
-
-def forces_of(
-    robot: RobotDescription, standing: GroundMotion, params: PhysicalParams
-) -> tuple[Forces, InverseDynamics]:
-    """Forces on the feet of a robot with the masses and inertias of one row of parameters."""
-    dynamics = InverseDynamics(robot, params)
-    return dynamics.forces(standing.motion), dynamics
 
 
 def block_deviation(values: Array, blocks: NDArray[np.int64]) -> float:

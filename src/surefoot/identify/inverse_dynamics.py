@@ -56,8 +56,6 @@ class Forces:
     """Position of each foot's end from the base's origin (T, L, 2), x and z [m]."""
     force: Array
     """Force of the ground on each foot (T, L, 2), x and z [N]."""
-    weight: Array
-    """Moments and forces that hold the robot as the description has it: rows x, z, about y (T, 3) [N, N m]."""
     needed: Array
     """Forces and moment that its motion takes, gravity left out: rows x, z, about y (T, 3)."""
     turning: Array
@@ -121,13 +119,12 @@ class InverseDynamics:
         ahead, behind = (self._knee_rates(angles + side * _STEP * 10 * speeds) for side in (1.0, -1.0))
         pair_speed = speeds[:, self._pairs]
         curving = np.einsum("tlkm,tlm->tlk", (ahead - behind) / (20 * _STEP), pair_speed)
-        count, legs = len(angles), len(self._pairs)
-        out = Forces(*(np.empty((count, *shape)) for shape in ((legs, 2), (legs, 2), (3,), (3,), ())))
-        for t in range(count):
-            self._at(t, motion, knees[t], rates[t], curving[t], out)
-        return out
+        moments = [self._at(t, motion, knees[t], rates[t], curving[t]) for t in range(len(angles))]
+        return Forces(*map(np.array, zip(*moments, strict=True)))
 
-    def _at(self, t: int, motion: Motion, knees: Array, rates: Array, curving: Array, out: Forces) -> None:
+    def _at(
+        self, t: int, motion: Motion, knees: Array, rates: Array, curving: Array
+    ) -> tuple[list[Array], Array, list[float], float]:
         model, data, sign = self.model, self.data, self.robot.motor_sign.astype(float)
         roll, pitch = motion.roll_pitch[t]
         data.qpos[:3] = 0.0
@@ -180,10 +177,11 @@ class InverseDynamics:
         right = -np.concatenate([plane.T @ fixed[:3], fixed[6:]])
         found = np.linalg.solve(left, right)
         acceleration, forces = plane @ found[:2], found[2:].reshape(legs, 2)
-        out.force[t] = forces
-        for leg, geom in enumerate(self._feet):
-            local = turn.T @ (data.geom_xpos[geom] - data.xpos[self.base])
-            out.foot[t, leg] = local[[0, 2]] - [0.0, self.robot.leg_geometry.foot_radius]
+        feet = [
+            (turn.T @ (data.geom_xpos[geom] - data.xpos[self.base]))[[0, 2]]
+            - [0.0, self.robot.leg_geometry.foot_radius]
+            for geom in self._feet
+        ]
         whole = reduced[:, :3] @ acceleration + reduced[:, 3:] @ known + still
         pushed = sum(jacobian.T @ (plane @ force) for jacobian, force in zip(jacobians, forces, strict=True))
         down = np.zeros(model.nv)
@@ -191,10 +189,8 @@ class InverseDynamics:
         mujoco.mj_comVel(model, data)
         mujoco.mj_rne(model, data, 0, down)
         weight = transform.T @ down
-        out.weight[t] = [*(plane.T @ weight[:3]), weight[4]]
         # What the base's rows lack: about y of the base it is the base's own turning that may be wrong.
-        out.needed[t] = [*(plane.T @ (whole[:3] - weight[:3])), whole[4] - pushed[4]]
+        needed = [*(plane.T @ (whole[:3] - weight[:3])), whole[4] - pushed[4]]
         rate = motion.angular_velocity[t]
-        out.turning[t] = (
-            self.base_inertia @ motion.angular_acceleration[t] + np.cross(rate, self.base_inertia @ rate)
-        )[1]
+        turning = self.base_inertia @ motion.angular_acceleration[t] + np.cross(rate, self.base_inertia @ rate)
+        return feet, forces, needed, float(turning[1])

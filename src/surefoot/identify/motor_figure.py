@@ -45,6 +45,13 @@ class MotorLog:
         if np.any(np.diff(self.time) <= 0):
             raise SurefootError(f"motor log {self.name}: times must rise")
 
+    def error(self, simulated: Array) -> float:
+        """Root mean square [rad] of simulated (T,) less measured angles; less targets where nothing was measured."""
+        known = np.isfinite(self.angle)
+        if not known.any():
+            return float(np.sqrt(np.mean(np.square(simulated - self.target))))
+        return float(np.sqrt(np.mean(np.square(simulated[known] - self.angle[known]))))
+
     @classmethod
     def sine(cls, middle: float, amplitude: float, frequency: float, duration: float, step: float) -> MotorLog:
         """A target without a measurement: `middle` + `amplitude` sin(2 pi `frequency` t), renewed every `step` [s]."""
@@ -91,25 +98,6 @@ class MotorLog:
         return path
 
 
-@dataclass(frozen=True)
-class MotorExperiment:
-    """What each model did with a log's targets, sampled at the log's times."""
-
-    motor: str
-    """Name of the motor."""
-    log: MotorLog
-    """The recording, or the target alone."""
-    angle: dict[str, Array]
-    """By actuator, the simulated angle (T,) [rad]."""
-
-    def error(self, actuator: str) -> float:
-        """Root mean square [rad] of simulated less measured angle; less the target where nothing was measured."""
-        known = np.isfinite(self.log.angle)
-        reference = self.log.angle if known.any() else self.log.target
-        rows = known if known.any() else slice(None)
-        return float(np.sqrt(np.mean(np.square(self.angle[actuator][rows] - reference[rows]))))
-
-
 def motor_index(robot: RobotDescription, motor: str) -> int:
     """Place of a motor in the robot's order.
 
@@ -125,49 +113,41 @@ def run_motor_experiment(
     robot: RobotDescription,
     make_world: SimulationFactory,
     log: MotorLog,
-    motor: str,
+    index: int,
     params: Mapping[str, float] | None = None,
-) -> MotorExperiment:
+) -> dict[str, Array]:
     """Let one motor of the robot on its rack follow a log's targets with each model of the motor; the others hold.
 
     Args:
         robot: the robot.
         make_world: makes the simulation.
         log: targets, and what was measured.
-        motor: name of the motor that follows them.
+        index: place of the motor that follows them in the robot's order.
         params: physical parameters that differ from the robot's description.
 
+    Returns:
+        by actuator, the motor's true angle at the log's times (T,) [rad].
+
     Raises:
-        SurefootError: no such motor, or parameters that the robot does not allow.
+        SurefootError: parameters that the robot does not allow.
     """
-    index = motor_index(robot, motor)
-    angle = {actuator: _follow(robot, make_world, log, index, params or {}, actuator) for actuator in ACTUATORS}
-    return MotorExperiment(motor, log, angle)
-
-
-def _follow(
-    robot: RobotDescription,
-    make_world: SimulationFactory,
-    log: MotorLog,
-    index: int,
-    params: Mapping[str, float],
-    actuator: str,
-) -> Array:
-    """The true angle (T,) [rad] of the motor at a place in the robot's order, at the log's times."""
     step = robot.timing.servo_step
     # A command for every servo step: the targets come with the log's own timing.
-    given = {**params, "control_step": step}
+    given = {**(params or {}), "control_step": step}
     nominal = PhysicalParams.nominal(robot).with_values(robot, **given)
-    world = make_world(robot, 1, nominal, 0, WorldConfig(actuator=actuator, rack=True, threads=1))  # type: ignore[arg-type]
-    command = robot.resting_angles.copy()
     clock = log.time - log.time[0]
     lead_in, ticks = round(LEAD_IN / step), math.ceil(clock[-1] / step) + 1
     # The newest target at each servo step; a hair's breadth against rounding.
     newest = np.searchsorted(clock, np.arange(ticks) * step + 1e-9, side="right") - 1
-    time, angle = np.empty(ticks), np.empty(ticks)
-    for tick in range(-lead_in, ticks):
-        if tick >= 0:
-            time[tick], angle[tick] = tick * step, world.truth().motor_angle[0, index]
-        command[index] = log.target[newest[max(tick, 0)]]
-        world.step(command[None])
-    return np.interp(clock, time, angle)
+    found = {}
+    for actuator in ACTUATORS:
+        config = WorldConfig(actuator=actuator, rack=True, threads=1)  # type: ignore[arg-type]
+        world = make_world(robot, 1, nominal, 0, config)
+        command, angle = robot.resting_angles.copy(), np.empty(ticks)
+        for tick in range(-lead_in, ticks):
+            if tick >= 0:
+                angle[tick] = world.truth().motor_angle[0, index]
+            command[index] = log.target[newest[max(tick, 0)]]
+            world.step(command[None])
+        found[actuator] = np.interp(clock, np.arange(ticks) * step, angle)
+    return found

@@ -111,25 +111,14 @@ def _interval(found: Identification, name: str, before: Any, robot: RobotDescrip
     items = [item for item in found.estimates if item.name == name and item.told]
     if items[0].index is None:
         return list(items[0].interval)
-    count = max(max(item.index or 0 for item in found.estimates if item.name == name) + 1, _width(name, robot))
-    pairs = _pairs(before, count)
-    for item in items:
-        pairs[item.index or 0] = list(item.interval)
-    return pairs
-
-
-def _width(name: str, robot: RobotDescription) -> int:
-    if name not in PhysicalParams.names():
-        return 0
-    value = getattr(PhysicalParams.nominal(robot), name)
-    return 0 if value.ndim == 1 else int(value.shape[1])
-
-
-def _pairs(before: Any, count: int) -> list[Any]:
-    """Intervals that a file has, one for each of `count` motors or axes, as far as it has any."""
+    count = max(item.index or 0 for item in found.estimates if item.name == name) + 1
+    if name in PhysicalParams.names():
+        count = max(count, int(np.prod(getattr(PhysicalParams.nominal(robot), name).shape[1:])))
     try:
         array = np.broadcast_to(np.asarray(NOTHING if before is None else before, float), (count, 2))
-    except (TypeError, ValueError):
+    except (TypeError, ValueError):  # a file may hold anything
         array = np.broadcast_to(np.array(NOTHING), (count, 2))
     pairs: list[Any] = array.tolist()
+    for item in items:
+        pairs[item.index or 0] = list(item.interval)
     return pairs

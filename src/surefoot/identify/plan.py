@@ -73,17 +73,3 @@ class Plan:
     def duration(self) -> float:
         """Robot time from arming to disarming [s]."""
         return sum(phase.duration for phase in self.phases)
-
-    def rows(self) -> list[tuple[str, str, str]]:
-        """Name, duration and motion of each phase, equal neighbours counted, for a table."""
-        rows: list[tuple[str, int, float, str]] = []
-        for phase in self.phases:
-            if rows and rows[-1][0] == phase.name:
-                name, count, duration, what = rows[-1]
-                rows[-1] = (name, count + 1, duration + phase.duration, what)
-            else:
-                rows.append((phase.name, 1, phase.duration, phase.what))
-        return [
-            (name if count == 1 else f"{name} x {count}", f"{duration:.1f} s", what)
-            for name, count, duration, what in rows
-        ]

@@ -78,11 +78,10 @@ def _finite(recording: Recording, robot: RobotDescription) -> None:
 def _whole(recording: Recording) -> None:
     if recording.duration < LEAST:
         raise _bad(f"it has {recording.duration:.1f} s of states; at least {LEAST:g}")
-    phases, period = recording.meta["phases"], float(recording.meta["period"])
+    phases = recording.meta["phases"]
     for k in recording.phases("fit", "check"):
         states = recording.phase_states(k)
-        expected = float(phases[k]["duration"]) / period
-        share = (states.stop - states.start) / expected
+        share = (states.stop - states.start) / (float(phases[k]["duration"]) / recording.period)
         if share < COVERED:
             raise _bad(
                 f"phase '{phases[k]['name']}' ({k + 1} of {len(phases)}) has {share:.0%} of its states; "
@@ -114,9 +113,9 @@ def _lost(recording: Recording) -> tuple[str, ...]:
     share = gone / max(int(frames["received"]) + gone, 1)
     if share > LOST:
         raise _bad(f"{gone} frames, {share:.1%}, were lost or damaged on the link; at most {LOST:.0%}")
-    period, lost, states = float(recording.meta["period"]), 0, 0
+    lost, states = 0, 0
     for k in recording.phases("fit", "check"):
-        gaps = np.diff(recording.time[recording.phase_states(k)]) / period
+        gaps = np.diff(recording.time[recording.phase_states(k)]) / recording.period
         lost += int(np.sum(np.maximum(np.round(gaps[gaps > GAP]) - 1, 0)))
         states += len(gaps)
     share = lost / max(states + lost, 1)
@@ -141,14 +140,13 @@ def _readings(recording: Recording, robot: RobotDescription) -> None:
     moved, worked = _asked(recording)
     phases = [recording.phase_states(k) for k in recording.phases("fit", "check")]
     fitted = np.concatenate([np.arange(part.start, part.stop) for part in phases]) if phases else np.arange(0)
-    period = float(recording.meta["period"])
     for motor in sorted(set(range(recording.num_motors)) - recording.still_motors):
         name, angle = robot.motor_names[motor], recording.motor_angle[:, motor]
         for what, unit in (("velocity", "rad/s"), ("torque", "N m")):
             values = getattr(recording, f"motor_{what}")[fitted, motor]
             if len(values) and np.ptp(values) == 0:
                 raise _bad(f"{name} moves, and its {what} is {values[0]:g} {unit} all the time")
-        stands = moved[:, motor] & (_run_lengths(angle) > _STANDS / period)
+        stands = moved[:, motor] & (_run_lengths(angle) > _STANDS / recording.period)
         share = stands.sum() / max(moved[:, motor].sum(), 1)
         if share > FALSE:
             at = float(np.median(angle[stands]))
@@ -177,8 +175,7 @@ def _asked(recording: Recording) -> tuple[Mask, Mask]:
     """In which states each motor is asked to move by its servo, and in which it works, also by its duty (T, M)."""
     moved = np.zeros_like(recording.motor_angle, np.bool_)
     worked = moved.copy()
-    period = float(recording.meta["period"])
-    back = max(round(_STANDS / period), 1)
+    back = max(round(_STANDS / recording.period), 1)
     for k in recording.phases("fit", "check"):
         states = recording.phase_states(k)
         order = np.searchsorted(recording.arrival, recording.time[states], side="right") - 1

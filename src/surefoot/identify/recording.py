@@ -154,6 +154,11 @@ class Recording:
         return path
 
 
+def read_at(moments: Array, times: Array, values: Array) -> Array:
+    """Return the columns of values (T, n) of times (T,) at other moments (K,), on straight lines between (K, n)."""
+    return np.stack([np.interp(moments, times, column) for column in values.T], axis=1)
+
+
 def digest_of(arrays: dict[str, Array]) -> str:
     """SHA-256 over arrays, by name."""
     total = hashlib.sha256()

@@ -3,17 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib import import_module
 from typing import Any
 
 from surefoot.identify.plan import Plan
+from surefoot.identify.quality import check_recording
 from surefoot.identify.recording import Recording
 from surefoot.identify.result import Identification
 from surefoot.robot import PhysicalParams, RobotDescription
 
 FitProgress = Callable[[str, float], None]
 """Is told what a fit does, and the mean square of its residuals in standard deviations."""
+
+
+def silent(step: str, cost: float) -> None:
+    """Tell nobody how a fit goes."""
 
 
 @dataclass(frozen=True)
@@ -40,7 +45,7 @@ class Experiment:
         recording: Recording,
         known: PhysicalParams,
         sensors: dict[str, Any] | None = None,
-        tell: FitProgress | None = None,
+        tell: FitProgress = silent,
     ) -> Identification:
         """Find what a recording of it tells.
 
@@ -54,9 +59,11 @@ class Experiment:
         Raises:
             SurefootError: data too poor to tell anything.
         """
+        notes = check_recording(recording, robot)
         module = import_module(f"surefoot.identify.fits.{self.name}")
         found: Identification = getattr(module, f"fit_{self.name}")(robot, recording, known, sensors or {}, tell)
-        return found
+        date = str(recording.meta["date"])
+        return replace(found, notes=(*notes, *found.notes), digest=recording.digest, date=date)
 
 
 EXPERIMENTS = {

@@ -56,16 +56,6 @@ class Stretch:
     lead: float = 0.0
     """How long before their use [s] the control latency takes states to be sent."""
 
-    @property
-    def ticks(self) -> int:
-        """Servo steps."""
-        return len(self.voltage)
-
-    @property
-    def duration(self) -> float:
-        """Length [s]."""
-        return float(self.state_time[-1] - self.state_time[0])
-
 
 def stretch_of(recording: Recording, first: int, last: int) -> Stretch:
     """The phases `first` to `last`, of which the first one must begin with servos at rest.
@@ -117,28 +107,22 @@ class Replayed:
     """(N, T, M) [rad/s]."""
     motor_torque: Array
     """(N, T, M) [N m]."""
-    roll_pitch_yaw: Array
-    """(N, T, 3) [rad], without the IMU's bias."""
-    angular_velocity_base: Array
-    """(N, T, 3) [rad/s]."""
 
 
 class Replayer:
-    """Simulated robots that go through a stretch of a recording, shared among the computer's cores.
+    """Simulated robots on racks that go through a stretch of a recording, shared among the computer's cores.
 
     Args:
         robot: their description.
         num_envs: how many at a time.
-        rack: whether they hang in the air.
     """
 
-    def __init__(self, robot: RobotDescription, num_envs: int, rack: bool) -> None:
+    def __init__(self, robot: RobotDescription, num_envs: int) -> None:
         self.robot, self.num_envs = robot, num_envs
         cores = min(os.cpu_count() or 1, num_envs)
-        self._share = -(-num_envs // cores)
         # A world that steps on several threads would have them wait for each other in every servo step.
-        config = WorldConfig(rack=rack, threads=1)
-        self._teams = [_Team(SimWorld(robot, self._share, config=config)) for _ in range(cores)]
+        config = WorldConfig(rack=True, threads=1)
+        self._worlds = [SimWorld(robot, -(-num_envs // cores), config=config) for _ in range(cores)]
         self._pool = ThreadPoolExecutor(cores)
 
     def run(self, stretch: Stretch, params: PhysicalParams) -> Replayed:
@@ -155,20 +139,16 @@ class Replayer:
 
     def _simulate(self, stretch: Stretch, params: PhysicalParams) -> tuple[Array, Array]:
         """States (ticks + 1, N, width), and torques of the steps that led to them (ticks + 1, N, M)."""
-        shares = np.array_split(np.arange(params.num_envs), min(len(self._teams), params.num_envs))
-        jobs = [
-            self._pool.submit(team.run, stretch, params.rows(share))
-            for team, share in zip(self._teams, shares, strict=False)
-        ]
-        done = [job.result() for job in jobs]
+        shares = np.array_split(np.arange(params.num_envs), min(len(self._worlds), params.num_envs))
+        rows = [params.rows(share) for share in shares]
+        done = list(self._pool.map(_go_through, self._worlds[: len(rows)], [stretch] * len(rows), rows))
         return np.concatenate([d[0] for d in done], axis=1), np.concatenate([d[1] for d in done], axis=1)
 
     def _read(self, stretch: Stretch, params: PhysicalParams, history: Array, torque: Array) -> Replayed:
         motors, last, dt = self.robot.num_motors, len(history) - 1, self.robot.timing.servo_step
-        rows = params.num_envs
-        told = np.empty((rows, len(stretch.state_time), history.shape[2]))
-        for row in range(rows):
-            age = max(float(params.control_latency[row]) - stretch.lead, 0.0)
+        told = np.empty((params.num_envs, len(stretch.state_time), history.shape[2]))
+        for row, latency in enumerate(params.control_latency.tolist()):
+            age = max(latency - stretch.lead, 0.0)
             at = np.clip((stretch.state_time - age) / dt, 0.0, last)
             before = np.minimum(at.astype(np.int64), last - 1)
             share = (at - before)[:, None]
@@ -178,59 +158,41 @@ class Replayer:
             motor_angle=told[:, :, :motors],
             motor_velocity=told[:, :, motors : 2 * motors],
             motor_torque=np.moveaxis(torque[ended], 1, 0),
-            roll_pitch_yaw=told[:, :, 2 * motors : 2 * motors + 3],
-            angular_velocity_base=told[:, :, 2 * motors + 3 :],
         )
 
 
-class _Team:
-    """Robots of one thread.
+def _go_through(world: SimWorld, stretch: Stretch, params: PhysicalParams) -> tuple[Array, Array]:
+    """Go through a stretch; row k is the state at k servo steps, and the torque of the step before."""
+    rows, everyone = params.num_envs, np.arange(world.num_envs)
+    given = params.rows(np.minimum(everyone, rows - 1))
+    world.set_params(everyone, given)
+    world.reset()
+    drive, advance = world.drive, world.engine.advance
+    active = np.where(everyone < rows, 1, 0)
+    drive.voltage[:] = stretch.voltage[0]
+    steps, begin = round(SETTLE / world.robot.timing.servo_step), drive.target.copy()
+    for k in range(steps):
+        drive.target[:] = begin + (stretch.start - begin) * min(2 * k / steps, 1.0)
+        advance(active)
+    history = np.empty((len(stretch.voltage) + 1, rows, drive.now.shape[1]))
+    torque = np.empty((len(stretch.voltage) + 1, rows, drive.target.shape[1]))
+    history[0], torque[0] = drive.now[:rows], drive.motor_torque[:rows]
+    order = -1
+    changes = [*stretch.order_tick.tolist(), len(torque)]
+    for tick, voltage in enumerate(stretch.voltage.tolist()):
+        while changes[order + 1] <= tick:
+            order += 1
+            _obey(world, int(stretch.kind[order]), stretch.order[order], given)
+        drive.voltage[:] = voltage
+        advance(active)
+        history[tick + 1], torque[tick + 1] = drive.now[:rows], drive.motor_torque[:rows]
+    return history, torque
 
-    Args:
-        world: theirs.
-    """
 
-    def __init__(self, world: SimWorld) -> None:
-        self.world = world
-
-    def run(self, stretch: Stretch, params: PhysicalParams) -> tuple[Array, Array]:
-        """Go through a stretch; row k is the state at k servo steps, and the torque of the step before."""
-        world, rows = self.world, params.num_envs
-        everyone = np.arange(world.num_envs)
-        given = params.rows(np.minimum(everyone, rows - 1))
-        world.set_params(everyone, given)
-        world.reset()
-        drive, advance = world.drive, world.engine.advance
-        active = np.where(everyone < rows, 1, 0)
-        drive.voltage[:] = stretch.voltage[0]
-        self._settle(stretch.start, active)
-        history = np.empty((stretch.ticks + 1, rows, drive.now.shape[1]))
-        torque = np.empty((stretch.ticks + 1, rows, drive.target.shape[1]))
-        history[0], torque[0] = drive.now[:rows], drive.motor_torque[:rows]
-        order = -1
-        changes = [*stretch.order_tick.tolist(), stretch.ticks + 1]
-        for tick, voltage in enumerate(stretch.voltage.tolist()):
-            while changes[order + 1] <= tick:
-                order += 1
-                self._obey(int(stretch.kind[order]), stretch.order[order], given)
-            drive.voltage[:] = voltage
-            advance(active)
-            history[tick + 1], torque[tick + 1] = drive.now[:rows], drive.motor_torque[:rows]
-        return history, torque
-
-    def _obey(self, kind: int, order: Array, params: PhysicalParams) -> None:
-        drive = self.world.drive
-        follows = kind in (Mode.POSITION, HELD)
-        drive.duty[:] = order if kind == Mode.PWM else 0.0
-        drive.kp[:] = params.servo_kp if follows else 0.0
-        # A robot that is not armed damps its motors with the derivative gain of its data sheet.
-        drive.kd[:] = params.servo_kd if follows else self.world.robot.actuator.kd if kind == Mode.DISARMED else 0.0
-        drive.target[:] = drive.now[:, : self.world.robot.num_motors] if kind == HELD else order
-
-    def _settle(self, start: Array, active: NDArray[np.int64]) -> None:
-        drive, steps = self.world.drive, round(SETTLE / self.world.robot.timing.servo_step)
-        begin = drive.target.copy()
-        for k in range(steps):
-            share = min(2 * k / steps, 1.0)
-            drive.target[:] = begin + (start - begin) * share
-            self.world.engine.advance(active)
+def _obey(world: SimWorld, kind: int, order: Array, params: PhysicalParams) -> None:
+    drive, follows = world.drive, kind in (Mode.POSITION, HELD)
+    drive.duty[:] = order if kind == Mode.PWM else 0.0
+    drive.kp[:] = params.servo_kp if follows else 0.0
+    # A robot that is not armed damps its motors with the derivative gain of its data sheet.
+    drive.kd[:] = params.servo_kd if follows else world.robot.actuator.kd if kind == Mode.DISARMED else 0.0
+    drive.target[:] = drive.now[:, : world.robot.num_motors] if kind == HELD else order

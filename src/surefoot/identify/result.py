@@ -17,6 +17,11 @@ NORMAL_95 = 1.959964
 """Standard deviations on either side that hold 95 % of a normal distribution."""
 
 
+def label_of(name: str, index: int | None) -> str:
+    """Return a number's name, with its index in brackets if it has one."""
+    return name if index is None else f"{name}[{index}]"
+
+
 @dataclass(frozen=True)
 class Estimate:
     """A number that was found."""
@@ -36,6 +41,19 @@ class Estimate:
     high: float = math.inf
     """Greatest one."""
 
+    @classmethod
+    def of_parameter(
+        cls,
+        robot: RobotDescription,
+        name: str,
+        value: float,
+        deviation: float,
+        index: int | None = None,
+        told: bool = True,
+    ) -> Estimate:
+        """Return an estimate of a physical parameter, with its unit, within what the robot allows."""
+        return cls(name, value, deviation, PhysicalParams.unit(name), index, told, *robot.allowed[name])
+
     @property
     def interval(self) -> tuple[float, float]:
         """95 % interval, within what is possible."""
@@ -45,7 +63,7 @@ class Estimate:
     @property
     def label(self) -> str:
         """Name with index."""
-        return self.name if self.index is None else f"{self.name}[{self.index}]"
+        return label_of(self.name, self.index)
 
 
 @dataclass(frozen=True)
@@ -107,7 +125,7 @@ class Identification:
         for item in self.estimates:
             if item.name == name and item.index == index:
                 return item
-        raise KeyError(name if index is None else f"{name}[{index}]")
+        raise KeyError(label_of(name, index))
 
     def params(self, robot: RobotDescription, base: PhysicalParams) -> PhysicalParams:
         """One row of `base` with what was found in place of what it had, within what the robot allows."""

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from surefoot.actuator import motor_current, motor_torque, servo_duty
 from surefoot.identify.fits.motor import GAIN
 from surefoot.identify.fitting import Unknown
-from surefoot.identify.rack_model import BLOCK, TORQUE_GAIN
+from surefoot.identify.rack_model import BLOCK, TORQUE_GAIN, params_of
 from surefoot.identify.trace_data import TraceSegment, thinned
 from surefoot.robot import PhysicalParams, RobotDescription
 
@@ -108,7 +108,7 @@ class TorqueModel:
     def torques(self, values: Array) -> list[Array]:
         """Return the torques that K candidates (K, n) would have reported, (K, rows, M) [N m] for each segment."""
         count, motors = len(values), self.robot.num_motors
-        given = {name: np.repeat(getattr(self.base, name), count, axis=0) for name in PhysicalParams.names()}
+        params = params_of(self.base, self.unknowns, values)
         sag, gain = np.zeros(count), np.ones((count, motors))
         change = np.zeros((count, 1 + max(segment.number for segment in self.segments)))
         for i, unknown in enumerate(self.unknowns):
@@ -118,24 +118,21 @@ class TorqueModel:
                 gain[:, unknown.index] += values[:, i]
             elif unknown.name == VOLTAGE_CHANGE:
                 change[:, unknown.index] = values[:, i]
-            elif unknown.index is None:
-                given[unknown.name].T[...] = values[:, i]
-            else:
-                given[unknown.name][:, unknown.index] = values[:, i]
         return [
-            self._torque(segment, given, given["voltage"] + change[:, segment.number], sag) * gain[:, None]
+            self._torque(segment, params, params.voltage + change[:, segment.number], sag) * gain[:, None]
             for segment in self.segments
         ]
 
-    def _torque(self, segment: TraceSegment, given: dict[str, Array], open_circuit: Array, sag: Array) -> Array:
-        late = given["control_latency"].tolist()
-        pairs = list(zip(late, given["servo_latency"].tolist(), strict=True))
+    def _torque(self, segment: TraceSegment, params: PhysicalParams, open_circuit: Array, sag: Array) -> Array:
+        late = params.control_latency.tolist()
+        pairs = list(zip(late, params.servo_latency.tolist(), strict=True))
         now = {c: segment.motion(0.0, c)[1] for c in set(late)}
         before = {(c, s): segment.motion(s, c) for c, s in set(pairs)}
         speed = np.stack([now[c] for c in late])
         seen_angle, seen_speed = (np.stack([before[pair][part] for pair in pairs]) for part in (0, 1))
         kp, kd, constant, resistance = (
-            given[name][:, None, None] for name in ("servo_kp", "servo_kd", "torque_constant", "resistance")
+            values[:, None, None]
+            for values in (params.servo_kp, params.servo_kd, params.torque_constant, params.resistance)
         )
         open_circuit, sag = open_circuit[:, None, None], sag[:, None, None]
         duty = servo_duty(segment.target, seen_angle, seen_speed, kp, kd)
@@ -149,7 +146,7 @@ class TorqueModel:
             power = np.sum(current * (resistance * current + constant * speed), axis=2, keepdims=True)
             voltage = open_circuit - sag * power / open_circuit
         current = motor_current(duty, speed, voltage, constant, resistance, clip)
-        torque: Array = motor_torque(current, given["motor_strength"][:, None], *table)
+        torque: Array = motor_torque(current, params.motor_strength[:, None], *table)
         return torque
 
 

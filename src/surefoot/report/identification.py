@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-import math
 from collections.abc import Sequence
 from html import escape
 from pathlib import Path
@@ -12,14 +11,8 @@ from surefoot import __version__
 from surefoot.files import whole_file
 from surefoot.identify.result import Estimate, Identification
 from surefoot.report.identification_figure import identification_figure
-from surefoot.report.identification_parts import (
-    full_name,
-    known_before,
-    number,
-)
+from surefoot.report.identification_parts import cells, full_name
 from surefoot.robot import PhysicalParams, RobotDescription
-
-__all__ = ["full_name", "identification_figure", "known_before", "number", "page", "write_report"]
 
 _STYLE = """
 body { font: 15px/1.5 system-ui, sans-serif; color: #22272e; max-width: 62rem; margin: 2rem auto; padding: 0 1rem; }
@@ -65,6 +58,7 @@ def page(
     """
     title = f"{found.experiment}: what it tells of {found.robot}"
     told = sum(item.told for item in found.estimates)
+    encoded = base64.b64encode(picture).decode()
     facts = [("data", source), ("recorded", found.date), ("SHA-256", found.digest), ("surefoot", __version__)]
     parts = [
         f"<h1>{escape(title)}</h1>",
@@ -74,7 +68,7 @@ def page(
         *_section("What can hardly be told apart", _correlations(found, robot)),
         *_section("Notes", "".join(f"<li>{escape(note)}</li>" for note in found.notes), "ul"),
         "<h2>Pictures</h2>",
-        f'<img alt="intervals, series and correlations" src="data:image/png;base64,{_base64(picture)}">',
+        f'<img alt="intervals, series and correlations" src="data:image/png;base64,{encoded}">',
         *_section("Data", "".join(f"<tr><td>{k}</td><td><code>{escape(v)}</code></td></tr>" for k, v in facts if v)),
     ]
     head = f'<meta charset="utf-8"><title>{escape(title)}</title><style>{_STYLE}</style>'
@@ -85,37 +79,18 @@ def _section(title: str, content: str, kind: str = "table") -> list[str]:
     return [f"<h2>{escape(title)}</h2>", f"<{kind}>{content}</{kind}>"] if content else []
 
 
-def _row(cells: Sequence[str], kinds: str, tag: str = "td") -> str:
+def _row(texts: Sequence[str], kinds: str, tag: str = "td") -> str:
     """A row of a table; `kinds` has an n for each column of numbers."""
-    return (
-        "<tr>"
-        + "".join(
-            f"<{tag}{' class=n' if kind == 'n' else ''}>{escape(cell)}</{tag}>"
-            for cell, kind in zip(cells, kinds, strict=True)
-        )
-        + "</tr>"
-    )
+    classes = {"n": " class=n", "t": ""}
+    row = (f"<{tag}{classes[kind]}>{escape(text)}</{tag}>" for text, kind in zip(texts, kinds, strict=True))
+    return f"<tr>{''.join(row)}</tr>"
 
 
 def _estimates(estimates: Sequence[Estimate], robot: RobotDescription, known: PhysicalParams) -> str:
     rows = [_row(("parameter", "before", "found", "95 % interval", "unit"), "tnnnt", "th")]
     for item in estimates:
-        width = item.interval[1] - item.interval[0]
-        before = known_before(item, known)
-        cells = ("not told", "")
-        if item.told:
-            cells = (number(item.value, width), " to ".join(number(end, width) for end in item.interval))
-        rows.append(
-            _row(
-                (
-                    full_name(item.label, robot),
-                    "" if before is None else number(before, width if item.told else math.nan),
-                    *cells,
-                    "" if item.unit == "1" else item.unit,
-                ),
-                "tnnnt",
-            )
-        )
+        unit = "" if item.unit == "1" else item.unit
+        rows.append(_row((full_name(item.label, robot), *cells(item, known), unit), "tnnnt"))
     return "\n".join(rows)
 
 
@@ -133,7 +108,3 @@ def _correlations(found: Identification, robot: RobotDescription) -> str:
         _row((full_name(one, robot), full_name(other, robot), f"{value:+.2f}"), "ttn")
         for one, other, value in found.correlations
     )
-
-
-def _base64(picture: bytes) -> str:
-    return base64.b64encode(picture).decode()

@@ -11,12 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from surefoot.identify.result import Estimate, Identification, Series
-from surefoot.report.identification_parts import (
-    full_name,
-    index_names,
-    known_before,
-    number,
-)
+from surefoot.report.identification_parts import full_name, index_names, known_before, number
 from surefoot.report.style import BLUE, INK, LEG_COLORS, ORANGE, QUIET, new_figure, spoken
 from surefoot.robot import PhysicalParams, RobotDescription
 

@@ -40,6 +40,16 @@ def known_before(item: Estimate, known: PhysicalParams) -> float | None:
     return float(np.mean(values) if item.index is None else np.atleast_1d(values)[item.index])
 
 
+def cells(item: Estimate, known: PhysicalParams) -> tuple[str, str, str]:
+    """What was known of a number, what was found and its interval, as texts; empty where there is none."""
+    before, (low, high) = known_before(item, known), item.interval
+    width = high - low if item.told else math.nan
+    was = "" if before is None else number(before, width)
+    if not item.told:
+        return was, "not told", ""
+    return was, number(item.value, width), f"{number(low, width)} to {number(high, width)}"
+
+
 def number(value: float, width: float) -> str:
     """A number with as many digits as its interval is worth: two of half the interval's width.
 

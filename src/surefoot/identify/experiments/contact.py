@@ -6,16 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.deploy.poses import pose
-from surefoot.identify.experiments.ground import (
-    STANCE,
-    drop,
-    ends,
-    legs_pose,
-    rocking,
-    sides,
-    sitting_down,
-    standing_up,
-)
+from surefoot.identify.experiments.ground import STANCE, drop, ends, ground_plan, rocking, sides
 from surefoot.identify.plan import Phase, Plan, Signal
 from surefoot.robot import RobotDescription
 
@@ -28,13 +19,14 @@ DRAG, STROKE, DRAGGING = 0.3, 0.7, 4.0
 """Swing [rad], time for there and back, and length of a phase [s]."""
 
 
-def contact_plan(robot: RobotDescription, seed: int = 0) -> Plan:
+def contact_plan(robot: RobotDescription) -> Plan:
     """Drag one diagonal pair of feet, then the other; drop and nod."""
     nod = rocking(robot, ends(robot), 0.12, 1.0, 5.0, 4.0)
     roll = rocking(robot, sides(robot), 0.08, 1.0, 4.0, 3.0)
     what = f"two feet, made light, are dragged {DRAG:g} rad to and fro"
-    phases = (
-        *standing_up(robot),
+    return ground_plan(
+        robot,
+        "contact",
         drop(robot),
         Phase("drag", what, DRAGGING, _dragging(robot, 1.0)),
         drop(robot),
@@ -43,10 +35,7 @@ def contact_plan(robot: RobotDescription, seed: int = 0) -> Plan:
         Phase("nod", "front and back legs 0.12 rad against each other, from 1 to 5 Hz", 4.0, nod),
         drop(robot),
         Phase("rock", "left and right legs 0.08 rad against each other, from 1 to 4 Hz", 3.0, roll),
-        sitting_down(robot),
     )
-    low, high, reach = pose(robot, 0.0, 0.0), pose(robot, 0.0, 2.4), 1.5
-    return Plan("contact", False, phases, low - reach, high + reach, 0.0)
 
 
 def _dragging(robot: RobotDescription, diagonal: float) -> Signal:
@@ -57,6 +46,6 @@ def _dragging(robot: RobotDescription, diagonal: float) -> Signal:
         lifted = np.clip(min(t, DRAGGING - t) / 0.5, 0.0, 1.0)
         swings = np.clip(min(t - 0.5, DRAGGING - 0.5 - t) / 0.3, 0.0, 1.0)
         swing = np.where(light, ends(robot) * DRAG * swings * np.sin(2 * np.pi * (t - 0.5) / STROKE), 0.0)
-        return legs_pose(robot, swing, STANCE - np.where(light, LIFT * lifted, 0.0))
+        return pose(robot, swing, STANCE - np.where(light, LIFT * lifted, 0.0))
 
     return signal

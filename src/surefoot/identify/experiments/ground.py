@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from surefoot.deploy.poses import SIT_EXTENSION, SPREAD_SWING, between, pose, sitting
 from surefoot.identify.experiments.signals import go_to, hold, sweep
-from surefoot.identify.plan import Phase, Signal, Use
+from surefoot.identify.plan import Phase, Plan, Signal, Use
 from surefoot.robot import RobotDescription
 
 Array = NDArray[np.float64]
@@ -18,14 +18,6 @@ HIGH, LOW = 2.0, 1.5
 """Extensions [rad] from which it drops, and to which it draws its legs in."""
 DROP = 1.4
 """Length of a drop [s]."""
-
-
-def legs_pose(robot: RobotDescription, swing: Array | float, extension: Array | float) -> Array:
-    """Motor angles (M,) [rad] of legs with swings and extensions (L,) [rad]."""
-    legs = len(robot.legs)
-    return robot.leg_to_motor_angles(
-        np.broadcast_to(np.asarray(swing, float), (legs,)), np.broadcast_to(np.asarray(extension, float), (legs,))
-    )
 
 
 def ends(robot: RobotDescription) -> Array:
@@ -47,11 +39,13 @@ def standing_up(robot: RobotDescription) -> list[Phase]:
 
     def swing_out(t: float, start: Array) -> Array:
         swing, extension = robot.motor_to_leg_pose(start)
-        return between(start, robot.leg_to_motor_angles(_aside(swing), extension), t / 1.0)
+        # Legs that slid out stay on their side; legs under the body stay there.
+        aside = np.where(np.abs(swing) > 0.3, SPREAD_SWING * np.sign(swing), swing)
+        return between(start, pose(robot, aside, extension), t / 1.0)
 
     def unfold(t: float, start: Array) -> Array:
         swing, _ = robot.motor_to_leg_pose(start)
-        return between(start, legs_pose(robot, swing, SIT_EXTENSION), t / 1.0)
+        return between(start, pose(robot, swing, SIT_EXTENSION), t / 1.0)
 
     sit, stand = sitting(robot), pose(robot, 0.0, STANCE)
     return [
@@ -64,15 +58,12 @@ def standing_up(robot: RobotDescription) -> list[Phase]:
     ]
 
 
-def _aside(swing: Array) -> Array:
-    """Legs that slid out stay on their side; legs under the body stay there."""
-    return np.where(np.abs(swing) > 0.3, SPREAD_SWING * np.sign(swing), swing)
-
-
-def sitting_down(robot: RobotDescription) -> Phase:
-    """The end of an experiment."""
-    sit = sitting(robot)
-    return Phase("sit down", "the robot sits down", 1.5, go_to(sit, 1.5), use="way")
+def ground_plan(robot: RobotDescription, name: str, *phases: Phase) -> Plan:
+    """Return the plan of an experiment on the ground: stand up, go through the phases, sit down."""
+    sit = Phase("sit down", "the robot sits down", 1.5, go_to(sitting(robot), 1.5), use="way")
+    low, high = pose(robot, 0.0, 0.0), pose(robot, 0.0, 2.4)
+    reach = 1.5  # a robot that lies has its legs far to a side
+    return Plan(name, False, (*standing_up(robot), *phases, sit), low - reach, high + reach, 0.0)
 
 
 def drop(robot: RobotDescription, use: Use = "fit") -> Phase:
@@ -103,6 +94,6 @@ def rocking(
 
     def signal(t: float, start: Array) -> Array:
         turned, faded = sweep(t, first, last, duration)
-        return legs_pose(robot, 0.0, STANCE + faded * amplitude * share * np.sin(turned))
+        return pose(robot, 0.0, STANCE + faded * amplitude * share * np.sin(turned))
 
     return signal

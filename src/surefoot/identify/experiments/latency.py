@@ -28,10 +28,10 @@ _SHORT = 0.001
 """Less than any time between two commands [s]: the first command of a spike is its only one."""
 
 
-def latency_plan(robot: RobotDescription, seed: int = 0) -> Plan:
+def latency_plan(robot: RobotDescription) -> Plan:
     """Spikes of a single command, the shortest that a robot takes; then motions that the servo follows."""
     motors = robot.num_motors
-    draw = generator(seed, "latency experiment")
+    draw = generator(0, "latency experiment")
     middle = pose(robot, 0.0, EXTENSION)
     turned = np.where(np.arange(motors) % 2 == 0, 0.0, np.pi / 2)
     fast = chirps(middle, np.full(motors, 0.12), 2.0, 20.0, 3.0, turned)

@@ -28,15 +28,10 @@ BURST = 0.24
 """Length of a PWM phase [s]: pulses, then motors without duty."""
 
 
-def motor_plan(robot: RobotDescription, seed: int = 0) -> Plan:
-    """Move all motors at once, each in its own way: legs on a rack do not feel each other.
-
-    Args:
-        robot: its legs.
-        seed: of the steps and of the order of pulses.
-    """
+def motor_plan(robot: RobotDescription) -> Plan:
+    """Move all motors at once, each in its own way: legs on a rack do not feel each other."""
     motors = robot.num_motors
-    draw = generator(seed, "motor experiment")
+    draw = generator(0, "motor experiment")
     middle = pose(robot, 0.0, EXTENSION)
     turned = np.zeros(motors)
     # A leg's motors a quarter turn apart: swing and extension are both excited; legs differ, so that a look tells them.

@@ -9,18 +9,8 @@ from numpy.typing import NDArray
 
 from surefoot.errors import SurefootError
 from surefoot.identify.experiments.ground import ends, sides
-from surefoot.identify.ground_motion import (
-    STEP,
-    THIN,
-    GroundMotion,
-    check_feet,
-    check_stands,
-    forces_of,
-    ground_motion,
-    regress,
-)
-from surefoot.identify.inverse_dynamics import Forces
-from surefoot.identify.quality import check_recording
+from surefoot.identify.ground_motion import STEP, THIN, GroundMotion, check_feet, ground_motion, regress
+from surefoot.identify.inverse_dynamics import Forces, InverseDynamics
 from surefoot.identify.recording import Recording
 from surefoot.identify.registry import FitProgress
 from surefoot.identify.result import Estimate, Identification, Series
@@ -46,34 +36,30 @@ def fit_contact(
     recording: Recording,
     known: PhysicalParams,
     sensors: dict[str, Any],
-    tell: FitProgress | None,
+    tell: FitProgress,
 ) -> Identification:
     """What the contact experiment tells.
 
     Raises:
         SurefootError: data too poor to tell anything, or a robot that did not stand.
     """
-    notes = list(check_recording(recording, robot))
     standing = ground_motion(robot, recording, known, sensors)
-    check_stands(standing)
-    forces, dynamics = forces_of(robot, standing, known)
+    dynamics = InverseDynamics(robot, known)
+    forces = dynamics.forces(standing.motion)
     check_feet(standing, forces, dynamics)
     friction, points = _friction(robot, standing, forces, known)
-    if not friction.told:
-        notes.append("feet that were dragged did not slide: their friction is not told")
     stiffness, damping, sunk = _compliance(robot, standing, forces)
-    notes.append("feet are taken to be as stiff along the ground as into it; that is not measured")
-    return Identification(
-        "contact", robot.name, (friction, stiffness, damping), (), (), tuple(notes), (*points, sunk), {},
-        recording.digest, str(recording.meta["date"]),
-    )  # fmt: skip
+    notes = ["feet are taken to be as stiff along the ground as into it; that is not measured"]
+    if not friction.told:
+        notes.insert(0, "feet that were dragged did not slide: their friction is not told")
+    found = (friction, stiffness, damping)
+    return Identification("contact", robot.name, found, notes=tuple(notes), series=(*points, sunk))
 
 
 def _friction(
     robot: RobotDescription, standing: GroundMotion, forces: Forces, known: PhysicalParams
 ) -> tuple[Estimate, tuple[Series, ...]]:
     """Coulomb's law on feet that slide along x: F_x = -mu F_z sign(v) + c, c from errors of the torque reports."""
-    low, high = robot.allowed["contact_friction"]
     speed = _sliding_speed(robot, standing, forces)
     dragged = standing.during("drag")
     found, weights, along, down = [], [], [], []
@@ -89,8 +75,8 @@ def _friction(
         along += (forces.force[slides, leg, 0] - values[1]).tolist()
         down += columns[:, 0].tolist()
     if not found:
-        before = float(known.contact_friction[0])
-        return Estimate("contact_friction", before, high - low, "1", told=False, low=low, high=high), ()
+        before, (low, high) = float(known.contact_friction[0]), robot.allowed["contact_friction"]
+        return Estimate.of_parameter(robot, "contact_friction", before, high - low, told=False), ()
     value = float(np.mean(found))
     spread = float(np.std(found, ddof=1)) if len(found) > 1 else SURE * value * 2
     own = float(np.sqrt(np.mean(weights)))
@@ -100,7 +86,7 @@ def _friction(
     labels = "dragged feet", "weight on the foot, against its motion [N]", "force along the ground [N]"
     nothing = np.full(len(order), np.nan)
     series = Series(*labels, x[order], np.array(along)[order], nothing, value * x[order], points=True)
-    return Estimate("contact_friction", value, deviation, "1", None, True, low, high), (series,)
+    return Estimate.of_parameter(robot, "contact_friction", value, deviation), (series,)
 
 
 def _light(robot: RobotDescription, standing: GroundMotion) -> NDArray[np.bool_]:
@@ -148,7 +134,6 @@ def _compliance(robot: RobotDescription, standing: GroundMotion, forces: Forces)
         )
     values, covariance = regress(columns[used], _quick(more, step)[used], standing.blocks[used])
     spread = np.sqrt(np.diag(covariance))
-    low, high = robot.allowed["contact_stiffness"]
     stiffness, damping = (float(np.hypot(s, SURE * v)) for s, v in zip(spread, values, strict=True))
     time = standing.time[used] - standing.time[used][0]
     sheet, fitted = columns[used] @ [robot.contact.stiffness, robot.contact.damping], columns[used] @ values
@@ -156,7 +141,7 @@ def _compliance(robot: RobotDescription, standing: GroundMotion, forces: Forces)
     series = Series(*labels, time, _quick(more, step)[used], sheet, fitted)
     told = bool(stiffness < 0.3 * values[0])
     return (
-        Estimate("contact_stiffness", float(values[0]), stiffness, "N/m", None, told, low, high),
+        Estimate.of_parameter(robot, "contact_stiffness", float(values[0]), stiffness, told=told),
         Estimate("contact_damping", float(values[1]), damping, "N s/m", None, bool(damping < 0.5 * values[1])),
         series,
     )

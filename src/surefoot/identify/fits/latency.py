@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from surefoot.deploy.wire.messages import Mode
 from surefoot.errors import SurefootError
-from surefoot.identify.fits.motor import fit_on_rack, rack_estimates
-from surefoot.identify.quality import check_recording
+from surefoot.identify.fits.motor import fit_on_rack, rack_estimates, rest_voltage
 from surefoot.identify.recording import Recording
 from surefoot.identify.registry import FitProgress
 from surefoot.identify.replay import stretch_of
-from surefoot.identify.rest import rest_voltage
 from surefoot.identify.result import Estimate, Identification, Series
-from surefoot.identify.spikes import Spikes, measure_spikes
 from surefoot.robot import PhysicalParams, RobotDescription
 
 Array = NDArray[np.float64]
@@ -24,6 +23,28 @@ FEWEST = 8
 """Clear answers to spikes that are needed."""
 DISAGREE = 0.001
 """Difference [s] between what spikes and the replay say of the readings' age from which on it is told."""
+SPIKES = ("spikes", Mode.PWM)
+"""Name and mode of the phases that have spikes."""
+WINDOW = 0.014
+"""Time after the first motion [s] whose readings are fitted; later the spike's speed has faded."""
+BEFORE = 0.010
+"""Time before a spike [s] whose readings are fitted."""
+LONGEST, AGE_STEP = 0.08, 0.0002
+"""Greatest age that is looked for, and step between ages that are tried [s]."""
+CLEAR = 8.0
+"""How many times the noise of speeds a spike's speed must be to count."""
+
+
+@dataclass(frozen=True)
+class Spikes:
+    """Delays of K answers to spikes; motors that hardly moved are left out."""
+
+    age: Array
+    """Of the readings when states are sent by the robot (K,) [s]."""
+    host: Array
+    """From sending the spike to the first state that tells of motion, on the host's clock (K,) [s]."""
+    tried: int
+    """Spikes given to motors."""
 
 
 def fit_latency(
@@ -31,50 +52,102 @@ def fit_latency(
     recording: Recording,
     known: PhysicalParams,
     sensors: dict[str, Any],
-    tell: FitProgress | None,
+    tell: FitProgress,
 ) -> Identification:
     """What the latency experiment tells.
 
     Raises:
         SurefootError: data too poor to tell anything.
     """
-    notes = list(check_recording(recording, robot))
     spikes = measure_spikes(recording)
     if len(spikes.age) < FEWEST:
         raise SurefootError(
             f"only {len(spikes.age)} of {spikes.tried} answers to spikes are clear; at least {FEWEST} are needed: "
             f"do the motors move at all?"
         )
-    lead = float(recording.meta["lead"])
-    fitted = recording.phases("fit")
-    stretch = stretch_of(recording, fitted[0], fitted[-1])
-    fit, _ = fit_on_rack(robot, recording, stretch, known, tell, every=3)
+    lead, fitted = float(recording.meta["lead"]), recording.phases("fit")
+    fit, _ = fit_on_rack(robot, recording, stretch_of(recording, fitted[0], fitted[-1]), known, tell, every=3)
     kept = ("servo_latency", "control_latency")
-    estimates = [e for e in rack_estimates(robot, fit, known) if e.name in kept]
-    direct = [_median("spike_at_robot", spikes.age), _median("spike_at_host", spikes.host)]
-    found = next(e for e in estimates if e.name == "control_latency")
-    if abs(direct[0].value + lead - found.value) > DISAGREE:
-        notes.append(
-            f"spikes say that readings are {1e3 * (direct[0].value + lead):.1f} ms old, the replay "
-            f"{1e3 * found.value:.1f} ms"
-        )
-    notes.append(
-        f"readings are {1e3 * direct[0].value:.2f} ms old when the robot sends them; from sending a spike to reading "
-        f"of the motion {1e3 * direct[1].value:.2f} ms pass at this computer ({len(spikes.age)} of {spikes.tried} "
+    estimates = {e.name: e for e in rack_estimates(robot, fit, known) if e.name in kept}
+    at_robot, at_host = _median("spike_at_robot", spikes.age), _median("spike_at_host", spikes.host)
+    age, found = at_robot.value + lead, estimates["control_latency"].value
+    notes = [
+        f"readings are {1e3 * at_robot.value:.2f} ms old when the robot sends them; from sending a spike to reading "
+        f"of the motion {1e3 * at_host.value:.2f} ms pass at this computer ({len(spikes.age)} of {spikes.tried} "
         f"spikes answered clearly); control_latency counts {1e3 * lead:g} ms from sending to use"
-    )
+    ]
+    if abs(age - found) > DISAGREE:
+        notes.insert(0, f"spikes say that readings are {1e3 * age:.1f} ms old, the replay {1e3 * found:.1f} ms")
     return Identification(
         "latency",
         robot.name,
-        (*estimates, *direct, rest_voltage(recording)),
-        (),
-        tuple(pair for pair in fit.strongest_correlations(20) if any(name in pair for name in kept)),
-        tuple(notes),
-        (_series(spikes),),
-        {},
-        recording.digest,
-        str(recording.meta["date"]),
+        (*estimates.values(), at_robot, at_host, rest_voltage(recording)),
+        correlations=tuple(pair for pair in fit.strongest_correlations(20) if any(name in pair for name in kept)),
+        notes=tuple(notes),
+        series=(_series(spikes),),
     )
+
+
+def measure_spikes(recording: Recording) -> Spikes:
+    """Fit each motor's answer to each spike.
+
+    A torque from 0 to T gives a free motor the way v (t^2 / 2T) until T and v (t - T/2) later; braking adds
+    c (t - T)^2. Readings of time t are as they were at t - age.
+    """
+    dt = float(recording.meta["servo_period"])
+    ages, hosts, tried = [], [], 0
+    driven = np.abs(recording.sent_value).max(axis=1) > 0
+    groups = [k for k, phase in enumerate(recording.meta["phases"]) if (phase["name"], phase["mode"]) == SPIKES]
+    for c in np.flatnonzero(driven[:-1] & np.isin(recording.sent_phase[:-1], groups)):
+        begin, end = dt * recording.servo_step(recording.arrival[c : c + 2])
+        kept = (recording.time > begin - BEFORE) & (recording.time < begin + LONGEST + WINDOW)
+        best, moved = _first_motion(
+            recording.time[kept] - begin,
+            recording.motor_angle[kept],
+            recording.motor_velocity[kept],
+            float(end - begin),
+        )
+        tried += len(best)
+        told = np.interp(begin + best, recording.time, recording.host_time) - recording.sent_time[c]
+        ages += best[moved].tolist()
+        hosts += told[moved].tolist()
+    return Spikes(np.array(ages), np.array(hosts), tried)
+
+
+def _first_motion(since: Array, angles: Array, speeds: Array, length: float) -> tuple[Array, NDArray[np.bool_]]:
+    """Age at which the fit of each motor's readings (T, M) is best (M,) [s], and whether it clearly moved."""
+    found, clear = np.zeros(angles.shape[1]), np.zeros(angles.shape[1], np.bool_)
+    quiet = since <= 0
+    before = np.median(speeds[quiet], axis=0)
+    # Of all motors: a handful of readings of one tell their noise badly.
+    noise = float(np.std(speeds[quiet] - before)) + 1e-9
+    for motor in range(angles.shape[1]):
+        # Where its speed has half of what the spike gives it: about when it began to move.
+        gained = np.abs(speeds[:, motor] - before[motor])
+        at = int(np.argmax(gained > gained.max() / 2))
+        rough = float(since[at])
+        if gained.max() < CLEAR * noise or rough < 0:
+            continue
+        used = (since > rough - BEFORE) & (since < rough + WINDOW)
+        ages = rough + np.arange(-0.006, 0.003, AGE_STEP)
+        costs = [_cost(since[used], angles[used, motor], age, length) for age in ages]
+        best = int(np.argmin(costs))
+        if not 0 < best < len(ages) - 1:
+            continue
+        low, middle, high = costs[best - 1 : best + 2]
+        curved = low - 2 * middle + high
+        found[motor] = ages[best] + (AGE_STEP * 0.5 * (low - high) / curved if curved > 0 else 0.0)
+        clear[motor] = True
+    return found, clear
+
+
+def _cost(since: Array, angles: Array, age: float, length: float) -> float:
+    """Sum of squares [rad2] that is left of one motor's angles (T,), with an age of its readings."""
+    t = np.maximum(since - age, 0.0)
+    way = np.where(t < length, t * t / (2 * length), t - length / 2)
+    basis = np.stack([np.ones_like(t), since, way, np.maximum(t - length, 0.0) ** 2], axis=1)
+    found, *_ = np.linalg.lstsq(basis, angles, rcond=None)
+    return float(np.sum((angles - basis @ found) ** 2))
 
 
 def _median(name: str, values: Array) -> Estimate:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -9,17 +10,8 @@ from numpy.typing import NDArray
 
 from surefoot.identify.accuracy import with_floor
 from surefoot.identify.fits.motor import GAIN
-from surefoot.identify.ground_motion import (
-    GroundMotion,
-    block_deviation,
-    check_feet,
-    check_stands,
-    forces_of,
-    ground_motion,
-    regress,
-)
-from surefoot.identify.inverse_dynamics import Forces
-from surefoot.identify.quality import check_recording
+from surefoot.identify.ground_motion import GroundMotion, block_deviation, check_feet, ground_motion, regress
+from surefoot.identify.inverse_dynamics import Forces, InverseDynamics
 from surefoot.identify.recording import Recording
 from surefoot.identify.registry import FitProgress
 from surefoot.identify.result import Check, Estimate, Identification, Series
@@ -41,23 +33,23 @@ def fit_mass(
     recording: Recording,
     known: PhysicalParams,
     sensors: dict[str, Any],
-    tell: FitProgress | None,
+    tell: FitProgress,
 ) -> Identification:
     """What the mass experiment tells.
 
     Raises:
         SurefootError: data too poor to tell anything, or a robot that did not stand.
     """
-    notes = list(check_recording(recording, robot))
     standing = ground_motion(robot, recording, known, sensors)
     still, turning = standing.during(*STILL), standing.during(*TURNING)
-    check_stands(standing)
+    notes = []
     accuracy = float(sensors.get("torque_accuracy", GAIN / np.sqrt(robot.num_motors)))
     if "torque_gain" not in sensors:
         notes.append("the motors were not identified before: their torque reports are taken as they are")
     params = known.rows(np.zeros(1, np.int64))
     for k in range(ROUNDS):
-        forces, dynamics = forces_of(robot, standing, params)
+        dynamics = InverseDynamics(robot, params)
+        forces = dynamics.forces(standing.motion)
         check_feet(standing, forces, dynamics)
         weight = forces.force[still, :, 1].sum(axis=1)
         base = dynamics.base_mass
@@ -66,31 +58,32 @@ def fit_mass(
         found, covariance = regress(columns, lacking, standing.blocks[turning])
         params.base_mass_ratio[0] *= _within(robot, "base_mass_ratio", (total - legs) / base, params)
         params.base_inertia_ratio[0] *= _within(robot, "base_inertia_ratio", 1 + float(found[0]), params)
-        if tell is not None:
-            tell(f"round {k + 1}: {total:.3f} kg", float("nan"))
-    forces, dynamics = forces_of(robot, standing, params)
+        tell(f"round {k + 1}: {total:.3f} kg", float("nan"))
+    forces = InverseDynamics(robot, params).forces(standing.motion)
     mass_spread = float(np.hypot(block_deviation(weight, standing.blocks[still]) / GRAVITY, accuracy * total))
     inertia = float(params.base_inertia_ratio[0])
     # Moments carry the scale of forces, and the legs' inertia with the base's.
     inertia_spread = inertia * float(np.hypot(np.sqrt(covariance[0, 0]), 2 * accuracy))
+    inertia_spread, told = with_floor("base_inertia_ratio", inertia, inertia_spread), inertia_spread < SEEN * inertia
     ratio = float(params.base_mass_ratio[0])
-    estimates = [
-        _estimate(robot, "base_mass_ratio", ratio, mass_spread / base * ratio),
-        _estimate(robot, "base_inertia_ratio", inertia, inertia_spread, told=inertia_spread < SEEN * inertia),
-        Estimate("total_mass", total, with_floor("total_mass", total, mass_spread), "kg", low=0.0),
-        *_centre(robot, standing, forces, still, accuracy),
-    ]
-    if not estimates[1].told:
-        notes.append("the base turned too little about y to tell its inertia")
-    else:
+    ratio_spread = with_floor("base_mass_ratio", ratio, mass_spread / base * ratio)
+    if told:
         notes.append("base_inertia_ratio is seen in turns about y alone, and taken for all axes")
-    result = Identification("mass", robot.name, tuple(estimates))
-    after = result.params(robot, known)
-    checks, series = _check(robot, standing, known, after)
-    return Identification(
-        "mass", robot.name, tuple(estimates), checks, (), tuple(notes), series, {}, recording.digest,
-        str(recording.meta["date"]),
-    )  # fmt: skip
+    else:
+        notes.append("the base turned too little about y to tell its inertia")
+    result = Identification(
+        "mass",
+        robot.name,
+        (
+            Estimate.of_parameter(robot, "base_mass_ratio", ratio, ratio_spread),
+            Estimate.of_parameter(robot, "base_inertia_ratio", inertia, inertia_spread, told=told),
+            Estimate("total_mass", total, with_floor("total_mass", total, mass_spread), "kg", low=0.0),
+            *_centre(robot, standing, forces, still, accuracy),
+        ),
+        notes=tuple(notes),
+    )
+    checks, series = _check(robot, standing, known, result.params(robot, known))
+    return replace(result, checks=checks, series=series)
 
 
 def _within(robot: RobotDescription, name: str, factor: float, params: PhysicalParams) -> float:
@@ -98,12 +91,6 @@ def _within(robot: RobotDescription, name: str, factor: float, params: PhysicalP
     low, high = robot.allowed[name]
     now = float(getattr(params, name)[0])
     return float(np.clip(now * factor, low, high)) / now
-
-
-def _estimate(robot: RobotDescription, name: str, value: float, deviation: float, told: bool = True) -> Estimate:
-    low, high = robot.allowed[name]
-    unit = PhysicalParams.unit(name)
-    return Estimate(name, value, with_floor(name, value, deviation), unit, None, told, low, high)
 
 
 def _turning(standing: GroundMotion, forces: Forces, during: NDArray[np.bool_]) -> tuple[Array, Array]:
@@ -140,28 +127,22 @@ def _check(
     robot: RobotDescription, standing: GroundMotion, before: PhysicalParams, after: PhysicalParams
 ) -> tuple[tuple[Check, ...], tuple[Series, ...]]:
     """How well forces on the feet and motion fit in phases that were not fitted."""
-    kept = standing.during("nod back", use="check")
+    kept = standing.during("nod back", uses=("check",))
     if not kept.any():
         return (), ()
-    carried, lacking, moments = [], [], []
-    for params in (before, after):
-        forces, dynamics = forces_of(robot, standing, params)
-        carried.append(abs(float(forces.force[kept, :, 1].sum(axis=1).mean()) - GRAVITY * dynamics.mass))
-        left = forces.needed[kept, 2]
-        lacking.append(float(np.std(left)))
-        moments.append((forces.turning[kept], _pushed(forces)[kept]))
+    carried, lacking, turning = np.empty(2), np.empty(2), np.empty((2, int(kept.sum())))
+    for k, params in enumerate((before, after)):
+        dynamics = InverseDynamics(robot, params)
+        forces = dynamics.forces(standing.motion)
+        carried[k] = abs(float(forces.force[kept, :, 1].sum(axis=1).mean()) - GRAVITY * dynamics.mass)
+        lacking[k], turning[k] = np.std(forces.needed[kept, 2]), forces.turning[kept]
+    # What forces on the feet leave for the base's own turning.
+    measured = (forces.turning - forces.needed[:, 2])[kept]
+    measured = measured - np.mean(measured - turning[1])
     time = standing.time[kept] - standing.time[kept][0]
-    measured = moments[1][1] - np.mean(moments[1][1] - moments[1][0])
-    series = Series(
-        "turning of the base about y, not fitted", "time [s]", "moment [N m]", time, measured, moments[0][0],
-        moments[1][0],
-    )  # fmt: skip
-    return (
-        Check("weight on the feet", carried[0], carried[1], "N"),
-        Check("moment about y", lacking[0], lacking[1], "N m"),
-    ), (series,)
-
-
-def _pushed(forces: Forces) -> Array:
-    """Moment about y (T,) [N m] that forces on the feet leave for the base's own turning."""
-    return forces.turning - forces.needed[:, 2]
+    labels = "turning of the base about y, not fitted", "time [s]", "moment [N m]"
+    checks = (
+        Check("weight on the feet", float(carried[0]), float(carried[1]), "N"),
+        Check("moment about y", float(lacking[0]), float(lacking[1]), "N m"),
+    )
+    return checks, (Series(*labels, time, measured, turning[0], turning[1]),)
