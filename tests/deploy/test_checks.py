@@ -114,6 +114,11 @@ def test_a_robot_that_differs_is_found(change: dict[str, Any], check: str, why: 
     assert refusal(list(failed.values())) == f"{check}: {failed[check].why}; {failed[check].what_to_do}"
 
 
+def test_a_servo_period_of_zero_is_refused():
+    failed = failures(contract_of(), replace(HANDSHAKE, servo_period=0.0))
+    assert list(failed) == ["servo period", "control step"]
+
+
 @pytest.mark.parametrize("change", [{"servo_kp": 1.049}, {"servo_period": 0.00101}, {"command_timeout": 0.018}])
 def test_what_is_close_enough_passes(change: dict[str, Any]):
     assert failures(contract_of(), replace(HANDSHAKE, **change)) == {}

@@ -6,6 +6,7 @@ import itertools
 import os
 import signal
 import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,9 +15,11 @@ pytest.importorskip("mujoco")
 
 from surefoot.cli.main import main
 from surefoot.deploy.poses import pose
-from surefoot.deploy.wire.messages import Arm, Fault, Handshake, Hello, Mode, Ping, Pong, Position, Reason, State
+from surefoot.deploy.wire.frames import MAX_FRAME
+from surefoot.deploy.wire.messages import Arm, Codec, Fault, Handshake, Hello, Mode, Ping, Pong, Position, Reason, State
 from surefoot.emulator.hardware import PowerConfig, SensorConfig
 from surefoot.emulator.plant import Plant
+from surefoot.emulator.process import Lockstep, Summary
 from surefoot.emulator.signals import MotorOrder
 from surefoot.world.drive import set_drive_params
 from surefoot.world.interface import WorldConfig
@@ -197,6 +200,19 @@ def test_in_lockstep_a_second_host_may_have_another_clock(emulate_here):
     assert any(isinstance(frame.message, Handshake) for frame in second.frames), said
     times = [frame.time for frame in second.run_to(2.1, State)]
     np.testing.assert_allclose(np.diff(times), 0.010, atol=1e-9)
+
+
+def test_in_lockstep_bytes_without_a_zero_are_not_kept():
+    heard: list[bytes] = []
+    board = SimpleNamespace(
+        codec=Codec(8), now=0, run_to=lambda _: None, said=lambda: b"", hear=lambda _, piece: heard.append(piece)
+    )
+    loop = Lockstep(board, SimpleNamespace(), Summary())
+    for _ in range(10):
+        loop._hear(b"x" * 700)
+    assert len(loop._open) <= MAX_FRAME
+    loop._hear(b"\0")
+    assert b"".join(heard) == b"x" * 7000 + b"\0"
 
 
 def armed_in_lockstep(process):

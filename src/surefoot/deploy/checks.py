@@ -151,7 +151,7 @@ def _control_step(contract: Contract, handshake: Handshake) -> Finding:
     if not least - 1e-9 <= step <= most + 1e-9:
         why = f"{1e3 * step:g} ms; the robot takes commands every {1e3 * least:g} to {1e3 * most:g} ms"
         return Finding(name, False, why, todo, step)
-    periods = step / servo
+    periods = step / servo if servo > 0 else 0.0
     whole = round(periods) >= 1 and abs(periods - round(periods)) <= _STEP_SHARE
     why = f"{1e3 * step:g} ms is {periods:.2f} servo periods of {1e3 * servo:g} ms; it must be a whole number"
     return compared(name, None if whole else why, f"{1e3 * step:g} ms, {round(periods)} servo periods", todo, step)

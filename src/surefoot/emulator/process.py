@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 
-from surefoot.deploy.wire.frames import Decoder
+from surefoot.deploy.wire.frames import MAX_FRAME, Decoder
 from surefoot.deploy.wire.messages import Codec
 from surefoot.emulator.board import Board
 from surefoot.emulator.pty_port import PtyPort
@@ -190,9 +190,13 @@ class Lockstep:
         """Take bytes up to each zero, one after another; those that complete a frame first advance time."""
         board = self._board
         self._open += data
-        while (end := self._open.find(0)) >= 0 and not self._summary.stop:
-            piece = bytes(self._open[: end + 1])
-            del self._open[: end + 1]
+        while not self._summary.stop:
+            end = self._open.find(0) + 1
+            if not end and len(self._open) <= MAX_FRAME:
+                return
+            # So many bytes without a zero are no frame: they are damage for the decoder to count, not to keep.
+            piece = bytes(self._open[: end or MAX_FRAME])
+            del self._open[: len(piece)]
             for frame in self._decoder.feed(piece):
                 session = getattr(frame.message, "session", 0)
                 if not board.firmware.armed or session in (0, board.firmware.owner):
