@@ -55,7 +55,7 @@ from fault_bench import (
     reasons,
 )
 
-pytestmark = [pytest.mark.slow, pytest.mark.timeout(900), pytest.mark.xdist_group("fault table")]
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(900)]
 TROT = Path(__file__).resolve().parents[2] / "policies" / "trot.onnx"
 MINITAUR = RobotDescription.load("minitaur")
 DAMPED_WITHIN = 0.100

@@ -207,7 +207,7 @@ def test_a_duty_is_part_of_a_worlds_state_and_gone_after_a_reset(robot):
 def test_battery_and_heat_by_hand(robot):
     temperature = np.array([25.0, 65.0])
     # 1.45 N m is 15 A of the nominal motor; with half the strength .725 N m is. Speed 10 rad/s, K_t .1, R .2.
-    drive = new_drive(robot, 1, 1)._replace(
+    drive = new_drive(robot, 1, 1, WorldConfig())._replace(
         motor_torque=np.array([[0.725, -0.5]]),
         now=np.array([[0.0, 0.0, 10.0, 0.0]]),
         strength=np.array([[0.5, 0.5]]),

@@ -131,6 +131,7 @@ def test_it_ends_cleanly_when_asked_to(emulate, tmp_path, number, words):
         host.run_to(0.5)
         assert len(seen.read_text().splitlines()) == 101  # each row is written as it happens
     process.process.send_signal(number)
+    process.process.wait(timeout=20)
     code, said = process.stop()
     assert code == 0
     assert not link.is_symlink()

@@ -139,7 +139,7 @@ def test_action_is_the_inverse_of_feedback(rng: np.random.Generator):
 
 
 def contract_of(task: TaskConfig) -> Contract:
-    reference = make_reference(task.reference.to_mapping(), ROBOT.leg_names, Path())
+    reference = make_reference(task.reference.to_mapping(), ROBOT.leg_names)
     return Contract(
         **{"name": "p", "robot": "minitaur", "motor_names": ROBOT.motor_names, "motor_signs": (1.0,) * 8},
         **{"leg_names": ROBOT.leg_names, "observation": (ObservationPart("roll", "rad", "base"),)},

@@ -15,7 +15,7 @@ from surefoot.identify.fits.motor import fit_on_rack, motor_unknowns, rack_estim
 from surefoot.identify.plan import Plan
 from surefoot.identify.rack_model import moving_legs
 from surefoot.identify.recording import Recording
-from surefoot.identify.registry import EXPERIMENTS
+from surefoot.identify.registry import EXPERIMENTS, silent
 from surefoot.identify.replay import stretch_of
 from surefoot.identify.result import Identification
 from surefoot.robot import PhysicalParams, RobotDescription
@@ -150,7 +150,7 @@ def test_a_motor_that_never_moves_is_not_told_and_neither_is_its_leg(
     known = nominal.with_values(robot, **RACK)
     assert not [u for u in motor_unknowns(robot, known, 0.0173, moving_legs(robot, recording)) if u.index in (2, 3)]
     # It is a motor of the back left leg, with motor 2.
-    fit, _ = fit_on_rack(robot, recording, stretch_of(recording, 1, 2), known, None)
+    fit, _ = fit_on_rack(robot, recording, stretch_of(recording, 1, 2), known, silent)
     estimates = rack_estimates(robot, fit, known)
     untold = [item for item in estimates if not item.told and item.index is not None]
     names = ("motor_strength", "motor_friction", "motor_viscous_friction")

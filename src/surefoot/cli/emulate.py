@@ -134,7 +134,7 @@ def _hidden(command: EmulateCommand, robot: RobotDescription, seed: int) -> Phys
     return params
 
 
-def _build(command: EmulateCommand, robot: RobotDescription, faults: dict[str, Fault], servo_every: int) -> Board:
+def _build(command: EmulateCommand, robot: RobotDescription, faults: dict[str, Fault], servo_every: int = 1) -> Board:
     """Return the robot, warmed up."""
     from surefoot import __version__
     from surefoot.deploy.connection import LEAD
