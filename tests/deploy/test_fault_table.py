@@ -25,7 +25,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from processes import Emulator, TooBusyError, emulators
+from processes import Emulator, TooBusyError
 
 from surefoot.deploy.motion import UP
 from surefoot.deploy.poses import pose, sitting
@@ -173,11 +173,10 @@ def scenarios(*names: str) -> pytest.MarkDecorator:
 # Runs in real time.
 
 
-@pytest.fixture(scope="module")
-def living_robot() -> Iterator[Emulator]:
-    """A robot in real time, without faults."""
-    with emulators() as start:
-        yield start()
+@pytest.fixture
+def living_robot(emulate: Callable[..., Emulator]) -> Emulator:
+    """A robot in real time, without faults; it ends with its test, so that no other one meets it on a processor."""
+    return emulate()
 
 
 @contextlib.contextmanager
