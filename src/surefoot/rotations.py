@@ -8,9 +8,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Array = NDArray[np.float64]
+from surefoot.arrays import Array
 
 
 def rpy_matrix(roll: float, pitch: float, yaw: float) -> Array:

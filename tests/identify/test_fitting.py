@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from surefoot.arrays import Array
 from surefoot.errors import SurefootError
 
 pytest.importorskip("mujoco")
@@ -18,8 +19,6 @@ from surefoot.identify.fitting import (
     jacobian_of,
 )
 from surefoot.identify.result import NORMAL_95
-
-Array = NDArray[np.float64]
 
 
 def unknown(name: str = "a", start: float = 0.0, **more: float | int | None) -> Unknown:

@@ -13,12 +13,8 @@ steps):
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
 from surefoot.actuator.compiled import kernel
-
-Array = NDArray[np.float64]
+from surefoot.arrays import Array
 
 
 @kernel

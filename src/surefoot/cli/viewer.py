@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
+from surefoot.arrays import Array
 from surefoot.errors import SurefootError
 from surefoot.report.drawing import Shape
 from surefoot.report.scene import poses, scene, trace_poses
@@ -23,7 +23,6 @@ from surefoot.task.trace import EpisodeTrace
 if TYPE_CHECKING:
     from surefoot.emulator.plant import Plant
 
-Array = NDArray[np.float64]
 _KINDS = {
     "box": mujoco.mjtGeom.mjGEOM_BOX,
     "cylinder": mujoco.mjtGeom.mjGEOM_CYLINDER,

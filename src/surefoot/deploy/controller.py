@@ -7,6 +7,7 @@ import time
 import numpy as np
 from numpy.typing import NDArray
 
+from surefoot.arrays import Array
 from surefoot.deploy.safety import check_finite
 from surefoot.deploy.wire.messages import State
 from surefoot.errors import SurefootError, choices
@@ -16,8 +17,6 @@ from surefoot.task.gait import HybridGait
 from surefoot.task.observation import Moment, Observer
 from surefoot.task.reference import make_reference
 from surefoot.world.interface import Readings
-
-Array = NDArray[np.float64]
 
 
 class Controller:

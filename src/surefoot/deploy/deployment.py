@@ -7,9 +7,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-import numpy as np
-from numpy.typing import NDArray
-
+from surefoot.arrays import Array
 from surefoot.deploy.connection import RobotConnection
 from surefoot.deploy.controller import Controller
 from surefoot.deploy.link import LinkLostError
@@ -23,7 +21,6 @@ from surefoot.deploy.wire.messages import Handshake, State
 from surefoot.errors import SurefootError
 from surefoot.stop_signals import StopSignals
 
-Array = NDArray[np.float64]
 Keep = Callable[[Array], None]
 Begun = Callable[[float], None]
 

@@ -10,9 +10,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
+from surefoot.arrays import Array
 from surefoot.deploy.connection import RobotConnection
 from surefoot.deploy.link import LinkLostError
 from surefoot.deploy.pacer import Pacer, Timing
@@ -21,7 +19,6 @@ from surefoot.deploy.wire.messages import State
 from surefoot.errors import SurefootError
 from surefoot.stop_signals import StopSignals
 
-Array = NDArray[np.float64]
 Compute = Callable[[int, State, int], Array]
 """Motor angles for a step: its number in the phase, the newest state, steps missed before it."""
 After = Callable[[int, State, bool], None]

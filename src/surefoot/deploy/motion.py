@@ -9,8 +9,8 @@ import math
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
+from surefoot.arrays import Array
 from surefoot.deploy.connection import RobotConnection
 from surefoot.deploy.loop import ControlLoop, Watch
 from surefoot.deploy.pacer import Timing
@@ -20,8 +20,6 @@ from surefoot.deploy.wire.messages import Fault, Handshake, Mode, Reason, State
 from surefoot.errors import SurefootError
 from surefoot.robot import RobotDescription
 from surefoot.stop_signals import StopSignals
-
-Array = NDArray[np.float64]
 
 FLAT, FOLD, PAUSE, RISE, HOLD = 1.0, 1.0, 0.3, 1.5, 0.5
 """Time [s] to lay the legs flat, to draw them in, to come to rest, to stand up, and to stand before the policy starts

@@ -10,13 +10,10 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
-import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from surefoot.arrays import Array
 from surefoot.world.drive import Drive
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from surefoot.actuator.servo import servo_duty
+from surefoot.arrays import Array
 from surefoot.deploy.poses import SIT_EXTENSION
 from surefoot.deploy.wire.messages import Mode
 from surefoot.emulator.hardware import PowerConfig, SensorConfig, power_tick
@@ -20,8 +20,6 @@ from surefoot.world.drive import read_delayed
 from surefoot.world.imu import read_by_mounted_imu
 from surefoot.world.interface import WorldConfig
 from surefoot.world.sim_world import EngineFactory, SimWorld, mujoco_engine
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

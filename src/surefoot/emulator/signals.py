@@ -4,12 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
+from surefoot.arrays import Array
 from surefoot.deploy.wire.messages import Mode
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

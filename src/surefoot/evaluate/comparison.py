@@ -9,14 +9,13 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from surefoot.arrays import Array
 from surefoot.evaluate.evaluations import EVALUATIONS, Figure, Result, gap_of
 from surefoot.evaluate.gap import PolicyGap
 from surefoot.evaluate.sensitivity import Sensitivity
 from surefoot.evaluate.statistics import Interval, t_interval, welch_interval
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from surefoot.arrays import Array
 from surefoot.configuration import from_mapping
 from surefoot.errors import SurefootError, at_least
 from surefoot.evaluate.runs import Runs
@@ -20,7 +21,6 @@ from surefoot.task.reference import make_reference
 from surefoot.task.trace import EpisodeTrace
 from surefoot.world.interface import SimulationFactory
 
-Array = NDArray[np.float64]
 Progress = Callable[[float], None]
 """Called after every control step with the share of all control steps that is done, 0 to 1."""
 

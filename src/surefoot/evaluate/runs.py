@@ -14,12 +14,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from surefoot.arrays import Array
 from surefoot.errors import SurefootError, choices
 from surefoot.evaluate.statistics import decimal
 from surefoot.tables import plain_value
 from surefoot.task.trace import EpisodeTrace
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from surefoot.arrays import Array
 from surefoot.errors import SurefootError, at_least
 from surefoot.evaluate.rollout import Policy, Progress, run_to_end
 from surefoot.evaluate.runs import Runs
@@ -24,7 +25,6 @@ from surefoot.task.env import LocomotionEnv
 from surefoot.task.randomize import ROWS, RandomizeConfig, check_ranges
 from surefoot.world.interface import Simulation, SimulationFactory, WorldConfig
 
-Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 

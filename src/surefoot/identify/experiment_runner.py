@@ -6,8 +6,8 @@ import datetime
 from dataclasses import fields, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from surefoot.arrays import Array
 from surefoot.deploy.connection import RobotConnection
 from surefoot.deploy.link import LinkLostError
 from surefoot.deploy.loop import Watch
@@ -19,8 +19,6 @@ from surefoot.identify.plan import Phase, Plan
 from surefoot.identify.recording import COMPLETE, SCHEMA, Recording, digest_of
 from surefoot.robot import RobotDescription
 from surefoot.stop_signals import StopSignals
-
-Array = NDArray[np.float64]
 
 PERIOD = 0.002
 """Time between two commands, and between two states [s]: at 921,600 baud a state takes 1.7 ms."""

@@ -15,10 +15,9 @@ import numpy as np
 from mujoco import minimize
 from numpy.typing import NDArray
 
+from surefoot.arrays import Array
 from surefoot.errors import SurefootError
 from surefoot.identify.result import label_of
-
-Array = NDArray[np.float64]
 
 SMALL = 1e-5
 """Relative gain that a step must promise, or the fit has settled."""

@@ -19,9 +19,9 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from surefoot.actuator import motor_friction
+from surefoot.arrays import Array
 from surefoot.deploy.connection import LEAD
 from surefoot.errors import SurefootError, choices
 from surefoot.identify.accuracy import with_floor
@@ -54,8 +54,6 @@ from surefoot.identify.trace_model import (
 )
 from surefoot.robot import GRAVITY, PhysicalParams, RobotDescription
 from surefoot.task.trace import EpisodeTrace
-
-Array = NDArray[np.float64]
 
 INTERPOLATED = 1.5e-4
 """Least standard deviation of latencies that are found between readings 6 ms apart [s], as in runs of emulated

@@ -11,13 +11,12 @@ from scipy.signal import savgol_filter
 
 from surefoot.actuator.motor import motor_current, motor_friction, motor_torque
 from surefoot.actuator.servo import servo_duty
+from surefoot.arrays import Array
 from surefoot.errors import SurefootError
 from surefoot.identify.inverse_dynamics import Forces, InverseDynamics, Motion
 from surefoot.identify.plan import Use
 from surefoot.identify.recording import CLOCK, Recording, read_at
 from surefoot.robot import GRAVITY, PhysicalParams, RobotDescription
-
-Array = NDArray[np.float64]
 
 STEP = 0.002
 """Time between two values [s], before thinning."""

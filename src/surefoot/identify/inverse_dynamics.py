@@ -17,13 +17,11 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
+from surefoot.arrays import Array
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.rotations import rpy_quat
 from surefoot.world.mujoco_model import build_model, foot_geoms
-
-Array = NDArray[np.float64]
 
 _STEP = 1e-6
 

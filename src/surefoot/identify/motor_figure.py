@@ -9,14 +9,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from surefoot.arrays import Array
 from surefoot.errors import SurefootError, choices
 from surefoot.files import check_readable
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.world.interface import ACTUATORS, SimulationFactory, WorldConfig
-
-Array = NDArray[np.float64]
 
 COLUMNS = ("time", "target", "angle")
 LEAD_IN = 0.5

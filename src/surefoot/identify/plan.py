@@ -6,12 +6,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
-import numpy as np
-from numpy.typing import NDArray
-
+from surefoot.arrays import Array
 from surefoot.deploy.wire.messages import Mode
 
-Array = NDArray[np.float64]
 Use = Literal["fit", "check", "way"]
 Signal = Callable[[float, Array], Array]
 """What the motors are asked for (M,) at a time since the phase's start [s], from what they were asked for before."""

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from surefoot.arrays import Array
 from surefoot.deploy.wire.messages import Mode
 from surefoot.errors import SurefootError
 from surefoot.identify.recording import STILL, Recording
 from surefoot.robot import RobotDescription
 
-Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 LEAST = 2.0

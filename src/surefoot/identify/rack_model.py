@@ -7,13 +7,12 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from surefoot.arrays import Array
 from surefoot.errors import SurefootError
 from surefoot.identify.fitting import Unknown
 from surefoot.identify.recording import Recording
 from surefoot.identify.replay import Replayed, Replayer, Stretch
 from surefoot.robot import PhysicalParams, RobotDescription
-
-Array = NDArray[np.float64]
 
 BLOCK = 0.25
 """Length [s] of the blocks of time within which residuals may hang together."""

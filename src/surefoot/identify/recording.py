@@ -14,12 +14,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from surefoot.arrays import Array
 from surefoot.configuration import is_number
 from surefoot.errors import SurefootError, choices
 from surefoot.files import check_readable, whole_file
 from surefoot.robot import RobotDescription
-
-Array = NDArray[np.float64]
 
 SCHEMA = 1
 STILL = 0.002

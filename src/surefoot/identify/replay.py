@@ -20,14 +20,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from surefoot.arrays import Array
 from surefoot.deploy.wire.messages import Mode
 from surefoot.errors import SurefootError
 from surefoot.identify.recording import CLOCK, Recording
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.world.interface import WorldConfig
 from surefoot.world.sim_world import SimWorld
-
-Array = NDArray[np.float64]
 
 SETTLE = 0.6
 """Time [s] for which simulated robots hold the first command before the recording begins."""

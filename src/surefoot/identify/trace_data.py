@@ -16,12 +16,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from surefoot.arrays import Array
 from surefoot.deploy.connection import LEAD
 from surefoot.errors import SurefootError
 from surefoot.robot import RobotDescription
 from surefoot.task.trace import EpisodeTrace
 
-Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
 
 MIN_LENGTH = 2.0

@@ -12,13 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.actuator import motor_current, motor_torque, servo_duty
+from surefoot.arrays import Array
 from surefoot.identify.fits.motor import GAIN
 from surefoot.identify.fitting import Unknown
 from surefoot.identify.rack_model import BLOCK, TORQUE_GAIN, params_of
 from surefoot.identify.trace_data import TraceSegment, thinned
 from surefoot.robot import PhysicalParams, RobotDescription
-
-Array = NDArray[np.float64]
 
 MASS = "base_mass_ratio"
 NAMES = (

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from surefoot.arrays import Array
 from surefoot.errors import SurefootError
 from surefoot.evaluate.gap import PolicyGap
 from surefoot.evaluate.runs import Runs
@@ -19,7 +19,6 @@ from surefoot.task.trace import EpisodeTrace
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-Array = NDArray[np.float64]
 _GROUP = 0.8
 """Width of the bars of a policy, where policies are 1 apart."""
 _PALE = 0.5

@@ -6,11 +6,10 @@ from dataclasses import dataclass, field, fields, replace
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from surefoot.arrays import Array
 from surefoot.errors import SurefootError, choices
-
-Array = NDArray[np.float64]
 
 
 class _Described(Protocol):

@@ -10,6 +10,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
+from surefoot.arrays import Array
 from surefoot.robot import RobotDescription
 from surefoot.task.config import TaskConfig
 from surefoot.task.gait import HybridGait
@@ -20,8 +21,6 @@ from surefoot.task.reference import make_reference
 from surefoot.world.interface import Readings, Simulation, SimulationFactory, Truth, WorldConfig
 
 __all__ = ["LocomotionEnv", "LocomotionSingleEnv", "SimulationFactory"]
-
-Array = NDArray[np.float64]
 
 
 def locomotion_reward(displacement: Array, energy: Array, energy_weight: float) -> Array:

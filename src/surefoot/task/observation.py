@@ -6,14 +6,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from surefoot.arrays import Array
 from surefoot.errors import SurefootError, choices
 from surefoot.robot import RobotDescription
 from surefoot.task.reference import Reference
 from surefoot.world.interface import Readings
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -12,13 +12,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from surefoot.arrays import Array
 from surefoot.errors import SurefootError, located
 from surefoot.files import check_readable
 from surefoot.task.trace import EpisodeTrace
-
-Array = NDArray[np.float64]
 
 SUFFIX = ".partial"
 """Behind the whole name of the trace's file."""

@@ -8,11 +8,10 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import NDArray
 
+from surefoot.arrays import Array
 from surefoot.configuration import Within, check_bounds
 from surefoot.errors import SurefootError
 from surefoot.seeding import generators
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -15,12 +15,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from surefoot.arrays import Array
 from surefoot.configuration import from_mapping, read_yaml
 from surefoot.errors import SurefootError, choices, located
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.seeding import generator, generators
 
-Array = NDArray[np.float64]
 Range = tuple[float, float] | None
 
 _RANGES = Path(__file__).parent / "ranges"

@@ -13,13 +13,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from surefoot.arrays import Array
 from surefoot.configuration import is_number
 from surefoot.errors import SurefootError, choices, quoted
 from surefoot.files import check_readable
 
-Array = NDArray[np.float64]
 _PARTS = ("swing", "extension")
 _QUANTITIES = ("amplitude", "frequency", "phase", "offset")
 # What NumPy raises for files that are empty, cut off or of another kind.

@@ -14,6 +14,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from surefoot.arrays import Array
 from surefoot.errors import SurefootError
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.rotations import quat_matrix, xyzw_matrix
@@ -22,7 +23,6 @@ from surefoot.world.bullet_tick import JOINTS, OMEGA, VELOCITY, Layout, base_lin
 from surefoot.world.drive import RACK_HEIGHT, SPEED_LIMIT, Drive, racked_bases
 from surefoot.world.interface import WorldConfig
 
-Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 MAX_ROBOTS = 256

@@ -12,8 +12,8 @@ from typing import Literal
 from xml.etree import ElementTree
 
 import numpy as np
-from numpy.typing import NDArray
 
+from surefoot.arrays import Array
 from surefoot.errors import SurefootError
 from surefoot.native_output import quiet
 from surefoot.robot import GRAVITY, RobotDescription
@@ -22,8 +22,6 @@ from surefoot.world.bullet_tick import pin_kernel
 from surefoot.world.drive import BULLET_ONLY, CONTACT, RACK_HEIGHT, RATIOS
 from surefoot.world.fused_urdf import frame_of, fuse_urdf
 from surefoot.world.interface import WorldConfig
-
-Array = NDArray[np.float64]
 
 SOLVER_ITERATIONS = 50
 """With 50, loops stay closed within .02 mm on a slow trot (.09 mm with constraint motors) and .4 mm at a gallop of

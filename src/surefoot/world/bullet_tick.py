@@ -14,6 +14,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from surefoot.arrays import Array
 from surefoot.rotations import quat_matrix
 from surefoot.world.drive import (
     SPEED_LIMIT,
@@ -26,7 +27,6 @@ from surefoot.world.drive import (
     turned_back,
 )
 
-Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 VELOCITY, OMEGA, JOINTS = 7, 10, 13

@@ -20,12 +20,8 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-from numpy.typing import NDArray
-
 from surefoot.actuator.compiled import kernel
-
-Array = NDArray[np.float64]
+from surefoot.arrays import Array
 
 TANGENTIAL_DAMPING = 0.5
 """B_t / B. The sole's stiffness along the ground is taken as that into the ground; neither was measured."""

@@ -32,10 +32,10 @@ from surefoot.actuator.motor import (
     overheat_kernel,
 )
 from surefoot.actuator.servo import servo_duty_kernel
+from surefoot.arrays import Array
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.world.interface import WorldConfig
 
-Array = NDArray[np.float64]
 Quat = tuple[Any, Any, Any, Any]
 Vector = tuple[float, float, float]
 

@@ -16,12 +16,10 @@ import xml.etree.ElementTree as ElementTree
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from surefoot.arrays import Array
 from surefoot.robot.urdf import Urdf, attribute
 from surefoot.rotations import matrix_rpy, rpy_matrix
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from surefoot.arrays import Array
 from surefoot.rotations import rpy_quat
 from surefoot.world.drive import quat_product, roll_pitch_yaw, turned_back
 
-Array = NDArray[np.float64]
 _rpy_quat = njit(cache=True)(rpy_quat)
 
 

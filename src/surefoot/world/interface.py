@@ -13,11 +13,11 @@ from typing import Any, Literal, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from surefoot.arrays import Array
 from surefoot.errors import SurefootError, choices
 from surefoot.robot import PhysicalParams, RobotDescription
 
 ACTUATORS = ("dc", "constraint")
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -17,6 +17,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from surefoot.arrays import Array
 from surefoot.errors import SurefootError
 from surefoot.robot import GRAVITY, PhysicalParams, RobotDescription
 from surefoot.world.drive import BULLET_ONLY, RATIOS, Drive, racked_bases
@@ -25,7 +26,6 @@ from surefoot.world.mujoco_loop import DATA_FIELDS, Native, advance, gather_base
 from surefoot.world.mujoco_model import build_model, foot_geoms, resting_qpos
 from surefoot.world.native import function_address, struct_offset
 
-Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 _STATE = mujoco.mjtState.mjSTATE_INTEGRATION

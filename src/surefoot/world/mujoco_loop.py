@@ -12,11 +12,11 @@ from numba import njit
 from numpy.typing import NDArray
 
 from surefoot.actuator.compiled import kernel
+from surefoot.arrays import Array
 from surefoot.world.contact import foot_force_kernel, spinning_torque_kernel
 from surefoot.world.drive import SPEED_LIMIT, Drive, constraint_tick, record, roll_pitch_yaw, servo_tick
 from surefoot.world.native import call_step, doubles, pointers, take_number
 
-Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 DATA_FIELDS = ("qpos", "qvel", "qfrc_applied", "xfrc_applied", "geom_xpos", "xipos", "cvel", "subtree_com")

@@ -22,13 +22,13 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from surefoot.arrays import Array
 from surefoot.errors import SurefootError
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.world.drive import OF_ALL_ROBOTS
 from surefoot.world.interface import Readings, Simulation, Truth, WorldConfig
 from surefoot.world.sim_world import EngineFactory, SimWorld, check_batch
 
-Array = NDArray[np.float64]
 Rows = TypeVar("Rows", Readings, Truth)
 
 _WAIT = 2.0

@@ -9,6 +9,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from surefoot.arrays import Array
 from surefoot.errors import SurefootError
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.seeding import generators
@@ -16,7 +17,6 @@ from surefoot.world.drive import Drive, new_drive, read_delayed, record, set_dri
 from surefoot.world.imu import read_by_mounted_imu
 from surefoot.world.interface import Readings, Truth, WorldConfig
 
-Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 SETTLE_TIME = 0.5

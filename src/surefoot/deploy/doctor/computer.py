@@ -5,16 +5,14 @@ from __future__ import annotations
 import time
 
 import numpy as np
-from numpy.typing import NDArray
 
+from surefoot.arrays import Array
 from surefoot.deploy.clock import MonotonicClock
 from surefoot.deploy.connection import RobotConnection
 from surefoot.deploy.findings import Finding, judged
 from surefoot.deploy.pacer import Pacer
 from surefoot.deploy.realtime import undisturbed
 from surefoot.policy.runtime import PolicyRuntime
-
-Array = NDArray[np.float64]
 
 STEPS = 2000
 """Control steps of the loop that is timed, and inferences."""

@@ -10,8 +10,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from surefoot.arrays import Array
 from surefoot.deploy.connection import RobotConnection
 from surefoot.deploy.doctor.leashed_robot import LeashedRobot, MotionStoppedError
 from surefoot.deploy.doctor.rest import Sample
@@ -21,8 +21,6 @@ from surefoot.errors import choices
 from surefoot.policy.contract import Contract
 from surefoot.robot import RobotDescription
 from surefoot.stop_signals import StopSignals
-
-Array = NDArray[np.float64]
 
 RISE, SETTLE, TILT_TIME = 1.5, 0.6, 0.8
 """Time [s] to stand up, to settle, and to go into a tilt."""

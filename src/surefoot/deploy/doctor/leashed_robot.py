@@ -6,8 +6,8 @@ from types import TracebackType
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 
+from surefoot.arrays import Array
 from surefoot.deploy.connection import RobotConnection
 from surefoot.deploy.doctor.rest import Sample
 from surefoot.deploy.motion import MotionRunner
@@ -15,8 +15,6 @@ from surefoot.deploy.safety import Act, Verdict
 from surefoot.deploy.wire.messages import Mode, State
 from surefoot.robot import RobotDescription
 from surefoot.stop_signals import StopSignals
-
-Array = NDArray[np.float64]
 
 
 class MotionStoppedError(RuntimeError):

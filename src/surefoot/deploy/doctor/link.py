@@ -5,12 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from surefoot.arrays import Array
 from surefoot.deploy.connection import RobotConnection
 from surefoot.deploy.findings import Finding, judged, undone
-
-Array = NDArray[np.float64]
 
 PINGS, PING_PERIOD = 200, 0.005
 """Pings, and the time [s] between two: often enough to see an adapter that gathers bytes for 16 ms."""

@@ -10,8 +10,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from surefoot.arrays import Array
 from surefoot.deploy.connection import RobotConnection
 from surefoot.deploy.doctor.leashed_robot import LeashedRobot, MotionStoppedError
 from surefoot.deploy.doctor.response import WINDOW, fit_response
@@ -20,8 +20,6 @@ from surefoot.deploy.findings import Finding, judged, undone
 from surefoot.policy.contract import Contract
 from surefoot.robot import RobotDescription
 from surefoot.stop_signals import StopSignals
-
-Array = NDArray[np.float64]
 
 NAMES = ("motors, one by one", "control latency", "servo response")
 STEP = 0.05

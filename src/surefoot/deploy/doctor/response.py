@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from surefoot.arrays import Array
 
 WINDOW = 0.15
 """Time after a step [s] whose readings are kept."""

@@ -6,16 +6,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from surefoot.arrays import Array
 from surefoot.deploy.connection import RobotConnection
 from surefoot.deploy.doctor.link import listen
 from surefoot.deploy.findings import Finding, judged
 from surefoot.deploy.safety import SafetyLimits
 from surefoot.deploy.wire.messages import Handshake, State
 from surefoot.robot import RobotDescription
-
-Array = NDArray[np.float64]
 
 DURATION = 1.0
 """How long a robot at rest is watched [s]."""

@@ -9,13 +9,11 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from surefoot.arrays import Array
 from surefoot.errors import SurefootError, choices
 from surefoot.files import check_readable
 from surefoot.rotations import quat_yaw
-
-Array = NDArray[np.float64]
 
 COLUMNS = ("time", "x", "y", "z", "qw", "qx", "qy", "qz")
 MARGIN = 0.05

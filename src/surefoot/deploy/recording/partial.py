@@ -12,7 +12,8 @@ from collections import deque
 from pathlib import Path
 from typing import Any
 
-from surefoot.task.partial_trace import SUFFIX, Array, Layout, head_line, row_bytes
+from surefoot.arrays import Array
+from surefoot.task.partial_trace import SUFFIX, Layout, head_line, row_bytes
 
 FLUSH = 0.1
 """Time [s] between two writes."""

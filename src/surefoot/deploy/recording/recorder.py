@@ -8,13 +8,11 @@ observation, feedback and target of the step before it. So rows stay one control
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from surefoot.arrays import Array
 from surefoot.deploy.safety import is_finite
 from surefoot.deploy.wire.messages import State
 from surefoot.task.partial_trace import Layout
-
-Array = NDArray[np.float64]
 
 
 class Recorder:

@@ -9,13 +9,14 @@ from typing import Any
 
 import numpy as np
 
+from surefoot.arrays import Array
 from surefoot.deploy.deployment import Deployment, Outcome
 from surefoot.deploy.pacer import Timing
 from surefoot.deploy.recording.motion_capture import base_and_feet, read_capture
 from surefoot.deploy.recording.partial import PartialFile
 from surefoot.deploy.recording.recorder import Recorder
 from surefoot.errors import SurefootError
-from surefoot.task.partial_trace import SUFFIX, Array, Layout, trace_of
+from surefoot.task.partial_trace import SUFFIX, Layout, trace_of
 from surefoot.task.trace import ENERGY_WEIGHT, EpisodeTrace
 
 

@@ -13,13 +13,9 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import ClassVar, Self
 
-import numpy as np
-from numpy.typing import NDArray
-
+from surefoot.arrays import Array
 from surefoot.deploy.wire.fields import MOTORS, Layout, wire
 from surefoot.errors import SurefootError
-
-Array = NDArray[np.float64]
 
 VERSION = 1
 """Version of the framing and the header."""

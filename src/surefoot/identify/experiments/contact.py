@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from surefoot.arrays import Array
 from surefoot.deploy.poses import pose
 from surefoot.identify.experiments.ground import STANCE, drop, ends, ground_plan, rocking, sides
 from surefoot.identify.plan import Phase, Plan, Signal
 from surefoot.robot import RobotDescription
-
-Array = NDArray[np.float64]
 
 LIFT = 0.25
 """How much shorter [rad] the legs get whose feet are dragged: they then carry a third to two thirds of what they

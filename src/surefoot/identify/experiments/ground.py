@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from surefoot.arrays import Array
 from surefoot.deploy.poses import SIT_EXTENSION, SPREAD_SWING, between, pose, sitting
 from surefoot.identify.experiments.signals import go_to, hold, sweep
 from surefoot.identify.plan import Phase, Plan, Signal, Use
 from surefoot.robot import RobotDescription
-
-Array = NDArray[np.float64]
 
 STANCE = 1.7
 """Extension [rad] in which the robot stands."""

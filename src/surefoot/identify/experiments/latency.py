@@ -7,8 +7,8 @@ reported to move, once at the microcontroller and once at the computer.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from surefoot.arrays import Array
 from surefoot.deploy.poses import pose
 from surefoot.deploy.wire.messages import Mode
 from surefoot.identify.experiments.motor import EXTENSION, STEP
@@ -16,8 +16,6 @@ from surefoot.identify.experiments.signals import chirps, go_to, hold, steps
 from surefoot.identify.plan import Phase, Plan, Signal
 from surefoot.robot import RobotDescription
 from surefoot.seeding import generator
-
-Array = NDArray[np.float64]
 
 DUTY = 0.4
 """Height of a spike."""

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from surefoot.arrays import Array
 from surefoot.deploy.poses import pose
 from surefoot.deploy.wire.messages import Mode
 from surefoot.identify.experiments.signals import chirps, go_to, hold, steps
 from surefoot.identify.plan import Phase, Plan, Signal
 from surefoot.robot import RobotDescription
 from surefoot.seeding import generator
-
-Array = NDArray[np.float64]
 
 EXTENSION = 1.7
 """Extension [rad] around which legs move, in the middle of what they reach."""

@@ -5,12 +5,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from surefoot.arrays import Array
 from surefoot.deploy.poses import between
 from surefoot.identify.plan import Signal
-
-Array = NDArray[np.float64]
 
 FADE = 0.2
 """Time [s] within which sines grow to their amplitude, and fade at the end."""

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from surefoot.arrays import Array
 from surefoot.errors import SurefootError
 from surefoot.identify.experiments.ground import ends, sides
 from surefoot.identify.ground_motion import STEP, THIN, GroundMotion, check_feet, ground_motion, regress
@@ -15,8 +16,6 @@ from surefoot.identify.recording import Recording
 from surefoot.identify.registry import FitProgress
 from surefoot.identify.result import Estimate, Identification, Series
 from surefoot.robot import PhysicalParams, RobotDescription
-
-Array = NDArray[np.float64]
 
 SLIDING = 0.15
 """Speed of a foot over the ground [m/s] from which on it slides for sure."""

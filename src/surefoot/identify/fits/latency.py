@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from surefoot.arrays import Array
 from surefoot.deploy.wire.messages import Mode
 from surefoot.errors import SurefootError
 from surefoot.identify.fits.motor import fit_on_rack, rack_estimates, rest_voltage
@@ -16,8 +17,6 @@ from surefoot.identify.registry import FitProgress
 from surefoot.identify.replay import stretch_of
 from surefoot.identify.result import Estimate, Identification, Series
 from surefoot.robot import PhysicalParams, RobotDescription
-
-Array = NDArray[np.float64]
 
 FEWEST = 8
 """Clear answers to spikes that are needed."""

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from surefoot.arrays import Array
 from surefoot.identify.accuracy import with_floor
 from surefoot.identify.fits.motor import GAIN
 from surefoot.identify.ground_motion import GroundMotion, block_deviation, check_feet, ground_motion, regress
@@ -16,8 +17,6 @@ from surefoot.identify.recording import Recording
 from surefoot.identify.registry import FitProgress
 from surefoot.identify.result import Check, Estimate, Identification, Series
 from surefoot.robot import GRAVITY, PhysicalParams, RobotDescription
-
-Array = NDArray[np.float64]
 
 STILL = ("stand still", "squat slowly")
 """Phases in which nothing is fast: what the feet carry on average is the weight."""

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.actuator.motor import motor_current, motor_torque
+from surefoot.arrays import Array
 from surefoot.deploy.wire.messages import Mode
 from surefoot.identify.accuracy import with_floor
 from surefoot.identify.fitting import Fit, Unknown, fit_least_squares
@@ -17,8 +18,6 @@ from surefoot.identify.registry import FitProgress
 from surefoot.identify.replay import Replayer, Stretch, stretch_of
 from surefoot.identify.result import Check, Estimate, Identification, Series
 from surefoot.robot import PhysicalParams, RobotDescription
-
-Array = NDArray[np.float64]
 
 GAIN = 0.01
 """Standard deviation of a motor's torque report's relative error: a current sense resistor of 1 %. It is what carries
