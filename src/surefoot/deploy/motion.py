@@ -166,7 +166,8 @@ class MotionRunner:
             end: motor angles (M,) [rad].
             duration: [s].
             start: motor angles (M,) [rad] to start from; the present target, if not given.
-            upright, sitting: as of `ControlLoop.follow`, whose verdict is returned.
+            upright: as of `ControlLoop.follow`, whose verdict is returned.
+            sitting: likewise.
         """
         start, steps = self.target if start is None else start, self.loop.steps_of(duration)
 

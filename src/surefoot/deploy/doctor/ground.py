@@ -63,7 +63,8 @@ def tilt_robot(
     Args:
         connection: to a robot that sits on flat ground.
         contract: says how it stands.
-        robot, operator: as of `MotionRunner`.
+        robot: as of `MotionRunner`.
+        operator: as of `MotionRunner`.
         at_rest: states of the robot at rest, for the bias of its gyro.
 
     Raises:

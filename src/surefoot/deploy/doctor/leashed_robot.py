@@ -38,7 +38,10 @@ class LeashedRobot(MotionRunner):
     """A robot that is armed while this is entered; afterwards it is disarmed, or damped if anything went wrong.
 
     Args:
-        connection, robot, control_step, operator: as of `MotionRunner`.
+        connection: to the robot, greeted.
+        robot: its description.
+        control_step: of the commands [s].
+        operator: whoever may stop it.
         leash: how far [rad] a motor may be from where it was sent.
         sits: whether it stands on the ground, and sits down before it is disarmed.
 
