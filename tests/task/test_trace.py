@@ -122,6 +122,7 @@ def test_what_a_robot_cannot_know_may_be_nan() -> None:
         ("base_position_world", np.full((6, 3), np.inf), "finite or NaN"),
         ("base_quat_world", np.ones((6, 4)), "unit quaternions"),
         ("foot_contact", np.full((5, 4), 1.5), "0 to 1"),
+        ("energy", np.full(5, "x"), "energy holds <U1, but must hold numbers"),
     ],
 )
 def test_bad_arrays_are_refused(name: str, value: np.ndarray, match: str) -> None:

@@ -187,6 +187,8 @@ def _shapes(steps: int, meta: dict[str, Any]) -> dict[str, tuple[int, ...]]:
 
 def _checked_array(name: str, value: ArrayLike, shape: tuple[int, ...]) -> FloatArray:
     """Return a read-only float64 copy after checking shape and finiteness."""
+    if np.asarray(value).dtype.kind not in "biuf":
+        raise SurefootError(f"trace: {name} holds {np.asarray(value).dtype}, but must hold numbers")
     array = np.array(value, dtype=np.float64)
     if array.shape != shape:
         raise SurefootError(f"trace: {name} has shape {array.shape}, but must have {shape}")
