@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 from edited import edited_policy
-from processes import SUREFOOT, Emulator, emulators, refused, run_surefoot, surefoot
+from processes import SUREFOOT, Emulator, TooBusyError, emulators, refused, run_surefoot, surefoot
 
 pytest.importorskip("mujoco")
 onnx = pytest.importorskip("onnx")
@@ -78,11 +78,14 @@ def test_a_healthy_robot_passes_all_on_the_ground(emulate: Callable[..., Emulato
 @pytest.mark.realtime
 @pytest.mark.slow
 def test_a_healthy_robot_passes_in_real_time(emulate: Callable[..., Emulator], tmp_path: Path):
-    """A busy computer may fail the two findings about its own speed; the robot's findings must pass."""
     emulator = emulate("--rack")
-
     _, findings = doctor("trot", emulator.port, "--rack", "--yes", "--steps", "300", run=run_surefoot)
-    assert set(failed(findings)) <= {"inference", "control loop"}
+    why = {name: findings[name]["why"] for name in failed(findings)}
+    if why and set(why) <= {"inference", "control loop"}:
+        raise TooBusyError(f"this computer's own speed: {why}")
+    assert not why
+    if findings["control latency"]["passed"] is None:
+        raise TooBusyError(findings["control latency"]["why"])  # motors that answered too late to be told apart
     assert findings["link, round trip"]["value"] < 0.003
     assert findings["control latency"]["value"] == pytest.approx(0.02, abs=0.006)
     assert findings["inference"]["value"] < 0.001
