@@ -20,11 +20,9 @@ from typing import Any
 from unittest import mock
 
 import numpy as np
-from processes import SUREFOOT
+from processes import SUREFOOT, EmulatorHere
 
-from surefoot.cli import emulate
 from surefoot.cli.main import main
-from surefoot.cli.parsing import parse
 from surefoot.deploy.motion import UP
 from surefoot.deploy.wire.frames import Decoder, Frame, encode_frame
 from surefoot.deploy.wire.messages import (
@@ -44,11 +42,7 @@ from surefoot.deploy.wire.messages import (
     Reason,
     State,
 )
-from surefoot.emulator.faults import parse_faults
-from surefoot.emulator.process import Lockstep, Summary
-from surefoot.emulator.pty_port import PtyPort
 from surefoot.policy.runtime import PolicyRuntime
-from surefoot.robot import RobotDescription
 from surefoot.task.trace import EpisodeTrace
 
 STEP = 0.006
@@ -60,26 +54,6 @@ LONG = 60.0
 """Duration [s] of a run that something else ends."""
 RUNNING = UP + 0.3
 """Time [s] after arming when the policy has run for some dozen steps."""
-
-
-class LockstepRobot:
-    """What `surefoot emulate --lockstep` runs, in a thread of this process; `port` is its pseudo-terminal."""
-
-    def __init__(self, *options: str) -> None:
-        command = parse(emulate.EmulateCommand, ["--lockstep", *options], "surefoot emulate")
-        robot = RobotDescription.load(command.robot)
-        faults = parse_faults([word for group in command.faults for word in group], True, robot.num_motors)
-        self._board, self._pty, self._summary = emulate._build(command, robot, faults), PtyPort(held=False), Summary()
-        self.port = self._pty.path
-        self._thread = threading.Thread(target=Lockstep(self._board, self._pty, self._summary).run, daemon=True)
-        self._thread.start()
-
-    def stop(self) -> str:
-        """End it; return the line that sums up."""
-        self._summary.stop = True
-        self._thread.join()
-        self._pty.close()
-        return self._summary.text(self._board, self._pty)
 
 
 @dataclass
@@ -459,7 +433,7 @@ def play(scenario: Scenario, folder: Path, policies: Path) -> Ended:
         policies: folder of policies.
     """
     folder.mkdir(parents=True)
-    robot = LockstepRobot(*(word for fault in scenario.faults for word in ("--fault", fault)))
+    robot = EmulatorHere("--lockstep", *(word for fault in scenario.faults for word in ("--fault", fault)))
     if scenario.sunk:
         _settle(robot, scenario.sunk)
     cable = Cable(robot.port, scenario.chatter)
@@ -544,7 +518,7 @@ def _in_a_terminal(cable: Cable, folder: Path, *options: str) -> Ended:
     return Ended.read(int(code.read_text()), folder)
 
 
-def _settle(robot: LockstepRobot, seconds: float) -> None:
+def _settle(robot: EmulatorHere, seconds: float) -> None:
     """Let a robot sink for a while."""
     somebody = Client(robot.port, OTHER)
     somebody.send(Hello(OTHER, 0.1))

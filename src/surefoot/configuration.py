@@ -14,7 +14,7 @@ from typing import Annotated, Any, TypeVar
 
 import yaml
 
-from surefoot.errors import SurefootError, choices, quoted
+from surefoot.errors import SurefootError, accessible, choices, quoted
 from surefoot.files import read_configuration
 
 T = TypeVar("T")
@@ -154,20 +154,14 @@ class _Loader(yaml.SafeLoader):
         return node
 
 
-def _read(path: Path) -> bytes:
-    try:
-        return read_configuration(path)
-    except OSError as error:
-        raise SurefootError(f"{path}: can't be read: {error.strerror}") from error
-
-
 def read_yaml(path: Path) -> dict[str, Any]:
     """Read a YAML file that holds one table.
 
     Raises:
         SurefootError: it can't be read, is not YAML, or holds something else.
     """
-    content = _read(path)
+    with accessible(path):
+        content = read_configuration(path)
     try:
         loader = _Loader(content.decode("utf-8"))
         try:
@@ -188,7 +182,8 @@ def read_toml(path: Path) -> tuple[dict[str, Any], bytes]:
     Raises:
         SurefootError: it can't be read, is not a regular file, too large or not TOML.
     """
-    content = _read(path)
+    with accessible(path):
+        content = read_configuration(path)
     try:
         return tomllib.loads(content.decode("utf-8")), content
     except RecursionError:

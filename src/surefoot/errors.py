@@ -17,6 +17,15 @@ class SurefootError(ValueError):
 
 
 @contextmanager
+def accessible(what: object, verb: str = "read") -> Iterator[None]:
+    """Turn a failure of the file system inside into one line: `WHAT: can't be VERB: REASON`."""
+    try:
+        yield
+    except OSError as error:
+        raise SurefootError(f"{what}: can't be {verb}: {error.strerror}") from error
+
+
+@contextmanager
 def located(where: object) -> Iterator[None]:
     """Put a file's path, or another place, before the message of an error that is raised inside: `WHERE: MESSAGE`."""
     try:

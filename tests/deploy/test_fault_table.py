@@ -25,7 +25,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from processes import Emulator, TooBusyError
+from processes import Emulator, EmulatorHere, TooBusyError
 
 from surefoot.deploy.motion import UP
 from surefoot.deploy.poses import pose, sitting
@@ -49,7 +49,6 @@ from fault_bench import (
     Client,
     Ended,
     Host,
-    LockstepRobot,
     Record,
     play,
     reasons,
@@ -76,7 +75,7 @@ def target(extension: float) -> np.ndarray:
 @pytest.fixture(scope="module")
 def operators() -> Iterator[Callable[[], Client]]:
     """A robot in lockstep, and operators for it, one after another; it follows the commands of each."""
-    robot, sessions = LockstepRobot("--rack"), itertools.count(700)
+    robot, sessions = EmulatorHere("--lockstep", "--rack"), itertools.count(700)
 
     def make() -> Client:
         client = Client(robot.port, next(sessions))

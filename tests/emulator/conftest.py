@@ -4,18 +4,16 @@ from __future__ import annotations
 
 import os
 import select
-import threading
 import time
 import tty
 from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
-from processes import Emulator, emulators
+from processes import Emulator, EmulatorHere, emulators
 
 from surefoot.deploy.wire.frames import Decoder, Frame, encode_frame
 from surefoot.deploy.wire.messages import Codec, Message, Ping, Pong
-from surefoot.robot import RobotDescription
 
 
 class Bytes:
@@ -84,10 +82,10 @@ class Host:
         return [frame for frame in self.frames[before:] if isinstance(frame.message, kind)]
 
 
-class Process(Emulator):
-    """A running `surefoot emulate`, and its hosts."""
+class _Hosts:
+    """An emulator with operators at its pseudo-terminal."""
 
-    def __init__(self, *words: str) -> None:
+    def __init__(self, *words: object) -> None:
         super().__init__(*words)
         self.hosts: list[Host] = []
 
@@ -95,45 +93,18 @@ class Process(Emulator):
         self.hosts.append(Host(self.port))
         return self.hosts[-1]
 
-    def stop(self) -> tuple[int, str]:
+    def stop(self) -> Any:
         while self.hosts:
             self.hosts.pop().close()
         return super().stop()
 
 
-class Thread:
-    """What `surefoot emulate` runs, in a thread of the test: in lockstep, or in real time with `--baud 0`."""
+class Process(_Hosts, Emulator):
+    """A running `surefoot emulate`, and its hosts."""
 
-    def __init__(self, robot: RobotDescription, *words: str) -> None:
-        from surefoot.cli.emulate import EmulateCommand, _build
-        from surefoot.cli.parsing import parse
-        from surefoot.emulator.process import Lockstep, RealTime, Summary
-        from surefoot.emulator.pty_port import PtyPort
 
-        command = parse(EmulateCommand, list(words), "surefoot emulate")
-        self.board, self.summary = _build(command, robot, {}), Summary()
-        self._port = PtyPort(held=not command.lockstep)
-        loop = (Lockstep if command.lockstep else RealTime)(self.board, self._port, self.summary)
-        self.hosts: list[Host] = []
-        self._thread = threading.Thread(target=loop.run, daemon=True)
-        self._thread.start()
-
-    host = Process.host
-
-    @property
-    def port(self) -> str:
-        return self._port.path
-
-    @property
-    def unread(self) -> int:
-        return self._port.unread
-
-    def stop(self) -> None:
-        while self.hosts:
-            self.hosts.pop().close()
-        self.summary.stop = True
-        self._thread.join()
-        self._port.close()
+class Thread(_Hosts, EmulatorHere):
+    """An emulator in a thread of the test, and its hosts."""
 
 
 @pytest.fixture
@@ -144,17 +115,10 @@ def emulate() -> Iterator[Callable[..., Process]]:
 
 
 @pytest.fixture
-def emulate_here(robot: RobotDescription) -> Iterator[Callable[..., Thread]]:
+def emulate_here() -> Iterator[Callable[..., Thread]]:
     """Start threads that end with the test."""
-    started: list[Thread] = []
-
-    def start(*words: str) -> Thread:
-        started.append(Thread(robot, *words))
-        return started[-1]
-
-    yield start
-    for thread in started:
-        thread.stop()
+    with emulators(Thread) as start:
+        yield start
 
 
 @pytest.fixture

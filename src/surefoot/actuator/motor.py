@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
 from numba import guvectorize, njit, vectorize
-from numpy.typing import NDArray
+
+from surefoot.arrays import Array
 
 STICTION_SPEED = 0.1
 """Speed [rad/s] over which Coulomb friction changes sign; a sharp sign would chatter at a 1 ms step."""
@@ -43,9 +43,7 @@ def motor_current(duty, speed, voltage, torque_constant, resistance, voltage_cli
 
 
 @njit(cache=True, inline="always")
-def motor_torque_kernel(
-    current: float, strength: float, table_current: NDArray[np.float64], table_torque: NDArray[np.float64]
-) -> float:
+def motor_torque_kernel(current: float, strength: float, table_current: Array, table_torque: Array) -> float:
     """Return `motor_torque` for scalars."""
     magnitude = abs(current)
     if math.isnan(magnitude):

@@ -12,29 +12,19 @@ import math
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from surefoot.cli.options import Baud, Count, Json, Lockstep, PolicyName, Port, check_folder
 from surefoot.cli.parsing import parse
-from surefoot.cli.policies import find_policy
 from surefoot.configuration import Duration
-from surefoot.deploy.checks import check_contract
-from surefoot.deploy.connection import open_connection
-from surefoot.deploy.controller import Controller
-from surefoot.deploy.deployment import Deployment, Outcome
-from surefoot.deploy.display import LiveDisplay, PlainLines
-from surefoot.deploy.findings import refusal
 from surefoot.deploy.link import BAUD
-from surefoot.deploy.motion import DOWN, UP
-from surefoot.deploy.pacer import Timing
-from surefoot.deploy.realtime import undisturbed
-from surefoot.deploy.recording.partial import next_free
-from surefoot.deploy.recording.run_saver import RunSaver, SavedRun
-from surefoot.deploy.wire.messages import Handshake
 from surefoot.errors import SurefootError
-from surefoot.policy.runtime import PolicyRuntime
-from surefoot.robot import RobotDescription
-from surefoot.stop_signals import StopSignals
+
+if TYPE_CHECKING:
+    from surefoot.deploy.deployment import Deployment, Outcome
+    from surefoot.deploy.pacer import Timing
+    from surefoot.deploy.recording.run_saver import SavedRun
+    from surefoot.deploy.wire.messages import Handshake
 
 SAFETY = 3
 """Exit code of a run that safety ended."""
@@ -71,6 +61,18 @@ def main(argv: list[str]) -> int:
     """Run the command with the words after its name; returns the exit code."""
     command = parse(DeployCommand, argv, "surefoot deploy")
     check_folder(command.out)
+    from surefoot.cli.policies import find_policy
+    from surefoot.deploy.checks import check_contract
+    from surefoot.deploy.connection import open_connection
+    from surefoot.deploy.controller import Controller
+    from surefoot.deploy.deployment import Deployment
+    from surefoot.deploy.display import LiveDisplay, PlainLines
+    from surefoot.deploy.findings import refusal
+    from surefoot.deploy.realtime import undisturbed
+    from surefoot.policy.runtime import PolicyRuntime
+    from surefoot.robot import RobotDescription
+    from surefoot.stop_signals import StopSignals
+
     policy = PolicyRuntime.load(find_policy(command.policy))
     contract = policy.contract
     robot = RobotDescription.load(str(contract.task.get("robot", contract.robot)))
@@ -97,6 +99,11 @@ def main(argv: list[str]) -> int:
 
 def _runs(command: DeployCommand, deployment: Deployment) -> tuple[list[dict[str, Any]], int]:
     """Run after run, until one ends early; returns what is to be told of each, and the exit code."""
+    from surefoot.deploy.motion import DOWN, UP
+    from surefoot.deploy.pacer import Timing
+    from surefoot.deploy.recording.partial import next_free
+    from surefoot.deploy.recording.run_saver import RunSaver
+
     contract = deployment.contract
     step = contract.control_step
     steps = int(contract.task.get("max_steps", 1000))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import json
-import sys
 from collections import Counter
 from dataclasses import asdict, dataclass
 from typing import Annotated
@@ -12,7 +11,7 @@ from typing import Annotated
 from rich.console import Console
 from rich.text import Text
 
-from surefoot.cli.options import Baud, Json, Lockstep, PolicyName, Port
+from surefoot.cli.options import Baud, Json, Lockstep, PolicyName, Port, Yes, ask_to_move, check_terminal
 from surefoot.cli.parsing import parse
 from surefoot.cli.policies import find_policy
 from surefoot.configuration import Within
@@ -45,8 +44,7 @@ class DoctorCommand:
     """Also wiggle each motor by .05 rad: the robot hangs free, its legs in the air."""
     ground: bool = False
     """Also stand up and tilt with the legs: the robot sits on flat ground, with a metre of room."""
-    yes: bool = False
-    """Do not ask before motors move."""
+    yes: Yes = False
     lockstep: Lockstep = False
     robot: str | None = None
     """Name or folder of the robot's description; the policy's, if not given."""
@@ -100,11 +98,8 @@ def _ask(command: DoctorCommand) -> None:
     if command.yes or not (command.rack or command.ground):
         return
     place = "hang free, its legs in the air" if command.rack else "sit on flat ground with a metre of room"
-    if not sys.stdin.isatty():
-        raise SurefootError(f"motors will move and the robot must {place}; without a terminal, say so with --yes")
-    print(f"Motors will move. Does the robot {place}? [y/N] ", end="", file=sys.stderr, flush=True)
-    if sys.stdin.readline().strip().lower() not in ("y", "yes"):
-        raise SurefootError("not begun; nothing has moved")
+    check_terminal(place)
+    ask_to_move(place)
 
 
 def _print(console: Console, finding: Finding) -> None:

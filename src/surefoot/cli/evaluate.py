@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
-from surefoot.cli.options import Count, Json, RunOptions, Threads, make_figures_folder
+from surefoot.cli.options import Count, Json, Threads, make_figures_folder
 from surefoot.cli.parsing import parse
 from surefoot.cli.ranges import take_ranges
+from surefoot.cli.simulator import RunOptions
 from surefoot.errors import SurefootError
 from surefoot.task.randomize import RandomizeConfig
 

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from surefoot.cli.identify_run import ExperimentCommand, run_experiment
+from surefoot.cli.options import Json, check_folder, check_suffix
 from surefoot.cli.parsing import parse
 from surefoot.errors import SurefootError
 from surefoot.identify.overlay import Known, read_known
@@ -42,8 +43,7 @@ class TracesCommand:
     """Folder for the report; runs/identify/traces-TIME, if not given."""
     robot: str | None = None
     """Name or folder of the robot's description; the traces' robot, if not given."""
-    json: bool = False
-    """Print one JSON object."""
+    json: Json = False
 
 
 def from_trace(argv: list[str]) -> int:
@@ -115,10 +115,8 @@ def _check(command: ExperimentCommand) -> None:
 
 
 def _check_files(command: ExperimentCommand | TracesCommand) -> None:
-    if command.params is not None and command.params.suffix.lower() != ".toml":
-        raise SurefootError(f"params {command.params}: the name must end in .toml")
-    if command.out is not None and command.out.exists() and not command.out.is_dir():
-        raise SurefootError(f"out is {command.out}; it must be a folder")
+    check_suffix("params", command.params, ".toml")
+    check_folder(command.out)
 
 
 def _new_folder(name: str) -> Path:

@@ -8,10 +8,9 @@ from importlib import import_module
 from pathlib import Path
 from typing import Annotated
 
-from surefoot.cli.options import Settings
+from surefoot.cli.options import Json, Settings, World, check_suffix
 from surefoot.cli.parsing import parse
 from surefoot.configuration import Duration, Within
-from surefoot.errors import SurefootError
 
 
 @dataclass(frozen=True)
@@ -40,17 +39,14 @@ class MotorFigureCommand:
     """Physical parameters that differ from the robot's, such as resistance=0.2."""
     robot: str = "minitaur"
     """Name or folder of the robot."""
-    world: str = "mujoco"
-    """Where to run: mujoco or bullet."""
-    json: bool = False
-    """Print one JSON object."""
+    world: World = "mujoco"
+    json: Json = False
 
 
 def main(argv: list[str]) -> int:
     """Run the command with the words after its name; returns the exit code."""
     command = parse(MotorFigureCommand, argv, "surefoot identify motor-figure")
-    if command.out.suffix.lower() != ".png":
-        raise SurefootError(f"figure {command.out}: the name must end in .png")
+    check_suffix("figure", command.out, ".png")
     import_module("matplotlib")
     from surefoot.cli.policies import find_world
     from surefoot.identify.motor_figure import MotorLog, motor_index, run_motor_experiment

@@ -7,14 +7,14 @@ import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, TextIO
+from typing import TextIO
 
 import numpy as np
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from surefoot.configuration import Within
+from surefoot.cli.options import Baud, Json, Lockstep, Yes, ask_to_move, check_terminal
 from surefoot.deploy.connection import RobotConnection, open_connection
 from surefoot.deploy.display import LiveDisplay, PlainLines
 from surefoot.deploy.link import BAUD, LinkLostError
@@ -52,16 +52,12 @@ class ExperimentCommand:
     """Folder for recording and report; runs/identify/EXPERIMENT-TIME or the recording's, if not given."""
     record_only: bool = False
     """Record and do not fit; needs the bare install only."""
-    yes: bool = False
-    """Do not ask before motors move."""
-    lockstep: bool = False
-    """The robot is an emulator that runs with --lockstep."""
-    baud: Annotated[int, Within(9600, 100_000_000)] = BAUD
-    """Bits a second of a serial port."""
+    yes: Yes = False
+    lockstep: Lockstep = False
+    baud: Baud = BAUD
     robot: str = "minitaur"
     """Name or folder of the robot's description."""
-    json: bool = False
-    """Print one JSON object."""
+    json: Json = False
 
 
 def run_experiment(command: ExperimentCommand, plan: Plan, robot: RobotDescription, path: Path) -> Recording:
@@ -76,10 +72,8 @@ def run_experiment(command: ExperimentCommand, plan: Plan, robot: RobotDescripti
     Raises:
         SurefootError: no robot or another one, nobody who says yes, or a robot that does not arm: nothing has moved.
     """
-    if not command.yes and not sys.stdin.isatty():
-        raise SurefootError(
-            f"motors will move and the robot must {PLACES[plan.rack]}; without a terminal, say so with --yes"
-        )
+    if not command.yes:
+        check_terminal(PLACES[plan.rack])
     with _greeted(command, robot) as connection:
         _show_plan(
             plan, connection.handshake, Console(stderr=command.json, highlight=False, soft_wrap=True, emoji=False)
@@ -87,7 +81,7 @@ def run_experiment(command: ExperimentCommand, plan: Plan, robot: RobotDescripti
         if command.yes:
             return _run(command, connection, plan, robot, path)
     # A robot does not wait for slow answers: it is greeted anew.
-    _ask(plan)
+    ask_to_move(PLACES[plan.rack])
     with _greeted(command, robot) as connection:
         return _run(command, connection, plan, robot, path)
 
@@ -166,17 +160,6 @@ def plan_rows(plan: Plan) -> list[tuple[str, str, str]]:
         (name if len(times) == 1 else f"{name} x {len(times)}", f"{sum(times):.1f} s", what)
         for (name, what), times in kinds.items()
     ]
-
-
-def _ask(plan: Plan) -> None:
-    """Ask before motors move.
-
-    Raises:
-        SurefootError: the answer is not yes.
-    """
-    print(f"Motors will move. Does the robot {PLACES[plan.rack]}? [y/N] ", end="", file=sys.stderr, flush=True)
-    if sys.stdin.readline().strip().lower() not in ("y", "yes"):
-        raise SurefootError("not begun; nothing has moved")
 
 
 def _run(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import sys
 from importlib import import_module
 from pathlib import Path
 from typing import Annotated
@@ -10,7 +10,6 @@ from typing import Annotated
 import tyro
 
 from surefoot import configuration
-from surefoot.cli.simulator import Simulator, SimulatorOptions
 from surefoot.configuration import Within
 from surefoot.errors import SurefootError
 
@@ -43,22 +42,29 @@ World = Annotated[str, tyro.conf.arg(help="Where to run: mujoco or bullet.")]
 Json = Annotated[bool, tyro.conf.arg(help="Print one JSON object.")]
 Port = Annotated[str, tyro.conf.arg(help="Serial port or pseudo-terminal of the robot, such as /dev/ttyUSB0.")]
 Lockstep = Annotated[bool, tyro.conf.arg(help="The robot is an emulator that runs with --lockstep.")]
+Yes = Annotated[bool, tyro.conf.arg(help="Do not ask before motors move.")]
 Baud = Annotated[int, Within(9600, 100_000_000), tyro.conf.arg(help="Bits a second of a serial port.")]
 
 
-@dataclass(frozen=True, kw_only=True)
-class RunOptions:
-    """Options of commands that run one policy in one world."""
+def check_terminal(place: str) -> None:
+    """Refuse to move motors without --yes where nobody can be asked; `place` says where the robot must be.
 
-    pushes: Pushes = False
-    settings: Settings = ()
-    """Physical parameters that differ from the task's, such as motor_strength=0.8."""
-    seed: Seed = 1
-    world: World = "mujoco"
-    simulator: SimulatorOptions = Simulator()
-    """Another simulator than the policy's own."""
-    robot: str | None = None
-    """Name or folder of the robot; the one of the policy's task, if not given."""
+    Raises:
+        SurefootError: there is no terminal.
+    """
+    if not sys.stdin.isatty():
+        raise SurefootError(f"motors will move and the robot must {place}; without a terminal, say so with --yes")
+
+
+def ask_to_move(place: str) -> None:
+    """Ask whether the robot is where it must be before motors move.
+
+    Raises:
+        SurefootError: the answer is not yes.
+    """
+    print(f"Motors will move. Does the robot {place}? [y/N] ", end="", file=sys.stderr, flush=True)
+    if sys.stdin.readline().strip().lower() not in ("y", "yes"):
+        raise SurefootError("not begun; nothing has moved")
 
 
 def check_policies(names: tuple[str, ...]) -> None:

@@ -8,8 +8,9 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from surefoot.cli.options import PolicyName, RunOptions, check_suffix
+from surefoot.cli.options import PolicyName, check_suffix
 from surefoot.cli.parsing import parse
+from surefoot.cli.simulator import RunOptions
 from surefoot.configuration import Duration
 
 if TYPE_CHECKING:

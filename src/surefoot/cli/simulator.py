@@ -10,6 +10,7 @@ from typing import Annotated, Literal
 
 import tyro
 
+from surefoot.cli.options import Pushes, Seed, Settings, World
 from surefoot.errors import SurefootError
 from surefoot.robot import RobotDescription
 from surefoot.robot.params_file import ParamValue, read_params
@@ -81,3 +82,18 @@ def _with_file(task: TaskConfig, path: Path) -> TaskConfig:
         )
     kept = {name: value for name, value in task.params.items() if name == "control_step"}
     return replace(task, params={**found.values, **kept}, params_source=found.source)
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunOptions:
+    """Options of commands that run one policy in one world."""
+
+    pushes: Pushes = False
+    settings: Settings = ()
+    """Physical parameters that differ from the task's, such as motor_strength=0.8."""
+    seed: Seed = 1
+    world: World = "mujoco"
+    simulator: SimulatorOptions = Simulator()
+    """Another simulator than the policy's own."""
+    robot: str | None = None
+    """Name or folder of the robot; the one of the policy's task, if not given."""

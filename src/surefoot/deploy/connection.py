@@ -6,9 +6,7 @@ import math
 import secrets
 from collections.abc import Callable
 
-import numpy as np
-from numpy.typing import NDArray
-
+from surefoot.arrays import Array
 from surefoot.deploy.clock import Clock, ClockSync, LockstepClock, MonotonicClock
 from surefoot.deploy.link import BAUD, Arrival, Link, SerialPort
 from surefoot.deploy.wire.messages import (
@@ -179,7 +177,7 @@ class RobotConnection:
         report_after = math.floor(1e6 * report_after + 1e-3) * 1e-6
         self.link.send(Arm(self.session, int(mode), command_period, report_after))
 
-    def command(self, mode: Mode, values: NDArray[np.float64]) -> None:
+    def command(self, mode: Mode, values: Array) -> None:
         """Send motor angles (M,) [rad], or a duty for each motor (M,) if the mode is that of duties."""
         kind = Pwm if mode == Mode.PWM else Position
         self.link.send(kind(self.session, values))

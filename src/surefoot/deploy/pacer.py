@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from surefoot.arrays import Array
 from surefoot.deploy.clock import Clock
 
 _ROUNDING = 1e-9
@@ -90,7 +90,7 @@ class Timing:
         self.missed += missed
         self.stale += not fresh
 
-    def last(self, count: int) -> NDArray[np.float64]:
+    def last(self, count: int) -> Array:
         """Lateness [s] of the last steps, at most so many."""
         end = min(self.steps, len(self._started))
         return self._started[max(end - count, 0) : end]

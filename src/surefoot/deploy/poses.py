@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from surefoot.arrays import Array
 from surefoot.robot import RobotDescription
 
 SIT_EXTENSION = 0.9
@@ -15,19 +16,19 @@ SPREAD_SWING = 1.2
 _ASIDE = 0.3
 
 
-def pose(robot: RobotDescription, swing: ArrayLike, extension: ArrayLike) -> NDArray[np.float64]:
+def pose(robot: RobotDescription, swing: ArrayLike, extension: ArrayLike) -> Array:
     """Motor angles (M,) [rad] of legs with swing and extension [rad], of each (L,) or of all alike."""
     legs = len(robot.legs)
     return robot.leg_to_motor_angles(np.full(legs, swing), np.full(legs, extension))
 
 
-def sitting(robot: RobotDescription) -> NDArray[np.float64]:
+def sitting(robot: RobotDescription) -> Array:
     """Motor angles (M,) [rad] of the robot when it sits; its extension is kept within what its legs allow."""
     low, high = robot.extension_range
     return pose(robot, 0.0, float(np.clip(SIT_EXTENSION, low, high)))
 
 
-def lying(robot: RobotDescription, angles: ArrayLike) -> NDArray[np.float64]:
+def lying(robot: RobotDescription, angles: ArrayLike) -> Array:
     """Motor angles (M,) [rad] with which legs lie beside a body on its belly, from how they came to lie.
 
     Legs that slid out to one side stay on it: unfolded flat they move freely, and can then be drawn in from there. Legs
@@ -39,12 +40,12 @@ def lying(robot: RobotDescription, angles: ArrayLike) -> NDArray[np.float64]:
     return robot.leg_to_motor_angles(flat, np.full(len(robot.legs), np.clip(SIT_EXTENSION, low, high)))
 
 
-def between(start: ArrayLike, end: ArrayLike, share: float) -> NDArray[np.float64]:
+def between(start: ArrayLike, end: ArrayLike, share: float) -> Array:
     """A pose on the way from `start` to `end`, at a share of the time from 0 to 1.
 
     The fifth-order polynomial of least jerk: speed and acceleration are 0 at both ends (Flash and Hogan 1985).
     """
     s = min(max(share, 0.0), 1.0)
     first, last = np.asarray(start, float), np.asarray(end, float)
-    blend: NDArray[np.float64] = first + (last - first) * (s**3 * (10.0 - 15.0 * s + 6.0 * s * s))
+    blend: Array = first + (last - first) * (s**3 * (10.0 - 15.0 * s + 6.0 * s * s))
     return blend

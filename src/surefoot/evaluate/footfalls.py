@@ -24,8 +24,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from surefoot.arrays import Array
 from surefoot.errors import choices
 from surefoot.task.trace import EpisodeTrace
 
@@ -40,7 +41,6 @@ TRANSIENT = 1.0  # s at the start that are left out, never more than a third of 
 DEBOUNCE = 0.015  # s
 SHORTEST_STRIDE = 0.08  # s
 
-FloatArray = NDArray[np.float64]
 Intervals = tuple[tuple[float, float], ...]
 
 
@@ -197,7 +197,7 @@ def stance_intervals(contact: ArrayLike, time: ArrayLike, debounce: float = 0.0)
     return tuple(s for s in spans if s[1] - s[0] >= debounce or s[0] <= first or s[1] >= last)
 
 
-def stride_period(contact: FloatArray, step: float) -> float:
+def stride_period(contact: Array, step: float) -> float:
     """Return the stride period in s, or NaN: the first high peak of the contacts' autocorrelation.
 
     Each foot is correlated with itself alone, so two feet half a stride apart do not halve the period.
@@ -224,7 +224,7 @@ def stride_period(contact: FloatArray, step: float) -> float:
     return float((best + 0.5 * (below - above) / (below - 2 * at + above)) * step)
 
 
-def _phase(touchdowns: FloatArray, reference: FloatArray, period: float) -> tuple[float, float]:
+def _phase(touchdowns: Array, reference: Array, period: float) -> tuple[float, float]:
     """Return the circular mean of touchdown phases in [0, 1) and their resultant length."""
     phases = []
     for begin, end in itertools.pairwise(reference):
@@ -257,7 +257,7 @@ def _lag(phase: float, reference: float = 0.0) -> float:
     return (phase - reference + 0.5) % 1.0 - 0.5
 
 
-def _duty(intervals: Intervals, touchdowns: FloatArray, window: tuple[float, float]) -> float:
+def _duty(intervals: Intervals, touchdowns: Array, window: tuple[float, float]) -> float:
     """Return the part of whole strides (touchdown to touchdown) in stance; of the window without strides."""
     begin, end = (touchdowns[0], touchdowns[-1]) if len(touchdowns) > 1 else window
     stance = sum(max(0.0, min(b, end) - max(a, begin)) for a, b in intervals)
@@ -266,7 +266,7 @@ def _duty(intervals: Intervals, touchdowns: FloatArray, window: tuple[float, flo
 
 def _irregular(
     names: tuple[str, ...],
-    touchdowns: dict[str, FloatArray],
+    touchdowns: dict[str, Array],
     intervals: dict[str, Intervals],
     period: float,
     window: tuple[float, float],

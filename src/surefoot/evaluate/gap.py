@@ -17,8 +17,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from surefoot.arrays import Array
 from surefoot.errors import SurefootError, choices
 from surefoot.evaluate.runs import Estimate, Runs
 from surefoot.evaluate.statistics import Interval, crossed_interval
@@ -61,7 +61,7 @@ class PolicyGap:
         """Return the gap to another world [m] with the standard error over all runs."""
         return self.home.estimate("returns") - self.of(world).estimate("returns")
 
-    def gaps(self, world: str) -> NDArray[np.float64]:
+    def gaps(self, world: str) -> Array:
         """Each policy's mean return at home less its return in each run away [m], (policies, runs)."""
         return np.array([part.home.estimate("returns").mean - part.of(world).returns for part in self.parts or (self,)])
 

@@ -10,8 +10,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from surefoot.arrays import Array
 from surefoot.errors import SurefootError
 
 CONFIDENCE = 0.95
@@ -107,7 +108,7 @@ def crossed_interval(values: ArrayLike, base: ArrayLike | None = None) -> Interv
     return _satterthwaite(float(columns.mean()), [*rows, columns])
 
 
-def _satterthwaite(mean: float, samples: Sequence[NDArray[np.float64]]) -> Interval:
+def _satterthwaite(mean: float, samples: Sequence[Array]) -> Interval:
     """Return the interval of a sum of means of independent samples, whose variances need not be alike."""
     if min(map(len, samples)) < 2:
         return Interval(mean)
@@ -128,7 +129,7 @@ def _quantile(freedom: float) -> float:
     return float(t.ppf(0.5 + CONFIDENCE / 2, freedom))
 
 
-def _checked(values: ArrayLike) -> NDArray[np.float64]:
+def _checked(values: ArrayLike) -> Array:
     array = np.asarray(values, np.float64)
     if array.ndim != 1 or not array.size or not np.isfinite(array).all():
         raise SurefootError(f"numbers {array.tolist()}; a mean takes 1 or more in one row, all of them finite")

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from surefoot.arrays import Array
-from surefoot.errors import SurefootError, choices
+from surefoot.errors import SurefootError, accessible, choices
 from surefoot.files import check_readable
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.world.interface import ACTUATORS, SimulationFactory, WorldConfig
@@ -65,11 +65,10 @@ class MotorLog:
             SurefootError: a file that can't be read or is no such table.
         """
         try:
-            check_readable(path)
-            with path.open(newline="", encoding="utf-8") as file:
-                rows = list(csv.DictReader(file))
-        except OSError as error:
-            raise SurefootError(f"motor log {path}: can't be read: {error.strerror}") from error
+            with accessible(f"motor log {path}"):
+                check_readable(path)
+                with path.open(newline="", encoding="utf-8") as file:
+                    rows = list(csv.DictReader(file))
         except (UnicodeDecodeError, csv.Error) as error:
             raise SurefootError(f"motor log {path}: is no CSV file: {error}") from error
         found = list(rows[0]) if rows else []

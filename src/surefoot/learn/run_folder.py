@@ -22,7 +22,7 @@ import torch
 
 from surefoot import __version__
 from surefoot.configuration import from_mapping, read_yaml, write_yaml
-from surefoot.errors import SurefootError, located
+from surefoot.errors import SurefootError, accessible, located
 from surefoot.files import read_configuration, read_json_lines, remove_abandoned, whole_file
 from surefoot.learn.config import TrainConfig
 
@@ -64,10 +64,8 @@ def read_checkpoint(path: Path) -> dict[str, Any]:
     Raises:
         SurefootError: it is missing, cut off, damaged, or no checkpoint; or it holds what could run code.
     """
-    try:
+    with accessible(path):
         content = path.read_bytes()
-    except OSError as error:
-        raise SurefootError(f"{path}: can't be read: {error.strerror}") from error
     if not content.startswith(_MAGIC):
         raise SurefootError(f"{path}: is not a surefoot checkpoint, or its start is damaged")
     digest, _, payload = content[len(_MAGIC) :].partition(b"\n")

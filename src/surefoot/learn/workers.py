@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from surefoot.errors import SurefootError, at_least
+from surefoot.errors import accessible, at_least
 
 PARENT = "SUREFOOT_PARENT"
 """Environment variable with the number of the process that started a worker, which ends when that one is gone."""
@@ -108,11 +108,9 @@ class _Worker:
 
     def __init__(self, command: Sequence[str], job: Job, told: queue.Queue[Any]) -> None:
         self.job, self._told = job, told
-        try:
+        with accessible(job.log, "written"):
             job.log.parent.mkdir(parents=True, exist_ok=True)
             log = job.log.open("ab")
-        except OSError as error:
-            raise SurefootError(f"{job.log}: can't be written: {error.strerror}") from error
         self._logged = job.log.stat().st_size
         with log:
             # In a session of its own: Ctrl-C reaches this process alone, which then asks the workers to stop.

@@ -6,9 +6,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from surefoot.errors import SurefootError
+from surefoot.arrays import Array
+from surefoot.errors import SurefootError, accessible
 from surefoot.native_output import stdout_to_stderr
 from surefoot.policy.contract import METADATA_KEY, Contract
 from surefoot.policy.digest import check_digest, read_parts
@@ -40,11 +41,8 @@ class PolicyRuntime:
                 contract says, or changed since it was exported.
         """
         path = Path(path)
-        try:
-            with path.open("rb") as file:
-                data = file.read(MAX_BYTES + 1)
-        except OSError as error:
-            raise SurefootError(f"policy file {path}: can't be read: {error.strerror}") from error
+        with accessible(f"policy file {path}"), path.open("rb") as file:
+            data = file.read(MAX_BYTES + 1)
         if not data:
             raise SurefootError(f"policy file {path}: is empty; a policy is an ONNX file that surefoot exported")
         try:
@@ -64,7 +62,7 @@ class PolicyRuntime:
             _check_end(path, what, found, name, width)
         return cls(session, contract, digest)
 
-    def feedback(self, observation: ArrayLike) -> NDArray[np.float64]:
+    def feedback(self, observation: ArrayLike) -> Array:
         """Return the feedback (N, 2 L) [rad] within the contract's bounds for observations (N, O * history) in SI.
 
         Raises:
@@ -82,7 +80,7 @@ class PolicyRuntime:
         if not np.isfinite(raw).all():
             raise SurefootError(f"policy '{self.contract.name}' gave feedback that is not finite; it can't be run")
         # 32-bit numbers may miss a bound by a rounding.
-        bounded: NDArray[np.float64] = np.clip(np.asarray(raw, np.float64), self._low, self._high)
+        bounded: Array = np.clip(np.asarray(raw, np.float64), self._low, self._high)
         return bounded
 
 

@@ -11,12 +11,11 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from PIL import Image, ImageDraw, ImageFilter
 
+from surefoot.arrays import Array
 from surefoot.errors import SurefootError, choices
-
-FloatArray = NDArray[np.float64]
 
 SIZES = {"box": 3, "cylinder": 2, "sphere": 1}
 """Kinds of solids, and how many sizes each has."""
@@ -101,7 +100,7 @@ class Mesh:
 class View:
     """A pinhole camera: x right, y down, depth along its axis, in pixels of the picture to be drawn."""
 
-    def __init__(self, camera: Camera, aim: FloatArray, size: tuple[int, int]) -> None:
+    def __init__(self, camera: Camera, aim: Array, size: tuple[int, int]) -> None:
         offset = np.array(camera.offset, dtype=np.float64)
         self.eye = aim + offset
         axis = -offset / np.linalg.norm(offset)
@@ -111,7 +110,7 @@ class View:
         self.width, self.height = size[0] * SUPERSAMPLE, size[1] * SUPERSAMPLE
         self.focal = 0.5 * self.height / np.tan(np.radians(camera.field_of_view) / 2)
 
-    def project(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def project(self, points: Array) -> tuple[Array, Array]:
         """Return pixels (..., 2) and depth (...) in m of points (..., 3) in the world."""
         local = (points - self.eye) @ self.axes.T
         depth = local[..., 2]
@@ -119,7 +118,7 @@ class View:
         return pixel + np.array([self.width / 2, self.height / 2]), depth
 
 
-def draw(mesh: Mesh, poses: FloatArray, view: View) -> Image.Image:
+def draw(mesh: Mesh, poses: Array, view: View) -> Image.Image:
     """Draw sky, ground, shadows and shapes, back to front, and shrink the picture to its size."""
     # Sky and ground hang only on the camera's height and direction, which are the same in every frame.
     picture = _backdrop(view.width, view.height, view.focal, float(view.eye[2]), tuple(view.axes[:, 2])).copy()
@@ -149,7 +148,7 @@ def draw(mesh: Mesh, poses: FloatArray, view: View) -> Image.Image:
     return picture.reduce(SUPERSAMPLE)
 
 
-def _back_to_front(mesh: Mesh, turn: FloatArray, place: FloatArray, view: View) -> list[int]:
+def _back_to_front(mesh: Mesh, turn: Array, place: Array, view: View) -> list[int]:
     """Order the shapes so that none is drawn over one that is in front of it.
 
     Two convex solids apart are parted by a plane, mostly a face of a bounding box; the one on the camera's
@@ -206,7 +205,7 @@ def _squares(view: View) -> Iterator[tuple[list[tuple[float, float]], tuple[int,
         yield list(map(tuple, corners)), tuple(fill)
 
 
-def _ground_color(distance: FloatArray) -> FloatArray:
+def _ground_color(distance: Array) -> Array:
     """Return the colour (..., 3) of the bare ground at a distance (...) in m from the camera."""
     haze = 1.0 - np.exp(-((distance / 7.0) ** 1.5))
     return GROUND + haze[..., None] * (HAZE - GROUND)
@@ -224,7 +223,7 @@ def _backdrop(width: int, height: int, focal: float, above: float, slope: tuple[
     return Image.fromarray(np.ascontiguousarray(np.broadcast_to(rows[:, None], (height, width, 3))))
 
 
-def _shadow(picture: Image.Image, view: View, points: FloatArray, faces: list[tuple[int, ...]]) -> None:
+def _shadow(picture: Image.Image, view: View, points: Array, faces: list[tuple[int, ...]]) -> None:
     """Darken the ground where the light's way is barred, softly."""
     ground = points - TO_LIGHT * (np.maximum(points[:, 2:], 0.0) / TO_LIGHT[2])
     ground[:, 2] = 0.0
@@ -245,13 +244,13 @@ def _shadow(picture: Image.Image, view: View, points: FloatArray, faces: list[tu
     picture.paste(SHADOW, tuple(low.tolist()), mask)
 
 
-def _normal(corners: FloatArray) -> FloatArray:
+def _normal(corners: Array) -> Array:
     """Return the unit normal of a flat face (K, 3) of counter-clockwise corners (Newell's method)."""
-    normal: FloatArray = np.cross(corners, np.roll(corners, -1, axis=0)).sum(axis=0)
+    normal: Array = np.cross(corners, np.roll(corners, -1, axis=0)).sum(axis=0)
     return normal / np.linalg.norm(normal)
 
 
-def _solid(kind: str, size: tuple[float, ...]) -> tuple[FloatArray, list[tuple[int, ...]]]:
+def _solid(kind: str, size: tuple[float, ...]) -> tuple[Array, list[tuple[int, ...]]]:
     """Return points (P, 3) about the centre and faces (indices, counter-clockwise seen from outside)."""
     # Rings above each other, each with a scale and a height: two for a box and a cylinder, a stack for a sphere.
     angle = 2 * np.pi * np.arange(SEGMENTS) / SEGMENTS

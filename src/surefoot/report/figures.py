@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from surefoot.arrays import Array
 from surefoot.evaluate.footfalls import Footfalls, analyze_footfalls
 from surefoot.evaluate.runs import Runs
 from surefoot.report.style import BLUE, GREEN, INK, LEG_COLORS, ORANGE, QUIET, heading, new_figure, place_labels, spoken
@@ -105,9 +105,7 @@ def _stride_text(feet: Footfalls) -> str:
     return f"{what}{stride}; in brackets: duty factors"
 
 
-def _raw_and_smooth(
-    ax: Axes, trace: EpisodeTrace, values: NDArray[np.float64], color: str, mean: float, unit: str
-) -> None:
+def _raw_and_smooth(ax: Axes, trace: EpisodeTrace, values: Array, color: str, mean: float, unit: str) -> None:
     """Draw a signal faintly, its running mean over half a second on top, and the episode's mean as a line."""
     ax.plot(trace.time, values, color=color, alpha=0.28, linewidth=0.7)
     width = min(max(round(0.5 / float(trace.meta["control_step"])), 1), len(values))

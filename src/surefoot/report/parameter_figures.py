@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from surefoot.arrays import Array
 from surefoot.errors import SurefootError
 from surefoot.evaluate.sensitivity import Sensitivity, row_unit
 from surefoot.report.style import INK, MARKERS, QUIET, capital, heading, new_figure, place_labels, scattered, spoken
@@ -129,7 +129,7 @@ def _returns(ax: Axes, groups: Groups, row: str) -> None:
         ax.axvline(value, color=QUIET, linewidth=0.9, linestyle=(0, (2, 2)), zorder=0, label="nominal")
 
 
-def _band(ax: Axes, x: NDArray[np.float64], curves: NDArray[np.float64], number: int, label: str) -> None:
+def _band(ax: Axes, x: Array, curves: Array, number: int, label: str) -> None:
     """Draw the mean of curves (S, K), and the band from the least to the greatest."""
     color, marker = f"C{number}", MARKERS[number % len(MARKERS)]
     ax.fill_between(x, curves.min(axis=0), curves.max(axis=0), color=color, alpha=0.16, linewidth=0)

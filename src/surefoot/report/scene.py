@@ -5,15 +5,14 @@ from __future__ import annotations
 import xml.etree.ElementTree as ElementTree
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from surefoot.arrays import Array
 from surefoot.errors import SurefootError
 from surefoot.report.drawing import GREY, Shape
 from surefoot.robot import RobotDescription
 from surefoot.rotations import quat_matrix, rpy_matrix
 from surefoot.task.trace import EpisodeTrace
-
-FloatArray = NDArray[np.float64]
 
 
 def scene(robot: RobotDescription) -> list[Shape]:
@@ -45,7 +44,7 @@ def scene(robot: RobotDescription) -> list[Shape]:
 
 def poses(
     robot: RobotDescription, base_position: ArrayLike, base_quat: ArrayLike, motor_angles: ArrayLike
-) -> dict[str, FloatArray]:
+) -> dict[str, Array]:
     """Forward kinematics, with every leg's loop closed.
 
     Args:
@@ -83,7 +82,7 @@ def poses(
     return {name: world @ pose for name, pose in found.items()}
 
 
-def trace_poses(robot: RobotDescription, trace: EpisodeTrace) -> dict[str, FloatArray]:
+def trace_poses(robot: RobotDescription, trace: EpisodeTrace) -> dict[str, Array]:
     """The links' poses (T, 4, 4) at the end of each control step of a trace.
 
     Where true motor angles are not known the readings are taken, which are a little old.
@@ -93,7 +92,7 @@ def trace_poses(robot: RobotDescription, trace: EpisodeTrace) -> dict[str, Float
     return poses(robot, trace.base_position_world[1:], trace.base_quat_world[1:], angles)
 
 
-def _joint_angles(robot: RobotDescription, theta: FloatArray) -> dict[str, FloatArray]:
+def _joint_angles(robot: RobotDescription, theta: Array) -> dict[str, Array]:
     """Angles (T,) [rad] of motor and knee joints by name, in the URDF's sense."""
     angles = {name: robot.motor_sign[i] * theta[:, i] for i, name in enumerate(robot.motor_names)}
     for leg, index in zip(robot.legs, robot.leg_motor_index, strict=True):
@@ -106,13 +105,13 @@ def _joint_angles(robot: RobotDescription, theta: FloatArray) -> dict[str, Float
     return angles
 
 
-def _axis_turn(axis: FloatArray, angle: FloatArray) -> FloatArray:
+def _axis_turn(axis: Array, angle: Array) -> Array:
     """Rotation matrices (T, 3, 3) about an axis by angles (T,) [rad]: a quaternion's."""
     unit = axis / np.linalg.norm(axis)
     return quat_matrix(np.concatenate([np.cos(angle / 2)[:, None], np.sin(angle / 2)[:, None] * unit], axis=1))
 
 
-def _origin(element: ElementTree.Element) -> FloatArray:
+def _origin(element: ElementTree.Element) -> Array:
     """The (4, 4) transform of an element's <origin>: fixed-axis roll, pitch, yaw."""
     transform = np.eye(4)
     origin = element.find("origin")

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from surefoot.arrays import Array
 from surefoot.errors import SurefootError
 
 if TYPE_CHECKING:
@@ -99,7 +99,7 @@ def place_labels(axis: Axes, labels: list[str], vertical: bool = False) -> None:
     axis.grid(visible=False, axis=name)  # type: ignore[arg-type]
 
 
-def scattered(count: int, width: float) -> NDArray[np.float64]:
+def scattered(count: int, width: float) -> Array:
     """Return places (count,) around 0 for dots that would cover each other: spread evenly by the golden ratio."""
     return np.asarray(width * ((np.arange(count) * 0.618034) % 1.0 - 0.5), np.float64)
 

@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 from PIL import Image, ImageDraw, ImageFont
 
+from surefoot.arrays import Array
 from surefoot.errors import SurefootError, choices
-from surefoot.report.drawing import Camera, FloatArray, Mesh, Shape, View, draw
+from surefoot.report.drawing import Camera, Mesh, Shape, View, draw
 
 INK, PANEL = (34, 39, 46), (255, 255, 255, 190)
 
@@ -101,7 +102,7 @@ class _Film:
         path = self.poses[:, bodies.index(follow), :2, 3]
         self.path_times, self.path = _glide(self.times, path, self.camera.smoothing)
 
-    def frames(self, clock: FloatArray, size: tuple[int, int]) -> Iterator[Image.Image]:
+    def frames(self, clock: Array, size: tuple[int, int]) -> Iterator[Image.Image]:
         """Draw a picture at each time of clock (s)."""
         for now in clock:
             aim = np.array([*(np.interp(now, self.path_times, p) for p in self.path.T), self.camera.height])
@@ -109,13 +110,13 @@ class _Film:
             _write(picture, self.overlay[int(np.abs(self.times - now).argmin())])
             yield picture
 
-    def poses_at(self, now: float) -> FloatArray:
+    def poses_at(self, now: float) -> Array:
         """Interpolate the poses (B, 4, 4): each number linearly, then the axes made orthonormal."""
         after = min(max(int(np.searchsorted(self.times, now)), 1), len(self.times) - 1)
         before = max(after - 1, 0)
         span = self.times[after] - self.times[before]
         part = float(np.clip((now - self.times[before]) / span, 0.0, 1.0)) if span > 0 else 0.0
-        pose: FloatArray = (1.0 - part) * self.poses[before] + part * self.poses[after]
+        pose: Array = (1.0 - part) * self.poses[before] + part * self.poses[after]
         x = pose[:, :3, 0] / np.linalg.norm(pose[:, :3, 0], axis=1, keepdims=True)
         z = np.cross(x, pose[:, :3, 1])
         z /= np.linalg.norm(z, axis=1, keepdims=True)
@@ -144,7 +145,7 @@ def _font(size: int) -> Any:
     return ImageFont.load_default(size)
 
 
-def _glide(times: FloatArray, path: FloatArray, smoothing: float) -> tuple[FloatArray, FloatArray]:
+def _glide(times: Array, path: Array, smoothing: float) -> tuple[Array, Array]:
     """Return times and positions (K, 2) of a camera that glides along a path (T, 2).
 
     Local linear regression with Gaussian weights: unlike a mean, it does not lag at the ends.

@@ -14,6 +14,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from surefoot.arrays import Array
 from surefoot.configuration import Within, from_mapping, read_toml
 from surefoot.errors import SurefootError, check_name, choices, located, quoted
 from surefoot.robot.leg import FiveBar, leg_to_motor, motor_to_leg
@@ -148,7 +149,7 @@ class RobotDescription:
     base: str
     body_length: float
     motor_names: tuple[str, ...]
-    motor_sign: NDArray[np.float64]
+    motor_sign: Array
     legs: tuple[Leg, ...]
     leg_geometry: FiveBar
     loops: tuple[Loop, ...]
@@ -273,14 +274,14 @@ class RobotDescription:
         return np.array([[self.motor_names.index(name) for name in leg.motors] for leg in self.legs])
 
     @property
-    def leg_mounts(self) -> NDArray[np.float64]:
+    def leg_mounts(self) -> Array:
         """Place (legs, 3) of each leg's motors from the base's origin, between both [m]; x forward, y left, z up.
 
         Parts fixed to the base are taken to be mounted without turning, as a Minitaur's rails are.
         """
         above = {joint.child: joint for joint in self.urdf.joints.values()}
 
-        def place(name: str) -> NDArray[np.float64]:
+        def place(name: str) -> Array:
             joint, total = self.urdf.joints[name], np.zeros(3)
             while True:
                 total += joint.origin
@@ -291,11 +292,11 @@ class RobotDescription:
         return np.array([np.mean([place(name) for name in leg.motors], axis=0) for leg in self.legs])
 
     @property
-    def torque_table(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def torque_table(self) -> tuple[Array, Array]:
         """Points of the torque-current curve: currents [A] and torques [N m]."""
         return np.array(self.actuator.torque_table_current), np.array(self.actuator.torque_table_torque)
 
-    def leg_to_motor_angles(self, swing: ArrayLike, extension: ArrayLike) -> NDArray[np.float64]:
+    def leg_to_motor_angles(self, swing: ArrayLike, extension: ArrayLike) -> Array:
         """Return the motor angles (..., motors) [rad] for swing and extension (..., legs) or () [rad]."""
         theta_1, theta_2 = leg_to_motor(swing, extension)
         index = self.leg_motor_index
@@ -304,13 +305,13 @@ class RobotDescription:
         angles[..., index[:, 1]] = theta_2
         return angles
 
-    def motor_to_leg_pose(self, angles: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def motor_to_leg_pose(self, angles: ArrayLike) -> tuple[Array, Array]:
         """Return the swing and extension (..., legs) [rad] for motor angles (..., motors) [rad]."""
         theta, index = np.asarray(angles, float), self.leg_motor_index
         return motor_to_leg(theta[..., index[:, 0]], theta[..., index[:, 1]])
 
     @property
-    def resting_angles(self) -> NDArray[np.float64]:
+    def resting_angles(self) -> Array:
         """Motor angles (motors,) [rad] of the resting pose."""
         return self.leg_to_motor_angles(*self.rest)
 
@@ -347,7 +348,7 @@ class RobotDescription:
             **dict.fromkeys(("imu_bias", "imu_noise", "imu_mount"), 0.0),
         }
 
-    def check_allowed(self, name: str, values: NDArray[np.float64], source: str = "") -> None:
+    def check_allowed(self, name: str, values: Array, source: str = "") -> None:
         """Refuse values of a physical parameter outside what the sheet allows.
 
         Raises:

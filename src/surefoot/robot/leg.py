@@ -16,16 +16,17 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from surefoot.arrays import Array
 from surefoot.errors import SurefootError
 
 
-def leg_to_motor(swing: ArrayLike, extension: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def leg_to_motor(swing: ArrayLike, extension: ArrayLike) -> tuple[Array, Array]:
     """Return the motor angles (theta_1, theta_2) [rad] of legs at swing and extension [rad]; any shape, broadcast."""
     s, e = np.asarray(swing, float), np.asarray(extension, float)
     return e + s, e - s
 
 
-def motor_to_leg(theta_1: ArrayLike, theta_2: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def motor_to_leg(theta_1: ArrayLike, theta_2: ArrayLike) -> tuple[Array, Array]:
     """Return the swing and extension [rad] of legs with motors at theta_1 and theta_2 [rad]; any shape, broadcast."""
     t1, t2 = np.asarray(theta_1, float), np.asarray(theta_2, float)
     return (t1 - t2) / 2, (t1 + t2) / 2
@@ -54,14 +55,14 @@ class FiveBar:
                 f"leg_geometry.foot_radius is {self.foot_radius:g}; it must be from 0 to foot {self.foot:g} m"
             )
 
-    def knees(self, theta_1: ArrayLike, theta_2: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def knees(self, theta_1: ArrayLike, theta_2: ArrayLike) -> tuple[Array, Array]:
         """Return the positions (..., 2) [m] of both knees, x forward and z up from the motor axis."""
         t1, t2 = np.asarray(theta_1, float), np.asarray(theta_2, float)
         knee_1 = self.upper * np.stack([np.sin(t1), np.cos(t1)], -1)
         knee_2 = self.upper * np.stack([-np.sin(t2), np.cos(t2)], -1)
         return knee_1, knee_2
 
-    def pin(self, theta_1: ArrayLike, theta_2: ArrayLike) -> NDArray[np.float64]:
+    def pin(self, theta_1: ArrayLike, theta_2: ArrayLike) -> Array:
         """Return the position (..., 2) [m] of the pin joint, where circles around the knees meet away from the motors.
 
         NaN where the lower links are too short to meet.
@@ -78,18 +79,18 @@ class FiveBar:
         down = np.stack([unit[..., 1], -unit[..., 0]], -1)
         return knee_2 + along * unit + height * down
 
-    def foot_position(self, theta_1: ArrayLike, theta_2: ArrayLike) -> NDArray[np.float64]:
+    def foot_position(self, theta_1: ArrayLike, theta_2: ArrayLike) -> Array:
         """Return the position (..., 2) [m] of the foot's end from the motor axis; NaN where no loop closes."""
         _, knee_2 = self.knees(theta_1, theta_2)
         pin = self.pin(theta_1, theta_2)
         return knee_2 + (pin - knee_2) * (self.foot / self.lower[1])
 
-    def knee_angles(self, theta_1: ArrayLike, theta_2: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def knee_angles(self, theta_1: ArrayLike, theta_2: ArrayLike) -> tuple[Array, Array]:
         """Return the angles [rad] of both lower links about +y from their upper links; 0 continues the upper link."""
         knee_1, knee_2 = self.knees(theta_1, theta_2)
         pin = self.pin(theta_1, theta_2)
 
-        def turn(start: NDArray[np.float64], angle: NDArray[np.float64]) -> NDArray[np.float64]:
+        def turn(start: Array, angle: Array) -> Array:
             along = pin - start
             return (np.arctan2(along[..., 0], along[..., 1]) - angle + np.pi) % (2 * np.pi) - np.pi
 

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from surefoot.configuration import is_number, read_toml
-from surefoot.errors import SurefootError, located, quoted
+from surefoot.errors import SurefootError, accessible, located, quoted
 from surefoot.files import whole_file
 from surefoot.robot.description import RobotDescription
 from surefoot.robot.params import PhysicalParams
@@ -115,11 +115,8 @@ def write_params(
     for key, value in others.items():
         if _is_table(value):
             lines += _table(_key(key), value)
-    try:
-        with whole_file(path) as file:
-            file.write("\n".join([*lines, ""]).encode())
-    except OSError as error:
-        raise SurefootError(f"{path}: can't be written: {error.strerror}") from error
+    with accessible(path, "written"), whole_file(path) as file:
+        file.write("\n".join([*lines, ""]).encode())
     return path
 
 

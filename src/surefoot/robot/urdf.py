@@ -11,7 +11,7 @@ import xml.etree.ElementTree as ElementTree
 from dataclasses import dataclass
 from pathlib import Path
 
-from surefoot.errors import SurefootError, choices
+from surefoot.errors import SurefootError, accessible, choices
 from surefoot.files import read_configuration
 
 
@@ -95,9 +95,8 @@ def read_urdf(path: Path) -> Urdf:
         SurefootError: the file can't be read, is not a URDF, or a mass or inertia is not that of a body.
     """
     try:
-        robot = ElementTree.fromstring(read_configuration(path))
-    except OSError as error:
-        raise SurefootError(f"{path}: can't be read: {error.strerror}") from error
+        with accessible(path):
+            robot = ElementTree.fromstring(read_configuration(path))
     except ElementTree.ParseError as error:
         raise SurefootError(f"{path}: is not well-formed XML: {error}") from error
     if robot.tag != "robot":

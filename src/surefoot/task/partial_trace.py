@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from surefoot.arrays import Array
-from surefoot.errors import SurefootError, located
+from surefoot.errors import SurefootError, accessible, located
 from surefoot.files import check_readable
 from surefoot.task.trace import EpisodeTrace
 
@@ -107,11 +107,9 @@ def recover(path: str | Path) -> EpisodeTrace:
         SurefootError: no such file, another kind of file, or one without a whole row.
     """
     path = Path(path)
-    try:
+    with accessible(f"partial trace {path}"):
         check_readable(path)
         data = path.read_bytes()
-    except OSError as error:
-        raise SurefootError(f"partial trace {path}: can't be read: {error.strerror}") from error
     line, _, body = data.partition(b"\n")
     try:
         head = json.loads(line)

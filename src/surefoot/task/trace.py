@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from surefoot.arrays import Array
 from surefoot.errors import SurefootError, choices, located
 from surefoot.files import DATA_BYTES, check_readable, whole_file
 
@@ -37,8 +38,6 @@ _META_DEFAULTS: dict[str, Any] = {
 _MAY_BE_NAN = frozenset(
     {"base_position_world", "base_quat_world", "foot_contact", "foot_position_world", "true_motor_angle"}
 )
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,21 +71,21 @@ class EpisodeTrace:
             energy_weight, ended (one of `ENDINGS`), max_steps.
     """
 
-    time: FloatArray
-    base_position_world: FloatArray
-    base_quat_world: FloatArray
-    roll_pitch_yaw: FloatArray
-    angular_velocity_base: FloatArray
-    motor_angle: FloatArray
-    motor_velocity: FloatArray
-    motor_torque: FloatArray
-    observation: FloatArray
-    feedback: FloatArray
-    target: FloatArray
-    energy: FloatArray
-    foot_contact: FloatArray
-    foot_position_world: FloatArray = field(default_factory=lambda: np.empty(0))
-    true_motor_angle: FloatArray = field(default_factory=lambda: np.empty(0))
+    time: Array
+    base_position_world: Array
+    base_quat_world: Array
+    roll_pitch_yaw: Array
+    angular_velocity_base: Array
+    motor_angle: Array
+    motor_velocity: Array
+    motor_torque: Array
+    observation: Array
+    feedback: Array
+    target: Array
+    energy: Array
+    foot_contact: Array
+    foot_position_world: Array = field(default_factory=lambda: np.empty(0))
+    true_motor_angle: Array = field(default_factory=lambda: np.empty(0))
     meta: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -185,11 +184,12 @@ def _shapes(steps: int, meta: dict[str, Any]) -> dict[str, tuple[int, ...]]:
     }
 
 
-def _checked_array(name: str, value: ArrayLike, shape: tuple[int, ...]) -> FloatArray:
+def _checked_array(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
     """Return a read-only float64 copy after checking shape and finiteness."""
-    if np.asarray(value).dtype.kind not in "biuf":
-        raise SurefootError(f"trace: {name} holds {np.asarray(value).dtype}, but must hold numbers")
-    array = np.array(value, dtype=np.float64)
+    given = np.asarray(value)
+    if given.dtype.kind not in "biuf":
+        raise SurefootError(f"trace: {name} holds {given.dtype}, but must hold numbers")
+    array = given.astype(np.float64)
     if array.shape != shape:
         raise SurefootError(f"trace: {name} has shape {array.shape}, but must have {shape}")
     if array.size == 0 and shape[0] == 0:

@@ -6,6 +6,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from surefoot.arrays import Array
 from surefoot.errors import SurefootError
 from surefoot.robot import GRAVITY, RobotDescription
 from surefoot.world.drive import RACK_HEIGHT
@@ -82,7 +83,7 @@ def foot_geoms(robot: RobotDescription, model: mujoco.MjModel) -> NDArray[np.int
     return np.array([model.geom(f"{leg.name}_foot").id for leg in robot.legs])
 
 
-def resting_qpos(robot: RobotDescription, model: mujoco.MjModel) -> NDArray[np.float64]:
+def resting_qpos(robot: RobotDescription, model: mujoco.MjModel) -> Array:
     """Return generalized coordinates of the resting pose, loops closed, lowest foot on the ground (no rack)."""
     qpos = model.qpos0.copy()
     for name, angle in robot.resting_joint_angles.items():

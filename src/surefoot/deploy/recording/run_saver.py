@@ -15,7 +15,7 @@ from surefoot.deploy.pacer import Timing
 from surefoot.deploy.recording.motion_capture import base_and_feet, read_capture
 from surefoot.deploy.recording.partial import PartialFile
 from surefoot.deploy.recording.recorder import Recorder
-from surefoot.errors import SurefootError
+from surefoot.errors import SurefootError, accessible
 from surefoot.task.partial_trace import SUFFIX, Layout, trace_of
 from surefoot.task.trace import ENERGY_WEIGHT, EpisodeTrace
 
@@ -86,12 +86,10 @@ class RunSaver:
             SurefootError: the folder can't be written.
         """
         if self.path is not None:
-            try:
+            with accessible(f"folder {self.path.parent}", "written"):
                 self.path.parent.mkdir(parents=True, exist_ok=True)
                 with tempfile.TemporaryFile(dir=self.path.parent):
                     pass
-            except OSError as error:
-                raise SurefootError(f"folder {self.path.parent}: can't be written: {error.strerror}") from error
             self._partial = PartialFile(self.path.with_name(self.path.name + SUFFIX), self.recorder.layout, self.meta)
             self._watch.recording(f"recording to {self.path}")
 
