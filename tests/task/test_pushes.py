@@ -46,6 +46,24 @@ def test_pushes_are_uniform_in_size_and_direction():
         assert stats.kstest(unit[:, axis], "uniform", (-1, 2)).pvalue > 0.01
 
 
+def test_horizontal_pushes_have_their_whole_force_in_the_plane():
+    config = PushConfig(enabled=True, direction="horizontal", force=(60.0, 60.0))
+    many = forces(Pusher(config, 2000, seed=3), 1, first=200)[0]
+    assert not many[:, 2].any()
+    np.testing.assert_allclose(np.linalg.norm(many, axis=1), 60.0)
+    assert stats.kstest(np.arctan2(many[:, 1], many[:, 0]), "uniform", (-np.pi, 2 * np.pi)).pvalue > 0.01
+
+
+def test_a_ramp_lets_the_force_grow_over_a_robots_first_pushes_through_all_its_episodes():
+    pusher = Pusher(PushConfig(enabled=True, force=(100.0, 100.0), ramp=4), 1, seed=1)
+    sizes = []
+    for _ in range(3):  # episodes with two pushes each
+        path = forces(pusher, 500)[:, 0]
+        sizes += np.linalg.norm(path[[200, 400]], axis=1).tolist()
+        pusher.reset(np.array([0]))
+    assert sizes == pytest.approx([25, 50, 75, 100, 100, 100])
+
+
 @pytest.mark.parametrize("probability", [0.0, 0.3, 1.0])
 def test_pushes_are_given_with_their_probability(probability: float):
     pusher = Pusher(PushConfig(enabled=True, probability=probability), 2000, seed=3)
@@ -100,6 +118,7 @@ def test_any_control_step_gets_every_push(step):
         ({"force": (220.0, 130.0)}, "pushes.force is [220.0, 130.0]; the lower bound must come first"),
         ({"probability": 1.5}, "pushes.probability is 1.5; it must be 1 or less"),
         ({"force": (-1.0, 130.0)}, "pushes.force[0] is -1; it must be 0 or more"),
+        ({"ramp": -1}, "pushes.ramp is -1; it must be 0 or more"),
         ({"period": float("nan")}, "pushes.period is nan; it must be a finite number"),
     ],
 )

@@ -634,6 +634,9 @@ def test_a_task_names_a_table_or_has_its_own(tmp_path: Path):
     assert load_task(task_file(tmp_path, "randomize: table1"))[0].randomize.ranges == TABLE_1
     own = "randomize:\n  mass: [0.9, 1.1]\n  latency: [0, 0.02]\n  voltage: null"
     assert load_task(task_file(tmp_path, own))[0].randomize.ranges == {"mass": (0.9, 1.1), "latency": (0.0, 0.02)}
+    both = "randomize: {table: table1, latency: null, contact_stiffness: [3000, 30000]}"
+    expected = {row: given for row, given in TABLE_1.items() if row != "latency"}
+    assert load_task(task_file(tmp_path, both))[0].randomize.ranges == expected | {"contact_stiffness": (3e3, 3e4)}
     (tmp_path / "mine.yaml").write_text("voltage: [15, 16]\n")
     by_path = load_task(task_file(tmp_path, f"randomize: {tmp_path / 'mine.yaml'}"))[0]
     assert by_path.randomize.ranges == {"voltage": (15.0, 16.0)}
@@ -654,6 +657,8 @@ def test_a_tables_path_counts_from_the_tasks_file(tmp_path: Path, monkeypatch: p
         ("randomize: tabel1", ["task.yaml: randomize '", "tabel1' does not exist; choices: ensemble, none, table1"]),
         ("randomize: {mass: [1.2, 0.8]}", ["task.yaml: randomize.mass is [1.2, 0.8]"]),
         ("randomize: {speed: [1, 2]}", ["task.yaml: randomize.speed is not a key; choices: mass"]),
+        ("randomize: {table: tabel1}", ["tabel1' does not exist; choices: ensemble, none, table1"]),
+        ("randomize: {table: table1, speed: [1, 2]}", ["randomize.speed is not a key; choices: mass"]),
         ("randomize: 3", ["task.yaml: randomize is 3; it must be a table"]),
     ],
 )

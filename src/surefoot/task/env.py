@@ -241,7 +241,7 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
         self.world.set_state(state["world"])
         self.readings, self.truth = self.world.readings(), self.world.truth()
         for name, array in self._arrays().items():
-            array[:] = state[name]
+            array[:] = state.get(name, 0) if name == "pushes_before" else state[name]  # older states have none
         for name, streams in self._streams().items():
             for stream, saved in zip(streams, state[name], strict=True):
                 stream.bit_generator.state = saved
@@ -249,7 +249,8 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
     def _arrays(self) -> dict[str, NDArray[Any]]:
         return {
             **{name: getattr(self, name) for name in ("steps", "returns", "start_position", "feedback", "over")},
-            **{"history": self._history, "push_force": self.pusher.force, "pushes_drawn": self.pusher.drawn},
+            **{"history": self._history, "push_force": self.pusher.force},
+            **{"pushes_drawn": self.pusher.drawn, "pushes_before": self.pusher.before},
         }
 
     def _streams(self) -> dict[str, list[np.random.Generator]]:

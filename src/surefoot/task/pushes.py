@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +26,10 @@ class PushConfig:
     """How long a push lasts [s]."""
     force: Annotated[tuple[float, float], Within(0, 1e6)] = (130.0, 220.0)
     """Least and greatest force [N]."""
+    direction: Literal["any", "horizontal"] = "any"
+    """any: uniform over the sphere, as the paper; horizontal: uniform over the circle, the whole force sideways."""
+    ramp: Annotated[int, Within(0, 1_000_000)] = 0
+    """Curriculum: a robot's first `ramp` pushes grow in force from nothing to what is drawn; 0: none do."""
     probability: Annotated[float, Within(0, 1)] = 1.0
     """Chance that a push that is due is given; the paper gives every one."""
 
@@ -41,17 +45,21 @@ class PushConfig:
 
 
 class Pusher:
-    """Draws a force for each push of each robot: uniform in magnitude, and in direction over the whole sphere."""
+    """Draws a force for each push of each robot, uniform in magnitude and in direction."""
 
     def __init__(self, config: PushConfig, num_envs: int, seed: int) -> None:
         self.config = config
         self.streams = generators(seed, "pushes", num_envs)
         self.force = np.zeros((num_envs, 3))
         self.drawn = np.zeros(num_envs, np.int64)
+        """Pushes that were due in this episode."""
+        self.before = np.zeros(num_envs, np.int64)
+        """Pushes that were due in earlier episodes."""
 
     def reset(self, index: NDArray[np.int64]) -> None:
         """Start the clock of the robots at `index` anew."""
         self.force[index] = 0
+        self.before[index] += self.drawn[index]
         self.drawn[index] = 0
 
     def update(self, time: Array) -> bool:
@@ -66,8 +74,11 @@ class Pusher:
             stream = self.streams[i]
             given = stream.uniform() < config.probability
             direction = stream.standard_normal(3)
+            if config.direction == "horizontal":
+                direction[2] = 0.0
             size = stream.uniform(*config.force) / np.linalg.norm(direction)
-            self.force[i] = size * direction if given else 0.0
+            share = min(1.0, (self.before[i] + number[i]) / config.ramp) if config.ramp else 1.0
+            self.force[i] = share * size * direction if given else 0.0
             self.drawn[i] = number[i]
         self.force[stop] = 0
         return bool(start.any() or stop.any())

@@ -237,13 +237,17 @@ def _far_ahead(stream: np.random.Generator) -> np.random.Generator:
 def with_ranges(data: dict[str, Any], folder: Path = Path()) -> dict[str, Any]:
     """Return a task's table with `randomize` as a table where it names a table of ranges or a file in a folder.
 
+    It names one either alone, or under `table` beside rows that differ from it.
+
     Raises:
         SurefootError: no such table, or a file that does not fit.
     """
     given = data.get("randomize")
-    if not isinstance(given, str):
+    rows = dict(given) if isinstance(given, Mapping) else {"table": given}
+    name = rows.pop("table", None)
+    if not isinstance(name, str):
         return data
-    return {**data, "randomize": vars(load_ranges(given, folder))}
+    return {**data, "randomize": {**vars(load_ranges(name, folder)), **rows}}
 
 
 def draw_hidden(robot: RobotDescription, ranges: Mapping[str, tuple[float, float]], seed: int) -> PhysicalParams:
