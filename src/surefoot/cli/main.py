@@ -19,6 +19,7 @@ COMMANDS = {
     "emulate": ("surefoot.cli.emulate", "emulate a robot: microcontroller and physics behind a pseudo-terminal"),
     "doctor": ("surefoot.cli.doctor", "check a policy, a link and a robot before it runs"),
     "deploy": ("surefoot.cli.deploy", "run a policy on a robot, or on an emulated one"),
+    "paper": ("surefoot.cli.paper", "write one page: the paper and surefoot's results side by side"),
     "sensitivity": ("surefoot.cli.sensitivity", "find which physical parameters break a policy"),
     "gap": ("surefoot.cli.gap", "measure what policies lose in another world, or on a robot"),
 }

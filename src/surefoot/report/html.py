@@ -1,0 +1,41 @@
+"""Parts of pages that load nothing from elsewhere: a frame with one style, tables, pictures."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Iterable, Sequence
+from html import escape
+
+STYLE = """
+body { font: 15px/1.5 system-ui, sans-serif; color: #22272e; max-width: 62rem; margin: 2rem auto; padding: 0 1rem; }
+h1 { font-size: 1.5rem; margin-bottom: .2rem; } h2 { font-size: 1.1rem; margin-top: 2rem; }
+table { border-collapse: collapse; } td, th { padding: .15rem .9rem .15rem 0; text-align: left; vertical-align: top; }
+th { border-bottom: 1px solid #6b7480; font-weight: 600; } tr + tr td { border-top: 1px solid #e3e7eb; }
+.n { text-align: right; font-variant-numeric: tabular-nums; white-space: nowrap; }
+.quiet { color: #6b7480; } img { max-width: 100%; }
+code { font-size: .85em; overflow-wrap: anywhere; } figure { margin: 1rem 0; } .wide { overflow-x: auto; }
+"""
+
+
+def page(title: str, parts: Iterable[str]) -> str:
+    """Return a whole page of HTML parts; the title is text."""
+    head = f'<meta charset="utf-8"><meta name="viewport" content="width=device-width"><title>{escape(title)}</title>'
+    return (
+        f'<!doctype html>\n<html lang="en"><head>{head}<style>{STYLE}</style></head>\n<body>\n'
+        + "\n".join(parts)
+        + "\n</body></html>\n"
+    )
+
+
+def row(texts: Sequence[str], kinds: str, tag: str = "td") -> str:
+    """Return a row of a table; `kinds` has an n for each column of numbers, a t for text, an h for HTML."""
+    cells = (
+        f"<{tag}{' class=n' if kind == 'n' else ''}>{text if kind == 'h' else escape(text)}</{tag}>"
+        for text, kind in zip(texts, kinds, strict=True)
+    )
+    return f"<tr>{''.join(cells)}</tr>"
+
+
+def picture(png: bytes, alt: str) -> str:
+    """Return a picture as part of the page."""
+    return f'<img alt="{escape(alt)}" src="data:image/png;base64,{base64.b64encode(png).decode()}">'
