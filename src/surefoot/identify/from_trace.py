@@ -24,13 +24,11 @@ from surefoot.actuator import motor_friction
 from surefoot.arrays import Array
 from surefoot.deploy.connection import LEAD
 from surefoot.errors import SurefootError, choices
-from surefoot.identify.accuracy import with_floor
-from surefoot.identify.fits.motor import GAIN
-from surefoot.identify.fitting import Fit, Unknown, fit_least_squares
+from surefoot.identify.fitting import GAIN, Fit, Unknown, fit_least_squares
 from surefoot.identify.inverse_dynamics import InverseDynamics, Motion
 from surefoot.identify.recording import digest_of, read_at
 from surefoot.identify.registry import FitProgress, silent
-from surefoot.identify.result import Check, Estimate, Identification, Series, label_of
+from surefoot.identify.result import Check, Estimate, Identification, Series, label_of, with_floor
 from surefoot.identify.trace_data import (
     TraceSegment,
     check_traces,

@@ -41,7 +41,7 @@ def _masses(model: mujoco.MjModel) -> Array:
 
 
 class MujocoEngine:
-    """MuJoCo behind the engine interface: observe, advance, parameters, forces and snapshots of single robots.
+    """MuJoCo behind the interface `sim_world.Engine`.
 
     Args:
         robot: what to simulate.
@@ -176,11 +176,7 @@ class MujocoEngine:
         self.datas[i].xfrc_applied[self._base, :3] = force_world
 
     def set_params(self, i: int, params: PhysicalParams, row: int) -> None:
-        """Apply masses, inertias and the feet's contact of `params[row]` to robot `i`.
-
-        Raises:
-            SurefootError: a parameter that only Bullet models.
-        """
+        """Apply masses, inertias and the feet's contact of `params[row]` to robot `i`, if MuJoCo models all else."""
         for name in BULLET_ONLY:
             if (value := float(getattr(params, name)[row])) != 0.0:
                 raise SurefootError(f"{name} is {value:g}; MuJoCo does not model it: set 0, or use world bullet")

@@ -13,8 +13,7 @@ from surefoot.arrays import Array
 from surefoot.errors import SurefootError
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.seeding import generators
-from surefoot.world.drive import Drive, new_drive, read_delayed, record, set_drive_params
-from surefoot.world.imu import read_by_mounted_imu
+from surefoot.world.drive import Drive, new_drive, read_by_mounted_imu, read_delayed, record, set_drive_params
 from surefoot.world.interface import Readings, Truth, WorldConfig
 
 Index = NDArray[np.int64]
@@ -136,7 +135,7 @@ class SimWorld:
         self.reset()
 
     def _settle(self, engine: EngineFactory) -> Array:
-        """Return the state of one nominal robot after it has settled; all resets start from it."""
+        """Return the state of one nominal robot after it has settled."""
         config = replace(self.config, thermal_protection=False, threads=1)
         drive = new_drive(self.robot, 1, self._history, config)
         single = engine(self.robot, drive, config)
