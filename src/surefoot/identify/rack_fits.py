@@ -75,7 +75,8 @@ def fit_motor(
         if unknown.name == TORQUE_GAIN:
             gains[unknown.index] = value
     found = Identification("motor", robot.name, estimates).params(robot, known)
-    checks, series = (), ()
+    checks: tuple[Check, ...] = ()
+    series: tuple[Series, ...] = ()
     if checked:
         checks, series = _check(robot, recording, known, found, gains, stretch_of(recording, checked[0], checked[-1]))
     untold = [e.label for e in estimates if not e.told]
