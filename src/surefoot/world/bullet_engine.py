@@ -30,13 +30,7 @@ MAX_ROBOTS = 256
 
 
 class BulletEngine:
-    """Bullet behind the interface `sim_world.Engine`; it steps robots one after another (`process_world`: many cores).
-
-    Args:
-        robot: what to simulate.
-        drive: shared servo, motor and sensor arrays; its first axis is the number of robots.
-        config: actuator and rack.
-        settings: how Bullet solves bodies and contacts.
+    """Bullet behind the interface `sim_world.Engine`, one robot after another; `process_world` takes several cores.
 
     Raises:
         SurefootError: more robots than a process can hold, or a robot that Bullet reads with other masses.

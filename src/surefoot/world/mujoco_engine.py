@@ -41,13 +41,7 @@ def _masses(model: mujoco.MjModel) -> Array:
 
 
 class MujocoEngine:
-    """MuJoCo behind the interface `sim_world.Engine`.
-
-    Args:
-        robot: what to simulate.
-        drive: shared servo, motor and sensor arrays; its first axis is the number of robots.
-        config: actuator, rack, and threads to step on.
-    """
+    """MuJoCo behind the interface `sim_world.Engine`; it steps robots on `config.threads` threads."""
 
     name = "mujoco"
     gravity = GRAVITY

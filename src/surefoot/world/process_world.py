@@ -91,20 +91,10 @@ def _cut(arrays: dict[str, Array], share: slice) -> dict[str, Array]:
 
 
 class ProcessWorld:
-    """A `Simulation` whose robots are stepped by several processes; see `SimWorld` for what each does.
+    """A `Simulation` whose robots are stepped by several processes; arguments and errors are those of `SimWorld`.
 
-    The processes end with this object, when it is closed, or with the process that owns it.
-
-    Args:
-        robot: what to simulate.
-        num_envs: number of robots.
-        params: their physical parameters; nominal, if none are given.
-        seed: seeds sensor noise and starting velocities, one stream a robot.
-        config: see `WorldConfig`; `threads` is the number of processes.
-        engine: makes the physics, a function at the top of a module.
-
-    Raises:
-        SurefootError: as `SimWorld`, and whenever one of the processes has ended.
+    The engine is a function at the top of a module. The processes, `config.threads` of them, end with this object, when
+    it is closed, or with the process that owns it; a `SurefootError` tells that one has ended on its own.
     """
 
     def __init__(
@@ -223,11 +213,7 @@ class ProcessWorld:
         return np.concatenate(self._ask("foot_positions", self._each()))
 
     def set_params(self, index: ArrayLike, params: PhysicalParams) -> None:
-        """Give the robots at `index` other physical parameters, one row each; best followed by their reset.
-
-        Raises:
-            SurefootError: a value outside what the robot's description allows; then no robot has changed.
-        """
+        """Give the robots at `index` other physical parameters, one row each; see `SimWorld.set_params`."""
         rows = np.atleast_1d(np.asarray(index, np.int64))
         self.params.set_rows(self.robot, rows, params)
         self._truths = None

@@ -64,6 +64,7 @@ class Engine(Protocol):
 
 
 EngineFactory = Callable[[RobotDescription, Drive, WorldConfig], Engine]
+"""Makes the physics of as many robots as the shared arrays of servos, motors and sensors have rows."""
 
 
 def mujoco_engine(robot: RobotDescription, drive: Drive, config: WorldConfig) -> Engine:
@@ -74,11 +75,7 @@ def mujoco_engine(robot: RobotDescription, drive: Drive, config: WorldConfig) ->
 
 
 def check_batch(num_envs: int, params: PhysicalParams | None) -> None:
-    """Refuse a world without robots, or parameters for another number of them.
-
-    Raises:
-        SurefootError: with the number.
-    """
+    """Refuse a world without robots, or parameters for another number of them."""
     if num_envs < 1:
         raise SurefootError(f"num_envs is {num_envs}; a world needs 1 robot or more")
     if params is not None and params.num_envs != num_envs:
