@@ -102,7 +102,7 @@ KINDS = {
     "doctor options": Kind(("doctor", "@policy.onnx", "--port", "nowhere"), "cli.doctor:DoctorCommand"),
     "identify options": Kind(
         ("identify", "motor", "--recording", "@recording.npz", "--params", "out/robot.toml", "--out", "out"),
-        "cli.identify_experiment:ExperimentCommand",
+        "cli.identify:ExperimentCommand",
         2,
     ),
     "motor figure options": Kind(
@@ -111,7 +111,7 @@ KINDS = {
         2,
     ),
     "trace fit options": Kind(
-        ("identify", "--from-trace", "@trace.npz", "--out", "out"), "cli.identify_experiment:TracesCommand", 3
+        ("identify", "--from-trace", "@trace.npz", "--out", "out"), "cli.identify:TracesCommand", 3
     ),
     "emulate options": Kind(("emulate", "--duration", "0.02"), "cli.emulate:EmulateCommand", 3),
     "task": Kind(("train", "@@task.yaml", *TINY, "--runs", "out")),
@@ -571,7 +571,7 @@ def warm_up() -> None:
     for module in (
         *("cli.results", "cli.study_results", "cli.progress", "learn.run", "learn.progress", "learn.export"),
         *("world.sim_world", "report.video", "report.figures", "report.gap_figures", "report.parameter_figures"),
-        *("evaluate.gap", "identify.from_trace", "cli.identify_experiment"),
+        *("evaluate.gap", "identify.from_trace", "cli.identify"),
         *("cli.identify_motor_figure", "cli.identify_results", "emulator.process", "report.motor_figure"),
     ):
         importlib.import_module(f"surefoot.{module}")

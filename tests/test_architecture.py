@@ -46,7 +46,7 @@ ROBOT_SIDE = [
     "surefoot.cli.identify",
     "surefoot.identify.experiment_runner",
     "surefoot.identify.registry",
-    "surefoot.identify.experiments.contact",
+    "surefoot.identify.ground_plans",
 ]
 NOT_ON_THE_ROBOT = {
     *("mujoco", "numba", "llvmlite", "gymnasium", "scipy", "pybullet"),

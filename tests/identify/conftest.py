@@ -1,4 +1,4 @@
-"""Emulated robots as processes, and an experiment that one of them went through."""
+"""Emulated robots, and an experiment that one of them went through."""
 
 from __future__ import annotations
 
@@ -15,8 +15,7 @@ from surefoot.deploy.link import LinkLostError
 from surefoot.deploy.poses import pose
 from surefoot.deploy.wire.messages import Mode
 from surefoot.identify.experiment_runner import run_plan
-from surefoot.identify.experiments.signals import chirps, go_to, steps
-from surefoot.identify.plan import ExperimentLimits, Phase, Plan
+from surefoot.identify.plan import ExperimentLimits, Phase, Plan, chirps, go_to, steps
 from surefoot.identify.recording import COMPLETE, Recording
 from surefoot.robot import RobotDescription
 

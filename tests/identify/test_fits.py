@@ -11,9 +11,8 @@ import pytest
 pytest.importorskip("mujoco")
 
 from surefoot.errors import SurefootError
-from surefoot.identify.fits.motor import fit_on_rack, motor_unknowns, rack_estimates
 from surefoot.identify.plan import Plan
-from surefoot.identify.rack_model import moving_legs
+from surefoot.identify.rack_model import fit_on_rack, motor_unknowns, moving_legs, rack_estimates
 from surefoot.identify.recording import Recording
 from surefoot.identify.registry import EXPERIMENTS, silent
 from surefoot.identify.replay import stretch_of
@@ -34,11 +33,11 @@ RACK = {
 GROUND = {
     "base_mass_ratio": 1.15,
     "base_inertia_ratio": 1.3,
-    "contact_friction": 0.7,
+    "contact_friction": 1.2,
     "contact_stiffness": 2000.0,
+    "motor_strength": 0.8,
 }
-GRIPPING = {**GROUND, "contact_friction": 1.2, "motor_strength": 0.8}
-"""Feet that are hard to drag: of a heavy robot with weak motors, on a floor that holds them."""
+"""A heavy robot with weak motors on a floor that holds its feet, which are hard to drag."""
 Record = Callable[..., list[Recording]]
 Short = dict[str, float]
 """Lengths [s] of phases by name; of equal names the first `count` ones are kept."""
@@ -77,27 +76,16 @@ def rack(robot: RobotDescription, record: Record) -> tuple[Recording, Recording]
     return one, other
 
 
-def ground(robot: RobotDescription, name: str, lengths: Short, counts: dict[str, int]) -> Plan:
-    plan = EXPERIMENTS[name].plan(robot)
-    first = next(k for k, phase in enumerate(plan.phases) if phase.use != "way")
-    ways = {phase.name: phase.duration for phase in plan.phases[:first]}
-    return shortened(plan, ways | lengths, counts)
-
-
-MASS = {"drop": 1.4, "stand still": 1.0, "squat slowly": 2.0, "nod": 5.0, "nod back": 1.0}
-
-
 @pytest.fixture(scope="module")
-def massive(robot: RobotDescription, record: Record) -> Recording:
-    """Most of the mass experiment, of a robot that is heavier than it was described."""
-    return record(GROUND, ground(robot, "mass", MASS, {}))[0]
-
-
-@pytest.fixture(scope="module")
-def dragging(robot: RobotDescription, record: Record) -> Recording:
-    """Most of the contact experiment, of the same robot with weak motors on a floor that holds its feet."""
-    plan = ground(robot, "contact", {"drop": 1.4, "drag": 4.0, "nod": 4.0}, {"drop": 3, "drag": 2})
-    return record(GRIPPING, plan)[0]
+def grounded(robot: RobotDescription, record: Record) -> Recording:
+    """Most of both experiments on the ground."""
+    mass, contact = (EXPERIMENTS[name].plan(robot) for name in ("mass", "contact"))
+    first = next(k for k, phase in enumerate(mass.phases) if phase.use != "way")
+    ways = {phase.name: phase.duration for phase in mass.phases[:first]}
+    drags = shortened(contact, {"drop": 1.4, "drag": 4.0}, {"drop": 2, "drag": 2})
+    rest = shortened(mass, {"stand still": 1.0, "squat slowly": 2.0, "nod": 4.5, "nod back": 1.0}, {})
+    rise = shortened(mass, ways, {})
+    return record(GROUND, replace(mass, phases=(*rise.phases, *drags.phases, *rest.phases)))[0]
 
 
 @pytest.fixture(scope="module")
@@ -197,8 +185,8 @@ def test_a_robot_that_answers_no_spikes_is_refused(
         EXPERIMENTS["latency"].fit(robot, weak, nominal)
 
 
-def test_a_heavier_robot_is_weighed(robot: RobotDescription, massive: Recording, nominal: PhysicalParams):
-    found = EXPERIMENTS["mass"].fit(robot, massive, nominal)
+def test_a_heavier_robot_is_weighed(robot: RobotDescription, grounded: Recording, nominal: PhysicalParams):
+    found = EXPERIMENTS["mass"].fit(robot, grounded, nominal.with_values(robot, motor_strength=0.8))
     assert found.estimate("base_mass_ratio").value == pytest.approx(1.15, rel=0.02)
     base = sum(robot.urdf.links[name].mass for name in robot.urdf.fixed_to(robot.base))
     total = robot.urdf.total_mass + 0.15 * base
@@ -217,13 +205,13 @@ def test_a_heavier_robot_is_weighed(robot: RobotDescription, massive: Recording,
     assert set(found.found()) == {"base_mass_ratio", "base_inertia_ratio"}
 
 
-def gripping(robot: RobotDescription, nominal: PhysicalParams) -> PhysicalParams:
+def weighed(robot: RobotDescription, nominal: PhysicalParams) -> PhysicalParams:
     """What experiments on motors and mass have told before of the robot whose feet are dragged."""
-    return nominal.with_values(robot, **{name: GRIPPING[name] for name in GRIPPING if not name.startswith("contact")})
+    return nominal.with_values(robot, **{name: GROUND[name] for name in GROUND if not name.startswith("contact")})
 
 
-def test_feet_are_found(robot: RobotDescription, dragging: Recording, nominal: PhysicalParams):
-    found = EXPERIMENTS["contact"].fit(robot, dragging, gripping(robot, nominal))
+def test_feet_are_found(robot: RobotDescription, grounded: Recording, nominal: PhysicalParams):
+    found = EXPERIMENTS["contact"].fit(robot, grounded, weighed(robot, nominal))
     friction, stiffness = found.estimate("contact_friction"), found.estimate("contact_stiffness")
     assert friction.value == pytest.approx(1.2, rel=0.05)
     assert stiffness.value == pytest.approx(2000.0, rel=0.08)
@@ -235,10 +223,10 @@ def test_feet_are_found(robot: RobotDescription, dragging: Recording, nominal: P
 
 
 def test_friction_of_feet_that_do_not_slide_is_not_told_and_stays_as_it_was(
-    robot: RobotDescription, dragging: Recording, nominal: PhysicalParams, monkeypatch: pytest.MonkeyPatch
+    robot: RobotDescription, grounded: Recording, nominal: PhysicalParams, monkeypatch: pytest.MonkeyPatch
 ):
-    monkeypatch.setattr("surefoot.identify.fits.contact.SLIDING", 10.0)
-    found = EXPERIMENTS["contact"].fit(robot, dragging, gripping(robot, nominal))
+    monkeypatch.setattr("surefoot.identify.ground_fits.SLIDING", 10.0)
+    found = EXPERIMENTS["contact"].fit(robot, grounded, weighed(robot, nominal))
     friction = found.estimate("contact_friction")
     assert not friction.told
     assert friction.value == nominal.contact_friction[0]
@@ -248,21 +236,27 @@ def test_friction_of_feet_that_do_not_slide_is_not_told_and_stays_as_it_was(
 
 
 @pytest.mark.parametrize("name", ["mass", "contact"])
-def test_a_robot_on_its_side_is_refused(
-    name: str, robot: RobotDescription, request: pytest.FixtureRequest, nominal: PhysicalParams
-):
-    recording = request.getfixturevalue({"mass": "massive", "contact": "dragging"}[name])
-    lying = replace(recording, roll_pitch_yaw=recording.roll_pitch_yaw + np.array([1.4, 0.0, 0.0]))
-    with pytest.raises(SurefootError, match=r"tilts by 1\.\d\d rad; one that stands stays within 0\.3"):
-        EXPERIMENTS[name].fit(robot, lying, nominal)
-
-
-@pytest.mark.parametrize("name", ["mass", "contact"])
+@pytest.mark.parametrize(
+    ("array", "change", "said"),
+    [
+        (
+            "roll_pitch_yaw",
+            lambda x: x + np.array([1.4, 0, 0]),
+            r"tilts by 1\.\d\d rad; one that stands stays within 0\.3",
+        ),
+        # Its belly lies on something: its motors carry nothing.
+        ("motor_torque", lambda x: 0.02 * x, "feet carry"),
+    ],
+)
 def test_a_robot_that_does_not_stand_on_its_feet_is_refused(
-    name: str, robot: RobotDescription, request: pytest.FixtureRequest, nominal: PhysicalParams
+    name: str,
+    array: str,
+    change: Callable[[np.ndarray], np.ndarray],
+    said: str,
+    robot: RobotDescription,
+    grounded: Recording,
+    nominal: PhysicalParams,
 ):
-    """Its belly lies on something: its motors carry nothing."""
-    recording = request.getfixturevalue({"mass": "massive", "contact": "dragging"}[name])
-    lying = replace(recording, motor_torque=recording.motor_torque * 0.02)
-    with pytest.raises(SurefootError, match="feet carry"):
+    lying = replace(grounded, **{array: change(getattr(grounded, array))})
+    with pytest.raises(SurefootError, match=said):
         EXPERIMENTS[name].fit(robot, lying, nominal)

@@ -239,15 +239,12 @@ def test_one_trace_or_several_are_split() -> None:
 
 def test_gaps_are_left_out_and_told() -> None:
     whole = clean()
-    joined = cut(whole, slice(200), slice(203, None))
+    joined = replace(cut(whole, slice(200), slice(203, None)), meta={**whole.meta, "missed_steps": [300]})
     found = fit_traces(ROBOT, [joined], BATTERY_KNOWN, AT_15_V)
     assert max(map(abs, errors_of(found).values())) < 0.01
-    assert any("time jumps 1 times, first at 1.20 s" in note for note in found.notes)
-    rows = usable_rows(joined, 0.012, 0.024)
-    assert not set(rows) & set(range(194, 204))
-    missed = replace(whole, meta={**whole.meta, "missed_steps": [300]})
-    assert not set(usable_rows(missed, 0.012, 0.024)) & set(range(294, 305))
-    assert any("1 control steps were missed" in n for n in fit_traces(ROBOT, [missed], USUAL, AT_15_V).notes)
+    for said in ("time jumps 1 times, first at 1.20 s", "1 control steps were missed"):
+        assert any(said in note for note in found.notes)
+    assert not set(usable_rows(joined, 0.012, 0.024)) & {*range(194, 204), *range(294, 305)}
 
 
 @pytest.mark.parametrize(
@@ -278,8 +275,8 @@ def test_too_little_is_refused() -> None:
         fit_traces(ROBOT, [cut(still, slice(100, None))], None, NOMINAL)
 
 
-@pytest.mark.parametrize("ratio", [0.8, 1.3])
-def test_a_walk_tells_the_mass_of_the_base(ratio: float) -> None:
+def test_a_walk_tells_the_mass_of_the_base() -> None:
+    ratio = 1.3
     hidden = HIDDEN.with_values(ROBOT, base_mass_ratio=ratio, leg_mass_ratio=1.1)
     known = AT_15_V.with_values(ROBOT, leg_mass_ratio=1.1)
     walk = record(hidden, 6.0, trotting, rack=False)
@@ -303,7 +300,7 @@ def test_a_mass_needs_long_walks_on_the_ground() -> None:
     with pytest.raises(SurefootError, match=r"base_mass_ratio: no trace has 3 s upright"):
         fit_traces(ROBOT, [fallen], ("base_mass_ratio",), HIDDEN)
     with pytest.raises(SurefootError, match=r"base_mass_ratio: the feet carry -?\d\.\d\d kg"):
-        fit_traces(ROBOT, [record(seconds=6.5)], ("base_mass_ratio",), HIDDEN)
+        fit_traces(ROBOT, [walk], ("base_mass_ratio",), HIDDEN)
 
 
 def test_motion_follows_a_polynomial_whose_slope_is_told_half_a_step_late() -> None:

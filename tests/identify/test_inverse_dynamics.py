@@ -68,18 +68,6 @@ def test_feet_carry_the_weight_of_a_standing_robot(robot: RobotDescription, unev
     assert abs(found.turning[0]) < 1e-9
 
 
-def test_a_heavier_base_is_in_the_forces_whatever_it_was_taken_for(robot: RobotDescription):
-    world = standing(robot, base_mass_ratio=1.3, leg_mass_ratio=0.9)
-    light = InverseDynamics(robot, params(robot))
-    true = InverseDynamics(robot, world.params)
-    base = sum(robot.urdf.links[name].mass for name in robot.urdf.fixed_to(robot.base))
-    legs = robot.urdf.total_mass - base
-    assert true.mass == pytest.approx(1.3 * base + 0.9 * legs)
-    for dynamics, exact in ((true, 1e-3), (light, 0.03)):
-        total = dynamics.forces(still(world)).force[0, :, 1].sum()
-        assert total == pytest.approx(true.mass * GRAVITY, rel=exact)
-
-
 @pytest.fixture(scope="module")
 def nodding(robot: RobotDescription) -> dict[float, Motion]:
     """Robots that nod and squat, with ratios of the base's inertia of 1 and 2: what they did in each servo step.

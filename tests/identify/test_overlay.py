@@ -119,12 +119,6 @@ def test_an_experiment_done_again_replaces_what_it_said(robot: RobotDescription,
     assert known.tables["identified"]["motor"]["file"] == "b.npz"
 
 
-def test_a_value_is_brought_within_what_the_robot_allows(robot: RobotDescription):
-    low, _ = robot.allowed["motor_friction"]
-    found = Identification("motor", "minitaur", (Estimate("motor_friction", low - 1.0, 0.1, "N m", 2),))
-    assert overlay(read_known(None, robot), found, robot).params.motor_friction[0, 2] == low
-
-
 @pytest.mark.parametrize(
     ("text", "said"),
     [
@@ -150,9 +144,3 @@ def test_training_takes_it(robot: RobotDescription, tmp_path: Path):
     task = Simulator(params=path).of(TaskConfig())
     assert set(task.params) == {"motor_strength", "motor_friction", "voltage"}
     assert task.nominal(robot).motor_strength[0, 0] == 0.9
-
-
-def test_nothing_found_leaves_the_description(robot: RobotDescription, tmp_path: Path):
-    none = Identification("latency", "minitaur", (Estimate("servo_latency", 0.0, 0.01, "s", told=False),))
-    path = write_known(tmp_path / "none.toml", robot, overlay(read_known(None, robot), none, robot))
-    assert read_known(path, robot).given == ()

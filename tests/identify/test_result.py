@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from surefoot.identify.accuracy import with_floor
-from surefoot.identify.result import Estimate, Identification
+from surefoot.identify.result import Estimate, Identification, with_floor
 from surefoot.robot import PhysicalParams, RobotDescription
 
 
@@ -18,11 +17,6 @@ def test_an_interval_is_clipped_to_what_is_possible():
     assert Estimate("a", 2.0, 0.5, "1").interval == pytest.approx((2 - 1.959964 / 2, 2 + 1.959964 / 2))
     low, high = Estimate("motor_friction", 0.01, 0.02, "N m", 3, low=0.0, high=0.04).interval
     assert (low, high) == (0.0, 0.04)
-
-
-def test_labels():
-    assert Estimate("resistance", 0.2, 0.1, "Ohm").label == "resistance"
-    assert Estimate("motor_friction", 0.2, 0.1, "N m", 0).label == "motor_friction[0]"
 
 
 def test_params_get_what_was_found(robot: RobotDescription):

@@ -55,6 +55,8 @@ def varied() -> Callable[..., dict[str, np.ndarray]]:
         }
         return {
             "base_mass_ratio": draw.uniform(0.8, 1.2, num_envs),
+            "leg_mass_ratio": draw.uniform(0.8, 1.2, num_envs),
+            "base_inertia_ratio": draw.uniform(0.8, 1.2, num_envs),
             "leg_inertia_ratio": draw.uniform(0.5, 1.5, num_envs),
             "motor_strength": draw.uniform(0.8, 1.2, (num_envs, 8)),
             "motor_viscous_friction": draw.uniform(0, 0.02, (num_envs, 8)),

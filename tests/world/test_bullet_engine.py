@@ -19,7 +19,6 @@ from surefoot.world import bullet_engine as module
 from surefoot.world.bullet_engine import BulletEngine
 from surefoot.world.bullet_model import PUBLISHED, BulletModel, BulletSettings
 from surefoot.world.bullet_tick import pin_kernel
-from surefoot.world.fused_urdf import fuse_urdf
 from surefoot.world.interface import WorldConfig
 from surefoot.world.sim_world import SimWorld
 
@@ -46,17 +45,6 @@ def loop_gap(world: SimWorld) -> float:
 
 
 # --- the model --------------------------------------------------------------------------------------------
-
-
-def test_bullet_has_the_files_masses_and_moments_whatever_the_ratios(make_world):
-    ratios = {"base_mass_ratio": 1.3, "leg_mass_ratio": 0.7, "base_inertia_ratio": 0.6, "leg_inertia_ratio": 1.9}
-    model = (world := make_world(**ratios)).engine.models[0]
-    for name, body in fuse_urdf(world.robot.urdf).bodies.items():
-        base = name == "base"
-        mass, moments = body.mass * (1.3 if base else 0.7), body.principal()[0] * (0.6 if base else 1.9)
-        info = pybullet.getDynamicsInfo(model.body, model.links[name], model.client)
-        assert info[0] == pytest.approx(mass, rel=1e-12)
-        np.testing.assert_allclose(info[2], moments, rtol=1e-9)
 
 
 def test_other_masses_than_the_files_are_refused(robot):
@@ -123,22 +111,6 @@ def test_base_velocity_is_that_of_the_links_origin_in_a_turned_robot(make_world,
     # Positions move by the velocities of a step's end.
     moved = after.base_position_world - before.base_position_world
     np.testing.assert_allclose(moved, 0.001 * after.base_velocity_world, atol=2e-6)
-
-
-def test_roll_pitch_yaw_and_rates_belong_together(make_world, trot):
-    world = make_world(control_step=0.001, control_latency=0.0)
-    last = world.readings()
-    for k in range(80):
-        now = world.step(trot(k // 6))
-        roll, pitch, _ = now.roll_pitch_yaw[0]
-        d_roll, d_pitch, d_yaw = (now.roll_pitch_yaw - last.roll_pitch_yaw)[0] / 0.001
-        expected = [
-            d_roll - np.sin(pitch) * d_yaw,
-            np.cos(roll) * d_pitch + np.sin(roll) * np.cos(pitch) * d_yaw,
-            -np.sin(roll) * d_pitch + np.cos(roll) * np.cos(pitch) * d_yaw,
-        ]
-        np.testing.assert_allclose(now.angular_velocity_base[0], expected, atol=0.02)
-        last = now
 
 
 # --- parameters, forces -----------------------------------------------------------------------------------

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from surefoot.world.imu import read_by_mounted_imu
+from surefoot.world.drive import read_by_mounted_imu
 from surefoot.world.sim_world import SimWorld
 
 QUARTER = np.pi / 2

@@ -9,7 +9,6 @@ import mujoco
 import numpy as np
 import pytest
 
-from surefoot.robot import PhysicalParams
 from surefoot.world.drive import OF_ALL_ROBOTS
 from surefoot.world.interface import Readings, Truth
 from surefoot.world.mujoco_engine import MASS_FIELDS
@@ -57,30 +56,7 @@ def set_ratios(world: SimWorld, rows: list[int], **values: Any) -> None:
     world.set_params(rows, params)
 
 
-# --- many masses in one batch -----------------------------------------------------------------------------
-
-
-def test_a_robot_moves_alike_alone_and_among_others_of_other_masses(make_world, motion, assert_same_motion):
-    values = masses()
-    crowd = motion(make_world(NUM, config={"threads": 2}, **values))
-    for i in (0, 1, 7, 8, 19):
-        alone = motion(make_world(1, **{name: value[i : i + 1] for name, value in values.items()}))
-        assert_same_motion(crowd, alone, slice(i, i + 1))
-    assert len(np.unique(crowd[-1].motor_angle[:, 0])) == 16  # five are nominal, all others differ
-
-
-def test_threads_and_order_do_not_matter(make_world, motion, assert_same_motion):
-    values = masses()
-    one, two = (motion(make_world(NUM, config={"threads": threads}, **values)) for threads in (1, 2))
-    assert_same_motion(one, two)
-    turned = motion(make_world(NUM, config={"threads": 2}, **{name: value[::-1] for name, value in values.items()}))
-    assert_same_motion(one, turned, slice(None), slice(None, None, -1))
-
-
-def test_a_nominal_robot_among_heavy_ones_moves_as_in_a_world_of_its_own(make_world, motion, assert_same_motion):
-    crowd, plain = motion(make_world(NUM, **masses())), motion(make_world(1))
-    for i in range(0, NUM, 4):
-        assert_same_motion(crowd, plain, slice(i, i + 1))
+# --- masses that change -----------------------------------------------------------------------------------
 
 
 def test_masses_set_later_are_as_those_given_at_the_start(make_world, motion, assert_same_motion):
@@ -219,12 +195,6 @@ def test_a_robot_that_waited_goes_on_as_if_it_had_not(make_world, trot, assert_s
     assert same_state(waits.get_state(), goes.get_state(), [2])
 
 
-def test_all_active_is_as_without_a_mask(make_world, motion, trot, assert_same):
-    world, plain = make_world(4, **BUSY), make_world(4, **BUSY)
-    for k in range(30):
-        assert_same(world.step(trot(k), np.ones(4, np.bool_)), plain.step(trot(k)))
-
-
 def test_what_is_sent_to_a_robot_that_waits_is_not_heard(make_world, trot, assert_same):
     # Not even if it is no number.
     world, other = make_world(4, **BUSY), make_world(4, **BUSY)
@@ -237,15 +207,3 @@ def test_what_is_sent_to_a_robot_that_waits_is_not_heard(make_world, trot, asser
     assert world.divergences == 0
     assert not world.truth().diverged.any()
     assert_same(world.step(trot(10)), other.step(trot(10)))
-
-
-def test_none_active_changes_nothing(make_world, trot):
-    world = make_world(4, **BUSY)
-    for k in range(10):
-        world.step(trot(k))
-    state = world.get_state()
-    world.step(trot(11), np.zeros(4, np.bool_))
-    assert same_state(state, world.get_state(), [0, 1, 2, 3], without=("energy", "contact_ticks"))
-    assert state["divergences"] == world.divergences
-    for name in PhysicalParams.names():
-        assert np.array_equal(state["params"][name], getattr(world.params, name)), name

@@ -64,7 +64,7 @@ def assert_same_state(one: dict[str, Any], other: dict[str, Any]) -> None:
 
 
 def ids(world: ProcessWorld) -> list[int]:
-    return [process.pid for process in world._pool._processes]
+    return [process.pid for process in world._processes]
 
 
 def gone(process_id: int, within: float = 20.0) -> bool:
@@ -157,7 +157,7 @@ def test_an_error_in_a_process_is_raised_here_and_the_world_goes_on(robot, sprea
         spread.set_params(np.arange(NUM), bad)
     assert spread.params.voltage.max() < 17
     with pytest.raises(ValueError, match="broadcast") as caught:
-        spread._pool.ask("push", [(np.zeros((7, 2)),)] * 3)
+        spread._ask("push", [(np.zeros((7, 2)),)] * 3)
     assert "in a process of the world" in caught.value.__notes__[0]
     assert spread.step(trot(0)).motor_angle.shape == (NUM, 8)
     with pytest.raises(IndexError, match="the world has 5 robots"):
@@ -211,7 +211,7 @@ from surefoot.world.interface import WorldConfig
 from surefoot.world.process_world import ProcessWorld
 from surefoot.world.sim_world import mujoco_engine
 world = ProcessWorld(RobotDescription.load("minitaur"), 2, None, 0, WorldConfig(threads=2), mujoco_engine)
-print(*(process.pid for process in world._pool._processes), flush=True)
+print(*(process.pid for process in world._processes), flush=True)
 while True:
     world.step(np.full(8, 2.0))
 """

@@ -1,14 +1,31 @@
-"""`surefoot identify`: experiments on a robot, and how well the simulator repeats them."""
+"""`surefoot identify`: experiments on a robot, parameters from them or from recorded runs, and the motor figure.
+
+Exit codes: 0 done; 2 refused before anything moved, or data that tell nothing; 3 the experiment was stopped.
+"""
 
 from __future__ import annotations
 
+import datetime
+import json
 import sys
+from dataclasses import dataclass
 from importlib import import_module
+from pathlib import Path
 
+from surefoot.cli.identify_run import ExperimentCommand, run_experiment
 from surefoot.cli.main import table_lines
+from surefoot.cli.options import Json, check_folder, check_suffix
+from surefoot.cli.parsing import parse
 from surefoot.errors import SurefootError, choices
-from surefoot.identify.registry import EXPERIMENTS
+from surefoot.identify.overlay import Known, read_known
+from surefoot.identify.recording import COMPLETE, Recording, load_recording
+from surefoot.identify.registry import EXPERIMENTS, Experiment
+from surefoot.robot import RobotDescription
 
+STOPPED = 3
+"""Exit code of an experiment that did not come to its end."""
+RECORDING = "recording.npz"
+RUNS = Path("runs/identify")
 FROM_TRACE = "--from-trace"
 FIGURE = "motor-figure"
 _USAGE = """usage: surefoot identify EXPERIMENT --port PORT ...
@@ -26,6 +43,26 @@ without an experiment:
 surefoot identify EXPERIMENT --help tells what it takes."""
 
 
+@dataclass(frozen=True)
+class TracesCommand:
+    """Find a robot's physical parameters from traces of its runs, without an experiment.
+
+    The last runs, at least one, are kept back to try the fit on; of a single run its last quarter.
+    """
+
+    from_trace: Path
+    """Trace file (.npz), or a folder of them."""
+    fit: tuple[str, ...] = ()
+    """Physical parameters to find; all that traces tell, if not given. The others are taken as they are known."""
+    params: Path | None = None
+    """File of what is known of the robot (.toml); what is found is written to it. robot.toml in --out, if not given."""
+    out: Path | None = None
+    """Folder for the report; runs/identify/traces-TIME, if not given."""
+    robot: str | None = None
+    """Name or folder of the robot's description; the traces' robot, if not given."""
+    json: Json = False
+
+
 def main(argv: list[str]) -> int:
     """Run the command with the words after its name; returns the exit code."""
     if not argv or argv[0] in ("-h", "--help"):
@@ -34,14 +71,13 @@ def main(argv: list[str]) -> int:
     word = argv[0]
     if word == FIGURE:
         code: int = import_module("surefoot.cli.identify_motor_figure").main(argv[1:])
-    elif word.partition("=")[0] == FROM_TRACE:
-        code = import_module("surefoot.cli.identify_experiment").from_trace(argv)
-    elif word in EXPERIMENTS:
-        code = import_module("surefoot.cli.identify_experiment").main(word, argv[1:])
-    else:
-        named = choices([*EXPERIMENTS, FIGURE])
-        raise SurefootError(f"'{word}' is no experiment; choices: {named}, or {FROM_TRACE} FOLDER")
-    return code
+        return code
+    if word.partition("=")[0] == FROM_TRACE:
+        return _from_trace(argv)
+    if word in EXPERIMENTS:
+        return _experiment(word, argv[1:])
+    named = choices([*EXPERIMENTS, FIGURE])
+    raise SurefootError(f"'{word}' is no experiment; choices: {named}, or {FROM_TRACE} FOLDER")
 
 
 def _usage() -> str:
@@ -52,3 +88,112 @@ def _usage() -> str:
     }
     width = max(map(len, [*experiments, *others]))
     return _USAGE.format(experiments=table_lines(experiments, width), others=table_lines(others, width))
+
+
+def _from_trace(argv: list[str]) -> int:
+    command = parse(TracesCommand, argv, "surefoot identify")
+    _check_files(command)
+    from surefoot.evaluate.recorded import find_traces
+
+    traces = find_traces(command.from_trace)
+    robot = RobotDescription.load(command.robot or str(traces[0][1].meta["robot"]))
+    known = read_known(command.params, robot)
+    from surefoot.cli.identify_results import check_installed, fitting, tell, write
+
+    check_installed()
+    from surefoot.identify.from_trace import fit_traces
+
+    with fitting("traces") as say:
+        found = fit_traces(robot, [trace for _, trace in traces], command.fit or None, known.params, say)
+    folder = command.out or _new_folder("traces")
+    files = write(robot, known, found, command.params or folder / "robot.toml", folder, str(command.from_trace))
+    tell(robot, known, found, files, {"traces": [str(path) for path, _ in traces]}, command.json)
+    return 0
+
+
+def _experiment(name: str, argv: list[str]) -> int:
+    command = parse(ExperimentCommand, argv, f"surefoot identify {name}")
+    _check(command)
+    experiment, robot = EXPERIMENTS[name], RobotDescription.load(command.robot)
+    known = read_known(command.params, robot)
+    from surefoot.cli.identify_results import check_installed, fitting, tell, write
+
+    if command.recording is not None:
+        path = command.recording / RECORDING if command.recording.is_dir() else command.recording
+        recording, folder = load_recording(path, robot, name), command.out or path.parent
+        _warn(command, experiment, known)
+    else:
+        folder = command.out or _new_folder(name)
+        path = folder / RECORDING
+        if path.exists():
+            raise SurefootError(f"{path} exists and is not written over; give another folder with --out")
+        if not command.record_only:
+            check_installed(f"surefoot identify {name} --record-only")
+            _warn(command, experiment, known)
+        recording = run_experiment(command, experiment.plan(robot), robot, path)
+        if recording.meta["ended"] != COMPLETE or command.record_only:
+            return _tell_recording(command, recording, path)
+    check_installed()
+    with fitting(name) as say:
+        found = experiment.fit(robot, recording, known.params, known.sensors, say)
+    files = write(robot, known, found, command.params or folder / "robot.toml", folder, str(path))
+    told = {"recording": str(path), "ended": COMPLETE, "lacks": list(known.lacks(experiment.before))}
+    tell(robot, known, found, files, told, command.json)
+    return 0
+
+
+def _check(command: ExperimentCommand) -> None:
+    if (command.port is None) == (command.recording is None):
+        given = "none" if command.port is None else "both"
+        raise SurefootError(f"--port of a robot, or --recording of an experiment: give one of them; {given} is given")
+    if command.recording is not None:
+        for name in ("record_only", "yes", "lockstep"):
+            if getattr(command, name):
+                option = name.replace("_", "-")
+                raise SurefootError(f"--recording and --{option} don't go together; a recording needs no robot")
+    if command.record_only and command.params is not None:
+        raise SurefootError("--record-only and --params don't go together; what is known is needed when it is fitted")
+    _check_files(command)
+
+
+def _check_files(command: ExperimentCommand | TracesCommand) -> None:
+    check_suffix("params", command.params, ".toml")
+    check_folder(command.out)
+
+
+def _new_folder(name: str) -> Path:
+    return RUNS / f"{name}-{datetime.datetime.now():%Y%m%d-%H%M%S}"
+
+
+def _warn(command: ExperimentCommand, experiment: Experiment, known: Known) -> None:
+    """Say which experiments should have come before."""
+    lacks = known.lacks(experiment.before)
+    if lacks:
+        where = f"{command.params} has no results of it" if command.params is not None else "no --params FILE is given"
+        print(
+            f"surefoot: warning: {experiment.name} should come after {' and '.join(lacks)}, and {where}; the data "
+            "sheet stands in",
+            file=sys.stderr,
+        )
+
+
+def _tell_recording(command: ExperimentCommand, recording: Recording, path: Path) -> int:
+    """Say what was recorded, of an experiment that is not fitted."""
+    ended = str(recording.meta["ended"])
+    whole = ended == COMPLETE
+    if command.json:
+        told = {
+            "experiment": recording.meta["experiment"],
+            "robot": recording.meta["robot"],
+            "ended": ended,
+            "duration": recording.duration,
+            "recording": str(path),
+            "digest": recording.digest,
+        }
+        print(json.dumps(told))
+    else:
+        said = "recorded" if whole else f"stopped after {recording.duration:.1f} s: {ended}; recorded until then"
+        print(f"{recording.meta['experiment']} experiment {said}: {path}", file=sys.stdout if whole else sys.stderr)
+        if whole:
+            print(f"to fit it: surefoot identify {recording.meta['experiment']} --recording {path.parent}")
+    return 0 if whole else STOPPED

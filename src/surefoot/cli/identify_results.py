@@ -27,14 +27,7 @@ _NEEDED = {"mujoco": "sim", "numba": "sim", "scipy": "sim", "matplotlib": "repor
 
 
 def check_installed(otherwise: str = "") -> None:
-    """Refuse to begin where a fit is going to lack a library.
-
-    Args:
-        otherwise: command that works without.
-
-    Raises:
-        SurefootError: names library and extra.
-    """
+    """Refuse to begin where a fit is going to lack a library; name it, its extra, and a command that works without."""
     for module, extra in _NEEDED.items():
         try:
             import_module(module)
@@ -63,16 +56,7 @@ def fitting(what: str) -> Iterator[Callable[[str, float], None]]:
 def write(
     robot: RobotDescription, known: Known, found: Identification, params: Path, folder: Path, source: str
 ) -> list[Path]:
-    """Write the file of what is known now, and the report; returns the files.
-
-    Args:
-        robot: its description.
-        known: what was known before.
-        found: what the data told.
-        params: file of parameters.
-        folder: for the report.
-        source: where the data come from.
-    """
+    """Write what is known now, with the data's `source`, to the file `params`, and the report to a folder."""
     # First what took a robot and a fit to get; a figure can be drawn again.
     files = [write_known(params, robot, overlay(known, found, robot, source))]
     return [*files, *write_report(found, robot, known.params, folder, source)]
@@ -86,16 +70,7 @@ def tell(
     more: dict[str, Any],
     as_json: bool,
 ) -> None:
-    """Print what was found, as tables or as one JSON object.
-
-    Args:
-        robot: its description.
-        known: what was known before.
-        found: what the data told.
-        files: that were written.
-        more: what else the JSON object has.
-        as_json: which of the two.
-    """
+    """Print what was found, and the files that were written, as tables or as one JSON object, which has more."""
     if as_json:
         print(json.dumps(as_mapping(robot, known, found) | more | {"files": [str(file) for file in files]}))
         return

@@ -61,48 +61,37 @@ class ExperimentCommand:
 
 
 def run_experiment(command: ExperimentCommand, plan: Plan, robot: RobotDescription, path: Path) -> Recording:
-    """Run a plan and keep the recording, however it ended.
-
-    Args:
-        command: which port, how to reach it, and whether to ask.
-        plan: what to do.
-        robot: data sheet of the robot that must be there.
-        path: file for the recording.
+    """Run a plan on the robot that the command names, and keep the recording at a path, however it ended.
 
     Raises:
         SurefootError: no robot or another one, nobody who says yes, or a robot that does not arm: nothing has moved.
     """
     if not command.yes:
         check_terminal(PLACES[plan.rack])
-    with _greeted(command, robot) as connection:
-        _show_plan(
-            plan, connection.handshake, Console(stderr=command.json, highlight=False, soft_wrap=True, emoji=False)
-        )
+    with _greeted(command, robot) as (connection, said):
+        _show_plan(plan, said, Console(stderr=command.json, highlight=False, soft_wrap=True, emoji=False))
         if command.yes:
             return _run(command, connection, plan, robot, path)
     # A robot does not wait for slow answers: it is greeted anew.
     ask_to_move(PLACES[plan.rack])
-    with _greeted(command, robot) as connection:
+    with _greeted(command, robot) as (connection, _):
         return _run(command, connection, plan, robot, path)
 
 
 @contextlib.contextmanager
-def _greeted(command: ExperimentCommand, robot: RobotDescription) -> Iterator[RobotConnection]:
+def _greeted(command: ExperimentCommand, robot: RobotDescription) -> Iterator[tuple[RobotConnection, Handshake]]:
     connection = open_connection(str(command.port), robot.num_motors, command.lockstep, command.baud)
     try:
-        check_robot(connection.connect(), robot)
-        yield connection
+        handshake = connection.connect()
+        check_robot(handshake, robot)
+        yield connection, handshake
     finally:
         with contextlib.suppress(LinkLostError, OSError):
             connection.close()
 
 
 def check_robot(handshake: Handshake, robot: RobotDescription) -> None:
-    """Refuse a robot that is not the one of the data sheet.
-
-    Raises:
-        SurefootError: says what differs.
-    """
+    """Refuse a robot that is not the one of the data sheet, and say what differs."""
     if handshake.robot != robot.name:
         raise SurefootError(f"the robot says that it is '{handshake.robot}', and the data sheet is of '{robot.name}'")
     motors = zip(robot.motor_names, robot.motor_sign, handshake.motor_names, handshake.motor_signs, strict=True)
@@ -123,22 +112,24 @@ def check_robot(handshake: Handshake, robot: RobotDescription) -> None:
         )
 
 
-def _show_plan(plan: Plan, handshake: Handshake | None, console: Console) -> None:
+def _show_plan(plan: Plan, handshake: Handshake, console: Console) -> None:
     """Say what is going to happen."""
-    limits = plan.limits
-    name, low, high = "the robot", plan.angle_low, plan.angle_high
-    if handshake is not None:
-        # What a robot does not take is not sent to it.
-        name = handshake.robot
-        low, high = np.maximum(low, handshake.angle_low), np.minimum(high, handshake.angle_high)
+    limits, name = plan.limits, handshake.robot
+    # What a robot does not take is not sent to it.
+    low, high = np.maximum(plan.angle_low, handshake.angle_low), np.minimum(plan.angle_high, handshake.angle_high)
     place = "on its rack, legs in the air" if plan.rack else "on flat ground"
     head = f"{plan.experiment} experiment with {name} {place}, {plan.duration:.0f} s and a second at rest"
     table = Table(title=head, title_justify="left", title_style="bold")
     table.add_column("phase")
     table.add_column("time", justify="right")
     table.add_column("what the robot does")
-    for row in plan_rows(plan):
-        table.add_row(*map(Text, row))
+    # Each kind of phase with its count, in the order in which they first come.
+    kinds: dict[tuple[str, str], list[float]] = {}
+    for phase in plan.phases:
+        kinds.setdefault((phase.name, phase.what), []).append(phase.duration)
+    for (phase_name, what), times in kinds.items():
+        counted = phase_name if len(times) == 1 else f"{phase_name} x {len(times)}"
+        table.add_row(Text(counted), Text(f"{sum(times):.1f} s"), Text(what))
     console.print(table)
     pwm = f"; duty without servo at most {plan.largest_duty:g}" if plan.largest_duty else ""
     console.print(f"motor angles from {low.min():.2f} to {high.max():.2f} rad{pwm}", markup=False)
@@ -149,17 +140,6 @@ def _show_plan(plan: Plan, handshake: Handshake | None, console: Console) -> Non
         f"{limits.duration:g} s, or with Ctrl-C",
         markup=False,
     )
-
-
-def plan_rows(plan: Plan) -> list[tuple[str, str, str]]:
-    """Name with count, duration and motion of each kind of phase, in the order in which they first come."""
-    kinds: dict[tuple[str, str], list[float]] = {}
-    for phase in plan.phases:
-        kinds.setdefault((phase.name, phase.what), []).append(phase.duration)
-    return [
-        (name if len(times) == 1 else f"{name} x {len(times)}", f"{sum(times):.1f} s", what)
-        for (name, what), times in kinds.items()
-    ]
 
 
 def _run(
@@ -176,13 +156,7 @@ def _run(
 
 
 class Progress(Watch):
-    """How an experiment goes, and how long it still takes: a display on a terminal, lines elsewhere.
-
-    Args:
-        plan: what is done.
-        title: of the display.
-        stream: where to.
-    """
+    """How an experiment goes, and how long it still takes: a display on a terminal, lines elsewhere."""
 
     def __init__(self, plan: Plan, title: str, stream: TextIO) -> None:
         self._display = LiveDisplay(title) if stream.isatty() else None

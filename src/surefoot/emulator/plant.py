@@ -16,8 +16,7 @@ from surefoot.emulator.signals import MotorOrder, Sensors, Vitals
 from surefoot.errors import SurefootError
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.seeding import generator
-from surefoot.world.drive import read_delayed
-from surefoot.world.imu import read_by_mounted_imu
+from surefoot.world.drive import read_by_mounted_imu, read_delayed
 from surefoot.world.interface import WorldConfig
 from surefoot.world.sim_world import EngineFactory, SimWorld, mujoco_engine
 

@@ -34,24 +34,11 @@ class ExperimentStoppedError(RuntimeError):
     """An experiment ended early; motors are damped or let go."""
 
 
-class ExperimentRunner:
-    """An experiment on a greeted robot.
-
-    Args:
-        connection: to the robot.
-        plan: what to do.
-        robot: its data sheet.
-        operator: may ask to stop.
-        watch: is told how it goes.
-    """
+class _ExperimentRunner:
+    """An experiment on a greeted robot; see `run_plan`."""
 
     def __init__(
-        self,
-        connection: RobotConnection,
-        plan: Plan,
-        robot: RobotDescription,
-        operator: StopSignals,
-        watch: Watch,
+        self, connection: RobotConnection, plan: Plan, robot: RobotDescription, operator: StopSignals, watch: Watch
     ) -> None:
         if connection.handshake is None:
             raise SurefootError("the robot was not greeted")
@@ -75,13 +62,6 @@ class ExperimentRunner:
         self._why = ""
 
     def run(self) -> Recording:
-        """Watch the robot at rest, go through all phases, let the robot go; what was recorded, however it ended.
-
-        Nothing is raised once motors may have moved: `meta["ended"]` tells why an experiment did not come to its end.
-
-        Raises:
-            SurefootError: the robot does not arm.
-        """
         connection, ended, resting = self.connection, COMPLETE, 0
         counts, decoded = connection.link.counts, connection.link.decoder.counts
         before = counts.missing, decoded.damaged
@@ -219,6 +199,13 @@ class ExperimentRunner:
 
 
 def run_plan(connection: RobotConnection, plan: Plan, robot: RobotDescription, watch: Watch) -> Recording:
-    """Run a plan on a greeted robot, with the operator's signals heard."""
+    """Watch a greeted robot at rest, go through all phases, let it go; return what was recorded, however it ended.
+
+    Nothing is raised once motors may have moved: `meta["ended"]` tells why an experiment did not come to its end, such
+    as a signal of the operator.
+
+    Raises:
+        SurefootError: the robot was not greeted, or does not arm.
+    """
     with StopSignals() as operator:
-        return ExperimentRunner(connection, plan, robot, operator, watch).run()
+        return _ExperimentRunner(connection, plan, robot, operator, watch).run()

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from surefoot.arrays import Array
 from surefoot.errors import SurefootError
 from surefoot.identify.result import label_of
+from surefoot.robot import PhysicalParams
 
 SMALL = 1e-5
 """Relative gain that a step must promise, or the fit has settled."""
@@ -27,6 +28,13 @@ ALIKE = 0.8
 """Correlation from which on two numbers can hardly be told apart."""
 MOST_STEPS = 25
 """Iterations of a fit, at most."""
+BLOCK = 0.25
+"""Length [s] of the blocks of time within which residuals may hang together."""
+TORQUE_GAIN = "torque_gain"
+"""Unknown relative error of a motor's torque report; nothing that a simulation needs."""
+GAIN = 0.01
+"""Standard deviation of a motor's torque report's relative error: a current sense resistor of 1 %. It is what carries
+the scale of all forces: motion alone can't tell a strong motor on heavy legs from a weak one on light ones."""
 
 
 @dataclass(frozen=True)
@@ -38,9 +46,7 @@ class Unknown:
     start: float
     """Where to begin."""
     low: float
-    """Least value."""
     high: float
-    """Greatest value."""
     step: float
     """For finite differences: small beside what matters, large beside rounding."""
     index: int | None = None
@@ -54,6 +60,20 @@ class Unknown:
     def label(self) -> str:
         """Name with index."""
         return label_of(self.name, self.index)
+
+
+def params_of(base: PhysicalParams, unknowns: Sequence[Unknown], values: Array) -> PhysicalParams:
+    """Physical parameters, a row for each candidate (K, n), from one row of `base`."""
+    params = base.rows(np.zeros(len(values), np.int64))
+    for i, unknown in enumerate(unknowns):
+        if unknown.name not in PhysicalParams.names():
+            continue
+        array = getattr(params, unknown.name)
+        if unknown.index is None:
+            array.T[...] = values[:, i]
+        else:
+            array[:, unknown.index] = values[:, i]
+    return params
 
 
 class _SettledError(Exception):
@@ -118,10 +138,9 @@ class Fit:
 def jacobian_of(model: Model, values: Array, residuals: Array) -> Array:
     """Derivatives (m, n) by forward differences; unknowns of one colour are tried together."""
     unknowns = model.unknowns
-    together: dict[tuple[str, int], list[int]] = {}
+    together: dict[int, list[int]] = {}
     for i, unknown in enumerate(unknowns):
-        key = ("alone", i) if unknown.colour is None else ("colour", unknown.colour)
-        together.setdefault(key, []).append(i)
+        together.setdefault(-1 - i if unknown.colour is None else unknown.colour, []).append(i)
     groups = list(together.values())
     tried = np.tile(values, (len(groups), 1))
     change = np.array([u.step if v + u.step <= u.high else -u.step for u, v in zip(unknowns, values, strict=True)])
@@ -138,11 +157,9 @@ def jacobian_of(model: Model, values: Array, residuals: Array) -> Array:
 
 
 def fit_least_squares(
-    model: Model,
-    start: Array | None = None,
-    tell: Callable[[int, float], None] | None = None,
+    model: Model, start: Array | None = None, tell: Callable[[int, float], None] | None = None
 ) -> Fit:
-    """Minimize the sum of squared residuals within bounds, priors counted as residuals.
+    """Minimize the sum of squared residuals of a model within bounds, priors counted as residuals.
 
     Args:
         model: what to fit.

@@ -24,13 +24,11 @@ from surefoot.actuator import motor_friction
 from surefoot.arrays import Array
 from surefoot.deploy.connection import LEAD
 from surefoot.errors import SurefootError, choices
-from surefoot.identify.accuracy import with_floor
-from surefoot.identify.fits.motor import GAIN
-from surefoot.identify.fitting import Fit, Unknown, fit_least_squares
+from surefoot.identify.fitting import GAIN, Fit, Unknown, fit_least_squares
 from surefoot.identify.inverse_dynamics import InverseDynamics, Motion
 from surefoot.identify.recording import digest_of, read_at
 from surefoot.identify.registry import FitProgress, silent
-from surefoot.identify.result import Check, Estimate, Identification, Series, label_of
+from surefoot.identify.result import Check, Estimate, Identification, Series, label_of, with_floor
 from surefoot.identify.trace_data import (
     TraceSegment,
     check_traces,
@@ -107,14 +105,10 @@ def fit_traces(
         name: robot.allowed[name] if name in wanted else (float(getattr(known, name)[0]),) * 2 for name in LATENCIES
     }
     # When the robot reported its torques is found from the data too: the way that explains them best.
-    tried = [
-        (latency_valleys(robot, split_segments(segments)[0], bounds, known), segments)
-        for segments in (
-            make_segments(robot, traces, bounds, timing)
-            for timing in range(max(len(torque_timings(robot, trace)) for trace in traces))
-        )
-    ]
-    valleys, segments = min(tried, key=lambda one: one[0][0][0])
+    ways = range(max(len(torque_timings(robot, trace)) for trace in traces))
+    tried = [make_segments(robot, traces, bounds, timing) for timing in ways]
+    found_valleys = [latency_valleys(robot, split_segments(segments)[0], bounds, known) for segments in tried]
+    valleys, segments = min(zip(found_valleys, tried, strict=True), key=lambda one: one[0][0][0])
     trial = _TraceFit(robot, segments, wanted, known, tell)
     notes = trial.notes_on_traces(traces)
     fit = trial.fit(valleys)
@@ -182,12 +176,9 @@ class _TraceFit:
             )
 
     def _solve(self, unknowns: Sequence[Unknown], start: Array, what: str = "") -> Fit:
-        def each(step: int, cost: float) -> None:
-            if what:
-                self.tell(f"{what}, step {step}", cost)
-
         model = TorqueModel(self.robot, self.fitted, unknowns, self.known, self.moving, self.noise)
-        return fit_least_squares(model, start, tell=each)
+        tell = (lambda step, cost: self.tell(f"{what}, step {step}", cost)) if what else None
+        return fit_least_squares(model, start, tell)
 
     def fit(self, valleys: Sequence[tuple[float, float, float]]) -> Fit:
         """Return the best fit of all valleys of the latencies."""

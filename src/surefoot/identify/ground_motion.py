@@ -35,17 +35,14 @@ BLOCK = 0.5
 
 @dataclass(frozen=True)
 class GroundMotion:
-    """A robot on the ground at T times."""
+    """A robot on the ground at T times (T,) [s] of its clock, with the index of the phase at each."""
 
     time: Array
-    """(T,) [s], on the robot's clock."""
     phase: NDArray[np.int64]
-    """Index of the plan's phase (T,)."""
     motion: Motion
     names: tuple[str, ...]
-    """Of the phases."""
     uses: tuple[str, ...]
-    """Of the phases: fit, check or way."""
+    """Names of the phases, and their uses: fit, check or way."""
 
     @property
     def blocks(self) -> NDArray[np.int64]:
@@ -62,13 +59,7 @@ class GroundMotion:
 def ground_motion(
     robot: RobotDescription, recording: Recording, params: PhysicalParams, sensors: dict[str, Any]
 ) -> GroundMotion:
-    """Put what was recorded to one time.
-
-    Args:
-        robot: its description.
-        recording: of an experiment on the ground.
-        params: control latency and motor friction count here; one row.
-        sensors: torque_gain of the motors' torque reports, if known.
+    """Put what was recorded on the ground to one time, with the parameters (one row) and sensors that are known.
 
     Raises:
         SurefootError: a robot that fell or never stood up, with its tilt.
@@ -115,11 +106,7 @@ def ground_motion(
 
 
 def check_feet(standing: GroundMotion, forces: Forces, dynamics: InverseDynamics) -> None:
-    """Refuse a robot that something else than its feet holds.
-
-    Raises:
-        SurefootError: with what its feet carry.
-    """
+    """Refuse, with what the feet carry, a robot that something else holds."""
     carried = float(forces.force[standing.during(uses=_USES), :, 1].sum(axis=1).mean()) / GRAVITY
     legs = dynamics.mass - dynamics.base_mass
     if not carried > legs:
@@ -137,13 +124,11 @@ def _since_command(robot: RobotDescription, recording: Recording, params: Physic
     """
     dt, times = float(recording.meta["servo_period"]), recording.time
     count = max(round(recording.period / dt), 1)
-    latency = float(params.servo_latency[0])
-
     steps = []
     for back in range(count, 0, -1):
         begins = times - back * dt
         order = np.clip(np.searchsorted(recording.arrival, begins + CLOCK, side="right") - 1, 0, None)
-        seen = begins - latency + age
+        seen = begins - params.servo_latency[0] + age
         duty = servo_duty(
             recording.sent_value[order],
             read_at(seen, times, recording.motor_angle),
@@ -160,13 +145,11 @@ def _since_command(robot: RobotDescription, recording: Recording, params: Physic
             robot.actuator.voltage_clip,
         )
         steps.append(motor_torque(current, params.motor_strength[0], *robot.torque_table))
-    difference: Array = np.mean(steps, axis=0) - steps[-1]
-    return difference
+    return np.asarray(np.mean(steps, axis=0) - steps[-1])
 
 
 def _smooth(values: Array, derivative: int = 0) -> Array:
-    smoothed: Array = savgol_filter(values, SMOOTH, 3, deriv=derivative, delta=STEP, axis=0)
-    return smoothed
+    return np.asarray(savgol_filter(values, SMOOTH, 3, deriv=derivative, delta=STEP, axis=0))
 
 
 def _levelled(tilt: Array, rate: Array) -> Array:

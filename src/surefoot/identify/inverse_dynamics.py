@@ -61,12 +61,7 @@ class Forces:
 
 
 class InverseDynamics:
-    """Feet forces of a robot with given masses.
-
-    Args:
-        robot: its description.
-        params: masses and inertias, one row.
-    """
+    """Feet forces of a robot with the masses and inertias of one row of parameters."""
 
     def __init__(self, robot: RobotDescription, params: PhysicalParams) -> None:
         self.robot = robot

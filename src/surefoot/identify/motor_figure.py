@@ -46,9 +46,8 @@ class MotorLog:
     def error(self, simulated: Array) -> float:
         """Root mean square [rad] of simulated (T,) less measured angles; less targets where nothing was measured."""
         known = np.isfinite(self.angle)
-        if not known.any():
-            return float(np.sqrt(np.mean(np.square(simulated - self.target))))
-        return float(np.sqrt(np.mean(np.square(simulated[known] - self.angle[known]))))
+        missed = (simulated - self.angle)[known] if known.any() else simulated - self.target
+        return float(np.sqrt(np.mean(np.square(missed))))
 
     @classmethod
     def sine(cls, middle: float, amplitude: float, frequency: float, duration: float, step: float) -> MotorLog:
@@ -87,20 +86,13 @@ class MotorLog:
     def write(self, path: Path) -> Path:
         """Write a CSV file that `read` reads."""
         path.parent.mkdir(parents=True, exist_ok=True)
-        with path.open("w", newline="", encoding="utf-8") as file:
-            writer = csv.writer(file)
-            writer.writerow(COLUMNS)
-            for row in zip(self.time, self.target, self.angle, strict=True):
-                writer.writerow([f"{value:.6f}" for value in row])
+        rows = np.stack([self.time, self.target, self.angle], axis=1)
+        np.savetxt(path, rows, "%.6f", ",", "\r\n", ",".join(COLUMNS), comments="")
         return path
 
 
 def motor_index(robot: RobotDescription, motor: str) -> int:
-    """Place of a motor in the robot's order.
-
-    Raises:
-        SurefootError: no such motor.
-    """
+    """Place of a motor in the robot's order; refused, if there is no such motor."""
     if motor not in robot.motor_names:
         raise SurefootError(f"motor '{motor}' does not exist; motors: {choices(robot.motor_names)}")
     return robot.motor_names.index(motor)
@@ -120,13 +112,10 @@ def run_motor_experiment(
         make_world: makes the simulation.
         log: targets, and what was measured.
         index: place of the motor that follows them in the robot's order.
-        params: physical parameters that differ from the robot's description.
+        params: physical parameters that differ from the robot's description; refused if it does not allow them.
 
     Returns:
         by actuator, the motor's true angle at the log's times (T,) [rad].
-
-    Raises:
-        SurefootError: parameters that the robot does not allow.
     """
     step = robot.timing.servo_step
     # A command for every servo step: the targets come with the log's own timing.

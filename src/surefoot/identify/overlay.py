@@ -54,11 +54,7 @@ class Known:
 
 
 def read_known(path: Path | None, robot: RobotDescription) -> Known:
-    """What is known of a robot.
-
-    Args:
-        path: file of parameters; without one, or if it does not exist, the description alone is known.
-        robot: its description.
+    """What a file of parameters tells of a robot; without a file its description alone is known.
 
     Raises:
         SurefootError: a file that can't be read, is another robot's, or has other things under the names of the tables
@@ -77,14 +73,7 @@ def read_known(path: Path | None, robot: RobotDescription) -> Known:
 
 
 def overlay(known: Known, found: Identification, robot: RobotDescription, source: str = "") -> Known:
-    """What is known together with what was found; what was found counts.
-
-    Args:
-        known: before.
-        found: of this robot.
-        robot: its description.
-        source: file of the data.
-    """
+    """What is known together with what was found in the file `source`; what was found counts."""
     tables = deepcopy(known.tables)
     if found.sensors:
         tables["sensors"] = {**tables.get("sensors", {}), **found.sensors}

@@ -1,17 +1,23 @@
-"""What an experiment is going to do, before it does it: phases, and the limits within which it stays."""
+"""What an experiment is going to do, before it does it: phases, their signals, and limits within which it stays."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
+import numpy as np
+
 from surefoot.arrays import Array
+from surefoot.deploy.poses import between
 from surefoot.deploy.wire.messages import Mode
 
 Use = Literal["fit", "check", "way"]
 Signal = Callable[[float, Array], Array]
 """What the motors are asked for (M,) at a time since the phase's start [s], from what they were asked for before."""
+FADE = 0.2
+"""Time [s] within which sines grow to their amplitude, and fade at the end."""
 
 
 @dataclass(frozen=True)
@@ -19,7 +25,6 @@ class Phase:
     """A part of an experiment in which one kind of command is sent."""
 
     name: str
-    """In a word or two."""
     what: str
     """What the motors are going to do, for whoever stands beside the robot."""
     duration: float
@@ -53,11 +58,9 @@ class Plan:
     """An experiment that has not begun."""
 
     experiment: str
-    """Its name."""
     rack: bool
     """Whether the robot hangs in the air; otherwise it sits on the ground."""
     phases: tuple[Phase, ...]
-    """In order."""
     angle_low: Array
     """Least motor angles (M,) [rad] that it asks for."""
     angle_high: Array
@@ -70,3 +73,39 @@ class Plan:
     def duration(self) -> float:
         """Robot time from arming to disarming [s]."""
         return sum(phase.duration for phase in self.phases)
+
+
+def go_to(target: Array, duration: float) -> Signal:
+    """Smoothly from wherever the motors were sent to `target` (M,) [rad]."""
+    return lambda t, start: between(start, target, t / duration)
+
+
+def hold(target: Array) -> Signal:
+    """Stay at `target`."""
+    return lambda t, start: target
+
+
+def chirps(middle: Array, amplitude: Array, first: float, last: float, duration: float, phase: Array) -> Signal:
+    """Sines that fade in and out, and whose frequency [Hz] grows exponentially from `first` to `last`.
+
+    Each motor has its own middle, amplitude and phase (M,) [rad]; the duration is in [s].
+    """
+
+    def signal(t: float, start: Array) -> Array:
+        turned, faded = sweep(t, first, last, duration)
+        value: Array = middle + faded * amplitude * np.sin(turned + phase)
+        return value
+
+    return signal
+
+
+def sweep(t: float, first: float, last: float, duration: float) -> tuple[float, float]:
+    """Angle [rad] that a sine of exponentially growing frequency has turned, and its fading in and out from 0 to 1."""
+    rate = math.log(last / first) / duration
+    turned = 2 * math.pi * first * (math.expm1(rate * t) / rate if rate else t)
+    return turned, min(1.0, t / FADE, max(duration - t, 0.0) / FADE)
+
+
+def steps(values: Array, each: float) -> Signal:
+    """One row of `values` (K, M) after the other, for a time [s] each."""
+    return lambda t, start: values[min(int(t / each + 1e-9), len(values) - 1)]

@@ -40,14 +40,7 @@ _LEVEL = 0.2
 
 
 def check_recording(recording: Recording, robot: RobotDescription) -> tuple[str, ...]:
-    """Look for what would make a fit wrong; whoever fits calls it first.
-
-    Args:
-        recording: of a whole experiment.
-        robot: its description, for the motors' names.
-
-    Returns:
-        notes on what is wrong and can be borne.
+    """Look for what would make a fit of a whole experiment wrong; return notes on what is wrong and can be borne.
 
     Raises:
         SurefootError: what is wrong, with the number and the rule.

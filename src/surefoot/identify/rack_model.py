@@ -9,39 +9,40 @@ from numpy.typing import NDArray
 
 from surefoot.arrays import Array
 from surefoot.errors import SurefootError
-from surefoot.identify.fitting import Unknown
+from surefoot.identify.fitting import BLOCK, GAIN, TORQUE_GAIN, Fit, Unknown, fit_least_squares, params_of
 from surefoot.identify.recording import Recording
+from surefoot.identify.registry import FitProgress
 from surefoot.identify.replay import Replayed, Replayer, Stretch
+from surefoot.identify.result import Estimate, with_floor
 from surefoot.robot import PhysicalParams, RobotDescription
 
-BLOCK = 0.25
-"""Length [s] of the blocks of time within which residuals may hang together."""
-TORQUE_GAIN = "torque_gain"
-"""Unknown relative error of a motor's torque report; nothing that a simulation needs."""
 NOISE = np.array([2e-4, 0.05, 0.02])
 """Standard deviations of readings of angles [rad], speeds [rad/s] and torques [N m]."""
-
-
-def params_of(base: PhysicalParams, unknowns: Sequence[Unknown], values: Array) -> PhysicalParams:
-    """Physical parameters, a row for each candidate (K, n), from one row of `base`."""
-    params = base.rows(np.zeros(len(values), np.int64))
-    for i, unknown in enumerate(unknowns):
-        if unknown.name not in PhysicalParams.names():
-            continue
-        array = getattr(params, unknown.name)
-        if unknown.index is None:
-            array.T[...] = values[:, i]
-        else:
-            array[:, unknown.index] = values[:, i]
-    return params
+LATENCIES = np.arange(0.0, 0.081, 0.002)
+"""Control latencies [s] from which the best one is where the fit begins: fits with sines have several valleys."""
+_TINY = 1e-6
+"""Steps of finite differences, in shares of a parameter's usual size; simulations on the rack are that smooth."""
+STARTS = 3
+"""Valleys of the latency from which fits are begun, at most."""
+GOOD = 0.002
+"""Error of angles [rad] below which a fit is not tried from another start: ten times an encoder's, a hundredth of what
+a wrong valley leaves."""
+_ROUNDS = 3
+_SIZES = {
+    "torque_constant": 0.1,
+    "resistance": 0.2,
+    "servo_kp": 1.0,
+    "servo_kd": 0.015,
+    "servo_latency": 0.01,
+    "control_latency": 0.01,
+    "leg_mass_ratio": 1.0,
+    "leg_inertia_ratio": 1.0,
+}
+_MOTOR_SIZES = {"motor_strength": 1.0, "motor_friction": 0.1, "motor_viscous_friction": 0.01}
 
 
 def moving_legs(robot: RobotDescription, recording: Recording) -> NDArray[np.int64]:
-    """Motors of legs both of whose motors move: beside one that stands still the other one does something else too.
-
-    Raises:
-        SurefootError: there is no such leg.
-    """
+    """Motors of legs both of whose motors move: beside one that stands still the other one does something else too."""
     still = recording.still_motors
     kept = [motor for pair in robot.leg_motor_index.tolist() if still.isdisjoint(pair) for motor in pair]
     if not kept:
@@ -54,7 +55,7 @@ class RackModel:
 
     Args:
         robot: its description.
-        recording: of the motor experiment, or another one on the rack.
+        recording: of an experiment on the rack.
         stretch: which part of it.
         unknowns: what is to be found.
         base: all that is not, one row.
@@ -104,11 +105,9 @@ class RackModel:
         return self.errors(self.replayer.run(self.stretch, params_of(self.base, self.unknowns, values)), gain)
 
     def errors(self, told: Replayed, gain: Array | float = 1.0) -> Array:
-        """Simulated less recorded angles [rad], speeds [rad/s], torques [N m] (K, 3, T, kept motors).
+        """Angles [rad], speeds [rad/s], torques [N m] that K robots told, less those recorded (K, 3, T, kept motors).
 
-        Args:
-            told: what K simulated robots told of the stretch.
-            gain: by which their torque reports are multiplied (K, 1, M).
+        Torque reports are multiplied by a gain (K, 1, M).
         """
         recording, kept, every = self.recording, self.stretch.states[:: self.every], self.every
         errors = [
@@ -129,3 +128,80 @@ class RackModel:
         padded = np.pad(costs, 1, constant_values=np.inf)
         lowest = np.flatnonzero((costs <= padded[:-2]) & (costs <= padded[2:]))
         return latencies[lowest[np.argsort(costs[lowest])]].tolist()
+
+
+def motor_unknowns(
+    robot: RobotDescription, known: PhysicalParams, latency: float, motors: NDArray[np.int64]
+) -> list[Unknown]:
+    """What there is to find of motors of legs that moved, from what was known (one row) and a control latency [s]."""
+    unknowns = []
+    for name, size in _SIZES.items():
+        start = latency if name == "control_latency" else float(getattr(known, name)[0])
+        unknowns.append(Unknown(name, start, *robot.allowed[name], _TINY * size))
+    for motor in motors.tolist():
+        which = int(np.argwhere(robot.leg_motor_index == motor)[0][1])
+        for colour, (name, size) in enumerate(_MOTOR_SIZES.items()):
+            start = float(getattr(known, name)[0, motor])
+            unknowns.append(Unknown(name, start, *robot.allowed[name], _TINY * size, motor, colour=2 * colour + which))
+        unknowns.append(Unknown(TORQUE_GAIN, 0.0, -0.5, 0.5, 1e-4, motor, GAIN, colour=6 + which))
+    return unknowns
+
+
+def fit_on_rack(
+    robot: RobotDescription,
+    recording: Recording,
+    stretch: Stretch,
+    known: PhysicalParams,
+    tell: FitProgress,
+    every: int = 5,
+) -> tuple[Fit, RackModel]:
+    """Fit everything that a robot on its rack tells to a stretch of a recording."""
+    scan = RackModel(robot, recording, stretch, [], known, Replayer(robot, 1), 3 * every)
+    fits = []
+    for latency in scan.latency_valleys(LATENCIES)[:STARTS]:
+        tell(f"starting from a control latency of {1e3 * latency:.0f} ms", float("nan"))
+        unknowns = motor_unknowns(robot, known, latency, scan.kept)
+        fits.append(_fit_rounds(robot, recording, stretch, known, unknowns, tell, every))
+        if fits[-1][1].noise[0] < GOOD:
+            break
+    return min(fits, key=lambda found: float(found[1].noise[0]))
+
+
+def _fit_rounds(
+    robot: RobotDescription,
+    recording: Recording,
+    stretch: Stretch,
+    known: PhysicalParams,
+    unknowns: list[Unknown],
+    tell: FitProgress,
+    every: int,
+) -> tuple[Fit, RackModel]:
+    """Fit from one start, again with as much noise as the fit before has left, until that holds."""
+    replayer = Replayer(robot, len({u.colour for u in unknowns if u.colour is not None}) + 10)
+    noise, start = NOISE, None
+    for _ in range(_ROUNDS):
+        model = RackModel(robot, recording, stretch, unknowns, known, replayer, every, noise)
+        fit = fit_least_squares(model, start, tell=lambda k, cost: tell(f"iteration {k}", cost))
+        # What the model can't explain counts as noise, or it would be taken for knowledge.
+        left = np.sqrt(np.mean(fit.residuals.reshape(3, -1) ** 2, axis=1))
+        if np.all(left < 1.15):
+            break
+        noise, start = np.maximum(left, 1.0) * noise, fit.values
+    return fit, model
+
+
+def rack_estimates(robot: RobotDescription, fit: Fit, known: PhysicalParams) -> list[Estimate]:
+    """Estimates of physical parameters from a fit on the rack; motors that were not fitted are not told."""
+    estimates = []
+    for u, value, deviation, told in zip(fit.unknowns, fit.values, fit.deviation, fit.told, strict=True):
+        if u.name != TORQUE_GAIN:
+            deviation = with_floor(u.name, float(value), float(deviation))
+            estimates.append(Estimate.of_parameter(robot, u.name, float(value), deviation, u.index, bool(told)))
+    fitted = {(e.name, e.index) for e in estimates}
+    for motor in range(robot.num_motors):
+        for name in _MOTOR_SIZES:
+            if (name, motor) not in fitted:
+                low, high = robot.allowed[name]
+                value = float(getattr(known, name)[0, motor])
+                estimates.append(Estimate.of_parameter(robot, name, value, (high - low) / 4, motor, told=False))
+    return estimates

@@ -7,8 +7,10 @@ from dataclasses import dataclass, replace
 from importlib import import_module
 from typing import Any
 
+from surefoot.identify.ground_plans import contact_plan, mass_plan
 from surefoot.identify.plan import Plan
 from surefoot.identify.quality import check_recording
+from surefoot.identify.rack_plans import latency_plan, motor_plan
 from surefoot.identify.recording import Recording
 from surefoot.identify.result import Identification
 from surefoot.robot import PhysicalParams, RobotDescription
@@ -28,16 +30,12 @@ class Experiment:
     name: str
     what: str
     """What it measures, in a line."""
+    plan: Callable[[RobotDescription], Plan]
+    """Returns what it is going to do."""
     rack: bool
     """Whether the robot hangs in the air."""
     before: tuple[str, ...] = ()
     """Experiments whose results it should have."""
-
-    def plan(self, robot: RobotDescription) -> Plan:
-        """What it is going to do."""
-        module = import_module(f"surefoot.identify.experiments.{self.name}")
-        plan: Plan = getattr(module, f"{self.name}_plan")(robot)
-        return plan
 
     def fit(
         self,
@@ -57,10 +55,10 @@ class Experiment:
             tell: is told of the fit's progress.
 
         Raises:
-            SurefootError: data too poor to tell anything.
+            SurefootError: data too poor to tell anything, or a robot on the ground that did not stand.
         """
         notes = check_recording(recording, robot)
-        module = import_module(f"surefoot.identify.fits.{self.name}")
+        module = import_module(f"surefoot.identify.{'rack' if self.rack else 'ground'}_fits")
         found: Identification = getattr(module, f"fit_{self.name}")(robot, recording, known, sensors or {}, tell)
         date = str(recording.meta["date"])
         return replace(found, notes=(*notes, *found.notes), digest=recording.digest, date=date)
@@ -69,9 +67,9 @@ class Experiment:
 EXPERIMENTS = {
     experiment.name: experiment
     for experiment in (
-        Experiment("latency", "age of the readings at the servo and at the computer", rack=True),
-        Experiment("motor", "motors, servo, friction, the legs' mass and inertia, both latencies", rack=True),
-        Experiment("mass", "mass, centre of mass and inertia of the base", rack=False, before=("motor",)),
-        Experiment("contact", "friction, stiffness and damping of the feet", rack=False, before=("motor", "mass")),
+        Experiment("latency", "age of the readings at the servo and at the computer", latency_plan, True),
+        Experiment("motor", "motors, servo, friction, the legs' mass and inertia, both latencies", motor_plan, True),
+        Experiment("mass", "mass, centre of mass and inertia of the base", mass_plan, False, ("motor",)),
+        Experiment("contact", "friction, stiffness and damping of the feet", contact_plan, False, ("motor", "mass")),
     )
 }

@@ -98,23 +98,15 @@ def stretch_of(recording: Recording, first: int, last: int) -> Stretch:
 
 @dataclass(frozen=True)
 class Replayed:
-    """What N simulated robots would have told in T states."""
+    """What N simulated robots would have told of M motors in T states: arrays (N, T, M) [rad, rad/s, N m]."""
 
     motor_angle: Array
-    """(N, T, M) [rad]."""
     motor_velocity: Array
-    """(N, T, M) [rad/s]."""
     motor_torque: Array
-    """(N, T, M) [N m]."""
 
 
 class Replayer:
-    """Simulated robots on racks that go through a stretch of a recording, shared among the computer's cores.
-
-    Args:
-        robot: their description.
-        num_envs: how many at a time.
-    """
+    """Simulated robots on racks, `num_envs` at a time on all cores, that go through a stretch of a recording."""
 
     def __init__(self, robot: RobotDescription, num_envs: int) -> None:
         self.robot, self.num_envs = robot, num_envs

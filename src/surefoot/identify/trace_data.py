@@ -27,7 +27,7 @@ Rows = NDArray[np.int64]
 MIN_LENGTH = 2.0
 """Least length of all traces together that is fitted [s]."""
 MAX_LENGTH = 40.0
-"""Length [s] beyond which rows are left out evenly: more would cost time and add little."""
+"""Length [s] beyond which rows are left out evenly."""
 HELD_OUT = 0.25
 """Share of the traces, or of the one trace's time, that is not fitted."""
 REAL_TIME_SPREAD = 5e-4
@@ -67,10 +67,6 @@ class MotorMotion:
     Between two readings the angle is the polynomial of degree 7 that has the angles and speeds of four, two before and
     two after, as Hermite's of degree 3 has those of two. A speed is the last servo step's difference of angles over its
     length dt, in simulations and from encoders alike, and so the polynomial's slope dt / 2 before.
-
-    Args:
-        robot: its description.
-        trace: T readings of M motors.
     """
 
     def __init__(self, robot: RobotDescription, trace: EpisodeTrace) -> None:
@@ -140,10 +136,7 @@ def time_jumps(trace: EpisodeTrace) -> NDArray[np.bool_]:
 def usable_rows(trace: EpisodeTrace, earliest: float, latest: float) -> Rows:
     """Return rows of a trace around which readings follow each other without a gap.
 
-    Args:
-        trace: the trace.
-        earliest: how long before a row the first reading may be that it is compared with [s].
-        latest: how long after it the last one may be [s].
+    A row is compared with readings from `earliest` [s] before it to `latest` [s] after it.
     """
     count = trace.num_steps
     broken = np.zeros(count, np.bool_)
@@ -162,11 +155,7 @@ def usable_rows(trace: EpisodeTrace, earliest: float, latest: float) -> Rows:
 
 
 def check_traces(robot: RobotDescription, traces: Sequence[EpisodeTrace]) -> None:
-    """Refuse traces whose torques can't be those of the robot's motors.
-
-    Raises:
-        SurefootError: no traces, or of another robot, a dry run, or other motors.
-    """
+    """Refuse no traces, and traces of another robot, a dry run, or motors of another kind."""
     if not traces:
         raise SurefootError("there are no traces; give one or more")
     for number, trace in enumerate(traces):
@@ -184,11 +173,8 @@ def make_segments(
 ) -> list[TraceSegment]:
     """Return the usable rows of all traces, the same ones for every latency within the bounds.
 
-    Args:
-        robot: their robot.
-        traces: the traces.
-        bounds: least and greatest `servo_latency` and `control_latency` [s].
-        timing: index of the traces' `torque_timings`; the last one of a trace that has fewer.
+    Bounds are the least and greatest `servo_latency` and `control_latency` [s]; `timing` is an index of the traces'
+    `torque_timings`, the last one of a trace that has fewer.
 
     Raises:
         SurefootError: less than `MIN_LENGTH` in all.

@@ -13,9 +13,7 @@ from numpy.typing import NDArray
 
 from surefoot.actuator import motor_current, motor_torque, servo_duty
 from surefoot.arrays import Array
-from surefoot.identify.fits.motor import GAIN
-from surefoot.identify.fitting import Unknown
-from surefoot.identify.rack_model import BLOCK, TORQUE_GAIN, params_of
+from surefoot.identify.fitting import BLOCK, GAIN, TORQUE_GAIN, Unknown, params_of
 from surefoot.identify.trace_data import TraceSegment, thinned
 from surefoot.robot import PhysicalParams, RobotDescription
 
@@ -56,7 +54,7 @@ _TINY = 1e-6
 
 
 class TorqueModel:
-    """Residuals of the torques that a robot's motors reported.
+    """Residuals of the torques that a robot's motors reported in segments of traces.
 
     Args:
         robot: its description.
@@ -211,13 +209,8 @@ def unknowns_of(
 ) -> list[Unknown]:
     """Return what is to be found in segments of traces, and what a fit needs besides.
 
-    Args:
-        robot: what it allows.
-        wanted: physical parameters.
-        known: what was known before, one row.
-        latencies: control and servo latency [s] of the valley to look in.
-        moving: which motors move (M,).
-        segments: what is fitted.
+    Wanted are physical parameters; known is one row; the latencies [s], control and servo, are of the valley to look
+    in; moving tells which motors move (M,).
     """
     nominal = robot.nominal_params()
     unknowns = []

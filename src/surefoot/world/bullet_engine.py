@@ -30,13 +30,7 @@ MAX_ROBOTS = 256
 
 
 class BulletEngine:
-    """Bullet behind the engine interface: observe, advance, parameters, forces and snapshots of single robots.
-
-    Args:
-        robot: what to simulate.
-        drive: shared servo, motor and sensor arrays; its first axis is the number of robots.
-        config: actuator and rack. An engine steps its robots one after another: see `process_world` for several cores.
-        settings: how Bullet solves bodies and contacts.
+    """Bullet behind the interface `sim_world.Engine`, one robot after another; `process_world` takes several cores.
 
     Raises:
         SurefootError: more robots than a process can hold, or a robot that Bullet reads with other masses.
@@ -195,11 +189,7 @@ class BulletEngine:
         observe(self._layout, self.drive, i, self._look(i))
 
     def get_state(self, i: int) -> Array:
-        """Return the whole state of robot `i` in the engine: its row and the force on its base.
-
-        Contacts that Bullet remembers are forgotten here and when the state is set, and pins with play are centred, so
-        that both continue alike.
-        """
+        """Return the whole state of robot `i`; contacts are forgotten and pins centred, as `set_state` does."""
         self.models[i].forget()
         return np.concatenate([self._rows[i], self._force[i]])
 

@@ -65,11 +65,7 @@ PARAMETERS = (*CONTACT, *RATIOS, *BULLET_ONLY)
 
 
 def import_pybullet() -> ModuleType:
-    """Import PyBullet without its banner.
-
-    Raises:
-        ModuleNotFoundError: it is not installed.
-    """
+    """Import PyBullet without its banner; a `ModuleNotFoundError`, if it is not installed."""
     if "pybullet" in sys.modules:
         return sys.modules["pybullet"]
     with quiet():

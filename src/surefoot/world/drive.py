@@ -34,6 +34,7 @@ from surefoot.actuator.motor import (
 from surefoot.actuator.servo import servo_duty_kernel
 from surefoot.arrays import Array
 from surefoot.robot import PhysicalParams, RobotDescription
+from surefoot.rotations import rpy_quat
 from surefoot.world.interface import WorldConfig
 
 Quat = tuple[Any, Any, Any, Any]
@@ -51,6 +52,12 @@ RATIOS = ("base_mass_ratio", "leg_mass_ratio", "base_inertia_ratio", "leg_inerti
 """Physical parameters of masses and inertias."""
 BULLET_ONLY = ("knee_friction", "knee_play", "floor_unevenness")
 """Physical parameters that MuJoCo's engine does not model."""
+_PARAMS = {
+    **{name: name for name in ("torque_constant", "resistance", "voltage", "servo_latency")},
+    **{name: f"servo_{name}" for name in ("kp", "kd")},
+    **{"strength": "motor_strength", "friction": "motor_friction", "viscous": "motor_viscous_friction"},
+}
+"""Arrays of `Drive` that hold a physical parameter, and its name."""
 _ROBOTS = ("torque_constant", "resistance", "voltage", "kp", "kd", "servo_latency", "energy")
 """Arrays of `Drive` with a number for each robot."""
 _MOTORS = (
@@ -60,6 +67,7 @@ _MOTORS = (
 """Arrays of `Drive` with a number for each motor."""
 IMU_WIDTH = 6
 """Numbers of the IMU in a reading: roll, pitch, yaw [rad], and angular velocity in the base frame [rad/s]."""
+_rpy_quat = njit(cache=True)(rpy_quat)
 
 
 class Drive(NamedTuple):
@@ -125,15 +133,8 @@ def new_drive(robot: RobotDescription, num_envs: int, history: int, config: Worl
 
 def set_drive_params(drive: Drive, index: NDArray[np.int64], params: PhysicalParams) -> None:
     """Apply the parameters of servo and motor to the robots at `index`, one row each."""
-    drive.strength[index] = params.motor_strength
-    drive.friction[index] = params.motor_friction
-    drive.viscous[index] = params.motor_viscous_friction
-    drive.torque_constant[index] = params.torque_constant
-    drive.resistance[index] = params.resistance
-    drive.voltage[index] = params.voltage
-    drive.kp[index] = params.servo_kp
-    drive.kd[index] = params.servo_kd
-    drive.servo_latency[index] = params.servo_latency
+    for name, parameter in _PARAMS.items():
+        getattr(drive, name)[index] = getattr(params, parameter)
 
 
 def racked_bases(num_envs: int) -> Array:
@@ -248,3 +249,22 @@ def read_delayed(drive: Drive, latency: Array, out: Array) -> None:
     for i in range(len(latency)):
         at = drive.ticks[i] * drive.limits[3] - latency[i]
         read_kernel(drive.times[i], drive.history[i], drive.ticks[i] + 1, at, out.shape[1], out[i])
+
+
+@njit(cache=True)
+def read_by_mounted_imu(attitude: Array, rates: Array, mount: Array) -> None:
+    """Transform attitudes and rates of bases into readings of IMUs with other orientations.
+
+    With the rotation R_b of the base in the world and R_m of the IMU in the base, the IMU's attitude is R_b R_m, and
+    it reads the angular velocity R_m^T w.
+
+    Args:
+        attitude: roll, pitch and yaw (N, 3) [rad]; yaw about z, then pitch about y, then roll about x; updated.
+        rates: angular velocity w in the base frame (N, 3) [rad/s]; updated.
+        mount: roll, pitch and yaw of the IMU in the base frame (N, 3) [rad].
+    """
+    for i in range(len(attitude)):
+        base = _rpy_quat(attitude[i, 0], attitude[i, 1], attitude[i, 2])
+        imu = _rpy_quat(mount[i, 0], mount[i, 1], mount[i, 2])
+        attitude[i, 0], attitude[i, 1], attitude[i, 2] = roll_pitch_yaw(*quat_product(base, imu))
+        rates[i, 0], rates[i, 1], rates[i, 2] = turned_back(imu, (rates[i, 0], rates[i, 1], rates[i, 2]))

@@ -41,13 +41,7 @@ def _masses(model: mujoco.MjModel) -> Array:
 
 
 class MujocoEngine:
-    """MuJoCo behind the engine interface: observe, advance, parameters, forces and snapshots of single robots.
-
-    Args:
-        robot: what to simulate.
-        drive: shared servo, motor and sensor arrays; its first axis is the number of robots.
-        config: actuator, rack, and threads to step on.
-    """
+    """MuJoCo behind the interface `sim_world.Engine`; it steps robots on `config.threads` threads."""
 
     name = "mujoco"
     gravity = GRAVITY
@@ -176,11 +170,7 @@ class MujocoEngine:
         self.datas[i].xfrc_applied[self._base, :3] = force_world
 
     def set_params(self, i: int, params: PhysicalParams, row: int) -> None:
-        """Apply masses, inertias and the feet's contact of `params[row]` to robot `i`.
-
-        Raises:
-            SurefootError: a parameter that only Bullet models.
-        """
+        """Apply masses, inertias and the feet's contact of `params[row]` to robot `i`, if MuJoCo models all else."""
         for name in BULLET_ONLY:
             if (value := float(getattr(params, name)[row])) != 0.0:
                 raise SurefootError(f"{name} is {value:g}; MuJoCo does not model it: set 0, or use world bullet")

@@ -46,15 +46,7 @@ def call_step(typing_context: Any, function: Any, model: Any, data: Any) -> Any:
 
 
 def struct_offset(struct: int, pointer: int) -> int:
-    """Return the offset [bytes] of a pointer in a C struct that holds it.
-
-    Args:
-        struct: address of the struct.
-        pointer: the pointer's value.
-
-    Raises:
-        OSError: it is not there.
-    """
+    """Return the offset [bytes] of a pointer in the C struct at an address; an `OSError`, if it is not there."""
     for offset in range(0, _LARGEST_STRUCT, 8):
         if ctypes.c_uint64.from_address(struct + offset).value == pointer:
             return offset

@@ -71,29 +71,76 @@ def _end(processes: Sequence[subprocess.Popen[bytes]]) -> None:
             process.wait()
 
 
-class ProcessPool:
-    """Processes with a world each; they end with this object, when it is closed, or with the process that owns it.
+def _join(parts: Sequence[Rows]) -> Rows:
+    """Join readings or truths of consecutive robots."""
+    columns = {item.name: np.concatenate([getattr(part, item.name) for part in parts]) for item in fields(parts[0])}
+    return type(parts[0])(**columns)
 
-    Args:
-        count: number of processes.
+
+def _joined(parts: Sequence[dict[str, Array]]) -> dict[str, Array]:
+    """Join arrays of a state by name, of consecutive robots."""
+    return {
+        name: array if name in OF_ALL_ROBOTS else np.concatenate([part[name] for part in parts])
+        for name, array in parts[0].items()
+    }
+
+
+def _cut(arrays: dict[str, Array], share: slice) -> dict[str, Array]:
+    """Return of arrays of a state by name the rows of some robots."""
+    return {name: array if name in OF_ALL_ROBOTS else array[share] for name, array in arrays.items()}
+
+
+class ProcessWorld:
+    """A `Simulation` whose robots are stepped by several processes; arguments and errors are those of `SimWorld`.
+
+    The engine is a function at the top of a module. The processes, `config.threads` of them, end with this object, when
+    it is closed, or with the process that owns it; a `SurefootError` tells that one has ended on its own.
     """
 
-    def __init__(self, count: int) -> None:
+    def __init__(
+        self,
+        robot: RobotDescription,
+        num_envs: int,
+        params: PhysicalParams | None,
+        seed: int,
+        config: WorldConfig,
+        engine: EngineFactory,
+    ) -> None:
+        check_batch(num_envs, params)
+        self.robot, self.num_envs, self.config = robot, num_envs, config
+        self.params = PhysicalParams.nominal(robot, num_envs) if params is None else params.rows(np.arange(num_envs))
+        count = processes_for(num_envs, config)
+        bounds = [num_envs * k // count for k in range(count + 1)]
+        self._shares = [slice(first, last) for first, last in itertools.pairwise(bounds)]
+        self._truths: list[Truth] | None = None
+        self.divergences = 0
         self._processes: list[subprocess.Popen[bytes]] = []
         self._finalizer = weakref.finalize(self, _end, self._processes)
         self._processes.extend(_start() for _ in range(count))
+        shared = {"robot": robot, "seed": seed, "config": replace(config, threads=1), "engine": engine}
+        try:
+            self._ask(
+                "make",
+                [
+                    {
+                        **shared,
+                        "num_envs": share.stop - share.start,
+                        "params": self.params.rows(np.arange(share.start, share.stop)),
+                        "first": share.start,
+                    }
+                    for share in self._shares
+                ],
+            )
+        except BaseException:
+            self.close()
+            raise
 
     def close(self) -> None:
-        """End the processes; no further request is possible."""
+        """End the processes; the world cannot be used afterwards."""
         self._finalizer()
 
-    def ask(self, method: str, arguments: Sequence[Any]) -> list[Any]:
-        """Send each process its own arguments; return their answers in order.
-
-        Raises:
-            SurefootError: a process is gone. An error that a process reports is raised here as it was there, after
-                all have answered.
-        """
+    def _ask(self, method: str, arguments: Sequence[Any]) -> list[Any]:
+        """Send each process its own arguments; return their answers in order, or raise the error that one reports."""
         if not self._finalizer.alive:
             raise SurefootError("this world is closed, or one of its processes is gone")
         replies = []
@@ -121,81 +168,6 @@ class ProcessPool:
                 raise answer
         return [answer for _, answer in replies]
 
-
-def _join(parts: Sequence[Rows]) -> Rows:
-    """Join readings or truths of consecutive robots."""
-    columns = {item.name: np.concatenate([getattr(part, item.name) for part in parts]) for item in fields(parts[0])}
-    return type(parts[0])(**columns)
-
-
-def _joined(parts: Sequence[dict[str, Array]]) -> dict[str, Array]:
-    """Join arrays of a state by name, of consecutive robots."""
-    return {
-        name: array if name in OF_ALL_ROBOTS else np.concatenate([part[name] for part in parts])
-        for name, array in parts[0].items()
-    }
-
-
-def _cut(arrays: dict[str, Array], share: slice) -> dict[str, Array]:
-    """Return of arrays of a state by name the rows of some robots."""
-    return {name: array if name in OF_ALL_ROBOTS else array[share] for name, array in arrays.items()}
-
-
-class ProcessWorld:
-    """A `Simulation` whose robots are stepped by several processes; see `SimWorld` for what each does.
-
-    Args:
-        robot: what to simulate.
-        num_envs: number of robots.
-        params: their physical parameters; nominal, if none are given.
-        seed: seeds sensor noise and starting velocities, one stream a robot.
-        config: see `WorldConfig`; `threads` is the number of processes.
-        engine: makes the physics, a function at the top of a module.
-
-    Raises:
-        SurefootError: as `SimWorld`, and whenever one of the processes has ended.
-    """
-
-    def __init__(
-        self,
-        robot: RobotDescription,
-        num_envs: int,
-        params: PhysicalParams | None,
-        seed: int,
-        config: WorldConfig,
-        engine: EngineFactory,
-    ) -> None:
-        check_batch(num_envs, params)
-        self.robot, self.num_envs, self.config = robot, num_envs, config
-        self.params = PhysicalParams.nominal(robot, num_envs) if params is None else params.rows(np.arange(num_envs))
-        count = processes_for(num_envs, config)
-        bounds = [num_envs * k // count for k in range(count + 1)]
-        self._shares = [slice(first, last) for first, last in itertools.pairwise(bounds)]
-        self._truths: list[Truth] | None = None
-        self.divergences = 0
-        self._pool = ProcessPool(count)
-        shared = {"robot": robot, "seed": seed, "config": replace(config, threads=1), "engine": engine}
-        try:
-            self._pool.ask(
-                "make",
-                [
-                    {
-                        **shared,
-                        "num_envs": share.stop - share.start,
-                        "params": self.params.rows(np.arange(share.start, share.stop)),
-                        "first": share.start,
-                    }
-                    for share in self._shares
-                ],
-            )
-        except BaseException:
-            self.close()
-            raise
-
-    def close(self) -> None:
-        """End the processes; the world cannot be used afterwards."""
-        self._pool.close()
-
     def _each(self, *arguments: Any) -> list[tuple[Any, ...]]:
         """Return the arguments of every process: arrays with a row for each robot are cut to its share."""
         return [tuple(None if item is None else item[share] for item in arguments) for share in self._shares]
@@ -219,45 +191,41 @@ class ProcessWorld:
 
     def reset(self, index: ArrayLike | None = None) -> Readings:
         """Bring the robots at `index` (all, if none is given) to the resting pose; return readings of all robots."""
-        return self._moved(self._pool.ask("reset", [(rows,) for _, rows in self._split(index)]))
+        return self._moved(self._ask("reset", [(rows,) for _, rows in self._split(index)]))
 
     def step(self, target: ArrayLike, active: NDArray[np.bool_] | None = None) -> Readings:
         """Hold motor angles (N, M) [rad] for one control step of each (active) robot; return readings at its end."""
         angles = np.broadcast_to(np.asarray(target, float), (self.num_envs, self.robot.num_motors))
-        return self._moved(self._pool.ask("step", self._each(angles, active)))
+        return self._moved(self._ask("step", self._each(angles, active)))
 
     def readings(self) -> Readings:
         """Return the present readings again."""
-        return _join(self._pool.ask("readings", self._each()))
+        return _join(self._ask("readings", self._each()))
 
     def truth(self) -> Truth:
         """Return the true state; the arrays belong to the caller."""
         if self._truths is None:
-            self._truths = self._pool.ask("truth", self._each())
+            self._truths = self._ask("truth", self._each())
         return _join(self._truths)
 
     def foot_positions(self) -> Array:
         """Return the centres of the rounded feet in the world frame [m], (N, L, 3)."""
-        return np.concatenate(self._pool.ask("foot_positions", self._each()))
+        return np.concatenate(self._ask("foot_positions", self._each()))
 
     def set_params(self, index: ArrayLike, params: PhysicalParams) -> None:
-        """Give the robots at `index` other physical parameters, one row each; best followed by their reset.
-
-        Raises:
-            SurefootError: a value outside what the robot's description allows; then no robot has changed.
-        """
+        """Give the robots at `index` other physical parameters, one row each; see `SimWorld.set_params`."""
         rows = np.atleast_1d(np.asarray(index, np.int64))
         self.params.set_rows(self.robot, rows, params)
         self._truths = None
-        self._pool.ask("set_params", [(own, params.rows(places)) for places, own in self._split(index)])
+        self._ask("set_params", [(own, params.rows(places)) for places, own in self._split(index)])
 
     def push(self, force_world: ArrayLike) -> None:
         """Set the force (N, 3) [N] on each base's centre of mass from now on, in the world frame."""
-        self._pool.ask("push", self._each(np.asarray(force_world, float)))
+        self._ask("push", self._each(np.asarray(force_world, float)))
 
     def get_state(self) -> dict[str, Any]:
-        """Return the whole state of the world, laid out as a single `SimWorld`'s."""
-        states = self._pool.ask("get_state", self._each())
+        """Return the whole state of the world, as a single `SimWorld` does."""
+        states = self._ask("get_state", self._each())
         own = [share.stop - share.start for share in self._shares]
         # Each part has the streams of its robots' sensors, then those of their starts.
         sensors = [stream for state, n in zip(states, own, strict=True) for stream in state["streams"][:n]]
@@ -285,7 +253,7 @@ class ProcessWorld:
             }
             parts.append((own,))
         self._truths = None
-        self.divergences = sum(self._pool.ask("set_state", parts))
+        self.divergences = sum(self._ask("set_state", parts))
 
 
 def processes_for(num_envs: int, config: WorldConfig) -> int:

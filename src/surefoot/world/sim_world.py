@@ -13,8 +13,7 @@ from surefoot.arrays import Array
 from surefoot.errors import SurefootError
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.seeding import generators
-from surefoot.world.drive import Drive, new_drive, read_delayed, record, set_drive_params
-from surefoot.world.imu import read_by_mounted_imu
+from surefoot.world.drive import Drive, new_drive, read_by_mounted_imu, read_delayed, record, set_drive_params
 from surefoot.world.interface import Readings, Truth, WorldConfig
 
 Index = NDArray[np.int64]
@@ -65,6 +64,7 @@ class Engine(Protocol):
 
 
 EngineFactory = Callable[[RobotDescription, Drive, WorldConfig], Engine]
+"""Makes the physics of as many robots as the shared arrays of servos, motors and sensors have rows."""
 
 
 def mujoco_engine(robot: RobotDescription, drive: Drive, config: WorldConfig) -> Engine:
@@ -75,11 +75,7 @@ def mujoco_engine(robot: RobotDescription, drive: Drive, config: WorldConfig) ->
 
 
 def check_batch(num_envs: int, params: PhysicalParams | None) -> None:
-    """Refuse a world without robots, or parameters for another number of them.
-
-    Raises:
-        SurefootError: with the number.
-    """
+    """Refuse a world without robots, or parameters for another number of them."""
     if num_envs < 1:
         raise SurefootError(f"num_envs is {num_envs}; a world needs 1 robot or more")
     if params is not None and params.num_envs != num_envs:
@@ -136,7 +132,7 @@ class SimWorld:
         self.reset()
 
     def _settle(self, engine: EngineFactory) -> Array:
-        """Return the state of one nominal robot after it has settled; all resets start from it."""
+        """Return the state of one nominal robot after it has settled."""
         config = replace(self.config, thermal_protection=False, threads=1)
         drive = new_drive(self.robot, 1, self._history, config)
         single = engine(self.robot, drive, config)

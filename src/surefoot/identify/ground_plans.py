@@ -1,4 +1,4 @@
-"""What experiments on the ground share: standing up, dropping, rocking, sitting down."""
+"""The experiments on the ground, mass and contact: a robot that stands up, drops, squats, nods and drags its feet."""
 
 from __future__ import annotations
 
@@ -6,8 +6,7 @@ import numpy as np
 
 from surefoot.arrays import Array
 from surefoot.deploy.poses import SIT_EXTENSION, SPREAD_SWING, between, pose, sitting
-from surefoot.identify.experiments.signals import go_to, hold, sweep
-from surefoot.identify.plan import Phase, Plan, Signal, Use
+from surefoot.identify.plan import Phase, Plan, Signal, Use, go_to, hold, sweep
 from surefoot.robot import RobotDescription
 
 STANCE = 1.7
@@ -16,6 +15,13 @@ HIGH, LOW = 2.0, 1.5
 """Extensions [rad] from which it drops, and to which it draws its legs in."""
 DROP = 1.4
 """Length of a drop [s]."""
+SQUAT, NOD = 0.3, 0.12
+"""Amplitudes of the extension [rad] when it squats, and when it nods."""
+LIFT = 0.25
+"""How much shorter [rad] the legs get whose feet are dragged: they then carry a third to two thirds of what they
+did, and weak motors of a heavy robot still move them against friction of 1.25."""
+DRAG, STROKE, DRAGGING = 0.3, 0.7, 4.0
+"""Swing [rad], time for there and back, and length of a phase [s]."""
 
 
 def ends(robot: RobotDescription) -> Array:
@@ -79,19 +85,65 @@ def drop(robot: RobotDescription, use: Use = "fit") -> Phase:
 def rocking(
     robot: RobotDescription, share: Array, amplitude: float, first: float, last: float, duration: float
 ) -> Signal:
-    """Legs longer and shorter around standing, with a frequency that grows exponentially, faded in and out.
-
-    Args:
-        robot: its legs.
-        share: of the amplitude that each leg gets (L,).
-        amplitude: of the extension [rad].
-        first: frequency at the start [Hz].
-        last: frequency at the end [Hz].
-        duration: [s].
-    """
+    """Legs longer and shorter around standing, as `chirps` of the extension [rad]; each leg by its `share` (L,)."""
 
     def signal(t: float, start: Array) -> Array:
         turned, faded = sweep(t, first, last, duration)
         return pose(robot, 0.0, STANCE + faded * amplitude * share * np.sin(turned))
+
+    return signal
+
+
+def mass_plan(robot: RobotDescription) -> Plan:
+    """Still and slowly for mass and centre of mass, fast for the base's inertia."""
+    legs, stand = np.ones(len(robot.legs)), pose(robot, 0.0, STANCE)
+    squat = rocking(robot, legs, SQUAT, 0.5, 0.5, 4.0)
+    fast = rocking(robot, legs, 0.2, 1.0, 3.0, 3.0)
+    nod = rocking(robot, ends(robot), NOD, 1.0, 5.0, 5.0)
+    other = rocking(robot, ends(robot), 0.1, 4.0, 1.5, 3.0)
+    return ground_plan(
+        robot,
+        "mass",
+        drop(robot),
+        Phase("stand still", "the robot stands still", 1.0, hold(stand)),
+        Phase("squat slowly", f"every leg {SQUAT:g} rad longer and shorter, twice", 4.0, squat),
+        Phase("squat fast", "every leg 0.2 rad longer and shorter, from 1 to 3 Hz", 3.0, fast),
+        drop(robot),
+        Phase("nod", f"front and back legs {NOD:g} rad against each other, from 1 to 5 Hz", 5.0, nod),
+        drop(robot),
+        Phase("stand still", "the robot stands still", 1.0, hold(stand)),
+        drop(robot, use="check"),
+        Phase("nod back", "front and back legs 0.1 rad against each other, from 4 to 1.5 Hz", 3.0, other, use="check"),
+    )
+
+
+def contact_plan(robot: RobotDescription) -> Plan:
+    """Drag one diagonal pair of feet, then the other; drop and nod."""
+    nod = rocking(robot, ends(robot), 0.12, 1.0, 5.0, 4.0)
+    roll = rocking(robot, sides(robot), 0.08, 1.0, 4.0, 3.0)
+    what = f"two feet, made light, are dragged {DRAG:g} rad to and fro"
+    return ground_plan(
+        robot,
+        "contact",
+        drop(robot),
+        Phase("drag", what, DRAGGING, _dragging(robot, 1.0)),
+        drop(robot),
+        Phase("drag", what, DRAGGING, _dragging(robot, -1.0)),
+        drop(robot),
+        Phase("nod", "front and back legs 0.12 rad against each other, from 1 to 5 Hz", 4.0, nod),
+        drop(robot),
+        Phase("rock", "left and right legs 0.08 rad against each other, from 1 to 4 Hz", 3.0, roll),
+    )
+
+
+def _dragging(robot: RobotDescription, diagonal: float) -> Signal:
+    """The legs of one diagonal get shorter and swing, front against back; the others stand."""
+    light = ends(robot) * sides(robot) == diagonal
+
+    def signal(t: float, start: Array) -> Array:
+        lifted = np.clip(min(t, DRAGGING - t) / 0.5, 0.0, 1.0)
+        swings = np.clip(min(t - 0.5, DRAGGING - 0.5 - t) / 0.3, 0.0, 1.0)
+        swing = np.where(light, ends(robot) * DRAG * swings * np.sin(2 * np.pi * (t - 0.5) / STROKE), 0.0)
+        return pose(robot, swing, STANCE - np.where(light, LIFT * lifted, 0.0))
 
     return signal

@@ -1,4 +1,8 @@
-"""The latency experiment's fit: spikes tell the readings' age directly, a replay tells that and the servo's delay."""
+"""Fits of the experiments on a rack.
+
+Motor: the recording is replayed in simulation until servo, motors and legs answer alike. Latency: spikes tell the
+readings' age directly (Tan et al. 2018, section V-A), a replay tells that and the servo's delay.
+"""
 
 from __future__ import annotations
 
@@ -8,16 +12,22 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from surefoot.actuator.motor import motor_current, motor_torque
 from surefoot.arrays import Array
 from surefoot.deploy.wire.messages import Mode
 from surefoot.errors import SurefootError
-from surefoot.identify.fits.motor import fit_on_rack, rack_estimates, rest_voltage
-from surefoot.identify.recording import Recording
+from surefoot.identify.fitting import GAIN, TORQUE_GAIN
+from surefoot.identify.rack_model import RackModel, fit_on_rack, rack_estimates
+from surefoot.identify.recording import Recording, read_at
 from surefoot.identify.registry import FitProgress
-from surefoot.identify.replay import stretch_of
-from surefoot.identify.result import Estimate, Identification, Series
+from surefoot.identify.replay import Replayer, Stretch, stretch_of
+from surefoot.identify.result import Check, Estimate, Identification, Series
 from surefoot.robot import PhysicalParams, RobotDescription
 
+LEVEL = 0.002
+"""Standard deviation [rad] of how level a rack is: a spirit level's bubble of .1 degrees."""
+VOLTAGE = 0.02
+"""Standard deviation [V] of what a battery at rest is said to have: sensor, and charge used meanwhile."""
 FEWEST = 8
 """Clear answers to spikes that are needed."""
 DISAGREE = 0.001
@@ -34,9 +44,112 @@ CLEAR = 8.0
 """How many times the noise of speeds a spike's speed must be to count."""
 
 
+def imu_estimates(recording: Recording) -> list[Estimate]:
+    """Constant error of roll and pitch, and the noise on them, of a base that is held level and still."""
+    tilt = recording.roll_pitch_yaw[:, :2]
+    count = len(tilt)
+    noise = float(np.sqrt(np.mean(tilt.var(axis=0, ddof=1))))
+    bias = float(np.hypot(noise / np.sqrt(count), LEVEL))
+    spread = float(np.hypot(noise / np.sqrt(4 * count), 1e-5 + 0.004 * noise))
+    return [
+        *(Estimate("imu_bias", float(tilt[:, axis].mean()), bias, "rad", axis) for axis in range(2)),
+        Estimate("imu_noise", noise, spread, "rad", low=0.0),
+    ]
+
+
+def rest_voltage(recording: Recording) -> Estimate:
+    """Voltage of the battery before motors moved."""
+    resting = recording.voltage[: max(int(recording.meta["resting_states"]), 1)]
+    return Estimate("voltage", float(np.mean(resting)), VOLTAGE, "V", low=0.0)
+
+
+def fit_motor(
+    robot: RobotDescription, recording: Recording, known: PhysicalParams, sensors: dict[str, Any], tell: FitProgress
+) -> Identification:
+    """What the motor experiment tells; see `Experiment.fit`."""
+    fitted, checked = recording.phases("fit"), recording.phases("check")
+    fit, model = fit_on_rack(robot, recording, stretch_of(recording, fitted[0], fitted[-1]), known, tell)
+    estimates = (*rack_estimates(robot, fit, known), *imu_estimates(recording), rest_voltage(recording))
+    gains = np.zeros(robot.num_motors)
+    for unknown, value in zip(fit.unknowns, fit.values, strict=True):
+        if unknown.name == TORQUE_GAIN:
+            gains[unknown.index] = value
+    found = Identification("motor", robot.name, estimates).params(robot, known)
+    checks: tuple[Check, ...] = ()
+    series: tuple[Series, ...] = ()
+    if checked:
+        checks, series = _check(robot, recording, known, found, gains, stretch_of(recording, checked[0], checked[-1]))
+    untold = [e.label for e in estimates if not e.told]
+    return Identification(
+        "motor",
+        robot.name,
+        estimates,
+        checks,
+        tuple(fit.strongest_correlations()),
+        (f"the data do not tell {', '.join(untold)}",) if untold else (),
+        (*series, _curve(robot, recording, model, found, gains)),
+        {"torque_gain": gains.tolist(), "torque_accuracy": GAIN / float(np.sqrt(robot.num_motors))},
+    )
+
+
+def _check(
+    robot: RobotDescription,
+    recording: Recording,
+    known: PhysicalParams,
+    found: PhysicalParams,
+    gains: Array,
+    stretch: Stretch,
+) -> tuple[tuple[Check, ...], tuple[Series, ...]]:
+    """How well a stretch that was not fitted is repeated with what was known, and with what was found."""
+    replayer, motor = Replayer(robot, 1), 0
+    model = RackModel(robot, recording, stretch, [], known, replayer, every=1)
+    told = [replayer.run(stretch, params) for params in (known, found)]
+    before, after = (np.sqrt(np.mean(model.errors(one)[0] ** 2, axis=(1, 2))).tolist() for one in told)
+
+    def series(label: str, quantity: str, gain: float) -> Series:
+        was, now = (getattr(one, quantity)[0, :, motor] for one in told)
+        measured = getattr(recording, quantity)[stretch.states, motor]
+        title = f"{robot.motor_names[motor]}, not fitted"
+        return Series(title, "time [s]", label, stretch.state_time, measured, was, now * gain)
+
+    return (
+        Check("motor angles", 1e3 * before[0], 1e3 * after[0], "mrad"),
+        Check("motor speeds", before[1], after[1], "rad/s"),
+        Check("motor torques", before[2], after[2], "N m"),
+    ), (series("angle [rad]", "motor_angle", 1.0), series("torque [N m]", "motor_torque", 1 + gains[motor]))
+
+
+def _curve(
+    robot: RobotDescription, recording: Recording, model: RackModel, found: PhysicalParams, gains: Array
+) -> Series:
+    """Torque over current: what motors reported while they got a duty, less their own strength, beside the sheet's."""
+    stretch, motors = model.stretch, model.kept
+    order = np.searchsorted(stretch.order_tick * robot.timing.servo_step, stretch.state_time - 1e-4) - 1
+    driven = stretch.kind[order] == Mode.PWM
+    kept = stretch.states[driven]
+    # A state's speeds are older than its torques by the control latency.
+    later = recording.time[kept] + float(found.control_latency[0])
+    speed = read_at(later, recording.time, recording.motor_velocity[:, motors])
+    before = np.maximum(kept - 1, 0)
+    current = motor_current(
+        stretch.order[order][driven][:, motors], speed, recording.voltage[before][:, None], found.torque_constant[0],
+        found.resistance[0], robot.actuator.voltage_clip,
+    )  # fmt: skip
+    torque = np.abs(recording.motor_torque[kept][:, motors]) / (found.motor_strength[0] * (1 + gains))[motors]
+    magnitude = np.abs(current).ravel()
+    edges = np.arange(0.0, magnitude.max() + 2.0, 2.0)
+    place = np.digitize(magnitude, edges) - 1
+    bins = [k for k in range(len(edges)) if np.sum(place == k) >= 20]
+    x = np.array([np.mean(magnitude[place == k]) for k in bins])
+    measured = np.array([np.mean(torque.ravel()[place == k]) for k in bins])
+    sheet = np.asarray(motor_torque(x, 1.0, *robot.torque_table))
+    return Series("torque of a motor of nominal strength", "current [A]", "torque [N m]", x, measured,
+                  np.full(len(x), np.nan), sheet, points=True)  # fmt: skip
+
+
 @dataclass(frozen=True)
 class Spikes:
-    """Delays of K answers to spikes; motors that hardly moved are left out."""
+    """Delays of K answers to spikes, without those of motors that hardly moved."""
 
     age: Array
     """Of the readings when states are sent by the robot (K,) [s]."""
@@ -47,17 +160,9 @@ class Spikes:
 
 
 def fit_latency(
-    robot: RobotDescription,
-    recording: Recording,
-    known: PhysicalParams,
-    sensors: dict[str, Any],
-    tell: FitProgress,
+    robot: RobotDescription, recording: Recording, known: PhysicalParams, sensors: dict[str, Any], tell: FitProgress
 ) -> Identification:
-    """What the latency experiment tells.
-
-    Raises:
-        SurefootError: data too poor to tell anything.
-    """
+    """What the latency experiment tells; see `Experiment.fit`."""
     spikes = measure_spikes(recording)
     if len(spikes.age) < FEWEST:
         raise SurefootError(

@@ -1,7 +1,8 @@
-"""Answers to spikes of torque whose delays are known."""
+"""What a robot on a rack tells: answers to spikes of torque with known delays, and readings at rest."""
 
 from __future__ import annotations
 
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,7 @@ import pytest
 pytest.importorskip("mujoco")
 
 from surefoot.deploy.wire.messages import Mode
-from surefoot.identify.fits.latency import measure_spikes
+from surefoot.identify.rack_fits import LEVEL, VOLTAGE, imu_estimates, measure_spikes, rest_voltage
 from surefoot.identify.recording import Recording
 
 PERIOD, EVERY, SPIKES, MOTORS = 0.002, 0.12, 12, 8
@@ -80,11 +81,6 @@ def test_ages_that_are_known_are_found(age: float):
     assert np.median(spikes.host) == pytest.approx(begin - recording.sent_time[0] + age + 0.0017, abs=2e-4)
 
 
-def test_without_noise_every_age_is_exact():
-    spikes = measure_spikes(answered(0.0123, noise=0.0))
-    np.testing.assert_allclose(spikes.age, 0.0123, atol=1e-4)
-
-
 def test_motors_that_do_not_move_do_not_count():
     spikes = measure_spikes(answered(0.02, moving=3))
     assert spikes.tried == SPIKES * MOTORS
@@ -99,3 +95,34 @@ def test_a_recording_without_spikes():
     recording.meta["phases"][0]["name"] = "hold"
     spikes = measure_spikes(recording)
     assert (len(spikes.age), spikes.tried) == (0, 0)
+
+
+def still(roll: float, pitch: float, noise: float, count: int = 20_000) -> SimpleNamespace:
+    tilt = np.random.default_rng(1).normal([roll, pitch, 9.0], noise, (count, 3))
+    return SimpleNamespace(roll_pitch_yaw=tilt)
+
+
+def test_bias_and_noise_of_the_imu():
+    roll, pitch, noise = imu_estimates(still(0.03, -0.05, 0.01))
+    assert [(e.name, e.index, e.unit) for e in (roll, pitch)] == [("imu_bias", 0, "rad"), ("imu_bias", 1, "rad")]
+    assert roll.value == pytest.approx(0.03, abs=3e-4)
+    assert pitch.value == pytest.approx(-0.05, abs=3e-4)
+    # What a mean of so many is known to is nothing beside how level the rack is.
+    assert roll.deviation == pytest.approx(np.hypot(LEVEL, 0.01 / np.sqrt(20_000)), rel=1e-2)
+    assert (noise.name, noise.index) == ("imu_noise", None)
+    assert noise.value == pytest.approx(0.01, rel=0.02)
+    assert noise.interval[0] < 0.01 < noise.interval[1]
+
+
+def test_an_imu_without_noise():
+    noise = imu_estimates(still(0.0, 0.0, 0.0))[2]
+    assert (noise.value, noise.interval[0]) == (0.0, 0.0)
+    assert 0 < noise.interval[1] < 1e-4
+
+
+def test_the_battery_is_looked_at_before_motors_move():
+    recording = SimpleNamespace(voltage=np.array([15.8, 15.9, 14.0, 13.0]), meta={"resting_states": 2})
+    estimate = rest_voltage(recording)
+    assert estimate.value == pytest.approx(15.85)
+    assert estimate.deviation == VOLTAGE
+    assert rest_voltage(SimpleNamespace(voltage=recording.voltage, meta={"resting_states": 0})).value == 15.8
