@@ -8,7 +8,7 @@ import sys
 
 import pytest
 
-from surefoot.deploy.realtime import undisturbed
+from surefoot.deploy.pacer import undisturbed
 
 
 def test_nothing_is_collected_while_it_lasts():

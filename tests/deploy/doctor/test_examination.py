@@ -16,13 +16,11 @@ pytest.importorskip("numba")  # the toy robot runs the emulator's firmware
 from surefoot.cli.policies import find_policy
 from surefoot.deploy.connection import RobotConnection
 from surefoot.deploy.doctor import rack as doctor_rack
-from surefoot.deploy.doctor.computer import check_computer, time_inference
-from surefoot.deploy.doctor.examination import examine
+from surefoot.deploy.doctor.examination import check_computer, examine, time_inference
 from surefoot.deploy.doctor.ground import Tilted, check_tilts, tilted
 from surefoot.deploy.doctor.leashed_robot import LeashedRobot, MotionStoppedError
 from surefoot.deploy.doctor.link import LinkFigures, bursts, check_link, measure_link, rate
-from surefoot.deploy.doctor.rack import Wiggle, check_motors, check_response, trained_latencies
-from surefoot.deploy.doctor.response import fit_response
+from surefoot.deploy.doctor.rack import Wiggle, check_motors, check_response, fit_response, trained_latencies
 from surefoot.deploy.doctor.rest import Sample, check_rest
 from surefoot.deploy.findings import Finding
 from surefoot.deploy.poses import sitting

@@ -11,8 +11,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from surefoot.deploy.recording.partial import PartialFile, next_free
 from surefoot.deploy.recording.recorder import Recorder
+from surefoot.deploy.recording.run_saver import PartialFile, next_free
 from surefoot.errors import SurefootError
 from surefoot.task.partial_trace import Layout, recover, trace_of
 
@@ -163,7 +163,7 @@ def test_a_killed_process_leaves_its_rows(tmp_path):
 import os, signal, time
 import numpy as np
 from pathlib import Path
-from surefoot.deploy.recording.partial import FLUSH, PartialFile
+from surefoot.deploy.recording.run_saver import FLUSH, PartialFile
 from surefoot.task.partial_trace import Layout
 layout = Layout(8, 4, 3)
 file = PartialFile(Path({str(path)!r}), layout, {META!r})
@@ -184,7 +184,7 @@ def test_a_full_disk_stops_recording_and_nothing_else(tmp_path):
 import resource, time
 import numpy as np
 from pathlib import Path
-from surefoot.deploy.recording.partial import FLUSH, PartialFile
+from surefoot.deploy.recording.run_saver import FLUSH, PartialFile
 from surefoot.task.partial_trace import Layout
 resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, resource.RLIM_INFINITY))
 layout = Layout(8, 4, 3)
