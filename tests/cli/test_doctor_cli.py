@@ -116,41 +116,20 @@ def test_it_needs_no_simulator_and_no_torch(port_of: Callable[..., str]):
 # Policies that are not what they say.
 
 
-def exchange_motors(contract: dict[str, Any]) -> None:
-    names = contract["motor_names"]
-    names[2], names[5] = names[5], names[2]
-
-
 def exchange_columns(contract: dict[str, Any]) -> None:
     names = contract["columns"]
     names[4], names[5] = names[5], names[4]
-
-
-def flip_sign(contract: dict[str, Any]) -> None:
-    contract["motor_signs"][3] *= -1
 
 
 def wrong_rate(contract: dict[str, Any]) -> None:
     contract["control_step"] = 0.010
 
 
-def rate_of_another_robot(contract: dict[str, Any]) -> None:
-    contract["control_step"] = contract["task"]["params"]["control_step"] = 0.0015
-
-
-def other_gains(contract: dict[str, Any]) -> None:
-    contract["servo_kp"] = contract["task"]["params"]["servo_kp"] = 2.0
-
-
 @pytest.mark.parametrize(
     ("change", "check", "why"),
     [
-        (exchange_motors, "motors", "motor 2 is 'front_right_2_motor' (policy), 'back_left_2_motor' (robot)"),
         (exchange_columns, "observation", "column 4 is 'angle.front_left_1_motor' in the policy"),
-        (flip_sign, "motor signs", "back_left_1_motor has -1 (policy), +1 (robot)"),
         (wrong_rate, "contract", "control_step is 0.01; the data sheet of minitaur says 0.006"),
-        (rate_of_another_robot, "control step", "1.5 ms; the robot takes commands every 2 to 50 ms"),
-        (other_gains, "servo gains", "the policy was trained with kp 2 and kd 0.015"),
         (None, "policy file", "has no digest"),
     ],
 )
@@ -180,8 +159,7 @@ def turn_rate(model: Any) -> None:
     entry.value = entry.value.replace('"control_step": 0.006', '"control_step": 0.012')
 
 
-@pytest.mark.parametrize("edit", [cut_normalizer, turn_rate])
-@pytest.mark.parametrize("command", ["doctor", "deploy"])
+@pytest.mark.parametrize(("command", "edit"), [("doctor", cut_normalizer), ("deploy", turn_rate)])
 def test_a_stale_policy_is_refused_before_the_port_is_opened(command: str, edit: Callable[[Any], None], tmp_path: Path):
     model = onnx.load(find_policy("trot"))
     edit(model)

@@ -28,7 +28,6 @@ import pytest
 from processes import Emulator, EmulatorHere, TooBusyError, emulators
 
 from surefoot.deploy.poses import pose, sitting
-from surefoot.deploy.wire.frames import Frame
 from surefoot.deploy.wire.messages import Arm, Bye, Damp, Disarm, Fault, Hello, Mode, Position, Reason, State
 from surefoot.policy.contract import METADATA_KEY
 from surefoot.policy.digest import DIGEST_KEY, stamped
@@ -52,7 +51,6 @@ from fault_bench import (
     deploy_words,
     in_this_process,
     play,
-    reasons,
 )
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(900)]
@@ -302,17 +300,6 @@ def test_row_1_it_arms_again_only_after_500_ms_of_clean_link(client):
     assert (client.state.mode, client.state.reason) == (Mode.POSITION, Reason.NONE)
 
 
-def test_row_1_a_damaged_frame_or_a_pause_begins_the_500_ms_anew(client):
-    for spoil in (lambda: os.write(client.file, b"\x13garbage\x00"), lambda: client.pass_time(0.15)):
-        client.pass_time(1.0)
-        client.talk(0.40)
-        spoil()
-        client.talk(0.40)
-        assert client.arm() == [Reason.NOT_CLEAN]
-        client.talk(0.12)
-        assert client.arm() == []
-
-
 def test_row_1_a_new_host_arms_it_after_500_ms_of_clean_link(client, tmp_path):
     client.pass_time(1.0)
     assert (client.state.mode, client.state.reason) == (Mode.FAULT, Reason.TIMEOUT)
@@ -346,33 +333,6 @@ def test_row_2_states_that_are_old_repeated_or_backward(ended):
     assert 3 * STEP < damped - fresh <= 4 * STEP + 1e-6
     assert ended.record.reasons == [Reason.HOST]
     assert ended.record.of_robot(Fault)[0].time == damped
-
-
-@pytest.mark.parametrize("how", ["repeated", "backward", "old"])
-def test_row_2_commands_that_are_old_repeated_or_backward(client, how):
-    def spoiled() -> None:
-        command = Position(client.session, target(2.0))
-        if how == "old":
-            client.send(command, at=client.now - 3.1 * STEP)
-        else:
-            client.send(command, number=client.last - (5 if how == "backward" else 0))
-
-    dropped, followed = client.state.dropped, client.last
-    for _ in range(2):
-        spoiled()
-        client.pass_time(STEP)
-    # They were not followed, and one that is good ends the row of bad ones.
-    assert (client.state.mode, client.state.dropped - dropped) == (Mode.POSITION, 2)
-    assert client.state.command == followed
-    np.testing.assert_allclose(client.state.motor_angle, target(0.9), atol=0.05)
-    client.command(target(0.9), 5)
-    said: list[Frame] = []
-    for _ in range(3):
-        assert client.state.mode == Mode.POSITION
-        spoiled()
-        said = client.pass_time(STEP)
-    assert reasons(said) == [Reason.STALE]
-    assert (client.state.mode, client.state.reason) == (Mode.FAULT, Reason.STALE)
 
 
 @pytest.mark.realtime
@@ -412,17 +372,6 @@ def test_row_3_a_policy_that_breaks(ended, reason, text):
     (fault,) = ended.record.of_robot(Fault)
     assert (fault.message.reason, fault.time) == (Reason.HOST, pytest.approx(at, abs=1e-6))
     assert ended.record.left == (Mode.FAULT, Reason.HOST)
-
-
-@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf, 5.0])
-def test_row_3_a_command_that_is_no_number_or_beyond_the_limits(client, bad):
-    wrong = target(1.5)
-    wrong[3] = bad
-    client.send(Position(client.session, wrong))
-    assert reasons(client.pass_time(0.0)) == [Reason.COMMAND]
-    client.pass_time(0.05)
-    assert (client.state.mode, client.state.reason) == (Mode.FAULT, Reason.COMMAND)
-    assert np.abs(client.state.motor_angle - target(0.9)).max() < 0.3
 
 
 @pytest.mark.parametrize(

@@ -508,27 +508,6 @@ def test_a_toy_that_is_as_old_as_the_policy_expects_passes_all(
     assert toy.firmware.mode == Mode.DISARMED
 
 
-def test_nothing_moves_while_a_check_fails(
-    connection: RobotConnection, robot: RobotDescription, policy: PolicyRuntime, toy: Any
-):
-    toy.firmware.introduction = replace(toy.firmware.introduction, servo_kp=2.0)
-    found = list(examine(connection, policy, robot, True, True, **QUICK))
-    undone = {one.name: one.why for one in found if one.passed is None}
-    assert undone["motors, one by one"] == "nothing moves while a check fails (servo gains)"
-    assert undone["IMU, nose down"] == "nothing moves while a check fails (servo gains)"
-    assert "Arm" not in toy.kinds()
-
-
-def test_without_leave_nothing_moves(
-    connection: RobotConnection, robot: RobotDescription, policy: PolicyRuntime, toy: Any
-):
-    found = list(examine(connection, policy, robot, **QUICK))
-    assert "Arm" not in toy.kinds()
-    assert [one.what_to_do for one in found if one.name == doctor_rack.NAMES[0]] == [
-        "hang the robot free, legs in the air, and run with --rack"
-    ]
-
-
 def test_a_cable_that_is_pulled_ends_the_checks_with_a_finding(
     connection: RobotConnection, robot: RobotDescription, policy: PolicyRuntime, toy: Any
 ):

@@ -162,7 +162,7 @@ def test_lines_fit_a_screen_and_every_field_says_what_it_is():
 
 
 @needs_cc
-@pytest.mark.parametrize("options", ["-std=c99 -O0", "-std=c11 -O2", "-std=gnu11 -O2"])
+@pytest.mark.parametrize("options", ["-std=c99 -O0", "-std=gnu11 -O2"])
 def test_it_compiles_without_a_warning(tmp_path: Path, options: str):
     program = compile_program(tmp_path, *options.split())
     assert run(program, "sizes")[0].split()[1] == b"8"
@@ -179,7 +179,7 @@ def test_it_is_good_for_firmware_in_cpp(tmp_path: Path, standard: str):
 
 
 @needs_cc
-@pytest.mark.parametrize("motors", [1, 12, 27])
+@pytest.mark.parametrize("motors", [1, 27])
 def test_sizes_hold_for_any_number_of_motors(tmp_path: Path, motors: int):
     # The header's own static assertions are the test.
     source = tmp_path / "wire.c"
