@@ -123,7 +123,7 @@ class Cable:
         self._actions: list[tuple[float, Callable[[], object]]] = []
         self._chatter = b"".join(_states_for_somebody(30))[70:-70] if chatter else b""
         self._strangers = bytearray()
-        self._pulled = self._over = False
+        self._over = False
         self._thread = threading.Thread(target=self._carry, daemon=True)
         self._thread.start()
 
@@ -143,30 +143,20 @@ class Cable:
         for number, message in enumerate(messages, 1):
             self._strangers += encode_frame(CODEC, message, number, now)
 
-    def pull(self) -> None:
-        """Take the port away from the host; the robot is still heard."""
-        self._pulled = True
-
     def close(self) -> None:
         self._over = True
         self._thread.join()
         for file in (self._robot, self._host, self._far):
-            with contextlib.suppress(OSError):
-                os.close(file)
+            os.close(file)
 
     def _carry(self) -> None:
         with contextlib.suppress(OSError, AttributeError):
             # A cable has no processor to wait for.
             os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(30))
         of_host, of_robot = Decoder(CODEC), Decoder(CODEC)
-        files = [self._robot, self._host]
         while not self._over:
-            if self._pulled and len(files) == 2:
-                files.pop()
-                os.close(self._host)
-                os.close(self._far)
-            ready = select.select(files, [], [], 0.005)[0]
-            if self._host in ready and len(files) == 2:
+            ready = select.select([self._robot, self._host], [], [], 0.005)[0]
+            if self._host in ready:
                 data = _read(self._host)
                 self._hear(of_host.feed(data))
                 if not self.silent:
@@ -175,7 +165,7 @@ class Cable:
             if self._robot in ready:
                 data = _read(self._robot)
                 self.record.told += of_robot.feed(data)
-                if not self.silent and len(files) == 2:
+                if not self.silent:
                     _write(self._host, data)
 
     def _hear(self, frames: list[Frame]) -> None:

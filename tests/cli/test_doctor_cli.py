@@ -7,7 +7,6 @@ import json
 import os
 import pty
 import subprocess
-import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -89,28 +88,6 @@ def test_a_healthy_robot_passes_in_real_time(emulate: Callable[..., Emulator], t
     assert findings["link, round trip"]["value"] < 0.003
     assert findings["control latency"]["value"] == pytest.approx(0.02, abs=0.006)
     assert findings["inference"]["value"] < 0.001
-
-
-ON_THE_ROBOTS_COMPUTER = """
-import sys
-
-class Absent:
-    def find_spec(self, name, path=None, target=None):
-        if name.split(".")[0] in {"mujoco", "numba", "gymnasium", "scipy", "pybullet", "torch", "onnx", "matplotlib"}:
-            raise ModuleNotFoundError(f"the robot's computer has no {name}", name=name)
-
-sys.meta_path.insert(0, Absent())
-from surefoot.cli.main import main
-sys.exit(main(sys.argv[1:]))
-"""
-
-
-def test_it_needs_no_simulator_and_no_torch(port_of: Callable[..., str]):
-    words = ("doctor", "trot", "--port", port_of("--rack"), "--lockstep", *QUICK)
-    done = subprocess.run(
-        [sys.executable, "-c", ON_THE_ROBOTS_COMPUTER, *map(str, words)], capture_output=True, text=True, timeout=60
-    )
-    assert done.returncode == 0, done.stdout + done.stderr
 
 
 # Policies that are not what they say.

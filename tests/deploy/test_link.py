@@ -141,7 +141,7 @@ def test_a_port_whose_other_end_closes_is_lost(pty):
 
 def test_a_second_program_is_refused_in_one_line(pty):
     port = SerialPort(pty[1])
-    with pytest.raises(SurefootError, match="another program has it; one operator at a time$"):
+    with pytest.raises(SurefootError, match=r"another program has it; one operator at a time$"):
         SerialPort(pty[1])
     port.close()
     SerialPort(pty[1]).close()

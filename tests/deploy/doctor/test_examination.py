@@ -234,9 +234,11 @@ def step_response(age: np.ndarray, delay: float, frequency: float, damping: floa
     return np.interp(age - delay, *response(frequency, damping), left=0.0)
 
 
-@pytest.mark.parametrize(("frequency", "damping"), [(60.0, 0.5), (100.0, 0.8), (150.0, 2.2)])
-@pytest.mark.parametrize("delay", [0.0, 0.0053, 0.017, 0.04])
-def test_the_delay_of_a_step_response_is_found(frequency: float, damping: float, delay: float, rng: Any):
+@pytest.mark.parametrize(
+    ("delay", "frequency", "damping"),
+    [(0.0, 60.0, 0.5), (0.0053, 100.0, 0.8), (0.017, 150.0, 2.2), (0.04, 60.0, 0.5), (0.04, 150.0, 2.2)],
+)
+def test_the_delay_of_a_step_response_is_found(delay: float, frequency: float, damping: float, rng: Any):
     age = np.r_[np.arange(0.003, 0.15, 0.006), np.arange(0.003, 0.15, 0.006)]
     moved = 0.97 * step_response(age, delay, frequency, damping) + 0.004 * rng.standard_normal(len(age))
     fit = fit_response(age, moved)

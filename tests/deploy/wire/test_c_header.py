@@ -147,17 +147,6 @@ def test_a_folder_that_does_not_exist_is_told_in_one_line(tmp_path: Path, capsys
     assert "No such file or directory" in capsys.readouterr().err
 
 
-def test_lines_fit_a_screen_and_every_field_says_what_it_is():
-    text = c_header(8)
-    assert max(map(len, text.splitlines())) <= 120
-    for kind in MESSAGES:
-        for name, spec in wires(kind).items():
-            assert f" {name}" in text
-            assert spec.meaning in text
-    assert "int16_t motor_torque[SUREFOOT_MOTORS]; /* [0.001 N m] motor torques, from the currents */" in text
-    assert "uint32_t command_timeout;              /* [1e-6 s] silence after which" in text
-
-
 # The compiler.
 
 

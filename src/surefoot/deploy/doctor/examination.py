@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
+from functools import partial
 
 import numpy as np
 
@@ -34,7 +35,6 @@ SHARE = 0.5
 MISSED = 0.001
 """Share of control steps that may be missed."""
 _WARM_UP = 50
-Motion = Callable[[StopSignals], list[Finding]]
 
 
 def examine(
@@ -86,34 +86,26 @@ def examine(
             inference = time_inference(policy, steps)
             late, missed = time_loop(policy, connection, steps)
             yield from kept(check_computer(inference, late, missed, contract.control_step))
-        motions: tuple[tuple[bool, tuple[str, ...], str, Motion], ...] = (
-            (on_rack, rack.NAMES, _ON_RACK, lambda operator: rack.wiggle_motors(connection, contract, robot, operator)),
-            (
-                on_ground,
-                ground.NAMES,
-                _ON_GROUND,
-                lambda operator: ground.tilt_robot(connection, contract, robot, operator, samples),
-            ),
-        )
-        for wanted, names, need, motion in motions:
+        tilt_robot = partial(ground.tilt_robot, at_rest=samples)
+        for wanted, names, need, motion in (
+            (on_rack, rack.NAMES, _ON_RACK, rack.wiggle_motors),
+            (on_ground, ground.NAMES, _ON_GROUND, tilt_robot),
+        ):
             if not wanted:
                 yield from undone(names, "needs motors that move", need)
             elif failed:
                 yield from undone(names, f"nothing moves while a check fails ({choices(failed)})")
             else:
-                yield from _move(motion, names)
+                with undisturbed(), StopSignals() as operator:
+                    try:
+                        found = motion(connection, contract, robot, operator)
+                    except SurefootError as error:
+                        first = Finding(names[0], False, str(error), "switch the robot off and on, and run it again")
+                        found = [first, *undone(names[1:], "nothing has moved")]
+                yield from found
     except LinkLostError as error:
         todo = "check plug and cable; the robot damps its motors by itself"
         yield Finding("link", False, f"{error}; all further checks are left out", todo)
-
-
-def _move(motion: Motion, names: tuple[str, ...]) -> list[Finding]:
-    with undisturbed(), StopSignals() as operator:
-        try:
-            return motion(operator)
-        except SurefootError as error:
-            first = Finding(names[0], False, str(error), "switch the robot off and on, and run it again")
-            return [first, *undone(names[1:], "nothing has moved")]
 
 
 def time_inference(policy: PolicyRuntime, count: int = STEPS) -> Array:
