@@ -218,10 +218,9 @@ def test_a_line_that_damages_frames_is_found(port_of: Callable[..., str]):
 
 
 @pytest.mark.realtime
-def test_an_adapter_that_gathers_bytes_is_found_in_real_time():
-    with emulators(EmulatorHere) as start:
-        port = start("--baud", "0", "--fault", "batching").port
-        code, findings = doctor("trot", port, "--pings", "200", "--steps", "10")
+def test_an_adapter_that_gathers_bytes_is_found_in_real_time(emulate: Callable[..., Emulator]):
+    port = emulate("--fault", "batching").port
+    code, findings = doctor("trot", port, "--pings", "200", "--steps", "10")
     assert code == 3
     assert findings["link, bursts"]["passed"] is False
     assert findings["link, bursts"]["value"] == pytest.approx(16 / 5, rel=0.25)
