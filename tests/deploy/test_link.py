@@ -62,13 +62,6 @@ def test_frames_go_both_ways(pty):
     link.close()
 
 
-def test_reading_an_empty_port_does_not_wait(pty):
-    link = Link(SerialPort(pty[1]), CODEC, MonotonicClock())
-    started = time.monotonic()
-    assert link.receive() == []
-    assert time.monotonic() - started < 1.0
-
-
 def test_backward_repeated_and_missing_numbers_are_counted_and_dropped(pty):
     link = Link(SerialPort(pty[1]), CODEC, MonotonicClock())
     os.write(pty[0], b"".join(frame(number) for number in (1, 2, 2, 5, 4, 6)))

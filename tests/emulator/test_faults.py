@@ -162,31 +162,6 @@ def test_an_imu_that_is_mounted_otherwise(rig, way, signs):
     np.testing.assert_allclose([roll, pitch], expected, rtol=1e-6)
 
 
-def test_a_battery_that_gets_low(rig):
-    bench = rig("battery-low=12@0.1")
-    bench.arm()
-    bench.walk(16)
-    assert bench.states[-1].message.voltage == pytest.approx(16.0, abs=0.01)
-    # 4 V at 2 V/s, and 12.5 V are passed .25 s before; then half a second.
-    bench.walk(420)
-    assert bench.states[-1].message.voltage == pytest.approx(12.0, abs=0.01)
-    (frame,) = bench.faults
-    assert frame.message.reason == Reason.BATTERY
-    assert frame.time == pytest.approx(0.01 + 0.1 + 1.75 + 0.5, abs=0.01)
-
-
-def test_a_motor_that_grows_hot(rig):
-    bench = rig("motor-hot=95@0.1")
-    bench.arm()
-    bench.walk(330)
-    (frame,) = bench.faults
-    assert frame.message.reason == Reason.TEMPERATURE
-    # 65 degC at 40 degC/s.
-    assert frame.time == pytest.approx(0.01 + 0.1 + 65 / 40, abs=0.05)
-    assert bench.states[-1].message.temperature[0] > 89
-    assert bench.states[-1].message.temperature[1] < 40
-
-
 def test_a_microcontroller_that_starts_anew(rig):
     bench = rig("reboot=0.1")
     bench.arm()
