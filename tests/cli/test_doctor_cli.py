@@ -196,19 +196,10 @@ def test_a_mirrored_encoder_is_found_at_rest_or_as_soon_as_motors_hold(port_of: 
     assert failed(findings) in (["encoders"], ["motors, one by one"])
 
 
-@pytest.mark.parametrize(
-    ("way", "checks", "todo"),
-    [
-        (0, ["IMU, nose down", "IMU, left side down"], "the IMU's x and y are exchanged"),
-        (2, ["IMU, nose down"], "the IMU's pitch is mirrored"),
-    ],
-)
-def test_an_imu_that_is_mounted_otherwise_is_found_on_the_ground(
-    way: int, checks: list[str], todo: str, port_of: Callable[..., str]
-):
-    _, findings = doctor("trot", port_of("--fault", f"imu-flip={way}"), "--lockstep", "--ground", "--yes")
-    assert failed(findings) == checks
-    assert all(todo in findings[check]["what_to_do"] for check in checks)
+def test_an_imu_that_is_mounted_otherwise_is_found_on_the_ground(port_of: Callable[..., str]):
+    _, findings = doctor("trot", port_of("--fault", "imu-flip=0"), "--lockstep", "--ground", "--yes")
+    assert failed(findings) == ["IMU, nose down", "IMU, left side down"]
+    assert all("the IMU's x and y are exchanged" in findings[check]["what_to_do"] for check in failed(findings))
 
 
 def test_a_line_that_damages_frames_is_found(port_of: Callable[..., str]):

@@ -331,18 +331,6 @@ def test_row_2_states_that_are_old_repeated_or_backward(ended):
     assert ended.record.of_robot(Fault)[0].time == damped
 
 
-@pytest.mark.realtime
-def test_row_2_a_microcontroller_that_stands_still(emulate, tmp_path):
-    with deployed(emulate("--fault", "hang=0.2@0.4"), tmp_path) as (cable, host):
-        ended = host.end()
-        time.sleep(0.3)
-        assert ended.outcome == (3, "fault", "stale state")
-        assert_damped_at_once(cable.record)
-        # When it goes on it finds commands that are too old, and nobody who sends new ones.
-        assert {Reason.STALE, Reason.TIMEOUT, Reason.HOST} & set(cable.record.reasons)
-        assert cable.record.left[0] != Mode.POSITION
-
-
 # 3: numbers that are none, exceptions, a contract that does not fit.
 
 
