@@ -210,7 +210,8 @@ _HOST = f"""
 import sys
 from unittest import mock
 from surefoot.cli.main import main
-with mock.patch.multiple("surefoot.deploy.motion", **({QUICK!r} if sys.argv[1] else {{}})):
+times = {QUICK!r} if sys.argv[1] else {{"UP": {UP!r}}}
+with mock.patch.multiple("surefoot.deploy.motion", **times):
     sys.exit(main(sys.argv[2:]))
 """
 
