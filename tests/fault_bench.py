@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import resource
 import select
 import signal
 import subprocess
@@ -23,6 +24,7 @@ import numpy as np
 from processes import SUREFOOT, EmulatorHere
 
 from surefoot.cli.main import main
+from surefoot.deploy.connection import open_connection
 from surefoot.deploy.motion import UP
 from surefoot.deploy.wire.frames import Decoder, Frame, encode_frame
 from surefoot.deploy.wire.messages import (
@@ -42,6 +44,7 @@ from surefoot.deploy.wire.messages import (
     Reason,
     State,
 )
+from surefoot.errors import SurefootError
 from surefoot.policy.runtime import PolicyRuntime
 from surefoot.task.trace import EpisodeTrace
 
@@ -52,7 +55,10 @@ OTHER = 8
 PATIENCE = 120.0
 LONG = 60.0
 """Duration [s] of a run that something else ends."""
-RUNNING = UP + 0.3
+QUICK = {"FLAT": 0.1, "FOLD": 0.1, "PAUSE": 0.1, "RISE": 0.6, "HOLD": 0.2}
+"""Times [s] in which a robot that was just switched on, and still sits, stands up as well as in `motion`'s."""
+QUICK_UP = sum(QUICK.values())
+RUNNING = QUICK_UP + 0.3
 """Time [s] after arming when the policy has run for some dozen steps."""
 
 
@@ -117,7 +123,7 @@ class Cable:
         self._actions: list[tuple[float, Callable[[], object]]] = []
         self._chatter = b"".join(_states_for_somebody(30))[70:-70] if chatter else b""
         self._strangers = bytearray()
-        self._pulled = self._over = False
+        self._over = False
         self._thread = threading.Thread(target=self._carry, daemon=True)
         self._thread.start()
 
@@ -137,30 +143,20 @@ class Cable:
         for number, message in enumerate(messages, 1):
             self._strangers += encode_frame(CODEC, message, number, now)
 
-    def pull(self) -> None:
-        """Take the port away from the host; the robot is still heard."""
-        self._pulled = True
-
     def close(self) -> None:
         self._over = True
         self._thread.join()
         for file in (self._robot, self._host, self._far):
-            with contextlib.suppress(OSError):
-                os.close(file)
+            os.close(file)
 
     def _carry(self) -> None:
         with contextlib.suppress(OSError, AttributeError):
             # A cable has no processor to wait for.
             os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(30))
         of_host, of_robot = Decoder(CODEC), Decoder(CODEC)
-        files = [self._robot, self._host]
         while not self._over:
-            if self._pulled and len(files) == 2:
-                files.pop()
-                os.close(self._host)
-                os.close(self._far)
-            ready = select.select(files, [], [], 0.005)[0]
-            if self._host in ready and len(files) == 2:
+            ready = select.select([self._robot, self._host], [], [], 0.005)[0]
+            if self._host in ready:
                 data = _read(self._host)
                 self._hear(of_host.feed(data))
                 if not self.silent:
@@ -169,7 +165,7 @@ class Cable:
             if self._robot in ready:
                 data = _read(self._robot)
                 self.record.told += of_robot.feed(data)
-                if not self.silent and len(files) == 2:
+                if not self.silent:
                     _write(self._host, data)
 
     def _hear(self, frames: list[Frame]) -> None:
@@ -210,25 +206,31 @@ def deploy_words(port: str, folder: Path, *options: str, policy: str = "trot", l
     return ["deploy", policy, "--port", port, *out, *options]
 
 
+_HOST = f"""
+import sys
+from unittest import mock
+from surefoot.cli.main import main
+times = {QUICK!r} if sys.argv[1] else {{"UP": {UP!r}}}
+with mock.patch.multiple("surefoot.deploy.motion", **times):
+    sys.exit(main(sys.argv[2:]))
+"""
+
+
 class Host:
-    """A running `surefoot deploy`.
+    """A `surefoot deploy` that runs in real time, in a process.
 
     Args:
         port: its port.
         folder: for what it says and keeps.
-        options: of the command.
-        lockstep: whether the robot is.
-        before: words that start it.
+        quick: whether the robot stands up in `QUICK` times.
     """
 
-    def __init__(
-        self, port: str, folder: Path, *options: str, lockstep: bool = True, before: tuple[str, ...] = ()
-    ) -> None:
-        folder.mkdir(parents=True, exist_ok=True)
+    def __init__(self, port: str, folder: Path, quick: bool = True) -> None:
         self.folder = folder
-        words = [*before, *SUREFOOT, *deploy_words(port, folder, *options, lockstep=lockstep)]
+        words = deploy_words(port, folder, "--duration", str(LONG), lockstep=False)
         with (folder / "told").open("w") as told, (folder / "said").open("w") as said:
-            self.popen = subprocess.Popen(words, stdout=told, stderr=said)
+            command = [sys.executable, "-c", _HOST, "quick" if quick else "", *words]
+            self.popen = subprocess.Popen(command, stdout=told, stderr=said)
 
     def end(self) -> Ended:
         """Wait until it ends by itself."""
@@ -255,8 +257,8 @@ class Ended:
     record: Record = field(default_factory=Record)
     summary: str = ""
     """The line with which the emulator sums up."""
-    second: Ended | None = None
-    """What came of a second program."""
+    refusal: str = ""
+    """What a second program was told."""
 
     @classmethod
     def read(cls, code: int, folder: Path) -> Ended:
@@ -358,15 +360,17 @@ class Scenario:
     disk: int = 0
     """Bytes that a file may have; 0: as many as it likes."""
     terminal: bool = False
-    """It runs in a terminal that closes when `RUNNING`."""
+    """It runs, as a process, in a terminal that closes when the policy runs."""
     second: bool = False
-    """A second program wants the port when `RUNNING`; when it has ended, the first one gets Ctrl-C."""
+    """A second program wants the port when `RUNNING`; then the first one gets Ctrl-C."""
     stranger: bool = False
     """Another operator talks to the robot when `RUNNING`."""
     chatter: bool = False
     """The robot is in the middle of a frame when the host comes."""
     sunk: float = 0.0
     """How long the robot has been sinking onto its belly [s]; after 1 s its legs are folded beside it."""
+    quick: bool = True
+    """Whether the robot stands up in `QUICK` times."""
 
 
 SCENARIOS = {
@@ -377,10 +381,10 @@ SCENARIOS = {
     },
     **{name: Scenario(policy=name, duration=LONG) for name in ("nan", "infinite")},
     "exception": Scenario(raises=True, duration=LONG),
-    "leaning": Scenario(policy="leaning", duration=LONG),
+    "leaning": Scenario(policy="leaning", duration=LONG, quick=False),
     **{name: Scenario((name,)) for name in ("other-robot", "other-order", "other-gains", "other-schema")},
-    "battery-low": Scenario((f"battery-low=13.6@{UP - 0.5}",), duration=LONG),
-    "motor-hot": Scenario((f"motor-hot=84@{UP - 0.5}",), duration=LONG),
+    "battery-low": Scenario((f"battery-low=13.6@{QUICK_UP - 0.5}",), duration=LONG),
+    "motor-hot": Scenario((f"motor-hot=84@{QUICK_UP - 0.5}",), duration=LONG),
     "second": Scenario(duration=LONG, second=True),
     "stranger": Scenario(stranger=True),
     **{name: Scenario((f"{name}=0.02",)) for name in ("corrupt", "cut-frames", "drop", "reorder")},
@@ -390,7 +394,7 @@ SCENARIOS = {
     "SIGTERM": Scenario(duration=LONG, signals=((RUNNING, signal.SIGTERM),)),
     "SIGINT twice": Scenario(duration=LONG, signals=((RUNNING, signal.SIGINT), (RUNNING + 0.1, signal.SIGINT))),
     **{
-        name: Scenario(duration=LONG, signals=((when, number),), sunk=1.0)
+        name: Scenario(duration=LONG, signals=((when, number),), sunk=1.0, quick=False)
         for name, when, number in (
             ("SIGINT while it arms", 0.0, signal.SIGINT),
             ("SIGTERM while it lies", 0.05, signal.SIGTERM),
@@ -408,11 +412,6 @@ STRANGERS = (
     Disarm(OTHER),
     Bye(OTHER),
 )
-_SMALL_FILES = """
-import os, resource, sys
-resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[1]), resource.RLIM_INFINITY))
-os.execv(sys.argv[2], sys.argv[2:])
-"""
 _TERMINAL = """
 import os, subprocess, sys
 terminal = os.open(sys.argv[1], os.O_RDWR)  # it leads a session, so this terminal is now the session's
@@ -437,35 +436,36 @@ def play(scenario: Scenario, folder: Path, policies: Path) -> Ended:
     if scenario.sunk:
         _settle(robot, scenario.sunk)
     cable = Cable(robot.port, scenario.chatter)
-    options = ("--duration", str(scenario.duration))
-    second = None
+    refusals = [""]
+
+    def come_second() -> None:
+        try:
+            open_connection(cable.path, 8, lockstep=True)
+        except SurefootError as error:
+            refusals.append(str(error))
+        _signal(signal.SIGINT)
+
     try:
         for when, number in scenario.signals:
             cable.after_arming(when, partial(_signal, number))
         if scenario.stranger:
             cable.after_arming(RUNNING, lambda: cable.meddle(STRANGERS))
+        if scenario.second:
+            cable.after_arming(RUNNING, come_second)
+        if scenario.disk:
+            # In lockstep a run may be over before the disk has been asked for the first time.
+            cable.after_arming(RUNNING, lambda: time.sleep(0.3))
+        options = ("--duration", str(scenario.duration))
         if scenario.terminal:
             ended = _in_a_terminal(cable, folder, *options)
-        elif scenario.disk:
-            # In lockstep a run may be over before the disk has been asked for the first time.
-            cable.after_arming(RUNNING, lambda: time.sleep(0.7))
-            before = (sys.executable, "-c", _SMALL_FILES, str(scenario.disk))
-            ended = Host(cable.path, folder, *options, before=before).end()
-        elif scenario.second:
-            running = cable.moment(RUNNING)
-            host = Host(cable.path, folder, *options)
-            assert running.wait(PATIENCE)
-            second = Host(cable.path, folder / "second", "--lockstep").end()
-            host.popen.send_signal(signal.SIGINT)
-            ended = host.end()
         else:
             file = policies / f"{scenario.policy}.onnx"
             words = deploy_words(cable.path, folder, *options, policy=str(file) if file.exists() else scenario.policy)
-            ended = _in_this_process(words, folder, scenario.raises)
+            ended = in_this_process(words, folder, scenario)
     finally:
         cable.close()
         summary = robot.stop()
-    ended.record, ended.second, ended.summary = cable.record, second, summary
+    ended.record, ended.refusal, ended.summary = cable.record, refusals[-1], summary
     return ended
 
 
@@ -475,11 +475,13 @@ def _signal(number: int) -> None:
     time.sleep(0.02)
 
 
-def _in_this_process(words: list[str], folder: Path, raises: bool) -> Ended:
-    feedback = PolicyRuntime.feedback
+def in_this_process(words: list[str], folder: Path, scenario: Scenario | None = None) -> Ended:
+    """Run a command with what of a scenario concerns the computer that it runs on."""
+    scenario = scenario or Scenario()
+    feedback, limits = PolicyRuntime.feedback, resource.getrlimit(resource.RLIMIT_FSIZE)
 
     def breaking(self: PolicyRuntime, observation: np.ndarray) -> np.ndarray:
-        if raises and observation[0, 3] > 0.5:
+        if scenario.raises and observation[0, 3] > 0.5:
             raise RuntimeError("index out of data bounds")
         return feedback(self, observation)
 
@@ -489,8 +491,13 @@ def _in_this_process(words: list[str], folder: Path, raises: bool) -> Ended:
         contextlib.redirect_stdout(told),
         contextlib.redirect_stderr(said),
         mock.patch.object(PolicyRuntime, "feedback", breaking),
+        mock.patch.multiple("surefoot.deploy.motion", **(QUICK if scenario.quick else {"UP": UP})),
     ):
-        code = main(words)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (scenario.disk or limits[0], limits[1]))
+        try:
+            code = main(words)
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, limits)
     return Ended.read(code, folder)
 
 
@@ -506,7 +513,7 @@ def _in_a_terminal(cable: Cable, folder: Path, *options: str) -> Ended:
         os.close(window)
 
     # Nobody reads what is drawn there: that holds up nothing either.
-    cable.after_arming(RUNNING, leave)
+    cable.after_arming(UP + 0.3, leave)
     end = time.monotonic() + PATIENCE
     while time.monotonic() < end and not (code.exists() and code.read_text()):
         time.sleep(0.05)

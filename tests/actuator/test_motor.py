@@ -1,11 +1,11 @@
-"""The DC motor at points worked by hand; figures of the Minitaur's motor."""
+"""Servo and DC motor at points worked by hand; figures of the Minitaur's motor."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from surefoot.actuator import motor_current, motor_friction, motor_torque
+from surefoot.actuator import motor_current, motor_friction, motor_torque, servo_duty
 from surefoot.actuator.motor import overheat_kernel
 
 VOLTAGE, KT, RESISTANCE, CLIP = 16.0, 0.0954, 0.186, 50.0
@@ -153,3 +153,34 @@ def test_laws_broadcast_over_robots_and_motors(rng: np.random.Generator):
     np.testing.assert_allclose(answer, expected, rtol=1e-14)
     np.testing.assert_allclose(amperes, (duty * voltage - KT * speed) / RESISTANCE, rtol=1e-14)
     assert motor_friction(speed, np.full(8, 0.05), np.full((5, 1), 0.02)).shape == (5, 8)
+
+
+@pytest.mark.parametrize(
+    ("target", "angle", "speed", "expected"),
+    [
+        (2.0, 2.0, 0.0, 0.0),
+        (2.3, 2.0, 0.0, 0.3),
+        (1.7, 2.0, 0.0, -0.3),
+        (2.0, 2.0, 10.0, -0.15),  # damping: -.015 x 10
+        (2.0, 2.0, -10.0, 0.15),
+        (2.3, 2.0, 10.0, 0.15),
+        (3.5, 2.0, 0.0, 1.0),
+        (0.0, 2.0, 0.0, -1.0),
+        (2.0, 2.0, 1000.0, -1.0),
+        (3.5, 2.0, 50.0, 0.75),  # the sum is clipped, not its parts: 1.5 - .75
+    ],
+)
+def test_duty(target: float, angle: float, speed: float, expected: float):
+    assert servo_duty(target, angle, speed, 1.0, 0.015) == pytest.approx(expected)
+
+
+def test_what_is_no_number_gives_no_duty():
+    assert np.isnan(servo_duty(np.nan, 2.0, 0.0, 1.0, 0.015))
+    assert np.isnan(servo_duty(2.0, 2.0, np.nan, 1.0, 0.015))
+
+
+def test_duty_broadcasts_over_robots_and_motors_with_gains_of_their_own(rng: np.random.Generator):
+    target, angle, speed = rng.normal(size=(3, 5, 8))
+    kp, kd = rng.uniform(0.5, 2, (5, 1)), rng.uniform(0, 0.1, (5, 1))
+    duty = servo_duty(target, angle, speed, kp, kd)
+    np.testing.assert_allclose(duty, np.clip(kp * (target - angle) - kd * speed, -1, 1), rtol=1e-13)

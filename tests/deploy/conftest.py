@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
-from typing import Any
+from dataclasses import dataclass, field
 
 import numpy as np
 import pytest
@@ -16,7 +15,7 @@ from surefoot.deploy.loop import Snapshot
 from surefoot.deploy.wire.frames import Decoder, encode_frame
 from surefoot.deploy.wire.messages import Codec, Message, State
 from surefoot.emulator.firmware import Firmware, MotorOrder, Sensors, Vitals
-from surefoot.emulator.limits import introduction
+from surefoot.emulator.limits import Limits, introduction
 from surefoot.robot import RobotDescription
 
 
@@ -32,7 +31,7 @@ class ToyRobot:
 
     def __init__(self, robot: RobotDescription) -> None:
         self.codec = Codec(robot.num_motors)
-        self.firmware = Firmware(self.codec, introduction(robot, _limits(), "toy", 0.001))
+        self.firmware = Firmware(self.codec, introduction(robot, Limits(), "toy", 0.001))
         self._decoder = Decoder(self.codec)
         self.angle = robot.leg_to_motor_angles(np.zeros(4), np.full(4, 0.9))
         self.sensors: Callable[[float, Sensors], Sensors] = lambda time, readings: readings
@@ -111,12 +110,6 @@ class ToyRobot:
         return [name for k, name in enumerate(names) if k == 0 or names[k - 1] != name]
 
 
-def _limits() -> Any:
-    from surefoot.emulator.limits import Limits
-
-    return Limits()
-
-
 @dataclass
 class WatchLog:
     """Somebody who watches, and remembers."""
@@ -174,9 +167,3 @@ def a_state() -> State:
         voltage=16.0,
         temperature=np.full(8, 30.0),
     )
-
-
-@pytest.fixture
-def changed() -> Callable[..., Any]:
-    """`dataclasses.replace`, for readings and states."""
-    return replace

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import json
 from dataclasses import replace
 from typing import Any
@@ -51,6 +52,7 @@ def handshake_of(robot: RobotDescription) -> Handshake:
 HANDSHAKE = handshake_of(ROBOT)
 
 
+@functools.cache
 def contract_of(policy: str = "trot") -> Contract:
     return PolicyRuntime.load(find_policy(policy)).contract
 

@@ -25,11 +25,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from processes import Emulator, EmulatorHere, TooBusyError
+from processes import Emulator, EmulatorHere, TooBusyError, emulators
 
-from surefoot.deploy.motion import UP
 from surefoot.deploy.poses import pose, sitting
-from surefoot.deploy.wire.frames import Frame
 from surefoot.deploy.wire.messages import Arm, Bye, Damp, Disarm, Fault, Hello, Mode, Position, Reason, State
 from surefoot.policy.contract import METADATA_KEY
 from surefoot.policy.digest import DIGEST_KEY, stamped
@@ -39,9 +37,9 @@ from surefoot.task.partial_trace import SUFFIX, recover
 pytest.importorskip("mujoco")
 
 from fault_bench import (
-    LONG,
     OTHER,
     PATIENCE,
+    QUICK_UP,
     RUNNING,
     SCENARIOS,
     STEP,
@@ -50,8 +48,9 @@ from fault_bench import (
     Ended,
     Host,
     Record,
+    deploy_words,
+    in_this_process,
     play,
-    reasons,
 )
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(900)]
@@ -172,17 +171,28 @@ def scenarios(*names: str) -> pytest.MarkDecorator:
 # Runs in real time.
 
 
+@pytest.fixture(scope="module")
+def robot_process() -> Iterator[Emulator]:
+    with emulators() as start:
+        robot = start()
+        yield robot
+        robot.process.send_signal(signal.SIGCONT)
+
+
 @pytest.fixture
-def living_robot(emulate: Callable[..., Emulator]) -> Emulator:
-    """A robot in real time, without faults; it ends with its test, so that no other one meets it on a processor."""
-    return emulate()
+def living_robot(robot_process: Emulator) -> Iterator[Emulator]:
+    """A robot in real time, without faults, that several hosts lose; it stands still while no test uses it."""
+    robot_process.process.send_signal(signal.SIGCONT)
+    yield robot_process
+    time.sleep(1.1)  # its operator must be silent for a second before there is another one
+    robot_process.process.send_signal(signal.SIGSTOP)
 
 
 @contextlib.contextmanager
-def deployed(robot: Emulator, folder: Path) -> Iterator[tuple[Cable, Host]]:
+def deployed(robot: Emulator, folder: Path, quick: bool = True) -> Iterator[tuple[Cable, Host]]:
     """A policy on a robot in real time."""
     cable = Cable(robot.port)
-    host = Host(cable.path, folder, "--duration", str(LONG), lockstep=False)
+    host = Host(cable.path, folder, quick)
     try:
         yield cable, host
     finally:
@@ -206,7 +216,7 @@ def damped_after(record: Record) -> float:
     since = record.of_robot(State, faults[-1].time)
     # It stays so.
     assert {(state.message.mode, state.message.reason) for state in since} == {(Mode.FAULT, Reason.TIMEOUT)}
-    assert since[-1].time - since[0].time > 0.7
+    assert since[-1].time - since[0].time > 0.15
     assert np.abs(since[-1].message.motor_velocity).max() < 2.0
     after = since[0].message.command_age - (since[0].time - faults[-1].time)
     print(f"damped {1e3 * after:.1f} ms after the last command")
@@ -233,44 +243,26 @@ def assert_sat_and_disarmed(record: Record) -> None:
 
 
 @pytest.mark.realtime
-def test_row_1_a_host_that_is_killed(living_robot, tmp_path):
-    with deployed(living_robot, tmp_path) as (cable, host):
-        wait_for(cable.moment(RUNNING), host)
-        host.popen.kill()
-        time.sleep(1.2)
+@pytest.mark.parametrize("how", ["killed", "hangs", "cable pulled"])
+def test_row_1_a_host_that_dies_or_hangs_and_a_cable_that_is_pulled(living_robot, tmp_path, how):
+    with deployed(living_robot, tmp_path, quick=False) as (cable, host):
+        wait_for(cable.moment(0.2), host)
+        if how == "cable pulled":
+            cable.silent = True
+        else:
+            host.popen.send_signal(signal.SIGKILL if how == "killed" else signal.SIGSTOP)
+        time.sleep(0.3)
         assert 0.045 < damped_after(cable.record) <= DAMPED_WITHIN
-    (partial,) = (tmp_path / "traces").glob(f"*{SUFFIX}")
-    assert recover(partial).num_steps > 10
-
-
-@pytest.mark.realtime
-def test_row_1_a_host_that_hangs(living_robot, tmp_path):
-    with deployed(living_robot, tmp_path) as (cable, host):
-        wait_for(cable.moment(0.4), host)
-        host.popen.send_signal(signal.SIGSTOP)
-        time.sleep(1.2)
-        assert 0.045 < damped_after(cable.record) <= DAMPED_WITHIN
-        # Nothing that the host says when it wakes moves the robot.
         told = len(cable.record.told)
-        host.popen.send_signal(signal.SIGCONT)
-        assert host.end().code == 3
+        if how == "hangs":
+            host.popen.send_signal(signal.SIGCONT)
+        if how != "killed":
+            ended = host.end()
+            assert ended.code == 3
+            assert how == "hangs" or ended.outcome == (3, "fault", "stale state")
+        # Nothing that a host says when it wakes moves the robot.
         modes = {frame.message.mode for frame in cable.record.told[told:] if isinstance(frame.message, State)}
         assert modes <= {Mode.FAULT, Mode.DISARMED}
-
-
-@pytest.mark.realtime
-@pytest.mark.parametrize(("port", "reason"), [("gone", "link"), ("silent", "stale state")])
-def test_row_1_a_cable_that_is_pulled(living_robot, tmp_path, port, reason):
-    with deployed(living_robot, tmp_path) as (cable, host):
-        wait_for(cable.moment(0.4), host)
-        if port == "gone":
-            cable.pull()
-        else:
-            cable.silent = True
-        ended = host.end()
-        time.sleep(1.1)  # its operator must be silent for a second before there is another one
-        assert 0.045 < damped_after(cable.record) <= DAMPED_WITHIN
-        assert ended.outcome == (3, "fault", reason)
 
 
 @scenarios("unplug")
@@ -304,24 +296,13 @@ def test_row_1_it_arms_again_only_after_500_ms_of_clean_link(client):
     assert (client.state.mode, client.state.reason) == (Mode.POSITION, Reason.NONE)
 
 
-def test_row_1_a_damaged_frame_or_a_pause_begins_the_500_ms_anew(client):
-    for spoil in (lambda: os.write(client.file, b"\x13garbage\x00"), lambda: client.pass_time(0.15)):
-        client.pass_time(1.0)
-        client.talk(0.40)
-        spoil()
-        client.talk(0.40)
-        assert client.arm() == [Reason.NOT_CLEAN]
-        client.talk(0.12)
-        assert client.arm() == []
-
-
 def test_row_1_a_new_host_arms_it_after_500_ms_of_clean_link(client, tmp_path):
     client.pass_time(1.0)
     assert (client.state.mode, client.state.reason) == (Mode.FAULT, Reason.TIMEOUT)
     client.send(Bye(client.session))
     client.pass_time(0.0)
     cable = Cable(client.path)
-    ended = Host(cable.path, tmp_path, "--duration", "0.06").end()
+    ended = in_this_process(deploy_words(cable.path, tmp_path, "--duration", "0.06"), tmp_path)
     cable.close()
     assert ended.outcome == (0, "time", "time")
     found = cable.record.of_robot(State)[0].message
@@ -350,45 +331,6 @@ def test_row_2_states_that_are_old_repeated_or_backward(ended):
     assert ended.record.of_robot(Fault)[0].time == damped
 
 
-@pytest.mark.parametrize("how", ["repeated", "backward", "old"])
-def test_row_2_commands_that_are_old_repeated_or_backward(client, how):
-    def spoiled() -> None:
-        command = Position(client.session, target(2.0))
-        if how == "old":
-            client.send(command, at=client.now - 3.1 * STEP)
-        else:
-            client.send(command, number=client.last - (5 if how == "backward" else 0))
-
-    dropped, followed = client.state.dropped, client.last
-    for _ in range(2):
-        spoiled()
-        client.pass_time(STEP)
-    # They were not followed, and one that is good ends the row of bad ones.
-    assert (client.state.mode, client.state.dropped - dropped) == (Mode.POSITION, 2)
-    assert client.state.command == followed
-    np.testing.assert_allclose(client.state.motor_angle, target(0.9), atol=0.05)
-    client.command(target(0.9), 5)
-    said: list[Frame] = []
-    for _ in range(3):
-        assert client.state.mode == Mode.POSITION
-        spoiled()
-        said = client.pass_time(STEP)
-    assert reasons(said) == [Reason.STALE]
-    assert (client.state.mode, client.state.reason) == (Mode.FAULT, Reason.STALE)
-
-
-@pytest.mark.realtime
-def test_row_2_a_microcontroller_that_stands_still(emulate, tmp_path):
-    with deployed(emulate("--fault", "hang=0.2@0.4"), tmp_path) as (cable, host):
-        ended = host.end()
-        time.sleep(0.3)
-        assert ended.outcome == (3, "fault", "stale state")
-        assert_damped_at_once(cable.record)
-        # When it goes on it finds commands that are too old, and nobody who sends new ones.
-        assert {Reason.STALE, Reason.TIMEOUT, Reason.HOST} & set(cable.record.reasons)
-        assert cable.record.left[0] != Mode.POSITION
-
-
 # 3: numbers that are none, exceptions, a contract that does not fit.
 
 
@@ -414,17 +356,6 @@ def test_row_3_a_policy_that_breaks(ended, reason, text):
     (fault,) = ended.record.of_robot(Fault)
     assert (fault.message.reason, fault.time) == (Reason.HOST, pytest.approx(at, abs=1e-6))
     assert ended.record.left == (Mode.FAULT, Reason.HOST)
-
-
-@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf, 5.0])
-def test_row_3_a_command_that_is_no_number_or_beyond_the_limits(client, bad):
-    wrong = target(1.5)
-    wrong[3] = bad
-    client.send(Position(client.session, wrong))
-    assert reasons(client.pass_time(0.0)) == [Reason.COMMAND]
-    client.pass_time(0.05)
-    assert (client.state.mode, client.state.reason) == (Mode.FAULT, Reason.COMMAND)
-    assert np.abs(client.state.motor_angle - target(0.9)).max() < 0.3
 
 
 @pytest.mark.parametrize(
@@ -490,12 +421,12 @@ def test_row_4_roll_or_pitch_over_the_limit(ended, scenario, limit, after):
 
 
 @pytest.mark.realtime
-def test_row_5_late_steps_are_held_and_counted_and_too_many_damp(living_robot, tmp_path):
-    with deployed(living_robot, tmp_path) as (cable, host):
-        wait_for(cable.moment(UP + 0.2), host)
+def test_row_5_late_steps_are_held_and_counted_and_too_many_damp(emulate, tmp_path):
+    with deployed(emulate(), tmp_path) as (cable, host):
+        wait_for(cable.moment(QUICK_UP + 0.2), host)
         for _ in range(4):
             stop_for(host, 0.013)
-            time.sleep(0.25)
+            time.sleep(0.15)
         if host.popen.poll() is not None:
             raise TooBusyError("a stop of 13 ms ended the run")
         stop_for(host, 0.032)
@@ -531,16 +462,20 @@ def stop_for(host: Host, seconds: float) -> None:
 
 
 @pytest.mark.parametrize(
-    ("scenario", "reason", "warning"),
+    ("scenario", "reason", "warning", "worse"),
     [
-        ("battery-low", "battery", "surefoot: warning: battery below 14.4 V; charge it soon"),
-        ("motor-hot", "temperature", "surefoot: warning: a motor is hotter than 70 degC"),
+        ("battery-low", "battery", "battery below 14.4 V; charge it soon", lambda state: state.voltage < 15),
+        ("motor-hot", "temperature", "a motor is hotter than 70 degC", lambda state: state.temperature[0] > 45),
     ],
 )
-def test_row_6_battery_low_or_motor_hot(ended, reason, warning):
+def test_row_6_battery_low_or_motor_hot(ended, reason, warning, worse):
     assert ended.outcome == (3, "stopped", reason)
-    assert ended.said.count(warning) == 1
+    assert ended.said.count(f"surefoot: warning: {warning}") == 1
     assert ended.kept.num_steps > 50
+    # 16 V fall by 2 V a second, 25 degC grow by 40 a second; a battery sags a little besides.
+    began = ended.record.armed + ended.record.ahead + QUICK_UP - 0.5
+    half = next(frame.time for frame in ended.record.of_robot(State) if worse(frame.message)) - began
+    assert 0.25 < half < 0.55
     assert_sat_and_disarmed(ended.record)
     assert ended.record.of_host(Damp) == []
 
@@ -550,10 +485,8 @@ def test_row_6_battery_low_or_motor_hot(ended, reason, warning):
 
 @scenarios("second")
 def test_row_7_a_second_program_is_refused_at_the_port(ended):
-    assert ended.second.code == 2
-    (said,) = ended.second.said
-    assert said.startswith("surefoot: error: port /dev/")
-    assert said.endswith(": another program has it; one operator at a time")
+    assert ended.refusal.startswith("port /dev/")
+    assert ended.refusal.endswith(": another program has it; one operator at a time")
     # The first one's run is whole: no frame was lost, and only one operator was ever heard.
     assert ended.outcome == (0, "stopped", "operator")
     assert {**ended.told["frames"], "received": 0} == dict.fromkeys(ended.told["frames"], 0)

@@ -1,10 +1,14 @@
-"""The beat of the control loop, on a clock that tests move."""
+"""The beat of the control loop, on a clock that tests move; nothing comes between the loop and its moment."""
 
 from __future__ import annotations
 
+import gc
+import os
+import sys
+
 import pytest
 
-from surefoot.deploy.pacer import Pacer, Timing
+from surefoot.deploy.pacer import Pacer, Timing, undisturbed
 
 
 class HandClock:
@@ -75,3 +79,34 @@ def test_figures_are_in_milliseconds():
 
 def test_figures_of_nothing_are_none():
     assert Timing(3).figures()["lateness_median_ms"] is None
+
+
+def test_nothing_is_collected_while_it_lasts():
+    before = sys.getswitchinterval()
+    with undisturbed():
+        assert not gc.isenabled()
+        assert sys.getswitchinterval() < before
+    assert gc.isenabled()
+    assert sys.getswitchinterval() == pytest.approx(before)
+
+
+def test_it_ends_also_when_something_breaks():
+    def broken() -> None:
+        with undisturbed():
+            raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError):
+        broken()
+    assert gc.isenabled()
+    assert os.sched_getscheduler(0) == os.SCHED_OTHER
+
+
+def test_without_the_right_it_does_with_less(monkeypatch):
+    def refused(*_: object) -> None:
+        raise PermissionError
+
+    monkeypatch.setattr(os, "sched_setscheduler", refused)
+    monkeypatch.setattr(os, "setpriority", refused)
+    with undisturbed():
+        assert not gc.isenabled()
+    assert gc.isenabled()

@@ -13,7 +13,7 @@ from surefoot.deploy.safety import (
     Guard,
     NotFiniteError,
     SafetyLimits,
-    StepStatus,
+    Verdict,
     check_finite,
     is_finite,
 )
@@ -29,11 +29,11 @@ def guard() -> Guard:
 
 
 @pytest.fixture
-def seen(a_state):
-    """What an ordinary step sees, with changes: of the state by name, of the rest by keyword."""
+def judge(a_state, guard):
+    """What is done in an ordinary step, with changes: of the state by name, of the rest by keyword."""
 
-    def make(time=0.0, state_age=0.001, missed=0, stops=0, **state) -> StepStatus:
-        return StepStatus(time, replace(a_state, **state), state_age, missed, stops)
+    def make(time=0.0, state_age=0.001, guard=guard, missed=0, stops=0, armed=True, upright=True, **state) -> Verdict:
+        return guard.judge(time, replace(a_state, **state), state_age, missed, stops, armed, upright)
 
     return make
 
@@ -42,8 +42,8 @@ def tilted(roll: float = 0.0, pitch: float = 0.0) -> np.ndarray:
     return np.array([roll, pitch, 3.0])
 
 
-def test_an_ordinary_step_goes_on(guard, seen):
-    assert guard.judge(seen()) is GO
+def test_an_ordinary_step_goes_on(guard, judge):
+    assert judge() is GO
     assert guard.warnings == []
 
 
@@ -72,49 +72,49 @@ def test_an_ordinary_step_goes_on(guard, seen):
         ({"stops": 2}, Act.DAMP, "operator"),
     ],
 )
-def test_each_limit_holds_on_either_side(guard, seen, change, act, reason):
-    verdict = guard.judge(seen(**change))
+def test_each_limit_holds_on_either_side(judge, change, act, reason):
+    verdict = judge(**change)
     assert (verdict.act, verdict.reason) == (act, reason)
     assert bool(verdict.text) == (act is not Act.GO)
 
 
-def test_the_worst_comes_first(guard, seen):
-    both = seen(roll_pitch_yaw=tilted(1.0), state_age=1.0, temperature=np.full(8, 99.0), stops=1)
-    assert guard.judge(both).reason == "stale state"
-    assert guard.judge(replace(both, stops=2)).reason == "operator"
+@pytest.mark.parametrize(("stops", "reason"), [(1, "stale state"), (2, "operator")])
+def test_the_worst_comes_first(judge, stops, reason):
+    verdict = judge(roll_pitch_yaw=tilted(1.0), state_age=1.0, temperature=np.full(8, 99.0), stops=stops)
+    assert verdict.reason == reason
 
 
-def test_a_fallen_robot_may_be_tilted_while_it_sits(guard, seen):
-    assert guard.judge(seen(roll_pitch_yaw=tilted(0.8)), upright=False) is GO
+def test_a_fallen_robot_may_be_tilted_while_it_sits(guard, judge):
+    assert judge(roll_pitch_yaw=tilted(0.8), upright=False) is GO
 
 
-def test_a_robot_that_is_not_armed_may_be_in_any_mode(guard, seen):
-    assert guard.judge(seen(mode=int(Mode.DISARMED), session=0), armed=False) is GO
+def test_a_robot_that_is_not_armed_may_be_in_any_mode(guard, judge):
+    assert judge(mode=int(Mode.DISARMED), session=0, armed=False) is GO
 
 
-def test_the_tasks_fall_angle_is_the_limit(seen):
-    guard = Guard(SafetyLimits(), STEP, 77, tilt=0.3)
-    assert guard.judge(seen(roll_pitch_yaw=tilted(0.31))).act is Act.FALL
+def test_the_tasks_fall_angle_is_the_limit(judge):
+    strict = Guard(SafetyLimits(), STEP, 77, tilt=0.3)
+    assert judge(roll_pitch_yaw=tilted(0.31), guard=strict).act is Act.FALL
 
 
-def test_a_sagging_battery_is_borne_for_a_second(guard, seen):
-    assert guard.judge(seen(0.0, voltage=16.0)) is GO
-    assert guard.judge(seen(1.0, voltage=11.0)) is GO
-    assert guard.judge(seen(1.9, voltage=14.1)) is GO
-    assert guard.judge(seen(2.0, voltage=13.9)) is GO
-    assert guard.judge(seen(2.99, voltage=13.9)) is GO
-    verdict = guard.judge(seen(3.01, voltage=13.9))
+def test_a_sagging_battery_is_borne_for_a_second(guard, judge):
+    assert judge(0.0, voltage=16.0) is GO
+    assert judge(1.0, voltage=11.0) is GO
+    assert judge(1.9, voltage=14.1) is GO
+    assert judge(2.0, voltage=13.9) is GO
+    assert judge(2.99, voltage=13.9) is GO
+    verdict = judge(3.01, voltage=13.9)
     assert (verdict.act, verdict.reason) == (Act.SIT, "battery")
 
 
-def test_a_battery_that_is_low_from_the_start_is_borne_for_a_second_too(guard, seen):
-    assert guard.judge(seen(5.0, voltage=13.0)) is GO
-    assert guard.judge(seen(6.0, voltage=13.0)).act is Act.SIT
+def test_a_battery_that_is_low_from_the_start_is_borne_for_a_second_too(guard, judge):
+    assert judge(5.0, voltage=13.0) is GO
+    assert judge(6.0, voltage=13.0).act is Act.SIT
 
 
-def test_warnings_come_once(guard, seen):
+def test_warnings_come_once(guard, judge):
     for k in range(200):
-        guard.judge(seen(0.01 * k, voltage=14.2, temperature=np.full(8, 75.0)))
+        judge(0.01 * k, voltage=14.2, temperature=np.full(8, 75.0))
     assert guard.warnings == ["a motor is hotter than 70 degC", "battery below 14.4 V; charge it soon"]
 
 

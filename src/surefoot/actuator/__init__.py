@@ -8,7 +8,6 @@ from surefoot.actuator.compiled import drop_stale_caches
 
 drop_stale_caches()
 
-from surefoot.actuator.motor import motor_current, motor_friction, motor_torque  # noqa: E402
-from surefoot.actuator.servo import servo_duty  # noqa: E402
+from surefoot.actuator.motor import motor_current, motor_friction, motor_torque, servo_duty  # noqa: E402
 
 __all__ = ["motor_current", "motor_friction", "motor_torque", "servo_duty"]

@@ -68,7 +68,7 @@ def main(argv: list[str]) -> int:
     from surefoot.deploy.deployment import Deployment
     from surefoot.deploy.display import LiveDisplay, PlainLines
     from surefoot.deploy.findings import refusal
-    from surefoot.deploy.realtime import undisturbed
+    from surefoot.deploy.pacer import undisturbed
     from surefoot.policy.runtime import PolicyRuntime
     from surefoot.robot import RobotDescription
     from surefoot.stop_signals import StopSignals
@@ -101,8 +101,7 @@ def _runs(command: DeployCommand, deployment: Deployment) -> tuple[list[dict[str
     """Run after run, until one ends early; returns what is to be told of each, and the exit code."""
     from surefoot.deploy.motion import DOWN, UP
     from surefoot.deploy.pacer import Timing
-    from surefoot.deploy.recording.partial import next_free
-    from surefoot.deploy.recording.run_saver import RunSaver
+    from surefoot.deploy.recording.run_saver import RunSaver, next_free
 
     contract = deployment.contract
     step = contract.control_step

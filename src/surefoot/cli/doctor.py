@@ -16,8 +16,7 @@ from surefoot.cli.parsing import parse
 from surefoot.cli.policies import find_policy
 from surefoot.configuration import Within
 from surefoot.deploy.connection import open_connection
-from surefoot.deploy.doctor.computer import STEPS
-from surefoot.deploy.doctor.examination import examine
+from surefoot.deploy.doctor.examination import STEPS, examine
 from surefoot.deploy.doctor.link import PINGS
 from surefoot.deploy.findings import Finding
 from surefoot.deploy.link import BAUD, LinkLostError

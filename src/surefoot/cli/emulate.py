@@ -167,7 +167,7 @@ def _build(command: EmulateCommand, robot: RobotDescription, faults: dict[str, F
 
 
 def _run(command: EmulateCommand, board: Board, faults: dict[str, Fault]) -> int:
-    from surefoot.deploy.realtime import undisturbed
+    from surefoot.deploy.pacer import undisturbed
     from surefoot.emulator.motion_capture import MotionCapture
     from surefoot.emulator.process import Lockstep, RealTime, Summary
     from surefoot.emulator.pty_port import PtyPort

@@ -19,7 +19,7 @@ from surefoot.deploy.connection import RobotConnection, open_connection
 from surefoot.deploy.display import LiveDisplay, PlainLines
 from surefoot.deploy.link import BAUD, LinkLostError
 from surefoot.deploy.loop import Snapshot, Watch
-from surefoot.deploy.realtime import undisturbed
+from surefoot.deploy.pacer import undisturbed
 from surefoot.deploy.wire.messages import Handshake
 from surefoot.errors import SurefootError
 from surefoot.identify.experiment_runner import run_plan

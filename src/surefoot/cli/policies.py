@@ -13,7 +13,7 @@ from typing import Any
 
 from surefoot.cli.simulator import Simulator
 from surefoot.configuration import to_mapping
-from surefoot.deploy.contract_task import contradiction, other_gains, unreadable_observation
+from surefoot.deploy.checks import contradiction, other_gains, unreadable_observation
 from surefoot.errors import SurefootError, choices
 from surefoot.policy.contract import Contract, check_robot
 from surefoot.policy.runtime import PolicyRuntime

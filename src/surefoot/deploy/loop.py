@@ -14,7 +14,7 @@ from surefoot.arrays import Array
 from surefoot.deploy.connection import RobotConnection
 from surefoot.deploy.link import LinkLostError
 from surefoot.deploy.pacer import Pacer, Timing
-from surefoot.deploy.safety import GO, Act, Guard, NotFiniteError, StepStatus, Verdict
+from surefoot.deploy.safety import GO, Act, Guard, NotFiniteError, Verdict
 from surefoot.deploy.wire.messages import State
 from surefoot.errors import SurefootError
 from surefoot.stop_signals import StopSignals
@@ -161,8 +161,9 @@ class ControlLoop:
         self.inference = math.nan
         computed = False
         try:
-            seen = StepStatus(clock.now(), state, connection.state_age(), tick.missed, self.operator.stops)
-            verdict = self.guard.judge(seen, not self.dry_run, upright)
+            verdict = self.guard.judge(
+                clock.now(), state, connection.state_age(), tick.missed, self.operator.stops, not self.dry_run, upright
+            )
             if sitting and verdict.act is Act.SIT:
                 verdict = GO
             if verdict.act in (Act.DAMP, Act.FALL):

@@ -86,22 +86,6 @@ class Verdict:
 GO = Verdict(Act.GO)
 
 
-@dataclass(frozen=True)
-class StepStatus:
-    """What a control step knows when it starts."""
-
-    time: float
-    """This computer's clock [s]."""
-    state: State
-    """The newest state."""
-    state_age: float
-    """How old it is [s]."""
-    missed: int = 0
-    """Control steps that passed since the last one that was done."""
-    stops: int = 0
-    """How often the operator has asked to stop."""
-
-
 class NotFiniteError(RuntimeError):
     """A number that must be finite is not."""
 
@@ -149,31 +133,40 @@ class Guard:
         """What the operator should know, each once, oldest first."""
         self._low_since: dict[float, float] = {}
 
-    def judge(self, seen: StepStatus, armed: bool = True, upright: bool = True) -> Verdict:
-        """What is to be done now.
+    def judge(
+        self,
+        time: float,
+        state: State,
+        state_age: float,
+        missed: int = 0,
+        stops: int = 0,
+        armed: bool = True,
+        upright: bool = True,
+    ) -> Verdict:
+        """What is to be done in a control step, by what it knows when it starts.
 
         Args:
-            seen: what the control step knows.
+            time: this computer's clock [s].
+            state: the newest state.
+            state_age: how old it is [s].
+            missed: control steps that passed since the last one that was done.
+            stops: how often the operator has asked to stop.
             armed: whether the robot should be following commands.
             upright: whether a robot that tilts too far has fallen; False while a fallen one sits.
         """
-        state = seen.state
         for verdict in (
-            self._operator(seen),
+            Verdict(Act.DAMP, "operator", "stopped at once by the operator") if stops > 1 else GO,
             self._robot(state) if armed else GO,
-            self._lateness(seen),
-            self._readings(state),
+            self._lateness(state_age, missed),
+            GO if is_finite(state) else Verdict(Act.DAMP, "not finite", "a reading of the robot is not finite"),
             self._tilt(state) if upright else GO,
-            self._battery(seen),
+            self._battery(time, state.voltage),
             self._temperature(state),
-            Verdict(Act.SIT, "operator", "stopped by the operator") if seen.stops else GO,
+            Verdict(Act.SIT, "operator", "stopped by the operator") if stops else GO,
         ):
             if verdict.act is not Act.GO:
                 return verdict
         return GO
-
-    def _operator(self, seen: StepStatus) -> Verdict:
-        return Verdict(Act.DAMP, "operator", "stopped at once by the operator") if seen.stops > 1 else GO
 
     def _robot(self, state: State) -> Verdict:
         if state.session != self.session:
@@ -186,24 +179,14 @@ class Guard:
             return Verdict(Act.DAMP, "mode", f"the robot is in mode {state.mode}; it must be in {int(self.mode)}")
         return GO
 
-    def _readings(self, state: State) -> Verdict:
-        return GO if is_finite(state) else Verdict(Act.DAMP, "not finite", "a reading of the robot is not finite")
-
-    def _lateness(self, seen: StepStatus) -> Verdict:
-        steps = seen.state_age / self.control_step
-        if not steps <= self.limits.state_age + _ROUNDING:
-            return Verdict(
-                Act.DAMP,
-                "stale state",
-                f"the newest state is {1e3 * seen.state_age:.0f} ms old, {steps:.1f} control steps; "
-                f"at most {self.limits.state_age:g}",
-            )
-        if seen.missed > self.limits.missed_steps:
-            return Verdict(
-                Act.DAMP,
-                "late",
-                f"{seen.missed} control steps in a row were missed; at most {self.limits.missed_steps}",
-            )
+    def _lateness(self, state_age: float, missed: int) -> Verdict:
+        steps, limits = state_age / self.control_step, self.limits
+        if not steps <= limits.state_age + _ROUNDING:
+            told = f"{1e3 * state_age:.0f} ms old, {steps:.1f} control steps; at most {limits.state_age:g}"
+            return Verdict(Act.DAMP, "stale state", f"the newest state is {told}")
+        if missed > limits.missed_steps:
+            told = f"{missed} control steps in a row were missed; at most {limits.missed_steps}"
+            return Verdict(Act.DAMP, "late", told)
         return GO
 
     def _tilt(self, state: State) -> Verdict:
@@ -214,25 +197,23 @@ class Guard:
             Act.FALL, "tilt", f"roll {roll:+.2f} and pitch {pitch:+.2f} rad; beyond {self.tilt:g} rad is a fall"
         )
 
-    def _battery(self, seen: StepStatus) -> Verdict:
-        limits, voltage = self.limits, seen.state.voltage
-        # It sags for a moment whenever motors push.
-        if self._low_for(limits.battery_warn, seen) >= limits.battery_time:
-            self.warn(f"battery below {limits.battery_warn:g} V; charge it soon")
-        if self._low_for(limits.battery_low, seen) < limits.battery_time:
-            return GO
-        return Verdict(
-            Act.SIT,
-            "battery",
-            f"the battery has {voltage:.1f} V, below {limits.battery_low:g} V for {limits.battery_time:g} s",
-        )
+    def _battery(self, time: float, voltage: float) -> Verdict:
+        limits = self.limits
 
-    def _low_for(self, limit: float, seen: StepStatus) -> float:
-        """How long the voltage has been seen below a limit [s]."""
-        if seen.state.voltage >= limit:
-            self._low_since.pop(limit, None)
-            return 0.0
-        return seen.time - self._low_since.setdefault(limit, seen.time)
+        def low_for(limit: float) -> float:
+            """How long the voltage has been seen below a limit [s]."""
+            if voltage >= limit:
+                self._low_since.pop(limit, None)
+                return 0.0
+            return time - self._low_since.setdefault(limit, time)
+
+        # It sags for a moment whenever motors push.
+        if low_for(limits.battery_warn) >= limits.battery_time:
+            self.warn(f"battery below {limits.battery_warn:g} V; charge it soon")
+        if low_for(limits.battery_low) < limits.battery_time:
+            return GO
+        told = f"the battery has {voltage:.1f} V, below {limits.battery_low:g} V for {limits.battery_time:g} s"
+        return Verdict(Act.SIT, "battery", told)
 
     def _temperature(self, state: State) -> Verdict:
         hottest = float(state.temperature.max())

@@ -8,8 +8,7 @@ import numpy as np
 
 from surefoot.deploy.wire.frames import encode_frame
 from surefoot.deploy.wire.messages import Codec, Handshake, Mode
-from surefoot.emulator.fault_injector import FaultInjector
-from surefoot.emulator.faults import Fault
+from surefoot.emulator.faults import Fault, FaultInjector
 from surefoot.emulator.firmware import Firmware
 from surefoot.emulator.limits import Limits
 from surefoot.emulator.line import Line

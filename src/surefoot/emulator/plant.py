@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from surefoot.actuator.servo import servo_duty
+from surefoot.actuator.motor import servo_duty
 from surefoot.arrays import Array
 from surefoot.deploy.poses import SIT_EXTENSION
 from surefoot.deploy.wire.messages import Mode

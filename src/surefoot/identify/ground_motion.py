@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import savgol_filter
 
-from surefoot.actuator.motor import motor_current, motor_friction, motor_torque
-from surefoot.actuator.servo import servo_duty
+from surefoot.actuator.motor import motor_current, motor_friction, motor_torque, servo_duty
 from surefoot.arrays import Array
 from surefoot.errors import SurefootError
 from surefoot.identify.inverse_dynamics import Forces, InverseDynamics, Motion

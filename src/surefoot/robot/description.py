@@ -221,23 +221,17 @@ class RobotDescription:
         for key, (low, high) in ranges.items():
             if not low <= high:
                 raise SurefootError(f"{key} is [{low:g}, {high:g}]; the lower bound must come first")
+        as_stated = ("name", "base", "body_length", "leg_geometry", "loops", "actuator", "timing", "contact")
         description = cls(
-            name=sheet.name,
+            **{name: getattr(sheet, name) for name in as_stated},
             folder=folder,
             urdf=urdf,
-            base=sheet.base,
-            body_length=sheet.body_length,
             motor_names=order,
             motor_sign=np.array(sign, float),
             legs=legs,
-            leg_geometry=sheet.leg_geometry,
-            loops=sheet.loops,
             swing_range=space.swing,
             extension_range=space.extension,
             rest=space.rest,
-            actuator=sheet.actuator,
-            timing=sheet.timing,
-            contact=sheet.contact,
             allowed={**{item.name: item.metadata["bounds"] for item in fields(PhysicalParams)}, **sheet.allowed},
         )
         description._check_legs()

@@ -23,15 +23,16 @@ from numba import njit
 from numpy.typing import NDArray
 
 from surefoot.actuator.compiled import kernel
-from surefoot.actuator.constraint import constraint_speed_kernel, constraint_torque_kernel
 from surefoot.actuator.delay import push_kernel, read_kernel
 from surefoot.actuator.motor import (
+    constraint_speed_kernel,
+    constraint_torque_kernel,
     motor_current_kernel,
     motor_friction_kernel,
     motor_torque_kernel,
     overheat_kernel,
+    servo_duty_kernel,
 )
-from surefoot.actuator.servo import servo_duty_kernel
 from surefoot.arrays import Array
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.rotations import rpy_quat

@@ -16,13 +16,11 @@ pytest.importorskip("numba")  # the toy robot runs the emulator's firmware
 from surefoot.cli.policies import find_policy
 from surefoot.deploy.connection import RobotConnection
 from surefoot.deploy.doctor import rack as doctor_rack
-from surefoot.deploy.doctor.computer import check_computer, time_inference
-from surefoot.deploy.doctor.examination import examine
+from surefoot.deploy.doctor.examination import check_computer, examine, time_inference
 from surefoot.deploy.doctor.ground import Tilted, check_tilts, tilted
 from surefoot.deploy.doctor.leashed_robot import LeashedRobot, MotionStoppedError
 from surefoot.deploy.doctor.link import LinkFigures, bursts, check_link, measure_link, rate
-from surefoot.deploy.doctor.rack import Wiggle, check_motors, check_response, trained_latencies
-from surefoot.deploy.doctor.response import fit_response
+from surefoot.deploy.doctor.rack import Wiggle, check_motors, check_response, fit_response, trained_latencies
 from surefoot.deploy.doctor.rest import Sample, check_rest
 from surefoot.deploy.findings import Finding
 from surefoot.deploy.poses import sitting
@@ -100,22 +98,9 @@ def test_a_bad_link_is_found(measured: LinkFigures, check: str, why: str):
     assert failed[check].what_to_do
 
 
-def test_the_latency_timer_of_an_adapter_is_named():
-    todo = link_failures(figures(burst=3.2, gap=0.016))["link, bursts"].what_to_do
-    assert "latency_timer" in todo
-    assert "setserial /dev/ttyUSB0 low_latency" in todo
-
-
 def test_a_line_that_answers_nothing_fails_once():
     found = check_link(replace(figures(lost=200), round_trips=np.zeros(0)), 0.003, 0.006, False)
     assert [one.passed for one in found] == [False, None, None, None]
-
-
-def test_pings_of_a_toy_are_all_answered(connection: RobotConnection):
-    connection.connect()
-    measured = measure_link(connection, 20)
-    assert (measured.lost, measured.damaged, measured.missing, len(measured.round_trips)) == (0, 0, 0, 20)
-    assert [one.passed for one in check_link(measured, 0.0, 0.006, True)] == [True, None, None, None]
 
 
 def test_pings_that_are_lost_are_counted(connection: RobotConnection, toy: Any):
@@ -236,9 +221,11 @@ def step_response(age: np.ndarray, delay: float, frequency: float, damping: floa
     return np.interp(age - delay, *response(frequency, damping), left=0.0)
 
 
-@pytest.mark.parametrize(("frequency", "damping"), [(60.0, 0.5), (100.0, 0.8), (150.0, 2.2)])
-@pytest.mark.parametrize("delay", [0.0, 0.0053, 0.017, 0.04])
-def test_the_delay_of_a_step_response_is_found(frequency: float, damping: float, delay: float, rng: Any):
+@pytest.mark.parametrize(
+    ("delay", "frequency", "damping"),
+    [(0.0, 60.0, 0.5), (0.0053, 100.0, 0.8), (0.017, 150.0, 2.2), (0.04, 60.0, 0.5), (0.04, 150.0, 2.2)],
+)
+def test_the_delay_of_a_step_response_is_found(delay: float, frequency: float, damping: float, rng: Any):
     age = np.r_[np.arange(0.003, 0.15, 0.006), np.arange(0.003, 0.15, 0.006)]
     moved = 0.97 * step_response(age, delay, frequency, damping) + 0.004 * rng.standard_normal(len(age))
     fit = fit_response(age, moved)
@@ -508,27 +495,6 @@ def test_a_toy_that_is_as_old_as_the_policy_expects_passes_all(
     assert all(by_name[name].passed for name in doctor_rack.NAMES)
     assert by_name["control latency"].value == pytest.approx(0.018, abs=0.004)
     assert toy.firmware.mode == Mode.DISARMED
-
-
-def test_nothing_moves_while_a_check_fails(
-    connection: RobotConnection, robot: RobotDescription, policy: PolicyRuntime, toy: Any
-):
-    toy.firmware.introduction = replace(toy.firmware.introduction, servo_kp=2.0)
-    found = list(examine(connection, policy, robot, True, True, **QUICK))
-    undone = {one.name: one.why for one in found if one.passed is None}
-    assert undone["motors, one by one"] == "nothing moves while a check fails (servo gains)"
-    assert undone["IMU, nose down"] == "nothing moves while a check fails (servo gains)"
-    assert "Arm" not in toy.kinds()
-
-
-def test_without_leave_nothing_moves(
-    connection: RobotConnection, robot: RobotDescription, policy: PolicyRuntime, toy: Any
-):
-    found = list(examine(connection, policy, robot, **QUICK))
-    assert "Arm" not in toy.kinds()
-    assert [one.what_to_do for one in found if one.name == doctor_rack.NAMES[0]] == [
-        "hang the robot free, legs in the air, and run with --rack"
-    ]
 
 
 def test_a_cable_that_is_pulled_ends_the_checks_with_a_finding(

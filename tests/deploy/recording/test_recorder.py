@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 import time
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from surefoot.deploy.recording.partial import PartialFile, next_free
 from surefoot.deploy.recording.recorder import Recorder
+from surefoot.deploy.recording.run_saver import PartialFile, next_free
 from surefoot.errors import SurefootError
 from surefoot.task.partial_trace import Layout, recover, trace_of
 
@@ -155,54 +153,6 @@ def test_a_file_that_is_no_partial_trace_is_refused(content, match, tmp_path):
         path.write_bytes(content)
     with pytest.raises(SurefootError, match=match):
         recover(path)
-
-
-def test_a_killed_process_leaves_its_rows(tmp_path):
-    path = tmp_path / "run.partial"
-    script = f"""
-import os, signal, time
-import numpy as np
-from pathlib import Path
-from surefoot.deploy.recording.partial import FLUSH, PartialFile
-from surefoot.task.partial_trace import Layout
-layout = Layout(8, 4, 3)
-file = PartialFile(Path({str(path)!r}), layout, {META!r})
-rows = np.zeros((50, layout.width))
-rows[:, 0] = {STEP} * np.arange(1, 51)
-file.add(rows)
-time.sleep(10 * FLUSH)
-os.kill(os.getpid(), signal.SIGKILL)
-"""
-    done = subprocess.run([sys.executable, "-c", script], timeout=60)
-    assert done.returncode == -9
-    assert recover(path).num_steps == 50
-
-
-def test_a_full_disk_stops_recording_and_nothing_else(tmp_path):
-    path = tmp_path / "run.partial"
-    script = f"""
-import resource, time
-import numpy as np
-from pathlib import Path
-from surefoot.deploy.recording.partial import FLUSH, PartialFile
-from surefoot.task.partial_trace import Layout
-resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, resource.RLIM_INFINITY))
-layout = Layout(8, 4, 3)
-file = PartialFile(Path({str(path)!r}), layout, {META!r})
-rows = np.zeros((200, layout.width))
-rows[:, 0] = {STEP} * np.arange(1, 201)
-file.add(rows)
-end = time.monotonic() + 20
-while not file.stopped and time.monotonic() < end:
-    time.sleep(FLUSH)
-file.add(rows)
-file.close()
-print(file.stopped)
-"""
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60)
-    assert done.stdout.strip() == "File too large", done.stderr
-    whole = recover(path)
-    assert 0 < whole.num_steps < 200
 
 
 def test_a_folder_that_cannot_be_made_stops_recording(tmp_path):

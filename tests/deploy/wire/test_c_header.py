@@ -147,22 +147,11 @@ def test_a_folder_that_does_not_exist_is_told_in_one_line(tmp_path: Path, capsys
     assert "No such file or directory" in capsys.readouterr().err
 
 
-def test_lines_fit_a_screen_and_every_field_says_what_it_is():
-    text = c_header(8)
-    assert max(map(len, text.splitlines())) <= 120
-    for kind in MESSAGES:
-        for name, spec in wires(kind).items():
-            assert f" {name}" in text
-            assert spec.meaning in text
-    assert "int16_t motor_torque[SUREFOOT_MOTORS]; /* [0.001 N m] motor torques, from the currents */" in text
-    assert "uint32_t command_timeout;              /* [1e-6 s] silence after which" in text
-
-
 # The compiler.
 
 
 @needs_cc
-@pytest.mark.parametrize("options", ["-std=c99 -O0", "-std=c11 -O2", "-std=gnu11 -O2"])
+@pytest.mark.parametrize("options", ["-std=c99 -O0", "-std=gnu11 -O2"])
 def test_it_compiles_without_a_warning(tmp_path: Path, options: str):
     program = compile_program(tmp_path, *options.split())
     assert run(program, "sizes")[0].split()[1] == b"8"
@@ -179,7 +168,7 @@ def test_it_is_good_for_firmware_in_cpp(tmp_path: Path, standard: str):
 
 
 @needs_cc
-@pytest.mark.parametrize("motors", [1, 12, 27])
+@pytest.mark.parametrize("motors", [1, 27])
 def test_sizes_hold_for_any_number_of_motors(tmp_path: Path, motors: int):
     # The header's own static assertions are the test.
     source = tmp_path / "wire.c"
