@@ -179,7 +179,7 @@ def test_an_episode_is_the_one_that_evaluate_runs():
     ranges = RandomizeConfig(
         mass=(0.8, 1.2), motor_strength=(0.8, 1.1), control_step=(0.003, 0.02), latency=(0.0, 0.04)
     )
-    options: dict[str, Any] = {"ranges": ranges, "values": 2, "episodes": 3, "seed": 7, "threads": 1}
+    options: dict[str, Any] = {"ranges": ranges, "values": 2, "episodes": 2, "seed": 7, "threads": 1}
     result = run_sensitivity(Reactive(), task, SimWorld, pushes=True, **options)
     assert [world.row for world in result.worlds[::2]] == list(ranges.ranges)
     checked: list[tuple[dict[str, float], int, Any, Any]] = [
@@ -191,7 +191,7 @@ def test_an_episode_is_the_one_that_evaluate_runs():
     ]
     for params, steps, returns, speed in checked:
         same = replace(task, params=params, max_steps=steps)
-        runs = Runs.of_traces(run_episodes(Reactive(), same, 3, SimWorld, seed=7, threads=1))
+        runs = Runs.of_traces(run_episodes(Reactive(), same, 2, SimWorld, seed=7, threads=1))
         assert np.allclose([returns, speed], [runs.returns, runs.speed], rtol=0, atol=1e-9), params
     assert len(np.unique(result.returns.round(9))) == result.returns.size
 
