@@ -315,7 +315,7 @@ def _child(words: Sequence[str], place: Path, output: int) -> None:
         from surefoot.cli.main import main
 
         # Figures and a video of each training would take most of the time.
-        train.finish = lambda *_: {}
+        train.finish = lambda *_: None
         try:
             code = main(list(words))
         except SystemExit as stop:
@@ -569,10 +569,10 @@ def warm_up() -> None:
     for module, _ in COMMANDS.values():
         importlib.import_module(module)
     for module in (
-        *("cli.results", "cli.study_results", "cli.progress", "learn.run", "learn.progress", "learn.export"),
-        *("world.sim_world", "report.video", "report.figures", "report.gap_figures", "report.parameter_figures"),
+        *("cli.study_results", "learn.run", "learn.progress", "learn.export"),
+        *("world.sim_world", "report.video", "report.figures", "report.study_figures", "report.parameter_figures"),
         *("evaluate.gap", "identify.from_trace", "cli.identify"),
-        *("cli.identify_motor_figure", "cli.identify_results", "emulator.process", "report.motor_figure"),
+        *("cli.identify_motor_figure", "cli.identify_results", "emulator.process"),
     ):
         importlib.import_module(f"surefoot.{module}")
 

@@ -15,6 +15,7 @@ from _pytest.runner import runtestprotocol
 from hypothesis import settings
 from processes import BUSY, Emulator, TooBusyError, Watchman, emulators
 
+from surefoot.report import style
 from surefoot.robot import RobotDescription
 from surefoot.task.trace import EpisodeTrace
 
@@ -77,6 +78,12 @@ def pytest_try_again_in_real_time(item: pytest.Item, nextitem: pytest.Item | Non
         item.ihook.pytest_runtest_logreport(report=report)
     item.ihook.pytest_runtest_logfinish(nodeid=item.nodeid, location=item.location)
     return True
+
+
+@pytest.fixture(autouse=True)
+def _coarse(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Draw figures with few pixels, which takes less time."""
+    monkeypatch.setattr(style, "DPI", 40)
 
 
 @pytest.fixture

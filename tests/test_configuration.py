@@ -1,7 +1,10 @@
-"""YAML and TOML that are hostile, and bounds of fields."""
+"""YAML and TOML that are hostile, bounds of fields, names that become files, quoted values, limits of what is read."""
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any
@@ -9,7 +12,8 @@ from typing import Annotated, Any
 import pytest
 
 from surefoot.configuration import Within, check_bounds, from_mapping, is_number, read_toml, read_yaml
-from surefoot.errors import SurefootError
+from surefoot.errors import SurefootError, check_name, quoted
+from surefoot.files import CONFIGURATION_BYTES, check_readable, read_configuration, remove_abandoned
 
 
 def yaml(folder: Path, text: str) -> dict[str, Any]:
@@ -106,3 +110,52 @@ def test_a_number_too_large_for_a_float_is_refused():
     with pytest.raises(SurefootError, match=r"^free is 1000.* it must be a finite number"):
         from_mapping(Config, {"free": 10**400})
     assert not is_number(10**400)
+
+
+@pytest.mark.parametrize("name", ["trot", "gallop-robust", "_1", "A" * 100])
+def test_a_plain_name_is_taken(name):
+    check_name("name", name)
+
+
+@pytest.mark.parametrize("name", ["", ".", "..", "../../x", "a/b", "a b", "a.b", "-x", "a\n", "\u00e9", "A" * 101])
+def test_what_could_leave_its_folder_or_be_none_is_refused(name):
+    with pytest.raises(SurefootError, match=r"^name is .*letters, digits, - and _ only"):
+        check_name("name", name)
+
+
+def test_a_quoted_value_is_short_whatever_it_is():
+    bomb: list[object] = ["x"]
+    for _ in range(60):
+        bomb = [bomb] * 9
+    for value in (bomb, {"a": bomb}, "x" * 10**6, 10**4000, list(range(10**5))):
+        assert len(quoted(value)) < 300
+    assert quoted([0, 1.5, "a"]) == "[0, 1.5, 'a']"
+
+
+def test_a_configuration_is_a_regular_file_of_limited_size(tmp_path: Path):
+    path = tmp_path / "a.yaml"
+    path.write_bytes(b"x" * CONFIGURATION_BYTES)
+    assert len(read_configuration(path)) == CONFIGURATION_BYTES
+    path.write_bytes(b"x" * (CONFIGURATION_BYTES + 1))
+    with pytest.raises(OSError, match=f"{CONFIGURATION_BYTES + 1} bytes"):
+        read_configuration(path)
+
+
+@pytest.mark.timeout(10)
+def test_what_has_no_end_is_not_begun(tmp_path: Path):
+    os.mkfifo(tmp_path / "pipe")
+    for path in (tmp_path / "pipe", Path("/dev/zero"), tmp_path):
+        for read in (check_readable, read_configuration):
+            with pytest.raises(OSError, match=r"not a regular file|Is a directory"):
+                read(path)
+
+
+def test_files_under_way_of_killed_processes_are_removed_alone(tmp_path: Path):
+    dead = subprocess.Popen([sys.executable, "-c", ""])
+    dead.wait()
+    gone = [tmp_path / f".fresh.ckpt.{pid}.tmp" for pid in (dead.pid, 10**30)]
+    kept = [tmp_path / name for name in (f".fresh.ckpt.{os.getpid()}.tmp", "fresh.ckpt", ".a.tmp", f"b.{dead.pid}.tmp")]
+    for path in (*gone, *kept):
+        path.touch()
+    remove_abandoned(tmp_path)
+    assert sorted(tmp_path.iterdir()) == sorted(kept)

@@ -40,14 +40,9 @@ class Within:
     """Whether the least number itself is refused."""
 
     def check(self, where: str, value: Any) -> None:
-        """Refuse numbers out of bounds, and texts that a file or path cannot hold.
+        """Refuse numbers out of bounds, and texts that a file or path cannot hold, also in lists and tables.
 
-        Args:
-            where: name of the value, for the message.
-            value: a number, a text, or lists and tables of them; anything else is left alone.
-
-        Raises:
-            SurefootError: with name, value and rule.
+        The message has the name `where`, the value and the rule. Values of other kinds are left alone.
         """
         if isinstance(value, Mapping):
             for key, item in value.items():
@@ -88,12 +83,7 @@ Duration = Annotated[float, Within(0, 3600, above=True)]
 def check_bounds(config: Any, where: str = "") -> None:
     """Refuse a dataclass with a number out of its field's bounds, which `Within` gives, or that is not finite.
 
-    Args:
-        config: the dataclass; those in it are not looked into.
-        where: its dotted name, for error messages.
-
-    Raises:
-        SurefootError: states the dotted name, the number and the rule.
+    Dataclasses in it are not looked into. `where` is its dotted name, for messages.
     """
     for name, within in _bounds(config.__class__).items():
         within.check(f"{where}.{name}" if where else name, getattr(config, name))
@@ -101,7 +91,6 @@ def check_bounds(config: Any, where: str = "") -> None:
 
 @functools.cache
 def _bounds(kind: type) -> dict[str, Within]:
-    """Return the bounds of each field of a dataclass."""
     hints = typing.get_type_hints(kind, include_extras=True)
     return {item.name: _within(hints[item.name]) or _ANY for item in dataclasses.fields(kind)}
 
@@ -155,11 +144,7 @@ class _Loader(yaml.SafeLoader):
 
 
 def read_yaml(path: Path) -> dict[str, Any]:
-    """Read a YAML file that holds one table.
-
-    Raises:
-        SurefootError: it can't be read, is not YAML, or holds something else.
-    """
+    """Read a YAML file that holds one table; refuse what can't be read, is not YAML, or holds something else."""
     with accessible(path):
         content = read_configuration(path)
     try:
@@ -177,11 +162,7 @@ def read_yaml(path: Path) -> dict[str, Any]:
 
 
 def read_toml(path: Path) -> tuple[dict[str, Any], bytes]:
-    """Read a TOML file; return it with the bytes that were read.
-
-    Raises:
-        SurefootError: it can't be read, is not a regular file, too large or not TOML.
-    """
+    """Read a TOML file; return it with the bytes that were read. Refuse what can't be read or is not TOML."""
     with accessible(path):
         content = read_configuration(path)
     try:

@@ -35,25 +35,13 @@ def located(where: object) -> Iterator[None]:
 
 
 def at_least(name: str, number: float, least: int) -> None:
-    """Refuse a number that is too small.
-
-    Raises:
-        SurefootError: with name, number and rule.
-    """
+    """Refuse a number that is too small, by its name."""
     if number < least:
         raise SurefootError(f"{name} is {number}; it must be {least} or more")
 
 
 def check_name(what: str, name: str) -> None:
-    """Refuse a name that is not safe as the name of a file or folder.
-
-    Args:
-        what: what is so called, for the message.
-        name: the name.
-
-    Raises:
-        SurefootError: with the name and the rule.
-    """
+    """Refuse a name that is not safe as the name of a file or folder; `what` says what is so called."""
     if not re.fullmatch(r"[A-Za-z0-9_][A-Za-z0-9_-]{0,99}", name):
         raise SurefootError(
             f"{what} is {quoted(name)}; a name has letters, digits, - and _ only, does not start with -, and has 1 to "

@@ -46,7 +46,6 @@ class StopSignals:
             self._on_signal(self.count)
 
     def __enter__(self) -> Self:
-        """Listen."""
         for name in self._names:
             number = getattr(signal, name, None)
             ignored = number is not None and signal.getsignal(number) == signal.SIG_IGN
@@ -55,7 +54,7 @@ class StopSignals:
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Give signals back to whom they belonged."""
+        # Signals go back to whom they belonged.
         for number, handler in self._before.items():
             signal.signal(number, handler)
         self._before.clear()

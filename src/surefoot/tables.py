@@ -19,6 +19,11 @@ def plain_value(value: object) -> object:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
+def plain_rows(rows: Rows) -> list[dict[str, object]]:
+    """Return rows as JSON holds them."""
+    return [{name: plain_value(value) for name, value in row.items()} for row in rows]
+
+
 def write_csv(path: str | Path, rows: Rows) -> Path:
     """Write rows as CSV, whole or not at all, with the file's folder; returns the path.
 
@@ -49,12 +54,9 @@ def markdown(rows: Rows) -> str:
 
 
 def print_table(rows: Rows, title: str = "", text_columns: int = 1) -> None:
-    """Print rows to standard output, numbers aligned to the right; into a file as wide as it takes.
+    """Print one row or more to standard output, numbers aligned to the right; into a file as wide as it takes.
 
-    Args:
-        rows: one or more.
-        title: over the table.
-        text_columns: columns at the left that hold text, which may be folded.
+    The first `text_columns` columns hold text, which may be folded.
     """
     from rich import box
     from rich.console import Console

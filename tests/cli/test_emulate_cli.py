@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import re
-import subprocess
-import sys
 
 import numpy as np
 import pytest
@@ -28,10 +26,8 @@ from surefoot.robot.params_file import read_params
         (["--rack", "--fault", "tilt"], "it does not go with --rack"),
         (["--fault", "slow-servo=0.0025"], "fault slow-servo is 0.0025; it must be whole servo steps of 0.001 s"),
         (["--duration", "0"], "duration is 0; it must be over 0"),
-        (["--duration", "nan"], "duration is nan; it must be a finite number"),
         (["--baud", "-1"], "baud is -1; it must be 0 or more"),
         (["--baud", "300"], "baud is 300; it must be 9600 or more, or 0"),
-        (["--seed", "-1"], "seed is -1; it must be 0 or more"),
         (["--hidden-seed", "-1"], "hidden_seed is -1; it must be 0 or more"),
         (["--hidden-out", "x.toml"], "hidden_out needs hidden parameters; give --hidden-seed too"),
         (["--hidden-seed", "1", "--set", "voltage=15"], "does not go with --params and --set"),
@@ -39,7 +35,6 @@ from surefoot.robot.params_file import read_params
         (["--motion-capture", "x.txt"], "motion_capture x.txt: the name must end in .csv"),
         (["--set", "voltage=99"], "voltage is 99; minitaur allows 5 to 30"),
         (["--params", "missing.toml"], "missing.toml: can't be read: No such file"),
-        (["--nonsense"], "--nonsense"),
     ],
 )
 def test_what_does_not_fit_is_told_in_one_line(tmp_path, words, said):
@@ -101,11 +96,6 @@ def test_parameters_come_from_a_file_and_from_words(robot, tmp_path):
     params = emulate._params(command, robot)
     assert (params.voltage[0], params.servo_kp[0]) == (14.5, 0.9)
     np.testing.assert_array_equal(params.motor_strength, np.full((1, 8), 0.9))
-
-
-def test_importing_the_command_brings_no_physics():
-    script = "import sys, surefoot.cli.emulate; sys.exit(bool({'mujoco', 'torch', 'pybullet'} & set(sys.modules)))"
-    assert subprocess.run([sys.executable, "-c", script], timeout=60).returncode == 0
 
 
 def test_what_the_viewer_draws_is_where_the_robot_is(robot):

@@ -62,11 +62,11 @@ def test_help_is_fast_and_names_the_commands():
     assert surefoot("--version").stdout.startswith("surefoot ")
 
 
-@pytest.mark.parametrize("words", ["evaluate no.onnx --episodes 0", "sensitivity no.onnx --episodes 0",
-                                   "gap no.onnx --to bullet --runs 0"])  # fmt: skip
-def test_what_is_wrong_is_told_before_anything_heavy_is_loaded(words: str):
+def test_what_is_wrong_is_told_before_anything_heavy_is_loaded():
+    lines = ("evaluate no.onnx --episodes 0", "sensitivity no.onnx --episodes 0", "gap no.onnx --to bullet --runs 0")
     script = (
-        f"import sys; from surefoot.cli.main import main; main({words.split()});"
+        "import sys; from surefoot.cli.main import main;"
+        f"assert [main(line.split()) for line in {lines}] == [2, 2, 2];"
         "heavy = ('torch', 'mujoco', 'numba', 'matplotlib', 'gymnasium', 'pybullet');"
         "print([name for name in heavy if name in sys.modules])"
     )
@@ -75,7 +75,7 @@ def test_what_is_wrong_is_told_before_anything_heavy_is_loaded(words: str):
 
 
 def test_an_unknown_command_is_refused():
-    refused(run_surefoot("fly"), "'fly' is not a command; choices: train, evaluate, play")
+    refused(surefoot("fly"), "'fly' is not a command; choices: train, evaluate, play")
     assert surefoot().returncode == 2
 
 
@@ -101,20 +101,6 @@ def test_settings_and_pushes_make_a_difference(policy: Path):
     assert len({result["distance_mean"] for result in (calm, weak, pushed)}) == 3
 
 
-def test_a_table_and_files_are_written(policy: Path, tmp_path: Path):
-    from surefoot.task.trace import EpisodeTrace
-
-    done = surefoot("evaluate", policy, "--episodes", "2", "--out", tmp_path / "deep" / "out")
-    assert done.returncode == 0, done.stderr
-    assert "speed" in done.stdout
-    assert "untrained in mujoco" in done.stdout
-    files = sorted(file.name for file in (tmp_path / "deep" / "out").iterdir())
-    assert files == ["episode.png", "episode_000.npz", "episode_001.npz", "footfalls.png"]
-    trace = EpisodeTrace.load(tmp_path / "deep" / "out" / "episode_001.npz")
-    assert trace.meta["policy"] == "untrained"
-    assert trace.num_steps <= 240
-
-
 @pytest.mark.parametrize(
     ("line", "part"),
     [
@@ -122,13 +108,10 @@ def test_a_table_and_files_are_written(policy: Path, tmp_path: Path):
         ("evaluate POLICY --set strength=1", "'strength' is not a physical parameter; choices: base_mass_ratio"),
         ("evaluate POLICY --set motor_strength=9", "motor_strength is 9; minitaur allows 0 to 2"),
         ("evaluate POLICY --set motor_strength=much", "sets no number"),
-        ("evaluate POLICY --set motor_strength=nan", "motor_strength"),
         ("evaluate POLICY --world moon", "world 'moon' does not exist; choices: mujoco"),
-        ("evaluate POLICY --seed -1", "seed is -1"),
         ("evaluate POLICY --robot spot", "robot 'spot': no such robot"),
         ("evaluate POLICY --out /dev/null/out", "/dev/null"),
         ("evaluate POLICY --episodes x", "x"),
-        ("evaluate POLICY --colour red", "--colour"),
         ("evaluate nowhere", "policy 'nowhere' does not exist"),
         ("play POLICY --seconds 0", "seconds is 0"),
         ("play POLICY --out film.gif", "the name must end in .mp4"),
@@ -240,12 +223,16 @@ def test_recorded_runs_are_measured_by_the_same_ruler(recorded: tuple[Path, dict
     folder, ran = recorded
     done = surefoot("evaluate", "--trace", folder, "--json")
     assert done.returncode == 0, done.stderr
+    assert sorted(Path(file).name for file in ran["files"]) == [
+        *("episode.png", "episode_000.npz", "episode_001.npz", "episode_002.npz", "footfalls.png")
+    ]
     measured = json.loads(done.stdout)
     assert {key: measured[key] for key in KEYS} == {key: ran[key] for key in KEYS}
     assert len(measured["traces"]) == 3
     files = sorted(folder.glob("*.npz"))
-    two = json.loads(surefoot("evaluate", "--trace", files[0], files[1], "--json").stdout)
-    assert two["episodes"] == 2
+    two = surefoot("evaluate", "--trace", files[0], files[1])
+    assert "untrained in mujoco" in two.stdout
+    assert re.search(r"falls +\d of 2", two.stdout)
 
 
 def test_a_robot_that_nobody_sees_still_tells_its_power(recorded: tuple[Path, dict[str, object]], tmp_path: Path):

@@ -34,6 +34,40 @@ FAR = [
     ("gap trot --to mujoco --duration 1e30", "duration is 1e+30; it must be 3600 or less"),
     ("deploy trot --port none --duration 1e30", "duration is 1e+30; it must be 3600 or less"),
     ("emulate --duration 1e30", "duration is 1e+30; it must be 10000000 or less"),
+    ("evaluate trot --actuator servo", "servo"),
+    ("train trot --actuator --pushes", "--actuator"),
+    ("train trot --servo-latency soon", "--servo-latency"),
+    ("train trot --control-latency 0 --task.params control_latency 0.01", "control_latency is given twice"),
+    ("evaluate trot --servo-latency -0.001 --out o", "servo_latency is -0.001; minitaur allows"),
+    ("evaluate trot --actuator constraint --thermal-protection --out o", "it requires actuator dc"),
+    ("train trot --actuator constraint --task.thermal-protection", "thermal_protection is on; it requires actuator dc"),
+    ("play trot --control-latency 1", "control_latency is 1; minitaur allows 0 to 0.1"),
+    ("sensitivity trot --control-latency 1", "control_latency is 1; minitaur allows 0 to 0.1"),
+    ("train trot --control-latency 1", "control_latency is 1; minitaur allows 0 to 0.1"),
+    ("gap trot --to mujoco --threads -1", "threads is -1; it must be 0 or more"),
+    ("train trot --randomize.latency 0.03 0.01", "randomize.latency is [0.03, 0.01]; the lower bound must come first"),
+    ("train trot --randomize.latency 0 15", "[0, 15]; minitaur allows control_latency from 0 to 0.1 (unit: s)"),
+    ("train ranges.yaml", "ranges.yaml: randomize.mass is [1.2, 0.8]; the lower bound must come first"),
+    ("evaluate trot --randomize.mass 80 120", "minitaur allows base_mass_ratio from 0.2 to 5"),
+    ("evaluate trot --randomize nowhere", "'nowhere' does not exist; choices: ensemble, none, table1, or the path"),
+    ("train walk", "task 'walk' does not exist; choices: gallop, gallop-robust, trot"),
+    ("train gallop --num-envs 0", "num_envs is 0; it must be 1 or more"),
+    ("train gallop --num-envs few", "few"),
+    ("train gallop --nun-envs 8", "nun-envs"),
+    ("train gallop --task.params control_latency -0.01", "control_latency is -0.01; minitaur allows 0 to 0.1"),
+    ("train gallop --task.robot spot", "robot 'spot': no such robot"),
+    ("train trot --task.feedback.swing -2 2", "swing can be -2.300 to 2.300 rad"),
+    ("train gallop --task.observations roll smell", "observation 'smell' does not exist; choices: roll, pitch"),
+    ("train --resume nowhere", "nowhere: is not a run folder"),
+    ("train --resume run --params robot.toml", "--resume takes the path of one run folder and nothing else"),
+    ("sensitivity", "no policy is given"),
+    ("sensitivity trot nowhere", "policy 'nowhere' does not exist"),
+    ("sensitivity trot --episodes 0", "episodes is 0; it must be 1 or more"),
+    ("sensitivity trot --values 1", "values is 1; it must be 2 or more"),
+    ("sensitivity trot --duration 0", "duration is 0; it must be over 0"),
+    ("sensitivity trot --world moon", "world 'moon' does not exist; choices: mujoco"),
+    ("sensitivity trot --ranges table9", "'table9' does not exist; choices: ensemble, none, table1"),
+    ("sensitivity trot --out /dev/null/out", "/dev/null"),
     ("evaluate \udc80", "the arguments hold characters that can't be printed"),
 ]
 
@@ -43,10 +77,13 @@ FAR = [
 def test_what_is_out_of_bounds_is_refused_at_once(line: str, said: str, tmp_path: Path):
     if line.startswith(("train", "study")):
         pytest.importorskip("torch")
+    if line.startswith("sensitivity"):
+        pytest.importorskip("matplotlib")
     (tmp_path / "name.yaml").write_text("name: ../../x\ngroups: {a: {}}\n" if "study" in line else "name: ../../x\n")
     (tmp_path / "digits.yaml").write_text(f"fall_angle: {'9' * 6000}\n")
     (tmp_path / "large.yaml").write_text(f"fall_angle: 1{'0' * 400}\n")
     (tmp_path / "list.yaml").write_text("train: [1]\n")
+    (tmp_path / "ranges.yaml").write_text("randomize: {mass: [1.2, 0.8]}\n")
     os.mkfifo(tmp_path / "pipe")
     before = sorted(tmp_path.iterdir())
     refused(surefoot(*line.split(" "), cwd=tmp_path), said)

@@ -9,7 +9,7 @@ import shutil
 from pathlib import Path
 
 import pytest
-from processes import refused, surefoot
+from processes import surefoot
 
 pytest.importorskip("mujoco")
 pytest.importorskip("matplotlib")
@@ -64,7 +64,6 @@ def test_policies_of_one_name_are_told_apart(tmp_path: Path):
         (tmp_path / folder).mkdir(exist_ok=True)
         shutil.copy(find_policy("trot"), tmp_path / folder / f"{name}.onnx")
     words = ("sensitivity", "a/mine.onnx", "b/mine.onnx", "b/other.onnx", *SHORT, "--ranges", "r.yaml", "--json")
-    refused(surefoot(*words, cwd=tmp_path), "r.yaml")
     (tmp_path / "r.yaml").write_text("mass: [0.8, 1.2]\n")
     done = surefoot(*words, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
@@ -79,24 +78,3 @@ def test_names():
     assert distinct_names(["trot", "trot", "gallop"], ["a", "b", "c"]) == ["a", "b", "gallop"]
     assert distinct_names(["trot", "trot"], ["policy", "policy"]) == ["policy-1", "policy-2"]
     assert distinct_names(["p", "p", "p-1"], ["p", "p", "q"]) == ["p-2", "p-3", "p-1"]
-
-
-@pytest.mark.parametrize(
-    ("line", "part"),
-    [
-        ("", "no policy is given"),
-        ("trot nowhere", "policy 'nowhere' does not exist"),
-        ("trot --episodes 0", "episodes is 0; it must be 1 or more"),
-        ("trot --values 1", "values is 1; it must be 2 or more"),
-        ("trot --duration 0", "duration is 0; it must be over 0"),
-        ("trot --duration inf", "duration is inf; it must be 3600 or less"),
-        ("trot --seed -1", "seed is -1"),
-        ("trot --world moon", "world 'moon' does not exist; choices: mujoco"),
-        ("trot --ranges table9", "'table9' does not exist; choices: ensemble, none, table1"),
-        ("trot --ranges none", "the table of ranges has no rows"),
-        ("trot --out /dev/null/out", "/dev/null"),
-        ("trot --colour red", "--colour"),
-    ],
-)
-def test_what_does_not_fit_is_refused(line: str, part: str, tmp_path: Path):
-    refused(surefoot("sensitivity", *line.split(), cwd=tmp_path), part)

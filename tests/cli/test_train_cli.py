@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import pty
-import re
 import signal
 import subprocess
 import time
@@ -22,30 +21,11 @@ TINY = (
 )
 
 BAD = [
-    (["train", "walk"], "task 'walk' does not exist; choices: gallop, gallop-robust, trot"),
-    (["train", "gallop", "--num-envs", "0"], "num_envs is 0; it must be 1 or more"),
-    (["train", "gallop", "--num-envs", "few"], "invalid.*few"),
-    (["train", "gallop", "--nun-envs", "8"], "nun-envs"),
-    (["evaluate", "--episodes", "2"], "POLICY"),
-    (
-        ["train", "gallop", "--task.params", "control_latency", "-0.01"],
-        "control_latency is -0.01; minitaur allows 0 to 0.1",
-    ),
-    (["train", "gallop", "--task.robot", "spot"], "robot 'spot': no such robot .* robots: minitaur"),
-    (
-        ["train", "trot", "--task.feedback.swing", "-2", "2"],
-        "swing can be -2.300 to 2.300 rad .* allows -1 to 1",
-    ),
-    (
-        ["train", "gallop", "--task.observations", "roll", "smell"],
-        "observation 'smell' does not exist; choices: roll, pitch",
-    ),
-    (["train", "--resume", "nowhere"], "nowhere: is not a run folder"),
-    (["train", "key.yaml"], r"key.yaml: speed is not a key; choices: name, robot"),
-    (["train", "type.yaml"], r"type.yaml: max_steps is 'long'; it must be a whole number"),
-    (["train", "nan.yaml"], r"nan.csv: row 2 of the table is not finite"),
-    (["train", "one.yaml"], r"one.csv: the table has 1 row\(s\); a periodic reference needs 2 or more"),
-    (["train", "amplitude.yaml"], "extension can be .* a leg of minitaur allows 0.6 to 2.7"),
+    ("key.yaml", "key.yaml: speed is not a key; choices: name, robot"),
+    ("type.yaml", "type.yaml: max_steps is 'long'; it must be a whole number"),
+    ("nan.yaml", "nan.csv: row 2 of the table is not finite"),
+    ("one.yaml", "one.csv: the table has 1 row(s); a periodic reference needs 2 or more"),
+    ("amplitude.yaml", "a leg of minitaur allows 0.6 to 2.7"),
 ]
 
 
@@ -74,11 +54,9 @@ def bad_files(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.mark.parametrize(("words", "message"), BAD, ids=[" ".join(words)[:40] for words, _ in BAD])
-def test_bad_input_gets_one_line_and_exit_code_2(words: list[str], message: str, bad_files: Path) -> None:
-    result = surefoot(*words, cwd=bad_files)
-    refused(result)
-    assert re.search(message, result.stderr), result.stderr
+@pytest.mark.parametrize(("file", "said"), BAD)
+def test_a_task_that_does_not_fit_gets_one_line_and_exit_code_2(file: str, said: str, bad_files: Path) -> None:
+    refused(surefoot("train", file, cwd=bad_files), said)
     assert not (bad_files / "runs").exists()
 
 

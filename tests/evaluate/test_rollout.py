@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -70,6 +71,19 @@ def test_a_trace_is_what_the_environment_did_step_by_step():
     assert first.meta["ended"] == "time"
     assert first.num_steps == 40
     assert np.isfinite(first.foot_position_world).all()
+
+
+def test_the_return_is_that_of_the_trace_in_another_engine():
+    pytest.importorskip("pybullet")
+    from surefoot.world.bullet_engine import BulletEngine
+
+    make, policy = partial(SimWorld, engine=BulletEngine), Constant(0.05, -0.02)
+    (trace,) = run_episodes(policy, trot(40), 1, make, seed=3)
+    env = LocomotionEnv(trot(40), 1, make, 3, autoreset=False)
+    env.reset()
+    action = env.gait.action(policy.row[None])
+    total = sum(float(env.step(action)[1][0]) for _ in range(trace.num_steps))
+    assert total == pytest.approx(Runs.of_traces([trace]).returns[0], abs=1e-9)
 
 
 def test_an_episode_is_the_same_in_any_batch():

@@ -13,9 +13,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from surefoot.evaluate.comparison import Comparison
+from surefoot.evaluate.comparison import Comparison, study_tables, write_tables
 from surefoot.evaluate.gap import gap_difference
-from surefoot.evaluate.study_tables import study_tables, write_tables
 
 MakeComparison = Callable[..., Comparison]
 

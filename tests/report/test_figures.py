@@ -23,10 +23,9 @@ from surefoot.evaluate.comparison import Comparison, Curve
 from surefoot.evaluate.gap import PolicyGap
 from surefoot.evaluate.runs import Runs
 from surefoot.evaluate.sensitivity import Nominal, Sensitivity, TestWorld
-from surefoot.report.figures import episode_plot, footfall_diagram
-from surefoot.report.gap_figures import _mean_power, gap_figure, side_by_side
+from surefoot.report.figures import _mean_power, episode_plot, footfall_diagram, side_by_side
 from surefoot.report.parameter_figures import aggregate_figure, parameter_figure, parameters_figure
-from surefoot.report.study_figures import group_figure, learning_curves
+from surefoot.report.study_figures import gap_figure, group_figure, learning_curves
 from surefoot.robot import RobotDescription
 from surefoot.task.trace import EpisodeTrace
 
@@ -122,8 +121,7 @@ def runs(world: str, *returns: float, falls: int = 0) -> Runs:
     return Runs(world, gained, gained + 1, ones, 20 * ones, 100 * ones, fell, ~fell)
 
 
-@pytest.mark.parametrize("count", [1, 3, 200])
-@pytest.mark.parametrize("worlds", [1, 8])
+@pytest.mark.parametrize(("count", "worlds"), [(1, 1), (3, 8), (200, 1)])
 def test_a_bar_for_each_policy_and_world(count: int, worlds: int, tmp_path: Path, drawn: list[Figure]) -> None:
     away = tuple(runs(f"world {i}", *[2.0 - 0.1 * i] * count, falls=i) for i in range(worlds))
     policy = PolicyGap("trot", runs("mujoco", *[3.0] * count), away)
@@ -234,7 +232,7 @@ def test_groups_side_by_side(seeds: int, tmp_path: Path, drawn: list[Figure], ga
     assert [list(values) for values in dots] == [list(group.values("nominal_return")) for group in study.groups]
 
 
-@pytest.mark.parametrize("steps", [1, 20, 200, 1000])
+@pytest.mark.parametrize("steps", [1, 200])
 def test_runs_in_several_worlds_side_by_side(
     steps: int, make_run: MakeRun, tmp_path: Path, drawn: list[Figure]
 ) -> None:

@@ -13,9 +13,8 @@ import pytest
 
 pytest.importorskip("matplotlib")
 
-from surefoot.evaluate.comparison import Comparison, Curve, GroupResult, SeedResult
+from surefoot.evaluate.comparison import Comparison, Curve, GroupResult, SeedResult, study_tables
 from surefoot.evaluate.sensitivity import make_test_worlds
-from surefoot.evaluate.study_tables import study_tables
 from surefoot.report.study_report import write_report
 from surefoot.task.randomize import RandomizeConfig
 

@@ -6,10 +6,11 @@ import gymnasium
 import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode
+from scripted import ScriptedWorld
 
 from surefoot.errors import SurefootError
 from surefoot.task.config import FeedbackConfig, ReferenceConfig, TaskConfig, WaveConfig, load_task
-from surefoot.task.env import LocomotionEnv
+from surefoot.task.env import LocomotionEnv, has_fallen, locomotion_reward
 from surefoot.task.pushes import PushConfig
 from surefoot.world.sim_world import SimWorld
 
@@ -17,12 +18,12 @@ FEEDBACK = FeedbackConfig(swing=(-0.5, 0.5), extension=(1.0, 2.0))
 
 
 @pytest.fixture
-def make_env(scripted_world):
+def make_env():
     """Make an environment on the scripted world; keywords are the task's, or with `env_` its own."""
 
     def make(num_envs: int = 2, **values) -> LocomotionEnv:
         options = {key.removeprefix("env_"): values.pop(key) for key in list(values) if key.startswith("env_")}
-        return LocomotionEnv(TaskConfig(**{"feedback": FEEDBACK, **values}), num_envs, scripted_world, **options)
+        return LocomotionEnv(TaskConfig(**{"feedback": FEEDBACK, **values}), num_envs, ScriptedWorld, **options)
 
     return make
 
@@ -250,3 +251,29 @@ def test_the_first_observation_is_a_standing_robot():
     observation, _ = env.reset(seed=0)
     assert np.abs(observation[:, :2]).max() < 0.05
     np.testing.assert_allclose(observation[:, 4:], np.pi / 2, atol=0.3)
+
+
+# --- by hand ----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("displacement", "energy", "weight", "expected"),
+    [
+        (0.008, 0.0, 0.008, 0.008),
+        (0.008, 1.0, 0.008, 0.0),  # 1 J costs 8 mm
+        (0.0, 0.6, 0.008, -0.0048),
+        (-0.002, 0.5, 0.008, -0.006),
+        (0.01, 2.0, 0.0, 0.01),
+        (0.01, 2.0, 0.001, 0.008),
+    ],
+)
+def test_reward_of_a_step(displacement, energy, weight, expected):
+    reward = locomotion_reward(np.array([displacement]), np.array([energy]), weight)
+    np.testing.assert_allclose(reward, [expected], atol=1e-15)
+
+
+def test_fall():
+    upright = [(0.0, 0.0, 0.0), (0.499, -0.499, 0.0), (0.5, 0.5, 0.0), (0.0, 0.0, 3.0)]
+    fallen = [(0.501, 0.0, 0.0), (0.0, 0.501, 0.0), (-0.501, 0.0, 0.0), (0.0, -0.501, 0.0)]
+    assert has_fallen(np.array(upright + fallen), 0.5).tolist() == [False] * 4 + [True] * 4
+    assert has_fallen(np.array(upright), 0.4).tolist() == [False, True, True, False]

@@ -1,57 +1,156 @@
-"""What the policy sees: names, order, widths and numbers."""
+"""Any choice of observation parts, by name and in any order, from task to environment to contract."""
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
+pytest.importorskip("torch")
+
+from scripted import ScriptedWorld
+
+from surefoot.configuration import from_mapping, to_mapping
 from surefoot.errors import SurefootError
-from surefoot.task.observation import IMU_4D, IMU_AND_MOTORS_12D, Moment, Observer
-from surefoot.task.reference import make_reference
+from surefoot.learn.export import make_contract
+from surefoot.policy.contract import Contract
+from surefoot.task.config import FeedbackConfig, ReferenceConfig, TaskConfig, WaveConfig
+from surefoot.task.env import LocomotionEnv
+from surefoot.task.observation import IMU_AND_MOTORS_12D, PARTS, Observer, phase
 from surefoot.world.interface import Readings
 
+WIDTHS = {
+    **dict.fromkeys(("roll", "pitch", "roll_rate", "pitch_rate"), 1),
+    **{"motor_angles": 8, "motor_speeds": 8, "reference_phase": 2, "last_action": 8},
+}
+UNITS = {
+    "roll": ("rad", "base in world"),
+    "pitch": ("rad", "base in world"),
+    "roll_rate": ("rad/s", "base, about x"),
+    "pitch_rate": ("rad/s", "base, about y"),
+    "motor_angles": ("rad", "motor"),
+    "motor_speeds": ("rad/s", "motor"),
+    "reference_phase": ("1", "reference gait"),
+    "last_action": ("rad", "leg space"),
+}
 
-@pytest.fixture
-def moment(robot) -> Moment:
-    """Two robots; numbers that tell where they come from."""
-    wave = {"amplitude": 0.1, "frequency": 2.0}
-    return Moment(
-        Readings(
-            time=np.array([0.0, 0.125]),
-            roll_pitch_yaw=np.array([[0.1, 0.2, 0.3], [1.1, 1.2, 1.3]]),
-            angular_velocity_base=np.array([[0.4, 0.5, 0.6], [1.4, 1.5, 1.6]]),
-            motor_angle=np.arange(16.0).reshape(2, 8),
-            motor_velocity=np.arange(100.0, 116.0).reshape(2, 8),
-        ),
-        make_reference({"kind": "sine", "swing": wave}, robot.leg_names),
-        np.arange(200.0, 216.0).reshape(2, 8),
+choices_of_parts = st.permutations(sorted(WIDTHS)).flatmap(
+    lambda names: st.integers(1, len(names)).map(lambda count: tuple(names[:count]))
+)
+
+
+@pytest.fixture(scope="module")
+def make_env():
+    """An environment that observes these parts; each reading is a number of its own."""
+
+    class Telling(ScriptedWorld):
+        def readings(self) -> Readings:
+            robots = 1000.0 * np.arange(self.num_envs)[:, None]
+            return Readings(
+                time=self.time.copy(),
+                roll_pitch_yaw=robots + np.arange(1.0, 4.0),
+                angular_velocity_base=robots + np.arange(4.0, 7.0),
+                motor_angle=robots + np.arange(10.0, 18.0),
+                motor_velocity=robots + np.arange(20.0, 28.0),
+            )
+
+    def make(names: tuple[str, ...], history: int = 1, **task: Any) -> LocomotionEnv:
+        # A period of 4 control steps: the phase of the k-th one is k quarters.
+        wave = WaveConfig(amplitude=0.1, frequency=1 / 0.024)
+        values: dict[str, Any] = {
+            "observations": names,
+            "history": history,
+            "reference": ReferenceConfig(kind="sine", swing=wave, extension=WaveConfig(offset=2.0)),
+            "feedback": FeedbackConfig((-0.5, 0.5), (-0.5, 0.5)),
+        }
+        return LocomotionEnv(TaskConfig(**{**values, **task}), 2, Telling)
+
+    return make
+
+
+def expected(name: str, robot: int, steps: int) -> list[float]:
+    """What a part says after so many control steps under action 0.5, worked by hand."""
+    start = 1000.0 * robot
+    quarter = [(0.0, 1.0), (1.0, 0.0), (0.0, -1.0), (-1.0, 0.0)][steps % 4]
+    return {
+        "roll": [start + 1],
+        "pitch": [start + 2],
+        "roll_rate": [start + 4],
+        "pitch_rate": [start + 5],
+        "motor_angles": [start + 10 + k for k in range(8)],
+        "motor_speeds": [start + 20 + k for k in range(8)],
+        "reference_phase": list(quarter),
+        "last_action": [0.25 if steps else 0.0] * 8,
+    }[name]
+
+
+def check(env: LocomotionEnv, names: tuple[str, ...], history: int) -> Contract:
+    """The space, the numbers and the contract of an environment that should observe these parts."""
+    width = sum(WIDTHS[name] for name in names)
+    assert env.single_observation_space.shape == (width * history,)
+    observation, _ = env.reset(seed=0)
+    steps = 3
+    for _ in range(steps):
+        assert observation.shape == (2, width * history)
+        observation, *_ = env.step(np.full((2, 8), 0.5))
+    for robot in range(2):
+        newest_first = [
+            n for back in range(history) for name in names for n in expected(name, robot, max(steps - back, 0))
+        ]
+        np.testing.assert_allclose(observation[robot], newest_first, atol=1e-6)
+
+    contract = make_contract(env)
+    assert tuple(part.name for part in contract.observation) == names
+    assert [(part.unit, part.frame) for part in contract.observation] == [UNITS[name] for name in names]
+    assert len(contract.columns) == len(set(contract.columns)) == width
+    assert contract.history == history
+    assert contract.width == width * history
+    assert env.observer.columns == [column for name in names for column in PARTS[name].columns(env.robot)]
+    assert contract.columns == tuple(env.observer.columns)
+    assert Contract.from_json(contract.to_json()) == contract
+    return contract
+
+
+def test_these_are_all_parts():
+    assert list(PARTS) == list(WIDTHS)
+    assert {name: (part.unit, part.frame) for name, part in PARTS.items()} == UNITS
+
+
+@settings(max_examples=30)
+@given(names=choices_of_parts, history=st.integers(1, 3))
+def test_any_choice_in_any_order(make_env, names, history):
+    check(make_env(names, history), names, history)
+
+
+def test_all_parts_at_once(make_env):
+    assert check(make_env(tuple(WIDTHS), 2), tuple(WIDTHS), 2).width == 2 * 30
+
+
+def test_the_papers_twelve_numbers(make_env):
+    contract = check(make_env(IMU_AND_MOTORS_12D), IMU_AND_MOTORS_12D, 1)
+    assert contract.columns == (
+        *("roll", "pitch", "roll_rate", "pitch_rate"),
+        *("angle.front_left_2_motor", "angle.front_left_1_motor", "angle.back_left_2_motor", "angle.back_left_1_motor"),
+        *("angle.front_right_1_motor", "angle.front_right_2_motor"),
+        *("angle.back_right_1_motor", "angle.back_right_2_motor"),
     )
+    assert TaskConfig().observations == IMU_AND_MOTORS_12D
 
 
-def test_four_numbers_of_the_imu(robot, moment):
-    observer = Observer(robot, IMU_4D)
-    assert observer.columns == ["roll", "pitch", "roll_rate", "pitch_rate"]
-    assert observer.observe(moment).tolist() == [[0.1, 0.2, 0.4, 0.5], [1.1, 1.2, 1.4, 1.5]]
+@given(names=choices_of_parts)
+def test_a_task_file_keeps_the_names_and_their_order(names):
+    task = from_mapping(TaskConfig, {"observations": list(names)})
+    assert task.observations == names
+    assert from_mapping(TaskConfig, to_mapping(task)) == task
 
 
-def test_twelve_numbers_add_the_motor_angles_in_the_robots_order(robot, moment):
-    observer = Observer(robot, IMU_AND_MOTORS_12D)
-    assert observer.width == 12
-    assert observer.columns[4:] == [f"angle.{name}" for name in robot.motor_names]
-    assert observer.observe(moment)[1, 4:].tolist() == list(range(8, 16))
-
-
-def test_phase_goes_round_with_the_reference(robot, moment):
-    # Two hertz: .125 s is a quarter.
-    observed = Observer(robot, ("reference_phase",)).observe(moment)
-    np.testing.assert_allclose(observed, [[0, 1], [1, 0]], atol=1e-12)
-
-
-def test_last_action_is_the_feedback_in_leg_space(robot, moment):
-    observer = Observer(robot, ("last_action",))
-    assert observer.columns[0] == "last_swing.front_left"
-    assert observer.columns[-1] == "last_extension.back_right"
-    assert np.array_equal(observer.observe(moment), moment.last_feedback)
+def test_another_order_is_another_contract(make_env):
+    one, other = (make_contract(make_env(names)) for names in (("roll", "pitch"), ("pitch", "roll")))
+    assert one.columns == other.columns[::-1]
+    assert one.config_hash != other.config_hash
 
 
 @pytest.mark.parametrize(
@@ -70,7 +169,6 @@ def test_parts_that_do_not_fit_are_refused_in_one_line(robot, names, pieces):
         assert piece in str(caught.value)
 
 
-def test_phase_without_a_period_is_refused(robot, moment):
-    still = Moment(moment.readings, make_reference(None, robot.leg_names), moment.last_feedback)
+def test_phase_without_a_period_is_refused():
     with pytest.raises(SurefootError, match="'reference_phase' needs a periodic reference"):
-        Observer(robot, ("reference_phase",)).observe(still)
+        phase(np.zeros(2), None)

@@ -6,6 +6,7 @@ import gymnasium
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
+from scripted import ScriptedWorld
 
 import surefoot.cli.envs
 from surefoot.errors import SurefootError
@@ -17,23 +18,11 @@ FEEDBACK = FeedbackConfig(swing=(-0.5, 0.5), extension=(1.0, 2.0))
 
 
 @pytest.fixture
-def single(scripted_world):
+def single():
     def make(**values) -> LocomotionSingleEnv:
-        return LocomotionSingleEnv(TaskConfig(**{"feedback": FEEDBACK, **values}), scripted_world, seed=0)
+        return LocomotionSingleEnv(TaskConfig(**{"feedback": FEEDBACK, **values}), ScriptedWorld, seed=0)
 
     return make
-
-
-def test_shapes_are_those_of_one_robot(single):
-    env = single()
-    observation, info = env.reset(seed=1)
-    assert env.observation_space.shape == (12,)
-    assert env.observation_space.contains(observation)
-    assert info == {}
-    observation, reward, terminated, truncated, info = env.step(env.action_space.sample())
-    assert env.observation_space.contains(observation)
-    assert (type(reward), type(terminated), type(truncated)) == (float, bool, bool)
-    assert info == {}
 
 
 def test_an_episode_ends_after_its_steps_and_starts_anew_when_told_to(single):
@@ -114,14 +103,6 @@ def test_make_vec_gives_the_batch():
     observation, _ = envs.reset(seed=0)
     assert observation.shape == (3, 12)
     envs.step(envs.action_space.sample())
-    envs.close()
-
-
-def test_make_vec_can_also_put_single_robots_side_by_side():
-    envs = gymnasium.make_vec("surefoot/Gallop-v0", num_envs=2, vectorization_mode="sync")
-    observation, _ = envs.reset(seed=0)
-    assert observation.shape == (2, 12)
-    assert not np.array_equal(observation[0], observation[1])
     envs.close()
 
 

@@ -83,16 +83,6 @@ def test_meta_gets_defaults_and_plain_json_types() -> None:
     json.dumps(meta)
 
 
-def test_properties() -> None:
-    arguments = trace_arguments()
-    arguments["meta"]["ended"] = "fall"
-    trace = EpisodeTrace(**arguments)
-    assert trace.fell
-    assert trace.num_steps == 5
-    assert trace.duration == pytest.approx(0.030)
-    assert trace.leg_names == tuple(LEGS)
-
-
 def test_arrays_are_copies_and_read_only() -> None:
     arguments = trace_arguments()
     trace = EpisodeTrace(**arguments)

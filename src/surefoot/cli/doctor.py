@@ -63,7 +63,10 @@ def main(argv: list[str]) -> int:
     policy = PolicyRuntime.load(find_policy(command.policy))
     contract = policy.contract
     robot = RobotDescription.load(command.robot or str(contract.task.get("robot", contract.robot)))
-    _ask(command)
+    if (command.rack or command.ground) and not command.yes:
+        place = "hang free, its legs in the air" if command.rack else "sit on flat ground with a metre of room"
+        check_terminal(place)
+        ask_to_move(place)
     console = Console(highlight=False, soft_wrap=True, emoji=False)
     if not command.json:
         console.print(f"policy '{contract.name}' for {contract.robot}, port {command.port}", markup=False)
@@ -90,15 +93,6 @@ def main(argv: list[str]) -> int:
     else:
         console.print(f"{counts[True]} passed, {counts[False]} failed, {counts[None]} not done", markup=False)
     return FAILED if counts[False] else 0
-
-
-def _ask(command: DoctorCommand) -> None:
-    """Ask before motors move, and refuse to go on without a yes."""
-    if command.yes or not (command.rack or command.ground):
-        return
-    place = "hang free, its legs in the air" if command.rack else "sit on flat ground with a metre of room"
-    check_terminal(place)
-    ask_to_move(place)
 
 
 def _print(console: Console, finding: Finding) -> None:

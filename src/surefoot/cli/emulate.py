@@ -118,19 +118,15 @@ def _check(command: EmulateCommand) -> None:
 
 
 def _params(command: EmulateCommand, robot: RobotDescription) -> PhysicalParams:
-    if command.hidden_seed is not None:
-        return _hidden(command, robot, command.hidden_seed)
-    nominal = PhysicalParams.nominal(robot)
-    params = nominal if command.params is None else read_params(command.params, robot).params
-    return params.with_values(robot, **parse_settings([word for group in command.settings for word in group]))
-
-
-def _hidden(command: EmulateCommand, robot: RobotDescription, seed: int) -> PhysicalParams:
+    if command.hidden_seed is None:
+        nominal = PhysicalParams.nominal(robot)
+        params = nominal if command.params is None else read_params(command.params, robot).params
+        return params.with_values(robot, **parse_settings([word for group in command.settings for word in group]))
     from surefoot.task.randomize import draw_hidden, load_ranges
 
-    params = draw_hidden(robot, load_ranges(command.hidden_ranges).ranges, seed)
+    params = draw_hidden(robot, load_ranges(command.hidden_ranges).ranges, command.hidden_seed)
     if command.hidden_out is not None:
-        write_params(command.hidden_out, robot, params, {"origin": {"hidden_seed": seed}})
+        write_params(command.hidden_out, robot, params, {"origin": {"hidden_seed": command.hidden_seed}})
     return params
 
 
@@ -149,16 +145,9 @@ def _build(command: EmulateCommand, robot: RobotDescription, faults: dict[str, F
         from surefoot.world.bullet_engine import BulletEngine
 
         engine = BulletEngine
-    plant = Plant(
-        robot,
-        _params(command, robot),
-        command.seed,
-        SensorConfig.ideal() if command.ideal_sensors else None,
-        PowerConfig.ideal() if command.ideal_sensors else None,
-        command.rack,
-        engine,
-        servo_every=servo_every,
-    )
+    sensors, power = (SensorConfig.ideal(), PowerConfig.ideal()) if command.ideal_sensors else (None, None)
+    params = _params(command, robot)
+    plant = Plant(robot, params, command.seed, sensors, power, command.rack, engine, servo_every=servo_every)
     limits = Limits()
     said = introduction(robot, limits, f"surefoot emulator {__version__}", robot.timing.servo_step)
     if command.lockstep:

@@ -11,8 +11,7 @@ import tyro
 
 from surefoot.cli.options import Count, Json, Threads, make_figures_folder
 from surefoot.cli.parsing import parse
-from surefoot.cli.ranges import take_ranges
-from surefoot.cli.simulator import RunOptions
+from surefoot.cli.simulator import RunOptions, take_ranges
 from surefoot.errors import SurefootError
 from surefoot.task.randomize import RandomizeConfig
 
@@ -54,7 +53,7 @@ def main(argv: list[str]) -> int:
         raise SurefootError("no POLICY and no --trace is given; give one of them")
     else:
         traces, robot, about = _simulated(command, ranges)
-    from surefoot.evaluate.metrics import summarize
+    from surefoot.evaluate.runs import summarize
 
     summary = summarize(traces, robot.urdf.total_mass)
     summary["faults"] = sum(trace.meta["ended"] == "fault" for trace in traces)
@@ -77,53 +76,36 @@ def _simulated(
     command: EvaluateCommand, ranges: RandomizeConfig
 ) -> tuple[list[EpisodeTrace], RobotDescription, dict[str, Any]]:
     """Run the policy; returns its traces, the robot, and how it was run."""
-    from surefoot.cli.policies import adjust_task, described, find_policy, find_world, load_policy
-    from surefoot.cli.progress import progress_bar
+    from surefoot.cli.policies import adjust_task, described, find_policy, find_world, load_policy, run_policy
 
     path = find_policy(str(command.policy))
-    make_world = find_world(command.world)
+    find_world(command.world)
     policy, robot, task = load_policy(path, command.robot)
     task = adjust_task(
         task, robot, command.settings, command.pushes, command.thermal_protection, ranges, command.simulator
     )
     make_figures_folder(command.out)
-    from surefoot.evaluate.rollout import run_episodes
-
-    with progress_bar(f"{command.episodes} episodes") as progress:
-        traces = run_episodes(
-            policy,
-            task,
-            command.episodes,
-            make_world,
-            command.seed,
-            command.threads,
-            progress,
-            world_name=command.world,
-            policy_name=policy.contract.name,
-        )
+    title = f"{command.episodes} episodes"
+    traces = run_policy(policy, task, command.episodes, command.world, command.seed, command.threads, title=title)
     given = [word.split("=")[0] for group in command.settings for word in group]
-    return (
-        traces,
-        robot,
-        {
-            "seed": command.seed,
-            "pushes": command.pushes,
-            "randomize": {row: list(bounds) for row, bounds in ranges.ranges.items()},
-            "set": command.simulator.latencies | {name: task.params[name] for name in given},
-            **described(task),
-            "policy_file": str(path),
-            "config_hash": policy.contract.config_hash,
-        },
-    )
+    about = {
+        "seed": command.seed,
+        "pushes": command.pushes,
+        "randomize": {row: list(bounds) for row, bounds in ranges.ranges.items()},
+        "set": command.simulator.latencies | {name: task.params[name] for name in given},
+        **described(task),
+        "policy_file": str(path),
+        "config_hash": policy.contract.config_hash,
+    }
+    return traces, robot, about
 
 
 def _recorded(command: EvaluateCommand, drawn: bool) -> tuple[list[EpisodeTrace], RobotDescription, dict[str, Any]]:
     """Load runs that were recorded, by a robot or by a simulation; returns traces, robot, and the traces' files."""
     heeded = ("trace", "robot", "out", "json", "simulator")
-    given = [
-        item.name for item in fields(command) if item.name not in heeded and getattr(command, item.name) != item.default
-    ]
-    given += [item.name for item in fields(command.simulator) if getattr(command.simulator, item.name) is not None]
+    options: list[tuple[Any, Any]] = [(item, command) for item in fields(command) if item.name not in heeded]
+    options += [(item, command.simulator) for item in fields(command.simulator)]
+    given = [item.name for item, part in options if getattr(part, item.name) != item.default]
     if given or drawn:
         odd = given[0] if given else "randomize"
         named = "a policy" if odd == "policy" else f"--{dict(settings='set').get(odd, odd).replace('_', '-')}"

@@ -19,7 +19,6 @@ from surefoot.cli.options import (
     Seed,
     Settings,
     Threads,
-    check_policies,
     make_figures_folder,
 )
 from surefoot.cli.parsing import parse
@@ -33,8 +32,6 @@ if TYPE_CHECKING:
     from surefoot.robot import RobotDescription
     from surefoot.task.config import TaskConfig
     from surefoot.task.trace import EpisodeTrace
-    from surefoot.world.interface import SimulationFactory
-
 
 TRACE = "trace"
 _SAME = 0.01
@@ -52,11 +49,7 @@ class Side:
 
     @classmethod
     def of_words(cls, option: str, words: Sequence[str]) -> Side:
-        """Read the words behind `--from` or `--to`.
-
-        Raises:
-            SurefootError: neither one world nor `trace FOLDER`.
-        """
+        """Read the words behind `--from` or `--to`; refuse what is neither one world nor `trace FOLDER`."""
         if len(words) == 2 and words[0] == TRACE:
             return cls(folder=Path(words[1]))
         if len(words) == 1 and words[0] != TRACE:
@@ -96,12 +89,7 @@ def _check_lengths(found: Sequence[tuple[Path, EpisodeTrace]], duration: float) 
 
 
 def labels(worlds: Sequence[str], sides: Sequence[Side]) -> list[str]:
-    """Names that tell sides apart, home first: a world that comes twice is marked.
-
-    Args:
-        worlds: name of each side's world.
-        sides: where its runs come from.
-    """
+    """Names that tell sides apart, from each one's world, home first: a world that comes twice is marked."""
     taken: list[str] = []
     for world, side in zip(worlds, sides, strict=True):
         stem = world
@@ -154,7 +142,9 @@ class GapCommand:
 def main(argv: list[str]) -> int:
     """Run the command with the words after its name; returns the exit code."""
     command = parse(GapCommand, argv, "surefoot gap")
-    check_policies(command.policies)
+    from surefoot.cli.policies import find_policies, find_world, load_policies, run_policy
+
+    paths = find_policies(command.policies)
     home, away = Side.of_words("--from", command.home), [Side.of_words("--to", words) for words in command.away]
     _check_sides(command.out, home, away)
     for option, given, sides in (
@@ -167,17 +157,17 @@ def main(argv: list[str]) -> int:
     ):
         if given and not any(side.world for side in sides):
             raise SurefootError(f"{option} is given, but nothing is simulated on its side: {sides[0]}")
-    from surefoot.cli.policies import find_policy, find_world, load_policies
-    from surefoot.evaluate.recorded import by_policy, find_traces, world_of
+    from surefoot.evaluate.recorded import by_policy, find_traces, save_runs, world_of
     from surefoot.evaluate.sensitivity import episode_duration
 
-    paths = [find_policy(policy) for policy in command.policies]
-    makers = {side: find_world(side.world) for side in (home, *away) if side.world}
+    for side in (home, *away):
+        if side.world:
+            find_world(side.world)
     candidates, robot = load_policies(paths)
     tasks = [_tasks(command, one.task, robot) for one in candidates]
     names = [one.name for one in candidates]
     found = {side: find_traces(side.folder) for side in (home, *away) if side.folder is not None}
-    recorded = {side: by_policy(traces, names, robot.name) for side, traces in found.items()}
+    recorded = {side: by_policy(given, names, robot.name) for side, given in found.items()}
     worlds = [world_of(found[side]) if side in found else side.world for side in (home, *away)]
     named = labels(worlds, (home, *away))
     for one, (at_home, _) in zip(candidates, tasks, strict=True):
@@ -190,9 +180,11 @@ def main(argv: list[str]) -> int:
             if side in recorded:
                 runs[one.name][label] = recorded[side][one.name]
             else:
-                task = elsewhere if number else at_home
-                place = command.out / one.name / label
-                runs[one.name][label] = _run(command, one, task, side.world, makers[side], place)
+                task, title = elsewhere if number else at_home, f"{one.name} in {label}: {command.runs} runs"
+                traces = run_policy(
+                    one.policy, task, command.runs, side.world, command.seed, command.threads, one.name, title
+                )
+                runs[one.name][label] = save_runs(command.out / one.name / label, traces)
     _report(command, candidates, tasks, robot.name, (home, *away), runs)
     return 0
 
@@ -213,22 +205,6 @@ def _tasks(command: GapCommand, task: TaskConfig, robot: RobotDescription) -> tu
     return at_home, adjusted(away_task(task), command.to_settings, command.to_actuator)
 
 
-def _run(
-    command: GapCommand, one: Candidate, task: TaskConfig, world: str, make_world: SimulationFactory, folder: Path
-) -> Recorded:
-    """Run a policy in a world and keep the traces in a folder."""
-    from surefoot.cli.progress import progress_bar
-    from surefoot.evaluate.recorded import save_runs
-    from surefoot.evaluate.rollout import run_episodes
-
-    names = {"world_name": world, "policy_name": one.name}
-    with progress_bar(f"{one.name} in {folder.name}: {command.runs} runs") as progress:
-        traces = run_episodes(
-            one.policy, task, command.runs, make_world, command.seed, command.threads, progress, **names
-        )
-    return save_runs(folder, traces)
-
-
 def _report(
     command: GapCommand,
     candidates: list[Candidate],
@@ -241,8 +217,9 @@ def _report(
     from surefoot.cli.policies import described
     from surefoot.evaluate.gap import PolicyGap
     from surefoot.evaluate.runs import Runs
-    from surefoot.report.gap_figures import gap_figure, side_by_side
-    from surefoot.tables import plain_value, print_files, print_table, write_csv
+    from surefoot.report.figures import side_by_side
+    from surefoot.report.study_figures import gap_figure
+    from surefoot.tables import plain_rows, print_files, print_table, write_csv
 
     gaps, episodes = [], []
     for name, worlds in runs.items():
@@ -267,7 +244,7 @@ def _report(
         print_table([row for gap in (*gaps, *pooled) for row in gap.text_rows()], title, 2)
         print_files(files, out)
         return
-    plain = {name: [{k: plain_value(v) for k, v in row.items()} for row in part] for name, part in rows.items()}
+    plain = {name: plain_rows(part) for name, part in rows.items()}
     told = {
         "robot": robot,
         "from": str(sides[0]),

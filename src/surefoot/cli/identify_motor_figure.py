@@ -50,7 +50,7 @@ def main(argv: list[str]) -> int:
     import_module("matplotlib")
     from surefoot.cli.policies import find_world
     from surefoot.identify.motor_figure import MotorLog, motor_index, run_motor_experiment
-    from surefoot.report.motor_figure import STYLES, motor_figure
+    from surefoot.report.figures import STYLES, motor_figure
     from surefoot.robot import RobotDescription, parse_settings
 
     robot = RobotDescription.load(command.robot)

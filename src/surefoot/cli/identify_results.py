@@ -20,7 +20,7 @@ from surefoot.errors import SurefootError, choices
 from surefoot.identify.overlay import Known, overlay, write_known
 from surefoot.identify.result import Estimate, Identification
 from surefoot.report.identification import write_report
-from surefoot.report.identification_parts import cells, full_name, known_before
+from surefoot.report.identification_figure import cells, full_name, known_before
 from surefoot.robot import RobotDescription
 
 _NEEDED = {"mujoco": "sim", "numba": "sim", "scipy": "sim", "matplotlib": "report"}

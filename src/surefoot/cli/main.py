@@ -42,11 +42,7 @@ _EXTRAS = {
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run a command; return the exit code: 0, 2 for an error of the user, 130 when interrupted.
-
-    Args:
-        argv: words after `surefoot`; those of the process, if not given.
-    """
+    """Run a command, by default the process's own words; return 0, 2 for an error of the user, 130 when interrupted."""
     words = list(sys.argv[1:] if argv is None else argv)
     if not words or words[0] in ("-h", "--help", "help"):
         commands = table_lines({name: what for name, (_, what) in COMMANDS.items()})

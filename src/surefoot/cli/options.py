@@ -47,62 +47,32 @@ Baud = Annotated[int, Within(9600, 100_000_000), tyro.conf.arg(help="Bits a seco
 
 
 def check_terminal(place: str) -> None:
-    """Refuse to move motors without --yes where nobody can be asked; `place` says where the robot must be.
-
-    Raises:
-        SurefootError: there is no terminal.
-    """
+    """Refuse to move motors without --yes where there is no terminal; `place` says where the robot must be."""
     if not sys.stdin.isatty():
         raise SurefootError(f"motors will move and the robot must {place}; without a terminal, say so with --yes")
 
 
 def ask_to_move(place: str) -> None:
-    """Ask whether the robot is where it must be before motors move.
-
-    Raises:
-        SurefootError: the answer is not yes.
-    """
+    """Ask whether the robot is where it must be before motors move; refuse any answer but yes."""
     print(f"Motors will move. Does the robot {place}? [y/N] ", end="", file=sys.stderr, flush=True)
     if sys.stdin.readline().strip().lower() not in ("y", "yes"):
         raise SurefootError("not begun; nothing has moved")
 
 
-def check_policies(names: tuple[str, ...]) -> None:
-    """Refuse a command without any policy.
-
-    Raises:
-        SurefootError: there is none.
-    """
-    if not names:
-        raise SurefootError("no policy is given; give one or more .onnx files, or names of policies that ship")
-
-
 def check_suffix(what: str, path: Path | None, suffix: str) -> None:
-    """Refuse the name of a file that does not end as it must.
-
-    Raises:
-        SurefootError: with what the file is for, its name, and the rule.
-    """
+    """Refuse the name of a file that does not end in `suffix`; `what` says what the file is for."""
     if path is not None and path.suffix.lower() != suffix:
         raise SurefootError(f"{what} {path}: the name must end in {suffix}")
 
 
 def check_folder(path: Path | None) -> None:
-    """Refuse a file where `--out` must be a folder.
-
-    Raises:
-        SurefootError: there is one.
-    """
+    """Refuse a file where `--out` must be a folder."""
     if path is not None and path.exists() and not path.is_dir():
         raise SurefootError(f"out is {path}; it must be a folder")
 
 
 def make_figures_folder(path: Path | None) -> None:
-    """Make the folder for results with figures, if one is wanted, before anything is simulated.
-
-    Raises:
-        ModuleNotFoundError: what draws figures is not installed.
-    """
+    """Make the folder for results with figures, if one is wanted; matplotlib must be there before anything runs."""
     if path is not None:
         import_module("matplotlib")
         path.mkdir(parents=True, exist_ok=True)

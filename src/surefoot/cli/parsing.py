@@ -19,13 +19,9 @@ T = TypeVar("T")
 
 
 def parse(kind: type[T], words: Sequence[str], prog: str, default: T | None = None) -> T:
-    """Parse words into a dataclass, as `tyro.cli` does.
+    """Parse the words behind a command (`prog`) into a dataclass, as `tyro.cli` does.
 
-    Args:
-        kind: the dataclass.
-        words: what stands behind the command.
-        prog: the command, for the help text.
-        default: values of options that are not given; the dataclass's own, if left out.
+    Options that are not given have the values of `default`, or the dataclass's own.
 
     Raises:
         SurefootError: words that do not fit, in one line; tyro would draw a box. Numbers out of their fields' bounds.

@@ -33,25 +33,18 @@ def main(argv: list[str]) -> int:
     """Run the command with the words after its name; return the exit code."""
     command = parse(PlayCommand, argv, "surefoot play")
     check_suffix("video", command.out, ".mp4")
-    from surefoot.cli.policies import adjust_task, find_policy, find_world, lasting, load_policy
+    from surefoot.cli.policies import adjust_task, find_policy, find_world, lasting, load_policy, run_policy
 
     path = find_policy(command.policy)
-    make_world = find_world(command.world)
+    find_world(command.world)
     policy, robot, task = load_policy(path, command.robot)
     task = adjust_task(task, robot, command.settings, command.pushes, simulator=command.simulator)
     task = lasting(task, robot, command.seconds)
     window = command.out is None and has_display()
     # Imported before anything is simulated: what is not installed is told at once.
-    from surefoot.cli.progress import progress_bar
-    from surefoot.evaluate.rollout import run_episodes
-
     for module in ("mujoco",) if window else ("imageio_ffmpeg", "PIL"):
         import_module(module)
-    name = policy.contract.name
-    with progress_bar(name) as progress:
-        (trace,) = run_episodes(
-            policy, task, 1, make_world, command.seed, 0, progress, world_name=command.world, policy_name=name
-        )
+    (trace,) = run_policy(policy, task, 1, command.world, command.seed)
     if window:
         from surefoot.cli.viewer import replay
 

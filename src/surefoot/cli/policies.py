@@ -1,15 +1,19 @@
-"""Finding a policy file, the world to run it in and the task to run, from words of the command line."""
+"""Finding a policy file, the world to run it in and the task to run, from words of the command line; running it."""
 
 from __future__ import annotations
 
 import sys
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
 from surefoot.cli.simulator import Simulator
 from surefoot.configuration import to_mapping
@@ -20,6 +24,7 @@ from surefoot.policy.runtime import PolicyRuntime
 from surefoot.robot import RobotDescription, parse_settings
 from surefoot.task.config import TaskConfig
 from surefoot.task.randomize import RandomizeConfig, check_ranges
+from surefoot.task.trace import EpisodeTrace
 from surefoot.world.interface import SimulationFactory
 
 PACKAGE = Path(__file__).resolve().parents[1]
@@ -31,11 +36,7 @@ SIDE_BY_SIDE = {"mujoco": 0, "bullet": 128, "bullet-published": 128, "ensemble":
 
 
 def find_policy(policy: str) -> Path:
-    """Return the file of a policy given by path or by the name of one that ships.
-
-    Raises:
-        SurefootError: neither.
-    """
+    """Return the file of a policy given by path or by the name of one that ships; refuse what is neither."""
     shipped = {path.stem: path for shelf in reversed(SHELVES) for path in sorted(shelf.glob("*.onnx"))}
     if Path(policy).is_file():
         return Path(policy)
@@ -45,13 +46,15 @@ def find_policy(policy: str) -> Path:
     raise SurefootError(f"policy '{policy}' does not exist; give the path of an .onnx file ({names})")
 
 
-def find_world(name: str) -> SimulationFactory:
-    """Return the factory of worlds of this name.
+def find_policies(policies: Sequence[str]) -> list[Path]:
+    """Return the files of one policy or more; refuse none."""
+    if not policies:
+        raise SurefootError("no policy is given; give one or more .onnx files, or names of policies that ship")
+    return [find_policy(policy) for policy in policies]
 
-    Raises:
-        SurefootError: no such world.
-        ModuleNotFoundError: one whose physics engine is not installed.
-    """
+
+def find_world(name: str) -> SimulationFactory:
+    """Return the factory of worlds of a name in `WORLDS`; its physics engine must be installed."""
     if name not in WORLDS:
         raise SurefootError(f"world '{name}' does not exist; choices: {choices(WORLDS)}")
     if name == "mujoco":
@@ -70,13 +73,9 @@ def find_world(name: str) -> SimulationFactory:
 
 
 def load_policy(path: Path, robot: str | None) -> tuple[PolicyRuntime, RobotDescription, TaskConfig]:
-    """Return a policy, the robot to run it on and the task it was made for.
+    """Return a policy, the robot to run it on and the task it was made for; say on stderr that one has no digest.
 
-    Args:
-        path: the policy file.
-        robot: name or folder of the robot; the one of the policy's task, if not given.
-
-    Says on stderr that a policy has no digest.
+    The robot is given by name or folder; it is the one of the policy's task, if it is not given.
 
     Raises:
         SurefootError: a file that is no policy, one for another robot, or one whose contract is not what would be run.
@@ -130,14 +129,7 @@ class Candidate:
 
 
 def load_policies(paths: Sequence[Path]) -> tuple[list[Candidate], RobotDescription]:
-    """Return policies that are compared, and the robot that all of them are for.
-
-    Args:
-        paths: one policy file or more.
-
-    Raises:
-        SurefootError: a file that is no policy, or policies for different robots.
-    """
+    """Return the policies of one file or more, which are compared, and the one robot that all of them are for."""
     loaded = [load_policy(path, None) for path in paths]
     names = distinct_names([policy.contract.name for policy, _, _ in loaded], [path.stem for path in paths])
     robot = loaded[0][1]
@@ -152,12 +144,7 @@ def load_policies(paths: Sequence[Path]) -> tuple[list[Candidate], RobotDescript
 
 
 def distinct_names(names: Sequence[str], stems: Sequence[str]) -> list[str]:
-    """Return distinct names of policies: a repeated name becomes the file's, and then gets a number.
-
-    Args:
-        names: the policies' own names.
-        stems: the names of their files.
-    """
+    """Return distinct names of policies: a repeated name becomes that of the policy's file, and then gets a number."""
     often = Counter(names)
     chosen = [name if often[name] == 1 else stem for name, stem in zip(names, stems, strict=True)]
     often, taken = Counter(chosen), set(chosen)
@@ -212,3 +199,36 @@ def lasting(task: TaskConfig, robot: RobotDescription, duration: float) -> TaskC
 def described(task: TaskConfig) -> dict[str, Any]:
     """Return actuator and physical parameters of a task, as JSON holds them."""
     return {"actuator": task.actuator, "params": task.params, "params_source": task.params_source}
+
+
+def run_policy(
+    policy: PolicyRuntime,
+    task: TaskConfig,
+    episodes: int,
+    world: str,
+    seed: int,
+    threads: int = 0,
+    name: str = "",
+    title: str = "",
+) -> list[EpisodeTrace]:
+    """Run episodes of a policy in the world of a name, with a progress bar; return their traces.
+
+    The policy goes by `name` in the traces, and by `title` over the bar; its own name, if they are not given.
+    """
+    from surefoot.evaluate.rollout import run_episodes
+
+    name = name or policy.contract.name
+    with progress_bar(title or name) as progress:
+        return run_episodes(
+            policy, task, episodes, find_world(world), seed, threads, progress, world_name=world, policy_name=name
+        )
+
+
+@contextmanager
+def progress_bar(what: str) -> Iterator[Callable[[float], None]]:
+    """Show a bar on stderr while something runs, on a terminal only; give what takes the share that is done, 0 to 1."""
+    console = Console(stderr=True)
+    columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
+        row = bar.add_task(what, total=1.0)
+        yield lambda share: bar.update(row, completed=share)

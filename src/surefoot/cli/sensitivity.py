@@ -7,17 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from surefoot.cli.options import (
-    Count,
-    Json,
-    PolicyNames,
-    Pushes,
-    Seed,
-    Threads,
-    World,
-    check_policies,
-    make_figures_folder,
-)
+from surefoot.cli.options import Count, Json, PolicyNames, Pushes, Seed, Threads, World, make_figures_folder
 from surefoot.cli.parsing import parse
 from surefoot.cli.simulator import Simulator, SimulatorOptions
 from surefoot.configuration import Duration, Within
@@ -59,11 +49,10 @@ class SensitivityCommand:
 def main(argv: list[str]) -> int:
     """Run the command with the words after its name; returns the exit code."""
     command = parse(SensitivityCommand, argv, "surefoot sensitivity")
-    check_policies(command.policies)
-    from surefoot.cli.policies import SIDE_BY_SIDE, described, find_policy, find_world, load_policies
+    from surefoot.cli.policies import SIDE_BY_SIDE, described, find_policies, find_world, load_policies, progress_bar
     from surefoot.task.randomize import check_ranges, load_ranges
 
-    paths = [find_policy(policy) for policy in command.policies]
+    paths = find_policies(command.policies)
     make_world = find_world(command.world)
     ranges = load_ranges(command.ranges)
     loaded, robot = load_policies(paths)
@@ -72,45 +61,35 @@ def main(argv: list[str]) -> int:
     for task in tasks:
         task.nominal(robot)  # refuses parameters that the robot does not allow
     make_figures_folder(command.out)
-    from surefoot.cli.progress import progress_bar
     from surefoot.evaluate.sensitivity import episode_duration, run_sensitivity
+    from surefoot.report.parameter_figures import aggregate_figure, parameter_figure
+    from surefoot.tables import write_csv
 
     duration = command.duration or max(episode_duration(task) for task in tasks)
+    told = {name: getattr(command, name) for name in ("values", "episodes", "pushes", "seed")} | {"duration": duration}
+    how = told | {"ranges": ranges, "threads": command.threads, "robots": SIDE_BY_SIDE[command.world]}
     results = []
     for one, task in zip(loaded, tasks, strict=True):
         with progress_bar(one.name) as progress:
             results.append(
-                run_sensitivity(
-                    one.policy,
-                    task,
-                    make_world,
-                    policy_name=one.name,
-                    ranges=ranges,
-                    values=command.values,
-                    episodes=command.episodes,
-                    duration=duration,
-                    seed=command.seed,
-                    threads=command.threads,
-                    pushes=command.pushes,
-                    robots=SIDE_BY_SIDE[command.world],
-                    progress=progress,
-                )
+                run_sensitivity(one.policy, task, make_world, policy_name=one.name, progress=progress, **how)
             )
-    files = _write_files(command.out, results, {one.name: one.task.randomize.ranges for one in loaded})
+    groups, trained = {one.policy: [one] for one in results}, {one.name: one.task.randomize.ranges for one in loaded}
+    files = [
+        write_csv(command.out / "sensitivity.csv", [row for result in results for row in result.world_rows()]),
+        write_csv(command.out / "episodes.csv", [row for result in results for row in result.episode_rows()]),
+        aggregate_figure(results, command.out / "aggregate.png"),
+        *(parameter_figure(row, groups, command.out / f"{row}.png", trained) for row in results[0].rows),
+    ]
     if command.json:
         whole = {
             "world": command.world,
             "robot": robot.name,
             "ranges": {row: list(given) for row, given in ranges.ranges.items()},
-            **{name: getattr(command, name) for name in ("values", "episodes", "pushes", "seed")},
-            "duration": duration,
+            **told,
             "policies": [
                 _summary(result)
-                | {
-                    "policy_file": str(one.path),
-                    "config_hash": one.policy.contract.config_hash,
-                    **described(task),
-                }
+                | {"policy_file": str(one.path), "config_hash": one.policy.contract.config_hash, **described(task)}
                 for result, one, task in zip(results, loaded, tasks, strict=True)
             ],
             "files": [str(file) for file in files],
@@ -119,22 +98,6 @@ def main(argv: list[str]) -> int:
     else:
         _print_tables(results, files)
     return 0
-
-
-def _write_files(
-    folder: Path, results: list[Sensitivity], trained: dict[str, dict[str, tuple[float, float]]]
-) -> list[Path]:
-    """Write both tables, a figure for each row and one for all; returns the files."""
-    from surefoot.report.parameter_figures import aggregate_figure, parameter_figure
-    from surefoot.tables import write_csv
-
-    groups = {result.policy: [result] for result in results}
-    return [
-        write_csv(folder / "sensitivity.csv", [row for result in results for row in result.world_rows()]),
-        write_csv(folder / "episodes.csv", [row for result in results for row in result.episode_rows()]),
-        aggregate_figure(results, folder / "aggregate.png"),
-        *(parameter_figure(row, groups, folder / f"{row}.png", trained) for row in results[0].rows),
-    ]
 
 
 def _summary(result: Sensitivity) -> dict[str, Any]:

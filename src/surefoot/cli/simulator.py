@@ -1,8 +1,12 @@
-"""`--params`, `--actuator`, `--control-latency`, `--servo-latency`: another simulator than the task's."""
+"""Another simulator and other ranges than the task's.
+
+`--params`, `--actuator`, `--control-latency`, `--servo-latency`; `--randomize NAME`, `--randomize.ROW LOW HIGH`.
+"""
 
 from __future__ import annotations
 
 import math
+import textwrap
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -11,11 +15,15 @@ from typing import Annotated, Literal
 import tyro
 
 from surefoot.cli.options import Pushes, Seed, Settings, World
-from surefoot.errors import SurefootError
+from surefoot.errors import SurefootError, choices
 from surefoot.robot import RobotDescription
 from surefoot.robot.params_file import ParamValue, read_params
 from surefoot.task.config import TaskConfig
+from surefoot.task.randomize import ROWS, RandomizeConfig, load_ranges, range_names
 from surefoot.world.interface import WorldConfig
+
+_RANGES_HELP = """--randomize NAME           ranges that an episode draws its parameters from: {names}, or a YAML file
+--randomize.ROW LOW HIGH   another range for one row; --randomize.ROW none drops it. Rows and ranges of table1:"""
 
 
 @dataclass(frozen=True)
@@ -39,11 +47,7 @@ class Simulator:
         return {name: value for name, value in given.items() if value is not None}
 
     def of(self, task: TaskConfig, settings: Mapping[str, ParamValue] | None = None) -> TaskConfig:
-        """Return the task in this simulator.
-
-        Args:
-            task: what is run.
-            settings: further physical parameters, by name.
+        """Return the task in this simulator, with further physical parameters, by name.
 
         Raises:
             SurefootError: a parameter given twice, an actuator that the task does not go with, or a file of parameters
@@ -97,3 +101,48 @@ class RunOptions:
     """Another simulator than the policy's own."""
     robot: str | None = None
     """Name or folder of the robot; the one of the policy's task, if not given."""
+
+
+def ranges_help() -> str:
+    """Return the help of `--randomize`, with the rows of the paper's table."""
+    drawn = load_ranges("table1").ranges
+    lines = _RANGES_HELP.format(names=choices(range_names())).splitlines()
+    lines += [f"    {row:<17}{low:g} to {high:g}" for row, (low, high) in drawn.items()]
+    others = f"and, not in table1: {choices(row for row in ROWS if row not in drawn)}"
+    lines += textwrap.wrap(others, 100, initial_indent="    ", subsequent_indent="    ")
+    return textwrap.indent("\n".join(lines), "  ")
+
+
+def take_ranges(words: list[str], base: RandomizeConfig) -> tuple[list[str], RandomizeConfig]:
+    """Take `--randomize` out of a command's words; return the other words, and `base` with the ranges given."""
+    rest: list[str] = []
+    rows: dict[str, tuple[float, float] | None] = {}
+    queue = list(words)
+    while queue:
+        word = queue.pop(0)
+        name, equals, value = word.partition("=")
+        if name == "--randomize":
+            if not equals and (not queue or queue[0].startswith("--")):
+                raise SurefootError(f"--randomize has no value; choices: {choices(range_names())}, or a YAML file")
+            base = load_ranges(value if equals else queue.pop(0))
+        elif name.startswith("--randomize."):
+            row = name.removeprefix("--randomize.").replace("-", "_")
+            if row not in ROWS:
+                raise SurefootError(f"{name} is not a row that can be drawn; choices: {choices(ROWS)}")
+            given = [value or (queue.pop(0) if queue and not queue[0].startswith("--") else "")]
+            dropped = given[0].lower() == "none"
+            if given[0] and not dropped and queue and not queue[0].startswith("--"):
+                given.append(queue.pop(0))
+            rows[row] = None if dropped else _range(name, given)
+        else:
+            rest.append(word)
+    return rest, replace(base, **rows)
+
+
+def _range(option: str, given: list[str]) -> tuple[float, float]:
+    try:
+        low, high = (float(word) for word in given)
+    except ValueError:
+        said = " ".join(given) or "nothing"
+        raise SurefootError(f"{option} is {said}; it takes two numbers, LOW HIGH, or none") from None
+    return low, high

@@ -2,24 +2,28 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from rich.console import Console
 
 from surefoot.cli.parsing import parse
-from surefoot.cli.ranges import ranges_help, take_ranges
-from surefoot.cli.simulator import Simulator, SimulatorOptions
+from surefoot.cli.simulator import Simulator, SimulatorOptions, ranges_help, take_ranges
 from surefoot.errors import SurefootError, choices
 from surefoot.learn.config import TrainConfig, load_train_config
 from surefoot.stop_signals import StopSignals
 from surefoot.task.config import preset_names
+from surefoot.task.randomize import RandomizeConfig
 
 if TYPE_CHECKING:
     from surefoot.learn.run import TrainingRun
     from surefoot.learn.run_folder import RunFolder
 
+_EPISODES = 20
+_DRAWN_EPISODES = 100
+"""Episodes with physical parameters drawn: falls are rare there, and worlds differ."""
 _USAGE = """usage: surefoot train TASK [options]                 learn a gait
        surefoot train --resume RUN                     resume a run exactly where it stopped
        surefoot train TASK --help                      every option, with the task's own values
@@ -118,10 +122,46 @@ def check_config(config: TrainConfig) -> None:
         RunFolder.open(Path(config.start_from))
 
 
-def finish(run: TrainingRun, folder: RunFolder, console: Console) -> dict[str, Any]:
-    """Export the best policy, evaluate it, and write figures, video and table to the run folder."""
-    from surefoot.cli.results import report_run
+def finish(run: TrainingRun, folder: RunFolder, console: Console) -> None:
+    """Export the best policy; evaluate it on the nominal robot, on drawn ones and with pushes where the task has them.
+
+    Tables, figures and a video of the median episode go to the run folder.
+    """
+    from surefoot.cli.evaluate import draw_episode, print_summaries
+    from surefoot.cli.play import film
+    from surefoot.evaluate.comparison import Curve
+    from surefoot.evaluate.rollout import run_episodes
+    from surefoot.evaluate.runs import summarize
     from surefoot.learn.export import export_run
+    from surefoot.policy.runtime import PolicyRuntime
+    from surefoot.report.study_figures import learning_curves
+    from surefoot.robot import RobotDescription
+    from surefoot.world.sim_world import SimWorld
 
     export_run(run, folder.policy)
-    return report_run(folder.path, folder.policy, run.config.task, folder.rows(), console)
+    task, policy = run.config.task, PolicyRuntime.load(folder.policy)
+    robot, figures = RobotDescription.load(task.robot), folder.path / "figures"
+    figures.mkdir(exist_ok=True)
+    console.print(f"Evaluating over {_EPISODES} episodes ...")
+    calm = replace(task, pushes=replace(task.pushes, enabled=False), randomize=RandomizeConfig())
+    wanted = {"without_pushes": (calm, _EPISODES)}
+    if task.randomize.ranges:
+        wanted["randomized"] = (replace(calm, randomize=task.randomize), _DRAWN_EPISODES)
+    if task.pushes.enabled:
+        wanted["with_pushes"] = (replace(calm, pushes=replace(task.pushes, probability=1.0)), _EPISODES)
+    traces = {
+        name: run_episodes(policy, given, episodes, SimWorld, seed=0, policy_name=policy.contract.name)
+        for name, (given, episodes) in wanted.items()
+    }
+    results = {name: summarize(found, robot.urdf.total_mass) for name, found in traces.items()}
+    (folder.path / "evaluation.json").write_text(json.dumps(results, indent=2) + "\n", encoding="utf-8")
+    console.print("Drawing figures and video ...")
+    rows = folder.rows()
+    if any(row["return_mean"] is not None for row in rows):
+        learning_curves({task.name: [Curve.of_rows(rows)]}, figures / "learning_curve.png")
+    nominal = traces["without_pushes"]
+    median = sorted(nominal, key=lambda trace: trace.base_position_world[-1, 0])[len(nominal) // 2]
+    draw_episode(figures, median, robot)
+    film(robot, median, figures / "video.mp4")
+    print_summaries({name.replace("_", " "): summary for name, summary in results.items()})
+    console.print(f"Policy, table, figures and video are in {folder.path}", soft_wrap=True)

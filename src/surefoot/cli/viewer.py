@@ -37,13 +37,8 @@ def build_stage(shapes: Sequence[Shape]) -> mujoco.MjModel:
     """Return a model with the ground, a light and a mocap body, by its name, for every body that has shapes."""
     spec = mujoco.MjSpec()
     spec.worldbody.add_light(pos=[0, 0, 4], dir=[0, 0, -1], type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL)
-    spec.worldbody.add_geom(
-        type=mujoco.mjtGeom.mjGEOM_PLANE,
-        size=[0, 0, 0.5],
-        rgba=[0.8, 0.82, 0.84, 1],
-        contype=0,
-        conaffinity=0,
-    )
+    seen: dict[str, Any] = {"contype": 0, "conaffinity": 0}
+    spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 0.5], rgba=[0.8, 0.82, 0.84, 1], **seen)
     bodies = {name: spec.worldbody.add_body(name=name, mocap=True) for name in dict.fromkeys(s.body for s in shapes)}
     for shape in shapes:
         bodies[shape.body].add_geom(
@@ -52,8 +47,7 @@ def build_stage(shapes: Sequence[Shape]) -> mujoco.MjModel:
             pos=np.asarray(shape.position),
             quat=matrix_quat(np.asarray(shape.rotation, float)),
             rgba=[*(channel / 255 for channel in shape.color), 1],
-            contype=0,
-            conaffinity=0,
+            **seen,
         )
     return spec.compile()
 
@@ -98,12 +92,7 @@ def _show(robot: RobotDescription, now: Callable[[], tuple[Mapping[str, Array], 
 
 
 class EmulateViewer:
-    """Shows an emulated robot while it runs, from another process: a window can't hold up the robot's.
-
-    Args:
-        robot: name or folder.
-        plant: its body.
-    """
+    """Shows an emulated robot (name or folder, and its body) while it runs, from a process that can't hold it up."""
 
     def __init__(self, robot: str, plant: Plant) -> None:
         self._plant = plant
@@ -138,7 +127,6 @@ def pose_of(robot: RobotDescription, numbers: Any) -> dict[str, Array]:
 
 
 def _show_shared(name: str, shared: Any) -> None:
-    """Show a robot at the pose that is shared."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the emulator hears it too, and closes the window
     robot = RobotDescription.load(name)
     _show(robot, lambda: (pose_of(robot, shared), 0))

@@ -33,12 +33,7 @@ def ensemble_params(robot: RobotDescription, num_envs: int) -> PhysicalParams:
 def ensemble_world(
     robot: RobotDescription, num_envs: int, params: PhysicalParams, seed: int, config: WorldConfig
 ) -> Simulation:
-    """Return robots of the ensemble in Bullet, with the control steps of `params`.
-
-    Raises:
-        SurefootError: other parameters than the control step that are not nominal: the robots have their own.
-        ModuleNotFoundError: PyBullet is not installed.
-    """
+    """Return robots of the ensemble in Bullet, with the control steps of `params`; all else must be nominal there."""
     from surefoot.world.process_world import bullet_world
 
     nominal = PhysicalParams.nominal(robot, num_envs)

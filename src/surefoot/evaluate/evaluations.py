@@ -17,10 +17,9 @@ from surefoot import __version__
 from surefoot.errors import SurefootError, choices
 from surefoot.evaluate.ensemble import ROBOTS
 from surefoot.evaluate.gap import PolicyGap, away_task, home_task
-from surefoot.evaluate.metrics import summarize
 from surefoot.evaluate.recorded import save_runs
 from surefoot.evaluate.rollout import run_episodes, task_from_contract
-from surefoot.evaluate.runs import Runs
+from surefoot.evaluate.runs import Runs, summarize
 from surefoot.evaluate.sensitivity import Sensitivity, run_sensitivity
 from surefoot.files import whole_file
 from surefoot.policy.runtime import PolicyRuntime
@@ -206,11 +205,7 @@ EVALUATIONS: dict[str, EvaluationKind] = {
 
 
 def evaluation_names(names: Iterable[str]) -> tuple[str, ...]:
-    """Return the evaluations that a study has, the one that every study has first.
-
-    Raises:
-        SurefootError: no such evaluation.
-    """
+    """Return the evaluations that a study has, the one that every study has first; refuse unknown names."""
     for name in names:
         if name not in EVALUATIONS:
             raise SurefootError(f"evaluate: '{name}' is no kind of evaluation; choices: {choices(EVALUATIONS)}")
@@ -227,18 +222,10 @@ def stored_result(policy: Path, name: str) -> Result | None:
 
 
 def evaluate(policy: Path, name: str, find_world: FindWorld, threads: int = 0) -> Result:
-    """Evaluate a policy file, or return the stored result; a new one is stored in `evaluations/` beside the file.
+    """Make the evaluation of a name of a policy file, or return the stored result.
 
-    Traces that the evaluation finds worth keeping go to `evaluations/NAME/WORLD/run_000.npz` and on.
-
-    Args:
-        policy: the file.
-        name: the evaluation.
-        find_world: gives what makes worlds of a name; the evaluation's settings say which it takes.
-        threads: threads of the simulation; 0 means one a core.
-
-    Raises:
-        SurefootError: a file that is no policy, or a world that does not exist.
+    A new one is stored in `evaluations/` beside the file. Traces that the evaluation finds worth keeping go to
+    `evaluations/NAME/WORLD/run_000.npz` and on. The evaluation's settings say which worlds it takes.
     """
     found = stored_result(policy, name)
     if found is not None:

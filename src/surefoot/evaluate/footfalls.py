@@ -127,11 +127,7 @@ def analyze_footfalls(trace: EpisodeTrace) -> Footfalls:
 
 
 def classify(phase: dict[str, float], duty: float) -> tuple[str, str, str]:
-    """Name a gait from each foot's phase and the mean duty factor.
-
-    Returns:
-        gait, pattern and, when the gait is "other", the reason.
-    """
+    """Return gait, pattern and, when it is "other", the reason, from each foot's phase and the mean duty factor."""
     lag_fore = _lag(phase["front_right"], phase["front_left"])
     lag_hind = _lag(phase["back_right"], phase["back_left"])
     if max(abs(_lag(phase[a], phase[b])) for a in FEET for b in FEET) <= BIN:

@@ -49,9 +49,6 @@ class PolicyGap:
 
         Of several policies it is the mean of their gaps, with its standard error over policies: how far policies
         differ from each other, gallops from trots, says nothing about how far any of them is from its simulation.
-
-        Raises:
-            SurefootError: no such world.
         """
         if self.parts:
             return Estimate.of([part.gap(world).mean for part in self.parts])
@@ -70,11 +67,7 @@ class PolicyGap:
         return crossed_interval(self.gaps(world))
 
     def of(self, world: str) -> Runs:
-        """Its runs in another world.
-
-        Raises:
-            SurefootError: no such world.
-        """
+        """Its runs in another world, which must be one of those that it was run in."""
         for runs in self.away:
             if runs.world == world:
                 return runs
@@ -82,11 +75,7 @@ class PolicyGap:
 
     @classmethod
     def pooled(cls, name: str, policies: Sequence[PolicyGap]) -> PolicyGap:
-        """Several policies as one: all their runs together, as the paper averages nine runs of three policies.
-
-        Raises:
-            SurefootError: policies that were not run in the same worlds.
-        """
+        """Several policies, run in the same worlds, as one: the paper averages nine runs of three policies."""
         worlds = [tuple(runs.world for runs in policy.away) for policy in policies]
         if len(set(worlds)) != 1:
             raise SurefootError("policies were run in different worlds; a gap of several takes the same for all")

@@ -15,13 +15,7 @@ Recorded = list[tuple[Path, EpisodeTrace]]
 def find_traces(folder: Path) -> Recorded:
     """All traces in a folder and the folders in it, by path; or the one of a file.
 
-    What a robot's computer had recorded when it died (.npz.partial) is a trace too.
-
-    Args:
-        folder: where to look for .npz files.
-
-    Raises:
-        SurefootError: no such folder, no traces in it, or a file that is none or is damaged.
+    What a robot's computer had recorded when it died (.npz.partial) is a trace too. One or more are expected.
     """
     if folder.is_file():
         return [(folder, _load(folder))]
@@ -45,11 +39,7 @@ def _load(path: Path) -> EpisodeTrace:
 
 
 def world_of(found: Recorded) -> str:
-    """Name of the world that traces were recorded in.
-
-    Raises:
-        SurefootError: they come from several.
-    """
+    """Name of the one world that traces were recorded in."""
     names = sorted({str(trace.meta["world"]) for _, trace in found})
     if len(names) > 1:
         raise SurefootError(
@@ -59,19 +49,7 @@ def world_of(found: Recorded) -> str:
 
 
 def by_policy(found: Recorded, policies: Sequence[str], robot: str) -> dict[str, Recorded]:
-    """Give traces to the policies that they name.
-
-    Args:
-        found: traces with their files.
-        policies: names of the policies. One alone also gets the traces that name no policy.
-        robot: name of the robot that the policies are for.
-
-    Returns:
-        one or more traces for each policy, in the order of `policies`.
-
-    Raises:
-        SurefootError: a trace of another robot or policy, or a policy without traces.
-    """
+    """Give traces of a robot to the policies that they name, one or more to each; one alone also gets the nameless."""
     given: dict[str, Recorded] = {name: [] for name in policies}
     for path, trace in found:
         if trace.meta["robot"] != robot:

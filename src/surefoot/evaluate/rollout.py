@@ -26,19 +26,15 @@ Progress = Callable[[float], None]
 
 
 class Policy(Protocol):
-    """What gives leg-space feedback for observations, such as a `PolicyRuntime`."""
+    """What gives leg-space feedback (N, 2 L) [rad] for observations (N, O * history), such as a `PolicyRuntime`."""
 
     def feedback(self, observation: ArrayLike) -> Array:
-        """Feedback (N, 2 L) [rad] for observations (N, O * history)."""
+        """Return the feedback."""
         ...
 
 
 def task_from_contract(contract: Contract) -> TaskConfig:
-    """The task that a policy was made for; a reference read from a file then comes from the contract itself.
-
-    Raises:
-        SurefootError: a task that this surefoot doesn't know, or a table that is none.
-    """
+    """The task that a policy was made for; a reference read from a file then comes from the contract itself."""
     task = from_mapping(TaskConfig, contract.task, f"policy '{contract.name}': task")
     reference = contract.reference
     if reference is not None and reference.get("kind") == "table":
@@ -125,7 +121,6 @@ class _Recorder:
         )
 
     def trace(self, robot: int, steps: int, meta: dict[str, Any]) -> EpisodeTrace:
-        """Return the trace of one robot's first `steps` control steps."""
         if steps < 1:
             raise SurefootError("the simulation diverged in the first control step; no episode can be recorded")
         arrays = {name: np.array([step[name][robot] for step in self.steps[:steps]]) for name in self.steps[0]}
@@ -161,8 +156,8 @@ def run_episodes(
         seed: the one seed; episode i is the same in any number of episodes.
         threads: threads of the simulation; 0 means one a core.
         progress: is told the share of the control steps that is done.
-        world_name: name of the world, for the traces.
-        policy_name: name of the policy, for the traces.
+        world_name: for the traces.
+        policy_name: for the traces.
 
     Raises:
         SurefootError: no episodes, or a task that does not fit.
@@ -192,11 +187,8 @@ def run_episodes(
         "max_steps": task.max_steps,
         "params_source": task.params_source,
     }
-    return [
-        recorder.trace(
-            i,
-            int(runs.steps[i]),
-            {**meta, "episode": i, "ended": str(ended[i]), "params": row, "control_step": row["control_step"]},
-        )
-        for i, row in enumerate(rows)
-    ]
+    traces = []
+    for i, row in enumerate(rows):
+        own = {"episode": i, "ended": str(ended[i]), "params": row, "control_step": row["control_step"]}
+        traces.append(recorder.trace(i, int(runs.steps[i]), meta | own))
+    return traces

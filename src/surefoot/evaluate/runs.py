@@ -1,4 +1,4 @@
-"""Runs of a policy as a table, a row an episode, and what they come to on average.
+"""Runs of a policy as a table, a row an episode, and what they come to: means, and the summary of an evaluation.
 
 Evaluation, reality gap, sensitivity and studies all report by these columns, whether runs come from a simulation or
 from recorded traces.
@@ -7,6 +7,7 @@ from recorded traces.
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields
 from typing import Any
@@ -16,7 +17,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from surefoot.arrays import Array
 from surefoot.errors import SurefootError, choices
+from surefoot.evaluate.footfalls import Footfalls, analyze_footfalls, circular_phase
 from surefoot.evaluate.statistics import decimal
+from surefoot.robot import GRAVITY
 from surefoot.tables import plain_value
 from surefoot.task.trace import EpisodeTrace
 
@@ -41,16 +44,10 @@ class Estimate:
         return cls(float(known.mean()), error)
 
     def __sub__(self, other: Estimate) -> Estimate:
-        """Return the difference of two estimates from different runs."""
         return Estimate(self.mean - other.mean, math.hypot(self.error, other.error))
 
     def text(self, digits: int = 2, sign: bool = False) -> str:
-        """Return text such as `1.20 ± 0.05`; `-` if the mean is not known, no error if that is not.
-
-        Args:
-            digits: behind the point.
-            sign: write + before what is above zero.
-        """
+        """Return text such as `1.20 ± 0.05`; `-` if the mean is not known, no error if that is not."""
         if not math.isfinite(self.mean):
             return "-"
         mean = decimal(self.mean, digits, sign)
@@ -79,16 +76,11 @@ class Runs:
     """Whether the robot kept its balance for the whole episode: what the paper counts as a success."""
 
     def __len__(self) -> int:
-        """Return the number of runs."""
         return len(self.returns)
 
     @classmethod
     def of_traces(cls, traces: Iterable[EpisodeTrace], world: str | None = None) -> Runs:
-        """Measure runs.
-
-        Args:
-            traces: one or more, of the same world.
-            world: its name; the traces' own if not given.
+        """Measure runs in one world, which is called `world`, or as its traces say.
 
         Raises:
             SurefootError: no traces, or of several worlds.
@@ -105,9 +97,8 @@ class Runs:
     @classmethod
     def pooled(cls, parts: Sequence[Runs]) -> Runs:
         """Return all runs of several policies in the same world."""
-        return cls(
-            parts[0].world, **{name: np.concatenate([getattr(part, name) for part in parts]) for name in COLUMNS}
-        )
+        columns = {name: np.concatenate([getattr(part, name) for part in parts]) for name in COLUMNS}
+        return cls(parts[0].world, **columns)
 
     def estimate(self, name: str) -> Estimate:
         """Return mean and standard error of a column."""
@@ -160,11 +151,7 @@ def _measured(trace: EpisodeTrace) -> tuple[float, ...]:
 
 
 def common(traces: Sequence[EpisodeTrace], name: str) -> str:
-    """Return the `world` or `policy` that all traces name.
-
-    Raises:
-        SurefootError: they name several, whose runs must not be averaged.
-    """
+    """Return the `world` or `policy` that all traces name; refuse several, whose runs must not be averaged."""
     said = sorted({str(trace.meta[name]) for trace in traces})
     if len(said) > 1:
         raise SurefootError(f"the traces come from more than one {name}: {choices(said)}; measure one at a time")
@@ -173,3 +160,71 @@ def common(traces: Sequence[EpisodeTrace], name: str) -> str:
 
 COLUMNS = tuple(item.name for item in fields(Runs) if item.name != "world")
 """Columns of a table of runs."""
+
+
+def summarize(traces: Iterable[EpisodeTrace], total_mass: float) -> dict[str, Any]:
+    """Sum up the episodes of one policy in one world, by a robot of `total_mass` [kg].
+
+    Means run over the episodes that know the number; standard deviations are of the population (zero for one
+    episode). The gait is the commonest one, and phases, duty factors and stances come from its episodes.
+
+    Returns:
+        a dict that JSON can hold (None where nothing is known): episodes, falls, steps_mean, distance_mean
+        (m), speed_mean and speed_std (m/s), power_mean (W), return_mean, return_std, drift_mean (m to either side),
+        cost_of_transport_mean (of episodes that went forward), gait, and by leg name duty_factor, phases (strides
+        after front_left) and stance (s), world, policy.
+
+    Raises:
+        SurefootError: no episodes, episodes of several worlds or policies, or no mass.
+    """
+    episodes = list(traces)
+    if not episodes:
+        raise SurefootError("summary: needs at least one episode trace")
+    if not total_mass > 0:
+        raise SurefootError(f"summary: total mass {total_mass} kg must be above 0")
+    runs, policy = Runs.of_traces(episodes), common(episodes, "policy")
+    feet = [analyze_footfalls(trace) for trace in episodes]
+    gait = Counter(f.gait for f in feet).most_common(1)[0][0]
+    chosen = [f for f in feet if f.gait == gait]
+    weight = total_mass * GRAVITY
+    return {
+        "episodes": len(episodes),
+        "falls": int(runs.fell.sum()),
+        "steps_mean": _known(runs.steps),
+        "distance_mean": _known(runs.distance),
+        "speed_mean": _known(runs.speed),
+        "speed_std": _known(runs.speed, np.std),
+        "power_mean": _known(runs.power),
+        "return_mean": _known(runs.returns),
+        "return_std": _known(runs.returns, np.std),
+        "drift_mean": _known([abs(t.base_position_world[-1, 1] - t.base_position_world[0, 1]) for t in episodes]),
+        "cost_of_transport_mean": _known(runs.power / (weight * np.where(runs.speed > 0, runs.speed, np.nan))),
+        "gait": gait,
+        "duty_factor": _by_leg(chosen, "duty_factor"),
+        "phases": _phases(chosen),
+        "stance": _by_leg(chosen, "stance"),
+        "world": runs.world,
+        "policy": policy,
+    }
+
+
+def _known(values: ArrayLike, measure: Any = np.mean) -> float | None:
+    """Return the mean, or another measure, of the values that are known; None where none is."""
+    array = np.asarray(values, np.float64)
+    known = array[np.isfinite(array)]
+    return float(measure(known)) if known.size else None
+
+
+def _by_leg(feet: Sequence[Footfalls], name: str) -> dict[str, float | None]:
+    """Return the mean over episodes of a number that each leg has."""
+    return {leg: _known([getattr(f, name)[leg] for f in feet]) for leg in getattr(feet[0], name)}
+
+
+def _phases(feet: Sequence[Footfalls]) -> dict[str, float | None]:
+    """Return each leg's circular mean phase over episodes, each weighted by its concentration."""
+    phases: dict[str, float | None] = {}
+    for leg in feet[0].phase:
+        vectors = np.array([f.concentration[leg] * np.exp(2j * np.pi * f.phase[leg]) for f in feet])
+        known = vectors[np.isfinite(vectors)]
+        phases[leg] = circular_phase(known.sum()) if known.size else None
+    return phases

@@ -77,11 +77,6 @@ class Sensitivity:
     """The nominal world; no test world, so in none of the aggregates."""
 
     @property
-    def episodes(self) -> int:
-        """Episodes in each world."""
-        return self.returns.shape[1]
-
-    @property
     def mean_return(self) -> Array:
         """Mean return in each world [m], (W,)."""
         return np.asarray(self.returns.mean(axis=1), np.float64)
@@ -89,9 +84,10 @@ class Sensitivity:
     @property
     def standard_error(self) -> Array:
         """Standard error of each world's mean return [m], (W,); NaN where there is one episode only."""
-        if self.episodes < 2:
+        episodes = self.returns.shape[1]
+        if episodes < 2:
             return np.full(len(self.worlds), math.nan)
-        return np.asarray(self.returns.std(axis=1, ddof=1) / math.sqrt(self.episodes), np.float64)
+        return np.asarray(self.returns.std(axis=1, ddof=1) / math.sqrt(episodes), np.float64)
 
     @property
     def mean(self) -> float:
@@ -129,7 +125,7 @@ class Sensitivity:
                 "row": world.row,
                 "unit": row_unit(world.row),
                 "value": world.value,
-                "episodes": self.episodes,
+                "episodes": self.returns.shape[1],
                 "return_mean": float(self.mean_return[i]),
                 "return_error": float(self.standard_error[i]),
                 "return_std": float(self.returns[i].std()),
@@ -173,14 +169,9 @@ class Sensitivity:
 
 
 def make_test_worlds(ranges: RandomizeConfig, values: int = 10) -> tuple[TestWorld, ...]:
-    """The test worlds of a table of ranges.
+    """The test worlds of a table of ranges, one row or more.
 
-    Args:
-        ranges: rows to vary; a range of one value gives one world.
-        values: evenly spaced values in each row's range, both ends included.
-
-    Raises:
-        SurefootError: nothing to vary, or fewer than two values.
+    Each row takes two or more evenly spaced `values` in its range, both ends included; a range of one value takes one.
     """
     at_least("values", values, 2)
     if not ranges.ranges:

@@ -1,6 +1,6 @@
 """Means with confidence intervals, for a few numbers that vary by chance, such as one for each seed.
 
-The numbers are taken as drawn independently from normal distributions.
+The numbers are taken as drawn independently from normal distributions; none, or any that is not finite, is refused.
 """
 
 from __future__ import annotations
@@ -41,25 +41,13 @@ class Interval:
         return not self.known or self.low <= 0 <= self.high
 
     def text(self, digits: int = 2, sign: bool = False) -> str:
-        """Return text such as `1.20 [1.05, 1.35]`; without ends where they are not known.
-
-        Args:
-            digits: behind the point.
-            sign: write + before what is above zero.
-        """
+        """Return text such as `1.20 [1.05, 1.35]`, numbers as `decimal` writes them; without ends if not known."""
         mean, low, high = (decimal(number, digits, sign) for number in (self.mean, self.low, self.high))
         return f"{mean} [{low}, {high}]" if self.known else mean
 
 
 def t_interval(values: ArrayLike) -> Interval:
-    """The mean of numbers with Student's t interval; from one number only, there is none.
-
-    Args:
-        values: the numbers (N,).
-
-    Raises:
-        SurefootError: no numbers, or ones that are not finite.
-    """
+    """The mean of numbers (N,) with Student's t interval; from one number only, there is none."""
     array = _checked(values)
     mean = float(array.mean())
     if len(array) < 2:
@@ -69,36 +57,22 @@ def t_interval(values: ArrayLike) -> Interval:
 
 
 def welch_interval(values: ArrayLike, base: ArrayLike) -> Interval:
-    """The mean of `values` less that of `base`, with Welch's interval: their variances need not be alike.
+    """The mean of `values` (N,) less that of `base` (M,), with Welch's interval: their variances need not be alike.
 
     Degrees of freedom are those of Welch and Satterthwaite. With fewer than two numbers on either side there is no
     interval.
-
-    Args:
-        values: the numbers (N,).
-        base: what they are compared with (M,).
-
-    Raises:
-        SurefootError: no numbers, or ones that are not finite.
     """
     first, second = _checked(values), _checked(base)
     return _satterthwaite(float(first.mean() - second.mean()), (first, second))
 
 
 def crossed_interval(values: ArrayLike, base: ArrayLike | None = None) -> Interval:
-    """Return the mean of a table of numbers, or its difference to another's, over rows and columns drawn by chance.
+    """Return the mean of a table (P, R), or its difference to another's (Q, R), over rows and columns drawn by chance.
 
     Rows are policies, of which each table has its own; columns are robots, the same in both tables. The variance of
     the mean is that of the row means over their number, for each table, plus that of the column means (of the tables'
     differences) over theirs; what rows and columns have together is counted twice, so that the interval is rather too
     wide. Degrees of freedom are those of Satterthwaite. With fewer than two rows or columns there is no interval.
-
-    Args:
-        values: numbers (P, R).
-        base: what they are compared with (Q, R); nothing, if not given.
-
-    Raises:
-        SurefootError: no numbers, ones that are not finite, or columns that do not fit.
     """
     tables = [np.asarray(table, np.float64) for table in ((values,) if base is None else (values, base))]
     if any(table.ndim != 2 for table in tables) or len({table.shape[1] for table in tables}) != 1:
@@ -123,7 +97,6 @@ def _satterthwaite(mean: float, samples: Sequence[Array]) -> Interval:
 
 
 def _quantile(freedom: float) -> float:
-    """How many standard errors the interval reaches to either side."""
     from scipy.stats import t
 
     return float(t.ppf(0.5 + CONFIDENCE / 2, freedom))
@@ -137,12 +110,6 @@ def _checked(values: ArrayLike) -> Array:
 
 
 def decimal(number: float, digits: int = 2, sign: bool = False) -> str:
-    """A number as text, rounded; what rounds to zero has no sign.
-
-    Args:
-        number: what is told.
-        digits: behind the point.
-        sign: write + before what is above zero.
-    """
+    """A number as text with `digits` behind the point; with `sign`, + before what is above zero. Zero has no sign."""
     rounded = round(number, digits) + 0.0
     return f"{rounded:{'+' if sign and rounded else ''}.{digits}f}"

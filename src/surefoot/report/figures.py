@@ -1,17 +1,31 @@
-"""Figures of one episode, from its trace: each function writes a PNG and returns its path."""
+"""Figures over time: one episode, runs in several worlds, one motor; each writes a PNG and returns its path."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from surefoot.arrays import Array
 from surefoot.evaluate.footfalls import Footfalls, analyze_footfalls
 from surefoot.evaluate.runs import Runs
-from surefoot.report.style import BLUE, GREEN, INK, LEG_COLORS, ORANGE, QUIET, heading, new_figure, place_labels, spoken
+from surefoot.report.style import (
+    BLUE,
+    GREEN,
+    INK,
+    LEG_COLORS,
+    ORANGE,
+    QUIET,
+    capital,
+    heading,
+    new_figure,
+    place_labels,
+    spoken,
+)
 from surefoot.robot import RobotDescription
 from surefoot.task.trace import EpisodeTrace
 
@@ -21,15 +35,16 @@ if TYPE_CHECKING:
 # As Hildebrand drew it: hind above fore on each side, so that a trot shows as a diagonal pattern.
 _DIAGRAM_ORDER = ("back_left", "front_left", "front_right", "back_right")
 _SHOWN = 2.0  # s of the footfalls
+_ZOOM = 1.0
+"""Length [s] of the part that angles are drawn of: they could not be told apart over a whole episode."""
+_POWER_MEAN = 0.5
+"""Time [s] over which power is averaged: it swings with every step."""
+STYLES = {"dc": (ORANGE, "servo and DC motor"), "constraint": (GREEN, "constraint motor")}
+"""Colour and name of each actuator."""
 
 
 def footfall_diagram(trace: EpisodeTrace, path: str | Path) -> Path:
-    """Draw a Hildebrand diagram of two seconds of a trace, after the transient: bars where a foot is on the ground.
-
-    Args:
-        trace: the episode.
-        path: PNG to write.
-    """
+    """Draw a Hildebrand diagram of two seconds of a trace, after the transient: bars where a foot is on the ground."""
     with new_figure(path, (8.0, 2.4)) as (_, (ax,)):
         feet = analyze_footfalls(trace)
         _stance_bars(ax, feet)
@@ -40,13 +55,7 @@ def footfall_diagram(trace: EpisodeTrace, path: str | Path) -> Path:
 
 
 def episode_plot(trace: EpisodeTrace, robot: RobotDescription, path: str | Path) -> Path:
-    """Draw one episode: tilt, speed and power over its whole length, measured leg angles over one second.
-
-    Args:
-        trace: the episode.
-        robot: its description.
-        path: PNG to write.
-    """
+    """Draw one episode: tilt, speed and power over its whole length, measured leg angles over one second."""
     step = np.diff(trace.time, prepend=0.0)
     runs = Runs.of_traces([trace])
     with new_figure(path, (9.0, 7.0), rows=3, columns=2) as (figure, axes):
@@ -125,3 +134,93 @@ def _name(trace: EpisodeTrace) -> str:
     """Name an episode by policy and world."""
     policy = str(trace.meta["policy"]) or "no policy"
     return f"{policy} in {trace.meta['world']}"
+
+
+def side_by_side(runs: Mapping[str, Sequence[EpisodeTrace]], path: str | Path, title: str) -> Path:
+    """Draw where the robot was, its power, its tilt, and one motor in a second of the gait, for runs in several worlds.
+
+    Distance, side and power are drawn of every run; tilt and motor of the first run in each world. What a trace does
+    not know is left out, such as the place of a robot that no motion capture sees. `runs` has one trace or more for
+    each world, home first.
+    """
+    with new_figure(path, (9.0, 7.0), rows=3, columns=2) as (figure, axes):
+        distance, aside, power, pitch, roll, motor = axes
+        for number, (world, traces) in enumerate(runs.items()):
+            color = f"C{number}"
+            for trace in traces:
+                moved = trace.base_position_world - trace.base_position_world[0]
+                for ax, column in ((distance, 0), (aside, 1)):
+                    ax.plot([0.0, *trace.time], moved[:, column], color=color, linewidth=1.1, alpha=0.85)
+                power.plot(*_mean_power(trace), color=color, linewidth=1.1, alpha=0.85)
+            first = traces[0]
+            # A second in the middle of the run, when it has found its gait.
+            start = max((first.duration - _ZOOM) / 2, 0.0)
+            shown = (first.time >= start) & (first.time <= start + _ZOOM)
+            angles = ((pitch, first.roll_pitch_yaw[:, 1]), (roll, first.roll_pitch_yaw[:, 0]))
+            for ax, values in (*angles, (motor, first.motor_angle[:, 0])):
+                ax.plot(first.time[shown], values[shown], color=color, linewidth=1.1)
+            motor.plot(first.time[shown], first.target[shown, 0], color=color, linewidth=0.9, linestyle=":")
+            distance.plot([], [], color=color, label=f"{world}, {len(traces)} run{'s' if len(traces) > 1 else ''}")
+        distance.plot([], [], color="black", linestyle=":", label="command")
+        for ax, text in (
+            (distance, "Distance forward (m)"),
+            (aside, "To the left (m)"),
+            (power, f"Mechanical power over {_POWER_MEAN:g} s (W)"),
+            (pitch, "Pitch as measured (rad)"),
+            (roll, "Roll as measured (rad)"),
+            (motor, f"{capital(spoken(first.meta['motor_names'][0]))} (rad)"),
+        ):
+            ax.set_title(text)
+        power.set_ylim(bottom=0.0)
+        for ax in (roll, motor):
+            ax.set_xlabel("time (s)")
+        figure.legend(*distance.get_legend_handles_labels(), loc="outside lower center", ncols=4)
+        heading(figure, title)
+    return Path(path)
+
+
+def _mean_power(trace: EpisodeTrace) -> tuple[Array, Array]:
+    """Times [s] and power [W], each over the `_POWER_MEAN` seconds before it, or as long as the run has lasted."""
+    energy, times = np.concatenate([[0.0], np.cumsum(trace.energy)]), np.concatenate([[0.0], trace.time])
+    start = np.maximum(trace.time - _POWER_MEAN, 0.0)
+    return trace.time, (energy[1:] - np.interp(start, times, energy)) / (trace.time - start)
+
+
+def motor_figure(
+    path: Path,
+    time: ArrayLike,
+    target: ArrayLike,
+    measured: ArrayLike,
+    simulated: Mapping[str, ArrayLike],
+    errors: Mapping[str, float],
+    title: str,
+) -> Path:
+    """Draw target, measured angle and each model's angle over time, and the models' errors below.
+
+    Args:
+        path: PNG to write.
+        time: (T,) s.
+        target: (T,) rad.
+        measured: (T,) rad, NaN where nothing was measured; all NaN, if nothing was: errors are then to the target.
+        simulated: by actuator, (T,) rad.
+        errors: by actuator, root mean square error [rad].
+        title: what was done.
+    """
+    reference, known = np.asarray(measured, float), np.isfinite(np.asarray(measured, float))
+    told = "measured" if known.any() else "target"
+    reference = reference if known.any() else np.asarray(target, float)
+    with new_figure(path, (8.0, 5.8), rows=2, sharex=True, height_ratios=(2.2, 1)) as (figure, (above, below)):
+        above.step(time, target, where="post", color=QUIET, alpha=0.6, label="target")
+        if known.any():
+            above.plot(time, reference, color=BLUE, linewidth=2.4, label="measured")
+        for name, angle in simulated.items():
+            color, label = STYLES[name]
+            above.plot(time, angle, color=color, label=f"{label}, {1000 * errors[name]:.1f} mrad RMS")
+            below.plot(time, 1000 * (np.asarray(angle) - reference), color=color)
+        above.set_title("Motor angle (rad)")
+        below.axhline(0, color=QUIET, linewidth=0.8)
+        below.set_title(f"Less {told} (mrad)")
+        below.set_xlabel("time (s)")
+        figure.legend(*above.get_legend_handles_labels(), loc="outside lower center", ncols=2)
+        heading(figure, title)
+    return path

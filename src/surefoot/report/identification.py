@@ -10,8 +10,7 @@ from pathlib import Path
 from surefoot import __version__
 from surefoot.files import whole_file
 from surefoot.identify.result import Estimate, Identification
-from surefoot.report.identification_figure import identification_figure
-from surefoot.report.identification_parts import cells, full_name
+from surefoot.report.identification_figure import cells, full_name, identification_figure
 from surefoot.robot import PhysicalParams, RobotDescription
 
 _STYLE = """
@@ -27,13 +26,13 @@ code { font-size: .85em; overflow-wrap: anywhere; }
 def write_report(
     found: Identification, robot: RobotDescription, known: PhysicalParams, folder: Path, source: str = ""
 ) -> list[Path]:
-    """Write `report.png` and `report.html`; returns both.
+    """Write `report.png` and `report.html` to a folder; returns both.
 
     Args:
         found: what was found.
         robot: its description.
         known: what was known before, one row.
-        folder: where to; made, if it does not exist.
+        folder: made, if it does not exist.
         source: where the data come from.
     """
     folder.mkdir(parents=True, exist_ok=True)
@@ -47,15 +46,7 @@ def write_report(
 def page(
     found: Identification, robot: RobotDescription, known: PhysicalParams, picture: bytes, source: str = ""
 ) -> str:
-    """The page as HTML: it loads nothing from elsewhere.
-
-    Args:
-        found: what was found.
-        robot: its description.
-        known: what was known before, one row.
-        picture: PNG file.
-        source: where the data come from.
-    """
+    """The page as HTML, which holds its picture (PNG) and loads nothing from elsewhere; else as `write_report`."""
     title = f"{found.experiment}: what it tells of {found.robot}"
     told = sum(item.told for item in found.estimates)
     encoded = base64.b64encode(picture).decode()
@@ -95,12 +86,8 @@ def _estimates(estimates: Sequence[Estimate], robot: RobotDescription, known: Ph
 
 
 def _checks(found: Identification) -> str:
-    if not found.checks:
-        return ""
-    head = _row(("RMS error of", "before", "after", "unit"), "tnnt", "th")
-    return head + "".join(
-        _row((one.what, f"{one.before:.3g}", f"{one.after:.3g}", one.unit), "tnnt") for one in found.checks
-    )
+    rows = [_row((one.what, f"{one.before:.3g}", f"{one.after:.3g}", one.unit), "tnnt") for one in found.checks]
+    return "".join([_row(("RMS error of", "before", "after", "unit"), "tnnt", "th"), *rows]) if rows else ""
 
 
 def _correlations(found: Identification, robot: RobotDescription) -> str:

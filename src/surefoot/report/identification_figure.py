@@ -1,4 +1,7 @@
-"""The picture of an identification: intervals beside what was known, correlations, measured and simulated."""
+"""The picture of an identification: intervals beside what was known, correlations, measured and simulated.
+
+The report's page calls and writes its numbers as the picture does.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +14,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from surefoot.identify.result import Estimate, Identification, Series
-from surefoot.report.identification_parts import full_name, index_names, known_before, number
 from surefoot.report.style import BLUE, INK, LEG_COLORS, ORANGE, QUIET, new_figure, spoken
 from surefoot.robot import PhysicalParams, RobotDescription
 
@@ -25,6 +27,8 @@ _SMALL: dict[str, Any] = {"va": "center", "ha": "center", "fontsize": 7.5, "bbox
 _COLUMNS = 3
 _MOST = 2000
 """Points of a series that are drawn: more can't be seen."""
+_DIGITS = 6
+"""Most digits behind the point; numbers that need more are written with powers of ten."""
 
 
 def identification_figure(
@@ -32,23 +36,17 @@ def identification_figure(
 ) -> Path:
     """Draw what was found.
 
-    Single numbers have their intervals in percent of what was known before; numbers of motors have a panel each, in
-    their own unit. Below stand what was measured and what is simulated, before and after.
-
-    Args:
-        found: what was found.
-        robot: its description.
-        known: what was known before, one row.
-        path: PNG to write.
+    Single numbers have their intervals in percent of what was `known` before (one row); numbers of motors have a panel
+    each, in their own unit. Below stand what was measured and what is simulated, before and after.
     """
     single, several = _sorted(found.estimates)
     rows: list[tuple[float, list[float], list[Callable[[Axes], None]]]] = []
     if single or found.correlations:
-        drawn: list[Callable[[Axes], None]] = []
-        if single:
-            drawn.append(lambda ax: _intervals(ax, single, robot, known))
+        drawn: list[Callable[[Axes], None]] = (
+            [partial(_intervals, items=single, robot=robot, known=known)] if single else []
+        )
         if found.correlations:
-            drawn.append(lambda ax: _correlations(ax, found, robot))
+            drawn.append(partial(_correlations, found=found, robot=robot))
         height = max(1.1 + 0.25 * len(single), 1.1 + 0.62 * max(len(found.correlations), 2))
         rows.append((height, [1.5, 1.0][: len(drawn)], drawn))
     for i in range(0, len(several), _COLUMNS):
@@ -187,3 +185,47 @@ def _series(ax: Axes, series: Series) -> None:
 def _brackets(label: str) -> str:
     """Units in round brackets, as in other figures."""
     return label.replace("[", "(").replace("]", ")")
+
+
+def index_names(name: str, robot: RobotDescription) -> tuple[str, ...]:
+    """What the indices of a number stand for: motors, or axes; empty where that is not known."""
+    motors = tuple(motor.removesuffix("_motor") for motor in robot.motor_names)
+    item: Any = PhysicalParams.__dataclass_fields__.get(name)
+    if item is None:
+        return motors if name.startswith(("motor", "torque")) else ("x", "y", "z")
+    width = str(item.metadata["width"])
+    return {"one": (), "motors": motors}.get(width, tuple(width.split(", ")))
+
+
+def full_name(label: str, robot: RobotDescription) -> str:
+    """A number's label with the motor's or axis' name in place of its index."""
+    name, _, rest = label.partition("[")
+    names = index_names(name, robot)
+    index = int(rest.rstrip("]")) if rest.rstrip("]").isdigit() else -1
+    return f"{name} {names[index]}" if 0 <= index < len(names) else label
+
+
+def known_before(item: Estimate, known: PhysicalParams) -> float | None:
+    """What a physical parameter was before; None for other numbers."""
+    if item.name not in PhysicalParams.names():
+        return None
+    values = getattr(known, item.name)[0]
+    return float(np.mean(values) if item.index is None else np.atleast_1d(values)[item.index])
+
+
+def cells(item: Estimate, known: PhysicalParams) -> tuple[str, str, str]:
+    """What was known of a number, what was found and its interval, as texts; empty where there is none."""
+    before, (low, high) = known_before(item, known), item.interval
+    width = high - low if item.told else math.nan
+    was = "" if before is None else number(before, width)
+    if not item.told:
+        return was, "not told", ""
+    return was, number(item.value, width), f"{number(low, width)} to {number(high, width)}"
+
+
+def number(value: float, width: float) -> str:
+    """A number with as many digits as its interval is worth: two of half its width, which is NaN if there is none."""
+    if not (math.isfinite(width) and width > 0 and math.isfinite(value)):
+        return f"{value:.4g}"
+    digits = 1 - math.floor(math.log10(width / 2))
+    return f"{value:.{max(digits, 0)}f}" if digits <= _DIGITS else f"{value:.3g}"

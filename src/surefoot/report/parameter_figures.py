@@ -31,13 +31,10 @@ def parameter_figure(
     range that a policy was trained in is shaded in its colour; one value that it was trained at alone is a line.
 
     Args:
-        row: row of the table of ranges.
-        groups: one or more; those whose sensitivities lack the row are left out.
+        row: row of the table of ranges, which one group has or more.
+        groups: those whose sensitivities lack the row are left out.
         path: PNG to write.
         trained_ranges: by name, the ranges trained with, by row. Without this nothing is drawn of training.
-
-    Raises:
-        SurefootError: a row that none has.
     """
     if not any(row in one.rows for found in groups.values() for one in found):
         raise SurefootError(f"parameter figure: row '{row}' is in no test world of {', '.join(groups) or 'nothing'}")
@@ -62,12 +59,7 @@ def parameter_figure(
 
 
 def parameters_figure(groups: Groups, path: str | Path) -> Path:
-    """Draw the return against every parameter, a panel each, on one scale.
-
-    Args:
-        groups: one or more.
-        path: PNG to write.
-    """
+    """Draw the return against every parameter, a panel each, on one scale."""
     rows = tuple(dict.fromkeys(row for found in groups.values() for one in found for row in one.rows))
     columns = min(len(rows), 5)
     lines = -(-len(rows) // columns)
@@ -91,10 +83,6 @@ def aggregate_figure(sensitivities: Sequence[Sensitivity], path: str | Path) -> 
     """Draw a bar for each policy: the mean over all its test worlds, with the standard deviation.
 
     Dots are the mean returns of single test worlds, a diamond is that of the nominal world.
-
-    Args:
-        sensitivities: one or more policies.
-        path: PNG to write.
     """
     with new_figure(path, (7.6, 1.2 + 0.62 * len(sensitivities))) as (_, (ax,)):
         for place, result in enumerate(sensitivities):

@@ -16,11 +16,7 @@ from surefoot.task.trace import EpisodeTrace
 
 
 def scene(robot: RobotDescription) -> list[Shape]:
-    """The boxes, cylinders and spheres among the URDF's visuals; a link's name is the body's.
-
-    Raises:
-        SurefootError: none of the links has such a visual.
-    """
+    """The boxes, cylinders and spheres among the URDF's visuals, one or more; a link's name is the body's."""
     root = ElementTree.parse(robot.urdf.path).getroot()
     colors = {item.get("name", ""): color for item in root.findall("material") if (color := _color(item))}
     shapes = []
@@ -30,11 +26,8 @@ def scene(robot: RobotDescription) -> list[Shape]:
             if not kind:
                 continue
             origin, material = _origin(visual), visual.find("material")
-            color = None
-            if material is not None:
-                color = _color(material) or colors.get(material.get("name", ""))
-            place, turn = origin[:3, 3], origin[:3, :3]
-            shapes.append(Shape(link.get("name", ""), kind, size, place, turn, color or GREY))
+            color = None if material is None else _color(material) or colors.get(material.get("name", ""))
+            shapes.append(Shape(link.get("name", ""), kind, size, origin[:3, 3], origin[:3, :3], color or GREY))
     if not shapes:
         raise SurefootError(
             f"{robot.urdf.path}: has nothing to draw; a link's <visual> must be a box, cylinder or sphere"

@@ -57,15 +57,10 @@ _STYLE: dict[str, Any] = {
 def new_figure(
     path: str | Path, size: tuple[float, float], rows: int = 1, columns: int = 1, **options: Any
 ) -> Iterator[tuple[Figure, list[Axes]]]:
-    """Give a new figure in the style of all figures and its axes, row by row; write it to path when done.
+    """Give a new figure in the style of all figures and its axes, row by row; write it to path (.png) when done.
 
-    Other options are those of matplotlib's `Figure.subplots`.
-
-    matplotlib is imported here, and only its Agg canvas is used: no display, no global state, nothing of the user's
-    own style.
-
-    Raises:
-        SurefootError: a name that does not end in .png.
+    Other options are those of matplotlib's `Figure.subplots`. Only its Agg canvas is used: no display, no global state,
+    nothing of the user's own style.
     """
     import matplotlib.style
     from matplotlib import rc_context

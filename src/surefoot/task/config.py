@@ -130,11 +130,7 @@ class TaskConfig:
         check_bounds(self)
 
     def nominal(self, robot: RobotDescription) -> PhysicalParams:
-        """Return the physical parameters of the task's robot without randomization, one row.
-
-        Raises:
-            SurefootError: no such parameter, or a value that the robot does not allow.
-        """
+        """Return the physical parameters, which the robot must allow, without randomization, one row."""
         return PhysicalParams.nominal(robot).with_values(robot, **self.params)
 
 
@@ -144,11 +140,7 @@ def preset_names() -> list[str]:
 
 
 def load_task(task: str) -> tuple[TaskConfig, dict[str, Any]]:
-    """Read a task by preset name or path; returns it and the file's `train` table (empty, if there is none).
-
-    Raises:
-        SurefootError: no such task, or a file that does not fit.
-    """
+    """Read a task by preset name or path; returns it and the file's `train` table (empty, if there is none)."""
     path = _PRESETS / f"{task}.yaml" if task in preset_names() else Path(task)
     if not path.is_file():
         raise SurefootError(

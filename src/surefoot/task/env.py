@@ -55,15 +55,12 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
     that ended, its `figures`. Without it, time stands still for a robot whose episode is over, until its reset.
 
     Args:
-        task: its configuration.
+        task: its configuration, which must fit its robot.
         num_envs: number of robots.
         make_world: makes the simulation, such as `surefoot.world.sim_world.SimWorld`.
         seed: seeds every stream of random numbers.
         autoreset: whether robots start anew by themselves.
         threads: threads of the simulation; 0 means one a core.
-
-    Raises:
-        SurefootError: a task that does not fit its robot.
     """
 
     metadata = {"autoreset_mode": AutoresetMode.SAME_STEP, "render_modes": []}  # noqa: RUF012
@@ -178,7 +175,7 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
         self._history[:, 0] = self._observe()
         if done.any():
             rows = np.flatnonzero(done)
-            info["figures"] = self._episode_figures(rows)
+            info["figures"] = self._episode_figures(done)
             info["_figures"] = done.copy()
             if not self.autoreset:
                 self.over |= done
@@ -189,14 +186,11 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
                 self._history[rows] = self._observe()[rows, None]
         return self._observation(), reward, terminated, truncated, info
 
-    def _episode_figures(self, rows: NDArray[np.int64]) -> dict[str, Array]:
+    def _episode_figures(self, ended: NDArray[np.bool_]) -> dict[str, Array]:
         """Return the figures of the episodes that just ended; arrays (N,), zero for robots that go on."""
-        figures = {name: np.zeros(self.num_envs) for name in ("return", "steps", "distance", "duration")}
-        figures["return"][rows] = self.returns[rows]
-        figures["steps"][rows] = self.steps[rows]
-        figures["distance"][rows] = self.truth.base_position_world[rows, 0] - self.start_position[rows, 0]
-        figures["duration"][rows] = self.readings.time[rows]
-        return figures
+        distance = self.truth.base_position_world[:, 0] - self.start_position[:, 0]
+        found = {"return": self.returns, "steps": self.steps, "distance": distance, "duration": self.readings.time}
+        return {name: np.where(ended, values, 0.0) for name, values in found.items()}
 
     def privileged(self) -> NDArray[np.float32]:
         """Return what a critic may observe in simulation besides the observation: the true state (N, P).
@@ -260,16 +254,8 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
 class LocomotionSingleEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
     """One robot on one task, for learners without support of vector environments: a batch of one.
 
-    Observations (O,), actions (2 L,) and rewards are `LocomotionEnv`'s. At the end of an episode `info` holds
-    its `figures`.
-
-    Args:
-        task: its configuration.
-        make_world: makes the simulation.
-        seed: seeds every stream of random numbers; any, if not given.
-
-    Raises:
-        SurefootError: a task that does not fit its robot.
+    Observations (O,), actions (2 L,), rewards and arguments are `LocomotionEnv`'s; without a seed any is taken. At the
+    end of an episode `info` holds its `figures`.
     """
 
     metadata = {"render_modes": []}  # noqa: RUF012

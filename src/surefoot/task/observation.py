@@ -37,11 +37,7 @@ class Part:
 
 
 def phase(time: Array, period: float | None) -> Array:
-    """Return sine and cosine (N, 2) of the phase of a reference with this period [s] at times (N,) [s].
-
-    Raises:
-        SurefootError: no period.
-    """
+    """Return sine and cosine (N, 2) of the phase of a reference at times (N,) [s]; it must have a period [s]."""
     if period is None:
         raise SurefootError("observation 'reference_phase' needs a periodic reference; this task's has no period")
     angle = 2 * np.pi * time / period
@@ -52,15 +48,15 @@ def _motor_columns(prefix: str) -> Callable[[RobotDescription], list[str]]:
     return lambda robot: [f"{prefix}.{name}" for name in robot.motor_names]
 
 
+def _angular_velocity(axis: int) -> Callable[[Moment], Array]:
+    return lambda moment: moment.readings.angular_velocity_base[:, axis : axis + 1]
+
+
 PARTS: dict[str, Part] = {
     "roll": Part("rad", "base in world", lambda _: ["roll"], lambda m: m.readings.roll_pitch_yaw[:, 0:1]),
     "pitch": Part("rad", "base in world", lambda _: ["pitch"], lambda m: m.readings.roll_pitch_yaw[:, 1:2]),
-    "roll_rate": Part(
-        "rad/s", "base, about x", lambda _: ["roll_rate"], lambda m: m.readings.angular_velocity_base[:, 0:1]
-    ),
-    "pitch_rate": Part(
-        "rad/s", "base, about y", lambda _: ["pitch_rate"], lambda m: m.readings.angular_velocity_base[:, 1:2]
-    ),
+    "roll_rate": Part("rad/s", "base, about x", lambda _: ["roll_rate"], _angular_velocity(0)),
+    "pitch_rate": Part("rad/s", "base, about y", lambda _: ["pitch_rate"], _angular_velocity(1)),
     "motor_angles": Part("rad", "motor", _motor_columns("angle"), lambda m: m.readings.motor_angle),
     "motor_speeds": Part("rad/s", "motor", _motor_columns("speed"), lambda m: m.readings.motor_velocity),
     "reference_phase": Part(
@@ -85,15 +81,7 @@ IMU_AND_MOTORS_12D = (*IMU_4D, "motor_angles")
 
 
 class Observer:
-    """Builds observations of given parts, in the order given.
-
-    Args:
-        robot: names the columns.
-        names: parts out of `PARTS`.
-
-    Raises:
-        SurefootError: no part, an unknown one, or one twice.
-    """
+    """Builds observations of a robot: parts out of `PARTS`, in the order of `names`; one or more, none twice."""
 
     def __init__(self, robot: RobotDescription, names: tuple[str, ...]) -> None:
         if not names:

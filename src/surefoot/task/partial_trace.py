@@ -66,16 +66,9 @@ class Layout:
 
 
 def trace_of(layout: Layout, rows: Array, meta: dict[str, Any], truth: dict[str, Array] | None = None) -> EpisodeTrace:
-    """Return the trace of rows (T, width); quantities that the robot does not measure are NaN.
+    """Return the trace of rows (T, width), one a control step, with its meta; refuse rows that are none.
 
-    Args:
-        layout: of the rows.
-        rows: one a control step.
-        meta: as the trace's.
-        truth: base and feet, if they were measured externally.
-
-    Raises:
-        SurefootError: no rows, or rows that are not a trace.
+    Quantities that the robot does not measure are NaN, unless `truth` has them: base and feet, measured externally.
     """
     steps = len(rows)
     if not steps:

@@ -58,9 +58,8 @@ class Pusher:
 
     def reset(self, index: NDArray[np.int64]) -> None:
         """Start the clock of the robots at `index` anew."""
-        self.force[index] = 0
         self.before[index] += self.drawn[index]
-        self.drawn[index] = 0
+        self.force[index] = self.drawn[index] = 0
 
     def update(self, time: Array) -> bool:
         """Set `force` for robots whose episodes are `time` (N,) [s] old; true if any force changed."""

@@ -118,11 +118,7 @@ def range_names() -> list[str]:
 
 
 def load_ranges(name: str, folder: Path = Path()) -> RandomizeConfig:
-    """Read a table of ranges by name, or by the path of a YAML file as seen from a folder.
-
-    Raises:
-        SurefootError: no such table, or a file that does not fit.
-    """
+    """Read a table of ranges by name, or by the path of a YAML file as seen from a folder."""
     path = _RANGES / f"{name}.yaml" if name in range_names() else folder / name
     if not path.is_file():
         raise SurefootError(
@@ -134,19 +130,14 @@ def load_ranges(name: str, folder: Path = Path()) -> RandomizeConfig:
 
 
 def check_ranges(config: RandomizeConfig, robot: RobotDescription) -> None:
-    """Refuse ranges outside what the robot's description allows.
-
-    Raises:
-        SurefootError: with the row, its range, the rule and the bounds.
-    """
+    """Refuse ranges outside what the robot's description allows."""
     for row, given in config.ranges.items():
         for name in ROWS[row].params:
             low, high = robot.allowed[name]
             if not (low <= given[0] and given[1] <= high):
-                unit = PhysicalParams.unit(name)
                 raise SurefootError(
                     f"randomize.{row} is [{given[0]:g}, {given[1]:g}]; "
-                    f"{robot.name} allows {name} from {low:g} to {high:g} (unit: {unit})"
+                    f"{robot.name} allows {name} from {low:g} to {high:g} (unit: {PhysicalParams.unit(name)})"
                 )
 
 
@@ -158,13 +149,10 @@ class Randomizer:
     theirs from far ahead in the same stream: it need not be saved twice.
 
     Args:
-        config: the ranges.
+        config: the ranges, within what the robot allows.
         robot: its bounds hold.
         nominal: values of parameters that are not drawn, one row per robot.
         seed: the one seed.
-
-    Raises:
-        SurefootError: a range outside what the robot allows.
     """
 
     def __init__(self, config: RandomizeConfig, robot: RobotDescription, nominal: PhysicalParams, seed: int) -> None:
@@ -254,13 +242,10 @@ def draw_hidden(robot: RobotDescription, ranges: Mapping[str, tuple[float, float
     """Draw one robot's hidden parameters, uniformly; motors have their own strengths, axes of the IMU their own biases.
 
     Args:
-        robot: whose sheet they are drawn around.
+        robot: whose sheet they are drawn around; it must allow the ranges.
         ranges: least and greatest value by row of `ROWS`, as of Tan et al. 2018, table I. K_t and R are drawn within
             `RELATIVE_RANGE`, the servo's latency from `SERVO_LATENCY`, unless they have ranges; others stay nominal.
         seed: decides everything.
-
-    Raises:
-        SurefootError: a range beyond what the robot allows.
     """
     nominal = PhysicalParams.nominal(robot)
     known: dict[str, tuple[float, float]] = {"servo_latency": SERVO_LATENCY}

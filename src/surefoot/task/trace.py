@@ -89,7 +89,6 @@ class EpisodeTrace:
     meta: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Check the record and freeze its arrays."""
         object.__setattr__(self, "meta", _checked_meta(self.meta))
         for name, shape in _shapes(np.size(self.time), self.meta).items():
             value = getattr(self, name)
@@ -139,11 +138,7 @@ class EpisodeTrace:
 
     @classmethod
     def load(cls, path: str | Path) -> EpisodeTrace:
-        """Read a trace and check it.
-
-        Raises:
-            SurefootError: the file is missing, cut off, damaged, not a trace, or of another schema.
-        """
+        """Read a trace; refuse a file that is missing, cut off, damaged, not a trace, or of another schema."""
         path = Path(path)
         try:
             arrays = _read_members(path)

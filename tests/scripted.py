@@ -1,11 +1,10 @@
-"""The robot that tests of this room share, and a world that answers as it is told."""
+"""A world without physics, which answers as it is told."""
 
 from __future__ import annotations
 
 from typing import Any
 
 import numpy as np
-import pytest
 
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.world.interface import Readings, Truth, WorldConfig
@@ -32,18 +31,22 @@ class ScriptedWorld:
         self.diverged = np.zeros(num_envs, np.bool_)
         self.position, self.time = np.zeros(num_envs), np.zeros(num_envs)
         self.angles = np.zeros((num_envs, robot.num_motors))
+        self.energy = np.zeros(num_envs)
         self.force = np.zeros((num_envs, 3))
         self.forces: list[np.ndarray] = []
+        self.pushes = 0
 
     def reset(self, index: Any = None) -> Readings:
         rows = np.arange(self.num_envs) if index is None else index
         self.position[rows], self.time[rows], self.angles[rows] = 0.0, 0.0, 0.0
         return self.readings()
 
-    def step(self, target: Any, active=None) -> Readings:
+    def step(self, target: Any, active: Any = None) -> Readings:
         self.forces.append(self.force.copy())
-        self.time += self.params.control_step
-        self.position += self.speed * self.params.control_step
+        went = self.params.control_step * (True if active is None else active)
+        self.time += went
+        self.position += self.speed * went
+        self.energy = self.power * went
         self.angles = np.array(target, float)
         return self.readings()
 
@@ -62,15 +65,17 @@ class ScriptedWorld:
             motor_angle=self.angles.copy(),
             motor_velocity=motors,
             motor_torque=motors,
-            energy=self.power * self.params.control_step,
+            energy=self.energy.copy(),
             foot_contact=np.ones((self.num_envs, 4)),
             diverged=self.diverged.copy(),
         )
 
     def push(self, force_world: Any) -> None:
         self.force = np.array(force_world, float)
+        self.pushes += 1
 
+    def get_state(self) -> dict[str, Any]:
+        return {"streams": []}
 
-@pytest.fixture(scope="session")
-def scripted_world() -> type[ScriptedWorld]:
-    return ScriptedWorld
+    def set_state(self, state: dict[str, Any]) -> None:
+        assert state == self.get_state()

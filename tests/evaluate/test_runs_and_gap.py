@@ -1,4 +1,4 @@
-"""The reality gap against numbers worked by hand."""
+"""The table of runs, what it sums up to, and the reality gap, against numbers worked by hand."""
 
 from __future__ import annotations
 
@@ -9,19 +9,22 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from surefoot.errors import SurefootError
+from surefoot.evaluate.footfalls import FEET
 from surefoot.evaluate.gap import PolicyGap, away_task, home_task
-from surefoot.evaluate.runs import Estimate, Runs
+from surefoot.evaluate.runs import Estimate, Runs, summarize
 from surefoot.tables import plain_value, write_csv
 from surefoot.task.config import TaskConfig
 from surefoot.task.randomize import RandomizeConfig
 from surefoot.task.trace import EpisodeTrace
 
 MakeRun = Callable[..., EpisodeTrace]
+MASS = 7.473
 
 
 def runs_of(*returns: float, world: str = "mujoco", fell: bool = False) -> Runs:
@@ -179,3 +182,87 @@ def test_away_the_robot_is_as_its_data_sheet_says():
     assert away_task(TRAINED) == replace(home_task(TRAINED), actuator="dc", params={}, params_source={})
     slow = replace(TRAINED, params={**TRAINED.params, "control_step": 0.01})
     assert away_task(slow).params == {"control_step": 0.01}
+
+
+@pytest.fixture
+def make_trace(make_run: MakeRun) -> MakeRun:
+    """Give what makes a steady trot at a speed [m/s] with a power [W], which ends `lateral` [m] to the left."""
+
+    def make(
+        speed: float = 0.6, power: float = 72.0, steps: int = 1000, lateral: float = 0.0, **meta: Any
+    ) -> EpisodeTrace:
+        clock = 0.006 * np.arange(steps + 1)
+        time, phases = clock[1:], np.array([0.0, 0.5, 0.5, 0.0])
+        arrays = {
+            "base_position_world": np.stack([1 + speed * clock, 2 + lateral * clock / clock[-1], 0 * clock], axis=1),
+            "foot_contact": (((time[:, None] - 0.003) / 0.5 - phases) % 1.0 < 0.4).astype(float),
+        }
+        return make_run(energy=power * 0.006 * steps, steps=steps, step=0.006, arrays=arrays, **meta)
+
+    return make
+
+
+def test_summary_by_hand(make_trace: MakeRun) -> None:
+    fall = make_trace(speed=0.6, ended="fall", steps=500)
+    summary = summarize([make_trace(speed=0.5), make_trace(speed=0.7, lateral=-0.4), fall], MASS)
+    by_hand = {
+        "episodes": 3,
+        "falls": 1,
+        "steps_mean": 2500 / 3,
+        "distance_mean": (3.0 + 4.2 + 1.8) / 3,
+        "speed_mean": 0.6,
+        "speed_std": math.sqrt(0.02 / 3),
+        "power_mean": 72.0,
+        "return_mean": (3.0 + 4.2 + 1.8) / 3 - 0.008 * 72.0 * (6 + 6 + 3) / 3,
+        "drift_mean": 0.4 / 3,
+        "cost_of_transport_mean": 72.0 / (7.473 * 9.81) * (1 / 0.5 + 1 / 0.7 + 1 / 0.6) / 3,
+    }
+    assert {name: summary[name] for name in by_hand} == pytest.approx(by_hand)
+    assert summary["gait"] == "trot"
+    assert summary["duty_factor"] == pytest.approx(dict.fromkeys(FEET, 0.4), abs=0.01)
+    assert list(summary["phases"]) == list(FEET)
+    assert summary["phases"]["back_left"] == pytest.approx(0.5, abs=0.01)
+    # Averaged around the circle: just below 1 and just above 0 are alike.
+    assert math.remainder(summary["phases"]["back_right"], 1.0) == pytest.approx(0.0, abs=0.01)
+    assert summary["stance"]["front_right"] == pytest.approx(0.2, abs=0.003)
+    assert (summary["world"], summary["policy"]) == ("mujoco", "trot")
+    assert json.loads(json.dumps(summary, allow_nan=False)) == summary
+
+
+def test_return_uses_the_weight_of_the_trace(make_trace: MakeRun) -> None:
+    assert summarize([make_trace(energy_weight=0.0)], MASS)["return_mean"] == pytest.approx(3.6)
+
+
+def test_going_backward_has_no_cost_of_transport(make_trace: MakeRun) -> None:
+    summary = summarize([make_trace(speed=-0.1)], MASS)
+    assert summary["distance_mean"] == pytest.approx(-0.6)
+    assert summary["cost_of_transport_mean"] is None
+
+
+def test_a_robot_that_cannot_see_itself(make_trace: MakeRun) -> None:
+    trace, names = make_trace(), ("base_position_world", "base_quat_world", "foot_contact")
+    robot = replace(trace, **{name: np.full_like(getattr(trace, name), np.nan) for name in names})
+    summary = summarize([robot], MASS)
+    assert summary["power_mean"] == pytest.approx(72.0)
+    for name in ("speed_mean", "return_std", "drift_mean", "cost_of_transport_mean"):
+        assert summary[name] is None
+    assert summary["phases"]["back_left"] is None
+    assert summary["gait"] == "other"
+    json.dumps(summary, allow_nan=False)
+
+
+@pytest.mark.parametrize(
+    ("others", "mass", "message"),
+    [
+        ([{"world": "bullet"}], MASS, "more than one world: bullet, mujoco"),
+        ([{"policy": "gallop"}], MASS, "more than one policy: gallop, trot"),
+        ([], 0.0, "total mass 0.0 kg must be above 0"),
+        (None, MASS, "at least one"),
+    ],
+)
+def test_what_can_not_be_summed_up_is_refused(
+    others: list[dict[str, str]] | None, mass: float, message: str, make_trace: MakeRun
+) -> None:
+    traces = [] if others is None else [make_trace(), *(make_trace(**meta) for meta in others)]
+    with pytest.raises(SurefootError, match=message):
+        summarize(traces, mass)
