@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 from collections.abc import Sequence
 from html import escape
 from pathlib import Path
@@ -10,17 +9,9 @@ from pathlib import Path
 from surefoot import __version__
 from surefoot.files import whole_file
 from surefoot.identify.result import Estimate, Identification
+from surefoot.report import html
 from surefoot.report.identification_figure import cells, full_name, identification_figure
 from surefoot.robot import PhysicalParams, RobotDescription
-
-_STYLE = """
-body { font: 15px/1.5 system-ui, sans-serif; color: #22272e; max-width: 62rem; margin: 2rem auto; padding: 0 1rem; }
-h1 { font-size: 1.5rem; margin-bottom: .2rem; } h2 { font-size: 1.1rem; margin-top: 2rem; }
-table { border-collapse: collapse; } td, th { padding: .15rem .9rem .15rem 0; text-align: left; }
-th { border-bottom: 1px solid #6b7480; font-weight: 600; } tr + tr td { border-top: 1px solid #e3e7eb; }
-.n { text-align: right; font-variant-numeric: tabular-nums; } .quiet { color: #6b7480; } img { max-width: 100%; }
-code { font-size: .85em; overflow-wrap: anywhere; }
-"""
 
 
 def write_report(
@@ -49,7 +40,6 @@ def page(
     """The page as HTML, which holds its picture (PNG) and loads nothing from elsewhere; else as `write_report`."""
     title = f"{found.experiment}: what it tells of {found.robot}"
     told = sum(item.told for item in found.estimates)
-    encoded = base64.b64encode(picture).decode()
     facts = [("data", source), ("recorded", found.date), ("SHA-256", found.digest), ("surefoot", __version__)]
     parts = [
         f"<h1>{escape(title)}</h1>",
@@ -59,39 +49,31 @@ def page(
         *_section("What can hardly be told apart", _correlations(found, robot)),
         *_section("Notes", "".join(f"<li>{escape(note)}</li>" for note in found.notes), "ul"),
         "<h2>Pictures</h2>",
-        f'<img alt="intervals, series and correlations" src="data:image/png;base64,{encoded}">',
+        html.picture(picture, "intervals, series and correlations"),
         *_section("Data", "".join(f"<tr><td>{k}</td><td><code>{escape(v)}</code></td></tr>" for k, v in facts if v)),
     ]
-    head = f'<meta charset="utf-8"><title>{escape(title)}</title><style>{_STYLE}</style>'
-    return f'<!doctype html>\n<html lang="en"><head>{head}</head>\n<body>\n' + "\n".join(parts) + "\n</body></html>\n"
+    return html.page(title, parts)
 
 
 def _section(title: str, content: str, kind: str = "table") -> list[str]:
     return [f"<h2>{escape(title)}</h2>", f"<{kind}>{content}</{kind}>"] if content else []
 
 
-def _row(texts: Sequence[str], kinds: str, tag: str = "td") -> str:
-    """A row of a table; `kinds` has an n for each column of numbers."""
-    classes = {"n": " class=n", "t": ""}
-    row = (f"<{tag}{classes[kind]}>{escape(text)}</{tag}>" for text, kind in zip(texts, kinds, strict=True))
-    return f"<tr>{''.join(row)}</tr>"
-
-
 def _estimates(estimates: Sequence[Estimate], robot: RobotDescription, known: PhysicalParams) -> str:
-    rows = [_row(("parameter", "before", "found", "95 % interval", "unit"), "tnnnt", "th")]
+    rows = [html.row(("parameter", "before", "found", "95 % interval", "unit"), "tnnnt", "th")]
     for item in estimates:
         unit = "" if item.unit == "1" else item.unit
-        rows.append(_row((full_name(item.label, robot), *cells(item, known), unit), "tnnnt"))
+        rows.append(html.row((full_name(item.label, robot), *cells(item, known), unit), "tnnnt"))
     return "\n".join(rows)
 
 
 def _checks(found: Identification) -> str:
-    rows = [_row((one.what, f"{one.before:.3g}", f"{one.after:.3g}", one.unit), "tnnt") for one in found.checks]
-    return "".join([_row(("RMS error of", "before", "after", "unit"), "tnnt", "th"), *rows]) if rows else ""
+    rows = [html.row((one.what, f"{one.before:.3g}", f"{one.after:.3g}", one.unit), "tnnt") for one in found.checks]
+    return "".join([html.row(("RMS error of", "before", "after", "unit"), "tnnt", "th"), *rows]) if rows else ""
 
 
 def _correlations(found: Identification, robot: RobotDescription) -> str:
     return "".join(
-        _row((full_name(one, robot), full_name(other, robot), f"{value:+.2f}"), "ttn")
+        html.row((full_name(one, robot), full_name(other, robot), f"{value:+.2f}"), "ttn")
         for one, other, value in found.correlations
     )
