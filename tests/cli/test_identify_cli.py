@@ -24,6 +24,8 @@ from surefoot.identify.registry import EXPERIMENTS
 from surefoot.robot import RobotDescription
 from surefoot.robot.params_file import read_params
 
+pytestmark = pytest.mark.slow
+
 
 def identify(*words: object) -> subprocess.CompletedProcess[str]:
     return surefoot("identify", *words)

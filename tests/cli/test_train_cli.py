@@ -12,6 +12,8 @@ from pathlib import Path
 import pytest
 from processes import SUREFOOT, refused, surefoot
 
+pytestmark = pytest.mark.slow
+
 pytest.importorskip("torch")
 pytest.importorskip("mujoco")
 

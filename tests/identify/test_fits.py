@@ -19,6 +19,8 @@ from surefoot.identify.replay import stretch_of
 from surefoot.identify.result import Identification
 from surefoot.robot import PhysicalParams, RobotDescription
 
+pytestmark = pytest.mark.slow
+
 RACK = {
     "motor_strength": 0.9,
     "motor_friction": 0.02,
