@@ -19,6 +19,7 @@ from surefoot.errors import located
 from surefoot.learn.config import Steps
 from surefoot.learn.search import Search, SearchConfig, make_config
 from surefoot.learn.search_space import put
+from surefoot.learn.workers import check_address
 
 
 @dataclass(frozen=True)
@@ -56,6 +57,8 @@ def main(argv: list[str]) -> int:
     from surefoot.learn.run_folder import alone
 
     config = make_config(command.task, command.space, command.seed, command.steps)
+    if not command.report_only:
+        check_address(command.ray)
     out = command.out or Path("searches") / config.train.task.name
     check_folder(out)
     _check(config)

@@ -18,7 +18,7 @@ from surefoot.configuration import Seed
 from surefoot.errors import SurefootError, located
 from surefoot.learn.study_config import StudyConfig, load_study, study_runs
 from surefoot.learn.training import Training
-from surefoot.learn.workers import Outcome
+from surefoot.learn.workers import Outcome, check_address
 
 
 @dataclass(frozen=True)
@@ -91,6 +91,7 @@ def train(study: StudyConfig, runs: list[Training], command: StudyCommand, conso
     if not waiting:
         console.print(f"{study.name}: all {len(runs)} trainings are finished")
         return Outcome()
+    check_address(command.ray)
     for group, run in {run.group: run for run in waiting}.items():
         with located(f"group {group}"):
             check_config(run.config)

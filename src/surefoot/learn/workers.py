@@ -19,7 +19,7 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
-from surefoot.errors import SurefootError
+from surefoot.errors import SurefootError, accessible
 from surefoot.learn.training import Training
 
 if TYPE_CHECKING:
@@ -100,7 +100,8 @@ class Worker:
         gc.unfreeze()
         gc.collect()
         self._training = training
-        training.path.mkdir(parents=True, exist_ok=True)
+        with accessible(training.path, "made"):
+            training.path.mkdir(parents=True, exist_ok=True)
         self._held.enter_context(alone(training.path, PATIENCE))
         training.check()
         state = training.state
@@ -156,7 +157,7 @@ def ray_cluster(address: str | None, workers: int = 0) -> Iterator[None]:
     """Start Ray on this machine for so many workers, 0 for one a core, or join the cluster at HOST:PORT.
 
     Raises:
-        SurefootError: an address that is none, or where no Ray answers.
+        SurefootError: Ray does not start, or the cluster has no place for this process.
         ModuleNotFoundError: Ray is not installed.
     """
     for name, value in _SETTINGS.items():
@@ -167,8 +168,6 @@ def ray_cluster(address: str | None, workers: int = 0) -> Iterator[None]:
     if address is None:
         memory = 100 << 20  # Nothing large is passed around.
         how |= {"num_cpus": workers or os.cpu_count(), "include_dashboard": False, "object_store_memory": memory}
-    else:
-        _check_address(address)
     try:
         ray.init(address or "local", **how)
     except (ConnectionError, RuntimeError, ValueError, OSError) as error:
@@ -180,9 +179,18 @@ def ray_cluster(address: str | None, workers: int = 0) -> Iterator[None]:
         ray.shutdown()
 
 
-def _check_address(address: str) -> None:
-    """Refuse an address where nothing listens that could be Ray, which itself would try for minutes."""
+def check_address(address: str | None) -> None:
+    """Refuse the address of a cluster where nothing listens that could be Ray, which itself would try for minutes.
+
+    Raises:
+        SurefootError: no HOST:PORT, or no answer.
+        ModuleNotFoundError: Ray is not installed.
+    """
     import grpc
+    import ray  # noqa: F401
+
+    if address is None:
+        return
 
     if re.fullmatch(r"[\w.-]+:\d{1,5}", address) is None:
         raise SurefootError(f"ray is '{address}'; it must be HOST:PORT, as `ray start --head` shows it")

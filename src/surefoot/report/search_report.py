@@ -128,7 +128,7 @@ def _census(result: SearchResult, folder: Path) -> list[str]:
         assert first.gait is not None
         file = f"gait_{name}.png"
         footfall_diagram(gait_trace(first.policy), folder / file)
-        patterns = [trial.gait["pattern"] for trial in trials if trial.gait]
+        patterns = [trial.gait["reason"] or trial.gait["pattern"] for trial in trials if trial.gait]
         rows.append(
             {
                 "gait": name,
@@ -152,6 +152,7 @@ def search_figure(result: SearchResult, path: Path) -> Path:
         result: the search.
         path: PNG to write.
     """
+    scale, unit = (1e6, "million ") if result.steps >= 2e5 else (1.0, "")
     with new_figure(path, (11.0, 3.8), columns=3) as (figure, (order, curves, spread)):
         for state, color in _COLORS.items():
             trials = [trial for trial in result.trials if trial.state == state]
@@ -159,7 +160,7 @@ def search_figure(result: SearchResult, path: Path) -> Path:
             order.plot([trial.number for trial in trials], values, "o", color=color, markersize=4.0, label=state)
             for trial in trials:
                 steps, returns = np.array(trial.curve).T
-                curves.plot(steps / 1e6, returns, color=color, alpha=0.5, linewidth=0.8)
+                curves.plot(steps / scale, returns, color=color, alpha=0.5, linewidth=0.8)
         known = np.array([trial.value if trial.complete else -math.inf for trial in result.trials])
         so_far = np.maximum.accumulate(known)
         shown = np.isfinite(so_far)
@@ -167,8 +168,9 @@ def search_figure(result: SearchResult, path: Path) -> Path:
         order.step(numbers[shown], so_far[shown], where="post", color=GREEN, linewidth=1.2, label="best so far")
         order.set_title("Return at the end (m)")
         order.set_xlabel("trial")
+        order.locator_params(axis="x", integer=True)
         curves.set_title("Return in training (m)")
-        curves.set_xlabel("million control steps")
+        curves.set_xlabel(f"{unit}control steps")
         spread.hist(
             [[t.value for t in result.trials if t.state == state and math.isfinite(t.value)] for state in _COLORS],
             bins=20,
@@ -214,10 +216,12 @@ def _against(ax: Axes, trials: list[TrialResult], name: str) -> None:
         labels = sorted({str(value) for value in values}, key=lambda text: (len(text), text))
         places = np.array([labels.index(str(value)) for value in values], np.float64)
         place_labels(ax, labels)
+        ax.set_xlim(-0.5, len(labels) - 0.5)
     else:
         places = np.array(values, np.float64)
         if places.min() > 0 and places.max() > 8 * places.min():
             ax.set_xscale("log")
+            ax.xaxis.set_minor_formatter("")
     returns = np.array([trial.value for trial in trials])
     for state, color in _COLORS.items():
         chosen = np.array([trial.state == state for trial in trials])
