@@ -24,7 +24,9 @@ name: tiny
 observations: [roll, pitch, roll_rate, pitch_rate, motor_angles]
 feedback: {swing: [-0.5, 0.5], extension: [1.0707963, 2.0707963]}
 max_steps: 40
-train: {num_envs: 16, steps_per_update: 16, checkpoint_every: 512, ppo: {policy_hidden: [8, 8], value_hidden: [8, 8], epochs: 2}}
+train:
+  {num_envs: 16, steps_per_update: 16, checkpoint_every: 512,
+   ppo: {policy_hidden: [8, 8], value_hidden: [8, 8], epochs: 2}}
 """
 SPACE = """
 ppo.learning_rate: {low: 1.0e-4, high: 3.0e-3, log: true}
@@ -36,7 +38,7 @@ STEPS = 12288
 SEARCH = ("search", "tiny.yaml", "--space", "space.yaml", "--steps", str(STEPS), "--out", "out", "--seed", "5")
 
 
-def wait(what: Callable[[], bool], seconds: float = 200.0) -> None:
+def wait(what: Callable[[], bool], seconds: float = 400.0) -> None:
     deadline = time.monotonic() + seconds
     while not what():
         assert time.monotonic() < deadline, "it did not come in time"
@@ -58,6 +60,7 @@ def untimed(row: dict[str, object]) -> dict[str, object]:
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(900)
 def test_every_trial_counts_once_whatever_dies(tmp_path: Path) -> None:
     (tmp_path / "tiny.yaml").write_text(TASK)
     (tmp_path / "space.yaml").write_text(SPACE)
@@ -66,7 +69,7 @@ def test_every_trial_counts_once_whatever_dies(tmp_path: Path) -> None:
         process = start(tmp_path, "--trials", "3", "--ray", made.address)
         wait(lambda: min(len(rows(tmp_path, number)) for number in (0, 1)) >= 5)
         second.kill()
-        shown, errors = process.communicate(timeout=250)
+        shown, errors = process.communicate(timeout=500)
         assert process.returncode == 0, errors
         assert errors == ""
         (lost,) = re.findall(r"^trial_(\d{4}) .* lost ", shown, re.MULTILINE)
@@ -120,9 +123,7 @@ def check_same(folder: Path, number: int) -> None:
 
 def check_report(out: Path, trials: int) -> None:
     report = (out / "README.md").read_text()
-    assert (
-        f"{trials} trials ({trials} complete) of {STEPS:,} control steps, 16 episodes an evaluation, seed 5" in report
-    )
+    assert f"{trials} trials ({trials} complete) of {STEPS:,} control steps, 8 episodes an evaluation, seed 5" in report
     assert "surefoot search tiny.yaml --space space.yaml" in report
     assert "Claimed less fresh, mean of these 3: " in report
     gaits = re.findall(r"\((gait_\w+\.png)\)", report)

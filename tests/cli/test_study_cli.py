@@ -47,7 +47,7 @@ def start(cwd: Path, *words: str) -> subprocess.Popen[str]:
     return subprocess.Popen(command, cwd=cwd, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
 
-def wait(what: Callable[[], bool], seconds: float = 200.0) -> None:
+def wait(what: Callable[[], bool], seconds: float = 400.0) -> None:
     deadline = time.monotonic() + seconds
     while not what():
         assert time.monotonic() < deadline, "it did not come in time"
@@ -72,6 +72,7 @@ def alive(pid: int) -> bool:
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(900)
 def test_a_study_goes_on_after_whatever_stops_it(tmp_path: Path, ray: str) -> None:
     (tmp_path / "tiny.yaml").write_text(TINY)
     groups = ("plain", "drawn")
@@ -89,7 +90,7 @@ def test_a_study_goes_on_after_whatever_stops_it(tmp_path: Path, ray: str) -> No
     process = start(tmp_path, "--ray", ray)
     wait(lambda: all(updates(tmp_path, group) >= done[group] + 2 for group in groups))
     process.send_signal(signal.SIGINT)
-    shown, errors = process.communicate(timeout=100)
+    shown, errors = process.communicate(timeout=300)
     assert process.returncode == 130, errors
     assert "The same command goes on" in shown
     assert errors == ""
@@ -100,7 +101,7 @@ def test_a_study_goes_on_after_whatever_stops_it(tmp_path: Path, ray: str) -> No
     process = start(tmp_path, "--ray", ray)
     wait(lambda: updates(tmp_path, "drawn") >= done["drawn"] + 2)
     os.kill(worker(tmp_path, "drawn"), signal.SIGKILL)
-    shown, errors = process.communicate(timeout=200)
+    shown, errors = process.communicate(timeout=500)
     assert process.returncode == 0, errors
     assert errors == ""
     assert re.search(r"drawn +seed 0 +lost ", shown)

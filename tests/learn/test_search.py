@@ -24,7 +24,7 @@ ppo.learning_rate: {low: 0.0001, high: 0.01, log: true}
 ppo.epochs: {low: 1, high: 9, int: true}
 ppo.value_hidden: {choices: [[16, 16], [32, 32]]}
 """
-STEPS = 1200
+STEPS = 1000
 
 
 def make(folder: Path, seed: int = 3) -> SearchConfig:
@@ -109,7 +109,7 @@ def test_what_falls_behind_is_pruned_from_a_third_on(tmp_path: Path) -> None:
     assert said == [False, False, False, True]
     finish(search, bad, 0.2, 4 * every)
     good = next(trials)
-    assert not any(search.told(good, Told(n * every, None, (evaluated(n * every, 1.2),))) for n in range(1, 12))
+    assert not any(search.told(good, Told(n * every, None, (evaluated(n * every, 1.2),))) for n in range(1, 10))
     finish(search, good, 1.2)
     failed = next(trials)
     search.changed(failed, "failed", "the leg broke")
@@ -190,7 +190,7 @@ def test_another_search_is_refused(tmp_path: Path) -> None:
     with pytest.raises(SurefootError, match="was searched with seed 3, and now it is 4; give the same"):
         Search(replace(config, seed=4), tmp_path, True)
     train = replace(config.train, steps=7)
-    with pytest.raises(SurefootError, match=r"was searched with train\.steps 1200, and now it is 7"):
+    with pytest.raises(SurefootError, match=r"was searched with train\.steps 1000, and now it is 7"):
         Search(replace(config, train=train), tmp_path, True)
     one = {name: config.space[name] for name in ("ppo.epochs", "ppo.value_hidden")}
     with pytest.raises(SurefootError, match=r"with ppo\.learning_rate Dimension\(low=0\.0001.*, and now it is None"):

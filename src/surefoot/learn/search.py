@@ -25,9 +25,9 @@ from surefoot.learn.training import Training, base_config, difference
 from surefoot.learn.workers import Told
 from surefoot.seeding import generator
 
-EVALUATIONS = 12
+EVALUATIONS = 10
 """Evaluations of a trial, evenly spread; pruning compares trials at each."""
-EVALUATION_EPISODES = 16
+EVALUATION_EPISODES = 8
 RANDOM_TRIALS = 12
 """Trials whose settings are drawn at random, before the sampler learns from them."""
 PRUNING_FROM = 1 / 3

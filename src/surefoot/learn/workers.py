@@ -216,6 +216,8 @@ class _Slot:
 
     training: Training
     worker: Any
+    fresh: bool
+    """Whether the worker was made for it, and may have to wait for a processor."""
     begun: bool = False
     ends_as: str = ""
     """What it will be once the worker has ended it: stopped or pruned."""
@@ -268,7 +270,16 @@ def run_trainings(
                 ray.kill(slot.worker)
                 del running[ref]
                 change(slot.training, "stopped")
-        while not asked and len(running) < (workers or max(1, int(ray.cluster_resources().get("CPU", 0)))):
+        # A computer that is lost takes its processors with it.
+        processors = max(1, int(ray.cluster_resources().get("CPU", 0)))
+        for ref, slot in list(running.items()) if len(running) + len(idle) > processors else ():
+            if slot.fresh and not slot.begun and idle:
+                # It waits for the processor of an idle worker.
+                ray.kill(slot.worker)
+                del running[ref]
+                slot.worker, slot.fresh = idle.pop(), False
+                running[slot.worker.begin.remote(slot.training)] = slot
+        while not asked and len(running) < min(workers or processors, processors):
             training = lost.popleft() if lost else next(source, None)
             if training is None:
                 # Their processors are for those that wait for one.
@@ -276,9 +287,10 @@ def run_trainings(
                     ray.kill(worker)
                 idle.clear()
                 break
-            worker = idle.pop() if idle else make_worker.remote(make_world, os.getcwd())
+            fresh = not idle
+            worker = make_worker.remote(make_world, os.getcwd()) if fresh else idle.pop()
             tries[training.name] = tries.get(training.name, 0) + 1
-            running[worker.begin.remote(training)] = _Slot(training, worker)
+            running[worker.begin.remote(training)] = _Slot(training, worker, fresh)
             change(training, "started")
         if not running:
             break
