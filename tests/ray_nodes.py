@@ -12,10 +12,14 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from unittest import mock
 
-TOKEN = secrets.token_hex(32)
-"""One for all clusters of a process: Ray reads it once."""
+os.environ |= {
+    "RAY_AUTH_MODE": "token",
+    "RAY_AUTH_TOKEN": secrets.token_hex(32),
+    "RAY_USAGE_STATS_ENABLED": "0",
+    "RAY_worker_niceness": "0",
+}
+"""Ray reads these once, when a process imports it: for this process, for all clusters, and for what tests start."""
 
 
 def free_port() -> int:
@@ -73,18 +77,11 @@ class Cluster:
 @contextmanager
 def cluster(folder: Path, cpus: int) -> Iterator[Cluster]:
     """Start the first computer of a cluster, and end all computers in the end."""
-    shared = {
-        "RAY_AUTH_MODE": "token",
-        "RAY_AUTH_TOKEN": TOKEN,
-        "RAY_USAGE_STATS_ENABLED": "0",
-        "RAY_worker_niceness": "0",
-    }
     nodes: list[Node] = []
-    with mock.patch.dict(os.environ, shared):
-        try:
-            made = Cluster(folder, cpus)
-            nodes = made.nodes
-            yield made
-        finally:
-            for node in reversed(nodes):
-                node.kill()
+    try:
+        made = Cluster(folder, cpus)
+        nodes = made.nodes
+        yield made
+    finally:
+        for node in reversed(nodes):
+            node.kill()
