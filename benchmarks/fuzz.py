@@ -95,6 +95,11 @@ KINDS = {
     "study options": Kind(
         ("study", "@study.yaml", "--report-only", "--runs", "out/runs", "--out", "out/report"), "cli.study:StudyCommand"
     ),
+    "search options": Kind(
+        ("search", "@task.yaml", "--space", "@space.yaml", "--report-only", "--out", "out/search"),
+        "cli.search:SearchCommand",
+    ),
+    "space": Kind(("search", "@task.yaml", "--space", "@@space.yaml", "--report-only", "--out", "out/search")),
     "deploy options": Kind(
         ("deploy", "@policy.onnx", "--port", "nowhere", "--duration", "0.03", "--out", "out"),
         "cli.deploy:DeployCommand",
@@ -510,6 +515,10 @@ def make_seeds(folder: Path, wanted: set[str]) -> None:
         "  plain: {label: a, train: {task: {pushes: {enabled: false}, randomize: none}}}\n"
         "  drawn: {label: b, train: {task: {randomize: table1}}}\nevaluate: [nominal, gap]\ncompare: [[plain, drawn]]\n"
         "bars: {both: [plain, drawn]}\nfindings: [{groups: [plain, drawn], text: nothing}]\n"
+    )
+    (folder / "space.yaml").write_text(
+        "ppo.learning_rate: {low: 0.0001, high: 0.01, log: true}\nppo.policy_hidden.0: {low: 8, high: 16, int: true}\n"
+        "task.energy_weight: {choices: [0.001, 0.01]}\n"
     )
     header = [f"{part}_{leg}" for part in ("swing", "extension") for leg in robot.leg_names]
     rows = [[str(0.1 * k)] * 4 + ["1.6"] * 4 for k in range(4)]

@@ -11,7 +11,7 @@ import pytest
 for module in ("mujoco", "torch", "onnx", "matplotlib", "imageio_ffmpeg"):
     pytest.importorskip(module)
 
-QUICK = ("study", "study options", "params", "policy to deploy", "recording", "deploy options",
+QUICK = ("study", "study options", "space", "params", "policy to deploy", "recording", "deploy options",
          "doctor options", "identify options")  # fmt: skip
 """Kinds of cases that hardly ever simulate anything."""
 

@@ -9,11 +9,12 @@ import re
 import signal
 import subprocess
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 from processes import SUREFOOT, refused, surefoot
+from ray_nodes import cluster
 
 from surefoot.policy.runtime import PolicyRuntime
 from surefoot.task.trace import EpisodeTrace
@@ -23,21 +24,30 @@ name: tiny
 task: trot
 seeds: [0]
 train:
-  {steps: 10240, num_envs: 16, steps_per_update: 16, evaluate_every: 5000, evaluation_episodes: 2,
+  {steps: 20480, num_envs: 16, steps_per_update: 16, evaluate_every: 5000, evaluation_episodes: 2,
    checkpoint_every: 512, task: {max_steps: 40}}
 groups:
   plain: {label: 4-D, train: {task: {pushes: {enabled: false}, randomize: none}}}
   drawn: {label: "4-D, randomized", train: {task: {randomize: table1}}}
 evaluate: [sensitivity, table1]
 """
+STEPS = 20480
 
 
-def start(cwd: Path) -> subprocess.Popen[str]:
-    words = [*SUREFOOT, "study", "tiny.yaml", "--workers", "2", "--train-only"]
-    return subprocess.Popen(words, cwd=cwd, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+@pytest.fixture(scope="module")
+def ray(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    """Address of a cluster with two processors."""
+    pytest.importorskip("ray")
+    with cluster(tmp_path_factory.mktemp("ray"), cpus=2) as made:
+        yield made.address
 
 
-def wait(what: Callable[[], bool], seconds: float = 120.0) -> None:
+def start(cwd: Path, *words: str) -> subprocess.Popen[str]:
+    command = [*SUREFOOT, "study", "tiny.yaml", "--workers", "2", "--train-only", *words]
+    return subprocess.Popen(command, cwd=cwd, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+
+def wait(what: Callable[[], bool], seconds: float = 400.0) -> None:
     deadline = time.monotonic() + seconds
     while not what():
         assert time.monotonic() < deadline, "it did not come in time"
@@ -53,51 +63,59 @@ def worker(folder: Path, group: str) -> int:
     return int((folder / "runs" / "tiny" / group / "seed_0" / "lock").read_text())
 
 
+def alive(pid: int) -> bool:
+    """Whether a process runs; one that has ended and that nobody asks about does not."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] != "Z"
+    except OSError:
+        return False
+
+
 @pytest.mark.slow
-def test_a_study_goes_on_after_whatever_stops_it(tmp_path: Path) -> None:
+@pytest.mark.timeout(900)
+def test_a_study_goes_on_after_whatever_stops_it(tmp_path: Path, ray: str) -> None:
     (tmp_path / "tiny.yaml").write_text(TINY)
     groups = ("plain", "drawn")
 
+    # Killed with a Ray of its own: the workers end with it.
     process = start(tmp_path)
     wait(lambda: all(updates(tmp_path, group) >= 3 for group in groups))
+    workers = [worker(tmp_path, group) for group in groups]
+    process.kill()
+    process.communicate(timeout=60)
+    wait(lambda: not any(map(alive, workers)))
+    done = {group: updates(tmp_path, group) for group in groups}
+
+    # On a cluster, whose workers begin at the last checkpoints; Ctrl-C saves.
+    process = start(tmp_path, "--ray", ray)
+    wait(lambda: all(updates(tmp_path, group) >= done[group] + 2 for group in groups))
     process.send_signal(signal.SIGINT)
-    shown, _ = process.communicate(timeout=60)
-    assert process.returncode == 130
+    shown, errors = process.communicate(timeout=300)
+    assert process.returncode == 130, errors
     assert "The same command goes on" in shown
+    assert errors == ""
     done = {group: updates(tmp_path, group) for group in groups}
     assert all((tmp_path / "runs/tiny" / g / "seed_0/checkpoints/latest.ckpt").exists() for g in groups)
 
-    process = start(tmp_path)
+    # A worker that dies is replaced, and goes on from the last checkpoint: it passes the same places again.
+    process = start(tmp_path, "--ray", ray)
     wait(lambda: updates(tmp_path, "drawn") >= done["drawn"] + 2)
     os.kill(worker(tmp_path, "drawn"), signal.SIGKILL)
-    shown, errors = process.communicate(timeout=200)
-    assert process.returncode == 1
-    assert re.search(r"^surefoot: error: drawn seed 0: .*killed by signal 9 \(SIGKILL\)\)?$", errors, re.MULTILINE)
-    assert re.search(r"plain +seed 0 +finished +10,240 of 10,240 steps", shown)
+    shown, errors = process.communicate(timeout=500)
+    assert process.returncode == 0, errors
+    assert errors == ""
+    assert re.search(r"drawn +seed 0 +lost ", shown)
+    for group in groups:
+        assert re.search(rf"{group} +seed 0 +finished +{STEPS:,} of {STEPS:,} steps", shown)
     assert not (tmp_path / "results").exists()
-
-    # What is there can be reported while the rest is missing, and without training.
-    result = surefoot("study", "tiny.yaml", "--report-only", cwd=tmp_path)
-    assert result.returncode == 0, result.stderr
-    assert "Not in the report: drawn seed 0" in result.stdout
-
-    done["drawn"] = updates(tmp_path, "drawn")
-    process = start(tmp_path)
-    # It is behind where it was killed, at the last checkpoint: it passes that place again.
-    wait(lambda: updates(tmp_path, "drawn") >= done["drawn"] + 2)
-    for pid in (process.pid, worker(tmp_path, "drawn")):
-        os.kill(pid, signal.SIGKILL)
-    process.communicate(timeout=60)
+    check_log(tmp_path)
 
     result = surefoot("study", "tiny.yaml", "--workers", "2", cwd=tmp_path)
     assert result.returncode == 0, result.stderr
-    check_log(tmp_path)
+    assert "all 2 trainings are finished" in result.stdout
     check_results(tmp_path / "results" / "tiny")
-
     before = (tmp_path / "results/tiny/policies.csv").read_text()
     result = surefoot("study", "tiny.yaml", cwd=tmp_path)
-    assert result.returncode == 0, result.stderr
-    assert "all 2 trainings are finished" in result.stdout
     assert "evaluating" not in result.stdout
     assert (tmp_path / "results/tiny/policies.csv").read_text() == before
 
@@ -109,11 +127,23 @@ def test_a_study_goes_on_after_whatever_stops_it(tmp_path: Path) -> None:
     )
 
 
+@pytest.mark.slow
+def test_a_training_that_fails_is_told_in_one_line_and_the_others_are_reported(tmp_path: Path, ray: str) -> None:
+    (tmp_path / "tiny.yaml").write_text(TINY.replace(str(STEPS), "512"))
+    place = tmp_path / "runs/tiny/plain/seed_0"
+    place.parent.mkdir(parents=True)
+    place.write_text("a file where a folder must be")
+    result = surefoot("study", "tiny.yaml", "--ray", ray, cwd=tmp_path)
+    assert result.returncode == 1
+    assert result.stderr == "surefoot: error: plain seed 0: runs/tiny/plain/seed_0: can't be made: File exists\n"
+    assert "Not in the report: plain seed 0" in result.stdout
+
+
 def check_log(folder: Path) -> None:
     """Every update stands in the log once, whatever stopped the run."""
     for group in ("plain", "drawn"):
         log = (folder / "runs/tiny" / group / "seed_0" / "figures.jsonl").read_text().splitlines()
-        assert [json.loads(line)["steps"] for line in log] == [256 * (n + 1) for n in range(40)]
+        assert [json.loads(line)["steps"] for line in log] == [256 * (n + 1) for n in range(STEPS // 256)]
 
 
 def check_results(out: Path) -> None:
@@ -121,7 +151,7 @@ def check_results(out: Path) -> None:
         runs = {row["group"]: row for row in csv.DictReader(file)}
     assert set(runs) == {"plain", "drawn"}
     for row in runs.values():
-        assert row["steps"] == "10240"
+        assert row["steps"] == str(STEPS)
         assert 0 <= float(row["table1_falls"]) <= 100
         assert float(row["sensitivity_std"]) > 0
     summary = json.loads((out / "summary.json").read_text())
@@ -153,7 +183,7 @@ findings: [{groups: [improved, baseline], text: the baseline had the larger gap.
 
 @pytest.mark.slow
 def test_a_study_of_the_reality_gap(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], ray: str
 ) -> None:
     """Training, runs in two worlds and the report; MuJoCo stands in for the other world."""
     from surefoot.cli import study_results
@@ -169,7 +199,7 @@ def test_a_study_of_the_reality_gap(
         return SimWorld
 
     monkeypatch.setattr(study_results, "find_world", find_world)
-    assert main(["study", "gaps.yaml", "--workers", "2"]) == 0, capsys.readouterr().err
+    assert main(["study", "gaps.yaml", "--ray", ray]) == 0, capsys.readouterr().err
     assert set(asked) == {"mujoco", "ensemble"}
     for group, actuator, latency in (("baseline", "constraint", 0.0), ("improved", "dc", None)):
         folder = tmp_path / "runs/gaps" / group / "seed_0/evaluations/gap"
@@ -233,6 +263,7 @@ BAD = [
     (["tiny.yaml", "--seeds", "1", "1"], "seeds is .1, 1.; it takes 1 or more, none twice"),
     (["tiny.yaml", "--train-only", "--report-only"], "--train-only and --report-only leave nothing to do"),
     (["tiny.yaml", "--report-only"], "runs/tiny: no run of the study is finished and evaluated"),
+    (["tiny.yaml", "--ray", "nowhere"], "ray is 'nowhere'; it must be HOST:PORT"),
     (["none.yaml"], "none.yaml: can't be read"),
     (["kind.yaml"], "evaluate: 'luck' is no kind of evaluation; choices: nominal, table1, sensitivity, gap"),
     (["bars.yaml"], "bars: they show the reality gap; evaluate must name 'gap' for them"),

@@ -13,16 +13,8 @@ import yaml
 from surefoot.configuration import write_yaml
 from surefoot.errors import SurefootError
 from surefoot.learn.config import TrainConfig, load_train_config
-from surefoot.learn.study_config import (
-    CHECKPOINT_EVERY,
-    GroupConfig,
-    StudyConfig,
-    StudyRun,
-    difference,
-    group_config,
-    load_study,
-    study_runs,
-)
+from surefoot.learn.study_config import GroupConfig, StudyConfig, group_config, load_study, study_runs
+from surefoot.learn.training import CHECKPOINT_EVERY, Training, difference
 from surefoot.task.randomize import load_ranges
 
 STUDY = """
@@ -130,12 +122,12 @@ def test_every_pair_is_compared_unless_some_are_named() -> None:
     assert replace(study, compare=(("c", "a"),)).pairs == (("c", "a"),)
 
 
-def make_run(folder: Path, **changes: object) -> StudyRun:
+def make_run(folder: Path, **changes: object) -> Training:
     config = replace(load_train_config("trot"), **changes)  # type: ignore[arg-type]
-    return StudyRun("a", config, folder)
+    return Training("a", config, folder)
 
 
-def store(run: StudyRun, file: str) -> None:
+def store(run: Training, file: str) -> None:
     (run.path / "checkpoints").mkdir(parents=True, exist_ok=True)
     write_yaml(run.path / "config.yaml", run.config)
     (run.path / file).write_bytes(b"")

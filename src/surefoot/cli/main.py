@@ -14,6 +14,7 @@ COMMANDS = {
     "train": ("surefoot.cli.train", "learn a gait in simulation"),
     "evaluate": ("surefoot.cli.evaluate", "run a policy in simulation and measure it"),
     "play": ("surefoot.cli.play", "watch a policy, in a window or as a video"),
+    "search": ("surefoot.cli.search", "train many times with searched settings, and see what emerges"),
     "study": ("surefoot.cli.study", "train several groups with several seeds, compare them"),
     "identify": ("surefoot.cli.identify", "experiments on a robot, and how well the simulator repeats them"),
     "emulate": ("surefoot.cli.emulate", "emulate a robot: microcontroller and physics behind a pseudo-terminal"),
@@ -38,6 +39,7 @@ _EXTRAS = {
     "train": ("torch", "tensordict", "rsl_rl", "onnx", "tensorboard"),
     "report": ("matplotlib", "imageio_ffmpeg", "PIL"),
     "bullet": ("pybullet",),
+    "search": ("optuna", "ray", "grpc"),
 }
 
 

@@ -38,6 +38,14 @@ Count = Annotated[int, Within(1, 10_000)]
 """Number of episodes or runs."""
 Seed = Annotated[configuration.Seed, tyro.conf.arg(help="Seed of all random numbers.")]
 Threads = Annotated[configuration.Threads, tyro.conf.arg(help="Threads of the simulation; 0 means one a core.")]
+Workers = Annotated[
+    configuration.Threads,
+    tyro.conf.arg(help="Trainings side by side, each with one thread; 0 means one a core, or as the cluster has."),
+]
+Ray = Annotated[
+    str | None,
+    tyro.conf.arg(metavar="HOST:PORT", help="Ray cluster that trains; this machine alone, if not given."),
+]
 World = Annotated[str, tyro.conf.arg(help="Where to run: mujoco or bullet.")]
 Json = Annotated[bool, tyro.conf.arg(help="Print one JSON object.")]
 Port = Annotated[str, tyro.conf.arg(help="Serial port or pseudo-terminal of the robot, such as /dev/ttyUSB0.")]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import shlex
 import sys
 from dataclasses import dataclass, replace
@@ -12,12 +11,14 @@ from typing import Annotated
 import tyro
 from rich.console import Console
 
+from surefoot.cli.options import Ray, Workers
 from surefoot.cli.parsing import parse
-from surefoot.configuration import Seed, Threads, to_mapping
+from surefoot.cli.trainings import train_many
+from surefoot.configuration import Seed
 from surefoot.errors import SurefootError, located
-from surefoot.learn.study_config import StudyConfig, StudyRun, load_study, study_runs
-from surefoot.learn.workers import Job, Outcome, run_jobs
-from surefoot.stop_signals import StopSignals
+from surefoot.learn.study_config import StudyConfig, load_study, study_runs
+from surefoot.learn.training import Training
+from surefoot.learn.workers import Outcome, check_address
 
 
 @dataclass(frozen=True)
@@ -34,8 +35,8 @@ class StudyCommand:
     """Folder for tables, figures and the report; results/NAME if not given."""
     runs: Path | None = None
     """Folder for the runs; runs/NAME if not given."""
-    workers: Threads = 0
-    """Trainings side by side, each with one thread; 0 means one a core."""
+    workers: Workers = 0
+    ray: Ray = None
     seeds: tuple[Seed, ...] = ()
     """Seeds in place of the file's."""
     only: tuple[str, ...] = ()
@@ -65,11 +66,10 @@ def main(argv: list[str]) -> int:
         run.check(extend=command.extend)
     for run in runs if command.extend else []:
         run.extend()
-    workers = command.workers or os.cpu_count() or 1
     console = Console(highlight=False, soft_wrap=True)
     failed: dict[str, str] = {}
     if not command.report_only:
-        outcome = train(study, runs, workers, console)
+        outcome = train(study, runs, command, console)
         failed = outcome.failed
         if outcome.stopped:
             console.print("Stopped; every run under way is saved. The same command goes on.")
@@ -83,32 +83,17 @@ def main(argv: list[str]) -> int:
     return 1 if failed else 0
 
 
-def train(study: StudyConfig, runs: list[StudyRun], workers: int, console: Console) -> Outcome:
+def train(study: StudyConfig, runs: list[Training], command: StudyCommand, console: Console) -> Outcome:
     """Train every run that is not finished, some at a time, and show how far each is."""
-    from surefoot.cli.study_progress import StudyProgress
     from surefoot.cli.train import check_config
 
     waiting = [run for run in runs if run.state != "finished"]
     if not waiting:
         console.print(f"{study.name}: all {len(runs)} trainings are finished")
         return Outcome()
+    check_address(command.ray)
     for group, run in {run.group: run for run in waiting}.items():
         with located(f"group {group}"):
             check_config(run.config)
-    jobs = []
-    for run in waiting:
-        request = {"group": run.group, "path": str(run.path), "config": to_mapping(run.config)}
-        jobs.append(Job(run.name, request, run.path / "worker.log"))
-    command = [sys.executable, "-m", "surefoot.cli.study_worker"]
-    with StudyProgress(study, runs, workers, console) as progress, _listen(console) as stops:
-        return run_jobs(command, jobs, workers, progress.event, progress.change, lambda: stops.count)
-
-
-def _listen(console: Console) -> StopSignals:
-    """Count Ctrl-C and requests to terminate, and say so the first time."""
-
-    def say(count: int) -> None:
-        if count == 1:
-            console.print("Stopping after the updates under way; once more stops at once.")
-
-    return StopSignals(on_signal=say, respect_nohup=True)
+    what = f"{study.name}: {len(runs)} trainings, {len(runs) - len(waiting)} finished"
+    return train_many(what, waiting, command.workers, command.ray, console)

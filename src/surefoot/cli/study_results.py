@@ -11,7 +11,8 @@ from rich.console import Console
 from surefoot.cli.options import make_figures_folder
 from surefoot.cli.policies import find_world
 from surefoot.errors import SurefootError
-from surefoot.learn.study_config import StudyConfig, StudyRun, study_runs
+from surefoot.learn.study_config import StudyConfig, study_runs
+from surefoot.learn.training import Training
 
 if TYPE_CHECKING:
     from surefoot.evaluate.comparison import Comparison, SeedResult
@@ -32,7 +33,7 @@ def check_kinds(study: StudyConfig, worlds: bool) -> None:
         find_world(world)
 
 
-def evaluate_runs(study: StudyConfig, runs: list[StudyRun], threads: int, console: Console) -> None:
+def evaluate_runs(study: StudyConfig, runs: list[Training], threads: int, console: Console) -> None:
     """Make every evaluation of every finished run that is not there yet."""
     from surefoot.evaluate.evaluations import EVALUATIONS, evaluate, evaluation_names, stored_result
     from surefoot.evaluate.statistics import decimal
@@ -94,7 +95,7 @@ def _collect(study: StudyConfig, root: Path) -> Comparison:
     )
 
 
-def _result(run: StudyRun, kinds: tuple[str, ...]) -> SeedResult | None:
+def _result(run: Training, kinds: tuple[str, ...]) -> SeedResult | None:
     """What is known of a run; None if it is not finished, not evaluated, or not what the study asks for."""
     from surefoot.evaluate.comparison import Curve, SeedResult
     from surefoot.evaluate.evaluations import stored_result

@@ -6,6 +6,7 @@ import functools
 import hashlib
 import json
 import operator
+from collections import Counter
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,6 +17,7 @@ import numpy as np
 from surefoot import __version__
 from surefoot.errors import SurefootError, choices
 from surefoot.evaluate.ensemble import ROBOTS
+from surefoot.evaluate.footfalls import analyze_footfalls
 from surefoot.evaluate.gap import PolicyGap, away_task, home_task
 from surefoot.evaluate.recorded import save_runs
 from surefoot.evaluate.rollout import run_episodes, task_from_contract
@@ -24,6 +26,7 @@ from surefoot.evaluate.sensitivity import Sensitivity, run_sensitivity
 from surefoot.files import whole_file
 from surefoot.policy.runtime import PolicyRuntime
 from surefoot.robot import RobotDescription
+from surefoot.tables import plain_value
 from surefoot.task.config import TaskConfig
 from surefoot.task.randomize import load_ranges
 from surefoot.task.trace import EpisodeTrace
@@ -129,6 +132,27 @@ def _run(
     return run_episodes(policy, task, episodes, find_world(world), seed, threads, world_name=world, policy_name=name)
 
 
+def _gaits(
+    policy: PolicyRuntime, task: TaskConfig, find_world: FindWorld, settings: dict[str, Any], threads: int
+) -> tuple[Result, Traces]:
+    """Name the gait of some episodes at home; the first one with the name that most of them have is kept."""
+    traces = _run(policy, home_task(task), find_world, settings["world"], settings, threads)
+    feet = [analyze_footfalls(trace) for trace in traces]
+    gait = Counter(found.gait for found in feet).most_common(1)[0][0]
+    index = next(i for i, found in enumerate(feet) if found.gait == gait)
+    said = {name: getattr(feet[index], name) for name in ("pattern", "reason")}
+    numbers = {"stride": feet[index].stride_period, "duty": float(np.mean(list(feet[index].duty_factor.values())))}
+    plain = {name: plain_value(value) for name, value in numbers.items()}
+    result = {"gait": gait, "agree": sum(found.gait == gait for found in feet), **said, **plain}
+    return result, {settings["world"]: [traces[index]]}
+
+
+def gait_trace(policy: Path) -> EpisodeTrace:
+    """Return the episode that the evaluation `gait` of a policy file kept."""
+    world = EVALUATIONS["gait"].settings["world"]
+    return EpisodeTrace.load(next((_result_path(policy, "gait").with_suffix("") / world).glob("*.npz")))
+
+
 def gap_of(result: Result, name: str) -> PolicyGap:
     """Return the runs of a result at home, away and, last, in home's engine with the robot as described."""
     home, away, described = (Runs.from_mapping(result[part]) for part in ("home", "away", "described"))
@@ -199,6 +223,12 @@ EVALUATIONS: dict[str, EvaluationKind] = {
             Figure("gap_speed", "speed away", "m/s", 3, _mean("away", "speed")),
             Figure("gap_power", "power away", "W", 1, _mean("away", "power")),
         ),
+    ),
+    "gait": EvaluationKind(
+        "names of the gait in 5 episodes in the nominal world of the policy's own simulator, without pushes",
+        {"world": "mujoco", "episodes": 5, "seed": SEED},
+        _gaits,
+        (Figure("gait_agree", "episodes with the same gait", "of 5", 0, lambda result: float(result["agree"])),),
     ),
 }
 """Evaluations by name; the first one is part of every study."""

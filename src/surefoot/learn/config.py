@@ -85,6 +85,8 @@ class TrainConfig:
     """Control steps between two evaluations of the deterministic policy."""
     evaluation_episodes: Annotated[int, Within(1, 10_000)] = 8
     """Episodes of such an evaluation."""
+    evaluation_energy_weight: Annotated[float, Within(0, 1e6)] | None = None
+    """Weight of energy in the returns of evaluations [m/J]; the task's, if not given."""
     checkpoint_every: Steps = 1_000_000
     """Control steps between two checkpoints that are kept."""
     threads: Threads = 0

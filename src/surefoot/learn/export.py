@@ -66,11 +66,15 @@ def export_trainer(
     return export_policy(trainer.policy, trainer.config.ppo.activation, contract, path)
 
 
-def export_run(run: TrainingRun, path: str | Path) -> Path:
-    """Write the best evaluated policy of a run, with the figures of its training."""
-    run.trainer.policy.load_state_dict(run.best_actor)
+def export_run(run: TrainingRun, path: str | Path, last: bool = False) -> Path:
+    """Write the best evaluated policy of a run, or its last one, with the figures of its training."""
+    training = asdict(run.best) if run.best else {}
+    if last:
+        training = run.folder.evaluations()[-1]
+    else:
+        run.trainer.policy.load_state_dict(run.best_actor)
     figures = {
-        "training": asdict(run.best) if run.best else {},
+        "training": training,
         "seconds": round(run.seconds, 1),
         "seed": run.config.seed,
         "steps": run.trainer.steps,

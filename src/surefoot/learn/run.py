@@ -45,9 +45,10 @@ class Evaluation:
 
 def evaluate_policy(trainer: Trainer, make_world: SimulationFactory, episodes: int) -> Evaluation:
     """Run the deterministic policy for whole episodes, always from the same seed."""
-    config, found = trainer.config, []
+    config, found, weight = trainer.config, [], trainer.config.evaluation_energy_weight
+    ruled = config.task if weight is None else replace(config.task, energy_weight=weight)
     for pushed in (False, True) if config.task.pushes.enabled else (False,):
-        task = replace(config.task, pushes=replace(config.task.pushes, enabled=pushed))
+        task = replace(ruled, pushes=replace(config.task.pushes, enabled=pushed))
         env = LocomotionEnv(task, episodes, make_world, EVALUATION_SEED + config.seed, False, config.threads)
         found.append(run_to_end(trainer.act, env, env.reset()[0]))
     runs, falls = found[0], [int((~one.balanced).sum()) for one in found]
@@ -121,21 +122,29 @@ class TrainingRun:
         """
         try:
             while not self.finished and not should_stop():
-                start = time.perf_counter()
-                figures = self.trainer.update()
-                evaluation = self._evaluate_if_due()
-                self.seconds += time.perf_counter() - start
-                self._log(figures, evaluation)
-                on_update(figures, evaluation)
-                if self._due(self.config.checkpoint_every):
-                    self.save()
-                    write_checkpoint(
-                        self.folder.checkpoints / f"steps_{self.trainer.steps:09d}.ckpt",
-                        {"steps": self.trainer.steps, "actor": self.trainer.policy.state_dict()},
-                    )
+                on_update(*self.step())
             self.save()
         finally:
-            self._writer.close()
+            self.close()
+
+    def step(self) -> tuple[UpdateFigures, Evaluation | None]:
+        """Do one update, the evaluation and the checkpoint that are due then, and log; returns the first two."""
+        start = time.perf_counter()
+        figures = self.trainer.update()
+        evaluation = self._evaluate_if_due()
+        self.seconds += time.perf_counter() - start
+        self._log(figures, evaluation)
+        if self._due(self.config.checkpoint_every):
+            self.save()
+            write_checkpoint(
+                self.folder.checkpoints / f"steps_{self.trainer.steps:09d}.ckpt",
+                {"steps": self.trainer.steps, "actor": self.trainer.policy.state_dict()},
+            )
+        return figures, evaluation
+
+    def close(self) -> None:
+        """Close the log."""
+        self._writer.close()
 
     def _due(self, every: int) -> bool:
         """Return whether a multiple of `every` steps was passed in the last update, or the run is over."""

@@ -251,6 +251,10 @@ class RunFolder:
         """Return all rows of figures; a last line that was cut off is left out."""
         return read_json_lines(self.figures_log)
 
+    def evaluations(self) -> list[dict[str, Any]]:
+        """Return the evaluations among the rows."""
+        return [row["evaluation"] for row in self.rows() if "evaluation" in row]
+
     def drop_rows_after(self, steps: int) -> None:
         """Remove rows later than `steps`, which a resumed run writes again."""
         kept = [row for row in self.rows() if row["steps"] <= steps]

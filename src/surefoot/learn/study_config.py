@@ -4,23 +4,16 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, is_dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
-from surefoot.configuration import Seed, Within, check_bounds, from_mapping, read_yaml, write_yaml
+from surefoot.configuration import Seed, Within, check_bounds, from_mapping, read_yaml
 from surefoot.errors import SurefootError, check_name, choices, located
-from surefoot.files import read_json_lines
-from surefoot.learn.config import TrainConfig, load_train_config
+from surefoot.learn.config import TrainConfig
+from surefoot.learn.training import Training, base_config
 from surefoot.task.config import preset_names
 from surefoot.task.randomize import with_ranges
-
-CHECKPOINT_EVERY = 200_000
-"""Control steps between two checkpoints of a study's runs: about a minute of one core, lost at most when killed."""
-_SAME_RESULT = ("threads", "checkpoint_every")
-"""Fields that a run's outcome does not depend on; a stored run may differ in them."""
-
-State = Literal["new", "started", "finished"]
 
 
 @dataclass(frozen=True)
@@ -108,96 +101,6 @@ class StudyConfig:
         return self.groups[group].label or group
 
 
-@dataclass(frozen=True)
-class StudyRun:
-    """One training of a study."""
-
-    group: str
-    """Name of its group."""
-    config: TrainConfig
-    """The training."""
-    path: Path
-    """Its folder."""
-
-    @property
-    def name(self) -> str:
-        """Group and seed, as the user reads them."""
-        return f"{self.group} seed {self.config.seed}"
-
-    @property
-    def policy(self) -> Path:
-        """The exported policy of a finished run."""
-        return self.path / "policy.onnx"
-
-    @property
-    def state(self) -> State:
-        """How far the run is, told from its files alone."""
-        if self.policy.exists():
-            return "finished"
-        checkpoints = self.path / "checkpoints"
-        saved = any((checkpoints / name).exists() for name in ("latest.ckpt", "fresh.ckpt"))
-        return "started" if saved else "new"
-
-    def rows(self) -> list[dict[str, Any]]:
-        """The figures of its updates; a last line that was cut off is left out."""
-        return read_json_lines(self.path / "figures.jsonl")
-
-    def check(self, extend: bool = False) -> None:
-        """Refuse a folder whose run is another one than the study asks for.
-
-        Args:
-            extend: let fewer steps pass, which `extend` mends.
-
-        Raises:
-            SurefootError: with the folder, the first field that differs, and what to do.
-        """
-        if self.state == "new":
-            return
-        stored = self._stored()
-        kept = {name: getattr(stored, name) for name in _SAME_RESULT}
-        if extend and stored.steps < self.config.steps:
-            kept["steps"] = stored.steps
-        found = difference(stored, replace(self.config, **kept))
-        if found is not None:
-            name, was, now = found
-            more = "" if name != "steps" or now < was else "go on with it by --extend, "
-            raise SurefootError(
-                f"{self.path}: was trained with {name} {was!r}, and the study asks for {now!r}; {more}move the folder "
-                "away to train it anew, give another --runs, or change the study back"
-            )
-
-    def extend(self) -> None:
-        """Let a run that was made for fewer steps go on to as many as the study now asks for.
-
-        A run does the same in its first steps whatever their number, so it goes on as if it had been made for more.
-        """
-        if self.state == "new" or (stored := self._stored()).steps >= self.config.steps:
-            return
-        # In this order: killed in between, it is a run that is not finished, not one that claims more steps.
-        self.policy.unlink(missing_ok=True)
-        write_yaml(self.path / "config.yaml", replace(stored, steps=self.config.steps))
-
-    def _stored(self) -> TrainConfig:
-        try:
-            return from_mapping(TrainConfig, read_yaml(self.path / "config.yaml"))
-        except SurefootError as error:
-            raise SurefootError(f"{self.path}: {error}; move the folder away to train anew") from None
-
-
-def difference(one: Any, other: Any, way: str = "") -> tuple[str, Any, Any] | None:
-    """The first field in which two configurations differ, by its dotted name, with both values; None if in none."""
-    for item in fields(one):
-        name = f"{way}.{item.name}" if way else item.name
-        a, b = getattr(one, item.name), getattr(other, item.name)
-        if is_dataclass(a) and is_dataclass(b):
-            found = difference(a, b, name)
-            if found is not None:
-                return found
-        elif a != b:
-            return name, a, b
-    return None
-
-
 def load_study(path: Path) -> StudyConfig:
     """Read a study's file; paths in it count from the file's folder.
 
@@ -237,15 +140,13 @@ def group_config(study: StudyConfig, group: str) -> TrainConfig:
     Raises:
         SurefootError: settings that do not fit.
     """
-    base = load_train_config(study.task)
-    every = min(base.checkpoint_every, CHECKPOINT_EVERY)
-    config = replace(base, name=group, threads=1, learning_threads=1, checkpoint_every=every)
+    config = replace(base_config(study.task), name=group)
     for where, given in (("train", study.train), (f"groups.{group}.train", study.groups[group].train)):
         config = from_mapping(TrainConfig, given, where, base=config)
     return config
 
 
-def study_runs(study: StudyConfig, root: Path, only: tuple[str, ...] = ()) -> list[StudyRun]:
+def study_runs(study: StudyConfig, root: Path, only: tuple[str, ...] = ()) -> list[Training]:
     """The runs of a study, seed by seed, so that a study that is stopped has something of every group.
 
     Args:
@@ -261,7 +162,7 @@ def study_runs(study: StudyConfig, root: Path, only: tuple[str, ...] = ()) -> li
             raise SurefootError(f"group '{name}' is not in the study; groups: {choices(study.groups)}")
     configs = {name: group_config(study, name) for name in study.groups if not only or name in only}
     return [
-        StudyRun(name, replace(config, seed=seed), root / name / f"seed_{seed}")
+        Training(name, replace(config, seed=seed), root / name / f"seed_{seed}")
         for seed in study.seeds
         for name, config in configs.items()
     ]

@@ -1,147 +1,337 @@
-"""Jobs in separate processes, a few at a time, which end with their parent and when a stop is requested."""
+"""Many trainings on Ray, a few at a time: on this machine, or on a cluster, where those of lost computers start again.
+
+Each worker is a process that trains for about a second whenever it is asked to, and tells how far it is. So all
+decisions are made here, in the process that asked, between two updates of a policy: to go on, to prune, to stop.
+"""
 
 from __future__ import annotations
 
 import contextlib
-import json
+import gc
+import logging
+import math
 import os
-import queue
-import signal
-import subprocess
-import threading
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
-from pathlib import Path
-from typing import Any
+import re
+import shutil
+import time
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any
 
-from surefoot.errors import accessible, at_least
+from surefoot.errors import SurefootError, accessible
+from surefoot.learn.training import Training
 
-PARENT = "SUREFOOT_PARENT"
-"""Environment variable with the number of the process that started a worker, which ends when that one is gone."""
-_ONE_THREAD = {name: "1" for name in ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")}
+if TYPE_CHECKING:
+    from surefoot.learn.run import TrainingRun
+    from surefoot.learn.run_folder import RunFolder
+    from surefoot.task.env import SimulationFactory
+
+PATIENCE = 120.0
+"""How long [s] a worker waits for another process to leave a folder: one that lost its parent may need an update."""
+TRIES = 3
+"""Times that a training is begun, if its processes die, before it is given up."""
+_BETWEEN = 1.0
+"""Time [s] after which a worker tells how far it is, at the next end of an update."""
+_CONNECTING = 5.0
+"""How long [s] a cluster may take to answer."""
+_FILES = ("config.yaml", "run.json", "figures.jsonl", "policy.onnx")
+"""What comes back from a computer that does not share the folder."""
+_SETTINGS = {
+    "RAY_USAGE_STATS_ENABLED": "0",
+    "RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO": "0",  # It would warn about graphics cards.
+    "RAY_worker_niceness": "0",  # As fast as this process, not after everything else on the machine.
+    "RAY_DEDUP_LOGS_SKIP_REGEX": ".",  # What dies is told here, in one line.
+}
 
 
 @dataclass(frozen=True)
-class Job:
-    """A job of a worker."""
+class Told:
+    """How far a training is."""
 
-    name: str
-    """How the user calls it."""
-    request: dict[str, Any]
-    """Given to the worker's standard input as one line of JSON."""
-    log: Path
-    """What the worker writes to standard error is added to this file."""
+    steps: int = 0
+    """Control steps so far."""
+    speed: float | None = None
+    """Mean speed of episodes that ended in the last update [m/s]; None if none did."""
+    evaluations: tuple[dict[str, Any], ...] = ()
+    """Evaluations that are new; all so far, when the training begins."""
+    finished: bool = False
+    """Whether it is over: its policy is exported."""
+    files: dict[str, bytes] = field(default_factory=dict, repr=False)
+    """Files of a training that is over, by name."""
 
 
 @dataclass
 class Outcome:
-    """Results of the jobs."""
+    """What became of trainings."""
 
     done: list[str] = field(default_factory=list)
-    """Names of the jobs that ended well."""
+    """Names of those that are over."""
     failed: dict[str, str] = field(default_factory=dict)
-    """Names of those that did not, each with the last line it left."""
+    """Names of those that failed, each with one line that says why."""
     stopped: bool = False
-    """Whether it was ended by a wish to stop, with jobs left."""
+    """Whether a stop was requested, with trainings left."""
 
 
-def run_jobs(
-    command: Sequence[str],
-    jobs: Sequence[Job],
-    workers: int,
-    on_event: Callable[[Job, dict[str, Any]], None],
-    on_change: Callable[[Job, str], None],
-    stops: Callable[[], int] = lambda: 0,
-) -> Outcome:
-    """Run jobs, each in its own process, which writes its progress as lines of JSON.
+class Worker:
+    """A process that trains: one training after another, each in its folder.
 
     Args:
-        command: the words that start a worker.
-        jobs: what is to be done, in order.
-        workers: how many run at a time.
-        on_event: called with each line that a worker writes.
-        on_change: called when a job is "started", "done", "stopped" or "failed".
-        stops: number of stops requested: one lets the workers save and end, two end them at once.
+        make_world: makes the simulation.
+        folder: the folder that paths count from.
+    """
+
+    def __init__(self, make_world: SimulationFactory, folder: str) -> None:
+        os.makedirs(folder, exist_ok=True)
+        os.chdir(folder)
+        self._make_world, self._held = make_world, contextlib.ExitStack()
+        self._run: TrainingRun | None = None
+
+    def begin(self, training: Training) -> Told:
+        """Take a training from wherever its folder is.
+
+        Raises:
+            SurefootError: the folder is another training's, in use, or damaged.
+        """
+        from surefoot.learn.run import TrainingRun
+        from surefoot.learn.run_folder import RunFolder, alone
+
+        # The one before is gone for good: what a `Trainer` took out of the collector's sight too.
+        gc.unfreeze()
+        gc.collect()
+        self._training = training
+        with accessible(training.path, "made"):
+            training.path.mkdir(parents=True, exist_ok=True)
+        self._held.enter_context(alone(training.path, PATIENCE))
+        training.check()
+        state = training.state
+        if state == "new":
+            folder = RunFolder.create_at(training.config, training.path)
+        else:
+            folder, config = RunFolder.open(training.path)
+            training = replace(training, config=config)
+        if state == "finished":
+            return self._over(folder)
+        self._run = TrainingRun(training.config, folder, self._make_world, resume=state == "started")
+        if self._run.finished:
+            return self.end(export=True)
+        return Told(self._run.trainer.steps, evaluations=tuple(folder.evaluations()))
+
+    def advance(self) -> Told:
+        """Train until there is something to tell."""
+        assert self._run is not None
+        until = time.monotonic() + _BETWEEN
+        while True:
+            figures, evaluation = self._run.step()
+            if self._run.finished:
+                return self.end(export=True)
+            if evaluation is not None or time.monotonic() > until:
+                speed = None if math.isnan(figures.speed_mean) else figures.speed_mean
+                return Told(figures.steps, speed, tuple(vars(one) for one in (evaluation,) if one is not None))
+
+    def end(self, export: bool) -> Told:
+        """Save the training to go on another time, or export its policy: that is what makes it finished."""
+        from surefoot.learn.export import export_run
+
+        assert self._run is not None
+        run, self._run = self._run, None
+        if not (export and self._training.trial):
+            run.save()
+        run.close()
+        if export:
+            export_run(run, run.folder.policy, last=self._training.trial)
+            return self._over(run.folder)
+        self._held.close()
+        return Told(run.trainer.steps)
+
+    def _over(self, folder: RunFolder) -> Told:
+        if self._training.trial:
+            shutil.rmtree(folder.checkpoints, ignore_errors=True)
+        self._held.close()
+        files = {name: (folder.path / name).read_bytes() for name in _FILES}
+        return Told(folder.rows()[-1]["steps"], None, tuple(folder.evaluations()), True, files)
+
+
+@contextlib.contextmanager
+def ray_cluster(address: str | None, workers: int = 0) -> Iterator[None]:
+    """Start Ray on this machine for so many workers, 0 for one a core, or join the cluster at HOST:PORT.
 
     Raises:
-        SurefootError: no workers, or a log that can't be written.
+        SurefootError: Ray does not start, or the cluster has no place for this process.
+        ModuleNotFoundError: Ray is not installed.
     """
-    at_least("workers", workers, 1)
-    outcome, waiting, running = Outcome(), list(jobs), dict[int, _Worker]()
-    told: queue.Queue[tuple[_Worker, dict[str, Any] | None]] = queue.Queue()
-    asked = 0
+    for name, value in _SETTINGS.items():
+        os.environ.setdefault(name, value)
+    import ray
+
+    how: dict[str, Any] = {"log_to_driver": False, "logging_level": logging.ERROR, "configure_logging": True}
+    if address is None:
+        memory = 100 << 20  # Nothing large is passed around.
+        how |= {"num_cpus": workers or os.cpu_count(), "include_dashboard": False, "object_store_memory": memory}
     try:
-        while waiting or running:
-            before, asked = asked, stops()
-            for worker in running.values() if asked > before else ():
-                worker.process.send_signal(signal.SIGTERM if asked == 1 else signal.SIGKILL)
-            while waiting and len(running) < workers and not asked:
-                worker = _Worker(command, waiting.pop(0), told)
-                running[worker.process.pid] = worker
-                on_change(worker.job, "started")
-            if not running:
-                break
-            try:
-                worker, event = told.get(timeout=0.2)
-            except queue.Empty:
-                continue
-            if event is not None:
-                on_event(worker.job, event)
-                continue
-            del running[worker.process.pid]
-            ended = "stopped" if asked else "failed"
-            if worker.process.returncode == 0:
-                outcome.done.append(worker.job.name)
-                ended = "done"
-            elif not asked:
-                outcome.failed[worker.job.name] = worker.last_line()
-            on_change(worker.job, ended)
+        ray.init(address or "local", **how)
+    except (ConnectionError, RuntimeError, ValueError, OSError) as error:
+        where = f"the cluster at {address}" if address else "Ray"
+        raise SurefootError(f"{where} can't be used: {_one_line(error)}") from None
+    try:
+        yield
     finally:
-        for worker in running.values():
-            worker.process.terminate()
+        ray.shutdown()
+
+
+def check_address(address: str | None) -> None:
+    """Refuse the address of a cluster where nothing listens that could be Ray, which itself would try for minutes.
+
+    Raises:
+        SurefootError: no HOST:PORT, or no answer.
+        ModuleNotFoundError: Ray is not installed.
+    """
+    import grpc
+    import ray  # noqa: F401
+
+    if address is None:
+        return
+
+    if re.fullmatch(r"[\w.-]+:\d{1,5}", address) is None:
+        raise SurefootError(f"ray is '{address}'; it must be HOST:PORT, as `ray start --head` shows it")
+    with grpc.insecure_channel(address, options=[("grpc.enable_http_proxy", 0)]) as channel:
+        try:
+            grpc.channel_ready_future(channel).result(timeout=_CONNECTING)
+        except grpc.FutureTimeoutError:
+            raise SurefootError(
+                f"ray is {address}: no Ray answers there within {_CONNECTING:g} s; start one by `ray start --head`, or "
+                "leave the option out to run on this machine"
+            ) from None
+
+
+def _one_line(error: BaseException) -> str:
+    """Return an error as one line: the message alone, if it is for users."""
+    text = " ".join(str(error).split())[:500]
+    return text if isinstance(error, SurefootError) else f"{type(error).__name__}: {text}"
+
+
+@dataclass
+class _Slot:
+    """A training under way."""
+
+    training: Training
+    worker: Any
+    fresh: bool
+    """Whether the worker was made for it, and may have to wait for a processor."""
+    begun: bool = False
+    ends_as: str = ""
+    """What it will be once the worker has ended it: stopped or pruned."""
+
+
+def run_trainings(
+    trainings: Iterable[Training],
+    make_world: SimulationFactory,
+    workers: int,
+    on_told: Callable[[Training, Told], bool],
+    on_change: Callable[[Training, str, str], None],
+    stops: Callable[[], int] = lambda: 0,
+) -> Outcome:
+    """Run trainings on Ray, which `ray_cluster` has started.
+
+    Args:
+        trainings: what is to be done; the next one is taken when a worker is free for it.
+        make_world: makes the simulation.
+        workers: how many run at a time; 0 means as many as the cluster has processors.
+        on_told: called with how far a training is, about once a second and when it is over; true prunes it: its
+            policy is exported as it is.
+        on_change: called when a training is "started", "done", "pruned", "stopped", "failed", or "lost", which means
+            that its process died, so that it goes on from its folder in another one; with one line that says why.
+        stops: number of stops requested: one lets the workers save and end, two end them at once.
+    """
+    import ray
+
+    make_worker: Any = ray.remote(num_cpus=1)(Worker)
+    outcome, source = Outcome(), iter(trainings)
+    running: dict[Any, _Slot] = {}
+    idle: list[Any] = []
+    lost: deque[Training] = deque()
+    tries: dict[str, int] = {}
+
+    def change(training: Training, what: str, why: str = "") -> None:
+        if what == "failed":
+            outcome.failed[training.name] = why
+        elif what in ("done", "pruned"):
+            outcome.done.append(training.name)
+        on_change(training, what, why)
+
+    def fail(slot: _Slot, why: str) -> None:
+        ray.kill(slot.worker)
+        change(slot.training, "failed", why)
+
+    while True:
+        asked = stops()
+        for ref, slot in list(running.items()) if asked else ():
+            if asked > 1 or not slot.begun:
+                ray.kill(slot.worker)
+                del running[ref]
+                change(slot.training, "stopped")
+        # A computer that is lost takes its processors with it.
+        processors = max(1, int(ray.cluster_resources().get("CPU", 0)))
+        for ref, slot in list(running.items()) if len(running) + len(idle) > processors else ():
+            if slot.fresh and not slot.begun and idle:
+                # It waits for the processor of an idle worker.
+                ray.kill(slot.worker)
+                del running[ref]
+                slot.worker, slot.fresh = idle.pop(), False
+                running[slot.worker.begin.remote(slot.training)] = slot
+        while not asked and len(running) < min(workers or processors, processors):
+            training = lost.popleft() if lost else next(source, None)
+            if training is None:
+                # Their processors are for those that wait for one.
+                for worker in idle:
+                    ray.kill(worker)
+                idle.clear()
+                break
+            fresh = not idle
+            worker = make_worker.remote(make_world, os.getcwd()) if fresh else idle.pop()
+            tries[training.name] = tries.get(training.name, 0) + 1
+            running[worker.begin.remote(training)] = _Slot(training, worker, fresh)
+            change(training, "started")
+        if not running:
+            break
+        ready, _ = ray.wait(list(running), timeout=0.2)
+        for ref in ready:
+            slot = running.pop(ref)
+            try:
+                told: Told = ray.get(ref)
+            except ray.exceptions.RayTaskError as error:
+                fail(slot, _one_line(error.cause))
+                continue
+            except ray.exceptions.RayError as error:
+                if getattr(error, "actor_init_failed", False):
+                    fail(slot, "no worker can be made: is this version of surefoot on every computer of the cluster?")
+                elif tries[slot.training.name] >= TRIES:
+                    fail(slot, f"its process died {TRIES} times, at last so: {_one_line(error)}")
+                else:
+                    lost.append(slot.training)
+                    change(slot.training, "lost")
+                continue
+            slot.begun = True
+            if told.finished:
+                _take(slot.training, told)
+            prune = (told.finished or not slot.ends_as) and on_told(slot.training, told)
+            if told.finished or slot.ends_as:
+                idle.append(slot.worker)
+                change(slot.training, slot.ends_as or "done")
+            elif asked or prune:
+                slot.ends_as = "pruned" if prune else "stopped"
+                running[slot.worker.end.remote(prune)] = slot
+            else:
+                running[slot.worker.advance.remote()] = slot
     outcome.stopped = bool(asked)
     return outcome
 
 
-class _Worker:
-    """A process that does one job, and a thread that reads its events."""
-
-    def __init__(self, command: Sequence[str], job: Job, told: queue.Queue[Any]) -> None:
-        self.job, self._told = job, told
-        with accessible(job.log, "written"):
-            job.log.parent.mkdir(parents=True, exist_ok=True)
-            log = job.log.open("ab")
-        self._logged = job.log.stat().st_size
-        with log:
-            # In a session of its own: Ctrl-C reaches this process alone, which then asks the workers to stop.
-            self.process = subprocess.Popen(
-                list(command), stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=log, start_new_session=True,
-                env={**os.environ, **_ONE_THREAD, PARENT: str(os.getpid())},
-            )  # fmt: skip
-        threading.Thread(target=self._read, daemon=True).start()
-
-    def _read(self) -> None:
-        assert self.process.stdin is not None
-        assert self.process.stdout is not None
-        # One that has died already is reported by its end.
-        with contextlib.suppress(OSError), self.process.stdin as pipe:
-            pipe.write(json.dumps(self.job.request).encode() + b"\n")
-        for line in self.process.stdout:
-            with contextlib.suppress(ValueError):
-                self._told.put((self, json.loads(line)))
-        self.process.wait()
-        self._told.put((self, None))
-
-    def last_line(self) -> str:
-        """Return the last line of the worker's log, and how it ended."""
-        code = self.process.returncode
-        end = f"killed by signal {-code} ({signal.Signals(-code).name})" if code < 0 else f"exit code {code}"
-        with self.job.log.open("rb") as log:
-            log.seek(self._logged)
-            lines = log.read().decode(errors="replace").strip().splitlines()
-        return f"{lines[-1].strip()} ({end})" if lines else end
-
-
-def orphaned() -> bool:
-    """Return whether the process that started this worker is gone."""
-    return os.environ.get(PARENT, str(os.getppid())) != str(os.getppid())
+def _take(training: Training, told: Told) -> None:
+    """Keep what comes from a computer that does not share the folder."""
+    if training.policy.exists():
+        return
+    training.path.mkdir(parents=True, exist_ok=True)
+    # The policy comes last: it makes the training finished.
+    for name in _FILES:
+        (training.path / name).write_bytes(told.files[name])

@@ -1,0 +1,112 @@
+"""`surefoot search TASK`: many trainings with settings that Optuna proposes, and what they came to."""
+
+from __future__ import annotations
+
+import shlex
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+from rich.console import Console
+
+from surefoot.cli.options import Ray, Seed, Workers, check_folder
+from surefoot.cli.parsing import parse
+from surefoot.cli.trainings import train_many
+from surefoot.configuration import Within
+from surefoot.errors import located
+from surefoot.learn.config import Steps
+from surefoot.learn.search import Search, SearchConfig, make_config
+from surefoot.learn.search_space import put
+from surefoot.learn.workers import check_address
+
+
+@dataclass(frozen=True)
+class SearchCommand:
+    """Train many times with other settings each time, prune what falls behind, and report the best and what emerged.
+
+    Ctrl-C saves every trial under way; the same command with --resume goes on, after anything. Written to --out: the
+    journal (trials.log), a run folder for each trial (trials/), tables, figures and README.md.
+    """
+
+    task: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="TASK")]
+    """Name of a task that ships, or the path of a YAML file."""
+    trials: Annotated[int, Within(1, 100_000)] = 100
+    """Trials of the search, those that are there already included."""
+    workers: Workers = 0
+    space: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
+    """YAML file of what is searched: fields of the training's configuration with their ranges or choices; the space
+    that ships, if not given."""
+    ray: Ray = None
+    out: Path | None = None
+    """Folder for everything; searches/NAME if not given."""
+    seed: Seed = 0
+    steps: Steps = 600_000
+    """Control steps of a trial that is not pruned."""
+    resume: bool = False
+    """Go on with the search in the folder."""
+    report_only: bool = False
+    """Train nothing: report what is there."""
+
+
+def main(argv: list[str]) -> int:
+    """Run the command with the words after its name; returns the exit code."""
+    command = parse(SearchCommand, argv, "surefoot search")
+    from surefoot.cli.search_results import report
+    from surefoot.learn.run_folder import alone
+
+    config = make_config(command.task, command.space, command.seed, command.steps)
+    if not command.report_only:
+        check_address(command.ray)
+    out = command.out or Path("searches") / config.train.task.name
+    check_folder(out)
+    _check(config)
+    console = Console(highlight=False, soft_wrap=True)
+    out.mkdir(parents=True, exist_ok=True)
+    with alone(out):
+        search = Search(config, out, command.resume or command.report_only)
+        for note in search.notes:
+            console.print(note)
+        if not command.report_only and _train(search, command, console):
+            again = shlex.join(["surefoot", "search", *argv, *([] if command.resume else ["--resume"])])
+            console.print(f"Stopped; every trial under way is saved. To go on:\n  {again}")
+            return 130
+        report(search, shlex.join(["surefoot", "search", *argv]), console)
+    return 0
+
+
+def _check(config: SearchConfig) -> None:
+    """Refuse a task that can't be simulated, as it is or at either end of every range, before anything is trained."""
+    from surefoot.cli.train import check_config
+
+    check_config(config.train)
+    for end in (0, -1):
+        values = {name: one.samples[end] for name, one in config.space.items()}
+        with located("space"):
+            check_config(put(config.train, config.space, values))
+
+
+def _train(search: Search, command: SearchCommand, console: Console) -> bool:
+    """Run the trials that are missing; returns whether that was stopped."""
+    counts = search.counts
+    told = ", ".join(f"{count} {state}" for state, count in counts.items()) or "none yet"
+    title = f"{search.config.train.task.name}: {command.trials} trials, {told}"
+    if sum(counts.values()) >= command.trials and "running" not in counts:
+        console.print(title)
+        return False
+    start = time.monotonic()
+    outcome = train_many(
+        title,
+        search.trainings(command.trials),
+        command.workers,
+        command.ray,
+        console,
+        search.told,
+        search.changed,
+    )
+    hours = (time.monotonic() - start) / 3600
+    console.print(f"{len(outcome.done)} trials in {60 * hours:.1f} min: {len(outcome.done) / hours:.1f} an hour")
+    for name, line in outcome.failed.items():
+        console.print(f"failed: {name}: {line}")
+    return outcome.stopped

@@ -1,0 +1,116 @@
+"""Evaluation and report of a search's trials."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from importlib.util import find_spec
+from typing import TYPE_CHECKING, Any
+
+from rich.console import Console
+
+from surefoot.cli.options import make_figures_folder
+from surefoot.cli.policies import find_world
+from surefoot.errors import SurefootError
+from surefoot.learn.search import Search
+from surefoot.learn.search_space import get
+
+if TYPE_CHECKING:
+    from surefoot.evaluate.runs import Runs
+    from surefoot.evaluate.trials import Retest, TrialResult
+    from surefoot.world.interface import SimulationFactory
+
+TOP = 3
+"""Best trials that are evaluated anew."""
+EPISODES = 20
+SEED = 2_000_003
+"""Of fresh episodes: neither training nor search has seen them."""
+
+
+def report(search: Search, command: str, console: Console) -> None:
+    """Name the gait of every trial, evaluate the best anew, and write tables, figures and README.
+
+    Raises:
+        SurefootError: no trial is complete.
+    """
+    from surefoot.evaluate.trials import SearchResult, best
+    from surefoot.report.search_report import write_report
+
+    make_figures_folder(search.folder)
+    trials = _trials(search, console)
+    train = search.config.train
+    complete = [trial for trial in trials if trial.complete]
+    if not complete:
+        raise SurefootError(f"{search.folder}: no trial is complete; there is nothing to report yet")
+    retests = []
+    for trial in best(complete, TOP):
+        with console.status(f"evaluating trial {trial.number} in fresh episodes"):
+            retests.append(_retest(search, trial))
+    result = SearchResult(
+        train.task.name,
+        search.config.seed,
+        train.steps,
+        train.evaluation_episodes,
+        tuple(trials),
+        search.importance(),
+        tuple(retests),
+    )
+    console.print(f"Report: {write_report(result, search.folder, command)}")
+
+
+def _trials(search: Search, console: Console) -> list[TrialResult]:
+    from surefoot.evaluate.evaluations import evaluate
+    from surefoot.evaluate.trials import TrialResult
+
+    found = []
+    for trial in search.study.trials:
+        training = search.training(trial.number)
+        policy = training.policy if training.policy.exists() else None
+        rows, config = training.rows(), training.stored() if policy else None
+        curve = tuple((row["steps"], row["evaluation"]["return_mean"]) for row in rows if "evaluation" in row)
+        gait = None
+        if policy is not None:
+            with console.status(f"naming the gait of trial {trial.number}"):
+                gait = evaluate(policy, "gait", find_world)
+        found.append(
+            TrialResult(
+                trial.number,
+                trial.state.name.lower(),
+                config.seed if config else None,
+                curve[-1][1] if curve else math.nan,
+                rows[-1]["steps"] if rows else 0,
+                rows[-1]["seconds"] if rows else 0.0,
+                curve,
+                {name: _told(get(config, name)) if config else None for name in search.config.space},
+                policy,
+                gait,
+                trial.user_attrs.get("why", ""),
+            )
+        )
+    return found
+
+
+def _told(value: Any) -> Any:
+    """Return a value as a cell of a table."""
+    return " ".join(map(str, value)) if isinstance(value, list) else value
+
+
+def _retest(search: Search, trial: TrialResult) -> Retest:
+    """Run a policy at home as the search did, and in Bullet on the robot of the data sheet; in fresh episodes."""
+    from surefoot.evaluate.gap import away_task
+    from surefoot.evaluate.rollout import run_episodes, task_from_contract
+    from surefoot.evaluate.runs import Runs
+    from surefoot.evaluate.trials import Retest
+    from surefoot.policy.runtime import PolicyRuntime
+
+    assert trial.policy is not None
+    policy, weight = PolicyRuntime.load(trial.policy), search.config.train.task.energy_weight
+    task = replace(task_from_contract(policy.contract), energy_weight=weight)
+    task = replace(task, pushes=replace(task.pushes, enabled=False))
+
+    def runs(task: Any, name: str, world: SimulationFactory) -> Runs:
+        return Runs.of_traces(run_episodes(policy, task, EPISODES, world, SEED, world_name=name))
+
+    home = runs(task, "mujoco", find_world("mujoco"))
+    has_bullet = find_spec("pybullet") is not None
+    return Retest(trial, home, runs(away_task(task), "bullet", find_world("bullet")) if has_bullet else None)

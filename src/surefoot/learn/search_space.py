@@ -1,0 +1,181 @@
+"""The space of a search: fields of a training's configuration, each with a range or with choices."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from surefoot.configuration import from_mapping, is_number, read_yaml, to_mapping
+from surefoot.errors import SurefootError, choices, located, quoted
+from surefoot.learn.config import TrainConfig
+
+if TYPE_CHECKING:
+    from optuna.trial import Trial
+
+_SPACES = Path(__file__).parent / "spaces"
+_OWN = (
+    *("name", "seed", "steps", "evaluate_every", "evaluation_episodes", "evaluation_energy_weight"),
+    *("checkpoint_every", "threads", "learning_threads"),
+)
+"""Fields that a search sets itself, the same for all trials but the seed."""
+
+
+@dataclass(frozen=True)
+class Dimension:
+    """What a search may do with a field."""
+
+    low: float | None = None
+    """Least value."""
+    high: float | None = None
+    """Greatest value."""
+    log: bool = False
+    """Whether values are drawn on a logarithmic scale."""
+    int: bool = False
+    """Whether values are whole numbers."""
+    choices: tuple[Any, ...] = ()
+    """Values to choose from, in place of a range."""
+    also: tuple[str, ...] = ()
+    """Other fields that take the same value."""
+
+    def __post_init__(self) -> None:
+        """Refuse what is neither a range nor choices."""
+        if self.choices:
+            if self.low is not None or self.high is not None or self.log or self.int:
+                raise SurefootError("it has choices and parts of a range (low, high, log, int); it takes one of both")
+            texts = [json.dumps(choice) for choice in self.choices]
+            if len(set(texts)) < len(texts):
+                raise SurefootError(f"choices is {quoted(list(self.choices))}; it takes none twice")
+            return
+        if self.low is None or self.high is None:
+            raise SurefootError("it needs low and high, or choices")
+        if not self.low < self.high:
+            raise SurefootError(f"low is {self.low:g} and high is {self.high:g}; low must be below high")
+        if self.log and self.low <= 0:
+            raise SurefootError(f"low is {self.low:g}; with log it must be over 0")
+        if self.int and (self.low % 1 or self.high % 1):
+            raise SurefootError(f"low is {self.low:g} and high is {self.high:g}; with int they must be whole numbers")
+
+    @property
+    def samples(self) -> tuple[Any, ...]:
+        """Values that a configuration must accept for the field: the ends of the range, or all choices."""
+        ends = (self.low, self.high)
+        return self.choices or (tuple(round(end or 0.0) for end in ends) if self.int else ends)
+
+
+Space = dict[str, Dimension]
+"""Dimensions of a search by the dotted names of fields, such as `ppo.policy_hidden.0`."""
+
+
+def load_space(path: Path | None, config: TrainConfig) -> Space:
+    """Read a space, and refuse what is not for this configuration.
+
+    Args:
+        path: YAML file; the spaces that ship, if None: for learning, and for a reference of sinusoids if the task has
+            one.
+        config: what holds for all that is not searched.
+
+    Raises:
+        SurefootError: a file that can't be read, an unknown field, a reversed range, or a value that is refused.
+    """
+    paths = [path] if path is not None else [_SPACES / "learning.yaml"]
+    if path is None and config.task.reference.kind == "sine":
+        paths.append(_SPACES / "sine.yaml")
+    space: Space = {}
+    for one in paths:
+        with located(one):
+            for name, entry in read_yaml(one).items():
+                with located(name):
+                    space[str(name)] = from_mapping(Dimension, entry)
+            check_space(space, config)
+    return space
+
+
+def check_space(space: Space, config: TrainConfig) -> None:
+    """Refuse a space with fields that are not there, or with values that they can't have.
+
+    Raises:
+        SurefootError: one of these.
+    """
+    if not space:
+        raise SurefootError("it is empty; a search takes 1 field or more")
+    taken: set[str] = set()
+    for name, dimension in space.items():
+        for field in (name, *dimension.also):
+            if field in _OWN:
+                raise SurefootError(f"{field} is not searched: the search sets it itself, as it does {choices(_OWN)}")
+            if field in taken:
+                raise SurefootError(f"{field} is named twice; each field takes one entry")
+            taken.add(field)
+        for value in dimension.samples:
+            put(config, {name: dimension}, {name: value})
+
+
+def put(config: TrainConfig, space: Space, values: Mapping[str, Any]) -> TrainConfig:
+    """Return a configuration with the values of some fields of a space.
+
+    Raises:
+        SurefootError: no such field, or a value that is refused.
+    """
+    data = to_mapping(config)
+    for name, value in values.items():
+        for field in (name, *space[name].also):
+            _set(data, field, value)
+    return from_mapping(TrainConfig, data)
+
+
+def _set(data: Any, field: str, value: Any) -> None:
+    """Set what a dotted name stands for in tables and lists in each other; what is unknown is refused later."""
+    *way, last = field.split(".")
+    for part in way:
+        data = data.setdefault(part, {}) if isinstance(data, dict) else None
+    if isinstance(data, list) and last.isdigit() and int(last) < len(data):
+        data[int(last)] = value
+    elif isinstance(data, dict):
+        data[last] = value
+    else:
+        count = f"; it has {len(data)} parts, from 0" if isinstance(data, list) else ""
+        raise SurefootError(f"{field} is not a field of a training's configuration{count}")
+
+
+def get(config: TrainConfig, field: str) -> Any:
+    """Return what a dotted name stands for, as plain tables, lists and values.
+
+    Raises:
+        KeyError, IndexError, TypeError: no such field.
+    """
+    data: Any = to_mapping(config)
+    for part in field.split("."):
+        data = data[int(part)] if isinstance(data, list) else data[part]
+    return data
+
+
+def suggest(space: Space, trial: Trial) -> dict[str, Any]:
+    """Return the values of a trial, those it has or those that the sampler gives it.
+
+    Optuna takes no lists for choices: they are told as JSON.
+    """
+    values: dict[str, Any] = {}
+    for name, one in space.items():
+        if one.choices:
+            values[name] = json.loads(trial.suggest_categorical(name, [json.dumps(choice) for choice in one.choices]))
+        else:
+            low, high = one.samples
+            values[name] = (trial.suggest_int if one.int else trial.suggest_float)(name, low, high, log=one.log)
+    return values
+
+
+def as_params(space: Space, config: TrainConfig) -> dict[str, Any]:
+    """Return the values of a configuration as Optuna takes them; those outside of the space are left out."""
+    found = {}
+    for name, dimension in space.items():
+        value = get(config, name)
+        if not dimension.choices:
+            inside = is_number(value) and dimension.low <= value <= dimension.high
+        else:
+            inside, value = value in dimension.choices, json.dumps(value)
+        if inside:
+            found[name] = value
+    return found

@@ -1,0 +1,126 @@
+"""One of many trainings, in its folder: how far it is, and whether the folder holds this training or another."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, is_dataclass, replace
+from pathlib import Path
+from typing import Any, Literal
+
+from surefoot.configuration import from_mapping, read_yaml, write_yaml
+from surefoot.errors import SurefootError
+from surefoot.files import read_json_lines
+from surefoot.learn.config import TrainConfig, load_train_config
+
+CHECKPOINT_EVERY = 200_000
+"""Control steps between two checkpoints of one of many trainings: about a minute of one core, lost when killed."""
+_SAME_RESULT = ("threads", "checkpoint_every")
+"""Fields that a run's outcome does not depend on; a stored run may differ in them."""
+
+State = Literal["new", "started", "finished"]
+
+
+def base_config(task: str) -> TrainConfig:
+    """Return a task's training as one of many, which share the cores: one thread, and checkpoints often.
+
+    Raises:
+        SurefootError: no such task, or a file that does not fit.
+    """
+    base = load_train_config(task)
+    return replace(base, threads=1, learning_threads=1, checkpoint_every=min(base.checkpoint_every, CHECKPOINT_EVERY))
+
+
+@dataclass(frozen=True)
+class Training:
+    """One training of a study or a search."""
+
+    group: str
+    """Name of its group in a study, or of the trial."""
+    config: TrainConfig
+    """The training."""
+    path: Path
+    """Its folder."""
+    trial: bool = False
+    """Whether it is a trial of a search: its last policy is exported, not its best, and its checkpoints go then."""
+
+    @property
+    def name(self) -> str:
+        """Group and seed, as the user reads them."""
+        return f"{self.group} seed {self.config.seed}"
+
+    @property
+    def policy(self) -> Path:
+        """The exported policy of a finished run."""
+        return self.path / "policy.onnx"
+
+    @property
+    def state(self) -> State:
+        """How far the run is, told from its files alone."""
+        if self.policy.exists():
+            return "finished"
+        checkpoints = self.path / "checkpoints"
+        saved = any((checkpoints / name).exists() for name in ("latest.ckpt", "fresh.ckpt"))
+        return "started" if saved else "new"
+
+    def rows(self) -> list[dict[str, Any]]:
+        """The figures of its updates; a last line that was cut off is left out."""
+        return read_json_lines(self.path / "figures.jsonl")
+
+    def check(self, extend: bool = False) -> None:
+        """Refuse a folder whose run is another one than the study asks for.
+
+        Args:
+            extend: let fewer steps pass, which `extend` mends.
+
+        Raises:
+            SurefootError: with the folder, the first field that differs, and what to do.
+        """
+        if self.state == "new":
+            return
+        stored = self.stored()
+        kept = {name: getattr(stored, name) for name in _SAME_RESULT}
+        if extend and stored.steps < self.config.steps:
+            kept["steps"] = stored.steps
+        found = difference(stored, replace(self.config, **kept))
+        if found is not None:
+            name, was, now = found
+            more = "" if name != "steps" or now < was else "go on with it by --extend, "
+            raise SurefootError(
+                f"{self.path}: was trained with {name} {was!r}, and the study asks for {now!r}; {more}move the folder "
+                "away to train it anew, give another --runs, or change the study back"
+            )
+
+    def extend(self) -> None:
+        """Let a run that was made for fewer steps go on to as many as the study now asks for.
+
+        A run does the same in its first steps whatever their number, so it goes on as if it had been made for more.
+        """
+        if self.state == "new" or (stored := self.stored()).steps >= self.config.steps:
+            return
+        # In this order: killed in between, it is a run that is not finished, not one that claims more steps.
+        self.policy.unlink(missing_ok=True)
+        write_yaml(self.path / "config.yaml", replace(stored, steps=self.config.steps))
+
+    def stored(self) -> TrainConfig:
+        """Return the configuration in the folder.
+
+        Raises:
+            SurefootError: there is none, or it does not fit.
+        """
+        try:
+            return from_mapping(TrainConfig, read_yaml(self.path / "config.yaml"))
+        except SurefootError as error:
+            raise SurefootError(f"{self.path}: {error}; move the folder away to train anew") from None
+
+
+def difference(one: Any, other: Any, way: str = "") -> tuple[str, Any, Any] | None:
+    """The first field in which two configurations differ, by its dotted name, with both values; None if in none."""
+    for item in fields(one):
+        name = f"{way}.{item.name}" if way else item.name
+        a, b = getattr(one, item.name), getattr(other, item.name)
+        if is_dataclass(a) and is_dataclass(b):
+            found = difference(a, b, name)
+            if found is not None:
+                return found
+        elif a != b:
+            return name, a, b
+    return None

@@ -1,0 +1,164 @@
+"""`surefoot search`: a computer that is lost, a search that is killed, the report, and bad input."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import re
+import signal
+import subprocess
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from processes import SUREFOOT, refused, surefoot
+from ray_nodes import cluster, free_port
+
+for module in ("optuna", "ray"):
+    pytest.importorskip(module)
+
+TASK = """
+name: tiny
+observations: [roll, pitch, roll_rate, pitch_rate, motor_angles]
+feedback: {swing: [-0.5, 0.5], extension: [1.0707963, 2.0707963]}
+max_steps: 40
+train:
+  {num_envs: 16, steps_per_update: 16, checkpoint_every: 512,
+   ppo: {policy_hidden: [8, 8], value_hidden: [8, 8], epochs: 2}}
+"""
+SPACE = """
+ppo.learning_rate: {low: 1.0e-4, high: 3.0e-3, log: true}
+ppo.policy_hidden.0: {low: 8, high: 16, int: true}
+ppo.activation: {choices: [elu, tanh]}
+task.energy_weight: {low: 0.002, high: 0.02, log: true}
+"""
+STEPS = 12288
+SEARCH = ("search", "tiny.yaml", "--space", "space.yaml", "--steps", str(STEPS), "--out", "out", "--seed", "5")
+
+
+def wait(what: Callable[[], bool], seconds: float = 400.0) -> None:
+    deadline = time.monotonic() + seconds
+    while not what():
+        assert time.monotonic() < deadline, "it did not come in time"
+        time.sleep(0.05)
+
+
+def rows(folder: Path, number: int) -> list[dict[str, object]]:
+    log = folder / f"out/trials/trial_{number:04d}/figures.jsonl"
+    return [json.loads(line) for line in log.read_text().splitlines()] if log.exists() else []
+
+
+def start(folder: Path, *words: str) -> subprocess.Popen[str]:
+    command = [*SUREFOOT, *SEARCH, *words]
+    return subprocess.Popen(command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+
+def untimed(row: dict[str, object]) -> dict[str, object]:
+    return {name: value for name, value in row.items() if "seconds" not in name}
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+def test_every_trial_counts_once_whatever_dies(tmp_path: Path) -> None:
+    (tmp_path / "tiny.yaml").write_text(TASK)
+    (tmp_path / "space.yaml").write_text(SPACE)
+    with cluster(tmp_path, cpus=1) as made:
+        second = made.join()
+        process = start(tmp_path, "--trials", "3", "--ray", made.address)
+        wait(lambda: min(len(rows(tmp_path, number)) for number in (0, 1)) >= 5)
+        second.kill()
+        shown, errors = process.communicate(timeout=500)
+        assert process.returncode == 0, errors
+        assert errors == ""
+        (lost,) = re.findall(r"^trial_(\d{4}) .* lost ", shown, re.MULTILINE)
+        check(tmp_path, 3)
+        check_same(tmp_path, int(lost))
+        check_report(tmp_path / "out", 3)
+
+        # The search itself is killed, with a trial under way, and its journal is cut off.
+        process = start(tmp_path, "--trials", "4", "--ray", made.address, "--resume")
+        wait(lambda: len(rows(tmp_path, 3)) >= 5)
+        os.kill(process.pid, signal.SIGKILL)
+        process.communicate(timeout=60)
+        journal = tmp_path / "out/trials.log"
+        journal.write_bytes(journal.read_bytes()[:-3])
+        result = surefoot(*SEARCH, "--trials", "4", "--ray", made.address, "--resume", cwd=tmp_path)
+        assert result.returncode == 0, result.stderr
+        assert "trials.log: the last record was cut off and is left out" in result.stdout
+        check(tmp_path, 4)
+    # Nothing is left to train: no Ray is asked for.
+    before = (tmp_path / "out/trials.csv").read_text()
+    result = surefoot(*SEARCH, "--trials", "4", "--resume", cwd=tmp_path)
+    assert result.returncode == 0, result.stderr
+    assert (tmp_path / "out/trials.csv").read_text() == before
+    refused(surefoot(*SEARCH, cwd=tmp_path), "out: holds a search; go on with it by --resume, or give another --out")
+
+
+def check(folder: Path, trials: int) -> None:
+    """Every trial stands in the table once, and every update in its log once."""
+    with (folder / "out/trials.csv").open() as file:
+        table = list(csv.DictReader(file))
+    assert [row["trial"] for row in table] == [str(number) for number in range(trials)]
+    assert all(row["state"] == "complete" for row in table)
+    for number in range(trials):
+        found = rows(folder, number)
+        assert [row["steps"] for row in found] == [256 * (n + 1) for n in range(STEPS // 256)]
+        assert float(table[number]["return"]) == pytest.approx(found[-1]["evaluation"]["return_mean"], abs=1e-6)  # type: ignore[index]
+    assert len({row["seed"] for row in table}) == trials
+
+
+def check_same(folder: Path, number: int) -> None:
+    """A trial that was lost and taken up again is what it would have been in one go, here and without Ray."""
+    from surefoot.learn.run import TrainingRun
+    from surefoot.learn.run_folder import RunFolder
+    from surefoot.world.sim_world import SimWorld
+
+    _, config = RunFolder.open(folder / f"out/trials/trial_{number:04d}")
+    again = TrainingRun(config, RunFolder.create_at(config, folder / "again"), SimWorld)
+    again.run(lambda *_: None)
+    assert [untimed(row) for row in again.folder.rows()] == [untimed(row) for row in rows(folder, number)]
+
+
+def check_report(out: Path, trials: int) -> None:
+    report = (out / "README.md").read_text()
+    assert f"{trials} trials ({trials} complete) of {STEPS:,} control steps, 8 episodes an evaluation, seed 5" in report
+    assert "surefoot search tiny.yaml --space space.yaml" in report
+    assert "Claimed less fresh, mean of these 3: " in report
+    gaits = re.findall(r"\((gait_\w+\.png)\)", report)
+    assert gaits
+    for name in ("search.png", "parameters.png", *gaits):
+        assert (out / name).stat().st_size > 1000, name
+    with (out / "best.csv").open() as file:
+        table = list(csv.DictReader(file))
+    worlds = {row["world"] for row in table}
+    assert {"mujoco"} <= worlds <= {"mujoco", "bullet"}
+    assert len(table) == 3 * 20 * len(worlds)
+
+
+BAD = [
+    ([], "TASK"),
+    (["gallopp"], "gallopp"),
+    (["trot", "--trials", "0"], "trials is 0; it must be 1 or more"),
+    (["trot", "--space", "none.yaml"], "none.yaml: can't be read"),
+    (["trot", "--space", "unknown.yaml"], r"unknown.yaml: ppo.leg is not a key; choices: policy_hidden"),
+    (["trot", "--space", "reversed.yaml"], "reversed.yaml: ppo.gamma: low is 0.9 and high is 0.8; low must be below"),
+    (["trot", "--space", "robot.yaml"], "space: observation|space: .*robot"),
+    (["trot", "--resume"], "searches/trot: holds no search to go on with; leave --resume out to begin one"),
+    (["trot", "--out", "robot.yaml"], "out is robot.yaml; it must be a folder"),
+    (["trot", "--ray", "nowhere"], "ray is 'nowhere'; it must be HOST:PORT"),
+    (["trot", "--ray", "127.0.0.1:PORT"], r"ray is 127.0.0.1:\d+: no Ray answers there within 5 s"),
+]
+
+
+@pytest.mark.parametrize(("words", "message"), BAD, ids=[" ".join(words) for words, _ in BAD])
+def test_bad_input_gets_one_line_and_exit_code_2(words: list[str], message: str, tmp_path: Path) -> None:
+    (tmp_path / "unknown.yaml").write_text("ppo.leg: {low: 0, high: 1}")
+    (tmp_path / "reversed.yaml").write_text("ppo.gamma: {low: 0.9, high: 0.8}")
+    (tmp_path / "robot.yaml").write_text("task.robot: {choices: [minitaur, centipede]}")
+    result = surefoot("search", *(word.replace("PORT", str(free_port())) for word in words), cwd=tmp_path)
+    assert result.returncode == 2
+    assert result.stderr.count("\n") == 1
+    assert result.stderr.startswith("surefoot: error: ")
+    assert re.search(message, result.stderr), result.stderr
