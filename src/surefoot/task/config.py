@@ -103,6 +103,8 @@ class TaskConfig:
     """Swing and extension [rad] in which the robot settles first; the middle of commands if not given."""
     energy_weight: Annotated[float, Within(0, 1e6)] = ENERGY_WEIGHT
     """w of the reward [m/J]."""
+    target_speed: Annotated[float | None, Within(0, 100, above=True)] = None
+    """Speed forward [m/s] up to which the reward counts progress; beyond it only energy counts. None: any speed."""
     fall_angle: Annotated[float, Within(0, math.pi)] = 0.5
     """Roll or pitch [rad] beyond which an episode ends."""
     max_steps: Annotated[int, Within(1, MOST_STEPS)] = 1000
