@@ -23,7 +23,7 @@ def moment(robot) -> Moment:
             motor_angle=np.arange(16.0).reshape(2, 8),
             motor_velocity=np.arange(100.0, 116.0).reshape(2, 8),
         ),
-        make_reference({"kind": "sine", "swing": wave}, robot.leg_names),
+        make_reference({"kind": "sine", "swing": wave}, robot),
         np.arange(200.0, 216.0).reshape(2, 8),
     )
 
@@ -71,6 +71,6 @@ def test_parts_that_do_not_fit_are_refused_in_one_line(robot, names, pieces):
 
 
 def test_phase_without_a_period_is_refused(robot, moment):
-    still = Moment(moment.readings, make_reference(None, robot.leg_names), moment.last_feedback)
+    still = Moment(moment.readings, make_reference(None, robot), moment.last_feedback)
     with pytest.raises(SurefootError, match="'reference_phase' needs a periodic reference"):
         Observer(robot, ("reference_phase",)).observe(still)

@@ -169,7 +169,7 @@ def _angles(contract: Contract, handshake: Handshake, robot: RobotDescription) -
     if contract.leg_names != robot.leg_names or len(handshake.angle_low) != robot.num_motors:
         return undone([name], "the policy's legs and motors are not the robot's")[0]
     try:
-        swing, extension = make_reference(contract.reference, robot.leg_names).extent()
+        swing, extension = make_reference(contract.reference, robot).extent()
     except SurefootError as error:
         return Finding(name, False, f"the policy's reference can't be read: {error}", "export the policy again")
     legs = len(robot.legs)

@@ -82,7 +82,7 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
         self.task, self.num_envs, self.autoreset, self._threads = task, num_envs, autoreset, threads
         self.robot = robot = RobotDescription.load(task.robot)
         self.observer = Observer(robot, task.observations)
-        reference = make_reference(task.reference.to_mapping(), robot.leg_names)
+        reference = make_reference(task.reference.to_mapping(), robot)
         self.gait = HybridGait(robot, reference, task.feedback.swing, task.feedback.extension)
         self.nominal = task.nominal(robot).rows(np.zeros(max(num_envs, 1), np.int64))
         self._make_world = make_world
