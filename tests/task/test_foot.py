@@ -68,16 +68,8 @@ def test_legs_bring_the_feet_to_their_paths():
 
 def test_robots_may_have_paths_of_their_own():
     one, other = make(), make(frequency=3.0, stroke=0.05, duty_factor=0.5)
-    both = FootReference(
-        ROBOT.leg_names,
-        LEG,
-        frequency=np.array([[2.0], [3.0]]),
-        **{
-            name: np.stack([getattr(one, name), getattr(other, name)])
-            for name in ("stroke", "clearance", "duty_factor", "phase", "height", "offset", "depth")
-        },
-    )
+    both = FootReference.stacked([one, other])
     swing, extension = both.pose([0.21, 0.21])
     for row, alone in enumerate((one, other)):
         np.testing.assert_allclose((swing[row], extension[row]), np.squeeze(alone.pose([0.21])), atol=1e-12)
-    assert both.period is None
+    np.testing.assert_allclose(both.period, [0.5, 1 / 3])

@@ -12,6 +12,7 @@ from surefoot.errors import SurefootError, choices
 
 COMMANDS = {
     "train": ("surefoot.cli.train", "learn a gait in simulation"),
+    "tune": ("surefoot.cli.tune", "find a handcrafted gait for a robot and a speed"),
     "evaluate": ("surefoot.cli.evaluate", "run a policy in simulation and measure it"),
     "play": ("surefoot.cli.play", "watch a policy, in a window or as a video"),
     "study": ("surefoot.cli.study", "train several groups with several seeds, compare them"),
@@ -37,6 +38,7 @@ _EXTRAS = {
     "train": ("torch", "tensordict", "rsl_rl", "onnx", "tensorboard"),
     "report": ("matplotlib", "imageio_ffmpeg", "PIL"),
     "bullet": ("pybullet",),
+    "tune": ("cma",),
 }
 
 

@@ -185,6 +185,7 @@ def load_task(task: str) -> tuple[TaskConfig, dict[str, Any]]:
         )
     data = read_yaml(path)
     train = data.pop("train", None) or {}
+    data.pop("handcrafted", None)  # Belongs to `HandcraftedGait`, whose task this is.
     with located(path):
         config = from_mapping(TaskConfig, {"name": path.stem, **with_ranges(data, path.parent)})
     if config.reference.file is not None:

@@ -6,6 +6,7 @@ forward again on a cubic curve that begins and ends with the speed of the stance
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -29,7 +30,7 @@ QUANTITIES = {
 """What each leg has of its own, least and greatest. A foot with a duty factor of 0 or 1 would be infinitely fast."""
 FREQUENCY = (0.01, 50.0)
 """Least and greatest frequency [Hz]."""
-_SAMPLES = 720
+_SAMPLES = 360
 
 
 @dataclass(frozen=True)
@@ -67,7 +68,7 @@ class FootReference:
             bad = values[(values < least) | (values > most)]
             if bad.size:
                 raise SurefootError(f"reference.foot.{name} is {bad[0]:g}; it must be {least:g} to {most:g}")
-        paths = np.stack([self.path(at) for at in np.linspace(0.0, 1.0, _SAMPLES, endpoint=False)])
+        paths = self.path(np.linspace(0.0, 1.0, _SAMPLES, endpoint=False)[:, None])
         poses = self.leg.leg_pose(paths)
         lost = ~np.isfinite(poses[0])
         if lost.any():
@@ -80,9 +81,10 @@ class FootReference:
         object.__setattr__(self, "_extent", (swing, extension))
 
     @property
-    def period(self) -> float | None:
-        """Time [s] after which the reference repeats; None if robots differ in it."""
-        return float(1 / self.frequency) if self.frequency.size == 1 else None
+    def period(self) -> Any:
+        """Time [s] after which the reference repeats, a number; (N,) where robots have paths of their own."""
+        period = 1.0 / np.reshape(self.frequency, -1)
+        return float(period[0]) if self.frequency.ndim == 0 else period
 
     @property
     def speed(self) -> Array:
@@ -90,12 +92,12 @@ class FootReference:
         return self.stroke * self.frequency / self.duty_factor
 
     def shares(self, cycle: ArrayLike) -> Array:
-        """Return the part of each leg's own cycle that is over (N, L), 0 to 1, at cycles () or (N,) since the start."""
+        """Return the part of each leg's own cycle that is over (..., N, L), 0 to 1, after cycles (..., N)."""
         share: Array = (np.asarray(cycle, float)[..., None] - self.phase) % 1.0
         return share
 
     def path(self, cycle: ArrayLike) -> Array:
-        """Return the places (N, L, 2) [m] of the feet's ends, x forward and z up from the motor axis."""
+        """Return the places (..., N, L, 2) [m] of the feet's ends after cycles (..., N), x forward and z up."""
         share, duty = self.shares(cycle), self.duty_factor
         stance = share < duty
         part = np.where(stance, share / duty, (share - duty) / (1.0 - duty))
@@ -105,6 +107,13 @@ class FootReference:
         x = self.offset + self.stroke * np.where(stance, 0.5 - part, forward)
         bump = np.where(stance, -self.depth, self.clearance) * (1.0 - np.cos(2.0 * np.pi * part)) / 2.0
         return np.stack(np.broadcast_arrays(x, bump - self.height), -1)
+
+    @classmethod
+    def stacked(cls, references: Sequence[FootReference]) -> FootReference:
+        """Return the paths of N robots, one reference each."""
+        first = references[0]
+        values = {name: np.stack([getattr(one, name) for one in references]) for name in QUANTITIES}
+        return cls(first.legs, first.leg, np.array([[one.frequency] for one in references], float), **values)
 
     def pose(self, time: ArrayLike) -> tuple[Array, Array]:
         """Return the swing and extension (N, L) [rad] at times (N,) [s] since the episode's start."""
