@@ -64,6 +64,8 @@ GAINS: Ranges = {
     "roll_rate": (0.0, 0.3, 0.03),
 }
 """Gains of Raibert's controller."""
+LONGEST_STROKE = 0.5
+"""In parts of the reach; a start that would need more is in reach all the same."""
 FEEDBACK = FeedbackConfig(swing=(-0.25, 0.25), extension=(-0.25, 0.25))
 """Bounds of the controller's feedback [rad]; the paper's for the learned trot."""
 _SLOW = 300.0
@@ -133,7 +135,7 @@ def foot_config(values: Mapping[str, float], gait: Gait, speed: float, reach: fl
 
     return FootConfig(
         frequency=frequency,
-        stroke=values["stride"] * speed * values["duty_factor"] / frequency,
+        stroke=min(values["stride"] * speed * values["duty_factor"] / frequency, LONGEST_STROKE * reach),
         clearance=reach * values["clearance"],
         duty_factor=values["duty_factor"],
         phase=dict(zip(legs, phase, strict=True)),
@@ -201,9 +203,7 @@ class Tuner:
 
     def step(self) -> None:
         """Run a generation."""
-        points: list[Array] = []
-        while len(points) < self.config.population:
-            points.append(self._drawn())
+        points = [self._within_reach(point) for point in self._search.ask()]
         candidates = [self._values(point) for point in points]
         costs = self.costs(candidates).mean(axis=1)
         self._search.tell(points, costs.tolist())
@@ -240,16 +240,14 @@ class Tuner:
         done = runs.power + _SLOW * np.maximum(1.0 - runs.speed / config.speed, 0.0)
         return np.where(runs.balanced, done, _FALL * (2.0 - runs.steps / env.task.max_steps)).reshape(-1, starts)
 
-    def _drawn(self) -> Array:
-        """Return a point of the search whose feet stay within the legs' reach."""
+    def _within_reach(self, point: Array) -> Array:
+        """Return a point of the search, or another one in its place if feet would leave the legs' reach."""
         for _ in range(_TRIES):
-            point = np.asarray(self._search.ask(1)[0])
             try:
                 HybridGait(self.robot, self._reference(self._values(point)), FEEDBACK.swing, FEEDBACK.extension)
-            except SurefootError as error:
-                why = error
-            else:
                 return point
+            except SurefootError as error:
+                why, point = error, self._search.ask(1)[0]
         raise SurefootError(f"{_TRIES} gaits in a row were refused, the last one because {why}; ask for less speed")
 
     def _values(self, point: Array) -> dict[str, float]:
