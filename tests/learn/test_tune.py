@@ -22,10 +22,10 @@ SMALL = TuneConfig(generations=2, population=4, starts=2, seconds=0.5, threads=1
 
 def test_parameters_are_in_parts_of_the_reach_and_of_what_the_speed_asks_for():
     values = USUAL | {"frequency": 2.0, "stride": 1.2, "clearance": 0.1, "front_height": 0.7, "back_offset": -0.05}
-    foot = foot_config(values, "trot", speed=0.5, reach=0.3)
+    foot = foot_config(values, "trot", speed=0.3, reach=0.3)
     natural = math.sqrt(9.81 / 0.3) / (2 * math.pi)
     assert foot.frequency == pytest.approx(2.0 * natural)
-    assert foot.stroke * foot.frequency / foot.duty_factor == pytest.approx(1.2 * 0.5)
+    assert foot.stroke * foot.frequency / foot.duty_factor == pytest.approx(1.2 * 0.3)
     assert foot.clearance == pytest.approx(0.03)
     assert foot.height == pytest.approx(
         dict.fromkeys(("front_left", "front_right"), 0.21) | dict.fromkeys(("back_left", "back_right"), 0.216)

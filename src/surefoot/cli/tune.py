@@ -10,6 +10,7 @@ from surefoot.cli.evaluate import print_summaries
 from surefoot.cli.options import Count, check_suffix
 from surefoot.cli.parsing import parse
 from surefoot.cli.progress import progress_bar
+from surefoot.errors import SurefootError
 from surefoot.learn.tune import TuneConfig, Tuner
 from surefoot.task.handcrafted import HandcraftedGait
 
@@ -35,10 +36,12 @@ def main(argv: list[str]) -> int:
     command = parse(TuneCommand, argv, "surefoot tune")
     check_suffix("gait", command.out, ".yaml")
     config = TuneConfig(**{item.name: getattr(command, item.name) for item in fields(TuneConfig)})
-    start = None if command.start is None else HandcraftedGait.load(command.start)
+    start = {} if command.start is None else HandcraftedGait.load(command.start).about.get("parameters")
+    if not isinstance(start, dict):
+        raise SurefootError(f"{command.start}: handcrafted.about.parameters is missing; the gait was not tuned")
     from surefoot.world.sim_world import SimWorld
 
-    tuner = Tuner(config, SimWorld, start and start.about.get("parameters"))
+    tuner = Tuner(config, SimWorld, start)
     path = command.out or Path(f"{tuner.gait().task.name}.yaml")
     with progress_bar(f"{config.generations} generations") as progress:
         for generation in range(config.generations):

@@ -17,8 +17,8 @@ import cma
 import numpy as np
 
 from surefoot.arrays import Array
-from surefoot.configuration import Seed, Threads, Within, check_bounds, to_mapping
-from surefoot.errors import SurefootError, choices
+from surefoot.configuration import Seed, Threads, Within, check_bounds, is_number, to_mapping
+from surefoot.errors import SurefootError, choices, quoted
 from surefoot.evaluate.footfalls import FEET
 from surefoot.evaluate.rollout import run_to_end
 from surefoot.robot import GRAVITY, RobotDescription
@@ -151,7 +151,7 @@ class Tuner:
     Args:
         config: its settings.
         make_world: makes the simulation.
-        start: parameters to begin with, by name, where they are not the usual ones.
+        start: parameters to begin with, by name, where they are not the usual ones; as near as the ranges allow.
 
     Raises:
         SurefootError: a robot whose legs are not fore and hind, left and right, or a start out of the legs' reach.
@@ -167,8 +167,15 @@ class Tuner:
             )
         longest = self.robot.leg_geometry.foot_position(*[self.robot.extension_range[1]] * 2)
         self.reach = float(np.hypot(*longest))
-        usual = {name: middle for name, (_, _, middle) in self.ranges.items()}
-        self.best = usual | {name: value for name, value in (start or {}).items() if name in usual}
+        given = start or {}
+        for name, value in given.items():
+            if not is_number(value):
+                raise SurefootError(
+                    f"parameter {name} of the gait to start from is {quoted(value)}; it must be a number"
+                )
+        self.best = {
+            name: min(max(given.get(name, usual), low), high) for name, (low, high, usual) in self.ranges.items()
+        }
         """Parameters of the best gait so far."""
         self.cost, self.generation = math.inf, 0
         self._firsts: list[dict[str, float]] = []
