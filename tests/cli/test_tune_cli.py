@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import pytest
@@ -47,3 +48,19 @@ def test_what_does_not_fit_is_refused_in_one_line(tmp_path: Path, words: tuple[s
     (tmp_path / "hand.yaml").write_text(f"{task}handcrafted: {{}}\n")
     (tmp_path / "odd.yaml").write_text(f"{task}handcrafted: {{about: {{parameters: {{depth: deep}}}}}}\n")
     refused(surefoot("tune", *words, cwd=tmp_path), *parts)
+
+
+def test_a_handcrafted_gait_is_evaluated_and_played_as_a_policy_is(tmp_path: Path):
+    pytest.importorskip("imageio_ffmpeg")
+    text = "reference: {kind: foot}\nmax_steps: 20\nhandcrafted: {}\n"
+    (tmp_path / "stand.yaml").write_text(text)
+    done = surefoot("evaluate", "stand.yaml", "--episodes", 2, "--json", "--threads", 1, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    found = json.loads(done.stdout)
+    assert (found["policy"], found["episodes"], found["falls"]) == ("stand", 2, 0)
+    assert len(found["config_hash"]) == 64
+    (tmp_path / "task.yaml").write_text("reference: {kind: foot}\n")
+    refused(surefoot("evaluate", "task.yaml", cwd=tmp_path), "task.yaml: handcrafted is missing")
+    played = surefoot("play", "stand.yaml", "--seconds", 0.1, "--out", "stand.mp4", cwd=tmp_path)
+    assert played.returncode == 0, played.stderr
+    assert (tmp_path / "stand.mp4").stat().st_size > 1000

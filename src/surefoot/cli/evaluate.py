@@ -31,7 +31,7 @@ class EvaluateCommand(RunOptions):
     """
 
     policy: Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="POLICY")] = None
-    """Path of a policy file (.onnx), or the name of a policy that ships with surefoot."""
+    """Path of a policy file (.onnx) or handcrafted gait (.yaml), or the name of a policy that ships with surefoot."""
     trace: tuple[Path, ...] = ()
     """Recorded runs instead of a policy: trace files (.npz), or folders of them."""
     episodes: Count = 20
@@ -77,12 +77,12 @@ def _simulated(
     command: EvaluateCommand, ranges: RandomizeConfig
 ) -> tuple[list[EpisodeTrace], RobotDescription, dict[str, Any]]:
     """Run the policy; returns its traces, the robot, and how it was run."""
-    from surefoot.cli.policies import adjust_task, described, find_policy, find_world, load_policy
+    from surefoot.cli.policies import adjust_task, described, find_policy, find_world, load_gait
     from surefoot.cli.progress import progress_bar
 
     path = find_policy(str(command.policy))
     make_world = find_world(command.world)
-    policy, robot, task = load_policy(path, command.robot)
+    policy, robot, task, about = load_gait(path, command.robot)
     task = adjust_task(
         task, robot, command.settings, command.pushes, command.thermal_protection, ranges, command.simulator
     )
@@ -99,7 +99,7 @@ def _simulated(
             command.threads,
             progress,
             world_name=command.world,
-            policy_name=policy.contract.name,
+            policy_name=about["name"],
         )
     given = [word.split("=")[0] for group in command.settings for word in group]
     return (
@@ -112,7 +112,7 @@ def _simulated(
             "set": command.simulator.latencies | {name: task.params[name] for name in given},
             **described(task),
             "policy_file": str(path),
-            "config_hash": policy.contract.config_hash,
+            "config_hash": about["config_hash"],
         },
     )
 

@@ -33,11 +33,11 @@ def main(argv: list[str]) -> int:
     """Run the command with the words after its name; return the exit code."""
     command = parse(PlayCommand, argv, "surefoot play")
     check_suffix("video", command.out, ".mp4")
-    from surefoot.cli.policies import adjust_task, find_policy, find_world, lasting, load_policy
+    from surefoot.cli.policies import adjust_task, find_policy, find_world, lasting, load_gait
 
     path = find_policy(command.policy)
     make_world = find_world(command.world)
-    policy, robot, task = load_policy(path, command.robot)
+    policy, robot, task, about = load_gait(path, command.robot)
     task = adjust_task(task, robot, command.settings, command.pushes, simulator=command.simulator)
     task = lasting(task, robot, command.seconds)
     window = command.out is None and has_display()
@@ -47,7 +47,7 @@ def main(argv: list[str]) -> int:
 
     for module in ("mujoco",) if window else ("imageio_ffmpeg", "PIL"):
         import_module(module)
-    name = policy.contract.name
+    name = about["name"]
     with progress_bar(name) as progress:
         (trace,) = run_episodes(
             policy, task, 1, make_world, command.seed, 0, progress, world_name=command.world, policy_name=name

@@ -38,7 +38,7 @@ Ranges = dict[str, tuple[float, float, float]]
 """Least and greatest value of each parameter that is searched, and the one to begin with."""
 
 PATH: Ranges = {
-    "frequency": (1.0, 6.0, 2.5),
+    "frequency": (1.0, 9.0, 2.5),
     "duty_factor": (0.2, 0.8, 0.5),
     "stride": (0.5, 3.0, 1.3),
     "clearance": (0.02, 0.3, 0.12),
