@@ -39,7 +39,8 @@ def test_parameters_are_in_parts_of_the_reach_and_of_what_the_speed_asks_for():
     [
         ("trot", {"front_left": 0.0, "front_right": 0.5, "back_left": 0.5, "back_right": 0.0}),
         ("bound", {"front_left": 0.0, "front_right": 0.0, "back_left": 0.4, "back_right": 0.4}),
-        ("gallop", {"front_left": 0.0, "front_right": 0.1, "back_left": 0.4, "back_right": 0.3}),
+        ("gallop", {"front_left": -0.05, "front_right": 0.05, "back_left": 0.45, "back_right": 0.35}),
+        ("free", {"front_left": 0.0, "front_right": 0.1, "back_left": 0.4, "back_right": 0.3}),
     ],
 )
 def test_legs_go_together_as_the_gait_says(gait, phase):

@@ -33,7 +33,7 @@ from surefoot.task.raibert import HISTORY, OBSERVATIONS, RaibertConfig, RaibertC
 from surefoot.task.reference import make_reference
 from surefoot.world.interface import SimulationFactory
 
-Gait = Literal["trot", "bound", "gallop"]
+Gait = Literal["trot", "bound", "gallop", "free"]
 Ranges = dict[str, tuple[float, float, float]]
 """Least and greatest value of each parameter that is searched, and the one to begin with."""
 
@@ -53,9 +53,11 @@ slip; `frequency` is in multiples of the legs' natural one; all other lengths ar
 PHASES: dict[Gait, Ranges] = {
     "trot": {},
     "bound": {"back_phase": (0.25, 0.75, 0.5)},
-    "gallop": {"back_phase": (0.25, 0.75, 0.5), "front_lead": (0.07, 0.3, 0.12), "back_lead": (-0.3, 0.3, 0.12)},
+    "gallop": {"back_phase": (0.3, 0.7, 0.5), "front_lead": (0.08, 0.22, 0.12), "back_lead": (-0.22, 0.22, 0.12)},
+    "free": {"back_phase": (0.0, 1.0, 0.5), "front_lead": (-0.5, 0.5, 0.5), "back_lead": (-0.5, 0.5, -0.5)},
 }
-"""Phases that a gait leaves open [cycles]: of the hind legs after the fore legs, of the right ones after the left."""
+"""Phases that a gait leaves open [cycles]: of the hind legs after the fore legs, of the right ones after the left; of a
+gallop from the middle of one pair to that of the other, so that pairs do not mix, else from left to left."""
 GAINS: Ranges = {
     "speed": (-0.15, 0.3, 0.0),
     "pitch": (0.0, 3.0, 0.3),
@@ -80,7 +82,8 @@ class TuneConfig:
     """Settings of a search."""
 
     gait: Gait = "trot"
-    """trot: diagonal legs together; bound: fore legs together, and hind legs; gallop: both pairs a little apart."""
+    """trot: diagonal legs together; bound: fore legs together, and hind legs; gallop: both pairs a little apart;
+    free: any phases."""
     speed: Annotated[float, Within(0.05, 10)] = 0.6
     """Speed that the gait must reach [m/s]."""
     raibert: bool = False
@@ -122,11 +125,12 @@ def foot_config(values: Mapping[str, float], gait: Gait, speed: float, reach: fl
         reach: longest distance of a foot from its motor axis [m].
     """
     frequency = values["frequency"] * math.sqrt(GRAVITY / reach) / (2 * math.pi)
-    hind = values.get("back_phase", 0.5)
+    fore, back, hind = (values.get(name, 0.0) for name in ("front_lead", "back_lead", "back_phase"))
     phase = {
         "trot": (0.0, 0.5, 0.5, 0.0),
         "bound": (0.0, 0.0, hind, hind),
-        "gallop": (0.0, values.get("front_lead", 0.0), hind, hind + values.get("back_lead", 0.0)),
+        "gallop": (-fore / 2, fore / 2, hind - back / 2, hind + back / 2),
+        "free": (0.0, fore, hind, hind + back),
     }[gait]
     legs = ("front_left", "front_right", "back_left", "back_right")
 
