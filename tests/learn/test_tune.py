@@ -91,3 +91,9 @@ def test_numbers_out_of_bounds_are_refused():
         name, value = next(iter(wrong.items()))
         with pytest.raises(SurefootError, match=f"{name} is {value:g}"):
             TuneConfig(**wrong)
+
+
+def test_a_start_that_legs_refuse_begins_nearer_to_the_usual_gait():
+    tuner = Tuner(replace(SMALL, speed=2.0), SimWorld, {"front_height": 0.94, "back_height": 0.7})
+    assert 0.72 < tuner.best["front_height"] < 0.94
+    assert 0.7 < tuner.best["back_height"] < 0.72

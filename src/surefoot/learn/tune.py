@@ -177,10 +177,15 @@ class Tuner:
                 raise SurefootError(
                     f"parameter {name} of the gait to start from is {quoted(value)}; it must be a number"
                 )
-        self.best = {
-            name: min(max(given.get(name, usual), low), high) for name, (low, high, usual) in self.ranges.items()
-        }
-        """Parameters of the best gait so far."""
+        # What is in reach at one speed may not be at another one: then the search begins nearer to the usual gait.
+        for share in np.linspace(1.0, 0.0, 21).tolist():
+            self.best = {
+                name: usual + share * (min(max(given.get(name, usual), low), high) - usual)
+                for name, (low, high, usual) in self.ranges.items()
+            }
+            """Parameters of the best gait so far."""
+            if not self._refusal(self.best):
+                break
         self.cost, self.generation = math.inf, 0
         self._firsts: list[dict[str, float]] = []
         self._low, high, _ = np.array(list(self.ranges.values())).T
@@ -254,12 +259,19 @@ class Tuner:
     def _within_reach(self, point: Array) -> Array:
         """Return a point of the search, or another one in its place if feet would leave the legs' reach."""
         for _ in range(_TRIES):
-            try:
-                HybridGait(self.robot, self._reference(self._values(point)), FEEDBACK.swing, FEEDBACK.extension)
+            why = self._refusal(self._values(point))
+            if not why:
                 return point
-            except SurefootError as error:
-                why, point = error, self._search.ask(1)[0]
+            point = self._search.ask(1)[0]
         raise SurefootError(f"{_TRIES} gaits in a row were refused, the last one because {why}; ask for less speed")
+
+    def _refusal(self, values: Mapping[str, float]) -> str:
+        """Return why a robot's legs refuse a gait; empty if they do not."""
+        try:
+            HybridGait(self.robot, self._reference(values), FEEDBACK.swing, FEEDBACK.extension)
+        except SurefootError as error:
+            return str(error)
+        return ""
 
     def _values(self, point: Array) -> dict[str, float]:
         return dict(zip(self.ranges, (self._low + self._width * point).tolist(), strict=True))
