@@ -36,6 +36,7 @@ from surefoot.task.randomize import load_ranges
 SHIPPED = ("trot", "trot-robust", "trot-steady", "gallop", "gallop-robust")
 CONDITIONS = {"mujoco": ("mujoco", "none"), "table1": ("mujoco", "table1"), "bullet": ("bullet", "none")}
 """World and ranges of each condition."""
+_TITLES = {"mujoco": "MuJoCo", "table1": "MuJoCo, table I drawn", "bullet": "Bullet"}
 FAMILIES = ("foot trajectories", "foot trajectories, Raibert", "learned")
 DURATION = 6.0
 """Of an episode [s]."""
@@ -61,6 +62,8 @@ class Command:
     """The one seed."""
     threads: int = 0
     """Threads of the simulation; 0 means one a core."""
+    missing: bool = True
+    """Run what is missing; else tell of what is there."""
     draw: bool = False
     """Draw the footfalls of each gait's first episode in MuJoCo too."""
 
@@ -140,7 +143,7 @@ def at_equal_speed(one: dict[str, Any], others: list[dict[str, Any]]) -> float:
 
 def figure(rows: list[dict[str, Any]], conditions: tuple[str, ...], path: Path) -> Path:
     """Draw power over speed, a panel for each condition; gaits that fell are hollow."""
-    with new_figure(path, (4.2 * len(conditions), 3.9), columns=len(conditions), sharey=True) as (_, axes):
+    with new_figure(path, (4.4 * len(conditions), 4.6), columns=len(conditions), sharey=True) as (_, axes):
         for ax, condition in zip(axes, conditions, strict=True):
             for number, family in enumerate(FAMILIES):
                 for row in (row for row in rows if (row["family"], row["condition"]) == (family, condition)):
@@ -150,15 +153,17 @@ def figure(rows: list[dict[str, Any]], conditions: tuple[str, ...], path: Path) 
                     ax.annotate(
                         row["gait"], (row["speed"], row["power"]), (4, 3), textcoords="offset points", fontsize=6
                     )
-            ax.set_title({"table1": "MuJoCo, table I drawn"}.get(condition, condition.replace("mujoco", "MuJoCo")))
+            ax.set_title(_TITLES[condition])
             ax.set_xlabel("Speed (m/s)")
-            ax.set_xlim(left=0.0)
-            ax.set_ylim(bottom=0.0)
+            ax.set(xscale="log", yscale="log", xlim=(0.35, 4.0), ylim=(6.0, 90.0))
+            ax.set_xticks([0.4, 0.6, 1.0, 1.5, 2.5], ["0.4", "0.6", "1", "1.5", "2.5"])
+            ax.set_yticks([10, 20, 40, 80], ["10", "20", "40", "80"])
+            ax.minorticks_off()
         for number, family in enumerate(FAMILIES):
             axes[0].plot([], [], MARKERS[number], color=COLORS[number], label=family)
         axes[0].plot([], [], "o", color="gray", markerfacecolor="white", label="hollow: falls")
         axes[0].set_ylabel("Mean power (W)")
-        axes[0].legend(loc="upper left")
+        axes[0].legend(loc="upper left", fontsize=7)
     return path
 
 
@@ -173,7 +178,7 @@ def main(command: Command) -> None:
     for condition in command.conditions:
         for entry in found:
             have = [row for row in kept if (row["gait"], row["condition"]) == (entry.name, condition)]
-            if len(have) < command.episodes:
+            if command.missing and len(have) < command.episodes:
                 kept = [row for row in kept if row not in have] + run(entry, condition, command)
                 write_csv(path, kept)
                 print(f"ran {entry.name}: {condition}", flush=True)
@@ -181,7 +186,8 @@ def main(command: Command) -> None:
     rows = []
     for condition in command.conditions:
         for entry in found:
-            rows.append(summary([r for r in kept if (r["gait"], r["condition"]) == (entry.name, condition)], weight))
+            own = [row for row in kept if (row["gait"], row["condition"]) == (entry.name, condition)]
+            rows += [summary(own, weight)] if own else []
     write_csv(command.folder / "table.csv", rows)
     shown = []
     for row in rows:
