@@ -10,9 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated
 
-import numpy as np
 import tyro
-from numpy.typing import ArrayLike
 
 from surefoot.cli.policies import WORLDS, find_world
 from surefoot.evaluate.gap import away_task
@@ -20,18 +18,7 @@ from surefoot.evaluate.rollout import run_episodes
 from surefoot.evaluate.runs import Runs
 from surefoot.robot import RobotDescription
 from surefoot.task.config import load_task
-
-
-@dataclass(frozen=True)
-class NoFeedback:
-    """A policy that adds nothing to the reference, or the middle of its bounds where these leave out zero."""
-
-    legs: int
-    """Number of legs, each with swing and extension."""
-
-    def feedback(self, observation: ArrayLike) -> np.ndarray:
-        """Feedback (N, 2 L) [rad] for observations (N, O)."""
-        return np.zeros((len(np.asarray(observation)), 2 * self.legs))
+from surefoot.task.handcrafted import OpenLoop
 
 
 @dataclass(frozen=True)
@@ -54,7 +41,7 @@ def run(command: Command) -> None:
     robot = RobotDescription.load(task.robot)
     print(f"{'world':<17} speed m/s (least to greatest)   falls   upright after 6 s")
     for world in command.worlds:
-        policy = NoFeedback(len(robot.legs))
+        policy = OpenLoop(len(robot.legs))
         traces = run_episodes(policy, away_task(task), command.episodes, find_world(world), command.seed)
         runs = Runs.of_traces(traces)
         speed = f"{runs.speed.mean():.2f} ({runs.speed.min():.2f} to {runs.speed.max():.2f})"

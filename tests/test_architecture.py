@@ -20,7 +20,7 @@ ARROWS: dict[str, set[str]] = {
     "actuator": {"robot"},
     "world": {"actuator", "robot"},
     "task": {"robot", "world.interface", "world.readings"},
-    "learn": {"task", "policy", "evaluate"},
+    "learn": {"task", "policy", "evaluate", "robot", "world.interface"},
     "policy": {"robot"},
     "evaluate": {"task", "policy", "world", "robot"},
     "identify": {"world", "deploy", "robot", "actuator", "task.trace"},

@@ -145,7 +145,7 @@ def test_what_can_not_be_run_is_refused(episodes: int, seed: int, message: str):
 
 
 def test_action_is_the_inverse_of_feedback(rng: np.random.Generator):
-    gait = HybridGait(ROBOT, make_reference(None, ROBOT.leg_names), (-0.2, 0.4), (1.5, 1.5))
+    gait = HybridGait(ROBOT, make_reference(None, ROBOT), (-0.2, 0.4), (1.5, 1.5))
     unit = rng.uniform(-1, 1, (20, 8))
     unit[:, 4:] = 0
     assert np.allclose(gait.action(gait.feedback(unit)), unit)
@@ -153,7 +153,7 @@ def test_action_is_the_inverse_of_feedback(rng: np.random.Generator):
 
 
 def contract_of(task: TaskConfig) -> Contract:
-    reference = make_reference(task.reference.to_mapping(), ROBOT.leg_names)
+    reference = make_reference(task.reference.to_mapping(), ROBOT)
     return Contract(
         **{"name": "p", "robot": "minitaur", "motor_names": ROBOT.motor_names, "motor_signs": (1.0,) * 8},
         **{"leg_names": ROBOT.leg_names, "observation": (ObservationPart("roll", "rad", "base"),)},
@@ -178,7 +178,7 @@ def test_a_table_comes_from_the_contract_and_not_from_its_file(tmp_path: Path):
     text = contract_of(task).to_json()
     (tmp_path / "t.npz").unlink()
     again = task_from_contract(Contract.from_json(text))
-    reference = make_reference(again.reference.to_mapping(), ROBOT.leg_names)
+    reference = make_reference(again.reference.to_mapping(), ROBOT)
     assert np.allclose(reference.pose([0.125])[1], 2.0)
     assert task_from_contract(contract_of(again)) == again
 

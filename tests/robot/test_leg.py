@@ -120,3 +120,15 @@ def test_short_lower_links_do_not_close():
 def test_lengths_that_are_none_are_refused(upper, lower, foot, radius, key):
     with pytest.raises(SurefootError, match=rf"leg_geometry\.{key} is "):
         FiveBar(upper, lower, foot, radius)
+
+
+@given(swing=st.floats(-1.0, 1.0), extension=st.floats(0.6, 2.7))
+def test_leg_pose_undoes_foot_position(swing: float, extension: float):
+    foot = MINITAUR.foot_position(*leg_to_motor(swing, extension))
+    np.testing.assert_allclose(MINITAUR.leg_pose(foot), (swing, extension), atol=1e-9)
+
+
+# Straight down it reaches .101 + .240 m; motor 2 alone would reach closer than .240 - .101 m only through its link.
+@pytest.mark.parametrize("foot", [(0.0, -0.342), (0.0, -0.138), (0.4, -0.1), (np.nan, 0.0), (10.0, -10.0)])
+def test_leg_pose_out_of_reach_is_not_a_number(foot: tuple[float, float]):
+    assert np.isnan(MINITAUR.leg_pose(foot)).all()

@@ -84,7 +84,7 @@ def test_written_and_read_again_it_is_the_same(tmp_path, name):
         ("observations: roll", ["observations is 'roll'", "a list of values, each text"]),
         ("observations: [1]", ["observations[0] is 1", "text"]),
         ("robot: 3", ["robot is 3", "text"]),
-        ("reference: {kind: square}", ["reference.kind is 'square'", "choices: none, sine, table"]),
+        ("reference: {kind: square}", ["reference.kind is 'square'", "choices: none, sine, table, foot"]),
         ("reference: {swing: {phase: left}}", ["reference.swing.phase is 'left'", "a number or a table"]),
         ("pushes: {enabled: sometimes}", ["pushes.enabled is 'sometimes'", "true or false"]),
         ("pushes: {duration: 2}", ["pushes.duration is 2 s", "below pushes.period 1.2 s"]),

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import gymnasium
 import numpy as np
 import pytest
@@ -270,6 +272,22 @@ def test_the_first_observation_is_a_standing_robot():
 def test_reward_of_a_step(displacement, energy, weight, expected):
     reward = locomotion_reward(np.array([displacement]), np.array([energy]), weight)
     np.testing.assert_allclose(reward, [expected], atol=1e-15)
+
+
+def test_progress_counts_up_to_a_greatest_displacement():
+    displacement, energy = np.array([0.002, 0.004, 0.009, -0.002]), np.array([0.0, 0.5, 0.5, 0.0])
+    reward = locomotion_reward(displacement, energy, 0.008, 0.004)
+    np.testing.assert_allclose(reward, [0.002, 0.0, 0.0, -0.002], atol=1e-15)
+
+
+def test_target_speed_limits_the_progress_of_an_environments_reward():
+    task = replace(load_task("trot")[0], target_speed=0.5)
+    env = LocomotionEnv(task, 2, ScriptedWorld, autoreset=False)
+    env.reset()
+    env.world.speed[:], env.world.power[:] = (0.4, 3.0), 10.0
+    reward = env.step(np.zeros((2, 8)))[1]
+    # 6 ms: 2.4 mm go forward, 18 mm count as 3 mm; .06 J cost .48 mm.
+    np.testing.assert_allclose(reward, [0.0024 - 0.00048, 0.003 - 0.00048])
 
 
 def test_fall():

@@ -16,12 +16,12 @@ PHASE = {"front_left": 0.0, "back_left": np.pi, "front_right": np.pi, "back_righ
 def trot(robot: RobotDescription, amplitude: float = 0.35):
     wave = {"amplitude": amplitude, "frequency": 2.0, "phase": PHASE}
     data = {"kind": "sine", "swing": wave | {"amplitude": 0.3}, "extension": wave | {"offset": 2.0}}
-    return make_reference(data, robot.leg_names)
+    return make_reference(data, robot)
 
 
 def scratch(robot: RobotDescription) -> HybridGait:
     """From scratch: no reference; swing +-.5, extension from 1 to 2."""
-    return HybridGait(robot, make_reference(None, robot.leg_names), (-0.5, 0.5), (1.0, 2.0))
+    return HybridGait(robot, make_reference(None, robot), (-0.5, 0.5), (1.0, 2.0))
 
 
 # Actions -1, 0 and 1 are the lower bound, the middle and the upper bound; there is nothing beyond.
@@ -108,7 +108,7 @@ def test_commands_beyond_the_legs_range_are_refused(robot, amplitude, swing, ext
 
 
 def test_the_edge_of_the_legs_range_is_allowed(robot):
-    reference = make_reference(None, robot.leg_names)
+    reference = make_reference(None, robot)
     gait = HybridGait(robot, reference, robot.swing_range, robot.extension_range)
     assert gait.low[0] == -1.0
     assert gait.high[-1] == 2.7

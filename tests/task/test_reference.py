@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from surefoot.errors import SurefootError
+from surefoot.robot import RobotDescription
 from surefoot.task.reference import Reference, make_reference
 
-LEGS = ("front_left", "back_left", "front_right", "back_right")
+ROBOT = RobotDescription.load("minitaur")
+LEGS = ROBOT.leg_names
 DIAGONAL = {"front_left": 0.0, "back_left": np.pi, "front_right": np.pi, "back_right": 0.0}
 TROT = {
     "kind": "sine",
@@ -23,10 +26,21 @@ ROWS = {
     "swing": {leg: [0.0, 0.4, 0.0, -0.4] for leg in LEGS},
     "extension": {leg: [2.0, 2.0, 2.2, 1.8] for leg in LEGS},
 }
+FOOT = {
+    "kind": "foot",
+    "foot": {
+        **{"frequency": 2.0, "stroke": 0.1, "clearance": 0.03, "duty_factor": 0.6, "height": 0.2},
+        **{"offset": 0.01, "depth": 0.005, "phase": {leg: 0.5 * (k in (1, 2)) for k, leg in enumerate(LEGS)}},
+    },
+}
+
+
+def foot(**other: Any) -> dict[str, Any]:
+    return {"kind": "foot", "foot": FOOT["foot"] | other}
 
 
 def test_no_reference_is_zero_at_all_times():
-    reference = make_reference(None, LEGS)
+    reference = make_reference(None, ROBOT)
     swing, extension = reference.pose(np.array([0.0, 0.3, 7.0]))
     assert swing.shape == extension.shape == (3, 4)
     assert not swing.any()
@@ -40,17 +54,17 @@ def test_no_reference_is_zero_at_all_times():
     ("time", "sine"), [(0.0, 0.0), (0.125, 1.0), (0.25, 0.0), (0.375, -1.0), (1 / 24, 0.5), (0.625, 1.0)]
 )
 def test_sine_at_known_phases(time: float, sine: float):
-    swing, extension = make_reference(TROT, LEGS).pose([time])
+    swing, extension = make_reference(TROT, ROBOT).pose([time])
     one = np.array([1, -1, -1, 1])
     np.testing.assert_allclose(swing, [0.3 * sine * one], atol=1e-12)
     np.testing.assert_allclose(extension, [2.0 + 0.35 * sine * one], atol=1e-12)
 
 
 def test_extent_covers_every_leg():
-    np.testing.assert_allclose(make_reference(TROT, LEGS).extent(), ((-0.3, 0.3), (1.65, 2.35)))
+    np.testing.assert_allclose(make_reference(TROT, ROBOT).extent(), ((-0.3, 0.3), (1.65, 2.35)))
     offset = dict(zip(LEGS, (0.0, 0.1, -0.2, 0.0), strict=True))
     data = {"kind": "sine", "swing": {"amplitude": -0.3, "frequency": 1.0, "offset": offset}}
-    np.testing.assert_allclose(make_reference(data, LEGS).extent()[0], (-0.5, 0.4))
+    np.testing.assert_allclose(make_reference(data, ROBOT).extent()[0], (-0.5, 0.4))
 
 
 # A wave that does not move does not count.
@@ -66,7 +80,7 @@ def test_the_period_is_common_to_swing_and_extension(
 ):
     waves = {"swing": {"amplitude": amplitude, "frequency": swing}}
     waves["extension"] = {"amplitude": 0.1, "frequency": extension}
-    assert make_reference({"kind": "sine", **waves}, LEGS).period == period
+    assert make_reference({"kind": "sine", **waves}, ROBOT).period == period
 
 
 # Rows stand for 0, .2, .4 and .6 s; after the last row comes the first.
@@ -85,12 +99,12 @@ def test_the_period_is_common_to_swing_and_extension(
     ],
 )
 def test_a_table_runs_in_straight_lines_and_starts_anew(time: float, swing: float, extension: float):
-    got = make_reference(ROWS, LEGS).pose([time])
+    got = make_reference(ROWS, ROBOT).pose([time])
     np.testing.assert_allclose(got, [np.full((1, 4), swing), np.full((1, 4), extension)], atol=1e-12)
 
 
 def test_a_tables_extent_and_period():
-    reference = make_reference(ROWS, LEGS)
+    reference = make_reference(ROWS, ROBOT)
     assert reference.extent() == ((-0.4, 0.4), (1.8, 2.2))
     assert reference.period == 0.8
 
@@ -109,14 +123,14 @@ def write(path: Path, table: dict[str, list[float]]) -> Path:
 
 
 def from_file(path: Path) -> Reference:
-    return make_reference({"kind": "table", "file": str(path), "period": 0.8}, LEGS)
+    return make_reference({"kind": "table", "file": str(path), "period": 0.8}, ROBOT)
 
 
 @pytest.mark.parametrize("name", ["gait.csv", "gait.npz"])
 def test_a_file_gives_what_its_rows_would(tmp_path: Path, name: str):
     write(tmp_path / name, columns())
     time = np.linspace(0, 2, 37)
-    assert np.array_equal(from_file(tmp_path / name).pose(time), make_reference(ROWS, LEGS).pose(time))
+    assert np.array_equal(from_file(tmp_path / name).pose(time), make_reference(ROWS, ROBOT).pose(time))
 
 
 def test_columns_go_by_name_not_by_place(tmp_path: Path):
@@ -126,10 +140,10 @@ def test_columns_go_by_name_not_by_place(tmp_path: Path):
     np.testing.assert_allclose(reference.pose([0.2])[0], [[0.4, 0.4, 0.4, 0.1]])
 
 
-@pytest.mark.parametrize("data", [None, TROT, ROWS])
+@pytest.mark.parametrize("data", [None, TROT, ROWS, FOOT])
 def test_to_dict_makes_it_again(data):
-    reference = make_reference(data, LEGS)
-    again = make_reference(reference.to_dict(), LEGS)
+    reference = make_reference(data, ROBOT)
+    again = make_reference(reference.to_dict(), ROBOT)
     time = np.linspace(0, 2, 41)
     assert np.array_equal(reference.pose(time), again.pose(time))
     assert again.to_dict() == reference.to_dict()
@@ -138,7 +152,7 @@ def test_to_dict_makes_it_again(data):
 @pytest.mark.parametrize(
     ("data", "pieces"),
     [
-        ({"kind": "square"}, ["reference.kind is 'square'", "sine, table"]),
+        ({"kind": "square"}, ["reference.kind is 'square'", "sine, table, foot"]),
         ({"kind": "sine", "swign": {}}, ["reference.swign is not a key", "choices: kind, swing, extension"]),
         ({"kind": "sine", "swing": {"amp": 1.0}}, ["reference.swing.amp is not a key", "amplitude, frequency"]),
         ({"kind": "sine", "swing": {"amplitude": "big"}}, ["reference.swing.amplitude is 'big'", "finite number"]),
@@ -153,6 +167,18 @@ def test_to_dict_makes_it_again(data):
             {"kind": "sine", "swing": {"phase": DIAGONAL | {"tail": 0.0}}},
             ["reference.swing.phase.tail is not a key", "choices: front_left"],
         ),
+        ({"kind": "foot"}, ["reference.foot.frequency is missing"]),
+        (foot(swing=1.0), ["reference.foot.swing is not a key", "choices: frequency, stroke"]),
+        (foot(stroke=np.nan), ["reference.foot.stroke is nan", "finite number"]),
+        (foot(stroke={"front_left": 0.1}), ["reference.foot.stroke has no number for back_left", "every leg"]),
+        (foot(stroke=1e300), ["reference.foot.stroke is 1e+300", "-10 to 10"]),
+        (foot(duty_factor=1.0), ["reference.foot.duty_factor is 1", "0.05 to 0.95"]),
+        (foot(duty_factor=0.0), ["reference.foot.duty_factor is 0"]),
+        (foot(frequency=0.0), ["reference.foot.frequency is 0", "0.01 to 50"]),
+        (foot(frequency={"front_left": 1.0}), ["reference.foot.frequency is {'front_left': 1.0}", "finite number"]),
+        (foot(height=-0.1), ["reference.foot.height is -0.1"]),
+        (foot(height=0.4), ["the foot of front_left", "below its motors, out of the leg's reach"]),
+        (foot(clearance={**dict.fromkeys(LEGS, 0.02), "back_right": 0.19}), ["the foot of back_right", "reach"]),
         ({"kind": "sine", "swing": 3.0}, ["reference.swing is 3.0", "must be a table"]),
         ({**ROWS, "period": 0.0}, ["reference.period is 0", "over 0 s"]),
         ({**ROWS, "period": None}, ["reference.period is None", "finite number"]),
@@ -171,7 +197,7 @@ def test_to_dict_makes_it_again(data):
 )
 def test_what_does_not_fit_is_refused_in_one_line(data, pieces):
     with pytest.raises(SurefootError) as caught:
-        make_reference(data, LEGS)
+        make_reference(data, ROBOT)
     message = str(caught.value)
     assert "\n" not in message
     for piece in pieces:

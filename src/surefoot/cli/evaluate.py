@@ -30,7 +30,7 @@ class EvaluateCommand(RunOptions):
     """
 
     policy: Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="POLICY")] = None
-    """Path of a policy file (.onnx), or the name of a policy that ships with surefoot."""
+    """Path of a policy file (.onnx) or handcrafted gait (.yaml), or the name of a policy that ships with surefoot."""
     trace: tuple[Path, ...] = ()
     """Recorded runs instead of a policy: trace files (.npz), or folders of them."""
     episodes: Count = 20
@@ -76,17 +76,19 @@ def _simulated(
     command: EvaluateCommand, ranges: RandomizeConfig
 ) -> tuple[list[EpisodeTrace], RobotDescription, dict[str, Any]]:
     """Run the policy; returns its traces, the robot, and how it was run."""
-    from surefoot.cli.policies import adjust_task, described, find_policy, find_world, load_policy, run_policy
+    from surefoot.cli.policies import adjust_task, described, find_policy, find_world, load_gait, run_policy
 
     path = find_policy(str(command.policy))
     find_world(command.world)
-    policy, robot, task = load_policy(path, command.robot)
+    policy, robot, task, known = load_gait(path, command.robot)
     task = adjust_task(
         task, robot, command.settings, command.pushes, command.thermal_protection, ranges, command.simulator
     )
     make_figures_folder(command.out)
     title = f"{command.episodes} episodes"
-    traces = run_policy(policy, task, command.episodes, command.world, command.seed, command.threads, title=title)
+    traces = run_policy(
+        policy, task, command.episodes, command.world, command.seed, command.threads, known["name"], title
+    )
     given = [word.split("=")[0] for group in command.settings for word in group]
     about = {
         "seed": command.seed,
@@ -95,7 +97,7 @@ def _simulated(
         "set": command.simulator.latencies | {name: task.params[name] for name in given},
         **described(task),
         "policy_file": str(path),
-        "config_hash": policy.contract.config_hash,
+        "config_hash": known["config_hash"],
     }
     return traces, robot, about
 

@@ -12,6 +12,7 @@ from surefoot.errors import SurefootError, choices
 
 COMMANDS = {
     "train": ("surefoot.cli.train", "learn a gait in simulation"),
+    "tune": ("surefoot.cli.tune", "find a handcrafted gait for a robot and a speed"),
     "evaluate": ("surefoot.cli.evaluate", "run a policy in simulation and measure it"),
     "play": ("surefoot.cli.play", "watch a policy, in a window or as a video"),
     "search": ("surefoot.cli.search", "train many times with searched settings, and see what emerges"),
@@ -40,6 +41,7 @@ _EXTRAS = {
     "report": ("matplotlib", "imageio_ffmpeg", "PIL"),
     "bullet": ("pybullet",),
     "search": ("optuna", "ray", "grpc"),
+    "tune": ("cma",),
 }
 
 

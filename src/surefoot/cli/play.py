@@ -33,18 +33,18 @@ def main(argv: list[str]) -> int:
     """Run the command with the words after its name; return the exit code."""
     command = parse(PlayCommand, argv, "surefoot play")
     check_suffix("video", command.out, ".mp4")
-    from surefoot.cli.policies import adjust_task, find_policy, find_world, lasting, load_policy, run_policy
+    from surefoot.cli.policies import adjust_task, find_policy, find_world, lasting, load_gait, run_policy
 
     path = find_policy(command.policy)
     find_world(command.world)
-    policy, robot, task = load_policy(path, command.robot)
+    policy, robot, task, known = load_gait(path, command.robot)
     task = adjust_task(task, robot, command.settings, command.pushes, simulator=command.simulator)
     task = lasting(task, robot, command.seconds)
     window = command.out is None and has_display()
     # Imported before anything is simulated: what is not installed is told at once.
     for module in ("mujoco",) if window else ("imageio_ffmpeg", "PIL"):
         import_module(module)
-    (trace,) = run_policy(policy, task, 1, command.world, command.seed)
+    (trace,) = run_policy(policy, task, 1, command.world, command.seed, name=known["name"])
     if window:
         from surefoot.cli.viewer import replay
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
@@ -19,13 +19,17 @@ from surefoot.cli.simulator import Simulator
 from surefoot.configuration import to_mapping
 from surefoot.deploy.checks import contradiction, other_gains, unreadable_observation
 from surefoot.errors import SurefootError, choices
-from surefoot.policy.contract import Contract, check_robot
+from surefoot.policy.contract import Contract, check_robot, config_hash
 from surefoot.policy.runtime import PolicyRuntime
 from surefoot.robot import RobotDescription, parse_settings
 from surefoot.task.config import TaskConfig
+from surefoot.task.handcrafted import HandcraftedGait
 from surefoot.task.randomize import RandomizeConfig, check_ranges
 from surefoot.task.trace import EpisodeTrace
 from surefoot.world.interface import SimulationFactory
+
+if TYPE_CHECKING:
+    from surefoot.evaluate.rollout import Policy
 
 PACKAGE = Path(__file__).resolve().parents[1]
 SHELVES = (PACKAGE / "policies", PACKAGE.parents[1] / "policies")
@@ -43,7 +47,9 @@ def find_policy(policy: str) -> Path:
     if policy in shipped:
         return shipped[policy]
     names = f"shipped policies: {choices(shipped)}" if shipped else "no policies ship with this surefoot"
-    raise SurefootError(f"policy '{policy}' does not exist; give the path of an .onnx file ({names})")
+    raise SurefootError(
+        f"policy '{policy}' does not exist; give the path of an .onnx file, or of a handcrafted gait (.yaml; {names})"
+    )
 
 
 def find_policies(policies: Sequence[str]) -> list[Path]:
@@ -95,6 +101,22 @@ def load_policy(path: Path, robot: str | None) -> tuple[PolicyRuntime, RobotDesc
             file=sys.stderr,
         )
     return policy, description, task
+
+
+def load_gait(path: Path, robot: str | None) -> tuple[Policy, RobotDescription, TaskConfig, dict[str, str]]:
+    """Return what runs a policy file or a handcrafted gait (.yaml), robot, task, name and hash of its configuration.
+
+    Raises:
+        SurefootError: as `load_policy`, or a file that is no handcrafted gait.
+    """
+    if path.suffix != ".yaml":
+        policy, description, task = load_policy(path, robot)
+        return policy, description, task, {"name": policy.contract.name, "config_hash": policy.contract.config_hash}
+    gait = HandcraftedGait.load(path)
+    task = gait.task if robot is None else replace(gait.task, robot=robot)
+    whole = {"task": to_mapping(task), "raibert": gait.raibert and to_mapping(gait.raibert)}
+    about = {"name": task.name, "config_hash": config_hash(whole)}
+    return replace(gait, task=task).policy(), RobotDescription.load(task.robot), task, about
 
 
 def _check_contract(contract: Contract, robot: RobotDescription, task: TaskConfig) -> None:
@@ -202,7 +224,7 @@ def described(task: TaskConfig) -> dict[str, Any]:
 
 
 def run_policy(
-    policy: PolicyRuntime,
+    policy: Policy,
     task: TaskConfig,
     episodes: int,
     world: str,
@@ -213,11 +235,10 @@ def run_policy(
 ) -> list[EpisodeTrace]:
     """Run episodes of a policy in the world of a name, with a progress bar; return their traces.
 
-    The policy goes by `name` in the traces, and by `title` over the bar; its own name, if they are not given.
+    The policy goes by `name` in the traces, and by `title`, or else its name, over the bar.
     """
     from surefoot.evaluate.rollout import run_episodes
 
-    name = name or policy.contract.name
     with progress_bar(title or name) as progress:
         return run_episodes(
             policy, task, episodes, find_world(world), seed, threads, progress, world_name=world, policy_name=name

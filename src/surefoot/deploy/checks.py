@@ -171,7 +171,7 @@ def _angles(contract: Contract, handshake: Handshake, robot: RobotDescription) -
     if contract.leg_names != robot.leg_names or len(handshake.angle_low) != robot.num_motors:
         return undone([name], "the policy's legs and motors are not the robot's")[0]
     try:
-        swing, extension = make_reference(contract.reference, robot.leg_names).extent()
+        swing, extension = make_reference(contract.reference, robot).extent()
     except SurefootError as error:
         return Finding(name, False, f"the policy's reference can't be read: {error}", "export the policy again")
     legs = len(robot.legs)
@@ -259,7 +259,7 @@ def _contradiction(contract: Contract, robot: RobotDescription) -> str | None:
     actions = tuple(f"{part}.{leg}" for part in ("swing", "extension") for leg in contract.leg_names)
     if contract.action_names != actions:
         return f"its actions are {list(contract.action_names)}; of these legs they must be {list(actions)}"
-    return _bounds(contract) or _reference(contract) or _rest(contract, robot)
+    return _bounds(contract) or _reference(contract, robot) or _rest(contract, robot)
 
 
 def _same(one: float, other: float) -> bool:
@@ -279,18 +279,19 @@ def _bounds(contract: Contract) -> str | None:
     return None
 
 
-def _reference(contract: Contract) -> str | None:
+def _reference(contract: Contract, robot: RobotDescription) -> str | None:
     stated = contract.task.get("reference") or {}
     kind = stated.get("kind")
     found = None if contract.reference is None else contract.reference.get("kind")
     if kind is not None and (found or "none") != kind:
         return f"its reference is of kind {found or 'none'}; its task says {kind}"
     # A table's rows stand in the contract alone: its task may name a file that is somewhere else.
-    if kind != "sine":
+    parts = {"sine": ("swing", "extension"), "foot": ("foot",)}.get(str(kind))
+    if parts is None:
         return None
     try:
-        expected = make_reference({key: stated[key] for key in ("kind", "swing", "extension")}, contract.leg_names)
-        given = make_reference(contract.reference, contract.leg_names)
+        expected = make_reference({key: stated[key] for key in ("kind", *parts)}, robot)
+        given = make_reference(contract.reference, robot)
     except (SurefootError, KeyError) as error:
         return f"its reference can't be read: {error}"
     if expected.to_dict() != given.to_dict():
@@ -307,7 +308,7 @@ def _rest(contract: Contract, robot: RobotDescription) -> str | None:
     if stated is None:
         legs = len(contract.leg_names)
         bounds = [(min(contract.low[part]), max(contract.high[part])) for part in (slice(legs), slice(legs, None))]
-        reference = make_reference(contract.reference, contract.leg_names)
+        reference = make_reference(contract.reference, robot)
         stated, where = HybridGait(robot, reference, bounds[0], bounds[1]).rest, "the middle of its commands is"
     for (name, _), value, expected in zip(spans, contract.rest, stated, strict=True):
         if not _same(value, expected):

@@ -37,7 +37,7 @@ class Controller:
             )
         self.gait = HybridGait(
             robot,
-            make_reference(contract.reference, robot.leg_names),
+            make_reference(contract.reference, robot),
             (min(contract.low[:legs]), max(contract.high[:legs])),
             (min(contract.low[legs:]), max(contract.high[legs:])),
         )

@@ -14,6 +14,7 @@ from surefoot.configuration import from_mapping
 from surefoot.errors import SurefootError, at_least
 from surefoot.evaluate.runs import Runs
 from surefoot.policy.contract import Contract
+from surefoot.robot import RobotDescription
 from surefoot.robot.params_file import param_values
 from surefoot.task.config import TaskConfig
 from surefoot.task.env import LocomotionEnv
@@ -38,7 +39,7 @@ def task_from_contract(contract: Contract) -> TaskConfig:
     task = from_mapping(TaskConfig, contract.task, f"policy '{contract.name}': task")
     reference = contract.reference
     if reference is not None and reference.get("kind") == "table":
-        table_data = make_reference(reference, contract.leg_names).to_dict()
+        table_data = make_reference(reference, RobotDescription.load(task.robot)).to_dict()
         rows = {part: {leg: tuple(row) for leg, row in table_data[part].items()} for part in ("swing", "extension")}
         table = replace(task.reference, file=None, period=table_data["period"], rows=rows)
         task = replace(task, reference=table)

@@ -68,22 +68,26 @@ class FiveBar:
         NaN where the lower links are too short to meet.
         """
         knee_1, knee_2 = self.knees(theta_1, theta_2)
-        across = knee_1 - knee_2
-        distance = np.linalg.norm(across, axis=-1, keepdims=True)
-        radius_1, radius_2 = self.lower
-        with np.errstate(invalid="ignore", divide="ignore"):
-            along = (distance**2 + radius_2**2 - radius_1**2) / (2 * distance)
-            height = np.sqrt(radius_2**2 - along**2)
-            unit = across / distance
-        # A quarter turn of the unit vector from knee 2 to knee 1 points down when knee 1 is in front.
-        down = np.stack([unit[..., 1], -unit[..., 0]], -1)
-        return knee_2 + along * unit + height * down
+        return _corner(knee_2, self.lower[1], knee_1, self.lower[0])
 
     def foot_position(self, theta_1: ArrayLike, theta_2: ArrayLike) -> Array:
         """Return the position (..., 2) [m] of the foot's end from the motor axis; NaN where no loop closes."""
         _, knee_2 = self.knees(theta_1, theta_2)
         pin = self.pin(theta_1, theta_2)
         return knee_2 + (pin - knee_2) * (self.foot / self.lower[1])
+
+    def leg_pose(self, foot: ArrayLike) -> tuple[Array, Array]:
+        """Return the swing and extension (...) [rad] that bring the foot's end to (..., 2) [m] from the motor axis.
+
+        The inverse of `foot_position`, with the knee of motor 1 in front and that of motor 2 behind; NaN out of reach.
+        """
+        foot, axis = np.asarray(foot, float), np.zeros(2)
+        knee_2 = _corner(axis, self.upper, foot, self.foot)
+        pin = knee_2 + (foot - knee_2) * (self.lower[1] / self.foot)
+        knee_1 = _corner(pin, self.lower[0], axis, self.upper)
+        # Straight legs turn past pi, so the branch is cut at -pi/2.
+        angles = np.arctan2([knee_1[..., 0], -knee_2[..., 0]], [knee_1[..., 1], knee_2[..., 1]])
+        return motor_to_leg(*((angles + np.pi / 2) % (2 * np.pi) - np.pi / 2))
 
     def knee_angles(self, theta_1: ArrayLike, theta_2: ArrayLike) -> tuple[Array, Array]:
         """Return the angles [rad] of both lower links about +y from their upper links; 0 continues the upper link."""
@@ -101,3 +105,17 @@ class FiveBar:
     def closes(self, theta_1: ArrayLike, theta_2: ArrayLike) -> NDArray[np.bool_]:
         """Return whether the loop can close at these motor angles."""
         return np.asarray(np.isfinite(self.pin(theta_1, theta_2)).all(-1))
+
+
+def _corner(a: Array, side_a: float, b: Array, side_b: float) -> Array:
+    """Return the corner (..., 2) of a triangle with corners a and b to the right of the way from a to b.
+
+    `side_a` and `side_b` are its distances from a and b. NaN where they are too short or too long to meet.
+    """
+    across = b - a
+    distance = np.linalg.norm(across, axis=-1, keepdims=True)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        along = (distance**2 + side_a**2 - side_b**2) / (2 * distance)
+        height = np.sqrt(side_a**2 - along**2)
+        unit = across / distance
+    return a + along * unit + height * np.stack([unit[..., 1], -unit[..., 0]], -1)

@@ -39,11 +39,34 @@ class WaveConfig:
 
 
 @dataclass(frozen=True)
+class FootConfig:
+    """Paths of the feet in their legs' planes; each quantity but the frequency is one number, or one for each leg."""
+
+    frequency: float = 2.0
+    """Cycles a second [Hz]."""
+    stroke: PerLeg = 0.1
+    """How far a foot goes backward in stance, relative to the base [m]."""
+    clearance: PerLeg = 0.03
+    """How far a foot is lifted in the middle of its swing [m]."""
+    duty_factor: PerLeg = 0.5
+    """Part of the cycle that a foot is on the ground."""
+    phase: PerLeg = 0.0
+    """When a foot's cycle begins, with its touchdown [cycles]."""
+    height: PerLeg = 0.22
+    """Of the motor axis over the foot's end at touchdown and lift-off [m]."""
+    offset: PerLeg = 0.0
+    """Of the middle of the stroke, forward from the motor axis [m]."""
+    depth: PerLeg = 0.0
+    """How far a foot is pressed below that height in the middle of its stance [m]."""
+
+
+@dataclass(frozen=True)
 class ReferenceConfig:
     """The open loop part of the gait."""
 
-    kind: Literal["none", "sine", "table"] = "none"
-    """none: zero at all times; sine: `swing` and `extension`; table: poses out of `file`, every `period`."""
+    kind: Literal["none", "sine", "table", "foot"] = "none"
+    """none: zero at all times; sine: `swing` and `extension`; table: poses out of `file`, every `period`;
+    foot: paths of the feet, `foot`."""
     swing: WaveConfig = field(default_factory=WaveConfig)
     """Swing of the legs, for kind sine."""
     extension: WaveConfig = field(default_factory=WaveConfig)
@@ -52,6 +75,8 @@ class ReferenceConfig:
     """CSV or NPZ file with columns swing_LEG and extension_LEG, for kind table."""
     period: Annotated[float, Within(0, 3600, above=True)] | None = None
     """Time [s] in which the table is gone through once."""
+    foot: FootConfig = field(default_factory=FootConfig)
+    """Paths of the feet, for kind foot."""
     rows: dict[str, dict[str, tuple[float, ...]]] | None = None
     """The table itself, in place of `file`: under swing and extension, each leg's poses [rad]."""
 
@@ -61,6 +86,8 @@ class ReferenceConfig:
             return None
         if self.kind == "sine":
             return {"kind": "sine", "swing": vars(self.swing), "extension": vars(self.extension)}
+        if self.kind == "foot":
+            return {"kind": "foot", "foot": vars(self.foot)}
         if self.rows is None and self.file is None:
             raise SurefootError("reference.file is missing; a reference of kind table needs a CSV or NPZ file")
         return {"kind": "table", "period": self.period, **({"file": self.file} if self.rows is None else self.rows)}
@@ -103,6 +130,8 @@ class TaskConfig:
     """Swing and extension [rad] in which the robot settles first; the middle of commands if not given."""
     energy_weight: Annotated[float, Within(0, 1e6)] = ENERGY_WEIGHT
     """w of the reward [m/J]."""
+    target_speed: Annotated[float | None, Within(0, 100, above=True)] = None
+    """Speed forward [m/s] up to which the reward counts progress; beyond it only energy counts. None: any speed."""
     fall_angle: Annotated[float, Within(0, math.pi)] = 0.5
     """Roll or pitch [rad] beyond which an episode ends."""
     max_steps: Annotated[int, Within(1, MOST_STEPS)] = 1000
@@ -148,6 +177,7 @@ def load_task(task: str) -> tuple[TaskConfig, dict[str, Any]]:
         )
     data = read_yaml(path)
     train = data.pop("train", None) or {}
+    data.pop("handcrafted", None)  # Belongs to `HandcraftedGait`, whose task this is.
     with located(path):
         config = from_mapping(TaskConfig, {"name": path.stem, **with_ranges(data, path.parent)})
     if config.reference.file is not None:

@@ -23,17 +23,18 @@ from surefoot.world.interface import Readings, Simulation, SimulationFactory, Tr
 __all__ = ["LocomotionEnv", "LocomotionSingleEnv", "SimulationFactory"]
 
 
-def locomotion_reward(displacement: Array, energy: Array, energy_weight: float) -> Array:
+def locomotion_reward(displacement: Array, energy: Array, energy_weight: float, most: Array | float = np.inf) -> Array:
     """Return the reward of a control step: (p_n - p_{n-1}) . d - w dt |tau . qdot|, summed over its servo steps.
 
-    Source: Tan et al. 2018, eq. 2; the direction d is the world's x axis.
+    Source: Tan et al. 2018, eq. 2; the direction d is the world's x axis. The paper's has no greatest displacement.
 
     Args:
         displacement: how far the base moved along d [m], (N,).
         energy: integral of |tau . qdot| over the step [J], (N,).
         energy_weight: w [m/J].
+        most: greatest displacement that counts [m], a number or (N,).
     """
-    return displacement - energy_weight * energy
+    return np.minimum(displacement, most) - energy_weight * energy
 
 
 def has_fallen(roll_pitch_yaw: Array, limit: float) -> NDArray[np.bool_]:
@@ -48,7 +49,8 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
     """A batch of robots on one task.
 
     Observations (N, O) are raw SI readings. Actions (N, 2 L) in [-1, 1] span the feedback's bounds: the swing
-    of every leg, then the extension of every leg. Rewards are those of Tan et al. 2018, eq. 2, in metres. An
+    of every leg, then the extension of every leg. Rewards are those of Tan et al. 2018, eq. 2, in metres, with
+    progress up to the task's `target_speed` if it has one. An
     episode is terminated by a fall or a diverged simulation, and truncated after `max_steps`. With
     `autoreset`, a robot whose episode is over starts anew in the same step (`AutoresetMode.SAME_STEP`): the
     observation returned is the new episode's first one, and `info` holds `final_obs` and, for every episode
@@ -77,7 +79,7 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
         self.task, self.num_envs, self.autoreset, self._threads = task, num_envs, autoreset, threads
         self.robot = robot = RobotDescription.load(task.robot)
         self.observer = Observer(robot, task.observations)
-        reference = make_reference(task.reference.to_mapping(), robot.leg_names)
+        reference = make_reference(task.reference.to_mapping(), robot)
         self.gait = HybridGait(robot, reference, task.feedback.swing, task.feedback.extension)
         self.nominal = task.nominal(robot).rows(np.zeros(max(num_envs, 1), np.int64))
         self._make_world = make_world
@@ -160,7 +162,8 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
         before, self.truth = self.truth, world.truth()
         diverged = self.truth.diverged
         displacement = self.truth.base_position_world[:, 0] - before.base_position_world[:, 0]
-        reward = locomotion_reward(displacement, self.truth.energy, task.energy_weight)
+        most = np.inf if task.target_speed is None else task.target_speed * world.params.control_step
+        reward = locomotion_reward(displacement, self.truth.energy, task.energy_weight, most)
         reward[diverged | self.over] = 0.0
         self.steps += ~self.over
         self.returns += reward

@@ -19,6 +19,9 @@ from surefoot.arrays import Array
 from surefoot.configuration import is_number
 from surefoot.errors import SurefootError, choices, quoted
 from surefoot.files import check_readable
+from surefoot.robot import RobotDescription
+from surefoot.task import foot
+from surefoot.task.foot import FootReference
 
 _PARTS = ("swing", "extension")
 _QUANTITIES = ("amplitude", "frequency", "phase", "offset")
@@ -124,19 +127,23 @@ class TableReference:
         return {"kind": "table", "period": self.period, **rows}
 
 
-Reference = SineReference | TableReference
+Reference = SineReference | TableReference | FootReference
 
 
-def make_reference(data: Mapping[str, Any] | None, legs: tuple[str, ...]) -> Reference:
-    """Make a reference from configuration.
+def make_reference(data: Mapping[str, Any] | None, robot: RobotDescription) -> Reference:
+    """Make a reference for a robot's legs from configuration.
 
-    Three forms: nothing (zero at all times); `kind: sine` with `swing` and `extension`, each with
+    Four forms: nothing (zero at all times); `kind: sine` with `swing` and `extension`, each with
     `amplitude`, `frequency`, `phase` and `offset`, each a number or a mapping from leg to number; `kind:
-    table` with `period` and either `file` (CSV or NPZ) or the rows themselves under `swing` and `extension`.
+    table` with `period` and either `file` (CSV or NPZ) or the rows themselves under `swing` and `extension`; `kind:
+    foot` with `foot`: `frequency`, and the quantities of a `FootReference`, each a number or a mapping from leg to
+    number.
 
     Raises:
-        SurefootError: an unknown key or leg, a value that is not a number, or a table that does not fit.
+        SurefootError: an unknown key or leg, a value that is not a number, a table that does not fit, or a foot out
+            of reach.
     """
+    legs = robot.leg_names
     data = {"kind": "sine"} if data is None else data
     kind = data.get("kind")
     if kind == "sine":
@@ -144,7 +151,9 @@ def make_reference(data: Mapping[str, Any] | None, legs: tuple[str, ...]) -> Ref
         return SineReference(legs, *(_wave(data.get(part) or {}, f"reference.{part}", legs) for part in _PARTS))
     if kind == "table":
         return _table(data, legs)
-    raise SurefootError(f"reference.kind is {kind!r}; choices: sine, table")
+    if kind == "foot":
+        return _foot(data, robot)
+    raise SurefootError(f"reference.kind is {kind!r}; choices: sine, table, foot")
 
 
 def _only(data: Mapping[str, Any], where: str, keys: tuple[str, ...]) -> None:
@@ -161,19 +170,33 @@ def _number(value: Any, where: str) -> float:
     return float(value)
 
 
+def _per_leg(given: Any, where: str, legs: tuple[str, ...]) -> Array:
+    """Return the numbers (L,) of all legs, given as one number or by leg."""
+    if not isinstance(given, Mapping):
+        return np.full(len(legs), _number(given, where))
+    _only(given, where, legs)
+    missing = [leg for leg in legs if leg not in given]
+    if missing:
+        raise SurefootError(f"{where} has no number for {choices(missing)}; every leg needs one")
+    return np.array([_number(given[leg], f"{where}.{leg}") for leg in legs])
+
+
+def _foot(data: Mapping[str, Any], robot: RobotDescription) -> FootReference:
+    where, names = "reference.foot", ("frequency", *foot.QUANTITIES)
+    _only(data, "reference", ("kind", "foot"))
+    given: Any = data.get("foot") or {}
+    _only(given, where, names)
+    for name in names:
+        if name not in given:
+            raise SurefootError(f"{where}.{name} is missing; a reference of kind foot needs it")
+    values = {name: _per_leg(given[name], f"{where}.{name}", robot.leg_names) for name in foot.QUANTITIES}
+    frequency = np.array(_number(given["frequency"], f"{where}.frequency"))
+    return FootReference(robot.leg_names, robot.leg_geometry, frequency, **values)
+
+
 def _wave(data: Mapping[str, Any], where: str, legs: tuple[str, ...]) -> Wave:
     _only(data, where, _QUANTITIES)
-    values = {}
-    for key in _QUANTITIES:
-        given = data.get(key, 0.0)
-        if isinstance(given, Mapping):
-            _only(given, f"{where}.{key}", legs)
-            missing = [leg for leg in legs if leg not in given]
-            if missing:
-                raise SurefootError(f"{where}.{key} has no number for {choices(missing)}; every leg needs one")
-            values[key] = np.array([_number(given[leg], f"{where}.{key}.{leg}") for leg in legs])
-        else:
-            values[key] = np.full(len(legs), _number(given, f"{where}.{key}"))
+    values = {key: _per_leg(data.get(key, 0.0), f"{where}.{key}", legs) for key in _QUANTITIES}
     if np.any(values["frequency"] < 0):
         raise SurefootError(f"{where}.frequency is {values['frequency'].min():g}; it must not be below 0 Hz")
     return Wave(**values)

@@ -1,0 +1,69 @@
+"""`surefoot tune`: find a handcrafted gait for a robot and a speed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+from surefoot.cli.evaluate import print_summaries
+from surefoot.cli.options import Count, check_suffix
+from surefoot.cli.parsing import parse
+from surefoot.cli.policies import progress_bar
+from surefoot.errors import SurefootError
+from surefoot.learn.tune import TuneConfig, Tuner
+from surefoot.task.handcrafted import HandcraftedGait
+
+
+@dataclass(frozen=True)
+class TuneCommand(TuneConfig):
+    """Tune foot trajectories for the least power at a speed, with CMA-ES, and measure them.
+
+    The file is a task too: `surefoot train FILE` learns feedback on top of the trajectories.
+    """
+
+    start: Path | None = None
+    """Handcrafted gait (.yaml) to begin with, such as one of another speed, or one without Raibert's controller."""
+    out: Path | None = None
+    """File (.yaml) that the gait is written to, the best so far after every generation; GAIT-SPEED.yaml here, if not
+    given."""
+    episodes: Count = 20
+    """Episodes of 6 s in which the gait is measured at the end."""
+
+
+def main(argv: list[str]) -> int:
+    """Run the command with the words after its name; return the exit code."""
+    command = parse(TuneCommand, argv, "surefoot tune")
+    check_suffix("gait", command.out, ".yaml")
+    config = TuneConfig(**{item.name: getattr(command, item.name) for item in fields(TuneConfig)})
+    start = {} if command.start is None else HandcraftedGait.load(command.start).about.get("parameters")
+    if not isinstance(start, dict):
+        raise SurefootError(f"{command.start}: handcrafted.about.parameters is missing; the gait was not tuned")
+    from surefoot.world.sim_world import SimWorld
+
+    tuner = Tuner(config, SimWorld, start)
+    path = command.out or Path(f"{tuner.gait().task.name}.yaml")
+    with progress_bar(f"{config.generations} generations") as progress:
+        for generation in range(config.generations):
+            tuner.step()
+            tuner.gait().save(path)
+            progress((generation + 1) / config.generations)
+    tuner.finish()
+    gait = tuner.gait()
+    gait.save(path)
+    print_summaries({f"{gait.task.name} in mujoco": measured(gait, command.episodes, config.seed + 1, config.threads)})
+    print(f"wrote {path}")
+    return 0
+
+
+def measured(gait: HandcraftedGait, episodes: int, seed: int, threads: int) -> dict[str, Any]:
+    """Return the figures of a gait over whole episodes."""
+    from surefoot.evaluate.rollout import run_episodes
+    from surefoot.evaluate.runs import summarize
+    from surefoot.robot import RobotDescription
+    from surefoot.world.sim_world import SimWorld
+
+    task = gait.task
+    with progress_bar(f"{episodes} episodes") as progress:
+        traces = run_episodes(gait.policy(), task, episodes, SimWorld, seed, threads, progress, policy_name=task.name)
+    return summarize(traces, RobotDescription.load(task.robot).urdf.total_mass)

@@ -1,0 +1,129 @@
+"""Foot trajectories: the open loop part of a gait, given by the path of each foot in its leg's plane.
+
+A foot's cycle begins with its touchdown. In stance it goes backward by its stroke at constant speed; in swing it goes
+forward again on a cubic curve that begins and ends with the speed of the stance, so that it lands without a jerk.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from surefoot.arrays import Array
+from surefoot.errors import SurefootError
+from surefoot.robot.leg import FiveBar
+
+_LENGTH = 10.0
+QUANTITIES = {
+    "stroke": (-_LENGTH, _LENGTH),
+    "clearance": (0.0, _LENGTH),
+    "duty_factor": (0.05, 0.95),
+    "phase": (-1000.0, 1000.0),
+    "height": (0.0, _LENGTH),
+    "offset": (-_LENGTH, _LENGTH),
+    "depth": (0.0, _LENGTH),
+}
+"""What each leg has of its own, least and greatest. A foot with a duty factor of 0 or 1 would be infinitely fast."""
+FREQUENCY = (0.01, 50.0)
+"""Least and greatest frequency [Hz]."""
+_SAMPLES = 360
+
+
+@dataclass(frozen=True)
+class FootReference:
+    """Paths of feet; arrays (L,), or (N, L) where each of N robots has its own.
+
+    Raises:
+        SurefootError: a number out of range, or a path out of the leg's reach.
+    """
+
+    legs: tuple[str, ...]
+    leg: FiveBar
+    frequency: Array
+    """Cycles a second [Hz], () or (N, 1)."""
+    stroke: Array
+    """How far a foot goes backward in stance, relative to the base [m]; below 0: forward."""
+    clearance: Array
+    """How far it is lifted in the middle of its swing [m]."""
+    duty_factor: Array
+    """Part of the cycle in stance."""
+    phase: Array
+    """When its cycle begins, in cycles."""
+    height: Array
+    """Of the motor axis over the foot's end at touchdown and lift-off [m]."""
+    offset: Array
+    """Of the middle of the stroke, forward from the motor axis [m]."""
+    depth: Array
+    """How far it is pressed below that height in the middle of its stance [m]."""
+    _extent: tuple[tuple[float, float], tuple[float, float]] = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        """Check the paths."""
+        for name, (least, most) in (("frequency", FREQUENCY), *QUANTITIES.items()):
+            values = getattr(self, name)
+            bad = values[(values < least) | (values > most)]
+            if bad.size:
+                raise SurefootError(f"reference.foot.{name} is {bad[0]:g}; it must be {least:g} to {most:g}")
+        paths = self.path(np.linspace(0.0, 1.0, _SAMPLES, endpoint=False)[:, None])
+        poses = self.leg.leg_pose(paths)
+        lost = ~np.isfinite(poses[0])
+        if lost.any():
+            place, (x, z) = np.argwhere(lost)[0], paths[lost][0]
+            raise SurefootError(
+                f"reference.foot: the foot of {self.legs[place[-1]]} goes to {x:.3f} m before and {-z:.3f} m below its "
+                "motors, out of the leg's reach; change height, offset, stroke, depth or clearance"
+            )
+        swing, extension = ((float(part.min()), float(part.max())) for part in poses)
+        object.__setattr__(self, "_extent", (swing, extension))
+
+    @property
+    def period(self) -> Any:
+        """Time [s] after which the reference repeats, a number; (N,) where robots have paths of their own."""
+        period = 1.0 / np.reshape(self.frequency, -1)
+        return float(period[0]) if self.frequency.ndim == 0 else period
+
+    @property
+    def speed(self) -> Array:
+        """Speed [m/s] at which feet go backward in stance: the base's, if they do not slip."""
+        return self.stroke * self.frequency / self.duty_factor
+
+    def shares(self, cycle: ArrayLike) -> Array:
+        """Return the part of each leg's own cycle that is over (..., N, L), 0 to 1, after cycles (..., N)."""
+        share: Array = (np.asarray(cycle, float)[..., None] - self.phase) % 1.0
+        return share
+
+    def path(self, cycle: ArrayLike) -> Array:
+        """Return the places (..., N, L, 2) [m] of the feet's ends after cycles (..., N), x forward and z up."""
+        share, duty = self.shares(cycle), self.duty_factor
+        stance = share < duty
+        part = np.where(stance, share / duty, (share - duty) / (1.0 - duty))
+        # Slope at both ends of the swing, in strokes over a swing: the speed of the stance.
+        slope = -(1.0 - duty) / duty
+        forward = -0.5 + part**2 * (3.0 - 2.0 * part) + slope * part * (1.0 - part) * (1.0 - 2.0 * part)
+        x = self.offset + self.stroke * np.where(stance, 0.5 - part, forward)
+        bump = np.where(stance, -self.depth, self.clearance) * (1.0 - np.cos(2.0 * np.pi * part)) / 2.0
+        return np.stack(np.broadcast_arrays(x, bump - self.height), -1)
+
+    @classmethod
+    def stacked(cls, references: Sequence[FootReference]) -> FootReference:
+        """Return the paths of N robots, one reference each."""
+        first = references[0]
+        values = {name: np.stack([getattr(one, name) for one in references]) for name in QUANTITIES}
+        return cls(first.legs, first.leg, np.array([[one.frequency] for one in references], float), **values)
+
+    def pose(self, time: ArrayLike) -> tuple[Array, Array]:
+        """Return the swing and extension (N, L) [rad] at times (N,) [s] since the episode's start."""
+        return self.leg.leg_pose(self.path(np.asarray(time, float) * np.reshape(self.frequency, -1)))
+
+    def extent(self) -> tuple[tuple[float, float], tuple[float, float]]:
+        """Return the lowest and highest swing, lowest and highest extension [rad] over all legs and times."""
+        return self._extent
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return everything that `make_reference` needs to make it again, as JSON values."""
+        values = {name: dict(zip(self.legs, getattr(self, name).tolist(), strict=True)) for name in QUANTITIES}
+        return {"kind": "foot", "foot": {"frequency": float(self.frequency), **values}}

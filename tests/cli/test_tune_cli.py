@@ -1,0 +1,66 @@
+"""`surefoot tune`, in this process."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+import yaml
+from processes import refused, surefoot
+
+pytest.importorskip("cma")
+pytest.importorskip("mujoco")
+
+QUICK = ("--generations", 1, "--population", 4, "--starts", 1, "--seconds", 0.5, "--episodes", 1, "--threads", 1)
+
+
+def test_a_gait_is_found_written_measured_and_started_from(tmp_path: Path):
+    done = surefoot("tune", "--gait", "trot", "--speed", 0.4, *QUICK, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "trot-40 in mujoco" in done.stdout
+    assert "cost of transport" in done.stdout
+    found = yaml.safe_load((tmp_path / "trot-40.yaml").read_text())
+    assert found["reference"]["kind"] == "foot"
+    assert found["handcrafted"]["about"]["speed"] == 0.4
+    words = ("tune", "--raibert", "--start", "trot-40.yaml", "--out", "again.yaml", *QUICK)
+    again = surefoot(*words, cwd=tmp_path)
+    assert again.returncode == 0, again.stderr
+    assert yaml.safe_load((tmp_path / "again.yaml").read_text())["handcrafted"]["raibert"]["lag"] == 0.045
+
+
+@pytest.mark.parametrize(
+    ("words", "parts"),
+    [
+        (("--speed", "0"), ["speed is 0", "0.05 or more"]),
+        (("--gait", "waltz"), ["--gait", "trot"]),
+        (("--out", "gait.txt"), ["gait gait.txt: the name must end in .yaml"]),
+        (("--start", "nothing.yaml"), ["nothing.yaml: can't be read"]),
+        (("--start", "task.yaml"), ["task.yaml: handcrafted is missing"]),
+        (("--start", "hand.yaml"), ["hand.yaml: handcrafted.about.parameters is missing"]),
+        (("--start", "odd.yaml"), ["parameter depth of the gait to start from is 'deep'; it must be a number"]),
+        (("--robot", "nobody"), ["robot 'nobody': no such robot"]),
+    ],
+)
+def test_what_does_not_fit_is_refused_in_one_line(tmp_path: Path, words: tuple[str, ...], parts: list[str]):
+    task = "reference: {kind: foot}\n"
+    (tmp_path / "task.yaml").write_text(task)
+    (tmp_path / "hand.yaml").write_text(f"{task}handcrafted: {{}}\n")
+    (tmp_path / "odd.yaml").write_text(f"{task}handcrafted: {{about: {{parameters: {{depth: deep}}}}}}\n")
+    refused(surefoot("tune", *words, cwd=tmp_path), *parts)
+
+
+def test_a_handcrafted_gait_is_evaluated_and_played_as_a_policy_is(tmp_path: Path):
+    pytest.importorskip("imageio_ffmpeg")
+    text = "reference: {kind: foot}\nmax_steps: 20\nhandcrafted: {}\n"
+    (tmp_path / "stand.yaml").write_text(text)
+    done = surefoot("evaluate", "stand.yaml", "--episodes", 2, "--json", "--threads", 1, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    found = json.loads(done.stdout)
+    assert (found["policy"], found["episodes"], found["falls"]) == ("stand", 2, 0)
+    assert len(found["config_hash"]) == 64
+    (tmp_path / "task.yaml").write_text("reference: {kind: foot}\n")
+    refused(surefoot("evaluate", "task.yaml", cwd=tmp_path), "task.yaml: handcrafted is missing")
+    played = surefoot("play", "stand.yaml", "--seconds", 0.1, "--out", "stand.mp4", cwd=tmp_path)
+    assert played.returncode == 0, played.stderr
+    assert (tmp_path / "stand.mp4").stat().st_size > 1000

@@ -1,0 +1,75 @@
+"""Foot trajectories at places worked by hand, and legs that follow them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from surefoot.robot import RobotDescription
+from surefoot.task.foot import FootReference
+from surefoot.task.reference import make_reference
+
+ROBOT = RobotDescription.load("minitaur")
+LEG = ROBOT.leg_geometry
+
+
+def make(**other: Any) -> FootReference:
+    values = {"frequency": 2.0, "stroke": 0.1, "clearance": 0.03, "duty_factor": 0.6, "phase": 0.0}
+    values |= {"height": 0.2, "offset": 0.01, "depth": 0.005}
+    reference = make_reference({"kind": "foot", "foot": values | other}, ROBOT)
+    assert isinstance(reference, FootReference)
+    return reference
+
+
+# Touchdown at .01 + .05 m in front of the motors; stance ends after 60 % of the cycle, .05 m behind .01 m.
+@pytest.mark.parametrize(
+    ("cycle", "x", "z"),
+    [
+        (0.0, 0.06, -0.2),
+        (0.15, 0.035, -0.2025),
+        (0.3, 0.01, -0.205),
+        (0.6, -0.04, -0.2),
+        (0.8, 0.01, -0.17),
+        (1.0, 0.06, -0.2),
+    ],
+)
+def test_a_foot_at_known_parts_of_its_cycle(cycle: float, x: float, z: float):
+    np.testing.assert_allclose(make().path([cycle]), np.tile([x, z], (1, 4, 1)), atol=1e-12)
+
+
+def test_a_foot_is_as_fast_at_both_ends_of_its_swing_as_in_stance():
+    reference = make()
+    assert reference.speed[0] == pytest.approx(0.1 * 2.0 / 0.6)
+    for cycle in (0.3, 0.6 - 1e-6, 0.6 + 1e-6, 1.0 - 1e-6):
+        ahead, behind = reference.path([cycle + 1e-7])[0, 0, 0], reference.path([cycle - 1e-7])[0, 0, 0]
+        assert 2.0 * (ahead - behind) / 2e-7 == pytest.approx(-reference.speed[0], rel=1e-3)
+
+
+def test_each_leg_begins_its_cycle_at_its_own_phase():
+    phase = dict(zip(ROBOT.leg_names, (0.0, 0.25, 0.5, 1.75), strict=True))
+    path, alone = make(phase=phase).path([0.3])[0], make()
+    for leg, shift in enumerate(phase.values()):
+        np.testing.assert_allclose(path[leg], alone.path([0.3 - shift])[0, 0], atol=1e-12)
+
+
+def test_legs_bring_the_feet_to_their_paths():
+    reference, time = make(), np.linspace(0.0, 0.7, 50)
+    swing, extension = reference.pose(time)
+    np.testing.assert_allclose(
+        LEG.foot_position(extension + swing, extension - swing), reference.path(2.0 * time), atol=1e-12
+    )
+    (s_low, s_high), (e_low, e_high) = reference.extent()
+    assert s_low <= swing.min() <= swing.max() <= s_high
+    assert e_low <= extension.min() <= extension.max() <= e_high
+    assert reference.period == 0.5
+
+
+def test_robots_may_have_paths_of_their_own():
+    one, other = make(), make(frequency=3.0, stroke=0.05, duty_factor=0.5)
+    both = FootReference.stacked([one, other])
+    swing, extension = both.pose([0.21, 0.21])
+    for row, alone in enumerate((one, other)):
+        np.testing.assert_allclose((swing[row], extension[row]), np.squeeze(alone.pose([0.21])), atol=1e-12)
+    np.testing.assert_allclose(both.period, [0.5, 1 / 3])
