@@ -12,11 +12,11 @@ from surefoot.errors import SurefootError, choices
 
 COMMANDS = {
     "train": ("surefoot.cli.train", "learn a gait in simulation"),
-    "tune": ("surefoot.cli.tune", "find a handcrafted gait for a robot and a speed"),
     "evaluate": ("surefoot.cli.evaluate", "run a policy in simulation and measure it"),
     "play": ("surefoot.cli.play", "watch a policy, in a window or as a video"),
     "search": ("surefoot.cli.search", "train many times with searched settings, and see what emerges"),
     "study": ("surefoot.cli.study", "train several groups with several seeds, compare them"),
+    "tune": ("surefoot.cli.tune", "find a handcrafted gait for a robot and a speed"),
     "identify": ("surefoot.cli.identify", "experiments on a robot, and how well the simulator repeats them"),
     "emulate": ("surefoot.cli.emulate", "emulate a robot: microcontroller and physics behind a pseudo-terminal"),
     "doctor": ("surefoot.cli.doctor", "check a policy, a link and a robot before it runs"),
