@@ -195,7 +195,7 @@ def test_an_interrupt_ends_with_130():
             interrupted = True
             process.send_signal(signal.SIGINT)
     os.close(terminal)
-    assert process.wait(60) == 130
+    assert process.wait(60) == 130, errors
     assert interrupted
     assert b"Traceback" not in errors
 

@@ -122,6 +122,7 @@ def test_every_kind_names_worlds_that_its_settings_have() -> None:
         "table1": ("mujoco",),
         "sensitivity": ("mujoco",),
         "gap": ("mujoco", "ensemble"),
+        "gait": ("mujoco",),
     }
     with pytest.raises(SurefootError, match="'luck' is no kind of evaluation; choices: nominal, table1"):
         evaluation_names(("luck",))
