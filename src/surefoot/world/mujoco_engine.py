@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import copy
 import os
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, wait
 from functools import partial
 from typing import Any
 
@@ -133,7 +133,11 @@ class MujocoEngine:
         counter = np.zeros(1, np.int64)
         work = partial(advance, self._native, self.drive, servo_steps, self.diverged)
         others = [self._pool.submit(work, worker, counter) for worker in range(1, self.threads)] if self._pool else []
-        work(0, counter)
+        try:
+            work(0, counter)
+            wait(others)
+        finally:
+            wait(others)  # An interrupt must not leave them behind: they use memory that goes with this engine.
         for other in others:
             other.result()
 
