@@ -13,7 +13,9 @@ import pytest
 pytest.importorskip("matplotlib")
 
 from surefoot.errors import SurefootError
-from surefoot.report.paper import Item, Number, Source, difference, find_number, load_content, write_page
+from surefoot.evaluate.runs import Estimate
+from surefoot.evaluate.statistics import Interval
+from surefoot.report.paper import Item, Source, difference, find_number, load_content, write_page
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 
@@ -29,11 +31,11 @@ def results(tmp_path: Path) -> Path:
 def test_a_number_stands_in_the_one_row_that_fits(results: Path):
     where = {"group": "a", "world": "away"}
     found = find_number(results, Source("groups.csv", "mean", where, error="error", scale=100))
-    assert found == Number(150.0, 20.0)
+    assert found == Estimate(150.0, 20.0)
 
 
 def test_a_number_stands_behind_keys_of_a_json_file(results: Path):
-    assert find_number(results, Source("run.json", "calm.speed")) == Number(0.66)
+    assert find_number(results, Source("run.json", "calm.speed")) == Interval(0.66)
 
 
 @pytest.mark.parametrize(
@@ -64,17 +66,17 @@ def test_a_file_that_is_cut_off_is_told(results: Path):
 @pytest.mark.parametrize(
     ("paper", "ours", "words"),
     [
-        (2.0, Number(3.0), "50% more"),
-        (2.0, Number(1.5), "25% less"),
-        (1.0, Number(4.0), "4.0 times as much"),
-        (1.0, Number(1.004), "the same"),
-        (2.0, Number(3.0, low=1.9, high=4.1), "the interval holds the paper's"),
-        (2.0, Number(3.0, low=2.1, high=3.9), "50% more"),
-        ("few", Number(3.0), ""),
+        (2.0, Interval(3.0), "50% more"),
+        (2.0, Interval(1.5), "25% less"),
+        (1.0, Interval(4.0), "4.0 times as much"),
+        (1.0, Interval(1.004), "the same"),
+        (2.0, Interval(3.0, low=1.9, high=4.1), "the interval holds the paper's"),
+        (2.0, Interval(3.0, low=2.1, high=3.9), "50% more"),
+        ("few", Interval(3.0), ""),
         (2.0, None, ""),
     ],
 )
-def test_the_difference_in_words(paper: float | str, ours: Number | None, words: str):
+def test_the_difference_in_words(paper: float | str, ours: Interval | None, words: str):
     assert difference(paper, ours) == words
 
 
@@ -85,7 +87,7 @@ def sources() -> list[Item]:
 def test_every_number_of_the_page_is_among_the_results(repository: Path):
     for item in sources():
         assert isinstance(item.ours, Source)
-        assert find_number(repository, item.ours).value >= 0, item.what
+        assert find_number(repository, item.ours).mean >= 0, item.what
 
 
 @pytest.fixture(scope="module")

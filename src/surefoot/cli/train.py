@@ -15,7 +15,6 @@ from surefoot.errors import SurefootError, choices
 from surefoot.learn.config import TrainConfig, load_train_config
 from surefoot.stop_signals import StopSignals
 from surefoot.task.config import preset_names
-from surefoot.task.randomize import RandomizeConfig
 
 if TYPE_CHECKING:
     from surefoot.learn.run import TrainingRun
@@ -130,6 +129,7 @@ def finish(run: TrainingRun, folder: RunFolder, console: Console) -> None:
     from surefoot.cli.evaluate import draw_episode, print_summaries
     from surefoot.cli.play import film
     from surefoot.evaluate.comparison import Curve
+    from surefoot.evaluate.gap import home_task
     from surefoot.evaluate.rollout import run_episodes
     from surefoot.evaluate.runs import summarize
     from surefoot.learn.export import export_run
@@ -143,7 +143,7 @@ def finish(run: TrainingRun, folder: RunFolder, console: Console) -> None:
     robot, figures = RobotDescription.load(task.robot), folder.path / "figures"
     figures.mkdir(exist_ok=True)
     console.print(f"Evaluating over {_EPISODES} episodes ...")
-    calm = replace(task, pushes=replace(task.pushes, enabled=False), randomize=RandomizeConfig())
+    calm = home_task(task)
     wanted = {"without_pushes": (calm, _EPISODES)}
     if task.randomize.ranges:
         wanted["randomized"] = (replace(calm, randomize=task.randomize), _DRAWN_EPISODES)

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any
 
 from surefoot.cli.evaluate import print_summaries
 from surefoot.cli.options import Count, check_suffix
 from surefoot.cli.parsing import parse
-from surefoot.cli.policies import progress_bar
+from surefoot.cli.policies import progress_bar, run_policy
 from surefoot.errors import SurefootError
 from surefoot.learn.tune import TuneConfig, Tuner
 from surefoot.task.handcrafted import HandcraftedGait
@@ -39,6 +38,7 @@ def main(argv: list[str]) -> int:
     start = {} if command.start is None else HandcraftedGait.load(command.start).about.get("parameters")
     if not isinstance(start, dict):
         raise SurefootError(f"{command.start}: handcrafted.about.parameters is missing; the gait was not tuned")
+    from surefoot.evaluate.runs import summarize
     from surefoot.world.sim_world import SimWorld
 
     tuner = Tuner(config, SimWorld, start)
@@ -51,19 +51,8 @@ def main(argv: list[str]) -> int:
     tuner.finish()
     gait = tuner.gait()
     gait.save(path)
-    print_summaries({f"{gait.task.name} in mujoco": measured(gait, command.episodes, config.seed + 1, config.threads)})
+    name, title, episodes = gait.task.name, f"{command.episodes} episodes", command.episodes
+    traces = run_policy(gait.policy(), gait.task, episodes, "mujoco", config.seed + 1, config.threads, name, title)
+    print_summaries({f"{name} in mujoco": summarize(traces, tuner.robot.urdf.total_mass)})
     print(f"wrote {path}")
     return 0
-
-
-def measured(gait: HandcraftedGait, episodes: int, seed: int, threads: int) -> dict[str, Any]:
-    """Return the figures of a gait over whole episodes."""
-    from surefoot.evaluate.rollout import run_episodes
-    from surefoot.evaluate.runs import summarize
-    from surefoot.robot import RobotDescription
-    from surefoot.world.sim_world import SimWorld
-
-    task = gait.task
-    with progress_bar(f"{episodes} episodes") as progress:
-        traces = run_episodes(gait.policy(), task, episodes, SimWorld, seed, threads, progress, policy_name=task.name)
-    return summarize(traces, RobotDescription.load(task.robot).urdf.total_mass)

@@ -257,7 +257,7 @@ class Search:
         return False
 
     def changed(self, training: Training, what: str, why: str) -> None:
-        """Keep that a trial failed, or that it was pruned."""
+        """Keep that a trial failed, and why; `told` keeps all else."""
         if what == "failed":
             self._fail(self._trials[training.group], why)
 

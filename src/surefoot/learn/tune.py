@@ -199,8 +199,8 @@ class Tuner:
         task = replace(task, max_steps=max(steps, 1))
         self._env = LocomotionEnv(task, count, make_world, config.seed, autoreset=False, threads=config.threads)
 
-    def gait(self, about: dict[str, Any] | None = None) -> HandcraftedGait:
-        """Return the best gait so far, with what is said about it."""
+    def gait(self) -> HandcraftedGait:
+        """Return the best gait so far, with the settings and the parameters that it came from."""
         config = self.config
         foot = foot_config(self.best, config.gait, config.speed, self.reach)
         name = f"{config.gait}-{round(100 * config.speed)}{'-raibert' if config.raibert else ''}"
@@ -215,7 +215,7 @@ class Tuner:
             rest=self.robot.rest,
         )
         gains = RaibertConfig(**{name: self.best[name] for name in GAINS}) if config.raibert else None
-        return HandcraftedGait(task, gains, {**to_mapping(config), "parameters": dict(self.best), **(about or {})})
+        return HandcraftedGait(task, gains, {**to_mapping(config), "parameters": dict(self.best)})
 
     def step(self) -> None:
         """Run a generation."""

@@ -12,6 +12,8 @@ from typing import Any
 
 from surefoot.configuration import from_mapping, read_yaml
 from surefoot.errors import SurefootError, accessible, located
+from surefoot.evaluate.runs import Estimate
+from surefoot.evaluate.statistics import Interval
 from surefoot.files import check_readable, whole_file
 from surefoot.report.html import page, picture, row
 
@@ -146,24 +148,14 @@ def _line(root: Path, item: Item, missing: list[str]) -> tuple[str, ...]:
         missing.append(item.ours.file)
     else:
         number = find_number(root, item.ours)
-        text = _text(number, item)
+        text = number.text(item.digits)
     paper = f"{item.paper:.{item.digits}f}" if isinstance(item.paper, float) else item.paper
     with_unit = (f"{one} {item.unit}".strip() if any(map(str.isdigit, one)) else one for one in (paper, text))
     return (item.what, *with_unit, difference(item.paper, number), item.how)
 
 
-@dataclass(frozen=True)
-class Number:
-    """A number with what is known of its accuracy."""
-
-    value: float
-    error: float | None = None
-    low: float | None = None
-    high: float | None = None
-
-
-def find_number(root: Path, source: Source) -> Number:
-    """Read a number of surefoot.
+def find_number(root: Path, source: Source) -> Interval | Estimate:
+    """Read a number of surefoot, with its error if the source names one, else with its interval if it names that.
 
     Raises:
         SurefootError: a file that can't be read, without such a row, or without a number there.
@@ -174,9 +166,9 @@ def find_number(root: Path, source: Source) -> Number:
             check_readable(path)
             content = path.read_text(encoding="utf-8")
         data = _row(content, source.where) if path.suffix == ".csv" else _parsed(content)
-        keys = {name: getattr(source, name) for name in ("value", "error", "low", "high")}
-        found = {name: _at(data, key) * source.scale for name, key in keys.items() if key}
-    return Number(**found)
+        keys = (source.value, *filter(None, (source.error,) if source.error else (source.low, source.high)))
+        numbers = [_at(data, key) * source.scale for key in keys]
+    return Estimate(*numbers) if source.error else Interval(*numbers)
 
 
 def _parsed(content: str) -> Any:
@@ -204,20 +196,13 @@ def _at(data: Any, key: str) -> float:
         raise SurefootError(f"has no number {key}") from None
 
 
-def _text(number: Number, item: Item) -> str:
-    text = f"{number.value:.{item.digits}f}"
-    if number.low is not None and number.high is not None:
-        return f"{text} [{number.low:.{item.digits}f}, {number.high:.{item.digits}f}]"
-    return text if number.error is None else f"{text} ± {number.error:.{item.digits}f}"
-
-
-def difference(paper: float | str, ours: Number | None) -> str:
+def difference(paper: float | str, ours: Interval | Estimate | None) -> str:
     """Return the difference in words; nothing where there are not two numbers."""
     if ours is None or isinstance(paper, str):
         return ""
-    if ours.low is not None and ours.high is not None and ours.low <= paper <= ours.high:
+    if isinstance(ours, Interval) and ours.low <= paper <= ours.high:
         return "the interval holds the paper's"
-    change = ours.value / paper - 1 if paper else 0.0
+    change = ours.mean / paper - 1 if paper else 0.0
     if abs(change) < 0.005:
         return "the same"
     return f"{abs(change):.0%} {'more' if change > 0 else 'less'}" if change < 2 else f"{1 + change:.1f} times as much"
