@@ -22,7 +22,8 @@ from contextlib import contextmanager
 from pathlib import Path
 
 REFUSED, LATE = 2, 3
-"""Exit codes: refused, as a policy for another robot; and ended by a safety rule, as on a computer that is too busy."""
+"""Exit codes: refused, as a policy for another robot, or a robot whose states come too late to arm it; and ended by a
+safety rule. Both may come of a computer that is too busy."""
 
 
 @contextmanager
@@ -56,7 +57,7 @@ def deploy(policy: str, world: str, runs: int, out: Path, lockstep: bool = False
     with emulator("--world", world, "--motion-capture", capture, *clock) as port:
         # An emulator cannot be damaged: go on after a failed check, such as that of a busy computer.
         if surefoot("doctor", policy, "--port", port, *clock) == REFUSED:
-            return REFUSED
+            raise SystemExit(REFUSED)
         code = surefoot(
             *("deploy", policy, "--port", port, "--runs", str(runs), "--motion-capture", capture, "--out", traces),
             *("--world-name", f"emulator ({world})", *clock),
@@ -72,8 +73,10 @@ def other_world() -> str:
 def show(policy: str, world: str, runs: int, out: Path, lockstep: bool = False) -> int:
     """Deploy a policy in real time, or in lockstep if the computer is too busy; return the exit code."""
     code = deploy(policy, world, runs, out, lockstep)
-    if code == LATE and not lockstep:
-        print("\nA safety rule ended the run; the computer may be too busy. Try again in lockstep.")
+    if code in (REFUSED, LATE) and not lockstep:
+        print(
+            "\nThe robot was not armed, or a safety rule ended the run; maybe the computer is too busy. In lockstep:"
+        )
         code = deploy(policy, world, runs, out, lockstep=True)
     return code
 
