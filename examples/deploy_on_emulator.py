@@ -74,9 +74,7 @@ def show(policy: str, world: str, runs: int, out: Path, lockstep: bool = False) 
     """Deploy a policy in real time, or in lockstep if the computer is too busy; return the exit code."""
     code = deploy(policy, world, runs, out, lockstep)
     if code in (REFUSED, LATE) and not lockstep:
-        print(
-            "\nThe robot was not armed, or a safety rule ended the run; maybe the computer is too busy. In lockstep:"
-        )
+        print("\nThe robot was not armed, or a safety rule ended the run; maybe the computer is too busy. In lockstep:")
         code = deploy(policy, world, runs, out, lockstep=True)
     return code
 
