@@ -92,19 +92,27 @@ def test_json_is_one_object_with_the_keys_promised(policy: Path):
 
 
 def test_settings_and_pushes_make_a_difference(policy: Path):
-    calm, weak, pushed = (
+    calm, weak, pushed, mildly = (
         json.loads(surefoot("evaluate", policy, "--episodes", "2", "--json", *more).stdout)
-        for more in ((), ("--set", "motor_strength=0.7", "--set", "voltage=15"), ("--pushes",))
+        for more in (
+            (),
+            ("--set", "motor_strength=0.7", "--set", "voltage=15"),
+            ("--pushes",),
+            ("--push-force", "30", "30"),
+        )
     )
     assert weak["set"] == {"motor_strength": 0.7, "voltage": 15.0}
-    assert pushed["pushes"] is True
-    assert len({result["distance_mean"] for result in (calm, weak, pushed)}) == 3
+    assert (pushed["pushes"], pushed["push_force"]) == (True, None)
+    assert (mildly["pushes"], mildly["push_force"]) == (True, [30.0, 30.0])
+    assert len({result["distance_mean"] for result in (calm, weak, pushed, mildly)}) == 4
 
 
 @pytest.mark.parametrize(
     ("line", "part"),
     [
         ("evaluate POLICY --episodes 0", "episodes is 0; it must be 1 or more"),
+        ("evaluate POLICY --push-force 40 20", "pushes.force is [40.0, 20.0]; the lower bound must come first"),
+        ("evaluate POLICY --push-force -1 20", "push_force[0] is -1; it must be 0 or more"),
         ("evaluate POLICY --set strength=1", "'strength' is not a physical parameter; choices: base_mass_ratio"),
         ("evaluate POLICY --set motor_strength=9", "motor_strength is 9; minitaur allows 0 to 2"),
         ("evaluate POLICY --set motor_strength=much", "sets no number"),

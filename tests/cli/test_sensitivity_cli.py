@@ -59,6 +59,22 @@ def test_json_is_one_object_and_the_ranges_are_the_user_s(tmp_path: Path):
     assert policy["return_mean"] == pytest.approx(sum(means) / 6, abs=1e-6)
 
 
+def test_the_force_of_pushes_is_a_row(tmp_path: Path):
+    (tmp_path / "r.yaml").write_text("mass: [1.0, 1.2]\n")
+    words = ("trot", "--ranges", "r.yaml", "--push-force", "0", "400", "--values", "2", "--episodes", "2", "--json")
+    done = surefoot("sensitivity", *words, "--duration", "2", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    result = json.loads(done.stdout)
+    assert result["push_force"] == [0.0, 400.0]
+    assert "sensitivity/push_force.png" in result["files"]
+    with (tmp_path / "sensitivity/sensitivity.csv").open() as file:
+        worlds = {(world["row"], float(world["value"])): world for world in csv.DictReader(file)}
+    assert {world["unit"] for (row, _), world in worlds.items() if row == "push_force"} == {"N"}
+    # Without force, and with nominal mass, it is the nominal world; only the row's own worlds are pushed.
+    assert worlds["push_force", 0.0]["return_mean"] == worlds["mass", 1.0]["return_mean"]
+    assert [int(world["falls"]) for world in worlds.values()] == [0, 0, 0, 2]
+
+
 def test_policies_of_one_name_are_told_apart(tmp_path: Path):
     for folder, name in (("a", "mine"), ("b", "mine"), ("b", "other")):
         (tmp_path / folder).mkdir(exist_ok=True)

@@ -64,6 +64,13 @@ def test_a_ramp_lets_the_force_grow_over_a_robots_first_pushes_through_all_its_e
     assert sizes == pytest.approx([25, 50, 75, 100, 100, 100])
 
 
+def test_policies_are_tested_with_every_push_in_full_force():
+    trained = PushConfig(probability=0.05, ramp=30, force=(1.0, 2.0))
+    assert trained.in_full(True) == PushConfig(enabled=True, force=(1.0, 2.0))
+    assert trained.in_full(False) == PushConfig(enabled=False, force=(1.0, 2.0))
+    assert trained.in_full(False, (20.0, 40.0)) == PushConfig(enabled=True, force=(20.0, 40.0), direction="horizontal")
+
+
 @pytest.mark.parametrize("probability", [0.0, 0.3, 1.0])
 def test_pushes_are_given_with_their_probability(probability: float):
     pusher = Pusher(PushConfig(enabled=True, probability=probability), 2000, seed=3)

@@ -82,7 +82,8 @@ def _simulated(
     find_world(command.world)
     policy, robot, task, known = load_gait(path, command.robot)
     task = adjust_task(
-        task, robot, command.settings, command.pushes, command.thermal_protection, ranges, command.simulator
+        *(task, robot, command.settings, command.pushes),
+        *(command.thermal_protection, ranges, command.simulator, command.push_force),
     )
     make_figures_folder(command.out)
     title = f"{command.episodes} episodes"
@@ -92,7 +93,8 @@ def _simulated(
     given = [word.split("=")[0] for group in command.settings for word in group]
     about = {
         "seed": command.seed,
-        "pushes": command.pushes,
+        "pushes": task.pushes.enabled,
+        "push_force": command.push_force,
         "randomize": {row: list(bounds) for row, bounds in ranges.ranges.items()},
         "set": command.simulator.latencies | {name: task.params[name] for name in given},
         **described(task),

@@ -34,6 +34,8 @@ Settings = Annotated[Repeated, tyro.conf.arg(name="set", metavar="NAME=VALUE [..
 Pushes = Annotated[
     bool, tyro.conf.arg(help="Push the robot at random, as its task says how; without this nothing pushes.")
 ]
+PushForce = Annotated[tuple[float, float] | None, Within(0, 1e6), tyro.conf.arg(metavar="LOW HIGH")]
+"""Least and greatest force of pushes [N]."""
 Count = Annotated[int, Within(1, 10_000)]
 """Number of episodes or runs."""
 Seed = Annotated[configuration.Seed, tyro.conf.arg(help="Seed of all random numbers.")]

@@ -38,7 +38,8 @@ def main(argv: list[str]) -> int:
     path = find_policy(command.policy)
     find_world(command.world)
     policy, robot, task, known = load_gait(path, command.robot)
-    task = adjust_task(task, robot, command.settings, command.pushes, simulator=command.simulator)
+    given = (task, robot, command.settings, command.pushes)
+    task = adjust_task(*given, simulator=command.simulator, push_force=command.push_force)
     task = lasting(task, robot, command.seconds)
     window = command.out is None and has_display()
     # Imported before anything is simulated: what is not installed is told at once.

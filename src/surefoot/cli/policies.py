@@ -188,6 +188,7 @@ def adjust_task(
     thermal_protection: bool = False,
     randomize: RandomizeConfig | None = None,
     simulator: Simulator | None = None,
+    push_force: tuple[float, float] | None = None,
 ) -> TaskConfig:
     """Return the task with another simulator, parameters, pushes and randomization.
 
@@ -199,6 +200,7 @@ def adjust_task(
         thermal_protection: switch off motors that overheat, whatever the task says.
         randomize: ranges that every episode draws from, whatever the task says; none, if not given.
         simulator: actuator, latencies and file of parameters; the task's, if not given.
+        push_force: least and greatest force [N] of pushes in horizontal directions, in place of the task's.
 
     Raises:
         SurefootError: no such parameter, a value that the robot does not allow, or what does not go together.
@@ -209,7 +211,7 @@ def adjust_task(
     task.nominal(robot)  # refuses parameters that the robot does not allow
     ranges = randomize or RandomizeConfig()
     check_ranges(ranges, robot)
-    return replace(task, randomize=ranges, pushes=replace(task.pushes, enabled=pushes, probability=1.0))
+    return replace(task, randomize=ranges, pushes=task.pushes.in_full(pushes, push_force))
 
 
 def lasting(task: TaskConfig, robot: RobotDescription, duration: float) -> TaskConfig:

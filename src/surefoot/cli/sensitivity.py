@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from surefoot.cli.options import Count, Json, PolicyNames, Pushes, Seed, Threads, World, make_figures_folder
+from surefoot.cli.options import Count, Json, PolicyNames, Pushes, PushForce, Seed, Threads, World, make_figures_folder
 from surefoot.cli.parsing import parse
 from surefoot.cli.simulator import Simulator, SimulatorOptions
 from surefoot.configuration import Duration, Within
@@ -38,6 +38,8 @@ class SensitivityCommand:
     duration: Duration | None = None
     """Length of an episode [s], the same in all worlds; the longest of the policies' tasks, if not given."""
     pushes: Pushes = False
+    push_force: PushForce = None
+    """Vary the force of horizontal pushes too, from LOW to HIGH [N], as a row `push_force`."""
     seed: Seed = 1
     json: Json = False
     world: World = "mujoco"
@@ -66,7 +68,8 @@ def main(argv: list[str]) -> int:
     from surefoot.tables import write_csv
 
     duration = command.duration or max(episode_duration(task) for task in tasks)
-    told = {name: getattr(command, name) for name in ("values", "episodes", "pushes", "seed")} | {"duration": duration}
+    names = ("values", "episodes", "pushes", "push_force", "seed")
+    told = {name: getattr(command, name) for name in names} | {"duration": duration}
     how = told | {"ranges": ranges, "threads": command.threads, "robots": SIDE_BY_SIDE[command.world]}
     results = []
     for one, task in zip(loaded, tasks, strict=True):

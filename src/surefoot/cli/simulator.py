@@ -14,7 +14,7 @@ from typing import Annotated, Literal
 
 import tyro
 
-from surefoot.cli.options import Pushes, Seed, Settings, World
+from surefoot.cli.options import Pushes, PushForce, Seed, Settings, World
 from surefoot.errors import SurefootError, choices
 from surefoot.robot import RobotDescription
 from surefoot.robot.params_file import ParamValue, read_params
@@ -93,6 +93,8 @@ class RunOptions:
     """Options of commands that run one policy in one world."""
 
     pushes: Pushes = False
+    push_force: PushForce = None
+    """Push the robot with forces from LOW to HIGH [N] in horizontal directions, as often as its task says."""
     settings: Settings = ()
     """Physical parameters that differ from the task's, such as motor_strength=0.8."""
     seed: Seed = 1

@@ -148,7 +148,7 @@ def finish(run: TrainingRun, folder: RunFolder, console: Console) -> None:
     if task.randomize.ranges:
         wanted["randomized"] = (replace(calm, randomize=task.randomize), _DRAWN_EPISODES)
     if task.pushes.enabled:
-        wanted["with_pushes"] = (replace(calm, pushes=replace(task.pushes, probability=1.0)), _EPISODES)
+        wanted["with_pushes"] = (replace(calm, pushes=task.pushes.in_full(True)), _EPISODES)
     traces = {
         name: run_episodes(policy, given, episodes, SimWorld, seed=0, policy_name=policy.contract.name)
         for name, (given, episodes) in wanted.items()

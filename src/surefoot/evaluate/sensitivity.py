@@ -26,6 +26,8 @@ from surefoot.task.randomize import ROWS, RandomizeConfig, check_ranges
 from surefoot.world.interface import Simulation, SimulationFactory, WorldConfig
 
 Flags = NDArray[np.bool_]
+PUSH_FORCE = "push_force"
+"""Row of the force of pushes [N]."""
 
 
 @dataclass(frozen=True)
@@ -35,7 +37,7 @@ class TestWorld:
     __test__ = False  # no test of pytest's, whatever its name
 
     row: str
-    """Row of the table."""
+    """Row of the table, or `push_force`."""
     value: float
     """What all parameters of the row are set to, for every motor and axis."""
 
@@ -168,23 +170,28 @@ class Sensitivity:
         return cls(policy, worlds, *columns(data), nominal)
 
 
-def make_test_worlds(ranges: RandomizeConfig, values: int = 10) -> tuple[TestWorld, ...]:
-    """The test worlds of a table of ranges, one row or more.
+def make_test_worlds(
+    ranges: RandomizeConfig, values: int = 10, push_force: tuple[float, float] | None = None
+) -> tuple[TestWorld, ...]:
+    """The test worlds of a table of ranges, and of a range of the force of pushes [N]; one row or more.
 
     Each row takes two or more evenly spaced `values` in its range, both ends included; a range of one value takes one.
     """
     at_least("values", values, 2)
-    if not ranges.ranges:
+    rows = ranges.ranges | ({} if push_force is None else {PUSH_FORCE: push_force})
+    if not rows:
         raise SurefootError("the table of ranges has no rows; a sensitivity study needs 1 or more, such as table1's")
     return tuple(
         TestWorld(row, float(value))
-        for row, (low, high) in ranges.ranges.items()
+        for row, (low, high) in rows.items()
         for value in np.linspace(low, high, values if high > low else 1)
     )
 
 
 def row_unit(row: str) -> str:
     """Unit of a row's values; empty for a ratio."""
+    if row == PUSH_FORCE:
+        return "N"
     unit = str(PhysicalParams.__dataclass_fields__[ROWS[row].params[0]].metadata["unit"])
     return "" if unit == "1" else unit
 
@@ -200,6 +207,7 @@ def run_sensitivity(
     make_world: SimulationFactory,
     *,
     ranges: RandomizeConfig,
+    push_force: tuple[float, float] | None = None,
     policy_name: str = "",
     values: int = 10,
     episodes: int = 8,
@@ -222,6 +230,8 @@ def run_sensitivity(
         task: what is run; its own physical parameters are the nominal ones.
         make_world: makes the simulation.
         ranges: rows to vary and their ranges.
+        push_force: least and greatest force [N] of a further row, `push_force`: in each of its worlds every push has
+            one force. All directions are horizontal then.
         policy_name: for the results.
         values: evenly spaced values in each range.
         episodes: episodes in each world.
@@ -241,12 +251,13 @@ def run_sensitivity(
     duration = episode_duration(task) if duration is None else duration
     if not 0 < duration < math.inf:
         raise SurefootError(f"duration is {duration:g} s; it must be over 0")
-    worlds = make_test_worlds(ranges, values)
+    worlds = make_test_worlds(ranges, values, push_force)
     check_ranges(ranges, RobotDescription.load(task.robot))
+    others = task.pushes.force if pushes else (0.0, 0.0)
     task = replace(
         task,
         randomize=RandomizeConfig(),
-        pushes=replace(task.pushes, enabled=pushes, probability=1.0),
+        pushes=task.pushes.in_full(pushes, push_force),
         # Every robot ends by its own number of control steps, which the environment knows nothing about.
         max_steps=MOST_STEPS,
     )
@@ -257,6 +268,11 @@ def run_sensitivity(
         count, make = (1 + len(chosen)) * episodes, _in_worlds(make_world, chosen, episodes)
         env = LocomotionEnv(task, count, make, seed, autoreset=False, threads=threads)
         _share_streams(env, episodes)
+        if push_force is not None:
+            env.pusher.range[:] = others
+            for number, world in enumerate(chosen, start=1):
+                if world.row == PUSH_FORCE:
+                    env.pusher.range[number * episodes : (number + 1) * episodes] = world.value
         steps = np.maximum(np.round(duration / env.world.params.control_step), 1).astype(np.int64)
         if first:
             steps[:episodes] = 0  # the nominal world has been run
@@ -278,6 +294,8 @@ def run_sensitivity(
         for column in zip(*((part.returns, ~part.balanced, part.speed) for part in parts), strict=True)
     )
     rows = {row: float(np.mean(getattr(env.nominal, ROWS[row].params[0])[0])) for row in ranges.ranges}
+    if push_force is not None:
+        rows[PUSH_FORCE] = float(np.mean(others))
     nominal = Nominal(rows, returns[0], fell[0], speed[0])
     return Sensitivity(policy_name, worlds, returns[1:], fell[1:], speed[1:], nominal)
 
@@ -291,7 +309,7 @@ def _in_worlds(make_world: SimulationFactory, worlds: Sequence[TestWorld], episo
         params = nominal.rows(np.arange(num_envs))
         for number, world in enumerate(worlds, start=1):
             rows = slice(number * episodes, (number + 1) * episodes)
-            for name in ROWS[world.row].params:
+            for name in () if world.row == PUSH_FORCE else ROWS[world.row].params:
                 getattr(params, name)[rows] = world.value
         return make_world(robot, num_envs, params, seed, config)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, Literal
 
 import numpy as np
@@ -43,6 +43,15 @@ class PushConfig:
         if self.force[0] > self.force[1]:
             raise SurefootError(f"pushes.force is {list(self.force)}; the lower bound must come first")
 
+    def in_full(self, enabled: bool, force: tuple[float, float] | None = None) -> PushConfig:
+        """Return what a policy is tested with: every push that is due, from the first in full force.
+
+        With a `force` from least to greatest [N] directions are horizontal and robots are pushed in any case.
+        """
+        if force is not None:
+            return replace(self, enabled=True, probability=1.0, ramp=0, force=force, direction="horizontal")
+        return replace(self, enabled=enabled, probability=1.0, ramp=0)
+
 
 class Pusher:
     """Draws a force for each push of each robot, uniform in magnitude and in direction."""
@@ -50,6 +59,8 @@ class Pusher:
     def __init__(self, config: PushConfig, num_envs: int, seed: int) -> None:
         self.config = config
         self.streams = generators(seed, "pushes", num_envs)
+        self.range = np.tile(np.array(config.force, np.float64), (num_envs, 1))
+        """Least and greatest force [N] of each robot's pushes, (N, 2)."""
         self.force = np.zeros((num_envs, 3))
         self.drawn = np.zeros(num_envs, np.int64)
         """Pushes that were due in this episode."""
@@ -75,7 +86,7 @@ class Pusher:
             direction = stream.standard_normal(3)
             if config.direction == "horizontal":
                 direction[2] = 0.0
-            size = stream.uniform(*config.force) / np.linalg.norm(direction)
+            size = stream.uniform(*self.range[i]) / np.linalg.norm(direction)
             share = min(1.0, (self.before[i] + number[i]) / config.ramp) if config.ramp else 1.0
             self.force[i] = share * size * direction if given else 0.0
             self.drawn[i] = number[i]
