@@ -162,3 +162,4 @@ def test_bad_input_gets_one_line_and_exit_code_2(words: list[str], message: str,
     assert result.stderr.count("\n") == 1
     assert result.stderr.startswith("surefoot: error: ")
     assert re.search(message, result.stderr), result.stderr
+    assert not (tmp_path / "searches").exists()

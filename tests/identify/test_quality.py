@@ -91,7 +91,7 @@ WRONG: dict[str, tuple[Callable[[Recording], Recording], str]] = {
     ),
     "lost states": (
         lambda r: without(r, in_phases(r, SWEEP, STEPS)[5::8]),
-        "states, 10.3%, are missing between others; at most 5%",
+        "%, are missing between others; at most 5%",
     ),
     "lost frames": (
         lambda r: with_meta(r, frames={"received": 900, "missing": 60, "damaged": 40}),

@@ -46,10 +46,8 @@ def find_policy(policy: str) -> Path:
         return Path(policy)
     if policy in shipped:
         return shipped[policy]
-    names = f"shipped policies: {choices(shipped)}" if shipped else "no policies ship with this surefoot"
-    raise SurefootError(
-        f"policy '{policy}' does not exist; give the path of an .onnx file, or of a handcrafted gait (.yaml; {names})"
-    )
+    names = f"policies that ship: {choices(shipped)}" if shipped else "no policies ship with this surefoot"
+    raise SurefootError(f"policy '{policy}' does not exist; {names}, or the path of a policy file")
 
 
 def find_policies(policies: Sequence[str]) -> list[Path]:

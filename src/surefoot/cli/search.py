@@ -17,7 +17,7 @@ from surefoot.cli.trainings import train_many
 from surefoot.configuration import Within
 from surefoot.errors import located
 from surefoot.learn.config import Steps
-from surefoot.learn.search import Search, SearchConfig, make_config
+from surefoot.learn.search import Search, SearchConfig, check_there, make_config
 from surefoot.learn.search_space import put
 from surefoot.learn.workers import check_address
 
@@ -61,11 +61,14 @@ def main(argv: list[str]) -> int:
         check_address(command.ray)
     out = command.out or Path("searches") / config.train.task.name
     check_folder(out)
+    going_on = command.resume or command.report_only
+    if going_on:
+        check_there(out)
     _check(config)
     console = Console(highlight=False, soft_wrap=True)
     out.mkdir(parents=True, exist_ok=True)
     with alone(out):
-        search = Search(config, out, command.resume or command.report_only)
+        search = Search(config, out, going_on)
         for note in search.notes:
             console.print(note)
         if not command.report_only and _train(search, command, console):

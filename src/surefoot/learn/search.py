@@ -34,6 +34,8 @@ PRUNING_FROM = 1 / 3
 """Share of a trial's steps before which it is not pruned."""
 FOR_IMPORTANCE = 8
 """Complete trials that the importance of fields takes at least."""
+SETTINGS = "search.yaml"
+"""File of a search's folder."""
 _NAME = "search"
 
 
@@ -52,6 +54,12 @@ class SearchConfig:
     def evaluations(self) -> int:
         """Evaluations of a trial."""
         return -(-self.train.steps // self.train.evaluate_every)
+
+
+def check_there(folder: Path) -> None:
+    """Refuse a folder that holds no search."""
+    if not (folder / SETTINGS).is_file():
+        raise SurefootError(f"{folder}: holds no search to go on with; leave --resume out to begin one")
 
 
 def make_config(task: str, space: Path | None, seed: int, steps: Steps) -> SearchConfig:
@@ -98,8 +106,9 @@ class Search:
         self.config, self.folder = config, folder
         self.journal, self.notes = folder / "trials.log", list[str]()
         self._trials: dict[str, Any] = {}
-        settings = folder / "search.yaml"
+        settings = folder / SETTINGS
         if resume:
+            check_there(folder)
             self._check_same(settings)
             self._mend()
         elif settings.exists():
@@ -120,8 +129,6 @@ class Search:
             )
 
     def _check_same(self, settings: Path) -> None:
-        if not settings.exists():
-            raise SurefootError(f"{self.folder}: holds no search to go on with; leave --resume out to begin one")
         data = read_yaml(settings)
         with located(settings):
             stored = from_mapping(SearchConfig, data)
