@@ -54,6 +54,8 @@ class Command:
 
     folder: Annotated[Path, tyro.conf.Positional] = Path("results/handcrafted")
     """Gaits, and results."""
+    policies: tuple[str, ...] = SHIPPED
+    """Learned gaits: names of policies that ship, or policy files."""
     conditions: tuple[str, ...] = tuple(CONDITIONS)
     """Out of mujoco, table1 and bullet."""
     episodes: int = 20
@@ -86,10 +88,10 @@ class Entry:
         return policy, task
 
 
-def entries(folder: Path) -> Iterable[Entry]:
+def entries(folder: Path, policies: tuple[str, ...]) -> Iterable[Entry]:
     for path in sorted(folder.glob("*.yaml")):
         yield Entry(path.stem, FAMILIES[HandcraftedGait.load(path).raibert is not None], path)
-    for path in [*map(find_policy, SHIPPED), *sorted(folder.glob("*.onnx"))]:
+    for path in [*map(find_policy, policies), *sorted(folder.glob("*.onnx"))]:
         yield Entry(path.stem, FAMILIES[2], path)
 
 
@@ -172,7 +174,7 @@ def main(command: Command) -> None:
     if path.exists():
         with path.open(newline="") as file:
             kept = list(csv.DictReader(file))
-    found = list(entries(command.folder))
+    found = list(entries(command.folder, command.policies))
     known = {(entry.name, entry.digest) for entry in found}
     kept = [row for row in kept if (row["gait"], row["digest"]) in known]
     for condition in command.conditions:

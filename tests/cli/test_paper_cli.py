@@ -1,13 +1,18 @@
-"""`surefoot paper`."""
+"""`surefoot paper`: the page of a clone, and the runs behind it."""
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import pytest
 from processes import refused, surefoot
 
 pytest.importorskip("matplotlib")
+pytest.importorskip("mujoco")
+
+from surefoot.cli import paper_runs
+from surefoot.cli.paper_runs import Runs, Stage, command, evaluate
 
 
 def test_the_page_is_written_from_a_clone(repository: Path, tmp_path: Path):
@@ -16,6 +21,84 @@ def test_the_page_is_written_from_a_clone(repository: Path, tmp_path: Path):
     assert (tmp_path / "page.html").read_text(encoding="utf-8").endswith("</html>\n")
 
 
-def test_a_folder_without_results_and_a_name_of_another_kind_are_refused(tmp_path: Path):
-    refused(surefoot("paper", "--root", tmp_path), str(tmp_path), "with the folder results")
-    refused(surefoot("paper", "--out", "page.pdf"), "out page.pdf: the name must end in .html")
+@pytest.mark.parametrize(
+    ("words", "parts"),
+    [
+        (["--root", "."], ["root is .", "with the folder results"]),
+        (["--out", "page.pdf"], ["out page.pdf: the name must end in .html"]),
+        (["--root", "REPOSITORY", "--quick", "--full"], ["--quick and --full are given; give one of them"]),
+        (["--root", "REPOSITORY", "--folder", "here"], ["--folder", "go with --quick or --full"]),
+        (["--root", "REPOSITORY", "--quick", "--folder", "file"], ["file; it must be a folder"]),
+    ],
+)
+def test_what_does_not_go_together_is_refused(words: list[str], parts: list[str], repository: Path, tmp_path: Path):
+    (tmp_path / "file").touch()
+    refused(surefoot("paper", *(word.replace("REPOSITORY", str(repository)) for word in words), cwd=tmp_path), *parts)
+
+
+@pytest.fixture
+def shipped(repository: Path, tmp_path: Path) -> Path:
+    """A folder of runs in which the trot is trained."""
+    (tmp_path / "runs/policies").mkdir(parents=True)
+    (tmp_path / "runs/policies/trot.onnx").write_bytes((repository / "policies/trot.onnx").read_bytes())
+    return tmp_path / "runs"
+
+
+def test_runs_are_made_once_stopped_and_gone_on_with(
+    repository: Path, shipped: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    made: list[str] = []
+
+    def once(runs: Runs) -> None:
+        made.append("once")
+        (runs.folder / "once").touch()
+
+    def stopped(runs: Runs) -> None:
+        made.append("stopped")
+        if made.count("stopped") == 1:
+            raise KeyboardInterrupt
+        (runs.folder / "stopped").touch()
+
+    stages = (Stage("once", once), evaluate("trot", "mujoco"), Stage("stopped", stopped))
+    monkeypatch.setattr(paper_runs, "STAGES", stages)
+    words = ("paper", "--root", repository, "--quick", "--folder", shipped, "--out", tmp_path / "page.html")
+    done = surefoot(*words)
+    assert done.returncode == 130
+    assert f"surefoot paper --root {repository} --quick" in done.stderr
+    found = json.loads((shipped / "results/policies/trot.json").read_text())
+    assert (found["policy"], found["episodes"]) == ("trot", 20)
+    assert not (tmp_path / "page.html").exists()
+
+    done = surefoot(*words)
+    assert done.returncode == 0, done.stderr
+    assert made == ["once", "stopped", "stopped"]
+    assert "results/policies/trot.json: is there" in done.stderr
+    page = (tmp_path / "page.html").read_text()
+    assert paper_runs.QUICK_NOTE.split(":")[0] in page
+    assert f"{found['speed_mean']:.2f} ± {found['speed_std']:.2f} m/s" in page
+    assert "not there: results/policies/gallop.json" in done.stdout
+
+
+def test_a_command_that_fails_ends_the_runs_in_one_line(
+    repository: Path, shipped: Path, monkeypatch: pytest.MonkeyPatch
+):
+    stages = (Stage("never", lambda runs: command(runs, "evaluate", "none.onnx")),)
+    monkeypatch.setattr(paper_runs, "STAGES", stages)
+    done = surefoot("paper", "--root", repository, "--full", "--folder", shipped)
+    assert done.returncode == 2
+    assert done.stderr.endswith("surefoot: error: surefoot evaluate none.onnx: ended with exit code 2\n")
+
+
+def test_every_file_that_the_page_reads_is_made_by_a_run_or_is_of_the_clone(repository: Path):
+    from surefoot.report.paper import Source, load_content
+
+    folders = {Path(stage.makes).parts[:2] for stage in paper_runs.STAGES}
+    wanted = {
+        item.ours.file for part in load_content().sections for item in part.items if isinstance(item.ours, Source)
+    }
+    assert wanted
+    for file in wanted:
+        assert Path(file).parts[:2] in folders, file
+    for stage in paper_runs.STAGES:
+        if stage.makes.startswith("results/") and stage.makes.endswith("summary.json"):
+            assert (repository / "studies" / f"{Path(stage.makes).parent.name}.yaml").exists()

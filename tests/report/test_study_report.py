@@ -17,7 +17,9 @@ from surefoot.evaluate.comparison import Comparison, Curve, GroupResult, SeedRes
 from surefoot.evaluate.sensitivity import make_test_worlds
 from surefoot.report.study_report import write_report
 from surefoot.task.randomize import RandomizeConfig
+from surefoot.task.trace import EpisodeTrace
 
+MakeRun = Callable[..., EpisodeTrace]
 RANGES = RandomizeConfig(latency=(0.0, 0.04), voltage=(14.0, 16.8), mass=(0.8, 1.2))
 WORLDS = make_test_worlds(RANGES, 5)
 NOMINAL = {"latency": 0.0, "voltage": 16.0}
@@ -159,6 +161,27 @@ def test_report_of_one_seed_claims_no_interval(tmp_path: Path) -> None:
     assert cells(text, "Results", "return, nominal (m)")[1] == "2.00"
     assert "**" not in "".join(cells(text, "Differences", "return, nominal (m)"))
     assert "small_plain seed 1" in text.split("## Trainings")[0]
+
+
+def test_the_report_names_gaits_and_shows_one_of_each_group(tmp_path: Path, make_run: MakeRun) -> None:
+    plain = comparison(("nominal",), seeds=(0, 1))
+    found = {"gait": "pace", "agree": 4, "pattern": "walking pace", "reason": "", "stride": 0.4, "duty": None}
+
+    def walked(seed: SeedResult) -> SeedResult:
+        policy = tmp_path / "runs" / str(id(seed)) / "policy.onnx"
+        make_run().save(policy.parent / "evaluations/gait/mujoco/run_000.npz")
+        return replace(seed, results={**seed.results, "gait": found}, policy=policy)
+
+    groups = tuple(replace(group, seeds=tuple(map(walked, group.seeds))) for group in plain.groups)
+    text = write_report(
+        replace(plain, kinds=("nominal", "gait"), groups=groups), tmp_path / "out", "command"
+    ).read_text()
+    section = text.split("## Gaits")[1].split("## Files")[0]
+    assert section.count("| pace | 4 of 5 | walking pace |") == 4 * 2
+    assert "0.40 | - |" in section
+    for group in plain.groups:
+        assert (tmp_path / "out" / f"gait_{group.name}.png").stat().st_size > 1000
+        assert f"![Footfalls: {group.label}, seed 0](gait_{group.name}.png)" in section
 
 
 def test_the_report_on_gaps(tmp_path: Path, gap_comparison: Callable[..., Comparison]) -> None:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import shlex
 from dataclasses import dataclass
 from pathlib import Path
 
-from surefoot.cli.options import check_suffix
+from surefoot.cli.options import Ray, Workers, check_folder, check_suffix
 from surefoot.cli.parsing import parse
 from surefoot.errors import SurefootError
 
@@ -15,12 +16,22 @@ class PaperCommand:
     """Write one page with every table, figure and number of the paper, each beside surefoot's.
 
     The page is one HTML file that loads nothing from elsewhere. It reads the results that a clone of surefoot holds.
+    With --quick or --full it makes results anew, in a folder of their own: every training, search and evaluation.
+    Ctrl-C stops; the same command goes on.
     """
 
     root: Path = Path()
     """Folder that holds `results`, `policies` and `docs`: a clone of surefoot."""
     out: Path = Path("paper.html")
     """File of the page (.html)."""
+    quick: bool = False
+    """Make a small version of everything first: some twenty minutes on two cores."""
+    full: bool = False
+    """Make everything first: days on two cores, fewer on a cluster."""
+    folder: Path | None = None
+    """Folder for what --quick or --full makes; paper-quick or paper-full, if not given."""
+    workers: Workers = 0
+    ray: Ray = None
 
 
 def main(argv: list[str]) -> int:
@@ -29,9 +40,26 @@ def main(argv: list[str]) -> int:
     check_suffix("out", command.out, ".html")
     if not (command.root / "results").is_dir():
         raise SurefootError(f"root is {command.root}; it must be a clone of surefoot, with the folder results")
+    if command.quick and command.full:
+        raise SurefootError("--quick and --full are given; give one of them, or neither")
     from surefoot.report.paper import write_page
 
-    missing = write_page(command.root, command.out)
+    root, note = command.root, ""
+    if command.quick or command.full:
+        from surefoot.cli.paper_runs import QUICK_NOTE, Runs, make_all
+        from surefoot.learn.workers import check_address
+
+        check_address(command.ray)
+        root = (command.folder or Path("paper-quick" if command.quick else "paper-full")).resolve()
+        check_folder(root)
+        runs = Runs(command.root.resolve(), root, command.quick, command.workers, command.ray)
+        if not make_all(runs):
+            runs.console.print(f"Stopped. To go on:\n  {shlex.join(['surefoot', 'paper', *argv])}")
+            return 130
+        note = QUICK_NOTE if command.quick else ""
+    elif command.folder or command.workers or command.ray:
+        raise SurefootError("--folder, --workers and --ray go with --quick or --full, and neither is given")
+    missing = write_page(root, command.out, note)
     print(f"wrote {command.out}")
     for name in missing:
         print(f"not there: {name}")

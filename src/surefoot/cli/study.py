@@ -16,6 +16,7 @@ from surefoot.cli.parsing import parse
 from surefoot.cli.trainings import train_many
 from surefoot.configuration import Seed
 from surefoot.errors import SurefootError, located
+from surefoot.learn.config import Steps
 from surefoot.learn.study_config import StudyConfig, load_study, study_runs
 from surefoot.learn.training import Training
 from surefoot.learn.workers import Outcome, check_address
@@ -39,6 +40,8 @@ class StudyCommand:
     ray: Ray = None
     seeds: tuple[Seed, ...] = ()
     """Seeds in place of the file's."""
+    steps: Steps | None = None
+    """Control steps of every training in place of the file's."""
     only: tuple[str, ...] = ()
     """Groups to train and evaluate; all if not given. The report covers whatever is there."""
     train_only: bool = False
@@ -60,6 +63,8 @@ def main(argv: list[str]) -> int:
     check_kinds(study, worlds=not command.train_only)
     if command.seeds:
         study = replace(study, seeds=command.seeds)
+    if command.steps is not None:
+        study = study.lasting(command.steps)
     root = command.runs or Path("runs") / study.name
     runs = study_runs(study, root, command.only)
     for run in runs:

@@ -112,4 +112,6 @@ def _result(run: Training, kinds: tuple[str, ...]) -> SeedResult | None:
         return None
     rows = run.rows()
     best = PolicyRuntime.load(run.policy).contract.figures.get("training", {}).get("steps")
-    return SeedResult(run.config.seed, rows[-1]["steps"], rows[-1]["seconds"], Curve.of_rows(rows), results, best)
+    return SeedResult(
+        run.config.seed, rows[-1]["steps"], rows[-1]["seconds"], Curve.of_rows(rows), results, best, run.policy
+    )

@@ -100,6 +100,8 @@ class SeedResult:
     """Result of each kind of evaluation."""
     best: int | None = None
     """Control steps after which the policy was what is evaluated: the best of its training; None if not known."""
+    policy: Path | None = None
+    """Its file; needed for kind `gait`, which keeps an episode beside it."""
 
     @cached_property
     def figures(self) -> dict[str, float]:
@@ -279,6 +281,8 @@ def _episode_rows(group: GroupResult) -> list[dict[str, Any]]:
             elif name == "gap":
                 gap = group.gap.parts[number]
                 rows = [{"world": runs.world, **row} for runs in gap.runs for row in runs.rows()]
+            elif name == "gait":
+                rows = []  # names a gait and measures no episode
             else:
                 columns = zip(result["returns"], result["speed"], result["fell"], strict=True)
                 rows = [{"run": i, "return": r, "speed": s, "fell": fell} for i, (r, s, fell) in enumerate(columns)]

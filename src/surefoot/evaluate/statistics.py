@@ -110,6 +110,11 @@ def _checked(values: ArrayLike) -> Array:
 
 
 def decimal(number: float, digits: int = 2, sign: bool = False) -> str:
-    """A number as text with `digits` behind the point; with `sign`, + before what is above zero. Zero has no sign."""
+    """A number as text with `digits` behind the point; with `sign`, + before what is above zero. Zero has no sign.
+
+    One that is not known, NaN, is a dash.
+    """
+    if math.isnan(number):
+        return "-"
     rounded = round(number, digits) + 0.0
     return f"{rounded:{'+' if sign and rounded else ''}.{digits}f}"

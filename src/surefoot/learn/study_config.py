@@ -96,6 +96,11 @@ class StudyConfig:
         """Pairs of groups whose difference is reported."""
         return self.compare or tuple(itertools.combinations(self.groups, 2))
 
+    def lasting(self, steps: int) -> StudyConfig:
+        """Return the study with so many control steps for every training, evaluated in the middle and at the end."""
+        groups = {name: replace(group, train={**group.train, "steps": steps}) for name, group in self.groups.items()}
+        return replace(self, groups=groups, train={**self.train, "evaluate_every": max(1, steps // 2)})
+
     def label(self, group: str) -> str:
         """What figures and tables call a group."""
         return self.groups[group].label or group

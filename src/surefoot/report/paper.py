@@ -99,12 +99,13 @@ def load_content() -> Content:
         return from_mapping(Content, read_yaml(CONTENT))
 
 
-def write_page(root: Path, path: Path) -> list[str]:
+def write_page(root: Path, path: Path, note: str = "") -> list[str]:
     """Write the page; return the files that it wanted and that are not there.
 
     Args:
         root: folder with `results`, `docs` and `policies`.
         path: the page (.html).
+        note: what holds for all results, told at the top.
 
     Raises:
         SurefootError: a file of results that can't be read, or has no such row or number.
@@ -112,6 +113,8 @@ def write_page(root: Path, path: Path) -> list[str]:
     content = load_content()
     missing: list[str] = []
     parts = [f"<h1>{escape(content.title)}</h1>", f"<p>{escape(content.about)}</p>", "<h2>Main differences</h2>"]
+    if note:
+        parts.insert(2, f"<p><b>{escape(note)}</b></p>")
     parts += ["<ul>", *(f"<li>{escape(text)}</li>" for text in content.differences), "</ul>"]
     parts += _all_differences(root)
     for section in content.sections:

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 
 from surefoot.evaluate.comparison import CONTENTS, FAR, Comparison, GroupResult, difference, write_tables
-from surefoot.evaluate.evaluations import EVALUATIONS
+from surefoot.evaluate.evaluations import EVALUATIONS, gait_trace
 from surefoot.evaluate.gap import gap_difference
 from surefoot.evaluate.statistics import CONFIDENCE, Interval, decimal, t_interval
 from surefoot.files import whole_file
+from surefoot.report.figures import footfall_diagram
 from surefoot.report.parameter_figures import parameter_figure, parameters_figure
 from surefoot.report.study_figures import gap_figure, group_figure, learning_curves
 from surefoot.tables import markdown
@@ -61,6 +63,7 @@ def write_report(comparison: Comparison, folder: Path, command: str) -> Path:
         *_differences(comparison),
         "## Every seed",
         _seeds(comparison),
+        *(_gaits(comparison, folder) if "gait" in comparison.kinds else []),
         *(_parameters(comparison, folder) if "sensitivity" in comparison.kinds else []),
         "## Files",
         "\n".join(f"- [{file.name}]({file.name}): {CONTENTS.get(file.stem, 'all but the episodes')}" for file in files),
@@ -127,6 +130,28 @@ def _seeds(comparison: Comparison) -> str:
             for seed in group.seeds
         ]
     )
+
+
+def _gaits(comparison: Comparison, folder: Path) -> list[str]:
+    """Name the gait of each policy, draw an episode of each group's first, and return what shows them."""
+    rows, figures = [], []
+    for group in comparison.groups:
+        for seed in group.seeds:
+            found = seed.results["gait"]
+            numbers = {name: decimal(math.nan if found[name] is None else found[name]) for name in ("stride", "duty")}
+            row = {
+                "group": group.label,
+                "seed": str(seed.seed),
+                "gait": found["gait"],
+                "agree": f"{found['agree']} of 5",
+            }
+            row |= {"pattern": found["pattern"], "why unnamed": found["reason"] or ""}
+            rows.append(row | {"stride (s)": numbers["stride"], "duty factor": numbers["duty"]})
+        policy, file = group.seeds[0].policy, f"gait_{group.name}.png"
+        assert policy is not None
+        footfall_diagram(gait_trace(policy), folder / file)
+        figures.append(f"![Footfalls: {group.label}, seed {group.seeds[0].seed}]({file})")
+    return ["## Gaits", markdown(rows), *figures]
 
 
 def _parameters(comparison: Comparison, folder: Path) -> list[str]:

@@ -1,0 +1,194 @@
+"""The runs behind the page of the paper: every command in order, each skipped once its result is there."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import shlex
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from rich.console import Console
+
+from surefoot.cli.options import Ray, Workers
+from surefoot.errors import SurefootError, accessible
+from surefoot.files import whole_file
+
+QUICK_NOTE = (
+    "A small version of everything, made in one go: short trainings of one seed, few trials. It shows that all "
+    "parts work, and no more: the column 'how measured' describes the full version."
+)
+POLICIES = ("gallop", "trot", "trot-robust")
+"""Tasks whose policies stand on the page."""
+_PICTURES = ("learning_curve.png", "footfalls.png")
+
+
+@dataclass(frozen=True)
+class Runs:
+    """Where and how the runs are made."""
+
+    root: Path
+    """A clone of surefoot: its studies and benchmarks."""
+    folder: Path
+    """Folder for everything that is made."""
+    quick: bool
+    """Small versions."""
+    workers: Workers = 0
+    ray: Ray = None
+    console: Console = field(default_factory=lambda: Console(stderr=True, highlight=False, soft_wrap=True))
+
+    def many(self) -> list[str]:
+        """Return the words that say where many trainings run."""
+        return ["--workers", str(self.workers), *(["--ray", self.ray] if self.ray else [])]
+
+    def small(self, *words: object) -> list[str]:
+        """Return the words that make a command small; none for the full version."""
+        return list(map(str, words)) if self.quick else []
+
+
+class StageError(SurefootError):
+    """A command that did not end well."""
+
+
+@dataclass(frozen=True)
+class Stage:
+    """One step: what it makes, and how."""
+
+    makes: str
+    """File that is there when it is done, from the folder of the runs."""
+    make: Callable[[Runs], None]
+    """Make it."""
+
+
+def command(runs: Runs, *words: object) -> None:
+    """Run a command of surefoot in the folder of the runs; raise `StageError` or `KeyboardInterrupt` if it fails."""
+    from surefoot.cli.main import main
+
+    given = [str(word) for word in words]
+    runs.console.print(shlex.join(["surefoot", *given]), style="bold")
+    with contextlib.chdir(runs.folder):
+        code = main(given)
+    if code == 130:
+        raise KeyboardInterrupt
+    if code != 0:
+        raise StageError(f"surefoot {shlex.join(given)}: ended with exit code {code}")
+
+
+def train(task: str, steps: int) -> Stage:
+    """Train a policy of a task, from a run that was stopped if there is one, and keep file and figures."""
+
+    def make(runs: Runs) -> None:
+        begun = sorted((runs.folder / "runs" / task).glob("*/config.yaml"))
+        if begun:
+            command(runs, "train", "--resume", begun[-1].parent)
+        else:
+            command(runs, "train", task, "--runs", f"runs/{task}", *runs.small("--steps", steps))
+        (run,) = (path.parent for path in (runs.folder / "runs" / task).glob("*/config.yaml"))
+        target = runs.folder / "policies"
+        (target / task).mkdir(parents=True, exist_ok=True)
+        for name in _PICTURES:
+            shutil.copy(run / name, target / task / name)
+        shutil.copy(run / "policy.onnx", target / f"{task}.onnx")
+
+    return Stage(f"policies/{task}.onnx", make)
+
+
+def evaluate(task: str, world: str) -> Stage:
+    """Evaluate a policy in a world; keep what `--json` prints."""
+    makes = f"results/policies/{task}{'-ensemble' if world == 'ensemble' else ''}.json"
+
+    def make(runs: Runs) -> None:
+        path = runs.folder / makes
+        path.parent.mkdir(parents=True, exist_ok=True)
+        said = io.StringIO()
+        with contextlib.redirect_stdout(said):
+            command(runs, "evaluate", f"policies/{task}.onnx", "--world", world, "--json")
+        with whole_file(path) as file:
+            file.write(said.getvalue().encode())
+
+    return Stage(makes, make)
+
+
+def study(name: str, steps: int, *only: str) -> Stage:
+    """Run a study of the clone; its small version has one seed and some of the groups."""
+
+    def make(runs: Runs) -> None:
+        small = runs.small("--steps", steps, "--seeds", 0, *(("--only", *only) if only else ()))
+        command(runs, "study", runs.root / "studies" / f"{name}.yaml", *runs.many(), *small)
+
+    return Stage(f"results/{name}/summary.json", make)
+
+
+def tune(gait: str, speed: float) -> Stage:
+    """Tune a handcrafted gait."""
+    makes = f"results/handcrafted/{gait}-{round(100 * speed)}.yaml"
+
+    def make(runs: Runs) -> None:
+        (runs.folder / makes).parent.mkdir(parents=True, exist_ok=True)
+        # The gait is written after every generation: whole only under its own name.
+        part = Path(makes).with_suffix(".part.yaml")
+        command(runs, "tune", "--gait", gait, "--speed", speed, "--out", part, *runs.small("--generations", 12))
+        (runs.folder / part).rename(runs.folder / makes)
+
+    return Stage(makes, make)
+
+
+def handcrafted(runs: Runs) -> None:
+    """Compare handcrafted gaits with learned ones."""
+    script, policies = runs.root / "benchmarks" / "handcrafted.py", [f"policies/{task}.onnx" for task in POLICIES]
+    words = [sys.executable, str(script), "results/handcrafted", "--policies", *policies]
+    small = runs.small("--episodes", 5, "--conditions", "mujoco")
+    runs.console.print(shlex.join(["python", *words[1:], *small]), style="bold")
+    code = subprocess.run([*words, *small], cwd=runs.folder).returncode
+    if code != 0:
+        raise StageError(f"{script}: ended with exit code {code}")
+
+
+def search(runs: Runs) -> None:
+    """Search settings of the gallop."""
+    out = Path("results") / "search"
+    again = ["--resume"] if (runs.folder / out / "search.yaml").exists() else []
+    small = runs.small("--trials", 4, "--steps", 60_000)
+    command(runs, "search", "gallop", "--out", out, *runs.many(), *small, *again)
+
+
+STAGES = (
+    *(train(task, steps) for task, steps in zip(POLICIES, (300_000, 200_000, 200_000), strict=True)),
+    *(evaluate(task, world) for task in POLICIES for world in ("mujoco", "ensemble")),
+    study(
+        "reality-gap", 60_000, "baseline", "baseline_pushes", "improved_pushes", "small_randomized", "large_randomized"
+    ),
+    study("robustness", 60_000),
+    study("from-scratch", 100_000),
+    tune("trot", 0.6),
+    tune("gallop", 1.2),
+    Stage("results/handcrafted/table.csv", handcrafted),
+    Stage("results/search/README.md", search),
+)
+"""All runs, in order."""
+
+
+def make_all(runs: Runs) -> bool:
+    """Make what is missing; returns false if that was stopped, and then the same again goes on.
+
+    Raises:
+        SurefootError: a command that did not end well; the others' results are kept.
+    """
+    with accessible(runs.folder, "made"):
+        runs.folder.mkdir(parents=True, exist_ok=True)
+    for number, stage in enumerate(STAGES, start=1):
+        done = (runs.folder / stage.makes).exists()
+        runs.console.print(f"{number} of {len(STAGES)}: {stage.makes}{': is there' if done else ''}")
+        if done:
+            continue
+        try:
+            stage.make(runs)
+        except KeyboardInterrupt:
+            return False
+        if not (runs.folder / stage.makes).exists():
+            raise StageError(f"{stage.makes} was not made; see what was said above")
+    return True
