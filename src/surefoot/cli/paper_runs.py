@@ -113,6 +113,16 @@ def evaluate(task: str, world: str) -> Stage:
     return Stage(makes, make)
 
 
+def motor_figure(runs: Runs) -> None:
+    """Let both models of the motor follow what a motor with friction did in Bullet."""
+    log = "results/motor.csv"
+    (runs.folder / "results").mkdir(exist_ok=True)
+    (runs.folder / "docs").mkdir(exist_ok=True)
+    friction = ("--world", "bullet", "--set", "motor_friction=0.02")
+    command(runs, "identify", "motor-figure", "--record", log, *friction, "--out", "docs/motor.png")
+    command(runs, "identify", "motor-figure", "--log", log, "--out", "docs/motor.png")
+
+
 def study(name: str, steps: int, *only: str) -> Stage:
     """Run a study of the clone; its small version has one seed and some of the groups."""
 
@@ -157,6 +167,7 @@ def search(runs: Runs) -> None:
 
 
 STAGES = (
+    Stage("docs/motor.png", motor_figure),
     *(train(task, steps) for task, steps in zip(POLICIES, (300_000, 200_000, 200_000), strict=True)),
     *(evaluate(task, world) for task in POLICIES for world in ("mujoco", "ensemble")),
     study(
