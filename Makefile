@@ -46,7 +46,7 @@ demo: $(READY) ## Run the demonstration
 	@$(BIN)/python examples/demo.py $(ARGS)
 
 test: lint ## Check style and types, then run the tests (ARGS="-k gait" for some)
-	@$(BIN)/python -m pytest -n auto --maxprocesses 4 --dist loadgroup --no-loadscope-reorder $(ARGS)
+	@$(BIN)/python -m pytest -n auto --maxprocesses 4 --dist loadfile --no-loadscope-reorder $(ARGS)
 
 lint: $(READY) ## Check style and types
 	@$(BIN)/ruff check .

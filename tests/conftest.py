@@ -29,17 +29,14 @@ settings.register_profile("surefoot", deadline=None, derandomize=True)
 settings.load_profile("surefoot")
 
 
-@pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Order tests for pytest-xdist: files with slow tests first, so that none is left alone at the end; real time last.
+    """Begin with the files that have slow tests, so that none is left alone at the end; those with real time come last.
 
-    A file's tests stay on one worker, for the fixtures that they share; those marked `realtime` are one group.
+    pytest-xdist (`--dist loadfile`) takes files in this order, and keeps a file's tests on one worker, for the fixtures
+    that they share.
     """
-    slow = {item.path for item in items if item.get_closest_marker("slow")}
-    realtime = {item: item.get_closest_marker("realtime") is not None for item in items}
-    for item in items:
-        item.add_marker(pytest.mark.xdist_group("realtime" if realtime[item] else item.path.stem))
-    items.sort(key=lambda item: (realtime[item], item.path not in slow))
+    slow, realtime = ({item.path for item in items if item.get_closest_marker(name)} for name in ("slow", "realtime"))
+    items.sort(key=lambda item: (item.path in realtime, item.path not in slow))
 
 
 @pytest.hookimpl(wrapper=True, tryfirst=True)
