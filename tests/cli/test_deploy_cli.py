@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from unittest import mock
@@ -73,6 +74,28 @@ def test_the_trot_goes_as_far_as_in_simulation(emulate, tmp_path, repository):
     read = surefoot("evaluate", "--trace", run["trace"], "--json")
     assert read.returncode == 0, read.stderr
     assert json.loads(read.stdout)["speed_mean"] == pytest.approx(run["speed"])
+
+
+def test_a_policy_over_foot_trajectories_goes_as_far_as_in_simulation(emulate, tmp_path, repository):
+    pytest.importorskip("torch")
+    from surefoot.learn.config import load_train_config
+    from surefoot.learn.export import export_trainer
+    from surefoot.learn.trainer import Trainer
+    from surefoot.world.sim_world import SimWorld
+
+    config = load_train_config(str(repository / "results/handcrafted/trot-60.yaml"))
+    config = replace(config, num_envs=4, ppo=replace(config.ppo, policy_hidden=(8,)))
+    policy = export_trainer(Trainer(config, SimWorld), tmp_path / "untrained.onnx")
+    assert PolicyRuntime.load(policy).contract.task["reference"]["kind"] == "foot"
+    simulated = json.loads(surefoot("evaluate", policy, "--episodes", "3", "--json").stdout)
+    robot = emulate("--ideal-sensors")
+    robot.board.on_step.append(MotionCapture(tmp_path / "capture.csv", robot.board.plant).see)
+    words = ("--lockstep", "--out", tmp_path / "out", "--motion-capture", tmp_path / "capture.csv", "--json")
+    done = surefoot("deploy", policy, "--port", robot.port, *words)
+    assert done.returncode == 0, done.stderr
+    (run,) = json.loads(done.stdout)["runs"]
+    assert simulated["speed_mean"] > 0.3
+    assert run["speed"] == pytest.approx(simulated["speed_mean"], rel=0.1)
 
 
 def assert_readings_are_20_ms_old(trace: EpisodeTrace, capture: Path) -> None:
