@@ -98,7 +98,7 @@ def tell(result: dict[str, Any]) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--steps", type=int, default=10_000)
-    parser.add_argument("--policy", default="trot-steady")
+    parser.add_argument("--policy", default="trot-robust")
     parser.add_argument("--worlds", nargs="+", default=["mujoco", "bullet"])
     parser.add_argument("--json", action="store_true")
     asked = parser.parse_args()

@@ -33,7 +33,7 @@ from surefoot.task.config import TaskConfig
 from surefoot.task.handcrafted import HandcraftedGait
 from surefoot.task.randomize import load_ranges
 
-SHIPPED = ("trot", "trot-robust", "trot-steady", "gallop", "gallop-robust")
+SHIPPED = ("trot", "trot-robust", "gallop", "gallop-robust")
 CONDITIONS = {"mujoco": ("mujoco", "none"), "table1": ("mujoco", "table1"), "bullet": ("bullet", "none")}
 """World and ranges of each condition."""
 _TITLES = {"mujoco": "MuJoCo", "table1": "MuJoCo, table I drawn", "bullet": "Bullet"}

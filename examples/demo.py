@@ -32,4 +32,4 @@ if __name__ == "__main__":
         code = main(command)
         if code:
             raise SystemExit(code)
-    raise SystemExit(show("trot-steady", other_world(), 3, Path(OUT) / "deployed"))
+    raise SystemExit(show("trot-robust", other_world(), 3, Path(OUT) / "deployed"))

@@ -5,7 +5,7 @@
 3. `surefoot deploy` makes the robot stand up, run the gait for a whole episode, and sit down; three times.
 4. `surefoot gap` measures simulation and deployed runs with the same functions and draws both.
 
-    python examples/deploy_on_emulator.py                    # trot-steady, in Bullet where there is PyBullet
+    python examples/deploy_on_emulator.py                    # trot-robust, in Bullet where there is PyBullet
     python examples/deploy_on_emulator.py gallop --runs 1
 """
 
@@ -81,7 +81,7 @@ def show(policy: str, world: str, runs: int, out: Path, lockstep: bool = False) 
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("policy", nargs="?", default="trot-steady")
+    parser.add_argument("policy", nargs="?", default="trot-robust")
     parser.add_argument("--world", default=other_world())
     parser.add_argument("--runs", type=int, default=3)
     parser.add_argument("--out", type=Path, default=Path("out/deployed"))

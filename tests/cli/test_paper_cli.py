@@ -59,7 +59,7 @@ def test_runs_are_made_once_stopped_and_gone_on_with(
             raise KeyboardInterrupt
         (runs.folder / "stopped").touch()
 
-    stages = (Stage("once", once), evaluate("trot", "mujoco"), Stage("stopped", stopped))
+    stages = (Stage("once", once), evaluate("results/policies/trot.json", "trot"), Stage("stopped", stopped))
     monkeypatch.setattr(paper_runs, "STAGES", stages)
     words = ("paper", "--root", repository, "--quick", "--folder", shipped, "--out", tmp_path / "page.html")
     done = surefoot(*words)

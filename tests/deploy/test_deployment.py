@@ -43,7 +43,7 @@ class Operator:
 @pytest.fixture(scope="module")
 def controller(repository: Path) -> Controller:
     return Controller(
-        PolicyRuntime.load(repository / "policies" / "trot-steady.onnx"), RobotDescription.load("minitaur")
+        PolicyRuntime.load(repository / "policies" / "trot-robust.onnx"), RobotDescription.load("minitaur")
     )
 
 

@@ -22,7 +22,7 @@ QUICK_NOTE = (
     "A small version of everything, made in one go: short trainings of one seed, few trials. It shows that all "
     "parts work, and no more: the column 'how measured' describes the full version."
 )
-POLICIES = ("gallop", "trot", "trot-robust")
+POLICIES = ("gallop", "trot", "trot-robust", "gallop-robust")
 """Tasks whose policies stand on the page."""
 _PICTURES = ("learning_curve.png", "footfalls.png")
 
@@ -97,16 +97,15 @@ def train(task: str, steps: int) -> Stage:
     return Stage(f"policies/{task}.onnx", make)
 
 
-def evaluate(task: str, world: str) -> Stage:
-    """Evaluate a policy in a world; keep what `--json` prints."""
-    makes = f"results/policies/{task}{'-ensemble' if world == 'ensemble' else ''}.json"
+def evaluate(makes: str, task: str, *words: object, quick: tuple[object, ...] = ()) -> Stage:
+    """Evaluate a policy; keep what `--json` prints."""
 
     def make(runs: Runs) -> None:
         path = runs.folder / makes
         path.parent.mkdir(parents=True, exist_ok=True)
         said = io.StringIO()
         with contextlib.redirect_stdout(said):
-            command(runs, "evaluate", f"policies/{task}.onnx", "--world", world, "--json")
+            command(runs, "evaluate", f"policies/{task}.onnx", *words, *runs.small(*quick), "--json")
         with whole_file(path) as file:
             file.write(said.getvalue().encode())
 
@@ -168,8 +167,19 @@ def search(runs: Runs) -> None:
 
 STAGES = (
     Stage("docs/motor.png", motor_figure),
-    *(train(task, steps) for task, steps in zip(POLICIES, (300_000, 200_000, 200_000), strict=True)),
-    *(evaluate(task, world) for task in POLICIES for world in ("mujoco", "ensemble")),
+    *(train(task, steps) for task, steps in zip(POLICIES, (300_000, 200_000, 200_000, 200_000), strict=True)),
+    *(evaluate(f"results/policies/{task}.json", task) for task in POLICIES),
+    *(evaluate(f"results/policies/{task}-ensemble.json", task, "--world", "ensemble") for task in POLICIES),
+    *(
+        evaluate(
+            f"results/pushes/{task}-{world}-{low}-{high}.json",
+            *(task, "--world", world, "--episodes", 100, "--push-force", low, high),
+            quick=("--episodes", 10),
+        )
+        for task in ("trot-robust", "gallop-robust")
+        for world in ("mujoco", "bullet")
+        for low, high in ((20, 40), (60, 60), (130, 220))
+    ),
     study(
         "reality-gap", 60_000, "baseline", "baseline_pushes", "improved_pushes", "small_randomized", "large_randomized"
     ),
