@@ -27,7 +27,7 @@ KEYS = {
     *("return_mean", "return_std", "drift_mean", "gait", "duty_factor", "phases", "world", "policy"),
 }
 EXTRAS = {
-    *("cost_of_transport_mean", "stance", "faults", "seed", "pushes", "set", "robot", "policy_file"),
+    *("cost_of_transport_mean", "stance", "faults", "seed", "pushes", "push_force", "set", "robot", "policy_file"),
     *("config_hash", "randomize", "actuator", "params", "params_source"),
 }
 LEGS = {"front_left", "back_left", "front_right", "back_right"}

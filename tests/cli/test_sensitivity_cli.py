@@ -60,7 +60,7 @@ def test_json_is_one_object_and_the_ranges_are_the_user_s(tmp_path: Path):
 
 
 def test_the_force_of_pushes_is_a_row(tmp_path: Path):
-    (tmp_path / "r.yaml").write_text("mass: [1.0, 1.2]\n")
+    (tmp_path / "r.yaml").write_text("mass: [0.9, 1.0]\n")
     words = ("trot", "--ranges", "r.yaml", "--push-force", "0", "400", "--values", "2", "--episodes", "2", "--json")
     done = surefoot("sensitivity", *words, "--duration", "2", cwd=tmp_path)
     assert done.returncode == 0, done.stderr

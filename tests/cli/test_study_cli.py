@@ -22,14 +22,14 @@ name: tiny
 task: trot
 seeds: [0]
 train:
-  {steps: 20480, num_envs: 16, steps_per_update: 16, evaluate_every: 5000, evaluation_episodes: 2,
+  {steps: 10240, num_envs: 16, steps_per_update: 16, evaluate_every: 5000, evaluation_episodes: 2,
    checkpoint_every: 512, task: {max_steps: 40}}
 groups:
   plain: {label: 4-D, train: {task: {pushes: {enabled: false}, randomize: none}}}
   drawn: {label: "4-D, randomized", train: {task: {randomize: table1}}}
 evaluate: [sensitivity, table1]
 """
-STEPS = 20480
+STEPS = 10240
 
 
 def start(cwd: Path, *words: str) -> subprocess.Popen[str]:
@@ -136,7 +136,7 @@ def check_results(out: Path) -> None:
     assert summary["missing"] == []
     assert {row["group"]: row["low"] for row in summary["groups"]} == {"plain": None, "drawn": None}
     report = (out / "README.md").read_text()
-    assert "surefoot study tiny.yaml --workers 2" in report
+    assert "surefoot study tiny.yaml --workers 1" in report
     assert "| 4-D, randomized, against 4-D |" in report
     for name in ("learning_curves.png", "groups.png", "parameters.png", "parameters/latency.png", "sensitivity.csv"):
         assert (out / name).stat().st_size > 1000, name

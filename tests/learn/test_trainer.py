@@ -10,6 +10,7 @@ import torch
 
 from surefoot.learn.config import TrainConfig, load_train_config
 from surefoot.learn.trainer import Trainer
+from surefoot.task.randomize import load_ranges
 from surefoot.world.sim_world import SimWorld
 
 
@@ -51,7 +52,7 @@ def test_a_fall_costs_its_price_once_and_nothing_else_changes():
 
 
 @pytest.mark.parametrize("preset", ["trot-robust", "gallop-robust"])
-def test_robust_presets_draw_table_1(preset):
+def test_robust_presets_draw_table_1_and_feet_of_any_stiffness(preset):
     config: TrainConfig = load_train_config(preset)
-    assert config.task.randomize.ranges["latency"] == (0.0, 0.04)
-    assert len(config.task.randomize.ranges) == 10
+    stiffness = {"contact_stiffness": (3000.0, 30000.0)}
+    assert config.task.randomize.ranges == load_ranges("table1").ranges | stiffness
