@@ -63,7 +63,7 @@ def main(argv: list[str]) -> int:
     for task in tasks:
         task.nominal(robot)  # refuses parameters that the robot does not allow
     make_figures_folder(command.out)
-    from surefoot.evaluate.sensitivity import episode_duration, run_sensitivity
+    from surefoot.evaluate.sensitivity import episode_duration, run_sensitivity, trained_ranges
     from surefoot.report.parameter_figures import aggregate_figure, parameter_figure
     from surefoot.tables import write_csv
 
@@ -77,7 +77,7 @@ def main(argv: list[str]) -> int:
             results.append(
                 run_sensitivity(one.policy, task, make_world, policy_name=one.name, progress=progress, **how)
             )
-    groups, trained = {one.policy: [one] for one in results}, {one.name: one.task.randomize.ranges for one in loaded}
+    groups, trained = {one.policy: [one] for one in results}, {one.name: trained_ranges(one.task) for one in loaded}
     files = [
         write_csv(command.out / "sensitivity.csv", [row for result in results for row in result.world_rows()]),
         write_csv(command.out / "episodes.csv", [row for result in results for row in result.episode_rows()]),

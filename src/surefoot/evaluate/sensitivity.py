@@ -196,6 +196,11 @@ def row_unit(row: str) -> str:
     return "" if unit == "1" else unit
 
 
+def trained_ranges(task: TaskConfig) -> dict[str, tuple[float, float]]:
+    """Return the ranges of the rows that a policy of a task was trained in."""
+    return task.randomize.ranges | {PUSH_FORCE: task.pushes.force if task.pushes.enabled else (0.0, 0.0)}
+
+
 def episode_duration(task: TaskConfig) -> float:
     """How long an episode of a task lasts in the nominal world [s]."""
     return task.max_steps * float(task.nominal(RobotDescription.load(task.robot)).control_step[0])

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 Groups = Mapping[str, Sequence[Sensitivity]]
 """Sensitivities of one policy, or of several of a group, by the name that the figure shows."""
 Ranges = Mapping[str, tuple[float, float]]
-_BAND = "band: from the least to the greatest seed, or one standard error of a single policy"
+_BAND = "band: least to greatest seed, of a single policy one standard error"
 
 
 def parameter_figure(

@@ -83,7 +83,7 @@ def new_figure(
 
 def heading(figure: Figure, text: str) -> None:
     """Put a bold title over all panels."""
-    figure.suptitle(text, x=0.01, ha="left", fontweight="bold", color=INK)
+    figure.suptitle(text, x=0.01, ha="left", fontweight="bold", color=INK, wrap=True)
 
 
 def place_labels(axis: Axes, labels: list[str], vertical: bool = False) -> None:
