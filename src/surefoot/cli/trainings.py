@@ -31,9 +31,12 @@ def train_many(
 
     Args:
         title: what is trained.
-        trainings, workers, on_told, on_change: see `run_trainings`.
+        trainings: as `run_trainings` takes them, like what is not told here.
+        workers: how many run at a time.
         address: HOST:PORT of a cluster; this machine, if None.
         console: where to show it.
+        on_told: called with how far a training is; true prunes it.
+        on_change: called when a training starts or ends.
 
     Raises:
         SurefootError: no cluster at the address.
