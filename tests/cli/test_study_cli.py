@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import os
 import re
 import signal
 import subprocess
@@ -22,14 +23,14 @@ name: tiny
 task: trot
 seeds: [0]
 train:
-  {steps: 10240, num_envs: 16, steps_per_update: 16, evaluate_every: 5000, evaluation_episodes: 2,
+  {steps: 20480, num_envs: 16, steps_per_update: 16, evaluate_every: 5000, evaluation_episodes: 2,
    checkpoint_every: 512, task: {max_steps: 40}}
 groups:
   plain: {label: 4-D, train: {task: {pushes: {enabled: false}, randomize: none}}}
   drawn: {label: "4-D, randomized", train: {task: {randomize: table1}}}
 evaluate: [sensitivity, table1]
 """
-STEPS = 10240
+STEPS = 20480
 
 
 def start(cwd: Path, *words: str) -> subprocess.Popen[str]:
@@ -64,7 +65,6 @@ def alive(pid: int) -> bool:
 @pytest.mark.slow
 @pytest.mark.timeout(600)
 def test_a_study_goes_on_after_whatever_stops_it(tmp_path: Path) -> None:
-    """A lost worker or computer is in `test_search_cli.py`: studies and searches train by the same function."""
     (tmp_path / "tiny.yaml").write_text(TINY)
     groups = ("plain", "drawn")
 
@@ -85,6 +85,7 @@ def test_a_study_goes_on_after_whatever_stops_it(tmp_path: Path) -> None:
     assert process.returncode == 130, errors
     assert "The same command goes on" in shown
     assert errors == ""
+    done = {group: updates(tmp_path, group) for group in groups}
     assert all((tmp_path / "runs/tiny" / g / "seed_0/checkpoints/latest.ckpt").exists() for g in groups)
 
     # One training can't begin; the other is finished and reported.
@@ -95,17 +96,27 @@ def test_a_study_goes_on_after_whatever_stops_it(tmp_path: Path) -> None:
     assert result.returncode == 1
     assert result.stderr == "surefoot: error: drawn seed 0: runs/tiny/drawn/seed_0: can't be made: File exists\n"
     assert "Not in the report: drawn seed 0" in result.stdout
+    assert re.search(rf"plain +seed 0 +finished +{STEPS:,} of {STEPS:,} steps", result.stdout)
     place.unlink()
     kept.rename(place)
 
-    result = run_surefoot("study", "tiny.yaml", "--workers", "1", cwd=tmp_path)
-    assert result.returncode == 0, result.stderr
-    assert re.search(rf"drawn +seed 0 +finished +{STEPS:,} of {STEPS:,} steps", result.stdout)
+    # A worker that dies is replaced, and goes on from the last checkpoint: it passes the same places again.
+    process = start(tmp_path)
+    wait(lambda: updates(tmp_path, "drawn") >= done["drawn"] + 2)
+    os.kill(worker(tmp_path, "drawn"), signal.SIGKILL)
+    shown, errors = process.communicate(timeout=500)
+    assert process.returncode == 0, errors
+    assert errors == ""
+    assert re.search(r"drawn +seed 0 +lost ", shown)
+    assert re.search(rf"drawn +seed 0 +finished +{STEPS:,} of {STEPS:,} steps", shown)
     check_log(tmp_path)
+
+    result = surefoot("study", "tiny.yaml", "--workers", "2", cwd=tmp_path)
+    assert result.returncode == 0, result.stderr
+    assert "all 2 trainings are finished" in result.stdout
     check_results(tmp_path / "results" / "tiny")
     before = (tmp_path / "results/tiny/policies.csv").read_text()
     result = surefoot("study", "tiny.yaml", cwd=tmp_path)
-    assert "all 2 trainings are finished" in result.stdout
     assert "evaluating" not in result.stdout
     assert (tmp_path / "results/tiny/policies.csv").read_text() == before
 
@@ -136,7 +147,7 @@ def check_results(out: Path) -> None:
     assert summary["missing"] == []
     assert {row["group"]: row["low"] for row in summary["groups"]} == {"plain": None, "drawn": None}
     report = (out / "README.md").read_text()
-    assert "surefoot study tiny.yaml --workers 1" in report
+    assert "surefoot study tiny.yaml --workers 2" in report
     assert "| 4-D, randomized, against 4-D |" in report
     for name in ("learning_curves.png", "groups.png", "parameters.png", "parameters/latency.png", "sensitivity.csv"):
         assert (out / name).stat().st_size > 1000, name

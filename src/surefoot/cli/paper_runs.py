@@ -50,10 +50,6 @@ class Runs:
         return list(map(str, words)) if self.quick else []
 
 
-class StageError(SurefootError):
-    """A command that did not end well."""
-
-
 @dataclass(frozen=True)
 class Stage:
     """One step: what it makes, and how."""
@@ -65,7 +61,7 @@ class Stage:
 
 
 def command(runs: Runs, *words: object) -> None:
-    """Run a command of surefoot in the folder of the runs; raise `StageError` or `KeyboardInterrupt` if it fails."""
+    """Run a command of surefoot in the folder of the runs; raise `SurefootError` or `KeyboardInterrupt` if it fails."""
     from surefoot.cli.main import main
 
     given = [str(word) for word in words]
@@ -75,7 +71,7 @@ def command(runs: Runs, *words: object) -> None:
     if code == 130:
         raise KeyboardInterrupt
     if code != 0:
-        raise StageError(f"surefoot {shlex.join(given)}: ended with exit code {code}")
+        raise SurefootError(f"surefoot {shlex.join(given)}: ended with exit code {code}")
 
 
 def train(task: str, steps: int) -> Stage:
@@ -154,7 +150,7 @@ def handcrafted(runs: Runs) -> None:
     runs.console.print(shlex.join(["python", *words[1:], *small]), style="bold")
     code = subprocess.run([*words, *small], cwd=runs.folder).returncode
     if code != 0:
-        raise StageError(f"{script}: ended with exit code {code}")
+        raise SurefootError(f"{script}: ended with exit code {code}")
 
 
 def search(runs: Runs) -> None:
@@ -211,5 +207,5 @@ def make_all(runs: Runs) -> bool:
         except KeyboardInterrupt:
             return False
         if not (runs.folder / stage.makes).exists():
-            raise StageError(f"{stage.makes} was not made; see what was said above")
+            raise SurefootError(f"{stage.makes} was not made; see what was said above")
     return True
