@@ -12,7 +12,6 @@ import pytest
 
 pytest.importorskip("mujoco")
 
-from surefoot.deploy.poses import pose
 from surefoot.deploy.wire.frames import Frame
 from surefoot.deploy.wire.messages import Arm, Fault, Handshake, Hello, Mode, Position, Reason, State
 from surefoot.emulator.board import Board
@@ -35,7 +34,7 @@ class Rig:
         self.robot, self.wire = robot, encoder
         self.board = Board(plant, said, faults=parse_faults(words), seed=1)
         self.frames: list[Frame] = []
-        self.angles = pose(robot, 0.0, 1.5)
+        self.angles = robot.pose_angles(0.0, 1.5)
 
     def send(self, message) -> None:
         self.board.hear(self.board.now, self.wire.frame(message, self.board.now / 1e6))

@@ -63,7 +63,7 @@ def record(
     step = float(params.control_step[0])
     rows: dict[str, list[np.ndarray]] = {}
     for k in range(round(seconds / step)):
-        target = ROBOT.leg_to_motor_angles(*moves(start + k * step))
+        target = ROBOT.pose_angles(*moves(start + k * step))
         readings, truth = world.step(target[None]), world.truth()
         row = {
             "time": readings.time,

@@ -64,7 +64,7 @@ class TrainCommand(TrainConfig):
 
 
 def _parse(argv: list[str]) -> tuple[TrainConfig, Path]:
-    base = load_train_config(argv[0])
+    base = load_train_config(argv[0], _robot(argv))
     words, ranges = take_ranges(argv[1:], base.task.randomize)
     preset = TrainCommand(**vars(base) | {"task": replace(base.task, randomize=ranges)})
     command = parse(TrainCommand, words, f"surefoot train {argv[0]}", preset)
@@ -73,6 +73,15 @@ def _parse(argv: list[str]) -> tuple[TrainConfig, Path]:
     task = command.simulator.of(replace(command.task, params=base.task.params), given)
     task = replace(task, pushes=replace(task.pushes, enabled=task.pushes.enabled or command.pushes))
     return TrainConfig(**{name: getattr(command, name) for name in vars(base)} | {"task": task}), command.runs
+
+
+def _robot(argv: list[str]) -> str | None:
+    """Return the robot that the words name, which decides where the task's own values come from."""
+    for word, after in zip(argv, [*argv[1:], ""], strict=True):
+        name, _, value = word.partition("=")
+        if name == "--task.robot":
+            return value or after
+    return None
 
 
 def _train(config: TrainConfig | None, path: Path) -> int:

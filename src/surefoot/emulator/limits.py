@@ -54,8 +54,7 @@ class Limits:
 def introduction(robot: RobotDescription, limits: Limits, firmware: str, servo_period: float) -> Handshake:
     """Return the handshake of a robot; the session is filled in when it is greeted.
 
-    Motor angles of a leg are e + s and e - s for extension e and swing s (see `robot.leg`): the extremes of leg space,
-    with `ANGLE_ROOM`, are what a command may request.
+    The extremes of leg space, with `ANGLE_ROOM`, are what a command may request.
 
     Args:
         robot: its data sheet gives the nominal gains, whatever the emulated motors do.
@@ -63,12 +62,9 @@ def introduction(robot: RobotDescription, limits: Limits, firmware: str, servo_p
         firmware: name and version.
         servo_period: time between two servo steps [s].
     """
-    swing = max(map(abs, robot.swing_range)) + ANGLE_ROOM
+    least, greatest = robot.angle_extent(*robot.leg_space.values())
     # Rounded as on the wire: a command of just what the handshake allows must be within.
-    low, high = (
-        np.full(robot.num_motors, angle, np.float32).astype(np.float64)
-        for angle in (robot.extension_range[0] - swing, robot.extension_range[1] + swing)
-    )
+    low, high = (angles.astype(np.float32).astype(np.float64) for angles in (least - ANGLE_ROOM, greatest + ANGLE_ROOM))
     return Handshake(
         session=0,
         robot=robot.name,
@@ -76,8 +72,8 @@ def introduction(robot: RobotDescription, limits: Limits, firmware: str, servo_p
         motor_names=robot.motor_names,
         motor_signs=robot.motor_sign.astype(np.float64),
         servo_period=servo_period,
-        servo_kp=robot.actuator.kp,
-        servo_kd=robot.actuator.kd,
+        servo_kp=float(np.mean(robot.actuator.kp)),
+        servo_kd=float(np.mean(robot.actuator.kd)),
         command_period_min=limits.command_period[0],
         command_period_max=limits.command_period[1],
         angle_low=low,

@@ -8,7 +8,6 @@ import numpy as np
 
 from surefoot.actuator.motor import servo_duty
 from surefoot.arrays import Array
-from surefoot.deploy.poses import SIT_EXTENSION
 from surefoot.deploy.wire.messages import Mode
 from surefoot.emulator.hardware import PowerConfig, SensorConfig, power_tick
 from surefoot.emulator.limits import Limits
@@ -63,7 +62,7 @@ class Plant:
     ) -> None:
         self.robot, self.params = robot, params or PhysicalParams.nominal(robot)
         self.sensors, self.power, self.servo_every = sensors or SensorConfig(), power or PowerConfig(), servo_every
-        config = WorldConfig(rest=(0.0, SIT_EXTENSION), rack=rack, threads=1)
+        config = WorldConfig(rest=robot.poses.sit, rack=rack, threads=1)
         self.world = SimWorld(robot, 1, self.params, seed, config, engine)
         self.extra_latency = 0.0
         """Further age of all readings [s]."""
@@ -125,7 +124,7 @@ class Plant:
         drive, follows = self.world.drive, order.mode == Mode.POSITION
         self._order, self._gains = order, (0.0, Limits.damping)
         if follows:
-            self._gains = float(self.params.servo_kp[0]), float(self.params.servo_kd[0])
+            self._gains = self.params.servo_kp[0], self.params.servo_kd[0]
         elif order.mode == Mode.PWM:
             self._gains = 0.0, 0.0
         drive.duty[0] = order.values if order.mode == Mode.PWM else 0.0

@@ -61,8 +61,8 @@ def reference_shift(env: LocomotionEnv) -> bool:
     times = np.linspace(0, period, 64, endpoint=False)
     source, _ = mirror_columns(legs)
     for half in (False, True):
-        pairs = zip(reference.pose(times), reference.pose(times + half * period / 2), strict=True)
-        if all(np.allclose(here[:, source], there, atol=1e-4) for here, there in pairs):
+        here, there = reference.pose(times), reference.pose(times + half * period / 2)
+        if np.allclose(here[..., source], there, atol=1e-4):
             return half
     raise SurefootError(
         "ppo.symmetry is set, but the task's reference gait is not left-right symmetric, at once or half a period later"

@@ -169,8 +169,11 @@ class Tuner:
             raise SurefootError(
                 f"{self.robot.name} has legs {choices(self.robot.leg_names)}; gaits are of {choices(FEET)}"
             )
-        longest = self.robot.leg_geometry.foot_position(*[self.robot.extension_range[1]] * 2)
-        self.reach = float(np.hypot(*longest))
+        straight = self.robot.pose_angles(
+            *[0.0] * (len(self.robot.coordinates) - 1), self.robot.leg_space["extension"][1]
+        )
+        feet = self.robot.leg_geometry.foot_in_plane(straight[self.robot.leg_motor_index])
+        self.reach = float(np.linalg.norm(feet, axis=-1).mean())
         given = start or {}
         for name, value in given.items():
             if not is_number(value):
@@ -244,8 +247,8 @@ class Tuner:
         config, env, starts = self.config, self._env, self.config.starts
         references = [self._reference(values) for values in candidates for _ in range(starts)]
         stacked = FootReference.stacked(references)
-        env.gait = HybridGait(self.robot, stacked, FEEDBACK.swing, FEEDBACK.extension)
-        policy: OpenLoop | RaibertController = OpenLoop(len(self.robot.legs))
+        env.gait = HybridGait(self.robot, stacked, *FEEDBACK.of(self.robot.coordinates))
+        policy: OpenLoop | RaibertController = OpenLoop(len(env.gait.action_names))
         if config.raibert:
             gains: dict[str, Any] = {
                 name: np.repeat([values[name] for values in candidates], starts)[:, None] for name in GAINS
@@ -268,7 +271,7 @@ class Tuner:
     def _refusal(self, values: Mapping[str, float]) -> str:
         """Return why a robot's legs refuse a gait; empty if they do not."""
         try:
-            HybridGait(self.robot, self._reference(values), FEEDBACK.swing, FEEDBACK.extension)
+            HybridGait(self.robot, self._reference(values), *FEEDBACK.of(self.robot.coordinates))
         except SurefootError as error:
             return str(error)
         return ""

@@ -3,5 +3,15 @@
 from surefoot.robot.description import GRAVITY, RobotDescription
 from surefoot.robot.leg import FiveBar, leg_to_motor, motor_to_leg
 from surefoot.robot.params import PhysicalParams, parse_settings
+from surefoot.robot.serial_leg import SerialLegs
 
-__all__ = ["GRAVITY", "FiveBar", "PhysicalParams", "RobotDescription", "leg_to_motor", "motor_to_leg", "parse_settings"]
+__all__ = [
+    "GRAVITY",
+    "FiveBar",
+    "PhysicalParams",
+    "RobotDescription",
+    "SerialLegs",
+    "leg_to_motor",
+    "motor_to_leg",
+    "parse_settings",
+]

@@ -132,7 +132,7 @@ def rest_failures(samples: list[Sample], robot: RobotDescription, connection: Ro
 
 
 def pose_of(robot: RobotDescription, swing: Any, extension: Any) -> np.ndarray:
-    return robot.leg_to_motor_angles(np.broadcast_to(swing, 4), np.broadcast_to(extension, 4))
+    return robot.pose_angles(np.broadcast_to(swing, 4), np.broadcast_to(extension, 4))
 
 
 @pytest.mark.parametrize(("swing", "extension"), [(0.0, 0.9), (-1.3, 1.0), (0.12, 2.98), (0.0, 2.0)])
