@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 
 from surefoot.deploy.controller import contract_gait
-from surefoot.deploy.findings import Finding, compared, judged, undone
 from surefoot.deploy.wire.messages import Handshake
 from surefoot.errors import SurefootError, choices
+from surefoot.findings import Finding, compared, judged, undone
 from surefoot.policy.contract import Contract
 from surefoot.robot import RobotDescription
 from surefoot.task.observation import PARTS, Observer
