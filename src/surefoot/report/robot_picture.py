@@ -35,9 +35,9 @@ def save_robot_picture(robot: RobotDescription, path: Path) -> None:
         pixel, _ = view.project(np.asarray(point, float))
         return float(pixel[0] / SUPERSAMPLE), float(pixel[1] / SUPERSAMPLE)
 
-    start = np.array([0.0, 0.0, height + 0.25 * length])
+    start = np.array([0.0, 0.0, height + 0.2 * length])
     for name, (direction, color) in {**_AXES, **_UP}.items():
-        end = start + 0.6 * length * np.array(direction)
+        end = start + (0.35 if name in _UP else 0.6) * length * np.array(direction)
         pen.line([at(start), at(end)], fill=color, width=4)
         pen.text(at(end + 0.06 * length * np.array(direction)), name, fill=color, font=font, anchor="mm")
     for leg in robot.legs:

@@ -27,6 +27,8 @@ TILT = 0.2
 """Roll or pitch [rad] of a robot that stands."""
 SINK = 0.2
 """Share of its resting height by which a standing robot may sag."""
+_DAMPER = 1.5
+"""Steps, in times m / B, up to which a damper B that is computed at the step's start is stable; 2 is the limit."""
 STAND_TIME = 2.0
 """How long it must stand [s]."""
 
@@ -119,14 +121,8 @@ def _stand(robot: RobotDescription) -> Iterator[Finding]:
         worst = int(np.argmax(share))
         told = f"{robot.motor_names[worst]} has {share[worst]:.0%} of its limit"
         rule = f"; at most {STANDING_SHARE:.0%}, as a trot stands on half of the legs"
-        yield judged(
-            "torque to stand",
-            bool(share.max() <= STANDING_SHARE),
-            told,
-            rule,
-            "stand with straighter legs",
-            float(share.max()),
-        )
+        passed, todo = bool(share.max() <= STANDING_SHARE), "stand with straighter legs"
+        yield judged("torque to stand", passed, told, rule, todo, float(share.max()))
 
 
 def _dynamics(robot: RobotDescription, model: mujoco.MjModel) -> Iterator[Finding]:
@@ -158,13 +154,12 @@ def _dynamics(robot: RobotDescription, model: mujoco.MjModel) -> Iterator[Findin
     contact = math.sqrt(robot.contact.stiffness / mass)
     told += f", feet on the ground {contact / (2 * math.pi):.0f} Hz"
     limits["the feet's stiffness"] = 0.5 / contact
-    limits["the feet's damping"] = 0.5 * mass / robot.contact.damping
+    limits["the feet's damping"] = _DAMPER * mass / robot.contact.damping
     yield Finding("frequencies", True, told, value=natural)
     what = min(limits, key=lambda name: limits[name])
     told = f"{1e3 * step:g} ms; at most {1e3 * limits[what]:.2g} ms by {what}"
-    yield judged(
-        "physics step", step <= limits[what], told, "", f"set timing.servo_step to {limits[what]:.1g}", limits[what]
-    )
+    todo = f"set timing.servo_step to {limits[what]:.1g}"
+    yield judged("physics step", step <= limits[what], told, "", todo, limits[what])
 
 
 def _foot_mass(model: mujoco.MjModel, data: mujoco.MjData, inertia: Array, geom: int) -> float:
