@@ -65,7 +65,8 @@ class TrainCommand(TrainConfig):
 
 def _parse(argv: list[str]) -> tuple[TrainConfig, Path]:
     base = load_train_config(argv[0], _robot(argv))
-    words, ranges = take_ranges(argv[1:], base.task.randomize)
+    words, given_ranges = take_ranges(argv[1:])
+    ranges = given_ranges.of(base.task.robot, base.task.randomize)
     preset = TrainCommand(**vars(base) | {"task": replace(base.task, randomize=ranges)})
     command = parse(TrainCommand, words, f"surefoot train {argv[0]}", preset)
     # What is given by name goes over a file of parameters, which takes the place of the task's own.

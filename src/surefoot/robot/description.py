@@ -26,6 +26,8 @@ from surefoot.robot.urdf import Urdf, read_urdf
 
 _HERE = Path(__file__).parent
 
+DEFAULT_ROBOT = "minitaur"
+"""The robot of tasks that name none: the paper's."""
 GRAVITY = 9.81
 """Acceleration of free fall [m/s2]."""
 

@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 
 from surefoot.configuration import Within, check_bounds, from_mapping, is_number, read_yaml
 from surefoot.errors import SurefootError, check_name, choices, located, quoted
-from surefoot.robot import PhysicalParams, RobotDescription
+from surefoot.robot import DEFAULT_ROBOT, PhysicalParams, RobotDescription
 from surefoot.robot.params_file import ParamValue
 from surefoot.task.gait import ActionKind, HybridGait
 from surefoot.task.observation import IMU_AND_MOTORS_12D
@@ -21,8 +21,6 @@ from surefoot.task.trace import ENERGY_WEIGHT
 
 _PRESETS = Path(__file__).parent / "presets"
 
-DEFAULT_ROBOT = "minitaur"
-"""The robot of tasks that name none: the paper's."""
 MOST_STEPS = 1_000_000
 """Control steps of the longest episode: hours."""
 
@@ -221,7 +219,9 @@ def load_task(task: str, robot: str | None = None) -> tuple[TaskConfig, dict[str
     if robot is not None or path.parent == _PRESETS:
         data["robot"] = robot or DEFAULT_ROBOT
     with located(path):
-        config = from_mapping(TaskConfig, {"name": path.stem, **with_ranges(data, path.parent)})
+        config = from_mapping(
+            TaskConfig, {"name": path.stem, **with_ranges(data, path.parent, data.get("robot", DEFAULT_ROBOT))}
+        )
         if named and config.robot != DEFAULT_ROBOT:
             config = replace(config, name=f"{RobotDescription.load(config.robot).name}-{path.stem}")
         if cost_weight is not None:
