@@ -12,8 +12,8 @@ import pytest
 
 from surefoot.cli.policies import find_policy
 from surefoot.deploy.checks import check_contract, gains_of, near
-from surefoot.findings import Finding, refusal
 from surefoot.deploy.wire.messages import Handshake
+from surefoot.findings import Finding, refusal
 from surefoot.policy.contract import Contract
 from surefoot.policy.runtime import PolicyRuntime
 from surefoot.robot import RobotDescription

@@ -140,7 +140,8 @@ def errors_of(found: Identification, params: PhysicalParams = HIDDEN) -> dict[st
     errors = {}
     for item in found.estimates:
         truth = getattr(params, item.name)[0]
-        errors[item.label] = item.value / float(truth if item.index is None else truth[item.index]) - 1
+        (one,) = set(np.atleast_1d(truth if item.index is None else truth[item.index]).tolist())
+        errors[item.label] = item.value / one - 1
     return errors
 
 

@@ -81,7 +81,10 @@ def test_json_states_kind_and_schema(contract: Contract):
         ({"task": {"fall_angle": True}}, "task.fall_angle is True; it must be a number"),
         ({"task": {"max_steps": 10**12}}, "task.max_steps is 1000000000000; it must be a number from 1 to 1e.06"),
         ({"task": {"max_steps": "long"}}, "task.max_steps is 'long'; it must be a number"),
-        ({"task": {"params": {"control_latency": [0.02]}}}, "task.params.control_latency has 1 numbers; a robot has one"),
+        (
+            {"task": {"params": {"control_latency": [0.02]}}},
+            "task.params.control_latency has 1 numbers; a robot has one",
+        ),
         ({"task": {"params": {"control_latency": "x"}}}, "task.params.control_latency is 'x'; it must be a number"),
         ({"task": {"params": {"servo_kp": [1.0] * 7 + [-1.0]}}}, "task.params.servo_kp is -1.0; it must be a number"),
         ({"servo_kp": [1.0] * 7}, "servo_kp has 7 numbers; a robot has one for each motor"),

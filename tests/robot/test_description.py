@@ -158,8 +158,22 @@ def test_a_folder_loads_like_a_name(folder: Path, robot: RobotDescription):
 
 
 def test_unknown_robot_names_the_known_ones():
-    with pytest.raises(SurefootError, match=r"robot 'snake': no such robot .*; robots: minitaur"):
+    names = RobotDescription.available()
+    assert "minitaur" in names
+    with pytest.raises(SurefootError, match=rf"robot 'snake': no such robot .*; robots: {', '.join(names)}$"):
         RobotDescription.load("snake")
+
+
+@pytest.mark.parametrize("name", RobotDescription.available())
+def test_legs_of_every_robot_can_have_every_pose_of_their_range(name: str):
+    robot = RobotDescription.load(name)
+    axes = np.meshgrid(*(np.linspace(*bounds, 7) for bounds in robot.leg_space.values()))
+    poses = np.repeat(np.stack([axis.ravel() for axis in axes], -1)[..., None], len(robot.legs), axis=-1)
+    angles = robot.to_motors(poses)
+    assert robot.leg_geometry.closes(angles[:, robot.leg_motor_index]).all()
+    np.testing.assert_allclose(robot.to_pose(angles), poses, atol=1e-9)
+    low, high = robot.angle_extent(*robot.leg_space.values())
+    assert np.all((angles >= low - 1e-9) & (angles <= high + 1e-9))
 
 
 SHEET, URDF = "robot.toml", "minitaur.urdf"

@@ -139,7 +139,7 @@ def test_columns_go_by_name_not_by_place(tmp_path: Path):
     np.testing.assert_allclose(reference.pose([0.2])[:, 0], [[0.4, 0.4, 0.4, 0.1]])
 
 
-# The Minitaur's straight leg is l = .101 + .240 m long: its natural frequency is sqrt(9.81 / .341) / 2 pi = .8536435 Hz.
+# The straight leg is l = .101 + .240 m long: its natural frequency is sqrt(9.81 / .341) / 2 pi = .8536453 Hz.
 def test_a_foot_reference_may_count_lengths_and_natural_frequencies_of_the_leg():
     lengths = ("stroke", "clearance", "height", "offset", "depth")
     absolute = foot(**{"frequency": 2.0 * 0.8536453} | {name: 0.341 * FOOT["foot"][name] * 3 for name in lengths})

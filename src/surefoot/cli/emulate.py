@@ -148,7 +148,7 @@ def _build(command: EmulateCommand, robot: RobotDescription, faults: dict[str, F
     sensors, power = (SensorConfig.ideal(), PowerConfig.ideal()) if command.ideal_sensors else (None, None)
     params = _params(command, robot)
     plant = Plant(robot, params, command.seed, sensors, power, command.rack, engine, servo_every=servo_every)
-    limits = Limits()
+    limits = Limits.of(robot)
     said = introduction(robot, limits, f"surefoot emulator {__version__}", robot.timing.servo_step)
     if command.lockstep:
         return Board(plant, said, limits, faults, 0.0, command.seed)

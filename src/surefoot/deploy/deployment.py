@@ -63,7 +63,7 @@ class Deployment:
     ) -> None:
         self.connection, self.controller, self.operator, self.watch = connection, controller, operator, watch
         self.contract, self.robot = controller.contract, controller.robot
-        self.limits, self.dry_run = SafetyLimits(), dry_run
+        self.limits, self.dry_run = SafetyLimits.of(self.robot), dry_run
         self._moved = False
 
     def greet(self, check: Callable[[Handshake], None]) -> None:

@@ -18,6 +18,8 @@ fold further than a gait may, and standing up begins with the angles that they h
 class Limits:
     """When the microcontroller damps its motors by itself, and when it arms again. Times in s."""
 
+    voltage: float
+    """Battery voltage [V] below which the robot damps itself."""
     command_timeout: float = 0.050
     """Silence after which an armed robot damps itself."""
     stale_after: float = 3.0
@@ -36,19 +38,19 @@ class Limits:
     """Shortest and longest time between two states; requests are clipped to them."""
     tilt: float = 1.0
     """Roll or pitch [rad] beyond which the robot damps itself."""
-    voltage: float = 12.5
-    """Battery voltage [V] below which the robot damps itself: four lithium cells are empty."""
     voltage_time: float = 0.5
     """How long the voltage must be low: starting motors pull it down for a moment."""
     temperature: float = 90.0
     """Motor temperature [degC] beyond which the robot damps itself."""
     duty: float = 1.0
     """Largest duty that a PWM command may request."""
-    damping: float = 0.015
-    """Gain [s/rad] with which motors are damped: duty = -damping * speed. It is the servo's own: motors oscillate by
-    themselves from .04 s/rad on with speeds that are 3 ms old, and from .025 with speeds that are 5 ms old."""
     refusals: int = 10
     """How often per second a message that nobody should send is answered, for each reason."""
+
+    @classmethod
+    def of(cls, robot: RobotDescription) -> Limits:
+        """Return the limits of a robot; its sheet has the battery's."""
+        return cls(robot.battery.empty)
 
 
 def introduction(robot: RobotDescription, limits: Limits, firmware: str, servo_period: float) -> Handshake:

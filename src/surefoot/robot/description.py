@@ -46,6 +46,8 @@ _EXTENSION = (0.35, 0.97)
 _SWING = 1.0
 _ABDUCTION = 0.5
 """Swing and abduction that a command may ask of a serial leg to either side [rad], where the sheet does not say."""
+_VOLTAGE = 24.0
+"""Nominal battery voltage [V] of joint drives, where the sheet does not say."""
 _SINK = 0.01
 """How far a foot sinks in under its share of the weight, in leg lengths, where the sheet gives no stiffness."""
 
@@ -114,6 +116,30 @@ class _Poses:
 
 
 @dataclass(frozen=True)
+class Battery:
+    """Voltages of the battery [V]."""
+
+    nominal: float
+    """Nominal voltage."""
+    warn: float
+    """Voltage under load below which a deployment warns."""
+    low: float
+    """Voltage under load below which a robot sits down."""
+    empty: float
+    """Voltage below which a robot damps itself."""
+
+
+@dataclass(frozen=True)
+class _Battery:
+    """The table [battery] of a sheet; what it leaves out is derived from the nominal voltage."""
+
+    nominal: Annotated[float | None, Within(1, 1e3)] = None
+    warn: Annotated[float | None, Within(1, 1e3)] = None
+    low: Annotated[float | None, Within(1, 1e3)] = None
+    empty: Annotated[float | None, Within(1, 1e3)] = None
+
+
+@dataclass(frozen=True)
 class _Contact:
     """The table [contact] of a sheet; what it leaves out is derived from weight and leg length."""
 
@@ -158,6 +184,7 @@ class _Sheet:
     timing: Timing = field(default_factory=Timing)
     contact: _Contact = field(default_factory=_Contact)
     poses: _Poses = field(default_factory=_Poses)
+    battery: _Battery = field(default_factory=_Battery)
     allowed: dict[str, Range] = field(default_factory=dict)
 
 
@@ -186,6 +213,7 @@ class RobotDescription:
     timing: Timing
     contact: ContactData
     poses: Poses
+    battery: Battery
     allowed: dict[str, tuple[float, float]]
 
     @classmethod
@@ -256,6 +284,7 @@ class RobotDescription:
             timing=sheet.timing,
             contact=_contact(sheet.contact, weight, geometry.length),
             poses=_poses(sheet.poses, space),
+            battery=_battery(sheet.battery, float(sheet.actuator.get("voltage", _VOLTAGE))),
             folder=folder,
             urdf=urdf,
             motor_names=order,
@@ -539,6 +568,15 @@ def _poses(given: _Poses, space: dict[str, Range]) -> Poses:
         if not low <= value <= high:
             raise SurefootError(f"poses.sit has {name} {value:g}; leg_space allows {low:g} to {high:g}")
     return Poses(sit, given.spread)
+
+
+def _battery(given: _Battery, voltage: float) -> Battery:
+    """Return the battery's voltages: cells of 3.7 V are low at 3.3 V and empty at 2.9 V."""
+    nominal = given.nominal or voltage
+    warn, low, empty = given.warn or 0.9 * nominal, given.low or 0.88 * nominal, given.empty or 0.78 * nominal
+    if not empty <= low <= warn:
+        raise SurefootError(f"battery: empty is {empty:g} V, low {low:g} V, warn {warn:g} V; they must rise")
+    return Battery(nominal, warn, low, empty)
 
 
 def _actuator(table: dict[str, Any], order: Sequence[str], legs: Sequence[Leg]) -> ActuatorData:

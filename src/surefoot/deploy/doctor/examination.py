@@ -75,7 +75,7 @@ def examine(
         for _ in range(PATIENCE):
             # A robot that was just put down, or switched on, is given some time to come to rest.
             samples = watch(connection)
-            at_rest = check_rest(samples, robot, handshake, SafetyLimits())
+            at_rest = check_rest(samples, robot, handshake, SafetyLimits.of(robot))
             if all(finding.passed for finding in at_rest):
                 break
         yield from kept(at_rest)
