@@ -16,9 +16,7 @@ from surefoot.learn.search import Search
 from surefoot.learn.search_space import get
 
 if TYPE_CHECKING:
-    from surefoot.evaluate.runs import Runs
     from surefoot.evaluate.trials import Retest, TrialResult
-    from surefoot.world.interface import SimulationFactory
 
 TOP = 3
 """Best trials that are evaluated anew."""
@@ -35,6 +33,7 @@ def report(search: Search, command: str, console: Console) -> None:
     """
     from surefoot.evaluate.trials import SearchResult, best
     from surefoot.report.search_report import write_report
+    from surefoot.world.process_world import kept_processes
 
     make_figures_folder(search.folder)
     trials = _trials(search, console)
@@ -43,9 +42,10 @@ def report(search: Search, command: str, console: Console) -> None:
     if not complete:
         raise SurefootError(f"{search.folder}: no trial is complete; there is nothing to report yet")
     retests = []
-    for trial in best(complete, TOP):
-        with console.status(f"evaluating trial {trial.number} in fresh episodes"):
-            retests.append(_retest(search, trial))
+    with kept_processes():
+        for trial in best(complete, TOP):
+            with console.status(f"evaluating trial {trial.number} in fresh episodes"):
+                retests.append(_retest(search, trial))
     result = SearchResult(
         train.task.name,
         search.config.seed,
@@ -96,21 +96,33 @@ def _told(value: Any) -> Any:
 
 
 def _retest(search: Search, trial: TrialResult) -> Retest:
-    """Run a policy at home as the search did, and in Bullet on the robot of the data sheet; in fresh episodes."""
+    """Run a policy at home as the search did, and in Bullet on the robot of the data sheet; in fresh episodes.
+
+    What was run once for an earlier report is not run again.
+    """
+    from surefoot.evaluate.evaluations import evaluate_once
     from surefoot.evaluate.gap import away_task
     from surefoot.evaluate.rollout import run_episodes, task_from_contract
     from surefoot.evaluate.runs import Runs
     from surefoot.evaluate.trials import Retest
     from surefoot.policy.runtime import PolicyRuntime
 
-    assert trial.policy is not None
-    policy, weight = PolicyRuntime.load(trial.policy), search.config.train.task.energy_weight
-    task = replace(task_from_contract(policy.contract), energy_weight=weight)
-    task = replace(task, pushes=replace(task.pushes, enabled=False))
+    path, weight = trial.policy, search.config.train.task.energy_weight
+    assert path is not None
+    names = ["mujoco", *(["bullet"] if find_spec("pybullet") is not None else [])]
 
-    def runs(task: Any, name: str, world: SimulationFactory) -> Runs:
-        return Runs.of_traces(run_episodes(policy, task, EPISODES, world, SEED, world_name=name))
+    def make() -> dict[str, Any]:
+        policy = PolicyRuntime.load(path)
+        task = replace(task_from_contract(policy.contract), energy_weight=weight)
+        task = replace(task, pushes=replace(task.pushes, enabled=False))
+        tasks = {"mujoco": task, "bullet": away_task(task)}
 
-    home = runs(task, "mujoco", find_world("mujoco"))
-    has_bullet = find_spec("pybullet") is not None
-    return Retest(trial, home, runs(away_task(task), "bullet", find_world("bullet")) if has_bullet else None)
+        def runs(name: str) -> Runs:
+            world = find_world(name)
+            return Runs.of_traces(run_episodes(policy, tasks[name], EPISODES, world, SEED, world_name=name))
+
+        return {name: runs(name).to_mapping() for name in names}
+
+    settings = {"worlds": names, "episodes": EPISODES, "seed": SEED, "energy_weight": weight}
+    found = {name: Runs.from_mapping(data) for name, data in evaluate_once(path, "fresh", settings, make).items()}
+    return Retest(trial, found["mujoco"], found.get("bullet"))
