@@ -34,7 +34,7 @@ ppo.policy_hidden.0: {low: 8, high: 16, int: true}
 ppo.activation: {choices: [elu, tanh]}
 task.energy_weight: {low: 0.002, high: 0.02, log: true}
 """
-STEPS = 12288
+STEPS = 8192
 SEARCH = ("search", "tiny.yaml", "--space", "space.yaml", "--steps", str(STEPS), "--out", "out", "--seed", "5")
 
 

@@ -16,7 +16,6 @@ from surefoot.learn.search import Search
 from surefoot.learn.search_space import get
 
 if TYPE_CHECKING:
-    from surefoot.evaluate.runs import Runs
     from surefoot.evaluate.trials import Retest, TrialResult
 
 TOP = 3
@@ -34,6 +33,7 @@ def report(search: Search, command: str, console: Console) -> None:
     """
     from surefoot.evaluate.trials import SearchResult, best
     from surefoot.report.search_report import write_report
+    from surefoot.world.process_world import kept_processes
 
     make_figures_folder(search.folder)
     trials = _trials(search, console)
@@ -42,9 +42,10 @@ def report(search: Search, command: str, console: Console) -> None:
     if not complete:
         raise SurefootError(f"{search.folder}: no trial is complete; there is nothing to report yet")
     retests = []
-    for trial in best(complete, TOP):
-        with console.status(f"evaluating trial {trial.number} in fresh episodes"):
-            retests.append(_retest(search, trial))
+    with kept_processes():
+        for trial in best(complete, TOP):
+            with console.status(f"evaluating trial {trial.number} in fresh episodes"):
+                retests.append(_retest(search, trial))
     result = SearchResult(
         train.task.name,
         search.config.seed,
