@@ -17,7 +17,10 @@ from surefoot.cli.paper_runs import Runs, Stage, command, evaluate
 
 def test_the_page_is_written_from_a_clone(repository: Path, tmp_path: Path):
     done = surefoot("paper", "--root", repository, "--out", tmp_path / "page.html")
-    assert (done.returncode, done.stdout) == (0, f"wrote {tmp_path / 'page.html'}\n")
+    wrote, *missing = done.stdout.splitlines()
+    assert (done.returncode, wrote) == (0, f"wrote {tmp_path / 'page.html'}")
+    for line in missing:
+        assert not (repository / line.removeprefix("not there: ")).parent.is_dir(), line
     assert (tmp_path / "page.html").read_text(encoding="utf-8").endswith("</html>\n")
 
 
@@ -90,13 +93,13 @@ def test_a_command_that_fails_ends_the_runs_in_one_line(
 
 
 def test_every_file_that_the_page_reads_is_made_by_a_run_or_is_of_the_clone(repository: Path):
-    from surefoot.report.paper import Source, load_content
+    from surefoot.report.paper import load_content
 
     folders = {Path(stage.makes).parts[:2] for stage in paper_runs.STAGES}
-    wanted = {
-        item.ours.file for part in load_content().sections for item in part.items if isinstance(item.ours, Source)
-    }
-    assert wanted
+    sections = load_content().sections
+    wanted = {item.ours.file for part in sections for item in part.items if not isinstance(item.ours, str)}
+    wanted |= {one.file for part in sections for one in part.pictures if one.file.startswith("results/")}
+    assert {("results", "search"), ("results", "from-scratch")} <= {Path(file).parts[:2] for file in wanted}
     for file in wanted:
         assert Path(file).parts[:2] in folders, file
     for stage in paper_runs.STAGES:

@@ -34,7 +34,7 @@ ppo.policy_hidden.0: {low: 8, high: 16, int: true}
 ppo.activation: {choices: [elu, tanh]}
 task.energy_weight: {low: 0.002, high: 0.02, log: true}
 """
-STEPS = 12288
+STEPS = 8192
 SEARCH = ("search", "tiny.yaml", "--space", "space.yaml", "--steps", str(STEPS), "--out", "out", "--seed", "5")
 
 
@@ -89,10 +89,14 @@ def test_every_trial_counts_once_whatever_dies(tmp_path: Path) -> None:
         assert "trials.log: the last record was cut off and is left out" in result.stdout
         check(tmp_path, 4)
     # Nothing is left to train: no Ray is asked for.
-    before = (tmp_path / "out/trials.csv").read_text()
+    tables = ("trials.csv", "best.csv", "top.csv")
+    before = [(tmp_path / "out" / name).read_text() for name in tables]
+    fresh = {path: path.stat().st_mtime_ns for path in tmp_path.glob("out/trials/*/evaluations/fresh_*.json")}
+    assert fresh
     result = surefoot(*SEARCH, "--trials", "4", "--resume", cwd=tmp_path)
     assert result.returncode == 0, result.stderr
-    assert (tmp_path / "out/trials.csv").read_text() == before
+    assert [(tmp_path / "out" / name).read_text() for name in tables] == before
+    assert {path: path.stat().st_mtime_ns for path in tmp_path.glob("out/trials/*/evaluations/fresh_*.json")} == fresh
     refused(surefoot(*SEARCH, cwd=tmp_path), "out: holds a search; go on with it by --resume, or give another --out")
 
 

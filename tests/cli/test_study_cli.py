@@ -13,7 +13,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from processes import SUREFOOT, refused, run_surefoot, surefoot
+from processes import SUREFOOT, refused, surefoot
 
 from surefoot.policy.runtime import PolicyRuntime
 from surefoot.task.trace import EpisodeTrace
@@ -24,7 +24,7 @@ task: trot
 seeds: [0]
 train:
   {steps: 20480, num_envs: 16, steps_per_update: 16, evaluate_every: 5000, evaluation_episodes: 2,
-   checkpoint_every: 512, task: {max_steps: 40}}
+   checkpoint_every: 512, ppo: {policy_hidden: [8, 8], value_hidden: [8, 8], epochs: 2}, task: {max_steps: 40}}
 groups:
   plain: {label: 4-D, train: {task: {pushes: {enabled: false}, randomize: none}}}
   drawn: {label: "4-D, randomized", train: {task: {randomize: table1}}}
@@ -92,7 +92,7 @@ def test_a_study_goes_on_after_whatever_stops_it(tmp_path: Path) -> None:
     place, kept = tmp_path / "runs/tiny/drawn/seed_0", tmp_path / "kept"
     place.rename(kept)
     place.write_text("a file where a folder must be")
-    result = run_surefoot("study", "tiny.yaml", "--workers", "1", cwd=tmp_path)
+    result = surefoot("study", "tiny.yaml", "--workers", "1", cwd=tmp_path)
     assert result.returncode == 1
     assert result.stderr == "surefoot: error: drawn seed 0: runs/tiny/drawn/seed_0: can't be made: File exists\n"
     assert "Not in the report: drawn seed 0" in result.stdout

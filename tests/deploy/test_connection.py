@@ -41,6 +41,7 @@ def test_what_a_robot_tells_another_operator_is_forgotten(toy, connection):
     before = operator_of(toy, 5)
     before.connect(state_period=0.006)
     toy.run_to(50_000)
+    connection.clock.wait_until(0.05)
     connection.update()
     assert connection.state.session == 5
     toy.firmware.owner = 0

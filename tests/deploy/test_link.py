@@ -11,10 +11,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from surefoot.deploy.clock import MonotonicClock
+from surefoot.deploy.clock import LockstepClock, MonotonicClock
 from surefoot.deploy.link import Link, LinkLostError, SerialPort
 from surefoot.deploy.wire.frames import Decoder, encode_frame
-from surefoot.deploy.wire.messages import Codec, Handshake, Ping, Pong, Position
+from surefoot.deploy.wire.messages import Codec, Handshake, Hello, Ping, Pong, Position, State
 from surefoot.errors import SurefootError
 
 CODEC = Codec(8)
@@ -147,7 +147,42 @@ def test_a_port_that_is_none_is_told_in_one_line(tmp_path):
 
 def test_a_ping_is_waited_for_and_what_comes_before_is_kept(toy):
     link = Link(toy, CODEC, MonotonicClock())
-    assert link.ping_through(1.0)
+    assert link.ping_through((1.0,))
     assert [type(arrival.frame.message) for arrival in link.receive()] == [Pong]
     toy.silent = True
-    assert not link.ping_through(0.01)
+    assert not link.ping_through((0.01,))
+
+
+def test_in_lockstep_what_comes_is_taken_where_time_goes_on(toy):
+    """Otherwise it would be chance whether an answer has come already when it is first looked for."""
+    clock = LockstepClock()
+    link = Link(toy, CODEC, clock)
+    link.send(Hello(7, 0.01))
+    assert link.receive() == []
+    clock.wait_until(0.01)
+    taken = link.receive()
+    assert [type(arrival.frame.message) for arrival in taken] == [Handshake, State, Pong]
+    assert {arrival.time for arrival in taken} == {0.01}
+
+
+def test_in_lockstep_a_command_goes_with_the_next_ping(toy):
+    clock = LockstepClock()
+    link = Link(toy, CODEC, clock)
+    link.send(Position(7, np.zeros(8)))
+    assert toy.heard == []
+    clock.wait_until(0.01)
+    assert [(time, type(message)) for time, message in toy.heard] == [(0.0, Position), (0.01, Ping)]
+    link.send(Position(7, np.zeros(8)))
+    link.close()
+    assert toy.heard[-1][0] == 0.01
+
+
+def test_a_ping_that_is_sent_again_leaves_no_trace_in_the_numbers(toy):
+    link = Link(toy, CODEC, LockstepClock())
+    toy.silent = True
+    assert not link.ping_through((0.01, 0.01, 0.01))
+    assert [message for _, message in toy.heard] == 3 * [Ping(1)]
+    assert link.counts.sent == 1
+    toy.silent = False
+    assert link.ping_through((1.0,))
+    assert link.counts.sent == 2

@@ -16,7 +16,7 @@ pytest.importorskip("gymnasium")
 
 from surefoot.errors import SurefootError
 from surefoot.evaluate import evaluations
-from surefoot.evaluate.evaluations import EVALUATIONS, evaluate, evaluation_names, gap_of, stored_result
+from surefoot.evaluate.evaluations import EVALUATIONS, evaluate, evaluation_names, gap_of, made_once, stored_result
 from surefoot.evaluate.runs import Runs
 from surefoot.task.config import TaskConfig, load_task
 from surefoot.task.randomize import load_ranges
@@ -177,3 +177,17 @@ def test_a_result_belongs_to_its_policy(policy: Path, rollouts: Rollouts, reposi
     evaluate(policy, "gap", find_world)
     shutil.copy(repository / "policies" / "trot-robust.onnx", policy)
     assert stored_result(policy, "gap") is None
+
+
+def test_a_result_is_made_once_for_a_policy_and_its_settings(policy: Path) -> None:
+    made: list[int] = []
+
+    def make() -> dict[str, int]:
+        made.append(len(made))
+        return {"number": made[-1]}
+
+    settings = {"world": "mujoco", "energy_weight": 0.008}
+    assert [made_once(policy, "fresh", settings, make) for _ in range(2)] == [{"number": 0}] * 2
+    assert made_once(policy, "fresh", {**settings, "energy_weight": 0.004}, make) == {"number": 1}
+    policy.write_bytes(policy.read_bytes() + b"\0")
+    assert made_once(policy, "fresh", {**settings, "energy_weight": 0.004}, make) == {"number": 2}

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import os
 import signal
+import threading
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -58,6 +60,22 @@ def test_a_whole_experiment(recorded: Recording, make_plan: MakePlan, robot: Rob
     sweep = recorded.phase_states(1)
     assert np.ptp(recorded.motor_angle[sweep], axis=0).min() > 0.2
     assert recorded.motor_angle.shape == (len(recorded.time), robot.num_motors)
+
+
+def test_a_recording_is_the_same_every_time(emulate: Callable[..., Any], make_plan: MakePlan, run_on: RunOn):
+    """However long the robot's process takes to answer: one stands still until its answers are asked for again."""
+    plan = make_plan()
+    plan = replace(plan, phases=tuple(phase for phase in plan.phases if "sweep" not in phase.name))
+    first, second, slow = (emulate("--lockstep", "--rack") for _ in range(3))
+
+    def hold_up() -> None:
+        slow.process.send_signal(signal.SIGSTOP)
+        threading.Timer(0.3, slow.process.send_signal, [signal.SIGCONT]).start()
+
+    found = [run_on(first.port, plan), run_on(second.port, plan), run_on(slow.port, plan, Doing("push", hold_up))]
+    assert len({len(one.time) for one in found}) == 1
+    assert len({one.meta["digest"] for one in found}) == 1
+    assert all(one.meta["mode_changes"] == found[0].meta["mode_changes"] for one in found)
 
 
 @pytest.fixture

@@ -13,7 +13,8 @@ pytest.importorskip("torch")
 from surefoot.cli.main import main
 from surefoot.errors import SurefootError
 from surefoot.learn.config import TrainConfig
-from surefoot.learn.run_folder import RunFolder, alone
+from surefoot.learn.run_folder import RunFolder
+from surefoot.learn.run_lock import alone
 
 
 def test_a_second_resume_is_refused_in_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]):

@@ -179,6 +179,9 @@ def test_the_report_names_gaits_and_shows_one_of_each_group(tmp_path: Path, make
     section = text.split("## Gaits")[1].split("## Files")[0]
     assert section.count("| pace | 4 of 5 | walking pace |") == 4 * 2
     assert "0.40 | - |" in section
+    with (tmp_path / "out" / "policies.csv").open() as table:
+        told = [(row["gait"], row["pattern"], row["gait_agree"]) for row in csv.DictReader(table)]
+    assert told == [("pace", "walking pace", "4")] * (4 * 2)
     for group in plain.groups:
         assert (tmp_path / "out" / f"gait_{group.name}.png").stat().st_size > 1000
         assert f"![Footfalls: {group.label}, seed 0](gait_{group.name}.png)" in section

@@ -19,7 +19,7 @@ from surefoot.errors import SurefootError
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.world.drive import new_drive
 from surefoot.world.interface import WorldConfig
-from surefoot.world.process_world import OF_ALL_ROBOTS, ProcessWorld, bullet_world, processes_for
+from surefoot.world.process_world import OF_ALL_ROBOTS, ProcessWorld, bullet_world, kept_processes, processes_for
 from surefoot.world.sim_world import SimWorld, mujoco_engine
 
 # Most tests are of the processes, whatever they simulate: MuJoCo starts and steps faster.
@@ -201,6 +201,35 @@ def test_processes_end_with_the_world(robot):
     del world
     gc.collect()
     assert gone(pid)
+
+
+def test_kept_processes_serve_one_world_after_another_as_fresh_ones_do(robot, single, trot, assert_same, varied):
+    params = PhysicalParams.nominal(robot, NUM).with_values(robot, **varied(NUM))
+
+    def make() -> ProcessWorld:
+        return ProcessWorld(robot, NUM, params, 3, WorldConfig(threads=2, **CONFIG), mujoco_engine)
+
+    with kept_processes():
+        world = make()
+        first = ids(world)
+        play(world, trot)
+        world.close()
+        with pytest.raises(SurefootError, match="closed"):
+            world.readings()
+        again = make()
+        assert set(ids(again)) == set(first)
+        for a, b in zip(play(single, trot), play(again, trot), strict=True):
+            assert_same(a, b)
+        # One that has died is not kept, nor are those that were asked with it.
+        os.kill(first[0], signal.SIGKILL)
+        with pytest.raises(SurefootError, match="ended on its own"):
+            again.step(trot(0))
+        assert all(map(gone, first))
+        last = make()
+        assert not set(ids(last)) & set(first)
+        last.close()
+        assert not any(gone(pid, 0.1) for pid in ids(last))
+    assert all(map(gone, ids(last)))
 
 
 OWNER = """

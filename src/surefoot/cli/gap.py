@@ -159,6 +159,7 @@ def main(argv: list[str]) -> int:
             raise SurefootError(f"{option} is given, but nothing is simulated on its side: {sides[0]}")
     from surefoot.evaluate.recorded import by_policy, find_traces, save_runs, world_of
     from surefoot.evaluate.sensitivity import episode_duration
+    from surefoot.world.process_world import kept_processes
 
     for side in (home, *away):
         if side.world:
@@ -175,16 +176,17 @@ def main(argv: list[str]) -> int:
         check_name("policy name", one.name)
     make_figures_folder(command.out)
     runs: dict[str, dict[str, Recorded]] = {one.name: {} for one in candidates}
-    for one, (at_home, elsewhere) in zip(candidates, tasks, strict=True):
-        for number, (side, label) in enumerate(zip((home, *away), named, strict=True)):
-            if side in recorded:
-                runs[one.name][label] = recorded[side][one.name]
-            else:
-                task, title = elsewhere if number else at_home, f"{one.name} in {label}: {command.runs} runs"
-                traces = run_policy(
-                    one.policy, task, command.runs, side.world, command.seed, command.threads, one.name, title
-                )
-                runs[one.name][label] = save_runs(command.out / one.name / label, traces)
+    with kept_processes():
+        for one, (at_home, elsewhere) in zip(candidates, tasks, strict=True):
+            for number, (side, label) in enumerate(zip((home, *away), named, strict=True)):
+                if side in recorded:
+                    runs[one.name][label] = recorded[side][one.name]
+                else:
+                    task, title = elsewhere if number else at_home, f"{one.name} in {label}: {command.runs} runs"
+                    traces = run_policy(
+                        one.policy, task, command.runs, side.world, command.seed, command.threads, one.name, title
+                    )
+                    runs[one.name][label] = save_runs(command.out / one.name / label, traces)
     _report(command, candidates, tasks, robot.name, (home, *away), runs)
     return 0
 

@@ -54,7 +54,7 @@ def main(argv: list[str]) -> int:
     """Run the command with the words after its name; returns the exit code."""
     command = parse(SearchCommand, argv, "surefoot search")
     from surefoot.cli.search_results import report
-    from surefoot.learn.run_folder import alone
+    from surefoot.learn.run_lock import alone
 
     config = make_config(command.task, command.space, command.seed, command.steps)
     if not command.report_only:

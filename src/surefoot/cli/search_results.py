@@ -16,9 +16,7 @@ from surefoot.learn.search import Search
 from surefoot.learn.search_space import get
 
 if TYPE_CHECKING:
-    from surefoot.evaluate.runs import Runs
     from surefoot.evaluate.trials import Retest, TrialResult
-    from surefoot.world.interface import SimulationFactory
 
 TOP = 3
 """Best trials that are evaluated anew."""
@@ -35,6 +33,7 @@ def report(search: Search, command: str, console: Console) -> None:
     """
     from surefoot.evaluate.trials import SearchResult, best
     from surefoot.report.search_report import write_report
+    from surefoot.world.process_world import kept_processes
 
     make_figures_folder(search.folder)
     trials = _trials(search, console)
@@ -43,9 +42,10 @@ def report(search: Search, command: str, console: Console) -> None:
     if not complete:
         raise SurefootError(f"{search.folder}: no trial is complete; there is nothing to report yet")
     retests = []
-    for trial in best(complete, TOP):
-        with console.status(f"evaluating trial {trial.number} in fresh episodes"):
-            retests.append(_retest(search, trial))
+    with kept_processes():
+        for trial in best(complete, TOP):
+            with console.status(f"evaluating trial {trial.number} in fresh episodes"):
+                retests.append(_retest(search, trial))
     result = SearchResult(
         train.task.name,
         search.config.seed,
@@ -96,7 +96,11 @@ def _told(value: Any) -> Any:
 
 
 def _retest(search: Search, trial: TrialResult) -> Retest:
-    """Run a policy at home as the search did, and in Bullet on the robot of the data sheet; in fresh episodes."""
+    """Run a policy at home as the search did, and in Bullet on the robot of the data sheet; in fresh episodes.
+
+    Runs are stored beside the policy: a report without new trials among the best simulates nothing.
+    """
+    from surefoot.evaluate.evaluations import Result, made_once
     from surefoot.evaluate.gap import away_task
     from surefoot.evaluate.rollout import run_episodes, task_from_contract
     from surefoot.evaluate.runs import Runs
@@ -104,13 +108,19 @@ def _retest(search: Search, trial: TrialResult) -> Retest:
     from surefoot.policy.runtime import PolicyRuntime
 
     assert trial.policy is not None
-    policy, weight = PolicyRuntime.load(trial.policy), search.config.train.task.energy_weight
-    task = replace(task_from_contract(policy.contract), energy_weight=weight)
-    task = replace(task, pushes=replace(task.pushes, enabled=False))
+    path, weight = trial.policy, search.config.train.task.energy_weight
 
-    def runs(task: Any, name: str, world: SimulationFactory) -> Runs:
-        return Runs.of_traces(run_episodes(policy, task, EPISODES, world, SEED, world_name=name))
+    def runs(world: str) -> Runs:
+        def make() -> Result:
+            policy = PolicyRuntime.load(path)
+            task = replace(task_from_contract(policy.contract), energy_weight=weight)
+            task = replace(task, pushes=replace(task.pushes, enabled=False))
+            task = task if world == "mujoco" else away_task(task)
+            traces = run_episodes(policy, task, EPISODES, find_world(world), SEED, world_name=world)
+            return Runs.of_traces(traces).to_mapping()
 
-    home = runs(task, "mujoco", find_world("mujoco"))
+        settings = {"world": world, "episodes": EPISODES, "seed": SEED, "energy_weight": weight}
+        return Runs.from_mapping(made_once(path, f"fresh_{world}", settings, make))
+
     has_bullet = find_spec("pybullet") is not None
-    return Retest(trial, home, runs(away_task(task), "bullet", find_world("bullet")) if has_bullet else None)
+    return Retest(trial, runs("mujoco"), runs("bullet") if has_bullet else None)

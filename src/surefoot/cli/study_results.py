@@ -37,21 +37,23 @@ def evaluate_runs(study: StudyConfig, runs: list[Training], threads: int, consol
     """Make every evaluation of every finished run that is not there yet."""
     from surefoot.evaluate.evaluations import EVALUATIONS, evaluate, evaluation_names, stored_result
     from surefoot.evaluate.statistics import decimal
+    from surefoot.world.process_world import kept_processes
 
     kinds = evaluation_names(study.evaluate)
     finished = [run for run in runs if run.state == "finished"]
     todo = [(run, kind) for run in finished for kind in kinds if stored_result(run.policy, kind) is None]
-    for number, (run, kind) in enumerate(todo, start=1):
-        start = time.perf_counter()
-        with console.status(f"evaluating {run.name}: {kind} ({number} of {len(todo)})"):
-            result = evaluate(run.policy, kind, find_world, threads)
-        figures = ", ".join(
-            f"{one.title} {decimal(one.read(result), one.digits)} {one.unit}" for one in EVALUATIONS[kind].figures
-        )
-        seconds = time.perf_counter() - start
-        console.print(
-            f"{number:>3} of {len(todo)}  {run.group:<20} seed {run.config.seed:<3} {figures}  ({seconds:.0f} s)"
-        )
+    with kept_processes():
+        for number, (run, kind) in enumerate(todo, start=1):
+            start = time.perf_counter()
+            with console.status(f"evaluating {run.name}: {kind} ({number} of {len(todo)})"):
+                result = evaluate(run.policy, kind, find_world, threads)
+            figures = ", ".join(
+                f"{one.title} {decimal(one.read(result), one.digits)} {one.unit}" for one in EVALUATIONS[kind].figures
+            )
+            seconds = time.perf_counter() - start
+            console.print(
+                f"{number:>3} of {len(todo)}  {run.group:<20} seed {run.config.seed:<3} {figures}  ({seconds:.0f} s)"
+            )
 
 
 def report(study: StudyConfig, root: Path, out: Path, command: str, console: Console) -> None:

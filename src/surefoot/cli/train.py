@@ -88,7 +88,8 @@ def _robot(argv: list[str]) -> str | None:
 def _train(config: TrainConfig | None, path: Path) -> int:
     from surefoot.learn.progress import TrainingProgress
     from surefoot.learn.run import TrainingRun
-    from surefoot.learn.run_folder import RunFolder, alone
+    from surefoot.learn.run_folder import RunFolder
+    from surefoot.learn.run_lock import alone
     from surefoot.world.sim_world import SimWorld
 
     console = Console()

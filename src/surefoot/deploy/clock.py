@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 from surefoot.errors import SurefootError
 
@@ -14,7 +14,7 @@ SPIN = 150e-6
 WINDOW = 10.0
 """Time [s] over which the quickest frame counts: within it clocks that run 50 ppm apart part by half a millisecond."""
 _PATIENCE = (0.05, 0.15, 0.5, 1.3, 3.0)
-"""Real time [s] for which each of several pings is given to be answered. A robot in lockstep answers within a few
+"""Real time [s] after which a ping is sent again, and at last given up. A robot in lockstep answers within a few
 milliseconds, unless the line lost the ping or its pong: then waiting is for nothing."""
 
 
@@ -45,7 +45,7 @@ class LockstepClock:
 
     def __init__(self) -> None:
         self._now = 0.0
-        self.ping_through: Callable[[float], bool] | None = None
+        self.ping_through: Callable[[Sequence[float]], bool] | None = None
         """`Link.ping_through` of the link whose other end follows this clock."""
 
     def now(self) -> float:
@@ -61,7 +61,7 @@ class LockstepClock:
         if moment <= self._now:
             return
         self._now = moment
-        if self.ping_through is not None and not any(map(self.ping_through, _PATIENCE)):
+        if self.ping_through is not None and not self.ping_through(_PATIENCE):
             raise SurefootError("the robot does not answer; a clock in lockstep needs an emulator run with --lockstep")
 
 

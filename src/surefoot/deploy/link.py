@@ -7,13 +7,14 @@ import errno
 import os
 import select
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import serial
 
 from surefoot.deploy.clock import Clock, LockstepClock
 from surefoot.deploy.wire.frames import Decoder, Frame, encode_frame
-from surefoot.deploy.wire.messages import Codec, Handshake, Message, Ping, Pong
+from surefoot.deploy.wire.messages import Codec, Handshake, Message, Ping, Pong, Position, Pwm
 from surefoot.errors import SurefootError
 
 BAUD = 921_600
@@ -101,7 +102,7 @@ class LinkCounts:
     """What went over the link, frames damaged on the way aside: `Link.decoder.counts` has those."""
 
     sent: int = 0
-    """Frames sent."""
+    """Frames sent; one that is sent again counts once."""
     unsent: int = 0
     """Frames that the port did not take."""
     repeated: int = 0
@@ -112,6 +113,10 @@ class LinkCounts:
 
 class Link:
     """Messages over a port. Frames whose numbers go backward or repeat are dropped and counted.
+
+    In lockstep what comes is taken where time goes on, never before: otherwise it would be chance whether the answer
+    to a message is seen at once or a step later. Nor do commands go before the ping that lets time go on, in one piece
+    with it: two pieces would wake the other end twice.
 
     Args:
         port: the line.
@@ -129,28 +134,45 @@ class Link:
         self._last = 0
         self._inbox: list[Arrival] = []
         self._tokens = 0
+        self._held, self._unread = b"", b""
+        self._lockstep = isinstance(clock, LockstepClock)
         if isinstance(clock, LockstepClock):
             clock.ping_through = self.ping_through
 
     def send(self, message: Message) -> int:
         """Send a message; returns the number of its frame."""
+        self._send(message)
+        return self._sequence
+
+    def _send(self, message: Message) -> bytes:
+        """Send a message; returns its frame."""
         self._sequence += 1
         data = encode_frame(self.codec, message, self._sequence, self.clock.now())
-        taken = self.port.write(data)
         self.counts.sent += 1
-        if taken < len(data):
+        if self._lockstep and isinstance(message, Position | Pwm):
+            self._held += data
+        else:
+            self._write(data)
+        return data
+
+    def _write(self, data: bytes) -> None:
+        data, self._held = self._held + data, b""
+        if self.port.write(data) < len(data):
             # Half a frame is no frame; the zero in front of the next one ends it.
             self.counts.unsent += 1
-        return self._sequence
 
     def receive(self) -> list[Arrival]:
         """All frames that have come since, in order; never waits."""
-        self._gather()
+        if self._lockstep:
+            self._unread += self.port.read()
+        else:
+            self._gather()
         arrivals, self._inbox = self._inbox, []
         return arrivals
 
     def _gather(self) -> list[Arrival]:
-        data, now = self.port.read(), self.clock.now()
+        data, now = self._unread + self.port.read(), self.clock.now()
+        self._unread = b""
         found = [Arrival(frame, now) for frame in self.decoder.feed(data) if self._is_next(frame)]
         self._inbox += found
         return found
@@ -175,22 +197,33 @@ class Link:
         self.send(Ping(self._tokens))
         return self._tokens
 
-    def ping_through(self, patience: float) -> bool:
-        """Send a ping and wait for its pong, whatever else comes before it is kept.
+    def ping_through(self, patience: Sequence[float]) -> bool:
+        """Send a ping and wait for its pong, whatever else comes before it is kept; return whether it came.
 
         Args:
-            patience: seconds of real time to wait.
+            patience: seconds of real time to wait before the ping is sent again, and at last given up. It is the same
+                frame each time: how quick the other end is leaves no trace in the numbers of frames.
         """
-        token = self.ping()
-        end = time.monotonic() + patience
-        while (left := end - time.monotonic()) > 0:
-            self.port.wait(left)
-            for arrival in self._gather():
-                message = arrival.frame.message
-                if isinstance(message, Pong) and message.token == token:
-                    return True
+        self._tokens += 1
+        token, frame = self._tokens, b""
+        for seconds in patience:
+            if frame:
+                self._write(frame)
+            else:
+                frame = self._send(Ping(token))
+            end = time.monotonic() + seconds
+            while (left := end - time.monotonic()) > 0:
+                self.port.wait(left)
+                for arrival in self._gather():
+                    message = arrival.frame.message
+                    if isinstance(message, Pong) and message.token == token:
+                        return True
         return False
 
     def close(self) -> None:
         """Give the port back."""
-        self.port.close()
+        try:
+            if self._held:
+                self._write(b"")
+        finally:
+            self.port.close()

@@ -218,7 +218,7 @@ def study_tables(comparison: Comparison) -> dict[str, list[dict[str, Any]]]:
         ],
         "differences": [
             {"group": other.name, "against": base.name, "figure": figure.name, "unit": figure.unit}
-            | _interval("difference", difference(base, other, figure.name))
+            | difference(base, other, figure.name).columns("difference")
             for base, other in comparison.present_pairs()
             for figure in comparison.figures
         ],
@@ -259,14 +259,11 @@ def write_tables(comparison: Comparison, folder: Path) -> list[Path]:
     return [*files, folder / "summary.json"]
 
 
-def _interval(name: str, interval: Interval) -> dict[str, float]:
-    return {name: interval.mean, f"{name}_low": interval.low, f"{name}_high": interval.high}
-
-
 def _policy_row(group: GroupResult, number: int) -> dict[str, Any]:
     seed = group.seeds[number]
     row = {"group": group.name, "seed": seed.seed, "steps": seed.steps, "training_seconds": round(seed.seconds, 1)}
-    return row | {"best_steps": seed.best, **seed.figures}
+    gait = {name: seed.results["gait"][name] for name in ("gait", "pattern")} if "gait" in seed.results else {}
+    return row | {"best_steps": seed.best, **seed.figures, **gait}
 
 
 def _episode_rows(group: GroupResult) -> list[dict[str, Any]]:
@@ -313,4 +310,4 @@ def _gap_difference_row(which: str, base: GroupResult, other: GroupResult) -> di
     over_runs, crossed, away = gap_difference(base.gap, other.gap)
     row: dict[str, Any] = {"policies": which, "group": other.name, "against": base.name}
     row |= {"difference": over_runs.mean, "error": over_runs.error}
-    return row | _interval("interval_difference", crossed) | _interval("away_difference", away)
+    return row | crossed.columns("interval_difference") | away.columns("away_difference")

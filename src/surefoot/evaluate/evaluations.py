@@ -244,11 +244,7 @@ def evaluation_names(names: Iterable[str]) -> tuple[str, ...]:
 
 def stored_result(policy: Path, name: str) -> Result | None:
     """Return the stored result of an evaluation of a policy file as it is now; None if there is none that holds."""
-    try:
-        record = json.loads(_result_path(policy, name).read_text(encoding="utf-8"))
-        return record["result"] if record["of"] == _identity(policy, name) else None
-    except (OSError, ValueError, KeyError, TypeError):
-        return None
+    return _stored(policy, name, _identity(policy, _settings(name)))
 
 
 def evaluate(policy: Path, name: str, find_world: FindWorld, threads: int = 0) -> Result:
@@ -257,28 +253,59 @@ def evaluate(policy: Path, name: str, find_world: FindWorld, threads: int = 0) -
     A new one is stored in `evaluations/` beside the file. Traces that the evaluation finds worth keeping go to
     `evaluations/NAME/WORLD/run_000.npz` and on. The evaluation's settings say which worlds it takes.
     """
-    found = stored_result(policy, name)
+
+    def make() -> Result:
+        runtime, what = PolicyRuntime.load(policy), EVALUATIONS[name]
+        result, kept = what.run(runtime, task_from_contract(runtime.contract), find_world, what.settings, threads)
+        # Before the result: where that is, traces are.
+        for world, traces in kept.items():
+            save_runs(_result_path(policy, name).with_suffix("") / world, traces)
+        return result
+
+    return made_once(policy, name, _settings(name), make)
+
+
+def made_once(policy: Path, name: str, settings: dict[str, Any], make: Callable[[], Result]) -> Result:
+    """Make a result of a policy file, or return the one that is stored in `evaluations/` beside it.
+
+    Args:
+        policy: the policy file.
+        name: of the result.
+        settings: all that the result depends on besides the policy and the version of surefoot.
+        make: makes the result, if that of the file as it is now is not there.
+    """
+    of = _identity(policy, settings)
+    found = _stored(policy, name, of)
     if found is not None:
         return found
-    runtime, what, path = PolicyRuntime.load(policy), EVALUATIONS[name], _result_path(policy, name)
-    result, kept = what.run(runtime, task_from_contract(runtime.contract), find_world, what.settings, threads)
+    result, path = make(), _result_path(policy, name)
     path.parent.mkdir(exist_ok=True)
-    # Before the result: where that is, traces are.
-    for world, traces in kept.items():
-        save_runs(path.with_suffix("") / world, traces)
     with whole_file(path) as file:
-        file.write(json.dumps({"of": _identity(policy, name), "result": result}).encode() + b"\n")
+        file.write(json.dumps({"of": of, "result": result}).encode() + b"\n")
     return result
+
+
+def _stored(policy: Path, name: str, of: dict[str, Any]) -> Result | None:
+    try:
+        record = json.loads(_result_path(policy, name).read_text(encoding="utf-8"))
+        return record["result"] if record["of"] == of else None
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
 
 
 def _result_path(policy: Path, name: str) -> Path:
     return policy.parent / "evaluations" / f"{name}.json"
 
 
-def _identity(policy: Path, name: str) -> dict[str, Any]:
-    """Return what a result belongs to: the policy file and everything that decides what is done with it."""
+def _settings(name: str) -> dict[str, Any]:
+    """Return everything that decides what an evaluation does with a policy."""
     settings = dict(EVALUATIONS[name].settings)
     if "ranges" in settings:
         # A row that stays nominal has no range: one that a later version adds does not make a result another one.
         settings["ranges"] = {row: list(bounds) for row, bounds in load_ranges(settings["ranges"]).ranges.items()}
+    return settings
+
+
+def _identity(policy: Path, settings: dict[str, Any]) -> dict[str, Any]:
+    """Return what a result belongs to: the policy file and everything that decides what is done with it."""
     return {"surefoot": __version__, "policy": hashlib.sha256(policy.read_bytes()).hexdigest(), **settings}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import fcntl
 import hashlib
 import io
 import json
@@ -11,8 +10,6 @@ import platform
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -23,7 +20,7 @@ import torch
 from surefoot import __version__
 from surefoot.configuration import from_mapping, read_yaml, write_yaml
 from surefoot.errors import SurefootError, accessible, located
-from surefoot.files import read_configuration, read_json_lines, remove_abandoned, whole_file
+from surefoot.files import read_configuration, read_json_lines, whole_file
 from surefoot.learn.config import TrainConfig
 
 FORMAT = 3
@@ -79,41 +76,6 @@ def read_checkpoint(path: Path) -> dict[str, Any]:
             f"{path}: is not a checkpoint that surefoot wrote: it holds more than numbers, arrays and tables of them"
         ) from error
     return state
-
-
-@contextmanager
-def alone(path: Path, patience: float = 0.0) -> Iterator[None]:
-    """Hold a run's folder so that no other process trains in it, and remove unfinished files of killed ones.
-
-    Args:
-        path: the folder.
-        patience: how long [s] to wait for another process to leave.
-
-    Raises:
-        SurefootError: another process keeps it, or nothing can be written there.
-    """
-    try:
-        lock = (path / "lock").open("a+")
-    except OSError as error:
-        raise SurefootError(f"{path}: can't be trained in: {error.strerror}") from error
-    with lock:
-        end = time.monotonic() + patience
-        while True:
-            try:
-                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                break
-            except BlockingIOError:
-                if time.monotonic() >= end:
-                    raise SurefootError(
-                        f"{path}: another process trains in this folder; wait for it, or end it"
-                    ) from None
-                time.sleep(0.2)
-        lock.truncate(0)
-        lock.write(f"{os.getpid()}\n")
-        lock.flush()
-        for folder in (path, path / "checkpoints"):
-            remove_abandoned(folder)
-        yield
 
 
 def _git_revision() -> str | None:

@@ -94,7 +94,8 @@ class Worker:
             SurefootError: the folder is another training's, in use, or damaged.
         """
         from surefoot.learn.run import TrainingRun
-        from surefoot.learn.run_folder import RunFolder, alone
+        from surefoot.learn.run_folder import RunFolder
+        from surefoot.learn.run_lock import alone
 
         # The one before is gone for good: what a `Trainer` took out of the collector's sight too.
         gc.unfreeze()

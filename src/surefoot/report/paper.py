@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import csv
 import json
+import math
 import re
+from collections import Counter
 from dataclasses import dataclass, field
 from html import escape
 from pathlib import Path
@@ -19,6 +21,8 @@ from surefoot.report.html import page, picture, row
 
 CONTENT = Path(__file__).with_name("paper.yaml")
 NOT_MEASURED = "not measured"
+_FOLDED = 30
+"""Characters from which on a cell beside numbers is folded as text is."""
 
 
 @dataclass(frozen=True)
@@ -42,6 +46,18 @@ class Source:
 
 
 @dataclass(frozen=True)
+class Counts:
+    """How often each value stands in a column of a CSV file; empty cells do not count."""
+
+    file: str
+    """Path from the root of the repository."""
+    count: str
+    """The column."""
+    where: dict[str, str] = field(default_factory=dict)
+    """Columns that tell the rows, and what they hold."""
+
+
+@dataclass(frozen=True)
 class Item:
     """One line of the comparison."""
 
@@ -49,8 +65,8 @@ class Item:
     """The quantity."""
     paper: float | str
     """The paper's number, or its words."""
-    ours: Source | str
-    """surefoot's number, or its words."""
+    ours: Source | Counts | str
+    """surefoot's number, counts or words."""
     unit: str = ""
     digits: int = 2
     """Digits behind the point."""
@@ -63,8 +79,16 @@ class Picture:
     """A picture of surefoot beside a figure of the paper."""
 
     file: str
-    """Path from the root of the repository."""
+    """Path from the root of the repository; with a * in it, there is a picture for each file that it fits."""
     caption: str
+    """What it shows; a * is what that of the path stands for."""
+
+    def found(self, root: Path) -> list[tuple[Path, str]]:
+        """Return the files that are there, each with its caption."""
+        start, _, end = self.file.partition("*")
+        paths = [path for path in sorted(root.glob(self.file)) if path.is_file()]
+        names = [path.relative_to(root).as_posix().removeprefix(start).removesuffix(end) for path in paths]
+        return [(path, self.caption.replace("*", name)) for path, name in zip(paths, names, strict=True)]
 
 
 @dataclass(frozen=True)
@@ -125,20 +149,21 @@ def write_page(root: Path, path: Path, note: str = "") -> list[str]:
             lines: list[tuple[str, ...]] = [("", "paper", "surefoot", "difference", "how measured")]
             lines += [_line(root, item, missing) for item in section.items]
             shown = [k for k in range(len(lines[0])) if any(line[k] for line in lines[1:])]
-            kinds = "".join("tnntt"[k] for k in shown)
-            rows = [row([line[k] for k in shown], kinds, "td" if i else "th") for i, line in enumerate(lines)]
+            kept = [[line[k] for k in shown] for line in lines]
+            kinds = ["".join("n" if k in (1, 2) and len(line[k]) < _FOLDED else "t" for k in shown) for line in lines]
+            rows = [row(*both, "td" if i else "th") for i, both in enumerate(zip(kept, kinds, strict=True))]
             parts.append(f"<div class=wide><table>{''.join(rows)}</table></div>")
         for one in section.pictures:
-            if (root / one.file).is_file():
-                image = picture((root / one.file).read_bytes(), one.caption)
-                parts.append(f"<figure>{image}<figcaption class=quiet>{escape(one.caption)}</figcaption></figure>")
-            else:
+            for drawn, caption in one.found(root):
+                image = picture(drawn.read_bytes(), caption)
+                parts.append(f"<figure>{image}<figcaption class=quiet>{escape(caption)}</figcaption></figure>")
+            if not one.found(root):
                 missing.append(one.file)
         parts += [f"<p><code>{escape(command)}</code></p>" for command in section.commands]
     path.parent.mkdir(parents=True, exist_ok=True)
     with whole_file(path) as file:
         file.write(page(content.title, parts).encode())
-    return missing
+    return list(dict.fromkeys(missing))
 
 
 def _line(root: Path, item: Item, missing: list[str]) -> tuple[str, ...]:
@@ -149,6 +174,8 @@ def _line(root: Path, item: Item, missing: list[str]) -> tuple[str, ...]:
     elif not (root / item.ours.file).is_file():
         text = NOT_MEASURED
         missing.append(item.ours.file)
+    elif isinstance(item.ours, Counts):
+        text = find_counts(root, item.ours)
     else:
         number = find_number(root, item.ours)
         text = number.text(item.digits)
@@ -160,18 +187,39 @@ def _line(root: Path, item: Item, missing: list[str]) -> tuple[str, ...]:
 def find_number(root: Path, source: Source) -> Interval | Estimate:
     """Read a number of surefoot, with its error if the source names one, else with its interval if it names that.
 
+    Error and ends of an interval may be empty, as they are for a single policy.
+
     Raises:
         SurefootError: a file that can't be read, without such a row, or without a number there.
     """
     path = root / source.file
     with located(path):
-        with accessible(path.name):
-            check_readable(path)
-            content = path.read_text(encoding="utf-8")
+        content = _read(path)
         data = _row(content, source.where) if path.suffix == ".csv" else _parsed(content)
-        keys = (source.value, *filter(None, (source.error,) if source.error else (source.low, source.high)))
-        numbers = [_at(data, key) * source.scale for key in keys]
-    return Estimate(*numbers) if source.error else Interval(*numbers)
+        keys = filter(None, (source.error,) if source.error else (source.low, source.high))
+        mean, *spread = (number * source.scale for number in (_at(data, source.value), *(_end(data, k) for k in keys)))
+    return Estimate(mean, *spread) if source.error else Interval(mean, *spread)
+
+
+def find_counts(root: Path, counts: Counts) -> str:
+    """Return how often each value is there, the most frequent first, such as `3 trot, 1 pace`.
+
+    Raises:
+        SurefootError: a file that can't be read, or without such a column in such rows.
+    """
+    path = root / counts.file
+    with located(path):
+        rows = _rows(_read(path), counts.where)
+        if not rows or rows[0].get(counts.count) is None:
+            raise SurefootError(f"has no column {counts.count} in rows of {_told(counts.where)}")
+    found = Counter(filter(None, (row[counts.count] for row in rows)))
+    return ", ".join(f"{number} {value}" for value, number in found.most_common())
+
+
+def _read(path: Path) -> str:
+    with accessible(path.name):
+        check_readable(path)
+        return path.read_text(encoding="utf-8")
 
 
 def _parsed(content: str) -> Any:
@@ -182,11 +230,18 @@ def _parsed(content: str) -> Any:
 
 
 def _row(content: str, where: dict[str, str]) -> dict[str, str]:
-    rows = [one for one in csv.DictReader(content.splitlines()) if all(one.get(k) == v for k, v in where.items())]
+    rows = _rows(content, where)
     if len(rows) != 1:
-        told = ", ".join(f"{key} {value}" for key, value in where.items())
-        raise SurefootError(f"has {len(rows)} rows of {told}; there must be one")
+        raise SurefootError(f"has {len(rows)} rows of {_told(where)}; there must be one")
     return rows[0]
+
+
+def _rows(content: str, where: dict[str, str]) -> list[dict[str, str]]:
+    return [one for one in csv.DictReader(content.splitlines()) if all(one.get(k) == v for k, v in where.items())]
+
+
+def _told(where: dict[str, str]) -> str:
+    return ", ".join(f"{key} {value}" for key, value in where.items()) or "any kind"
 
 
 def _at(data: Any, key: str) -> float:
@@ -197,6 +252,11 @@ def _at(data: Any, key: str) -> float:
         return float(data)
     except (TypeError, ValueError):
         raise SurefootError(f"has no number {key}") from None
+
+
+def _end(data: Any, key: str) -> float:
+    """Return a number as `_at` does; NaN for an empty cell."""
+    return math.nan if isinstance(data, dict) and data.get(key) == "" else _at(data, key)
 
 
 def difference(paper: float | str, ours: Interval | Estimate | None) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -10,7 +11,7 @@ import numpy as np
 
 from surefoot.evaluate.evaluations import gait_trace
 from surefoot.evaluate.runs import Runs
-from surefoot.evaluate.statistics import CONFIDENCE, decimal
+from surefoot.evaluate.statistics import CONFIDENCE, Interval, decimal, t_interval
 from surefoot.evaluate.trials import Retest, SearchResult, TrialResult, best
 from surefoot.files import whole_file
 from surefoot.report.figures import footfall_diagram
@@ -45,6 +46,7 @@ def write_report(result: SearchResult, folder: Path, command: str) -> Path:
     """
     write_csv(folder / "trials.csv", [trial.row() for trial in result.trials])
     write_csv(folder / "best.csv", [row for retest in result.retests for row in _retest_rows(retest)])
+    write_csv(folder / "top.csv", _top_rows(result))
     search_figure(result, folder / "search.png")
     parameter_figure(result, folder / "parameters.png")
     states = [trial.state for trial in result.trials]
@@ -70,7 +72,8 @@ def write_report(result: SearchResult, folder: Path, command: str) -> Path:
         "episodes at home.",
         *_census(result, folder),
         "## Files",
-        "- [trials.csv](trials.csv): a row a trial\n- [best.csv](best.csv): a row a fresh episode of the best",
+        "- [trials.csv](trials.csv): a row a trial\n- [best.csv](best.csv): a row a fresh episode of the best\n"
+        "- [top.csv](top.csv): a row each of the best, claimed and fresh, and one over all of them",
     ]
     with whole_file(folder / "README.md") as file:
         file.write(("\n\n".join(text) + "\n").encode())
@@ -113,6 +116,27 @@ def _retest_rows(retest: Retest) -> list[dict[str, object]]:
     return [{"trial": retest.trial.number, "world": runs.world, **row} for runs in worlds for row in runs.rows()]
 
 
+def _top_rows(result: SearchResult) -> list[dict[str, object]]:
+    """Return a row for each of the best trials, and one over all of them, whose intervals are over policies."""
+    found = result.retests
+    rows: list[dict[str, object]] = [
+        {"rank": rank, "trial": one.trial.number, "claimed": one.trial.value, **_fresh(one.fresh, one.flattery, [one])}
+        for rank, one in enumerate(found, start=1)
+    ]
+    claimed = float(np.mean([one.trial.value for one in found]))
+    told = _fresh(t_interval([one.fresh.mean for one in found]), result.flattery, found)
+    return [*rows, {"rank": "all", "trial": None, "claimed": claimed, **told}]
+
+
+def _fresh(fresh: Interval, flattery: Interval, retests: Sequence[Retest]) -> dict[str, object]:
+    """Return cells on fresh episodes: the columns of a table of worlds, each with its world's name before it."""
+    cells: dict[str, object] = {**fresh.columns("fresh"), **flattery.columns("flattery")}
+    for runs in ([one.home for one in retests], [one.away for one in retests if one.away is not None]):
+        told = Runs.pooled(runs).summary() if runs else {}
+        cells |= {f"{told['world']}_{name}": value for name, value in told.items() if name != "world"}
+    return cells
+
+
 def _importance(result: SearchResult) -> str:
     if not result.importance:
         return "There are too few complete trials to tell."
@@ -121,6 +145,9 @@ def _importance(result: SearchResult) -> str:
 
 def _census(result: SearchResult, folder: Path) -> list[str]:
     """Draw one footfall diagram of each gait, of the trial of the highest return, and return what shows them."""
+    # A trial that was under way when last reported may have another gait by now.
+    for old in folder.glob("gait_*.png"):
+        old.unlink()
     rows, figures = [], []
     for name, trials in result.census().items():
         first = trials[0]

@@ -136,7 +136,10 @@ class MujocoEngine:
         """Run every robot for its number of servo steps (N,); those that diverge stop and are marked."""
         counter = np.zeros(1, np.int64)
         work = partial(advance, self._native, self.drive, servo_steps, self.diverged)
-        others = [self._pool.submit(work, worker, counter) for worker in range(1, self.threads)] if self._pool else []
+        if self._pool is None:
+            work(0, counter)
+            return
+        others = [self._pool.submit(work, worker, counter) for worker in range(1, self.threads)]
         try:
             work(0, counter)
             wait(others)

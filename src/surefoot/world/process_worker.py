@@ -1,4 +1,4 @@
-"""One process of a `ProcessWorld`: makes its share of the robots and answers requests until they end.
+"""One process of a `ProcessWorld`, or of one after another: makes its robots and answers requests until they end.
 
 Requests come in on stdin and answers go out on what was stdout, pickled. What anything else prints goes to stderr.
 The process ends when stdin does: when the world is closed, or when the process that owns it has ended, for any reason.
@@ -12,7 +12,7 @@ import pickle
 import signal
 import sys
 import traceback
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, NoReturn
 
 from surefoot.errors import SurefootError
 from surefoot.world.sim_world import SimWorld
@@ -37,9 +37,11 @@ def _serve(requests: BinaryIO, answers: BinaryIO) -> None:
             return
         reply: tuple[bool, Any]
         try:
-            if world is None:
+            if method == "make":
+                world = None  # what the one before held is free then
                 world, reply = SimWorld(**arguments), (True, None)
             else:
+                assert world is not None
                 reply = True, _answer(world, method, arguments)
         except Exception as error:
             if not isinstance(error, SurefootError):
@@ -49,18 +51,19 @@ def _serve(requests: BinaryIO, answers: BinaryIO) -> None:
         answers.flush()
 
 
-def main() -> int:
+def main() -> NoReturn:
     """Serve until stdin ends."""
     # Interrupts are meant for the owner; it closes its pipe when it has done what it does then.
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.SIG_IGN)
-    answers = os.fdopen(os.dup(1), "wb")
+    answers, status = os.fdopen(os.dup(1), "wb"), 1
     os.dup2(2, 1)
     with contextlib.suppress(BrokenPipeError):
         _serve(sys.stdin.buffer, answers)
-        return 0
-    os._exit(1)  # the pipe is closed: nothing to flush
+        status = 0
+    # There is nothing to save, and to take down all that is loaded takes a second.
+    os._exit(status)
 
 
 if __name__ == "__main__":
-    raise SystemExit(main())
+    main()

@@ -13,7 +13,7 @@ import pickle
 import subprocess
 import sys
 import weakref
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import fields, replace
 from functools import partial
 from pathlib import Path
@@ -35,6 +35,24 @@ _WAIT = 2.0
 """Time [s] that a process has to end by itself."""
 _ROWS = ("engine", "control_steps", "noise", "diverged")
 """Arrays of a world's state with a row for each robot."""
+_kept: list[subprocess.Popen[bytes]] | None = None
+"""Processes that wait for the next world; None where none are kept."""
+
+
+@contextlib.contextmanager
+def kept_processes() -> Iterator[None]:
+    """Let the processes of a world serve the next one: to start one and load the physics takes seconds.
+
+    With the context end those that no world has then.
+    """
+    global _kept
+    before, kept = _kept, list[subprocess.Popen[bytes]]()
+    _kept = kept
+    try:
+        yield
+    finally:
+        _kept = before
+        _end(kept)
 
 
 def _start() -> subprocess.Popen[bytes]:
@@ -55,6 +73,14 @@ def _start() -> subprocess.Popen[bytes]:
         # Ctrl-C on the terminal is for the process that was started by hand; it ends these.
         process_group=0,
     )
+
+
+def _leave(processes: Sequence[subprocess.Popen[bytes]]) -> None:
+    """Let the processes of a world go, none of which has an answer that was not read."""
+    if _kept is None:
+        _end(processes)
+    else:
+        _kept.extend(processes)
 
 
 def _end(processes: Sequence[subprocess.Popen[bytes]]) -> None:
@@ -94,7 +120,8 @@ class ProcessWorld:
     """A `Simulation` whose robots are stepped by several processes; arguments and errors are those of `SimWorld`.
 
     The engine is a function at the top of a module. The processes, `config.threads` of them, end with this object, when
-    it is closed, or with the process that owns it; a `SurefootError` tells that one has ended on its own.
+    it is closed, or with the process that owns it, but for `kept_processes`; a `SurefootError` tells that one has ended
+    on its own.
     """
 
     def __init__(
@@ -115,8 +142,8 @@ class ProcessWorld:
         self._truths: list[Truth] | None = None
         self.divergences = 0
         self._processes: list[subprocess.Popen[bytes]] = []
-        self._finalizer = weakref.finalize(self, _end, self._processes)
-        self._processes.extend(_start() for _ in range(count))
+        self._finalizer = weakref.finalize(self, _leave, self._processes)
+        self._processes.extend(_kept.pop() if _kept else _start() for _ in range(count))
         shared = {"robot": robot, "seed": seed, "config": replace(config, threads=1), "engine": engine}
         try:
             self._ask(
@@ -132,12 +159,17 @@ class ProcessWorld:
                 ],
             )
         except BaseException:
-            self.close()
+            self._break()
             raise
 
     def close(self) -> None:
-        """End the processes; the world cannot be used afterwards."""
+        """End the processes, or keep them as `kept_processes` says; the world cannot be used afterwards."""
         self._finalizer()
+
+    def _break(self) -> None:
+        """End the processes, whatever state they are in."""
+        if self._finalizer.detach() is not None:
+            _end(self._processes)
 
     def _ask(self, method: str, arguments: Sequence[Any]) -> list[Any]:
         """Send each process its own arguments; return their answers in order, or raise the error that one reports."""
@@ -155,13 +187,13 @@ class ProcessWorld:
         except (BrokenPipeError, EOFError, pickle.UnpicklingError) as error:
             with contextlib.suppress(subprocess.TimeoutExpired):
                 process.wait(_WAIT)
-            self.close()
+            self._break()
             raise SurefootError(
                 f"a process of the simulated world ended on its own (exit code {process.returncode}); "
                 "it may have run out of memory"
             ) from error
         except BaseException:
-            self.close()  # answers that were not read would be taken for those to the next question
+            self._break()  # answers that were not read would be taken for those to the next question
             raise
         for sound, answer in replies:
             if not sound:
