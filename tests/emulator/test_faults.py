@@ -30,7 +30,7 @@ class Rig:
 
     def __init__(self, robot, encoder, *words: str, rack: bool = True) -> None:
         plant = Plant(robot, sensors=SensorConfig.ideal(), power=PowerConfig.ideal(), rack=rack)
-        said = introduction(robot, Limits(), "test 1", 0.001)
+        said = introduction(robot, Limits.of(robot), "test 1", 0.001)
         self.robot, self.wire = robot, encoder
         self.board = Board(plant, said, faults=parse_faults(words), seed=1)
         self.frames: list[Frame] = []

@@ -42,7 +42,7 @@ class Bench:
     """A microcontroller on a bench: sensors are what the test says, servo steps come every millisecond."""
 
     def __init__(self, robot: Any, encoder: Any) -> None:
-        self.firmware = Firmware(Codec(8), introduction(robot, Limits(), "test 1", 0.001))
+        self.firmware = Firmware(Codec(8), introduction(robot, Limits.of(robot), "test 1", 0.001))
         self.wire = encoder
         self.now = 0
         self.vitals = Vitals(np.arange(8) / 10, 0.0, 16.0, 25.0)

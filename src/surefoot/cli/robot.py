@@ -17,7 +17,7 @@ from surefoot.cli.doctor import FAILED, print_finding
 from surefoot.cli.main import table_lines
 from surefoot.cli.options import Json, check_folder
 from surefoot.cli.parsing import parse
-from surefoot.errors import SurefootError, choices
+from surefoot.errors import SurefootError, check_name, choices
 from surefoot.robot import RobotDescription
 from surefoot.robot.tree import Knees, Tree, write_robot
 
@@ -80,6 +80,7 @@ def _new(command: NewCommand) -> int:
 
     tree = read_tree(command.file, command.forward, command.meshes)
     name = command.name or tree.name
+    check_name("name", name)
     folder = command.out or Path(name)
     check_folder(folder)
     console = Console(highlight=False, soft_wrap=True, emoji=False)

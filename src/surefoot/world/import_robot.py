@@ -212,7 +212,7 @@ class _Reader:
         """Return the four chains of moving bodies that hang from one base, and the base."""
         model = self.model
         movers = sorted({int(group) for group in self.group[1:]})
-        if not movers:
+        if not any(model.jnt_type[j] == mujoco.mjtJoint.mjJNT_HINGE for j in range(model.njnt)):
             raise self._fail("nothing in it moves; a quadruped has four legs of hinges")
         parent = {body: int(self.group[model.body_parentid[body]]) for body in movers}
         children: dict[int, list[int]] = {body: [] for body in (0, *movers)}
