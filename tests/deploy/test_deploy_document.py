@@ -17,9 +17,9 @@ def document(repository: Path) -> str:
     return (repository / "docs" / "deploy.md").read_text(encoding="utf-8")
 
 
-def test_the_hosts_limits_are_those_of_the_code(document: str):
+def test_the_hosts_limits_are_those_of_the_code(document: str, robot: RobotDescription):
     rows = re.findall(r"^\| `([a-z_]+)` \| ([\d.]+) \w", document, re.MULTILINE)
-    assert {name: float(number) for name, number in rows} == asdict(SafetyLimits())
+    assert {name: float(number) for name, number in rows} == asdict(SafetyLimits.of(robot))
 
 
 def test_the_robots_limits_are_those_of_the_emulator(document: str, robot: RobotDescription):
