@@ -68,7 +68,10 @@ GAINS: Ranges = {
 """Gains of Raibert's controller."""
 LONGEST_STROKE = 0.5
 """In parts of the reach; a start that would need more is in reach all the same."""
-FEEDBACK = FeedbackConfig(swing=(-0.25, 0.25), extension=(-0.25, 0.25))
+FEEDBACK = {
+    "rad": FeedbackConfig(swing=(-0.25, 0.25), extension=(-0.25, 0.25)),
+    "1": FeedbackConfig(swing=(-0.25, 0.25), extension=(-0.1, 0.1)),
+}
 """Bounds of the controller's feedback [rad]; the paper's for the learned trot."""
 _SLOW = 300.0
 """Power [W] that a speed of zero costs in the search, in proportion to what is missing."""
@@ -169,6 +172,7 @@ class Tuner:
             raise SurefootError(
                 f"{self.robot.name} has legs {choices(self.robot.leg_names)}; gaits are of {choices(FEET)}"
             )
+        self.feedback = FEEDBACK[self.robot.leg_geometry.units[-1]]
         straight = self.robot.pose_angles(
             *[0.0] * (len(self.robot.coordinates) - 1), self.robot.leg_space["extension"][1]
         )
@@ -214,7 +218,7 @@ class Tuner:
             observations=seen[0],
             history=seen[1],
             reference=ReferenceConfig(kind="foot", foot=foot),
-            feedback=FEEDBACK,
+            feedback=self.feedback,
             rest=self.robot.rest,
         )
         gains = RaibertConfig(**{name: self.best[name] for name in GAINS}) if config.raibert else None
@@ -247,7 +251,7 @@ class Tuner:
         config, env, starts = self.config, self._env, self.config.starts
         references = [self._reference(values) for values in candidates for _ in range(starts)]
         stacked = FootReference.stacked(references)
-        env.gait = HybridGait(self.robot, stacked, *FEEDBACK.of(self.robot.coordinates))
+        env.gait = HybridGait(self.robot, stacked, *self.feedback.of(self.robot.coordinates))
         policy: OpenLoop | RaibertController = OpenLoop(len(env.gait.action_names))
         if config.raibert:
             gains: dict[str, Any] = {
@@ -271,7 +275,7 @@ class Tuner:
     def _refusal(self, values: Mapping[str, float]) -> str:
         """Return why a robot's legs refuse a gait; empty if they do not."""
         try:
-            HybridGait(self.robot, self._reference(values), *FEEDBACK.of(self.robot.coordinates))
+            HybridGait(self.robot, self._reference(values), *self.feedback.of(self.robot.coordinates))
         except SurefootError as error:
             return str(error)
         return ""
