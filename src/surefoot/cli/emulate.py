@@ -14,7 +14,7 @@ from surefoot.cli.options import Repeated, Settings, check_suffix
 from surefoot.cli.parsing import parse
 from surefoot.configuration import Seed, Within
 from surefoot.errors import SurefootError
-from surefoot.robot import PhysicalParams, RobotDescription, parse_settings
+from surefoot.robot import DEFAULT_ROBOT, PhysicalParams, RobotDescription, parse_settings
 from surefoot.robot.params_file import read_params, write_params
 
 if TYPE_CHECKING:
@@ -37,7 +37,7 @@ class EmulateCommand:
 
     world: str = "mujoco"
     """Physics engine: mujoco or bullet."""
-    robot: str = "minitaur"
+    robot: str = DEFAULT_ROBOT
     """Name or folder of the robot."""
     params: Path | None = None
     """File of physical parameters (.toml); the robot's own, if not given."""

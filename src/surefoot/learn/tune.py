@@ -21,7 +21,7 @@ from surefoot.configuration import Seed, Threads, Within, check_bounds, is_numbe
 from surefoot.errors import SurefootError, choices, quoted
 from surefoot.evaluate.footfalls import FEET
 from surefoot.evaluate.rollout import run_to_end
-from surefoot.robot import GRAVITY, RobotDescription
+from surefoot.robot import DEFAULT_ROBOT, GRAVITY, RobotDescription
 from surefoot.seeding import generator
 from surefoot.task.config import FeedbackConfig, FootConfig, ReferenceConfig, TaskConfig
 from surefoot.task.env import LocomotionEnv
@@ -91,7 +91,7 @@ class TuneConfig:
     """Speed that the gait must reach [m/s]."""
     raibert: bool = False
     """Tune Raibert's controller too."""
-    robot: str = "minitaur"
+    robot: str = DEFAULT_ROBOT
     """Name of the robot, or the folder of its description."""
     generations: Annotated[int, Within(1, 10_000)] = 40
     """Generations of the search."""
