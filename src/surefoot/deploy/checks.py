@@ -11,12 +11,13 @@ from typing import Any
 
 import numpy as np
 
-from surefoot.deploy.controller import contract_gait
+from surefoot.deploy.controller import action_kind, contract_gait
 from surefoot.deploy.wire.messages import Handshake
 from surefoot.errors import SurefootError, choices
 from surefoot.findings import Finding, compared, judged, undone
 from surefoot.policy.contract import Contract
 from surefoot.robot import RobotDescription
+from surefoot.task.gait import action_names
 from surefoot.task.observation import PARTS, Observer
 from surefoot.task.reference import make_reference
 
@@ -221,8 +222,12 @@ def unreadable_observation(contract: Contract, robot: RobotDescription) -> str |
 
 def gains_of(kp: Gains, kd: Gains) -> str:
     """Servo gains in words."""
-    shown = (f"{gain:g}" if isinstance(gain, float | int) else f"{min(gain):g} to {max(gain):g}" for gain in (kp, kd))
-    return "kp {} and kd {}".format(*shown)
+
+    def shown(gain: Gains) -> str:
+        least, most = float(np.min(gain)), float(np.max(gain))
+        return f"{least:g}" if least == most else f"{least:g} to {most:g}"
+
+    return f"kp {shown(kp)} and kd {shown(kd)}"
 
 
 def other_gains(contract: Contract, kp: Gains, kd: Gains) -> str | None:
@@ -254,7 +259,7 @@ def _contradiction(contract: Contract, robot: RobotDescription) -> str | None:
     for name, stated in (("observations", names), ("history", contract.history)):
         if name in task and task[name] != stated:
             return f"{name} is {stated}; its task says {task[name]}"
-    actions = tuple(contract_gait(contract, robot).action_names)
+    actions = tuple(action_names(robot, action_kind(contract)))
     if contract.action_names != actions:
         return f"its actions are {list(contract.action_names)}; of these legs they must be {list(actions)}"
     return _bounds(contract) or _reference(contract, robot) or _rest(contract, robot)

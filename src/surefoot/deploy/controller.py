@@ -14,10 +14,15 @@ from surefoot.errors import SurefootError, choices
 from surefoot.policy.contract import Contract
 from surefoot.policy.runtime import PolicyRuntime
 from surefoot.robot import RobotDescription
-from surefoot.task.gait import HybridGait
+from surefoot.task.gait import ActionKind, HybridGait
 from surefoot.task.observation import Moment, Observer
 from surefoot.task.reference import make_reference
 from surefoot.world.interface import Readings
+
+
+def action_kind(contract: Contract) -> ActionKind:
+    """Return what a policy's feedback is added to: poses of legs, or motor angles."""
+    return "joint" if contract.action_names[0].startswith("joint.") else "leg"
 
 
 def contract_gait(contract: Contract, robot: RobotDescription) -> HybridGait:
@@ -26,7 +31,7 @@ def contract_gait(contract: Contract, robot: RobotDescription) -> HybridGait:
     Raises:
         SurefootError: a reference or bounds that the robot does not allow, or actions that are not of its legs.
     """
-    joint = contract.action_names[0].startswith("joint.")
+    joint = action_kind(contract) == "joint"
     places = {
         part: [k for k, name in enumerate(contract.action_names) if name.startswith(f"{part}.")]
         for part in (("joint",) if joint else robot.coordinates)

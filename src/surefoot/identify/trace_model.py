@@ -230,7 +230,7 @@ def unknowns_of(
                 prior = SPREAD * max(start, nominal[name])
                 unknowns.append(Unknown(name, start, low, high, step, motor, prior, 0))
         else:
-            start = float(getattr(known, name)[0])
+            start = float(np.mean(getattr(known, name)[0]))
             prior = (VOLTAGE_SPREAD if name == "voltage" else SPREAD) * start
             unknowns.append(Unknown(name, start, low, high, step, prior=max(prior, 1e-3 * high)))
     if "motor_strength" not in wanted:

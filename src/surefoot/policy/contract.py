@@ -129,11 +129,16 @@ class Contract:
         for value in self.rest:
             _check_range("rest", value, -_ANGLE, _ANGLE, "rad")
         for name, limits in RANGES.items():
-            for place, given in ((name, getattr(self, name)), (f"task.params.{name}", params.get(name, ()))):
-                values = given if isinstance(given, list | tuple) else () if given is None else (given,)
-                if isinstance(given, list | tuple) and given and len(given) != len(self.motor_names):
-                    raise SurefootError(f"contract: {place} has {len(given)} numbers; a robot has one for each motor")
-                for value in values:
+            if name == "voltage" and self.voltage is None:
+                continue
+            given = {name: getattr(self, name)}
+            if name in params:
+                given[f"task.params.{name}"] = params[name]
+            for place, values in given.items():
+                each = isinstance(values, list | tuple) and name in ("servo_kp", "servo_kd")
+                if each and len(values) != len(self.motor_names):
+                    raise SurefootError(f"contract: {place} has {len(values)} numbers; a robot has one for each motor")
+                for value in values if each else (values,):
                     _check_range(place, value, *limits)
         for name, limits in TASK_RANGES.items():
             if name in self.task:

@@ -391,6 +391,10 @@ class RobotDescription:
 
     def pose_angles(self, *coordinates: ArrayLike) -> Array:
         """Return the motor angles (..., M) [rad] for each coordinate's values (..., L), or one number for all legs."""
+        if len(coordinates) != len(self.coordinates):
+            raise SurefootError(
+                f"a pose has {len(coordinates)} numbers; legs of {self.name} have {choices(self.coordinates)}"
+            )
         *values, _ = np.broadcast_arrays(*coordinates, np.zeros(len(self.legs)))
         return self.to_motors(np.stack(values, axis=-2))
 

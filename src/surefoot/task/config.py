@@ -208,6 +208,8 @@ def load_task(task: str, robot: str | None = None) -> tuple[TaskConfig, dict[str
     Returns:
         the task, and the file's `train` table (empty, if there is none).
     """
+    if robot is not None:
+        RobotDescription.load(robot)  # refuses one that is not there
     for name in RobotDescription.available():
         if robot is None and task.startswith(f"{name}-"):
             task, robot = task.removeprefix(f"{name}-"), name

@@ -16,6 +16,13 @@ Range = tuple[float, float]
 ActionKind = Literal["leg", "joint"]
 
 
+def action_names(robot: RobotDescription, kind: ActionKind) -> list[str]:
+    """Return the names of the feedback's numbers: of every leg for each coordinate in turn, or of every motor."""
+    if kind == "joint":
+        return [f"joint.{motor}" for motor in robot.motor_names]
+    return [f"{part}.{leg}" for part in robot.coordinates for leg in robot.leg_names]
+
+
 class HybridGait:
     """Reference plus bounded feedback (Tan et al. 2018, eq. 3).
 
@@ -57,9 +64,7 @@ class HybridGait:
     @property
     def action_names(self) -> list[str]:
         """Names of the feedback's numbers: of every leg for each coordinate in turn, or of every motor."""
-        if self.action_kind == "joint":
-            return [f"joint.{motor}" for motor in self.robot.motor_names]
-        return [f"{part}.{leg}" for part in self.robot.coordinates for leg in self.robot.leg_names]
+        return action_names(self.robot, self.action_kind)
 
     @property
     def rest(self) -> tuple[float, ...]:

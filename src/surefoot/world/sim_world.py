@@ -295,6 +295,8 @@ class SimWorld:
             # What states of earlier versions do not have, or have with one number a robot, is as it was just set.
             if saved is not None and saved.shape == array.shape:
                 array[...] = saved
+            elif name == "duty":
+                array[...] = 0.0
         for i in range(self.num_envs):
             self.engine.set_state(i, state["engine"][i])
         self._control_steps[:] = state["control_steps"]
