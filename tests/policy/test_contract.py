@@ -83,7 +83,7 @@ def test_json_states_kind_and_schema(contract: Contract):
         ({"task": {"max_steps": "long"}}, "task.max_steps is 'long'; it must be a number"),
         (
             {"task": {"params": {"control_latency": [0.02]}}},
-            "task.params.control_latency has 1 numbers; a robot has one",
+            "task.params.control_latency is \\[0.02\\]; it must be a number",
         ),
         ({"task": {"params": {"control_latency": "x"}}}, "task.params.control_latency is 'x'; it must be a number"),
         ({"task": {"params": {"servo_kp": [1.0] * 7 + [-1.0]}}}, "task.params.servo_kp is -1.0; it must be a number"),
