@@ -69,9 +69,9 @@ def run_policy(env: Any, policy: PolicyRuntime, draw: np.random.Generator) -> tu
     one order and one direction here and there.
     """
     contract, robot = policy.contract, RobotDescription.load(policy.contract.robot)
-    task, step, legs = task_from_contract(contract), contract.control_step, len(contract.leg_names)
+    task, step = task_from_contract(contract), contract.control_step
     controller = Controller(policy, robot)
-    pose = robot.leg_to_motor_angles(*(np.full(legs, angle) for angle in contract.rest))
+    pose = robot.pose_angles(*contract.rest)
     env.reset(initial_motor_angles=pose.tolist(), reset_duration=0.5)
     bullet, minitaur = env._pybullet_client, env.minitaur
     moved = draw.uniform(-task.start_linear_speed, task.start_linear_speed, 3)

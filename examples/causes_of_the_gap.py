@@ -80,7 +80,7 @@ class Command:
 def thick_feet(robot: RobotDescription, folder: Path) -> RobotDescription:
     """Return the robot with rounder feet, whose lowest point along the leg stays the same."""
     shutil.copytree(robot.folder, folder)
-    thin, end = robot.leg_geometry.foot_radius, robot.leg_geometry.foot
+    thin, end = robot.five_bar.foot_radius, robot.five_bar.foot
     sheet, urdf = folder / "robot.toml", folder / robot.urdf.path.name
     sheet.write_text(re.sub(r"foot_radius = \S+", f"foot_radius = {FOOT_RADIUS}", sheet.read_text()))
     text = urdf.read_text().replace(f'<sphere radius="{thin}"/>', f'<sphere radius="{FOOT_RADIUS}"/>')

@@ -62,7 +62,7 @@ class Comparison:
         for k in range(round(seconds / 0.001)):
             world.step(path(0.001 * k))
             truth = world.truth()
-            depth = self.robot.leg_geometry.foot_radius - world.foot_positions()[0, :, 2]
+            depth = self.robot.five_bar.foot_radius - world.foot_positions()[0, :, 2]
             rows.append(np.concatenate([[0.001 * (k + 1)], truth.base_position_world[0], truth.motor_angle[0], depth]))
         table = np.array(rows)
         return {"time": table[:, 0], "base": table[:, 1:4], "angles": table[:, 4:12], "depth": table[:, 12:]}
@@ -161,27 +161,27 @@ class Comparison:
     def sines(self) -> None:
         def path(time: float) -> np.ndarray:
             phase = 2 * np.pi * np.array([1.0, 2.0, 3.0, 4.0]) * time
-            return self.robot.leg_to_motor_angles(0.3 * np.sin(phase), 2.0 + 0.3 * np.sin(0.7 * phase))
+            return self.robot.pose_angles(0.3 * np.sin(phase), 2.0 + 0.3 * np.sin(0.7 * phase))
 
         self.compare_angles("sines", "Legs on a rack follow sines", path, rack=True)
 
     def steps(self) -> None:
         def path(time: float) -> np.ndarray:
             size = np.array([0.1, 0.2, 0.3, 0.4]) * ((time >= 0.2) - 2.0 * (time >= 0.7))
-            return self.robot.leg_to_motor_angles(size, 2.0 - 0.3 * size)
+            return self.robot.pose_angles(size, 2.0 - 0.3 * size)
 
         self.compare_angles("steps", "Legs on a rack answer steps", path, rack=True)
 
     def squat(self) -> None:
         def path(time: float) -> np.ndarray:
-            return self.robot.leg_to_motor_angles(np.zeros(4), np.full(4, 2.0 + 0.3 * np.sin(2 * np.pi * 2 * time)))
+            return self.robot.pose_angles(np.zeros(4), np.full(4, 2.0 + 0.3 * np.sin(2 * np.pi * 2 * time)))
 
         self.compare_angles("squat", "The robot squats on its own feet", path, rack=False)
 
     def trot(self) -> None:
         def path(time: float) -> np.ndarray:
             phase = 2 * np.pi * 2.0 * time + np.array([0, np.pi, np.pi, 0])
-            return self.robot.leg_to_motor_angles(0.3 * np.sin(phase), 2.0 + 0.35 * np.sin(phase))
+            return self.robot.pose_angles(0.3 * np.sin(phase), 2.0 + 0.35 * np.sin(phase))
 
         sheet = self.robot.contact
         free = replace(self.robot, contact=replace(sheet, spinning_friction=0.0))

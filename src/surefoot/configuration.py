@@ -215,6 +215,9 @@ def _convert(hint: Any, value: Any, where: str, base: Any) -> Any:
             raise SurefootError(f"{where} is {quoted(value)}; choices: {choices(typing.get_args(hint))}")
         return value
     if origin in (typing.Union, types.UnionType):
+        tables = [option for option in typing.get_args(hint) if dataclasses.is_dataclass(option)]
+        if isinstance(value, Mapping) and len(tables) == 1:
+            return _convert(tables[0], value, where, base)
         for option in typing.get_args(hint):
             try:
                 return _convert(option, value, where, base)

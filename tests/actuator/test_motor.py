@@ -1,11 +1,11 @@
-"""Servo and DC motor at points worked by hand; figures of the Minitaur's motor."""
+"""Servo, DC motor and joint drive at points worked by hand; figures of the Minitaur's motor."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from surefoot.actuator import motor_current, motor_friction, motor_torque, servo_duty
+from surefoot.actuator import joint_limit, joint_torque, motor_current, motor_friction, motor_torque, servo_duty
 from surefoot.actuator.motor import overheat_kernel
 
 VOLTAGE, KT, RESISTANCE, CLIP = 16.0, 0.0954, 0.186, 50.0
@@ -184,3 +184,73 @@ def test_duty_broadcasts_over_robots_and_motors_with_gains_of_their_own(rng: np.
     kp, kd = rng.uniform(0.5, 2, (5, 1)), rng.uniform(0, 0.1, (5, 1))
     duty = servo_duty(target, angle, speed, kp, kd)
     np.testing.assert_allclose(duty, np.clip(kp * (target - angle) - kd * speed, -1, 1), rtol=1e-13)
+
+
+@pytest.mark.parametrize(
+    ("target", "angle", "speed", "expected"),
+    [
+        (0.5, 0.5, 0.0, 0.0),
+        (0.8, 0.5, 0.0, 9.0),  # 30 x .3
+        (0.2, 0.5, 0.0, -9.0),
+        (0.5, 0.5, 4.0, -2.0),  # damping: -.5 x 4
+        (0.5, 0.5, -4.0, 2.0),
+        (0.8, 0.5, 4.0, 7.0),
+        (10.5, 0.5, 0.0, 300.0),  # the limit is not its matter
+    ],
+)
+def test_torque_that_a_joint_drive_asks_for(target: float, angle: float, speed: float, expected: float):
+    assert joint_torque(target, angle, speed, 30.0, 0.5) == pytest.approx(expected)
+
+
+# A drive of 20 N m up to 10 rad/s, with none at 30 rad/s: 1 N m less for each rad/s between.
+@pytest.mark.parametrize(
+    ("torque", "speed", "expected"),
+    [
+        (5.0, 0.0, 5.0),
+        (25.0, 0.0, 20.0),
+        (-25.0, 0.0, -20.0),
+        (25.0, 10.0, 20.0),
+        (25.0, 15.0, 15.0),
+        (-25.0, -15.0, -15.0),
+        (14.0, 15.0, 14.0),  # less than it has
+        (25.0, 20.0, 10.0),
+        (25.0, 29.0, 1.0),
+        (25.0, 30.0, 0.0),
+        (25.0, 45.0, 0.0),  # not less than none: it does not brake by itself
+        (-25.0, -45.0, 0.0),
+        # A drive that brakes has all its torque at any speed.
+        (-25.0, 15.0, -20.0),
+        (25.0, -15.0, 20.0),
+        (-25.0, 45.0, -20.0),
+        (-14.0, 45.0, -14.0),
+        (0.0, 45.0, 0.0),
+    ],
+)
+def test_torque_that_a_joint_drive_has_at_a_speed(torque: float, speed: float, expected: float):
+    assert joint_limit(torque, speed, 20.0, 10.0, 30.0) == pytest.approx(expected, abs=1e-12)
+
+
+def test_a_drive_whose_speeds_are_equal_stops_at_once():
+    assert joint_limit(25.0, 10.0, 20.0, 10.0, 10.0) == 20.0
+    assert joint_limit(25.0, 10.001, 20.0, 10.0, 10.0) == 0.0
+    assert joint_limit(-25.0, 10.001, 20.0, 10.0, 10.0) == -20.0
+
+
+def test_what_is_no_number_gives_no_joint_torque():
+    for which in range(3):
+        given = [0.5, 0.5, 0.0]
+        given[which] = np.nan
+        assert np.isnan(joint_torque(*given, 30.0, 0.5))
+    for speed in (0.0, 15.0, -15.0, 45.0):
+        assert np.isnan(joint_limit(np.nan, speed, 20.0, 10.0, 30.0))
+
+
+def test_joint_drives_broadcast_over_robots_and_motors(rng: np.random.Generator):
+    target, angle, speed = rng.normal(size=(3, 5, 12))
+    kp, kd = rng.uniform(10, 100, (5, 12)), rng.uniform(0, 2, 12)
+    limit, full, none = rng.uniform(10, 40, 12), rng.uniform(0.1, 0.5, 12), rng.uniform(1, 2, 12)
+    wanted = joint_torque(target, angle, speed, kp, kd)
+    np.testing.assert_allclose(wanted, kp * (target - angle) - kd * speed, rtol=1e-13, atol=1e-12)
+    share = np.where(wanted * speed > 0, np.clip((none - np.abs(speed)) / (none - full), 0, 1), 1)
+    expected = np.clip(wanted, -share * limit, share * limit)
+    np.testing.assert_allclose(joint_limit(wanted, speed, limit, full, none), expected, rtol=1e-13, atol=1e-12)

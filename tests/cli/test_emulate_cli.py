@@ -94,7 +94,7 @@ def test_parameters_come_from_a_file_and_from_words(robot, tmp_path):
     file.write_text("[params]\nmotor_strength = 0.9\nvoltage = 15\n")
     command = emulate.EmulateCommand(params=file, settings=(("voltage=14.5", "servo_kp=0.9"),))
     params = emulate._params(command, robot)
-    assert (params.voltage[0], params.servo_kp[0]) == (14.5, 0.9)
+    assert (params.voltage[0], params.servo_kp[0].tolist()) == (14.5, [0.9] * 8)
     np.testing.assert_array_equal(params.motor_strength, np.full((1, 8), 0.9))
 
 

@@ -75,7 +75,7 @@ def test_what_is_wrong_is_told_before_anything_heavy_is_loaded():
 
 
 def test_an_unknown_command_is_refused():
-    refused(surefoot("fly"), "'fly' is not a command; choices: train, evaluate, play")
+    refused(surefoot("fly"), "'fly' is not a command; choices: train, robot, evaluate, play")
     assert surefoot().returncode == 2
 
 

@@ -22,8 +22,14 @@ TABLE_1 = load_ranges("table1").ranges
 NOTHING = RandomizeConfig()
 
 
+def taken(words: list[str], base: RandomizeConfig) -> tuple[list[str], RandomizeConfig]:
+    """Return the other words, and the Minitaur's ranges."""
+    rest, given = take_ranges(words)
+    return rest, given.of("minitaur", base)
+
+
 def ranges_of(line: str, base: RandomizeConfig = NOTHING) -> dict[str, tuple[float, float]]:
-    return take_ranges(line.split(), base)[1].ranges
+    return taken(line.split(), base)[1].ranges
 
 
 # --- words ------------------------------------------------------------------------------------------------
@@ -31,7 +37,7 @@ def ranges_of(line: str, base: RandomizeConfig = NOTHING) -> dict[str, tuple[flo
 
 def test_without_options_all_stays():
     words = ["trot", "--steps", "100", "--set", "voltage=15"]
-    rest, ranges = take_ranges(words, load_ranges("table1"))
+    rest, ranges = taken(words, load_ranges("table1"))
     assert rest == words == ["trot", "--steps", "100", "--set", "voltage=15"]
     assert ranges == load_ranges("table1")
 
@@ -95,18 +101,16 @@ def test_rows_go_over_the_table_in_any_order(line):
 
 def test_other_words_stay_in_order_and_those_behind_a_row_are_not_taken():
     for line in ("trot --randomize table1 --episodes 2", "--randomize=table1 trot --episodes 2"):
-        rest, ranges = take_ranges(line.split(), NOTHING)
+        rest, ranges = taken(line.split(), NOTHING)
         assert (rest, ranges.ranges) == (["trot", "--episodes", "2"], TABLE_1)
-    rest, ranges = take_ranges(
-        ["--randomize.latency", "0.01", "0.02", "trot", "--randomize.mass", "none", "-v"], NOTHING
-    )
+    rest, ranges = taken(["--randomize.latency", "0.01", "0.02", "trot", "--randomize.mass", "none", "-v"], NOTHING)
     assert (rest, ranges.ranges) == (["trot", "-v"], {"latency": (0.01, 0.02)})
-    assert take_ranges(["--randomize.mass=none", "trot"], NOTHING)[0] == ["trot"]
+    assert taken(["--randomize.mass=none", "trot"], NOTHING)[0] == ["trot"]
 
 
 def test_what_only_begins_alike_is_left():
     words = ["--randomizer", "x", "--random", "--task.randomize.mass", "0.9", "1.1"]
-    assert take_ranges(words, NOTHING) == (words, NOTHING)
+    assert taken(words, NOTHING) == (words, NOTHING)
 
 
 @pytest.mark.parametrize(
@@ -129,7 +133,7 @@ def test_what_only_begins_alike_is_left():
 )
 def test_words_that_do_not_fit_are_refused(line, pieces):
     with pytest.raises(SurefootError) as caught:
-        take_ranges(line.split(), NOTHING)
+        taken(line.split(), NOTHING)
     assert "\n" not in str(caught.value)
     for piece in pieces:
         assert piece in str(caught.value)

@@ -31,9 +31,9 @@ class ToyRobot:
 
     def __init__(self, robot: RobotDescription) -> None:
         self.codec = Codec(robot.num_motors)
-        self.firmware = Firmware(self.codec, introduction(robot, Limits(), "toy", 0.001))
+        self.firmware = Firmware(self.codec, introduction(robot, Limits.of(robot), "toy", 0.001), Limits.of(robot))
         self._decoder = Decoder(self.codec)
-        self.angle = robot.leg_to_motor_angles(np.zeros(4), np.full(4, 0.9))
+        self.angle = robot.pose_angles(np.zeros(4), np.full(4, 0.9))
         self.sensors: Callable[[float, Sensors], Sensors] = lambda time, readings: readings
         self.heard: list[tuple[float, Message]] = []
         self.cut = self.silent = False

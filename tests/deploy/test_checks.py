@@ -11,10 +11,9 @@ import numpy as np
 import pytest
 
 from surefoot.cli.policies import find_policy
-from surefoot.deploy.checks import check_contract
-from surefoot.deploy.findings import Finding, refusal
-from surefoot.deploy.poses import pose
+from surefoot.deploy.checks import check_contract, gains_of, near
 from surefoot.deploy.wire.messages import Handshake
+from surefoot.findings import Finding, refusal
 from surefoot.policy.contract import Contract
 from surefoot.policy.runtime import PolicyRuntime
 from surefoot.robot import RobotDescription
@@ -161,7 +160,7 @@ def edited(change: dict[str, Any], policy: str = "trot") -> Contract:
     [
         ({"control_step": 0.012}, "control_step is 0.012; the data sheet of minitaur says 0.006"),
         ({"task": {"params": {"control_step": 0.012}}}, "control_step is 0.006; its task says 0.012"),
-        ({"task": {"params": {"servo_kp": 2.0}}}, "servo_kp is 1; its task says 2"),
+        ({"task": {"params": {"servo_kp": 2.0}}}, "servo_kp is 1.0; its task says 2.0"),
         ({"task": {"history": 4}}, "history is 1; its task says 4"),
         (
             {"task": {"observations": ["roll"]}},
@@ -257,6 +256,29 @@ def test_corners_of_leg_space_are_the_extremes_of_motor_angles():
     """Known answers: the gallop swings -0.5 to 0.5 and extends 1.0708 to 2.0708 rad, without a reference."""
     finding = {one.name: one for one in check_contract(contract_of("gallop"), HANDSHAKE, ROBOT, "a")}["angle limits"]
     assert "0.571 to 2.571 rad" in finding.why
-    poses = [pose(ROBOT, s, e) for s in (-0.5, 0.0, 0.5) for e in (1.0707963, 1.5, 2.0707963)]
+    poses = [ROBOT.pose_angles(s, e) for s in (-0.5, 0.0, 0.5) for e in (1.0707963, 1.5, 2.0707963)]
     assert np.min(poses) == pytest.approx(0.5707963)
     assert np.max(poses) == pytest.approx(2.5707963)
+
+
+@pytest.mark.parametrize(
+    ("one", "other", "expected"),
+    [
+        (1.049, 1.0, True),
+        (1.051, 1.0, False),
+        ((1.0, 1.049), 1.0, True),
+        ((1.0, 1.051), 1.0, False),
+        (1.0, (0.96, 1.04), True),
+        (1.0, (0.94, 1.04), False),
+        ((20.0, 30.0, 40.0), (20.0, 30.0, 41.0), True),
+        ((20.0, 30.0, 40.0), (30.0, 20.0, 40.0), False),
+        ((20.0, 30.0), (20.0, 30.0, 40.0), False),
+    ],
+)
+def test_gains_of_all_motors_and_of_each_are_compared(one, other, expected: bool):
+    assert near(one, other) is expected
+
+
+def test_gains_of_each_motor_are_told_as_a_span():
+    assert gains_of(1.0, 0.015) == "kp 1 and kd 0.015"
+    assert gains_of((20.0, 40.0, 30.0), 0.5) == "kp 20 to 40 and kd 0.5"

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from surefoot.deploy.safety import SafetyLimits
+from surefoot.robot import RobotDescription
 
 
 @pytest.fixture(scope="module")
@@ -16,16 +17,16 @@ def document(repository: Path) -> str:
     return (repository / "docs" / "deploy.md").read_text(encoding="utf-8")
 
 
-def test_the_hosts_limits_are_those_of_the_code(document: str):
+def test_the_hosts_limits_are_those_of_the_code(document: str, robot: RobotDescription):
     rows = re.findall(r"^\| `([a-z_]+)` \| ([\d.]+) \w", document, re.MULTILINE)
-    assert {name: float(number) for name, number in rows} == asdict(SafetyLimits())
+    assert {name: float(number) for name, number in rows} == asdict(SafetyLimits.of(robot))
 
 
-def test_the_robots_limits_are_those_of_the_emulator(document: str):
+def test_the_robots_limits_are_those_of_the_emulator(document: str, robot: RobotDescription):
     pytest.importorskip("numba")
     from surefoot.emulator.limits import Limits
 
-    limits = Limits()
+    limits = Limits.of(robot)
     paragraph = re.search(r"^The robot's own.*?\n\n", document, re.MULTILINE | re.DOTALL)
     assert paragraph is not None
     text = " ".join(paragraph[0].split())

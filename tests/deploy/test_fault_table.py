@@ -27,7 +27,7 @@ import numpy as np
 import pytest
 from processes import Emulator, EmulatorHere, TooBusyError, emulators
 
-from surefoot.deploy.poses import pose, sitting
+from surefoot.deploy.poses import sitting
 from surefoot.deploy.wire.messages import Arm, Bye, Damp, Disarm, Fault, Hello, Mode, Position, Reason, State
 from surefoot.policy.contract import METADATA_KEY
 from surefoot.policy.digest import DIGEST_KEY, stamped
@@ -65,7 +65,7 @@ AT_EASE = Mode.DISARMED, Reason.NONE
 
 def target(extension: float) -> np.ndarray:
     """Motor angles of legs that are so long."""
-    return pose(MINITAUR, 0.0, extension)
+    return MINITAUR.pose_angles(0.0, extension)
 
 
 # Clients of the test's own.

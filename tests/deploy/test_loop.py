@@ -15,7 +15,7 @@ from surefoot.deploy.controller import Controller
 from surefoot.deploy.deployment import Deployment
 from surefoot.deploy.motion import REST
 from surefoot.deploy.pacer import Timing
-from surefoot.deploy.poses import pose, sitting
+from surefoot.deploy.poses import sitting
 from surefoot.deploy.recording.run_saver import RunSaver
 from surefoot.deploy.wire.frames import Decoder
 from surefoot.deploy.wire.messages import Arm, Damp, Mode, Pong, Position, Reason
@@ -129,7 +129,7 @@ def test_motors_move_smoothly_from_where_they_are_until_the_robot_sits(deploy, t
     assert targets[-1] == pytest.approx(sitting(robot), abs=1e-6)
     speed = np.abs(np.diff(targets, axis=0)) / STEP
     up = round(UP / STEP)
-    assert targets[up - 10] == pytest.approx(pose(robot, *policy.contract.rest), abs=1e-6)
+    assert targets[up - 10] == pytest.approx(robot.pose_angles(*policy.contract.rest), abs=1e-6)
     assert speed[: up - 1].max() < 4.0
     assert speed[-round(REST / STEP) :].max() < 1e-6
 

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from surefoot.deploy.poses import SIT_EXTENSION, SPREAD_SWING, between, lying, pose, sitting
+from surefoot.deploy.poses import between, lying, sitting
 
 
 def test_a_pose_is_the_same_for_all_legs(robot):
-    swing, extension = robot.motor_to_leg_pose(pose(robot, 0.1, 2.0))
-    assert swing == pytest.approx(0.1)
-    assert extension == pytest.approx(2.0)
-    assert robot.motor_to_leg_pose(sitting(robot))[1] == pytest.approx(SIT_EXTENSION)
+    swing, extension = robot.to_pose(robot.pose_angles(0.1, 2.0))
+    assert swing == pytest.approx([0.1] * 4)
+    assert extension == pytest.approx([2.0] * 4)
+    np.testing.assert_allclose(robot.to_pose(sitting(robot)), [[0.0] * 4, [0.9] * 4], atol=1e-12)
 
 
 def test_the_way_starts_and_ends_at_rest():
@@ -36,7 +38,13 @@ def test_the_way_never_leaves_its_ends():
 
 
 def test_legs_that_lie_aside_are_laid_flat_on_their_side(robot):
-    found = robot.leg_to_motor_angles(np.array([-0.8, 0.9, 0.1, -0.2]), np.array([0.1, 0.2, 0.9, 0.5]))
-    swing, extension = robot.motor_to_leg_pose(lying(robot, found))
-    assert swing == pytest.approx([-SPREAD_SWING, SPREAD_SWING, 0.0, 0.0])
-    assert extension == pytest.approx(SIT_EXTENSION)
+    found = robot.pose_angles(np.array([-0.8, 0.9, 0.1, -0.2]), np.array([0.1, 0.2, 0.9, 0.5]))
+    swing, extension = robot.to_pose(lying(robot, found))
+    assert swing == pytest.approx([-1.2, 1.2, 0.0, 0.0])
+    assert extension == pytest.approx(0.9)
+
+
+def test_all_legs_are_put_as_in_sitting_where_legs_do_not_slide_out(robot):
+    stiff = replace(robot, poses=replace(robot.poses, spread=None))
+    found = robot.pose_angles(np.array([-0.8, 0.9, 0.1, -0.2]), np.array([0.1, 0.2, 0.9, 0.5]))
+    np.testing.assert_array_equal(lying(stiff, found), sitting(robot))

@@ -25,7 +25,7 @@ STEP = 0.006
 
 @pytest.fixture
 def guard() -> Guard:
-    return Guard(SafetyLimits(), STEP, 77)
+    return Guard(SafetyLimits(14.4, 14.0), STEP, 77)
 
 
 @pytest.fixture
@@ -93,7 +93,7 @@ def test_a_robot_that_is_not_armed_may_be_in_any_mode(guard, judge):
 
 
 def test_the_tasks_fall_angle_is_the_limit(judge):
-    strict = Guard(SafetyLimits(), STEP, 77, tilt=0.3)
+    strict = Guard(SafetyLimits(14.4, 14.0), STEP, 77, tilt=0.3)
     assert judge(roll_pitch_yaw=tilted(0.31), guard=strict).act is Act.FALL
 
 
@@ -145,4 +145,4 @@ def test_a_state_is_finite_as_a_whole(a_state):
 )
 def test_limits_that_make_no_sense_are_refused(limits, match):
     with pytest.raises(SurefootError, match=match):
-        SafetyLimits(**limits)
+        SafetyLimits(**{"battery_warn": 14.4, "battery_low": 14.0, **limits})

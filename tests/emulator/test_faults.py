@@ -12,7 +12,6 @@ import pytest
 
 pytest.importorskip("mujoco")
 
-from surefoot.deploy.poses import pose
 from surefoot.deploy.wire.frames import Frame
 from surefoot.deploy.wire.messages import Arm, Fault, Handshake, Hello, Mode, Position, Reason, State
 from surefoot.emulator.board import Board
@@ -31,11 +30,11 @@ class Rig:
 
     def __init__(self, robot, encoder, *words: str, rack: bool = True) -> None:
         plant = Plant(robot, sensors=SensorConfig.ideal(), power=PowerConfig.ideal(), rack=rack)
-        said = introduction(robot, Limits(), "test 1", 0.001)
+        said = introduction(robot, Limits.of(robot), "test 1", 0.001)
         self.robot, self.wire = robot, encoder
         self.board = Board(plant, said, faults=parse_faults(words), seed=1)
         self.frames: list[Frame] = []
-        self.angles = pose(robot, 0.0, 1.5)
+        self.angles = robot.pose_angles(0.0, 1.5)
 
     def send(self, message) -> None:
         self.board.hear(self.board.now, self.wire.frame(message, self.board.now / 1e6))

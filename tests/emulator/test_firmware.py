@@ -42,7 +42,8 @@ class Bench:
     """A microcontroller on a bench: sensors are what the test says, servo steps come every millisecond."""
 
     def __init__(self, robot: Any, encoder: Any) -> None:
-        self.firmware = Firmware(Codec(8), introduction(robot, Limits(), "test 1", 0.001))
+        limits = Limits.of(robot)
+        self.firmware = Firmware(Codec(8), introduction(robot, limits, "test 1", 0.001), limits)
         self.wire = encoder
         self.now = 0
         self.vitals = Vitals(np.arange(8) / 10, 0.0, 16.0, 25.0)

@@ -9,7 +9,6 @@ import pytest
 
 pytest.importorskip("mujoco")
 
-from surefoot.deploy.poses import pose
 from surefoot.deploy.wire.messages import Mode
 from surefoot.emulator.hardware import PowerConfig, SensorConfig, power_tick
 from surefoot.emulator.plant import Plant
@@ -38,7 +37,7 @@ def test_it_moves_and_reads_as_a_simulation_does_to_the_last_bit(robot):
     world.set_state(plant.world.get_state())
     set_drive_params(world.drive, np.arange(1), world.params)
     rng = np.random.default_rng(1)
-    target = pose(robot, 0.0, 1.5)
+    target = robot.pose_angles(0.0, 1.5)
     for _ in range(80):
         target = np.clip(target + rng.uniform(-0.05, 0.05, 8), 1.0, 2.2)
         readings = world.step(target)
@@ -56,7 +55,7 @@ def test_it_moves_and_reads_as_a_simulation_does_to_the_last_bit(robot):
 
 def test_it_sits_when_switched_on_and_lies_down_damped(robot):
     plant = ideal(robot)
-    swing, extension = robot.motor_to_leg_pose(plant.vitals().motor_angle)
+    swing, extension = robot.to_pose(plant.vitals().motor_angle)
     np.testing.assert_allclose(swing, 0.0, atol=0.05)
     np.testing.assert_allclose(extension, 0.9, atol=0.1)
     for _ in range(1000):
@@ -79,7 +78,7 @@ def test_readings_are_as_old_as_the_policy_will_see_them(robot):
     plant = ideal(robot)
     seen = []
     for step in range(100):
-        plant.step(position(pose(robot, 0.0, 0.9 + 0.01 * step)))
+        plant.step(position(robot.pose_angles(0.0, 0.9 + 0.01 * step)))
         seen.append(plant.vitals().motor_angle.copy())
     # 20 ms when nobody is to come, 17 ms for a host that needs it 3 ms from now, halfway in between steps.
     np.testing.assert_array_equal(plant.read(0.0, 0.0).motor_angle, seen[-21])
@@ -146,7 +145,7 @@ def test_the_torques_error_is_in_nothing_else(robot):
     exact = replace(SensorConfig(), torque_noise=0.0, torque_gain=0.0)
     plant, truth = Plant(robot, seed=3), Plant(robot, seed=3, sensors=exact)
     for step in range(200):
-        order = position(pose(robot, 0.0, 0.9 + 0.004 * step))
+        order = position(robot.pose_angles(0.0, 0.9 + 0.004 * step))
         plant.step(order)
         truth.step(order)
         told, true = vars(plant.read(0.0, 0.0)), vars(truth.read(0.0, 0.0))
@@ -229,7 +228,7 @@ def test_the_battery_sags_under_load_and_empties(robot):
     plant = Plant(robot, power=PowerConfig(battery_capacity=100.0))
     assert plant.voltage == 16.0
     for step in range(1000):
-        plant.step(position(pose(robot, 0.0, min(0.9 + 0.002 * step, 2.0))))
+        plant.step(position(robot.pose_angles(0.0, min(0.9 + 0.002 * step, 2.0))))
     used = plant._used
     assert used > 0.5
     rested = 16.0 - plant.power.battery_drop * used / 100.0
@@ -242,7 +241,7 @@ def test_the_battery_sags_under_load_and_empties(robot):
 
 
 def test_a_slow_servo_holds_its_duty_between_two_steps(robot):
-    target = position(pose(robot, 0.0, 1.2))
+    target = position(robot.pose_angles(0.0, 1.2))
     slow, one = ideal(robot, rack=True, servo_every=5), ideal(robot, rack=True)
     duties = []
     for _ in range(50):
@@ -259,9 +258,9 @@ def test_a_slow_servo_holds_its_duty_between_two_steps(robot):
 def test_feet_on_the_ground_are_counted(robot):
     plant = ideal(robot)
     for step in range(2000):
-        plant.step(position(pose(robot, 0.0, min(0.9 + 0.001 * step, 2.0))))
+        plant.step(position(robot.pose_angles(0.0, min(0.9 + 0.001 * step, 2.0))))
     before = plant.capture().contact_ticks
     for _ in range(50):
-        plant.step(position(pose(robot, 0.0, 2.0)))
+        plant.step(position(robot.pose_angles(0.0, 2.0)))
     np.testing.assert_array_equal(plant.capture().contact_ticks - before, 50.0)
     assert plant.capture().position[2] > 0.2

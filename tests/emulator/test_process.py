@@ -14,7 +14,6 @@ import pytest
 pytest.importorskip("mujoco")
 
 from surefoot.cli.main import main
-from surefoot.deploy.poses import pose
 from surefoot.deploy.wire.frames import MAX_FRAME
 from surefoot.deploy.wire.messages import Arm, Codec, Fault, Handshake, Hello, Mode, Ping, Pong, Position, Reason, State
 from surefoot.emulator.hardware import PowerConfig, SensorConfig
@@ -32,7 +31,7 @@ STEP = 0.006
 def follow(host, robot, seconds: float) -> list[float]:
     """Go from the angles that the robot has to others, in real time; return times of the states, on its clock."""
     first = host.of(State).message.motor_angle
-    last = pose(robot, 0.0, 1.2)
+    last = robot.pose_angles(0.0, 1.2)
     start, came = host.now(), []
     for step in itertools.count():
         at = start + step * STEP
@@ -146,7 +145,7 @@ def test_in_lockstep_the_robot_moves_as_a_simulation_does(emulate_here, robot):
     set_drive_params(world.drive, np.arange(1), world.params)
     host.send(Arm(ME, int(Mode.POSITION), STEP, STEP), 0.030)
     rng = np.random.default_rng(1)
-    target = pose(robot, 0.0, 1.5)
+    target = robot.pose_angles(0.0, 1.5)
     for step in range(60):
         target = np.clip(target + rng.uniform(-0.05, 0.05, 8), 1.0, 2.2).astype(np.float32).astype(np.float64)
         readings = world.step(target)
@@ -236,7 +235,7 @@ def test_in_bullet_too(emulate_here, robot):
     host.send(Hello(ME, 0.010), 0.0)
     first = host.run_to(0.1, State)[-1].message.motor_angle
     host.send(Arm(ME, int(Mode.POSITION), STEP, STEP), 0.1)
-    last = pose(robot, 0.0, 2.0)
+    last = robot.pose_angles(0.0, 2.0)
     for step in range(150):
         host.send(Position(ME, first + (last - first) * min(step / 120, 1.0)), 0.1 + STEP * step)
         (state,) = host.run_to(0.1 + STEP * (step + 1), State)

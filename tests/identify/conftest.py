@@ -12,7 +12,6 @@ from processes import Emulator, emulators
 from surefoot.deploy.connection import open_connection
 from surefoot.deploy.display import PlainLines
 from surefoot.deploy.link import LinkLostError
-from surefoot.deploy.poses import pose
 from surefoot.deploy.wire.messages import Mode
 from surefoot.identify.experiment_runner import run_plan
 from surefoot.identify.plan import ExperimentLimits, Phase, Plan, chirps, go_to, steps
@@ -35,7 +34,7 @@ def make_plan(robot: RobotDescription) -> Callable[..., Plan]:
     """A plan of 3.5 s: unfold, a sweep, steps, a pulse of duty, and a part that is not fitted."""
 
     def make(limits: ExperimentLimits | None = None) -> Plan:
-        middle, each = pose(robot, 0.0, MIDDLE), np.ones(robot.num_motors)
+        middle, each = robot.pose_angles(0.0, MIDDLE), np.ones(robot.num_motors)
         jumps = middle + np.random.default_rng(1).uniform(-REACH, REACH, (3, robot.num_motors))
         sweep = chirps(middle, REACH * each, 1.0, 3.0, 1.0, np.arange(robot.num_motors))
         push = DUTY * each

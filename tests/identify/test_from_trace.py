@@ -63,7 +63,7 @@ def record(
     step = float(params.control_step[0])
     rows: dict[str, list[np.ndarray]] = {}
     for k in range(round(seconds / step)):
-        target = ROBOT.leg_to_motor_angles(*moves(start + k * step))
+        target = ROBOT.pose_angles(*moves(start + k * step))
         readings, truth = world.step(target[None]), world.truth()
         row = {
             "time": readings.time,
@@ -140,7 +140,8 @@ def errors_of(found: Identification, params: PhysicalParams = HIDDEN) -> dict[st
     errors = {}
     for item in found.estimates:
         truth = getattr(params, item.name)[0]
-        errors[item.label] = item.value / float(truth if item.index is None else truth[item.index]) - 1
+        (one,) = set(np.atleast_1d(truth if item.index is None else truth[item.index]).tolist())
+        errors[item.label] = item.value / one - 1
     return errors
 
 

@@ -7,7 +7,6 @@ import pytest
 
 pytest.importorskip("mujoco")
 
-from surefoot.deploy.poses import pose
 from surefoot.identify.ground_motion import regress
 from surefoot.identify.inverse_dynamics import Forces, InverseDynamics, Motion
 from surefoot.robot import GRAVITY, PhysicalParams, RobotDescription
@@ -35,7 +34,7 @@ def standing(robot: RobotDescription, uneven: float = 0.0, **values: float) -> S
     """At rest; with `uneven` the front legs are so much longer."""
     world = SimWorld(robot, 1, params(robot, **values))
     front = np.where(robot.leg_mounts[:, 0] > 0, uneven, 0.0)
-    target = robot.leg_to_motor_angles(np.zeros(4), STANCE + front)
+    target = robot.pose_angles(np.zeros(4), STANCE + front)
     begin = world.truth().motor_angle[0]
     for k in range(6000):
         world.step((begin + (target - begin) * min(k / 2000, 1.0))[None])
@@ -45,7 +44,7 @@ def standing(robot: RobotDescription, uneven: float = 0.0, **values: float) -> S
 
 def pressed(world: SimWorld) -> np.ndarray:
     """Vertical forces (4,) [N] of feet at rest: how deep they are, times their stiffness."""
-    depth = world.robot.leg_geometry.foot_radius - world.foot_positions()[0, :, 2]
+    depth = world.robot.five_bar.foot_radius - world.foot_positions()[0, :, 2]
     return depth * world.params.contact_stiffness[0]
 
 
@@ -83,7 +82,7 @@ def nodding(robot: RobotDescription) -> dict[float, Motion]:
             share, time = min(k / 800, 1.0), max(k * STEP - 1.2, 0.0)
             swell = 0.1 * ends * np.sin(2 * np.pi * 3.5 * time) + 0.05 * np.sin(2 * np.pi * 1.5 * time)
             extension = 2.0 + (STANCE - 2.0) * share + min(time / 0.3, 1.0) * swell
-            target = robot.leg_to_motor_angles(np.zeros(4), extension)
+            target = robot.pose_angles(np.zeros(4), extension)
             before = world.truth()
             rate = world.drive.now[0, -3:].copy()
             world.step(target[None])
@@ -138,7 +137,7 @@ def test_the_base_with_all_that_is_fixed_to_it(robot: RobotDescription):
 def test_feet_are_where_the_legs_hold_them(robot: RobotDescription):
     motion = still(standing(robot))
     symmetric = Motion(
-        **{**vars(motion), "motor_angle": pose(robot, 0.0, STANCE)[None], "roll_pitch": np.zeros((1, 2))}
+        **{**vars(motion), "motor_angle": robot.pose_angles(0.0, STANCE)[None], "roll_pitch": np.zeros((1, 2))}
     )
     foot = forces(robot, symmetric).foot[0]
     np.testing.assert_allclose(foot[:, 1], foot[0, 1], atol=1e-6)

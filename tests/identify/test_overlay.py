@@ -46,7 +46,7 @@ def test_without_a_file_the_description_is_known(robot: RobotDescription, tmp_pa
     for path in (None, tmp_path / "none.toml"):
         known = read_known(path, robot)
         assert (known.given, known.tables, known.sensors) == ((), {}, {})
-        assert known.params.voltage[0] == robot.actuator.voltage
+        assert known.params.voltage[0] == robot.dc_motor.voltage
         assert known.lacks(("motor", "mass")) == ("motor", "mass")
 
 
@@ -62,7 +62,7 @@ def test_what_was_found_is_written_and_read_to_the_last_bit(robot: RobotDescript
     expected = 0.9 + 0.01 * np.arange(8)
     expected[3] = 1.0
     np.testing.assert_array_equal(again.params.motor_strength[0], expected)
-    assert again.params.resistance[0] == robot.actuator.resistance
+    assert again.params.resistance[0] == robot.dc_motor.resistance
     assert again.sensors == {"torque_gain": [0.01, -0.02], "torque_accuracy": 0.004}
     told = again.tables["identified"]["motor"]
     assert told == {"date": "2026-11-21", "data": "ab12", "file": "recording.npz", "surefoot": __version__}

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from surefoot.deploy.poses import pose, sitting
+from surefoot.deploy.poses import sitting
 from surefoot.deploy.wire.messages import Mode
 from surefoot.emulator.limits import Limits, introduction
 from surefoot.identify import ground_plans as ground
@@ -51,8 +51,8 @@ def test_a_robot_can_follow(
     name: str, swing: float | list[float], extension: float, plans: dict[str, Plan], robot: RobotDescription
 ):
     """However it lies or hangs when it is armed."""
-    plan, said = plans[name], introduction(robot, Limits(), "", robot.timing.servo_step)
-    before = pose(robot, swing, extension)
+    plan, said = plans[name], introduction(robot, Limits.of(robot), "", robot.timing.servo_step)
+    before = robot.pose_angles(swing, extension)
     for phase in plan.phases:
         if phase.mode == Mode.PWM:
             duties = asked(phase, np.zeros(robot.num_motors))
@@ -72,7 +72,7 @@ def test_a_robot_can_follow(
 
 
 def test_no_clipping_is_needed_to_stand_or_sit(plans: dict[str, Plan], robot: RobotDescription):
-    said = introduction(robot, Limits(), "", robot.timing.servo_step)
+    said = introduction(robot, Limits.of(robot), "", robot.timing.servo_step)
     for name, plan in plans.items():
         assert (plan.experiment, plan.rack) == (name, EXPERIMENTS[name].rack)
         assert plan.duration < plan.limits.duration
@@ -119,19 +119,19 @@ def test_legs_of_the_ground(robot: RobotDescription):
     # Order: front left, back left, front right, back right.
     assert ends(robot).tolist() == [1, -1, 1, -1]
     assert sides(robot).tolist() == [1, 1, -1, -1]
-    angles = pose(robot, [0.1, 0, 0, 0], ground.STANCE)
-    swing, extension = robot.motor_to_leg_pose(angles)
+    angles = robot.pose_angles([0.1, 0, 0, 0], ground.STANCE)
+    swing, extension = robot.to_pose(angles)
     np.testing.assert_allclose(swing, [0.1, 0, 0, 0], atol=1e-12)
     np.testing.assert_allclose(extension, ground.STANCE)
 
 
 def test_rocking_is_around_standing(robot: RobotDescription):
     signal = rocking(robot, ends(robot), 0.12, 1.0, 4.0, 2.0)
-    nobody, stand = np.zeros(8), pose(robot, 0.0, ground.STANCE)
+    nobody, stand = np.zeros(8), robot.pose_angles(0.0, ground.STANCE)
     np.testing.assert_allclose(signal(0.0, nobody), stand)
     np.testing.assert_allclose(signal(2.0, nobody), stand, atol=1e-12)
     for t in np.arange(0.0, 2.0, 0.05):
-        swing, extension = robot.motor_to_leg_pose(signal(t, nobody))
+        swing, extension = robot.to_pose(signal(t, nobody))
         np.testing.assert_allclose(swing, 0.0, atol=1e-12)
         # Front legs are longer by as much as back legs are shorter.
         np.testing.assert_allclose(extension - ground.STANCE, (extension[0] - ground.STANCE) * ends(robot), atol=1e-12)
@@ -153,25 +153,25 @@ def test_a_sweep_of_one_frequency_is_a_sine():
 
 def test_legs_that_slid_out_are_drawn_in_from_their_side(robot: RobotDescription):
     out, unfold, draw_in = standing_up(robot)[:3]
-    start = pose(robot, [1.0, -0.9, 0.1, 0.0], 0.4)
-    swing, extension = robot.motor_to_leg_pose(out.signal(1.0, start))
-    np.testing.assert_allclose(swing, [ground.SPREAD_SWING, -ground.SPREAD_SWING, 0.1, 0.0], atol=1e-12)
+    start = robot.pose_angles([1.0, -0.9, 0.1, 0.0], 0.4)
+    swing, extension = robot.to_pose(out.signal(1.0, start))
+    np.testing.assert_allclose(swing, [1.2, -1.2, 0.1, 0.0], atol=1e-12)
     np.testing.assert_allclose(extension, 0.4)
     flat = unfold.signal(1.0, out.signal(1.0, start))
-    np.testing.assert_allclose(robot.motor_to_leg_pose(flat)[0], swing, atol=1e-12)
-    np.testing.assert_allclose(robot.motor_to_leg_pose(flat)[1], ground.SIT_EXTENSION)
+    np.testing.assert_allclose(robot.to_pose(flat)[0], swing, atol=1e-12)
+    np.testing.assert_allclose(robot.to_pose(flat)[1], 0.9)
     np.testing.assert_allclose(draw_in.signal(1.0, flat), sitting(robot), atol=1e-12)
 
 
 def test_a_diagonal_is_dragged_while_the_other_stands(robot: RobotDescription):
     drags = [phase for phase in EXPERIMENTS["contact"].plan(robot).phases if phase.name == "drag"]
-    stand = pose(robot, 0.0, ground.STANCE)
+    stand = robot.pose_angles(0.0, ground.STANCE)
     moved = []
     for phase in drags:
         angles = asked(phase, stand)
         np.testing.assert_allclose(angles[0], stand, atol=1e-12)
         np.testing.assert_allclose(angles[-1], stand, atol=1e-3)
-        swing, extension = robot.motor_to_leg_pose(angles)
+        swing, extension = np.moveaxis(robot.to_pose(angles), -2, 0)
         moving = np.ptp(swing, axis=0) > 1e-9
         moved.append(moving.tolist())
         np.testing.assert_allclose(np.abs(swing).max(axis=0)[moving], ground.DRAG, rtol=0.01)

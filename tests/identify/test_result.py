@@ -40,7 +40,7 @@ def test_params_get_what_was_found(robot: RobotDescription):
     assert params.motor_friction[0, 1] == 0.0
     np.testing.assert_array_equal(params.imu_bias[0], [0.0, 0.02])
     np.testing.assert_array_equal(params.motor_viscous_friction[0], np.full(8, 0.003))
-    assert params.torque_constant[0] == robot.actuator.torque_constant
+    assert params.torque_constant[0] == robot.dc_motor.torque_constant
     np.testing.assert_array_equal(base.motor_strength, np.full((3, 8), 0.7))
     assert result.found() == (
         "resistance",

@@ -94,7 +94,7 @@ def test_footfalls_and_an_episode(
     np.testing.assert_array_equal([roll, pitch], trace.roll_pitch_yaw[:, :2].T)
     # One second, from 2 s on where there is as much.
     shown = (trace.time >= min(trace.duration, 2.0) - 1e-9) & (trace.time <= 3.0) if steps > 1 else [0]
-    np.testing.assert_array_equal(lines(episode, 4, 1), robot.motor_to_leg_pose(trace.motor_angle[shown])[0].T)
+    np.testing.assert_array_equal(lines(episode, 4, 1), robot.to_pose(trace.motor_angle[shown])[:, 0].T)
     power = lines(episode, 3, 1)[0]
     assert np.mean(power) == pytest.approx(trace.energy.mean() / 0.006)
 

@@ -151,7 +151,7 @@ def test_what_was_known(robot: RobotDescription, known: PhysicalParams):
     given = known.with_values(robot, motor_strength=np.linspace(0.9, 1.04, 8))
     assert known_before(Estimate("motor_strength", 1.0, 0.1, "1", 2), given) == pytest.approx(0.94)
     assert known_before(Estimate("motor_strength", 1.0, 0.1, "1"), given) == pytest.approx(0.97)
-    assert known_before(Estimate("voltage", 1.0, 0.1, "V"), given) == robot.actuator.voltage
+    assert known_before(Estimate("voltage", 1.0, 0.1, "V"), given) == robot.dc_motor.voltage
     assert known_before(Estimate("torque_gain", 1.0, 0.1, "1", 2), given) is None
 
 

@@ -37,19 +37,19 @@ def test_every_visual_becomes_a_shape_of_its_color():
 
 def test_feet_are_where_the_leg_geometry_says():
     """A foot's centre lies a radius short of the foot's end, on the line from the knee."""
-    theta = ROBOT.leg_to_motor_angles([[0.2, -0.3, 0.0, 0.4]], [[1.8, 2.1, 1.5, 1.2]])
+    theta = ROBOT.pose_angles([[0.2, -0.3, 0.0, 0.4]], [[1.8, 2.1, 1.5, 1.2]])
     found = poses(ROBOT, [[0.0, 0.0, 0.0]], [LEVEL], theta)
-    bars = ROBOT.leg_geometry
+    bars = ROBOT.five_bar
     for leg, index in zip(ROBOT.legs, ROBOT.leg_motor_index, strict=True):
         angles = theta[0, index]
-        end, knee = bars.foot_position(*angles), bars.knees(*angles)[1]
+        end, knee = bars.foot_in_plane(angles), bars.knees(*angles)[1]
         centre = knee + (end - knee) * (bars.foot - bars.foot_radius) / bars.foot
         hip = found[leg.motors[0].replace("motor", "rotor")][0, :3, 3]
         assert np.allclose((found[leg.foot][0] @ FOOT)[[0, 2]], hip[[0, 2]] + centre, atol=1e-9)
 
 
 def test_loops_are_closed():
-    theta = ROBOT.leg_to_motor_angles([[0.2, -0.3, 0.0, 0.4]], [[1.8, 2.1, 1.5, 1.2]])
+    theta = ROBOT.pose_angles([[0.2, -0.3, 0.0, 0.4]], [[1.8, 2.1, 1.5, 1.2]])
     found = poses(ROBOT, [[0.1, 0.2, 0.3]], [[0.5, 0.5, 0.5, 0.5]], theta)
     for loop in ROBOT.loops:
         ends = [found[link][0] @ [*point, 1] for link, point in zip(loop.links, loop.points, strict=True)]

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from surefoot.errors import SurefootError
-from surefoot.robot import RobotDescription
+from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.robot.urdf import read_urdf
 
 
@@ -64,8 +64,8 @@ def test_rails_are_fixed_to_the_base(robot: RobotDescription):
 
 
 def test_actuator_and_timing(robot: RobotDescription):
-    assert robot.actuator.torque_constant == 0.0954
-    assert robot.actuator.resistance == 0.186
+    assert robot.dc_motor.torque_constant == 0.0954
+    assert robot.dc_motor.resistance == 0.186
     assert robot.timing.servo_step == 0.001
     assert robot.timing.control_step == 0.006
     current, torque = robot.torque_table
@@ -75,15 +75,22 @@ def test_actuator_and_timing(robot: RobotDescription):
 
 def test_leg_poses_go_to_motors_and_back(robot: RobotDescription, rng: np.random.Generator):
     swing, extension = rng.uniform(-0.5, 0.5, (7, 4)), rng.uniform(1, 2, (7, 4))
-    angles = robot.leg_to_motor_angles(swing, extension)
+    angles = robot.pose_angles(swing, extension)
     assert angles.shape == (7, 8)
-    back = robot.motor_to_leg_pose(angles)
-    np.testing.assert_allclose(back, (swing, extension), atol=1e-15)
+    back = robot.to_pose(angles)
+    assert back.shape == (7, 2, 4)
+    np.testing.assert_allclose(np.moveaxis(back, -2, 0), (swing, extension), atol=1e-15)
+    np.testing.assert_array_equal(robot.to_motors(back), robot.pose_angles(*np.moveaxis(back, -2, 0)))
+
+
+def test_a_number_is_the_same_for_all_legs(robot: RobotDescription):
+    np.testing.assert_array_equal(robot.pose_angles(0.1, 2.0), robot.pose_angles([0.1] * 4, [2.0] * 4))
+    np.testing.assert_array_equal(robot.pose_angles(np.zeros((3, 1)), [2.0] * 4), np.full((3, 8), 2.0))
 
 
 def test_each_legs_pose_goes_to_its_own_motors(robot: RobotDescription):
     # Only the front left leg swings, by .3: its motor 2 comes first in the order, then its motor 1.
-    angles = robot.leg_to_motor_angles([0.3, 0, 0, 0], [2.0, 2, 2, 2])
+    angles = robot.pose_angles([0.3, 0, 0, 0], [2.0, 2, 2, 2])
     np.testing.assert_allclose(angles, [1.7, 2.3, 2, 2, 2, 2, 2, 2])
 
 
@@ -106,13 +113,67 @@ def test_resting_pose(robot: RobotDescription):
     np.testing.assert_allclose(robot.resting_angles, np.full(8, 2.0))
 
 
+def test_leg_space_and_poses_are_the_sheets(robot: RobotDescription):
+    assert robot.coordinates == ("swing", "extension")
+    assert robot.leg_space == {"swing": (-1.0, 1.0), "extension": (0.6, 2.7)}
+    assert robot.rest == (0.0, 2.0)
+    assert (robot.poses.sit, robot.poses.spread) == ((0.0, 0.9), 1.2)
+
+
+def test_the_minitaur_has_five_bars_and_dc_motors(robot: RobotDescription):
+    assert robot.drive == "dc"
+    assert robot.dc_motor is robot.actuator
+    assert robot.five_bar is robot.leg_geometry
+
+
+def test_motor_angles_over_a_range_of_poses(robot: RobotDescription):
+    # theta_1 = e + s and theta_2 = e - s; both from 1 - .3 to 2 + .3 for a range of swing that is even.
+    least, greatest = robot.angle_extent((-0.3, 0.3), (1.0, 2.0))
+    np.testing.assert_allclose((least, greatest), [[0.7] * 8, [2.3] * 8])
+    # From 0 to .3: theta_1 from 1 to 2.3, theta_2 from .7 to 2. Legs on the left have motor 2 first, right ones 1.
+    least, greatest = robot.angle_extent((0.0, 0.3), (1.0, 2.0))
+    np.testing.assert_allclose(least, [0.7, 1.0, 0.7, 1.0, 1.0, 0.7, 1.0, 0.7])
+    np.testing.assert_allclose(greatest, [2.0, 2.3, 2.0, 2.3, 2.3, 2.0, 2.3, 2.0])
+
+
+def test_joint_angles_are_the_urdfs_and_close_the_loops(robot: RobotDescription):
+    angles = robot.pose_angles([0.2, -0.3, 0.0, 0.4], [1.8, 2.1, 1.5, 1.2])
+    joints = robot.joint_angles(np.stack([angles, robot.resting_angles]))
+    for number, leg in enumerate(robot.legs):
+        theta = angles[robot.leg_motor_index[number]]
+        assert [joints[name][0] for name in leg.motors] == [theta[0], -theta[1]]
+        assert [joints[name][0] for name in leg.knees] == robot.five_bar.knee_angles(theta).tolist()
+    assert {name: values[1] for name, values in joints.items()} == robot.resting_joint_angles
+
+
+def test_a_body_is_as_long_as_its_legs_are_apart_where_the_sheet_does_not_say(folder: Path):
+    text = (folder / SHEET).read_text()
+    assert text.count("body_length = 0.54") == 1
+    (folder / SHEET).write_text(text.replace("body_length = 0.54", ""))
+    assert RobotDescription.load(folder).body_length == pytest.approx(2 * 0.2375)
+
+
 def test_a_folder_loads_like_a_name(folder: Path, robot: RobotDescription):
     assert RobotDescription.load(folder).urdf.links == robot.urdf.links
 
 
 def test_unknown_robot_names_the_known_ones():
-    with pytest.raises(SurefootError, match=r"robot 'snake': no such robot .*; robots: minitaur"):
+    names = RobotDescription.available()
+    assert "minitaur" in names
+    with pytest.raises(SurefootError, match=rf"robot 'snake': no such robot .*; robots: {', '.join(names)}$"):
         RobotDescription.load("snake")
+
+
+@pytest.mark.parametrize("name", RobotDescription.available())
+def test_legs_of_every_robot_can_have_every_pose_of_their_range(name: str):
+    robot = RobotDescription.load(name)
+    axes = np.meshgrid(*(np.linspace(*bounds, 7) for bounds in robot.leg_space.values()))
+    poses = np.repeat(np.stack([axis.ravel() for axis in axes], -1)[..., None], len(robot.legs), axis=-1)
+    angles = robot.to_motors(poses)
+    assert robot.leg_geometry.closes(angles[:, robot.leg_motor_index]).all()
+    np.testing.assert_allclose(robot.to_pose(angles), poses, atol=1e-9)
+    low, high = robot.angle_extent(*robot.leg_space.values())
+    assert np.all((angles >= low - 1e-9) & (angles <= high + 1e-9))
 
 
 SHEET, URDF = "robot.toml", "minitaur.urdf"
@@ -163,12 +224,12 @@ SHEET, URDF = "robot.toml", "minitaur.urdf"
         (
             "lower = [0.200, 0.208]",
             "lower = [0.020, 0.021]",
-            "leg_geometry ... can't close at the resting pose ... must reach each other",
+            "leg_geometry ... can't have its resting pose (swing 0, extension 2) ... must reach each other",
         ),
         (
             "lower = [0.200, 0.208]",
             "lower = [0.095, 0.095]",
-            "leg_space.extension is [0.6, 2.7] ... can't close everywhere ... narrow it",
+            "leg_space.extension is [0.6, 2.7] ... can't have every extension in it ... narrow it",
         ),
         (
             'links = ["back_left_1_lower"',
@@ -185,7 +246,8 @@ SHEET, URDF = "robot.toml", "minitaur.urdf"
         ("upper = 0.101", "upper = -0.101", "leg_geometry.upper is -0.101"),
         ("body_length = 0.54", "body_lenght = 0.54", "body_lenght ... is not a key ... choices:  ... body_length"),
         ("resistance = 0.186", "resistanse = 0.186", "actuator.resistanse ... is not a key ... resistance"),
-        ("body_length = 0.54", "", "body_length ... is missing"),
+        ("body_length = 0.54", "body_length = 0.0", "body_length is 0 ... over 0"),
+        ('base = "base"', "", "base ... is missing"),
         ("kp = 1.0", "", "actuator.kp ... is missing"),
         ("\nviscous_friction = 0.0", "\nviscous_friction = -0.01", "actuator.viscous_friction is -0.01 ... 0 or more"),
         ("resistance = 0.186", 'resistance = "low"', "actuator.resistance is 'low' ... a number"),
@@ -202,6 +264,23 @@ SHEET, URDF = "robot.toml", "minitaur.urdf"
             "actuator.torque_table_current has 6 points ... both need the same",
         ),
         ("swing = [-1.0, 1.0]", "swing = [1.0, -1.0]", "leg_space.swing ... the lower bound must come first"),
+        ("rest = [0.0, 2.0]", "rest = [2.0]", "leg_space.rest has 1 numbers ... swing, extension"),
+        ("rest = [0.0, 2.0]", "", "leg_space has no swing, extension or rest ... need them"),
+        ("swing = [-1.0, 1.0]", "abduction = [0.0, 0.1]\nswing = [-1.0, 1.0]", "leg_space.abduction ... no abduction"),
+        ("sit = [0.0, 0.9]", "sit = [0.9]", "poses.sit has 1 numbers ... swing, extension"),
+        ("sit = [0.0, 0.9]", "sit = [0.0, 0.5]", "poses.sit has extension 0.5 ... 0.6 to 2.7"),
+        (
+            'motors = ["back_right_1_motor", "back_right_2_motor"]',
+            'motors = ["back_right_1_motor"]',
+            "legs.back_right.motors has 1 names ... two motors and two knees",
+        ),
+        (
+            'knees = ["back_right_1_knee", "back_right_2_knee"]',
+            'knees = ["back_right_1_knee"]',
+            "legs.back_right.knees has 1 names ... two, with leg_geometry",
+        ),
+        ('kind = "dc"', 'kind = "steam"', "actuator.kind is 'steam' ... choices: dc, joint"),
+        ("kp = 1.0", "kp = [1.0, 2.0, 3.0]", "actuator.kp has 3 numbers ... it takes one, 2 for ... or 8 in the"),
         ("voltage = [5.0, 30.0]", "voltage = [30.0, 5.0]", "allowed.voltage ... the lower bound must come first"),
         ("voltage = [5.0, 30.0]", "voltage = [17.0, 30.0]", "nominal voltage is 16 ... 17 to 30 ... unit: V"),
         (
@@ -232,7 +311,7 @@ def test_bounds_that_the_sheet_does_not_give_are_the_defaults(folder: Path):
     text = (folder / SHEET).read_text()
     (folder / SHEET).write_text(text[: text.index("[allowed]")] + "[allowed]\nvoltage = [10.0, 20.0]\n")
     allowed = RobotDescription.load(folder).allowed
-    assert (allowed["voltage"], allowed["motor_friction"]) == ((10.0, 20.0), (0.0, 0.5))
+    assert (allowed["voltage"], allowed["motor_friction"]) == ((10.0, 20.0), (0.0, 20.0))
 
 
 @pytest.mark.parametrize(("line", "value"), [("", 0.0), ("viscous_friction = 0.02", 0.02)])
@@ -249,14 +328,36 @@ def test_a_sheet_that_is_not_text_is_refused(folder: Path):
         RobotDescription.load(folder)
 
 
+def with_kp(folder: Path, value: str) -> RobotDescription:
+    text = (folder / SHEET).read_text()
+    assert text.count("\nkp = 1.0 ") == 1
+    (folder / SHEET).write_text(text.replace("\nkp = 1.0 ", f"\nkp = {value} "))
+    return RobotDescription.load(folder)
+
+
+# The sheet's order has motor 2 first on the left and motor 1 first on the right; a leg's list has motor 1 first.
+@pytest.mark.parametrize(
+    ("value", "expected"),
+    [
+        ("2.0", [2.0] * 8),
+        ("[2.0, 3.0]", [3.0, 2.0, 3.0, 2.0, 2.0, 3.0, 2.0, 3.0]),
+        ("[1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0]", [1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0]),
+    ],
+)
+def test_a_list_holds_for_each_legs_motors_or_for_all_in_their_order(folder: Path, value: str, expected: list[float]):
+    robot = with_kp(folder, value)
+    np.testing.assert_array_equal(PhysicalParams.nominal(robot, 2).servo_kp, [expected] * 2)
+    np.testing.assert_array_equal(PhysicalParams.nominal(robot, 2).servo_kd, np.full((2, 8), 0.015))
+
+
 INERTIAL = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1"/></inertial>'
 
 
-def urdf(folder: Path, joint: str) -> Path:
+def urdf(folder: Path, joint: str, kind: str = "continuous") -> Path:
     path = folder / "two.urdf"
     links = "".join(f'<link name="{name}">{INERTIAL}</link>' for name in ("base", "arm"))
     path.write_text(
-        f'<robot name="two">{links}<joint name="elbow" type="revolute"><parent link="base"/><child link="arm"/>{joint}'
+        f'<robot name="two">{links}<joint name="elbow" type="{kind}"><parent link="base"/><child link="arm"/>{joint}'
         "</joint></robot>"
     )
     return path
@@ -281,3 +382,42 @@ def test_a_place_that_is_none_is_refused(tmp_path: Path, xyz: str):
     path = urdf(tmp_path, f'<origin xyz="{xyz}"/>')
     with pytest.raises(SurefootError, match=f"joint 'elbow': origin is '{xyz}'; it must be 3 finite numbers"):
         read_urdf(path)
+
+
+def test_a_revolute_joint_has_limits_and_a_continuous_one_none(tmp_path: Path):
+    limits = '<limit lower="-0.5" upper="1.25" effort="3" velocity="4"/>'
+    assert read_urdf(urdf(tmp_path, limits, "revolute")).joints["elbow"].limits == (-0.5, 1.25)
+    assert read_urdf(urdf(tmp_path, limits)).joints["elbow"].limits is None
+
+
+@pytest.mark.parametrize(
+    ("limits", "said"),
+    [
+        ('<limit lower="1" upper="-1"/>', r"limits are \[1, -1\]; the lower one must be below the upper"),
+        ("", r"limits are \[0, 0\]; the lower one must be below the upper"),
+        ('<limit lower="low" upper="1"/>', "limit lower is 'low'; it must be a finite number"),
+    ],
+)
+def test_limits_that_are_none_are_refused(tmp_path: Path, limits: str, said: str):
+    with pytest.raises(SurefootError, match=f"joint 'elbow': {said}"):
+        read_urdf(urdf(tmp_path, limits, "revolute"))
+
+
+# A quarter turn about z: the child's x axis is the parent's y axis. The arm's hand is .2 along the arm's x.
+def test_frames_follow_places_and_turns_of_joints(tmp_path: Path):
+    path = tmp_path / "three.urdf"
+    links = "".join(f'<link name="{name}">{INERTIAL}</link>' for name in ("base", "arm", "hand"))
+    # The hand comes first: the order in the file does not matter.
+    joints = "".join(
+        f'<joint name="{name}" type="continuous"><parent link="{parent}"/><child link="{child}"/>'
+        f'<origin xyz="{xyz}" rpy="0 0 {yaw}"/></joint>'
+        for name, parent, child, xyz, yaw in (
+            ("wrist", "arm", "hand", "0.2 0 0", np.pi / 2),
+            ("elbow", "base", "arm", "1 2 3", np.pi / 2),
+        )
+    )
+    path.write_text(f'<robot name="three">{links}{joints}</robot>')
+    frames = read_urdf(path).frames
+    np.testing.assert_array_equal(frames["base"], np.eye(4))
+    np.testing.assert_allclose(frames["arm"][:3], [[0, -1, 0, 1], [1, 0, 0, 2], [0, 0, 1, 3]], atol=1e-15)
+    np.testing.assert_allclose(frames["hand"][:3], [[-1, 0, 0, 1], [0, -1, 0, 2.2], [0, 0, 1, 3]], atol=1e-15)

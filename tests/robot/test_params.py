@@ -8,7 +8,10 @@ import pytest
 from surefoot.errors import SurefootError
 from surefoot.robot import PhysicalParams, RobotDescription, parse_settings
 
-PER_MOTOR = {"motor_strength", "motor_friction", "motor_viscous_friction"}
+PER_MOTOR = {
+    *("motor_strength", "motor_friction", "motor_viscous_friction", "servo_kp", "servo_kd"),
+    *("load_friction", "rotor_inertia"),
+}
 
 
 @pytest.fixture
@@ -45,6 +48,8 @@ ROBOTS, MOTORS = [0.8, 0.9, 1.0, 1.1, 1.2], np.linspace(0.8, 1.2, 8)
         ("voltage", [14, 15, 16, 16.5, 16.8], [14, 15, 16, 16.5, 16.8]),
         ("motor_strength", ROBOTS, np.array(ROBOTS)[:, None]),  # one number a robot goes to all its motors
         ("motor_strength", MOTORS, MOTORS),  # one a motor to all robots
+        ("servo_kp", MOTORS, MOTORS),
+        ("servo_kd", [0.01, 0.02, 0.03, 0.04, 0.05], np.array([0.01, 0.02, 0.03, 0.04, 0.05])[:, None]),
     ],
 )
 def test_values_go_to_robots_and_motors(robot, params, name, given, expected):
@@ -66,6 +71,10 @@ def test_with_values_leaves_the_original_alone(robot, params):
         ({"motor_viscous_friction": 0.2}, ["motor_viscous_friction is 0.2", "allows 0 to 0.1", "unit: N m s/rad"]),
         ({"voltage": float("nan")}, ["voltage is nan", "allows 5 to 30", "unit: V"]),
         ({"voltage": [16, 16, 16, 16, 40]}, ["voltage is 40"]),
+        # Of joint drives only.
+        ({"load_friction": 0.1}, ["load_friction belongs to motors of kind joint", "the motors of minitaur are dc"]),
+        ({"speed_filter": 0.001}, ["speed_filter belongs to motors of kind joint", "motors of minitaur are dc"]),
+        ({"rotor_inertia": 0.0}, ["rotor_inertia belongs to motors of kind joint", "motors of minitaur are dc"]),
         ({"voltage": [16.0, 15.0]}, ["voltage has shape (2,)", "(5,)"]),
         ({"motor_strength": np.ones((5, 3))}, ["motor_strength has shape (5, 3)", "(5, 8)"]),
     ],

@@ -56,10 +56,10 @@ def test_each_leg_begins_its_cycle_at_its_own_phase():
 
 def test_legs_bring_the_feet_to_their_paths():
     reference, time = make(), np.linspace(0.0, 0.7, 50)
-    swing, extension = reference.pose(time)
-    np.testing.assert_allclose(
-        LEG.foot_position(extension + swing, extension - swing), reference.path(2.0 * time), atol=1e-12
-    )
+    pose = reference.pose(time)
+    assert pose.shape == (50, 2, 4)
+    np.testing.assert_allclose(LEG.foot_in_plane(LEG.to_motors(pose)), reference.path(2.0 * time), atol=1e-12)
+    swing, extension = pose[:, 0], pose[:, 1]
     (s_low, s_high), (e_low, e_high) = reference.extent()
     assert s_low <= swing.min() <= swing.max() <= s_high
     assert e_low <= extension.min() <= extension.max() <= e_high
@@ -69,7 +69,7 @@ def test_legs_bring_the_feet_to_their_paths():
 def test_robots_may_have_paths_of_their_own():
     one, other = make(), make(frequency=3.0, stroke=0.05, duty_factor=0.5)
     both = FootReference.stacked([one, other])
-    swing, extension = both.pose([0.21, 0.21])
+    pose = both.pose([0.21, 0.21])
     for row, alone in enumerate((one, other)):
-        np.testing.assert_allclose((swing[row], extension[row]), np.squeeze(alone.pose([0.21])), atol=1e-12)
+        np.testing.assert_allclose(pose[row], alone.pose([0.21])[0], atol=1e-12)
     np.testing.assert_allclose(both.period, [0.5, 1 / 3])

@@ -63,7 +63,7 @@ def test_zero_bounds_give_exactly_the_reference(robot):
     time = np.linspace(0, 1, 11)
     feedback = gait.feedback(np.random.default_rng(1).uniform(-1, 1, (11, 8)))
     targets = gait.motor_targets(time, feedback)
-    assert np.array_equal(targets, robot.leg_to_motor_angles(*gait.reference.pose(time)))
+    assert np.array_equal(targets, robot.to_motors(gait.reference.pose(time)))
 
 
 def test_reference_and_feedback_add(robot):
@@ -107,8 +107,43 @@ def test_commands_beyond_the_legs_range_are_refused(robot, amplitude, swing, ext
         assert piece in message
 
 
+def of_joints(robot: RobotDescription, bounds: tuple[float, float] = (-0.1, 0.3)) -> HybridGait:
+    return HybridGait(robot, trot(robot), bounds, action="joint")
+
+
+def test_feedback_may_be_on_each_motor(robot):
+    gait = of_joints(robot)
+    assert gait.action_names == [f"joint.{motor}" for motor in robot.motor_names]
+    np.testing.assert_array_equal((gait.low, gait.high), [[-0.1] * 8, [0.3] * 8])
+    unit, time = np.random.default_rng(1).uniform(-1, 1, (11, 8)), np.linspace(0, 1, 11)
+    feedback = gait.feedback(unit)
+    np.testing.assert_allclose(feedback, 0.1 + 0.2 * unit, atol=1e-15)
+    np.testing.assert_allclose(gait.action(feedback), unit, atol=1e-14)
+    targets = gait.motor_targets(time, feedback)
+    np.testing.assert_allclose(targets, robot.to_motors(gait.reference.pose(time)) + feedback, atol=1e-15)
+
+
+def test_rest_and_angles_with_feedback_on_motors(robot):
+    gait = of_joints(robot)
+    assert gait.rest == pytest.approx((0.0, 2.0))
+    # The reference has swing -.3 to .3 and extension 1.65 to 2.35, so motors go from 1.35 to 2.65; then -.1 to .3.
+    np.testing.assert_allclose(gait.angle_extent(), [[1.25] * 8, [2.95] * 8])
+    with pytest.raises(SurefootError, match=r"extension can be 0\.500 to 3\.500 rad"):
+        HybridGait(robot, trot(robot, 1.5), (0.0, 0.0), action="joint")
+
+
+def test_angles_of_all_commands_in_leg_space(robot):
+    # From scratch: swing +-.5, extension 1 to 2.
+    np.testing.assert_allclose(scratch(robot).angle_extent(), [[0.5] * 8, [2.5] * 8])
+    rng = np.random.default_rng(1)
+    gait = HybridGait(robot, trot(robot), (-0.1, 0.3), (-0.2, 0.25))
+    low, high = gait.angle_extent()
+    targets = gait.motor_targets(rng.uniform(0, 1, 1000), gait.feedback(rng.uniform(-1.2, 1.2, (1000, 8))))
+    assert np.all((targets >= low) & (targets <= high))
+
+
 def test_the_edge_of_the_legs_range_is_allowed(robot):
     reference = make_reference(None, robot)
-    gait = HybridGait(robot, reference, robot.swing_range, robot.extension_range)
+    gait = HybridGait(robot, reference, robot.leg_space["swing"], robot.leg_space["extension"])
     assert gait.low[0] == -1.0
     assert gait.high[-1] == 2.7

@@ -41,7 +41,7 @@ def controller(history: int = 1, **gains: float) -> RaibertController:
 
 
 def angles(time: float, **other: Any) -> np.ndarray:
-    return ROBOT.leg_to_motor_angles(*reference(**other).pose([time]))[0]
+    return ROBOT.to_motors(reference(**other).pose([time]))[0]
 
 
 def observation(time: float, imu: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0), **other: Any) -> np.ndarray:
@@ -53,9 +53,8 @@ def observation(time: float, imu: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0), **ot
 
 def feet(feedback: np.ndarray, time: float) -> np.ndarray:
     """Return how far feedback moves the feet (4, 2) [m]."""
-    swing, extension = reference().pose([time])
-    swing, extension = swing + feedback[:, :4], extension + feedback[:, 4:]
-    moved = LEG.foot_position(extension + swing, extension - swing)
+    pose = reference().pose([time]) + feedback.reshape(-1, 2, 4)
+    moved = LEG.foot_in_plane(LEG.to_motors(pose))
     return (moved - reference().path([2.0 * time]))[0]
 
 

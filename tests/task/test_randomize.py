@@ -199,14 +199,14 @@ FINE = {"control_step": 0.001}
 def wave(env: LocomotionEnv, k: int) -> np.ndarray:
     """Motor angles that keep all legs busy, for the servo step k."""
     phase = 2 * np.pi * 2.0 * 0.001 * k + np.array([0, np.pi, np.pi, 0])
-    return env.robot.leg_to_motor_angles(0.3 * np.sin(phase), 2.0 + 0.35 * np.sin(phase))
+    return env.robot.pose_angles(0.3 * np.sin(phase), 2.0 + 0.35 * np.sin(phase))
 
 
 def test_what_robots_weigh_and_how_deep_their_feet_stand_is_as_drawn(robot):
     env = make_env({"mass": (0.8, 1.2), "contact_stiffness": (1500.0, 6000.0)}, num_envs=12)
     for _ in range(450):
         env.world.step(env.world.resting_angles)
-    depth, params = robot.leg_geometry.foot_radius - env.world.foot_positions()[:, :, 2], env.world.params
+    depth, params = robot.five_bar.foot_radius - env.world.foot_positions()[:, :, 2], env.world.params
     weighed = params.contact_stiffness * depth.sum(axis=1) / 9.81
     assert params.contact_stiffness.max() > 2 * params.contact_stiffness.min()
     ratios = np.stack([params.base_mass_ratio, params.leg_mass_ratio], axis=1)
@@ -267,7 +267,7 @@ def torques_by_hand(env: LocomotionEnv, target: np.ndarray, angle: np.ndarray, s
     expected = np.empty_like(angle)
     for i, m in np.ndindex(*angle.shape[1:]):
         seen, turning = (np.interp(time - params.servo_latency[i], time, x[:, i, m]) for x in (angle, speed))
-        duty = params.servo_kp[i] * (target[:, m] - seen) - params.servo_kd[i] * turning
+        duty = params.servo_kp[i, m] * (target[:, m] - seen) - params.servo_kd[i, m] * turning
         now = speed[:, i, m]
         net = np.clip(duty, -1, 1) * params.voltage[i] - params.torque_constant[i] * now
         current = net / params.resistance[i]

@@ -41,10 +41,9 @@ def foot(**other: Any) -> dict[str, Any]:
 
 def test_no_reference_is_zero_at_all_times():
     reference = make_reference(None, ROBOT)
-    swing, extension = reference.pose(np.array([0.0, 0.3, 7.0]))
-    assert swing.shape == extension.shape == (3, 4)
-    assert not swing.any()
-    assert not extension.any()
+    pose = reference.pose(np.array([0.0, 0.3, 7.0]))
+    assert pose.shape == (3, 2, 4)
+    assert not pose.any()
     assert reference.period is None
     assert reference.extent() == ((0, 0), (0, 0))
 
@@ -54,7 +53,7 @@ def test_no_reference_is_zero_at_all_times():
     ("time", "sine"), [(0.0, 0.0), (0.125, 1.0), (0.25, 0.0), (0.375, -1.0), (1 / 24, 0.5), (0.625, 1.0)]
 )
 def test_sine_at_known_phases(time: float, sine: float):
-    swing, extension = make_reference(TROT, ROBOT).pose([time])
+    swing, extension = np.moveaxis(make_reference(TROT, ROBOT).pose([time]), -2, 0)
     one = np.array([1, -1, -1, 1])
     np.testing.assert_allclose(swing, [0.3 * sine * one], atol=1e-12)
     np.testing.assert_allclose(extension, [2.0 + 0.35 * sine * one], atol=1e-12)
@@ -100,7 +99,7 @@ def test_the_period_is_common_to_swing_and_extension(
 )
 def test_a_table_runs_in_straight_lines_and_starts_anew(time: float, swing: float, extension: float):
     got = make_reference(ROWS, ROBOT).pose([time])
-    np.testing.assert_allclose(got, [np.full((1, 4), swing), np.full((1, 4), extension)], atol=1e-12)
+    np.testing.assert_allclose(got, [[np.full(4, swing), np.full(4, extension)]], atol=1e-12)
 
 
 def test_a_tables_extent_and_period():
@@ -137,7 +136,19 @@ def test_columns_go_by_name_not_by_place(tmp_path: Path):
     table = columns()
     table["swing_back_right"] = [0.1, 0.1, 0.1, 0.1]
     reference = from_file(write(tmp_path / "gait.csv", dict(reversed(table.items()))))
-    np.testing.assert_allclose(reference.pose([0.2])[0], [[0.4, 0.4, 0.4, 0.1]])
+    np.testing.assert_allclose(reference.pose([0.2])[:, 0], [[0.4, 0.4, 0.4, 0.1]])
+
+
+# The straight leg is l = .101 + .240 m long: its natural frequency is sqrt(9.81 / .341) / 2 pi = .8536453 Hz.
+def test_a_foot_reference_may_count_lengths_and_natural_frequencies_of_the_leg():
+    lengths = ("stroke", "clearance", "height", "offset", "depth")
+    absolute = foot(**{"frequency": 2.0 * 0.8536453} | {name: 0.341 * FOOT["foot"][name] * 3 for name in lengths})
+    given = foot(**{name: 3 * FOOT["foot"][name] for name in lengths})
+    time = np.linspace(0, 1, 41)
+    poses = [make_reference(data, ROBOT).pose(time) for data in (given | {"relative": True}, absolute)]
+    np.testing.assert_allclose(*poses, atol=1e-6)
+    again = make_reference(make_reference(given | {"relative": True}, ROBOT).to_dict(), ROBOT)
+    np.testing.assert_array_equal(again.pose(time), poses[0])
 
 
 @pytest.mark.parametrize("data", [None, TROT, ROWS, FOOT])

@@ -81,7 +81,7 @@ def trot(robot: RobotDescription) -> Callable[[int], np.ndarray]:
 
     def angles(step: int) -> np.ndarray:
         phase = 2 * np.pi * 2.0 * 0.006 * step + np.array([0, np.pi, np.pi, 0])
-        return robot.leg_to_motor_angles(0.3 * np.sin(phase), 2.0 + 0.35 * np.sin(phase))
+        return robot.pose_angles(0.3 * np.sin(phase), 2.0 + 0.35 * np.sin(phase))
 
     return angles
 

@@ -107,7 +107,7 @@ def test_feet_sink_in_by_the_weight_over_their_stiffness(robot: RobotDescription
         for _ in range(350):
             world.step(world.resting_angles)
         heights.append(world.truth().base_position_world[:, 2])
-        depth = robot.leg_geometry.foot_radius - world.foot_positions()[:, :, 2]
+        depth = robot.five_bar.foot_radius - world.foot_positions()[:, :, 2]
         np.testing.assert_allclose(depth.sum(axis=1), WEIGHT / stiffness, rtol=0.01)
         np.testing.assert_allclose(depth.mean(axis=1), [12.2e-3, 6.1e-3, 1.5e-3], atol=0.1e-3)
     np.testing.assert_allclose(*heights, atol=1e-4)
@@ -142,7 +142,7 @@ def sines(robot: RobotDescription) -> Callable[[int], np.ndarray]:
 
     def path(k: int) -> np.ndarray:
         phase = 2 * np.pi * np.array([1.0, 2.0, 3.0, 4.0]) * 0.006 * k
-        return robot.leg_to_motor_angles(0.3 * np.sin(phase), 2.0 + 0.3 * np.sin(0.7 * phase))
+        return robot.pose_angles(0.3 * np.sin(phase), 2.0 + 0.3 * np.sin(0.7 * phase))
 
     return path
 
@@ -152,7 +152,7 @@ def steps(robot: RobotDescription) -> Callable[[int], np.ndarray]:
 
     def path(k: int) -> np.ndarray:
         size = np.array([0.1, 0.2, 0.3, 0.4]) * ((k >= 20) - 2.0 * (k >= 60))
-        return robot.leg_to_motor_angles(size, 2.0 - 0.3 * size)
+        return robot.pose_angles(size, 2.0 - 0.3 * size)
 
     return path
 
@@ -259,7 +259,7 @@ def test_a_dropped_robot_lands_alike(robot: RobotDescription):
         for _ in range(400):
             world.step(world.resting_angles)
             base = world.truth().base_position_world[0, 2]
-            path.append([base, *(robot.leg_geometry.foot_radius - world.foot_positions()[0, :, 2])])
+            path.append([base, *(robot.five_bar.foot_radius - world.foot_positions()[0, :, 2])])
         heights.append(np.array(path)[:, 0])
         depths.append(np.max(np.array(path)[:, 1:], axis=0))
     assert np.min(depths) > 0.02

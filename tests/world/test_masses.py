@@ -98,11 +98,12 @@ def test_a_ratio_of_one_is_the_nominal_robot_again(make_world, motion, assert_sa
         assert_same_motion(now, nominal, slice(i, i + 1))
 
 
-def test_what_mujoco_derives_from_masses_is_all_that_a_mass_changes(robot):
+def test_what_mujoco_derives_from_masses_is_all_that_masses_and_rotors_change(robot):
     # The engine copies these arrays between robots; another one that mj_setConst fills would be another robot's.
     model, nominal = build_model(robot), build_model(robot)
     model.body_mass[1:] *= 1.2
     model.body_inertia[1:] *= 1.3
+    model.dof_armature[6:] += 0.01
     mujoco.mj_setConst(model, mujoco.MjData(model))
     names = [name for name in dir(model) if isinstance(getattr(model, name), np.ndarray)]
     differ = {

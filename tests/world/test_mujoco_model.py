@@ -48,11 +48,11 @@ class Rack:
         return float(self.data.energy.sum())
 
 
-def foot_centre(robot: RobotDescription, theta_1: np.ndarray, theta_2: np.ndarray) -> np.ndarray:
+def foot_centre(robot: RobotDescription, angles: np.ndarray) -> np.ndarray:
     """Where the closed form puts the middle of the foot's rounding, which is one radius short of its end."""
-    bars = robot.leg_geometry
-    _, knee = bars.knees(theta_1, theta_2)
-    end = bars.foot_position(theta_1, theta_2)
+    bars = robot.five_bar
+    _, knee = bars.knees(angles[..., 0], angles[..., 1])
+    end = bars.foot_in_plane(angles)
     return knee + (end - knee) * (1 - bars.foot_radius / bars.foot)
 
 
@@ -74,10 +74,10 @@ def test_feet_follow_the_closed_form_over_the_legs_range(robot: RobotDescription
     worst = 0.0
     path = np.concatenate([np.linspace(1.5, 2.6, 800), np.linspace(2.6, 0.7, 1400)])
     for k, extension in enumerate(path):
-        angles = robot.leg_to_motor_angles(np.full(4, swing * min(1, k / 300)), np.full(4, extension))
+        angles = robot.pose_angles(np.full(4, swing * min(1, k / 300)), np.full(4, extension))
         rack.drive(angles)
         if k % 10 == 0:
-            expected = foot_centre(robot, rack.angles[pair[:, 0]], rack.angles[pair[:, 1]])
+            expected = foot_centre(robot, rack.angles[pair])
             worst = max(worst, float(np.abs(rack.feet_from_axes() - expected).max()))
     np.testing.assert_allclose(rack.angles, angles, atol=0.05)  # the path was gone
     assert worst < 1e-3
@@ -85,7 +85,7 @@ def test_feet_follow_the_closed_form_over_the_legs_range(robot: RobotDescription
 
 def test_closed_form_puts_the_foot_where_the_urdf_does(robot: RobotDescription):
     rack = Rack(robot, 2.0, gravity=False)
-    expected = foot_centre(robot, *leg_to_motor(0.0, 2.0))
+    expected = foot_centre(robot, np.stack(leg_to_motor(0.0, 2.0)))
     np.testing.assert_allclose(rack.feet_from_axes(), np.tile(expected, (4, 1)), atol=1e-9)
 
 

@@ -27,8 +27,7 @@ def test_standing_height_is_the_geometrys_less_the_compression(make_world, robot
     world = make_world()
     stand(world)
     truth = world.truth()
-    pair = robot.leg_motor_index
-    feet = robot.leg_geometry.foot_position(truth.motor_angle[0, pair[:, 0]], truth.motor_angle[0, pair[:, 1]])
+    feet = robot.leg_geometry.foot_in_plane(truth.motor_angle[0, robot.leg_motor_index])
     # Motor axes lie .0185 m below the base's origin; F / K = 73.3 N / 4 / 3000 N/m = 6.1 mm.
     expected = 0.0185 - feet[:, 1].mean() - WEIGHT / 4 / 3000
     assert truth.base_position_world[0, 2] == pytest.approx(expected, abs=0.003)
@@ -45,14 +44,14 @@ def test_standing_feet_do_not_creep(make_world):
 
 def test_legs_stay_closed_while_the_robot_trots(make_world, trot, robot):
     world = make_world()
-    bars, pair, worst = robot.leg_geometry, robot.leg_motor_index, 0.0
+    bars, pair, worst = robot.five_bar, robot.leg_motor_index, 0.0
     axes = np.array([[0.2375 * (1 if "front" in name else -1), -0.0185] for name in robot.leg_names])
     for k in range(150):
         world.step(trot(k))
         truth = world.truth()
-        theta = truth.motor_angle[0, pair[:, 0]], truth.motor_angle[0, pair[:, 1]]
-        _, knee = bars.knees(*theta)
-        centre = knee + (bars.foot_position(*theta) - knee) * (1 - bars.foot_radius / bars.foot)
+        theta = truth.motor_angle[0, pair]
+        _, knee = bars.knees(theta[:, 0], theta[:, 1])
+        centre = knee + (bars.foot_in_plane(theta) - knee) * (1 - bars.foot_radius / bars.foot)
         in_base = (world.foot_positions()[0] - truth.base_position_world[0]) @ quat_matrix(truth.base_quat_world[0])
         worst = max(worst, float(np.abs(in_base[:, [0, 2]] - axes - centre).max()))
     assert worst < 1e-3
@@ -346,4 +345,4 @@ def test_thermal_protection_switches_off(make_world, protected):
 
 def test_world_config_is_kept(robot):
     world = SimWorld(robot, 1, config=WorldConfig(rest=(0.1, 1.8)))
-    np.testing.assert_allclose(world.resting_angles, robot.leg_to_motor_angles([0.1] * 4, [1.8] * 4))
+    np.testing.assert_allclose(world.resting_angles, robot.pose_angles([0.1] * 4, [1.8] * 4))

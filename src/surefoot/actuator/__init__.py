@@ -8,6 +8,13 @@ from surefoot.actuator.compiled import drop_stale_caches
 
 drop_stale_caches()
 
-from surefoot.actuator.motor import motor_current, motor_friction, motor_torque, servo_duty  # noqa: E402
+from surefoot.actuator.motor import (  # noqa: E402
+    joint_limit,
+    joint_torque,
+    motor_current,
+    motor_friction,
+    motor_torque,
+    servo_duty,
+)
 
-__all__ = ["motor_current", "motor_friction", "motor_torque", "servo_duty"]
+__all__ = ["joint_limit", "joint_torque", "motor_current", "motor_friction", "motor_torque", "servo_duty"]

@@ -128,6 +128,54 @@ def motor_friction(speed, coulomb, viscous):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, inline="always")
+def joint_torque_kernel(target: float, angle: float, speed: float, kp: float, kd: float) -> float:
+    """Return `joint_torque` for scalars."""
+    return kp * (target - angle) - kd * speed
+
+
+@vectorize(cache=True)
+def joint_torque(target, angle, speed, kp, kd):  # type: ignore[no-untyped-def]
+    """Return the torque [N m] that the PD controller of a joint drive asks for: k_p (q_target - q) - k_d qdot.
+
+    Args:
+        target: commanded angle [rad].
+        angle: angle that the drive sees, `servo_latency` old [rad].
+        speed: speed that it sees, equally old and filtered [rad/s].
+        kp: proportional gain [N m/rad].
+        kd: derivative gain [N m s/rad].
+    """
+    return joint_torque_kernel(target, angle, speed, kp, kd)
+
+
+@njit(cache=True, inline="always")
+def joint_limit_kernel(torque: float, speed: float, limit: float, full: float, none: float) -> float:
+    """Return `joint_limit` for scalars."""
+    most = limit
+    if torque * speed > 0.0 and abs(speed) > full:
+        share = (none - abs(speed)) / (none - full) if none > full else 0.0
+        most = limit * (share if share > 0.0 else 0.0)
+    # Compiled min and max would turn NaN into a torque.
+    return most if torque > most else -most if torque < -most else torque
+
+
+@vectorize(cache=True)
+def joint_limit(torque, speed, limit, full, none):  # type: ignore[no-untyped-def]
+    """Return a joint drive's torque [N m] within what it can give at a speed.
+
+    A drive that brakes has its whole torque; one that drives has it up to the speed `full`, and less in a straight line
+    to none at the speed `none`, where the supply's voltage is used up.
+
+    Args:
+        torque: torque asked for [N m].
+        speed: present speed [rad/s].
+        limit: greatest torque [N m].
+        full: speed up to which a driving motor has it [rad/s].
+        none: speed at which a driving motor has none [rad/s].
+    """
+    return joint_limit_kernel(torque, speed, limit, full, none)
+
+
+@njit(cache=True, inline="always")
 def overheat_kernel(torque: float, hot_time: float, dt: float, limit: float) -> float:
     """Return the time [s] that a motor has been over its thermal torque limit without a break.
 

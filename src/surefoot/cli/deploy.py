@@ -67,8 +67,8 @@ def main(argv: list[str]) -> int:
     from surefoot.deploy.controller import Controller
     from surefoot.deploy.deployment import Deployment
     from surefoot.deploy.display import LiveDisplay, PlainLines
-    from surefoot.deploy.findings import refusal
     from surefoot.deploy.pacer import undisturbed
+    from surefoot.findings import refusal
     from surefoot.policy.runtime import PolicyRuntime
     from surefoot.robot import RobotDescription
     from surefoot.stop_signals import StopSignals

@@ -18,9 +18,9 @@ from surefoot.configuration import Within
 from surefoot.deploy.connection import open_connection
 from surefoot.deploy.doctor.examination import STEPS, examine
 from surefoot.deploy.doctor.link import PINGS
-from surefoot.deploy.findings import Finding
 from surefoot.deploy.link import BAUD, LinkLostError
 from surefoot.errors import SurefootError
+from surefoot.findings import Finding
 from surefoot.policy.runtime import PolicyRuntime
 from surefoot.robot import RobotDescription
 
@@ -76,7 +76,7 @@ def main(argv: list[str]) -> int:
         for finding in examine(connection, policy, robot, command.rack, command.ground, command.pings, command.steps):
             findings.append(finding)
             if not command.json:
-                _print(console, finding)
+                print_finding(console, finding)
     finally:
         with contextlib.suppress(LinkLostError, OSError):
             connection.close()
@@ -95,7 +95,8 @@ def main(argv: list[str]) -> int:
     return FAILED if counts[False] else 0
 
 
-def _print(console: Console, finding: Finding) -> None:
+def print_finding(console: Console, finding: Finding) -> None:
+    """Print a finding in a line, and what to do in another one if it failed."""
     word, style = _WORDS[finding.passed]
     undone = f": {finding.what_to_do}" if finding.passed is None else ""
     console.print(Text.assemble((f"{word:<8}", style), f"  {finding.name:<20}  {finding.why}{undone}"))

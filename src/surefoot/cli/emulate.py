@@ -14,7 +14,7 @@ from surefoot.cli.options import Repeated, Settings, check_suffix
 from surefoot.cli.parsing import parse
 from surefoot.configuration import Seed, Within
 from surefoot.errors import SurefootError
-from surefoot.robot import PhysicalParams, RobotDescription, parse_settings
+from surefoot.robot import DEFAULT_ROBOT, PhysicalParams, RobotDescription, parse_settings
 from surefoot.robot.params_file import read_params, write_params
 
 if TYPE_CHECKING:
@@ -37,7 +37,7 @@ class EmulateCommand:
 
     world: str = "mujoco"
     """Physics engine: mujoco or bullet."""
-    robot: str = "minitaur"
+    robot: str = DEFAULT_ROBOT
     """Name or folder of the robot."""
     params: Path | None = None
     """File of physical parameters (.toml); the robot's own, if not given."""
@@ -124,7 +124,7 @@ def _params(command: EmulateCommand, robot: RobotDescription) -> PhysicalParams:
         return params.with_values(robot, **parse_settings([word for group in command.settings for word in group]))
     from surefoot.task.randomize import draw_hidden, load_ranges
 
-    params = draw_hidden(robot, load_ranges(command.hidden_ranges).ranges, command.hidden_seed)
+    params = draw_hidden(robot, load_ranges(command.hidden_ranges, robot=robot.folder).ranges, command.hidden_seed)
     if command.hidden_out is not None:
         write_params(command.hidden_out, robot, params, {"origin": {"hidden_seed": command.hidden_seed}})
     return params
@@ -148,7 +148,7 @@ def _build(command: EmulateCommand, robot: RobotDescription, faults: dict[str, F
     sensors, power = (SensorConfig.ideal(), PowerConfig.ideal()) if command.ideal_sensors else (None, None)
     params = _params(command, robot)
     plant = Plant(robot, params, command.seed, sensors, power, command.rack, engine, servo_every=servo_every)
-    limits = Limits()
+    limits = Limits.of(robot)
     said = introduction(robot, limits, f"surefoot emulator {__version__}", robot.timing.servo_step)
     if command.lockstep:
         return Board(plant, said, limits, faults, 0.0, command.seed)

@@ -11,9 +11,8 @@ import tyro
 
 from surefoot.cli.options import Count, Json, Threads, make_figures_folder
 from surefoot.cli.parsing import parse
-from surefoot.cli.simulator import RunOptions, take_ranges
+from surefoot.cli.simulator import GivenRanges, RunOptions, take_ranges
 from surefoot.errors import SurefootError
-from surefoot.task.randomize import RandomizeConfig
 
 if TYPE_CHECKING:
     from surefoot.robot import RobotDescription
@@ -45,14 +44,14 @@ class EvaluateCommand(RunOptions):
 
 def main(argv: list[str]) -> int:
     """Run the command with the words after its name; returns the exit code."""
-    words, ranges = take_ranges(argv, RandomizeConfig())
+    words, given = take_ranges(argv)
     command = parse(EvaluateCommand, words, "surefoot evaluate")
     if command.trace:
-        traces, robot, about = _recorded(command, bool(ranges.ranges))
+        traces, robot, about = _recorded(command, given != GivenRanges(None, {}))
     elif command.policy is None:
         raise SurefootError("no POLICY and no --trace is given; give one of them")
     else:
-        traces, robot, about = _simulated(command, ranges)
+        traces, robot, about = _simulated(command, given)
     from surefoot.evaluate.runs import summarize
 
     summary = summarize(traces, robot.urdf.total_mass)
@@ -73,7 +72,7 @@ def main(argv: list[str]) -> int:
 
 
 def _simulated(
-    command: EvaluateCommand, ranges: RandomizeConfig
+    command: EvaluateCommand, given_ranges: GivenRanges
 ) -> tuple[list[EpisodeTrace], RobotDescription, dict[str, Any]]:
     """Run the policy; returns its traces, the robot, and how it was run."""
     from surefoot.cli.policies import adjust_task, described, find_policy, find_world, load_gait, run_policy
@@ -81,6 +80,7 @@ def _simulated(
     path = find_policy(str(command.policy))
     find_world(command.world)
     policy, robot, task, known = load_gait(path, command.robot)
+    ranges = given_ranges.of(robot.folder)
     task = adjust_task(
         *(task, robot, command.settings, command.pushes),
         *(command.thermal_protection, ranges, command.simulator, command.push_force),

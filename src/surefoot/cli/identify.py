@@ -20,7 +20,7 @@ from surefoot.errors import SurefootError, choices
 from surefoot.identify.overlay import Known, read_known
 from surefoot.identify.recording import COMPLETE, Recording, load_recording
 from surefoot.identify.registry import EXPERIMENTS, Experiment
-from surefoot.robot import RobotDescription
+from surefoot.robot import FiveBar, RobotDescription
 
 STOPPED = 3
 """Exit code of an experiment that did not come to its end."""
@@ -63,6 +63,12 @@ class TracesCommand:
     json: Json = False
 
 
+def check_identifiable(robot: RobotDescription) -> None:
+    """Refuse a robot that the experiments and fits are not made for."""
+    if robot.drive != "dc" or not isinstance(robot.leg_geometry, FiveBar):
+        raise SurefootError(f"identify takes robots with five-bar legs and DC motors; {robot.name} has others")
+
+
 def main(argv: list[str]) -> int:
     """Run the command with the words after its name; returns the exit code."""
     if not argv or argv[0] in ("-h", "--help"):
@@ -97,6 +103,7 @@ def _from_trace(argv: list[str]) -> int:
 
     traces = find_traces(command.from_trace)
     robot = RobotDescription.load(command.robot or str(traces[0][1].meta["robot"]))
+    check_identifiable(robot)
     known = read_known(command.params, robot)
     from surefoot.cli.identify_results import check_installed, fitting, tell, write
 
@@ -115,6 +122,7 @@ def _experiment(name: str, argv: list[str]) -> int:
     command = parse(ExperimentCommand, argv, f"surefoot identify {name}")
     _check(command)
     experiment, robot = EXPERIMENTS[name], RobotDescription.load(command.robot)
+    check_identifiable(robot)
     known = read_known(command.params, robot)
     from surefoot.cli.identify_results import check_installed, fitting, tell, write
 

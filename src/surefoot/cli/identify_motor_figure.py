@@ -11,6 +11,7 @@ from typing import Annotated
 from surefoot.cli.options import Json, Settings, World, check_suffix
 from surefoot.cli.parsing import parse
 from surefoot.configuration import Duration, Within
+from surefoot.robot import DEFAULT_ROBOT
 
 
 @dataclass(frozen=True)
@@ -37,7 +38,7 @@ class MotorFigureCommand:
     """Write what the DC motor did as a log (.csv), for a model of it somewhere else."""
     settings: Settings = ()
     """Physical parameters that differ from the robot's, such as resistance=0.2."""
-    robot: str = "minitaur"
+    robot: str = DEFAULT_ROBOT
     """Name or folder of the robot."""
     world: World = "mujoco"
     json: Json = False

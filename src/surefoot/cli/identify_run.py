@@ -25,7 +25,7 @@ from surefoot.errors import SurefootError
 from surefoot.identify.experiment_runner import run_plan
 from surefoot.identify.plan import Plan
 from surefoot.identify.recording import Recording
-from surefoot.robot import RobotDescription
+from surefoot.robot import DEFAULT_ROBOT, RobotDescription
 
 PLACES = {True: "hang free, its legs in the air", False: "sit on flat ground with a metre of room"}
 """Where the robot must be, by whether it is an experiment for the rack."""
@@ -55,7 +55,7 @@ class ExperimentCommand:
     yes: Yes = False
     lockstep: Lockstep = False
     baud: Baud = BAUD
-    robot: str = "minitaur"
+    robot: str = DEFAULT_ROBOT
     """Name or folder of the robot's description."""
     json: Json = False
 

@@ -12,6 +12,7 @@ from surefoot.errors import SurefootError, choices
 
 COMMANDS = {
     "train": ("surefoot.cli.train", "learn a gait in simulation"),
+    "robot": ("surefoot.cli.robot", "take any quadruped from its URDF or MJCF, and check its description"),
     "evaluate": ("surefoot.cli.evaluate", "run a policy in simulation and measure it"),
     "play": ("surefoot.cli.play", "watch a policy, in a window or as a video"),
     "search": ("surefoot.cli.search", "train many times with searched settings, and see what emerges"),

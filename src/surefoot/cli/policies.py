@@ -125,7 +125,7 @@ def _check_contract(contract: Contract, robot: RobotDescription, task: TaskConfi
     why = (
         unreadable_observation(contract, robot)
         or contradiction(whole, robot)
-        or other_gains(contract, float(params.servo_kp[0]), float(params.servo_kd[0]))
+        or other_gains(contract, params.servo_kp[0].tolist(), params.servo_kd[0].tolist())
     )
     if why is not None:
         raise SurefootError(

@@ -56,8 +56,8 @@ def main(argv: list[str]) -> int:
 
     paths = find_policies(command.policies)
     make_world = find_world(command.world)
-    ranges = load_ranges(command.ranges)
     loaded, robot = load_policies(paths)
+    ranges = load_ranges(command.ranges, robot=robot.folder)
     check_ranges(ranges, robot)
     tasks = [command.simulator.of(one.task) for one in loaded]
     for task in tasks:

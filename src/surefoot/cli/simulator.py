@@ -115,9 +115,27 @@ def ranges_help() -> str:
     return textwrap.indent("\n".join(lines), "  ")
 
 
-def take_ranges(words: list[str], base: RandomizeConfig) -> tuple[list[str], RandomizeConfig]:
-    """Take `--randomize` out of a command's words; return the other words, and `base` with the ranges given."""
+@dataclass(frozen=True)
+class GivenRanges:
+    """What `--randomize` says on a command line."""
+
+    table: str | None
+    """Name or path of a table of ranges."""
+    rows: dict[str, tuple[float, float] | None]
+    """Rows with other ranges, or without."""
+
+    def of(self, robot: str | Path, base: RandomizeConfig | None = None) -> RandomizeConfig:
+        """Return the ranges for a robot, by name or folder; what is not given is as in `base`, or not drawn."""
+        config = base or RandomizeConfig()
+        if self.table is not None:
+            config = load_ranges(self.table, robot=robot)
+        return replace(config, **self.rows)
+
+
+def take_ranges(words: list[str]) -> tuple[list[str], GivenRanges]:
+    """Take `--randomize` out of a command's words; return the other words, and what it says."""
     rest: list[str] = []
+    table: str | None = None
     rows: dict[str, tuple[float, float] | None] = {}
     queue = list(words)
     while queue:
@@ -126,7 +144,7 @@ def take_ranges(words: list[str], base: RandomizeConfig) -> tuple[list[str], Ran
         if name == "--randomize":
             if not equals and (not queue or queue[0].startswith("--")):
                 raise SurefootError(f"--randomize has no value; choices: {choices(range_names())}, or a YAML file")
-            base = load_ranges(value if equals else queue.pop(0))
+            table = value if equals else queue.pop(0)
         elif name.startswith("--randomize."):
             row = name.removeprefix("--randomize.").replace("-", "_")
             if row not in ROWS:
@@ -138,7 +156,7 @@ def take_ranges(words: list[str], base: RandomizeConfig) -> tuple[list[str], Ran
             rows[row] = None if dropped else _range(name, given)
         else:
             rest.append(word)
-    return rest, replace(base, **rows)
+    return rest, GivenRanges(table, rows)
 
 
 def _range(option: str, given: list[str]) -> tuple[float, float]:

@@ -64,8 +64,9 @@ class TrainCommand(TrainConfig):
 
 
 def _parse(argv: list[str]) -> tuple[TrainConfig, Path]:
-    base = load_train_config(argv[0])
-    words, ranges = take_ranges(argv[1:], base.task.randomize)
+    base = load_train_config(argv[0], _robot(argv))
+    words, given_ranges = take_ranges(argv[1:])
+    ranges = given_ranges.of(base.task.robot, base.task.randomize)
     preset = TrainCommand(**vars(base) | {"task": replace(base.task, randomize=ranges)})
     command = parse(TrainCommand, words, f"surefoot train {argv[0]}", preset)
     # What is given by name goes over a file of parameters, which takes the place of the task's own.
@@ -73,6 +74,15 @@ def _parse(argv: list[str]) -> tuple[TrainConfig, Path]:
     task = command.simulator.of(replace(command.task, params=base.task.params), given)
     task = replace(task, pushes=replace(task.pushes, enabled=task.pushes.enabled or command.pushes))
     return TrainConfig(**{name: getattr(command, name) for name in vars(base)} | {"task": task}), command.runs
+
+
+def _robot(argv: list[str]) -> str | None:
+    """Return the robot that the words name, which decides where the task's own values come from."""
+    for word, after in zip(argv, [*argv[1:], ""], strict=True):
+        name, _, value = word.partition("=")
+        if name == "--task.robot":
+            return value or after
+    return None
 
 
 def _train(config: TrainConfig | None, path: Path) -> int:

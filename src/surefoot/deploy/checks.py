@@ -6,22 +6,23 @@ Everything here is a pure function of the three; nothing is asked of the robot a
 
 from __future__ import annotations
 
-import math
-from itertools import product
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
-from surefoot.deploy.findings import Finding, compared, judged, undone
-from surefoot.deploy.poses import pose
+from surefoot.deploy.controller import action_kind, contract_gait
 from surefoot.deploy.wire.messages import Handshake
 from surefoot.errors import SurefootError, choices
+from surefoot.findings import Finding, compared, judged, undone
 from surefoot.policy.contract import Contract
 from surefoot.robot import RobotDescription
-from surefoot.task.gait import HybridGait
+from surefoot.task.gait import action_names
 from surefoot.task.observation import PARTS, Observer
 from surefoot.task.reference import make_reference
 
+Gains = float | Sequence[float]
+"""A gain of all motors, or one for each."""
 WATCHDOG_STEPS = 3
 """Control steps that the robot's watchdog must bear: a late command is held for two."""
 _STEP_SHARE = 0.1
@@ -171,18 +172,12 @@ def _angles(contract: Contract, handshake: Handshake, robot: RobotDescription) -
     if contract.leg_names != robot.leg_names or len(handshake.angle_low) != robot.num_motors:
         return undone([name], "the policy's legs and motors are not the robot's")[0]
     try:
-        swing, extension = make_reference(contract.reference, robot).extent()
+        gait = contract_gait(contract, robot)
     except SurefootError as error:
         return Finding(name, False, f"the policy's reference can't be read: {error}", "export the policy again")
-    legs = len(robot.legs)
-    bounds = np.array([contract.low, contract.high])
-    spans = (
-        (swing[0] + bounds[0, :legs].min(), swing[1] + bounds[1, :legs].max()),
-        (extension[0] + bounds[0, legs:].min(), extension[1] + bounds[1, legs:].max()),
-    )
-    # Motor angles are sums and differences of swing and extension: their extremes are at the corners.
-    poses = [pose(robot, s, e) for s, e in (*product(*spans), contract.rest)]
-    least, most = np.min(poses, axis=0), np.max(poses, axis=0)
+    rest = robot.pose_angles(*contract.rest)
+    least, most = gait.angle_extent()
+    least, most = np.minimum(least, rest), np.maximum(most, rest)
     room = np.minimum(least - handshake.angle_low, handshake.angle_high - most)
     worst = int(np.argmin(room))
     asked = f"{robot.motor_names[worst]} can be sent to {least[worst]:.3f} to {most[worst]:.3f} rad"
@@ -208,7 +203,7 @@ def contradiction(contract: Contract, robot: RobotDescription) -> str | None:
 def unreadable_observation(contract: Contract, robot: RobotDescription) -> str | None:
     """Why a policy's observation is not one that this robot's readings give; None if it is."""
     try:
-        observer = Observer(robot, tuple(part.name for part in contract.observation))
+        observer = Observer(robot, tuple(part.name for part in contract.observation), contract.action_names)
     except SurefootError as error:
         return str(error)
     if tuple(observer.columns) != contract.columns:
@@ -225,12 +220,17 @@ def unreadable_observation(contract: Contract, robot: RobotDescription) -> str |
     return None
 
 
-def gains_of(kp: float, kd: float) -> str:
+def gains_of(kp: Gains, kd: Gains) -> str:
     """Servo gains in words."""
-    return f"kp {kp:g} and kd {kd:g}"
+
+    def shown(gain: Gains) -> str:
+        least, most = float(np.min(gain)), float(np.max(gain))
+        return f"{least:g}" if least == most else f"{least:g} to {most:g}"
+
+    return f"kp {shown(kp)} and kd {shown(kd)}"
 
 
-def other_gains(contract: Contract, kp: float, kd: float) -> str | None:
+def other_gains(contract: Contract, kp: Gains, kd: Gains) -> str | None:
     """Why servos with these gains are not those that a policy was trained with; None if they are."""
     if near(kp, contract.servo_kp) and near(kd, contract.servo_kd):
         return None
@@ -240,9 +240,12 @@ def other_gains(contract: Contract, kp: float, kd: float) -> str | None:
     )
 
 
-def near(one: float, other: float) -> bool:
-    """Whether a number is within `GAIN_TOLERANCE` of another one."""
-    return abs(one - other) <= GAIN_TOLERANCE * abs(other) + 1e-9
+def near(one: Gains, other: Gains) -> bool:
+    """Whether a number, or each of several, is within `GAIN_TOLERANCE` of another one."""
+    given, wanted = np.atleast_1d(one), np.atleast_1d(other)
+    if 1 not in (len(given), len(wanted)) and len(given) != len(wanted):
+        return False
+    return bool(np.all(np.abs(given - wanted) <= GAIN_TOLERANCE * np.abs(wanted) + 1e-9))
 
 
 def _contradiction(contract: Contract, robot: RobotDescription) -> str | None:
@@ -251,31 +254,31 @@ def _contradiction(contract: Contract, robot: RobotDescription) -> str | None:
     for name in ASSUMED:
         if name in params and not _same(getattr(contract, name), params[name]):
             where = "its task" if name in (task.get("params") or {}) else f"the data sheet of {robot.name}"
-            return f"{name} is {getattr(contract, name):g}; {where} says {params[name]:g}"
+            return f"{name} is {getattr(contract, name)}; {where} says {params[name]}"
     names = [part.name for part in contract.observation]
     for name, stated in (("observations", names), ("history", contract.history)):
         if name in task and task[name] != stated:
             return f"{name} is {stated}; its task says {task[name]}"
-    actions = tuple(f"{part}.{leg}" for part in ("swing", "extension") for leg in contract.leg_names)
+    actions = tuple(action_names(robot, action_kind(contract)))
     if contract.action_names != actions:
         return f"its actions are {list(contract.action_names)}; of these legs they must be {list(actions)}"
     return _bounds(contract) or _reference(contract, robot) or _rest(contract, robot)
 
 
-def _same(one: float, other: float) -> bool:
-    return math.isclose(one, other, rel_tol=_TOLERANCE, abs_tol=_TOLERANCE)
+def _same(one: Gains, other: Gains) -> bool:
+    given, wanted = np.atleast_1d(one), np.atleast_1d(other)
+    return given.shape == wanted.shape and np.allclose(given, wanted, rtol=_TOLERANCE, atol=_TOLERANCE)
 
 
 def _bounds(contract: Contract) -> str | None:
-    legs = len(contract.leg_names)
-    for part, start in (("swing", 0), ("extension", legs)):
+    for action, low, high in zip(contract.action_names, contract.low, contract.high, strict=True):
+        part = action.split(".")[0]
         stated = (contract.task.get("feedback") or {}).get(part)
         if stated is None:
             continue
-        for name, bounds, expected in (("low", contract.low, stated[0]), ("high", contract.high, stated[1])):
-            for value in bounds[start : start + legs]:
-                if not _same(value, expected):
-                    return f"{name} of {part} is {value:g}; its task says {expected:g}"
+        for name, value, expected in (("low", low, stated[0]), ("high", high, stated[1])):
+            if not _same(value, expected):
+                return f"{name} of {part} is {value:g}; its task says {expected:g}"
     return None
 
 
@@ -286,11 +289,11 @@ def _reference(contract: Contract, robot: RobotDescription) -> str | None:
     if kind is not None and (found or "none") != kind:
         return f"its reference is of kind {found or 'none'}; its task says {kind}"
     # A table's rows stand in the contract alone: its task may name a file that is somewhere else.
-    parts = {"sine": ("swing", "extension"), "foot": ("foot",)}.get(str(kind))
+    parts = {"sine": robot.coordinates, "foot": ("foot", "relative")}.get(str(kind))
     if parts is None:
         return None
     try:
-        expected = make_reference({key: stated[key] for key in ("kind", *parts)}, robot)
+        expected = make_reference({key: stated[key] for key in ("kind", *parts) if key in stated}, robot)
         given = make_reference(contract.reference, robot)
     except (SurefootError, KeyError) as error:
         return f"its reference can't be read: {error}"
@@ -300,17 +303,16 @@ def _reference(contract: Contract, robot: RobotDescription) -> str | None:
 
 
 def _rest(contract: Contract, robot: RobotDescription) -> str | None:
-    spans = (("swing", robot.swing_range), ("extension", robot.extension_range))
-    for (name, (low, high)), value in zip(spans, contract.rest, strict=True):
+    if len(contract.rest) != len(robot.coordinates):
+        return f"its pose at rest has {len(contract.rest)} numbers; {robot.name} has {choices(robot.coordinates)}"
+    spans = list(zip(robot.leg_space.items(), robot.leg_geometry.units, strict=True))
+    for ((name, (low, high)), unit), value in zip(spans, contract.rest, strict=True):
         if not low - _TOLERANCE <= value <= high + _TOLERANCE:
-            return f"{name} at rest is {value:g} rad; a leg of {robot.name} allows {low:g} to {high:g}"
+            return f"{name} at rest is {value:g} {unit}; a leg of {robot.name} allows {low:g} to {high:g}"
     stated, where = contract.task.get("rest"), "its task says"
     if stated is None:
-        legs = len(contract.leg_names)
-        bounds = [(min(contract.low[part]), max(contract.high[part])) for part in (slice(legs), slice(legs, None))]
-        reference = make_reference(contract.reference, robot)
-        stated, where = HybridGait(robot, reference, bounds[0], bounds[1]).rest, "the middle of its commands is"
-    for (name, _), value, expected in zip(spans, contract.rest, stated, strict=True):
+        stated, where = contract_gait(contract, robot).rest, "the middle of its commands is"
+    for ((name, _), unit), value, expected in zip(spans, contract.rest, stated, strict=True):
         if not _same(value, expected):
-            return f"{name} at rest is {value:g} rad; {where} {expected:g} rad"
+            return f"{name} at rest is {value:g} {unit}; {where} {expected:g} {unit}"
     return None

@@ -11,12 +11,38 @@ from surefoot.arrays import Array
 from surefoot.deploy.safety import check_finite
 from surefoot.deploy.wire.messages import State
 from surefoot.errors import SurefootError, choices
+from surefoot.policy.contract import Contract
 from surefoot.policy.runtime import PolicyRuntime
 from surefoot.robot import RobotDescription
-from surefoot.task.gait import HybridGait
+from surefoot.task.gait import ActionKind, HybridGait
 from surefoot.task.observation import Moment, Observer
 from surefoot.task.reference import make_reference
 from surefoot.world.interface import Readings
+
+
+def action_kind(contract: Contract) -> ActionKind:
+    """Return what a policy's feedback is added to: poses of legs, or motor angles."""
+    return "joint" if contract.action_names[0].startswith("joint.") else "leg"
+
+
+def contract_gait(contract: Contract, robot: RobotDescription) -> HybridGait:
+    """Return the gait of a policy's contract: its reference, and the bounds of its feedback.
+
+    Raises:
+        SurefootError: a reference or bounds that the robot does not allow, or actions that are not of its legs.
+    """
+    joint = action_kind(contract) == "joint"
+    places = {
+        part: [k for k, name in enumerate(contract.action_names) if name.startswith(f"{part}.")]
+        for part in (("joint",) if joint else robot.coordinates)
+    }
+    for part, found in places.items():
+        if not found:
+            raise SurefootError(f"policy '{contract.name}' has no action of {part}; {robot.name} has it")
+    low, high = np.array(contract.low), np.array(contract.high)
+    bounds = [(float(low[found].min()), float(high[found].max())) for found in places.values()]
+    reference = make_reference(contract.reference, robot)
+    return HybridGait(robot, reference, *bounds, action="joint" if joint else "leg")
 
 
 class Controller:
@@ -28,23 +54,18 @@ class Controller:
 
     def __init__(self, policy: PolicyRuntime, robot: RobotDescription) -> None:
         self.policy, self.robot, self.contract = policy, robot, policy.contract
-        contract, legs = self.contract, len(robot.legs)
-        self.observer = Observer(robot, tuple(part.name for part in contract.observation))
+        contract = self.contract
+        self.observer = Observer(robot, tuple(part.name for part in contract.observation), contract.action_names)
         if tuple(self.observer.columns) != contract.columns:
             raise SurefootError(
                 f"policy '{contract.name}' sees {choices(contract.columns)}; "
                 f"this surefoot would give it {choices(self.observer.columns)}"
             )
-        self.gait = HybridGait(
-            robot,
-            make_reference(contract.reference, robot),
-            (min(contract.low[:legs]), max(contract.high[:legs])),
-            (min(contract.low[legs:]), max(contract.high[legs:])),
-        )
+        self.gait = contract_gait(contract, robot)
         self.observation = np.zeros(self.observer.width)
         """What the policy saw last (O,), history left out."""
-        self.feedback = np.zeros(2 * legs)
-        """Its last feedback (2 L,) [rad]."""
+        self.feedback = np.zeros(len(contract.action_names))
+        """Its last feedback (A,)."""
         self.target = robot.resting_angles
         """Its last motor angles (M,) [rad]."""
         self.inference = 0.0

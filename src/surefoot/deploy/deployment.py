@@ -14,7 +14,6 @@ from surefoot.deploy.link import LinkLostError
 from surefoot.deploy.loop import ControlLoop, Watch
 from surefoot.deploy.motion import MotionRunner
 from surefoot.deploy.pacer import Timing
-from surefoot.deploy.poses import pose
 from surefoot.deploy.recording.recorder import Recorder
 from surefoot.deploy.safety import GO, Act, Guard, SafetyLimits, Verdict
 from surefoot.deploy.wire.messages import Handshake, State
@@ -64,7 +63,7 @@ class Deployment:
     ) -> None:
         self.connection, self.controller, self.operator, self.watch = connection, controller, operator, watch
         self.contract, self.robot = controller.contract, controller.robot
-        self.limits, self.dry_run = SafetyLimits(), dry_run
+        self.limits, self.dry_run = SafetyLimits.of(self.robot), dry_run
         self._moved = False
 
     def greet(self, check: Callable[[Handshake], None]) -> None:
@@ -163,7 +162,7 @@ class Deployment:
                 raise SurefootError(str(error)) from error
             return Outcome("fault", "arm", str(error), True)
         self._moved = True
-        verdict, ran = runner.stand_up(pose(self.robot, *contract.rest)), False
+        verdict, ran = runner.stand_up(self.robot.pose_angles(*contract.rest)), False
         if verdict.act is Act.GO:
             verdict, ran = self._run_policy(runner.loop, recorder, keep, begun), True
         return self._finish(runner, verdict, ran)

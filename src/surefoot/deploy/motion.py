@@ -78,7 +78,7 @@ class MotionRunner:
         self.connection, self.robot, self.control_step, self.lead = connection, robot, control_step, lead
         self.handshake: Handshake = connection.handshake
         self.mode = mode
-        guard = Guard(limits or SafetyLimits(), control_step, connection.session, tilt, mode)
+        guard = Guard(limits or SafetyLimits.of(robot), control_step, connection.session, tilt, mode)
         watch, timing = watch or Watch(), timing or Timing(0)
         self.loop = ControlLoop(connection, control_step, guard, operator, watch, timing, dry_run)
         self.clean_time = self.handshake.rearm_after + _CLEAN_MARGIN

@@ -8,36 +8,25 @@ from numpy.typing import ArrayLike
 from surefoot.arrays import Array
 from surefoot.robot import RobotDescription
 
-SIT_EXTENSION = 0.9
-"""Extension [rad] of all legs when the robot sits: low enough to fall from unharmed when its motors are let go."""
-
-SPREAD_SWING = 1.2
-"""Swing [rad] of legs that lie beside the body: about as far as they slide when motors are let go."""
 _ASIDE = 0.3
-
-
-def pose(robot: RobotDescription, swing: ArrayLike, extension: ArrayLike) -> Array:
-    """Motor angles (M,) [rad] of legs with swing and extension [rad], of each (L,) or of all alike."""
-    legs = len(robot.legs)
-    return robot.leg_to_motor_angles(np.full(legs, swing), np.full(legs, extension))
+"""Swing [rad] beyond which a leg lies beside the body."""
 
 
 def sitting(robot: RobotDescription) -> Array:
-    """Motor angles (M,) [rad] of the robot when it sits; its extension is kept within what its legs allow."""
-    low, high = robot.extension_range
-    return pose(robot, 0.0, float(np.clip(SIT_EXTENSION, low, high)))
+    """Return the motor angles (M,) [rad] of the robot when it sits."""
+    return robot.pose_angles(*robot.poses.sit)
 
 
 def lying(robot: RobotDescription, angles: ArrayLike) -> Array:
-    """Motor angles (M,) [rad] with which legs lie beside a body on its belly, from how they came to lie.
+    """Return the motor angles (M,) [rad] with which legs lie beside a body on its belly, from how they came to lie.
 
     Legs that slid out to one side stay on it: unfolded flat they move freely, and can then be drawn in from there. Legs
-    under the body are put as in `sitting`.
+    under the body are put as in `sitting`; so are all legs of a robot whose sheet has no `poses.spread`.
     """
-    swing, _ = robot.motor_to_leg_pose(angles)
-    low, high = robot.extension_range
-    flat = np.where(np.abs(swing) > _ASIDE, SPREAD_SWING * np.sign(swing), 0.0)
-    return robot.leg_to_motor_angles(flat, np.full(len(robot.legs), np.clip(SIT_EXTENSION, low, high)))
+    swing = robot.to_pose(angles)[-2]
+    *first, rest, extension = robot.poses.sit
+    aside = (np.abs(swing) > _ASIDE) & (robot.poses.spread is not None)
+    return robot.pose_angles(*first, np.where(aside, (robot.poses.spread or 0.0) * np.sign(swing), rest), extension)
 
 
 def between(start: ArrayLike, end: ArrayLike, share: float) -> Array:

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 
 from surefoot.deploy.wire.messages import Mode, Reason, State
 from surefoot.errors import SurefootError
+from surefoot.robot import RobotDescription
 
 _ROUNDING = 1e-6
 
@@ -23,6 +24,10 @@ _ROUNDING = 1e-6
 class SafetyLimits:
     """When a run ends early, and how; `docs/deploy.md` has these as a table."""
 
+    battery_warn: float
+    """Battery voltage [V] below which, for `battery_time`, it warns once."""
+    battery_low: float
+    """Battery voltage [V] below which, for `battery_time`, the robot sits and is disarmed."""
     state_age: float = 3
     """Age of the newest state [control steps] that damps: two states may be lost; the fastest motor of the trot turns
     by 0.15 rad in three steps of 6 ms."""
@@ -31,10 +36,6 @@ class SafetyLimits:
     tilt: float = 0.5
     """Roll or pitch [rad] that damps, if the policy's task has no `fall_angle`; the robot then sits. It is where an
     episode of the paper ends; no trained gait comes back from there."""
-    battery_warn: float = 14.4
-    """Battery voltage [V] below which, for `battery_time`, it warns once: the sheet's robot is used at 14 to 16.8 V."""
-    battery_low: float = 14.0
-    """Battery voltage [V] below which, for `battery_time`, the robot sits and is disarmed: 3.5 V a cell."""
     battery_time: float = 1.0
     """How long [s] the battery may be low: two strides, as the voltage sags for a moment whenever all motors push."""
     temperature_warn: float = 70.0
@@ -42,6 +43,11 @@ class SafetyLimits:
     temperature_high: float = 80.0
     """Temperature [degC] of the hottest motor at which the robot sits and is disarmed: magnets and glue of small
     outrunner motors; the robot itself damps at 90."""
+
+    @classmethod
+    def of(cls, robot: RobotDescription) -> SafetyLimits:
+        """Return the limits of a robot; its sheet has the battery's."""
+        return cls(robot.battery.warn, robot.battery.low)
 
     def __post_init__(self) -> None:
         """Refuse limits that no run could keep, or that come in the wrong order."""

@@ -53,7 +53,7 @@ class Board:
     ) -> None:
         faults = faults or {}
         self.stride = stride if not faults and plant.servo_every == 1 else 1
-        self.plant, self.limits, self.lead = plant, limits, lead
+        self.plant, self.limits, self.lead = plant, limits or Limits.of(plant.robot), lead
         self.injector = FaultInjector(faults, plant, introduction)
         self.codec = Codec(len(introduction.motor_names))
         if "other-schema" in faults:

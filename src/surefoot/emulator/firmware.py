@@ -108,8 +108,8 @@ class Firmware:
         limits: when it damps itself.
     """
 
-    def __init__(self, codec: Codec, introduction: Handshake, limits: Limits | None = None) -> None:
-        self.introduction, self.limits = introduction, limits or Limits()
+    def __init__(self, codec: Codec, introduction: Handshake, limits: Limits) -> None:
+        self.introduction, self.limits = introduction, limits
         self.decoder = Decoder(codec)
         self.watch = LinkWatch(microseconds(self.limits.clean_gap))
         self.mode, self.reason, self.owner = Mode.DISARMED, Reason.NONE, 0

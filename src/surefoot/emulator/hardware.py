@@ -42,6 +42,10 @@ class SensorConfig:
         return cls(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
+LOSS = 0.5
+"""Heat of a joint drive at its full torque, over torque times the speed up to which it has it; assumed."""
+
+
 class PowerConfig(NamedTuple):
     """Battery and heat of the motors."""
 
@@ -73,7 +77,9 @@ def power_tick(drive: Drive, power: PowerConfig, dt: float, temperature: Array) 
 
         C dT/dt = R I^2 - (T - T_air) / R_heat
 
-    Where the table is flat, the least current that gives the torque is taken.
+    Where the table is flat, the least current that gives the torque is taken. Joint drives are known by their limits
+    alone: their heat is `LOSS` of the power at full torque and the speed up to which they have it, times the square of
+    torque over limit.
 
     Args:
         drive: a batch of one robot, after the step.
@@ -84,6 +90,15 @@ def power_tick(drive: Drive, power: PowerConfig, dt: float, temperature: Array) 
     table_current, table_torque = drive.table_current, drive.table_torque
     motors = len(temperature)
     total = 0.0
+    if drive.joint[0]:
+        for m in range(motors):
+            limit, full = drive.joint_limits[0, m], drive.joint_limits[1, m]
+            torque = drive.motor_torque[0, m]
+            heat = LOSS * limit * full * (torque / limit) ** 2
+            total += heat + torque * drive.now[0, motors + m]
+            cooling = (temperature[m] - power.ambient) / power.heat_resistance
+            temperature[m] += dt / power.heat_capacity * (heat - cooling)
+        return total / drive.voltage[0]
     for m in range(motors):
         torque, strength = drive.motor_torque[0, m], drive.strength[0, m]
         nominal = abs(torque) / strength if strength > 0.0 else 0.0

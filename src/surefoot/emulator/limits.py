@@ -18,6 +18,8 @@ fold further than a gait may, and standing up begins with the angles that they h
 class Limits:
     """When the microcontroller damps its motors by itself, and when it arms again. Times in s."""
 
+    voltage: float
+    """Battery voltage [V] below which the robot damps itself."""
     command_timeout: float = 0.050
     """Silence after which an armed robot damps itself."""
     stale_after: float = 3.0
@@ -36,26 +38,25 @@ class Limits:
     """Shortest and longest time between two states; requests are clipped to them."""
     tilt: float = 1.0
     """Roll or pitch [rad] beyond which the robot damps itself."""
-    voltage: float = 12.5
-    """Battery voltage [V] below which the robot damps itself: four lithium cells are empty."""
     voltage_time: float = 0.5
     """How long the voltage must be low: starting motors pull it down for a moment."""
     temperature: float = 90.0
     """Motor temperature [degC] beyond which the robot damps itself."""
     duty: float = 1.0
     """Largest duty that a PWM command may request."""
-    damping: float = 0.015
-    """Gain [s/rad] with which motors are damped: duty = -damping * speed. It is the servo's own: motors oscillate by
-    themselves from .04 s/rad on with speeds that are 3 ms old, and from .025 with speeds that are 5 ms old."""
     refusals: int = 10
     """How often per second a message that nobody should send is answered, for each reason."""
+
+    @classmethod
+    def of(cls, robot: RobotDescription) -> Limits:
+        """Return the limits of a robot; its sheet has the battery's."""
+        return cls(robot.battery.empty)
 
 
 def introduction(robot: RobotDescription, limits: Limits, firmware: str, servo_period: float) -> Handshake:
     """Return the handshake of a robot; the session is filled in when it is greeted.
 
-    Motor angles of a leg are e + s and e - s for extension e and swing s (see `robot.leg`): the extremes of leg space,
-    with `ANGLE_ROOM`, are what a command may request.
+    The extremes of leg space, with `ANGLE_ROOM`, are what a command may request.
 
     Args:
         robot: its data sheet gives the nominal gains, whatever the emulated motors do.
@@ -63,12 +64,9 @@ def introduction(robot: RobotDescription, limits: Limits, firmware: str, servo_p
         firmware: name and version.
         servo_period: time between two servo steps [s].
     """
-    swing = max(map(abs, robot.swing_range)) + ANGLE_ROOM
+    least, greatest = robot.angle_extent(*robot.leg_space.values())
     # Rounded as on the wire: a command of just what the handshake allows must be within.
-    low, high = (
-        np.full(robot.num_motors, angle, np.float32).astype(np.float64)
-        for angle in (robot.extension_range[0] - swing, robot.extension_range[1] + swing)
-    )
+    low, high = (angles.astype(np.float32).astype(np.float64) for angles in (least - ANGLE_ROOM, greatest + ANGLE_ROOM))
     return Handshake(
         session=0,
         robot=robot.name,
@@ -76,8 +74,8 @@ def introduction(robot: RobotDescription, limits: Limits, firmware: str, servo_p
         motor_names=robot.motor_names,
         motor_signs=robot.motor_sign.astype(np.float64),
         servo_period=servo_period,
-        servo_kp=robot.actuator.kp,
-        servo_kd=robot.actuator.kd,
+        servo_kp=float(np.mean(robot.actuator.kp)),
+        servo_kd=float(np.mean(robot.actuator.kd)),
         command_period_min=limits.command_period[0],
         command_period_max=limits.command_period[1],
         angle_low=low,

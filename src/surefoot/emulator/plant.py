@@ -6,12 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from surefoot.actuator.motor import servo_duty
+from surefoot.actuator.motor import joint_torque, servo_duty
 from surefoot.arrays import Array
-from surefoot.deploy.poses import SIT_EXTENSION
 from surefoot.deploy.wire.messages import Mode
 from surefoot.emulator.hardware import PowerConfig, SensorConfig, power_tick
-from surefoot.emulator.limits import Limits
 from surefoot.emulator.signals import MotorOrder, Sensors, Vitals
 from surefoot.errors import SurefootError
 from surefoot.robot import PhysicalParams, RobotDescription
@@ -63,7 +61,7 @@ class Plant:
     ) -> None:
         self.robot, self.params = robot, params or PhysicalParams.nominal(robot)
         self.sensors, self.power, self.servo_every = sensors or SensorConfig(), power or PowerConfig(), servo_every
-        config = WorldConfig(rest=(0.0, SIT_EXTENSION), rack=rack, threads=1)
+        config = WorldConfig(rest=robot.poses.sit, rack=rack, threads=1)
         self.world = SimWorld(robot, 1, self.params, seed, config, engine)
         self.extra_latency = 0.0
         """Further age of all readings [s]."""
@@ -75,7 +73,8 @@ class Plant:
         self._torque_noise = generator(seed, "emulated torque sensors")
         self._torque_gain = 1.0 + self.sensors.torque_gain * self._torque_noise.standard_normal(motors)
         self._imu_bias, self._imu_noise = self.params.imu_bias[0], float(self.params.imu_noise[0])
-        self._voltage = float(self.params.voltage[0])
+        self._voltage = float(self.params.voltage[0]) if robot.drive == "dc" else robot.battery.nominal
+        self.world.drive.voltage[0] = self._voltage
         self._count = np.ones(1, np.int64)
         self._row = np.empty(2 * motors + 6)
         self.temperature = np.full(motors, self.power.ambient)
@@ -112,7 +111,7 @@ class Plant:
         if self.servo_every > 1 and order.mode != Mode.PWM and self.ticks % self.servo_every == 0:
             seen = self._look(0.0, float(self.params.servo_latency[0]))
             motors = self.robot.num_motors
-            drive.duty[0] = servo_duty(order.values, seen[:motors], seen[motors : 2 * motors], *self._gains)
+            drive.duty[0] = self._duty(order.values, seen[:motors], seen[motors : 2 * motors])
         self._count[0] = count
         world.engine.advance(self._count)
         if world.engine.diverged[0]:
@@ -123,15 +122,23 @@ class Plant:
 
     def _obey(self, order: MotorOrder) -> None:
         drive, follows = self.world.drive, order.mode == Mode.POSITION
-        self._order, self._gains = order, (0.0, Limits.damping)
+        # Damped motors have the servo's own gain: with twice as much, and speeds some milliseconds old, they oscillate.
+        none = np.zeros(self.robot.num_motors)
+        self._order, self._gains = order, (none, np.asarray(self.robot.actuator.kd))
         if follows:
-            self._gains = float(self.params.servo_kp[0]), float(self.params.servo_kd[0])
+            self._gains = self.params.servo_kp[0], self.params.servo_kd[0]
         elif order.mode == Mode.PWM:
-            self._gains = 0.0, 0.0
+            self._gains = none, none
         drive.duty[0] = order.values if order.mode == Mode.PWM else 0.0
         drive.target[0] = order.values if follows else 0.0
         # A servo that runs less often than the physics is computed in `step`; its duty holds in between.
-        drive.kp[0], drive.kd[0] = self._gains if self.servo_every == 1 else (0.0, 0.0)
+        drive.kp[0], drive.kd[0] = self._gains if self.servo_every == 1 else (none, none)
+
+    def _duty(self, target: Array, angle: Array, speed: Array) -> Array:
+        """Return what servos ask for: a duty of DC motors, a share of the torque limit of joint drives."""
+        if self.robot.drive == "dc":
+            return np.asarray(servo_duty(target, angle, speed, *self._gains))
+        return np.asarray(joint_torque(target, angle, speed, *self._gains) / self.world.drive.joint_limits[0])
 
     def _draw_power(self, temperature: Array, count: int = 1) -> None:
         drive, power, dt = self.world.drive, self.power, count * self.robot.timing.servo_step

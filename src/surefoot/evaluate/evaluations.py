@@ -91,7 +91,7 @@ def _episodes(
     Actuator and nominal parameters are those of the policy's task: a policy is at home in the simulator that it was
     trained in.
     """
-    task = replace(home_task(task), randomize=load_ranges(settings["ranges"]))
+    task = replace(home_task(task), randomize=load_ranges(settings["ranges"], robot=task.robot))
     traces = _run(policy, task, find_world, settings["world"], settings, threads)
     runs = Runs.of_traces(traces)
     summary = summarize(traces, RobotDescription.load(task.robot).urdf.total_mass)
@@ -105,7 +105,7 @@ def _sensitivity(
 ) -> tuple[Result, Traces]:
     """Run test worlds that differ from the nominal one in one parameter."""
     options = {name: settings[name] for name in ("values", "episodes", "seed")}
-    ranges = load_ranges(settings["ranges"])
+    ranges = load_ranges(settings["ranges"], robot=task.robot)
     found = run_sensitivity(policy, task, find_world(settings["world"]), ranges=ranges, threads=threads, **options)
     return found.to_mapping(), {}
 

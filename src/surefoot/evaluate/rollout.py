@@ -39,8 +39,9 @@ def task_from_contract(contract: Contract) -> TaskConfig:
     task = from_mapping(TaskConfig, contract.task, f"policy '{contract.name}': task")
     reference = contract.reference
     if reference is not None and reference.get("kind") == "table":
-        table_data = make_reference(reference, RobotDescription.load(task.robot)).to_dict()
-        rows = {part: {leg: tuple(row) for leg, row in table_data[part].items()} for part in ("swing", "extension")}
+        robot = RobotDescription.load(task.robot)
+        table_data = make_reference(reference, robot).to_dict()
+        rows = {part: {leg: tuple(row) for leg, row in table_data[part].items()} for part in robot.coordinates}
         table = replace(task.reference, file=None, period=table_data["period"], rows=rows)
         task = replace(task, reference=table)
     return task

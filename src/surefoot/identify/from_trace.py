@@ -211,7 +211,7 @@ class _TraceFit:
         for name in self.motors:
             for index in range(self.robot.num_motors) if name == "motor_strength" else (None,):
                 label, before = label_of(name, index), getattr(self.known, name)[0]
-                value = values.get(label, float(before if index is None else before[index]))
+                value = values.get(label, float(np.mean(before) if index is None else before[index]))
                 extra = GAIN * value if index is not None else 0.0
                 if name in LATENCIES:
                     extra = float(np.hypot(self.fitted[0].timing.spread, INTERPOLATED))

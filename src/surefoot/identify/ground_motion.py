@@ -141,7 +141,7 @@ def _since_command(robot: RobotDescription, recording: Recording, params: Physic
             recording.voltage[:, None],
             params.torque_constant[0],
             params.resistance[0],
-            robot.actuator.voltage_clip,
+            robot.dc_motor.voltage_clip,
         )
         steps.append(motor_torque(current, params.motor_strength[0], *robot.torque_table))
     return np.asarray(np.mean(steps, axis=0) - steps[-1])

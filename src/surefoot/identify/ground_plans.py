@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from surefoot.arrays import Array
-from surefoot.deploy.poses import SIT_EXTENSION, SPREAD_SWING, between, pose, sitting
+from surefoot.deploy.poses import between, sitting
 from surefoot.identify.plan import Phase, Plan, Signal, Use, go_to, hold, sweep
 from surefoot.robot import RobotDescription
 
@@ -42,16 +42,16 @@ def standing_up(robot: RobotDescription) -> list[Phase]:
     """
 
     def swing_out(t: float, start: Array) -> Array:
-        swing, extension = robot.motor_to_leg_pose(start)
+        swing, extension = robot.to_pose(start)
         # Legs that slid out stay on their side; legs under the body stay there.
-        aside = np.where(np.abs(swing) > 0.3, SPREAD_SWING * np.sign(swing), swing)
-        return between(start, pose(robot, aside, extension), t / 1.0)
+        aside = np.where(np.abs(swing) > 0.3, (robot.poses.spread or 0.0) * np.sign(swing), swing)
+        return between(start, robot.pose_angles(aside, extension), t / 1.0)
 
     def unfold(t: float, start: Array) -> Array:
-        swing, _ = robot.motor_to_leg_pose(start)
-        return between(start, pose(robot, swing, SIT_EXTENSION), t / 1.0)
+        swing, _ = robot.to_pose(start)
+        return between(start, robot.pose_angles(swing, robot.poses.sit[-1]), t / 1.0)
 
-    sit, stand = sitting(robot), pose(robot, 0.0, STANCE)
+    sit, stand = sitting(robot), robot.pose_angles(0.0, STANCE)
     return [
         Phase("swing legs out", "legs beside the body, as folded as they are", 1.0, swing_out, use="way"),
         Phase("unfold", "legs beside the body, unfolded", 1.0, unfold, use="way"),
@@ -65,14 +65,14 @@ def standing_up(robot: RobotDescription) -> list[Phase]:
 def ground_plan(robot: RobotDescription, name: str, *phases: Phase) -> Plan:
     """Return the plan of an experiment on the ground: stand up, go through the phases, sit down."""
     sit = Phase("sit down", "the robot sits down", 1.5, go_to(sitting(robot), 1.5), use="way")
-    low, high = pose(robot, 0.0, 0.0), pose(robot, 0.0, 2.4)
+    low, high = robot.pose_angles(0.0, 0.0), robot.pose_angles(0.0, 2.4)
     reach = 1.5  # a robot that lies has its legs far to a side
     return Plan(name, False, (*standing_up(robot), *phases, sit), low - reach, high + reach, 0.0)
 
 
 def drop(robot: RobotDescription, use: Use = "fit") -> Phase:
     """The robot rises and lets itself fall by drawing its legs in at once; motors and soft feet catch it."""
-    stand, high, low = (pose(robot, 0.0, extension) for extension in (STANCE, HIGH, LOW))
+    stand, high, low = (robot.pose_angles(0.0, extension) for extension in (STANCE, HIGH, LOW))
 
     def signal(t: float, start: Array) -> Array:
         if t < 0.5:
@@ -89,14 +89,14 @@ def rocking(
 
     def signal(t: float, start: Array) -> Array:
         turned, faded = sweep(t, first, last, duration)
-        return pose(robot, 0.0, STANCE + faded * amplitude * share * np.sin(turned))
+        return robot.pose_angles(0.0, STANCE + faded * amplitude * share * np.sin(turned))
 
     return signal
 
 
 def mass_plan(robot: RobotDescription) -> Plan:
     """Still and slowly for mass and centre of mass, fast for the base's inertia."""
-    legs, stand = np.ones(len(robot.legs)), pose(robot, 0.0, STANCE)
+    legs, stand = np.ones(len(robot.legs)), robot.pose_angles(0.0, STANCE)
     squat = rocking(robot, legs, SQUAT, 0.5, 0.5, 4.0)
     fast = rocking(robot, legs, 0.2, 1.0, 3.0, 3.0)
     nod = rocking(robot, ends(robot), NOD, 1.0, 5.0, 5.0)
@@ -144,6 +144,6 @@ def _dragging(robot: RobotDescription, diagonal: float) -> Signal:
         lifted = np.clip(min(t, DRAGGING - t) / 0.5, 0.0, 1.0)
         swings = np.clip(min(t - 0.5, DRAGGING - 0.5 - t) / 0.3, 0.0, 1.0)
         swing = np.where(light, ends(robot) * DRAG * swings * np.sin(2 * np.pi * (t - 0.5) / STROKE), 0.0)
-        return pose(robot, swing, STANCE - np.where(light, LIFT * lifted, 0.0))
+        return robot.pose_angles(swing, STANCE - np.where(light, LIFT * lifted, 0.0))
 
     return signal

@@ -92,8 +92,7 @@ class InverseDynamics:
 
     def _knees(self, angles: Array) -> Array:
         """Knee angles (T, L, 2) [rad] at motor angles (T, M)."""
-        theta = angles[:, self._pairs]
-        return np.stack(self.robot.leg_geometry.knee_angles(theta[..., 0], theta[..., 1]), axis=-1)
+        return self.robot.leg_geometry.knee_angles(angles[:, self._pairs])
 
     def _knee_rates(self, angles: Array) -> Array:
         """Derivatives (T, L, 2 knees, 2 motors) of knee angles by those of the leg's motors."""
@@ -171,8 +170,7 @@ class InverseDynamics:
         found = np.linalg.solve(left, right)
         acceleration, forces = plane @ found[:2], found[2:].reshape(legs, 2)
         feet = [
-            (turn.T @ (data.geom_xpos[geom] - data.xpos[self.base]))[[0, 2]]
-            - [0.0, self.robot.leg_geometry.foot_radius]
+            (turn.T @ (data.geom_xpos[geom] - data.xpos[self.base]))[[0, 2]] - [0.0, self.robot.five_bar.foot_radius]
             for geom in self._feet
         ]
         whole = reduced[:, :3] @ acceleration + reduced[:, 3:] @ known + still

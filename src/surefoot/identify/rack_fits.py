@@ -133,7 +133,7 @@ def _curve(
     before = np.maximum(kept - 1, 0)
     current = motor_current(
         stretch.order[order][driven][:, motors], speed, recording.voltage[before][:, None], found.torque_constant[0],
-        found.resistance[0], robot.actuator.voltage_clip,
+        found.resistance[0], robot.dc_motor.voltage_clip,
     )  # fmt: skip
     torque = np.abs(recording.motor_torque[kept][:, motors]) / (found.motor_strength[0] * (1 + gains))[motors]
     magnitude = np.abs(current).ravel()

@@ -136,7 +136,7 @@ def motor_unknowns(
     """What there is to find of motors of legs that moved, from what was known (one row) and a control latency [s]."""
     unknowns = []
     for name, size in _SIZES.items():
-        start = latency if name == "control_latency" else float(getattr(known, name)[0])
+        start = latency if name == "control_latency" else float(np.mean(getattr(known, name)[0]))
         unknowns.append(Unknown(name, start, *robot.allowed[name], _TINY * size))
     for motor in motors.tolist():
         which = int(np.argwhere(robot.leg_motor_index == motor)[0][1])

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from surefoot.arrays import Array
-from surefoot.deploy.poses import pose
 from surefoot.deploy.wire.messages import Mode
 from surefoot.identify.plan import Phase, Plan, Signal, chirps, go_to, hold, steps
 from surefoot.robot import RobotDescription
@@ -36,7 +35,7 @@ def motor_plan(robot: RobotDescription) -> Plan:
     """Move all motors at once, each in its own way: legs on a rack do not feel each other."""
     motors = robot.num_motors
     draw = generator(0, "motor experiment")
-    middle = pose(robot, 0.0, EXTENSION)
+    middle = robot.pose_angles(0.0, EXTENSION)
     turned = np.zeros(motors)
     # A leg's motors a quarter turn apart: swing and extension are both excited; legs differ, so that a look tells them.
     for leg, (first, second) in enumerate(robot.leg_motor_index):
@@ -90,7 +89,7 @@ def latency_plan(robot: RobotDescription) -> Plan:
     """Spikes of a single command, the shortest that a robot takes; then motions that the servo follows."""
     motors = robot.num_motors
     draw = generator(0, "latency experiment")
-    middle = pose(robot, 0.0, EXTENSION)
+    middle = robot.pose_angles(0.0, EXTENSION)
     turned = np.where(np.arange(motors) % 2 == 0, 0.0, np.pi / 2)
     fast = chirps(middle, np.full(motors, 0.12), 2.0, 20.0, 3.0, turned)
     jumps = middle + draw.uniform(-0.25, 0.25, (8, motors))

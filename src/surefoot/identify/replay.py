@@ -185,5 +185,5 @@ def _obey(world: SimWorld, kind: int, order: Array, params: PhysicalParams) -> N
     drive.duty[:] = order if kind == Mode.PWM else 0.0
     drive.kp[:] = params.servo_kp if follows else 0.0
     # A robot that is not armed damps its motors with the derivative gain of its data sheet.
-    drive.kd[:] = params.servo_kd if follows else world.robot.actuator.kd if kind == Mode.DISARMED else 0.0
+    drive.kd[:] = params.servo_kd if follows else np.asarray(world.robot.actuator.kd) if kind == Mode.DISARMED else 0.0
     drive.target[:] = drive.now[:, : world.robot.num_motors] if kind == HELD else order

@@ -128,13 +128,13 @@ class TorqueModel:
         speed = np.stack([now[c] for c in late])
         seen_angle, seen_speed = (np.stack([before[pair][part] for pair in pairs]) for part in (0, 1))
         kp, kd, constant, resistance = (
-            values[:, None, None]
+            values.reshape(len(values), 1, -1)
             for values in (params.servo_kp, params.servo_kd, params.torque_constant, params.resistance)
         )
         open_circuit, sag = open_circuit[:, None, None], sag[:, None, None]
         duty = servo_duty(segment.target, seen_angle, seen_speed, kp, kd)
         table = self.robot.torque_table
-        clip = self.robot.actuator.voltage_clip
+        clip = self.robot.dc_motor.voltage_clip
         voltage = open_circuit
         for _ in range(_SAG_ROUNDS):
             current = motor_current(duty, speed, voltage, constant, resistance, clip)
@@ -230,7 +230,7 @@ def unknowns_of(
                 prior = SPREAD * max(start, nominal[name])
                 unknowns.append(Unknown(name, start, low, high, step, motor, prior, 0))
         else:
-            start = float(getattr(known, name)[0])
+            start = float(np.mean(getattr(known, name)[0]))
             prior = (VOLTAGE_SPREAD if name == "voltage" else SPREAD) * start
             unknowns.append(Unknown(name, start, low, high, step, prior=max(prior, 1e-3 * high)))
     if "motor_strength" not in wanted:

@@ -121,13 +121,17 @@ class TrainConfig:
         return -(-self.steps // self.samples_per_update)
 
 
-def load_train_config(task: str) -> TrainConfig:
+def load_train_config(task: str, robot: str | None = None) -> TrainConfig:
     """Return the training configuration of a task's file: its `train` table over the defaults.
+
+    Args:
+        task: as of `load_task`.
+        robot: another robot than the file's.
 
     Raises:
         SurefootError: no such task, or a file that does not fit.
     """
-    task_config, train = load_task(task)
+    task_config, train = load_task(task, robot)
     with located(f"{task}: train"):
         if not isinstance(train, Mapping):
             raise SurefootError(f"it is {quoted(train)}; it must be a table of keys and values")

@@ -15,6 +15,8 @@ from surefoot.learn.run import TrainingRun
 from surefoot.learn.trainer import Trainer
 from surefoot.policy.contract import RANGES, Contract, ObservationPart, config_hash
 from surefoot.policy.export import export_policy
+from surefoot.robot import PhysicalParams
+from surefoot.robot.params_file import param_values
 from surefoot.task.config import TaskConfig
 from surefoot.task.env import LocomotionEnv
 
@@ -34,7 +36,8 @@ def make_contract(
         created: when the policy was made, ISO 8601.
     """
     robot, gait, config = env.robot, env.gait, config or env.task
-    assumed = env.task.nominal(robot)
+    given: dict[str, Any] = param_values(env.task.nominal(robot), RANGES)
+    given |= {name: None for name in given if PhysicalParams.drive(name) not in ("", robot.drive)}
     return Contract(
         name=config.name,
         robot=robot.name,
@@ -49,7 +52,7 @@ def make_contract(
         high=tuple(gait.high.tolist()),
         reference=None if env.task.reference.kind == "none" else gait.reference.to_dict(),
         rest=env.task.rest or gait.rest,
-        **{assumption: float(getattr(assumed, assumption)[0]) for assumption in RANGES},
+        **given,
         task=to_mapping(env.task),
         config_hash=config_hash(to_mapping(config)),
         figures=dict(figures or {}),

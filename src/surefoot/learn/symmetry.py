@@ -6,7 +6,7 @@ Mittal et al. 2024, "Symmetry Considerations for Learning Task Symmetric Robot P
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -15,10 +15,13 @@ from numpy.typing import NDArray
 from tensordict import TensorDict
 
 from surefoot.errors import SurefootError
+from surefoot.robot import RobotDescription, SerialLegs
 from surefoot.task.env import LocomotionEnv
 
 _FLIPPED = ("roll", "roll_rate", "yaw", "velocity_y", "push_y", "imu_bias.roll")
 """Columns that change their sign in the mirror; all others keep it."""
+_OF_ANGLES = ("angle", "speed", "joint", "last_joint")
+"""What columns of motors are called that have the sign of the motor's angle."""
 _PHASE = ("phase_sin", "phase_cos")
 
 
@@ -27,27 +30,57 @@ def mirror_name(name: str) -> str:
     return name.replace("left", "\0").replace("right", "left").replace("\0", "right")
 
 
+def mirror_motors(robot: RobotDescription) -> dict[str, tuple[str, float]]:
+    """Return for each motor the one on the other side, and the sign of its angle in the mirror image.
+
+    In the mirror, turns about the base's x axis (abduction) change their sense, those about y keep it.
+    """
+    legs, found = {leg.name: leg for leg in robot.legs}, {}
+    for place, leg in enumerate(robot.legs):
+        other = legs.get(mirror_name(leg.name), leg)
+        for k, motors in enumerate(zip(leg.motors, other.motors, strict=True)):
+            sign = 1.0
+            if isinstance(robot.leg_geometry, SerialLegs):
+                turn = robot.leg_geometry.turn[:, k]
+                sign = float(turn[place] * turn[robot.legs.index(other)])
+                sign = -sign if k == 0 and robot.leg_geometry.abducts else sign
+            found[motors[0]] = (motors[1], sign)
+    return found
+
+
 def mirror_columns(
-    columns: Sequence[str], half_a_period: bool = False
+    columns: Sequence[str], half_a_period: bool = False, motors: Mapping[str, tuple[str, float]] | None = None
 ) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
     """Return each column's source column in the mirror image, and its sign; (C,) each.
 
     Args:
         columns: their names.
         half_a_period: whether the mirrored reference gait is the reference half a period later.
+        motors: as of `mirror_motors`, for columns NAME.MOTOR.
 
     Raises:
         SurefootError: a column without a counterpart.
     """
     places = {name: place for place, name in enumerate(columns)}
+    known = motors or {}
+
+    def other(name: str) -> str:
+        what, _, motor = name.partition(".")
+        return f"{what}.{known[motor][0]}" if motor in known else mirror_name(name)
+
     try:
-        source = np.array([places[mirror_name(name)] for name in columns], np.int64)
+        source = np.array([places[other(name)] for name in columns], np.int64)
     except KeyError as error:
         raise SurefootError(
             f"symmetry: column {error} has no counterpart; legs must be called left and right"
         ) from None
     flipped = _FLIPPED + _PHASE if half_a_period else _FLIPPED
-    return source, np.array([-1.0 if name in flipped else 1.0 for name in columns], np.float32)
+    sign = [-1.0 if name in flipped else 1.0 for name in columns]
+    for place, name in enumerate(columns):
+        what, _, motor = name.partition(".")
+        if motor in known and what in _OF_ANGLES:
+            sign[place] = known[motor][1]
+    return source, np.array(sign, np.float32)
 
 
 def reference_shift(env: LocomotionEnv) -> bool:
@@ -61,8 +94,8 @@ def reference_shift(env: LocomotionEnv) -> bool:
     times = np.linspace(0, period, 64, endpoint=False)
     source, _ = mirror_columns(legs)
     for half in (False, True):
-        pairs = zip(reference.pose(times), reference.pose(times + half * period / 2), strict=True)
-        if all(np.allclose(here[:, source], there, atol=1e-4) for here, there in pairs):
+        here, there = reference.pose(times), reference.pose(times + half * period / 2)
+        if np.allclose(here[..., source], there, atol=1e-4):
             return half
     raise SurefootError(
         "ppo.symmetry is set, but the task's reference gait is not left-right symmetric, at once or half a period later"
@@ -86,9 +119,9 @@ class MirrorSamples:
             "privileged": (env.privileged_columns, 1),
             "actions": (env.gait.action_names, 1),
         }
-        self._mirrors = {}
+        self._mirrors, motors = {}, mirror_motors(env.robot)
         for group, (names, times) in columns.items():
-            source, sign = mirror_columns(names, half)
+            source, sign = mirror_columns(names, half, motors)
             whole = np.concatenate([source + k * len(names) for k in range(times)])
             self._mirrors[group] = (torch.from_numpy(whole), torch.from_numpy(np.tile(sign, times)))
 

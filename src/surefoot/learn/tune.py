@@ -21,7 +21,7 @@ from surefoot.configuration import Seed, Threads, Within, check_bounds, is_numbe
 from surefoot.errors import SurefootError, choices, quoted
 from surefoot.evaluate.footfalls import FEET
 from surefoot.evaluate.rollout import run_to_end
-from surefoot.robot import GRAVITY, RobotDescription
+from surefoot.robot import DEFAULT_ROBOT, GRAVITY, RobotDescription
 from surefoot.seeding import generator
 from surefoot.task.config import FeedbackConfig, FootConfig, ReferenceConfig, TaskConfig
 from surefoot.task.env import LocomotionEnv
@@ -68,7 +68,10 @@ GAINS: Ranges = {
 """Gains of Raibert's controller."""
 LONGEST_STROKE = 0.5
 """In parts of the reach; a start that would need more is in reach all the same."""
-FEEDBACK = FeedbackConfig(swing=(-0.25, 0.25), extension=(-0.25, 0.25))
+FEEDBACK = {
+    "rad": FeedbackConfig(swing=(-0.25, 0.25), extension=(-0.25, 0.25)),
+    "1": FeedbackConfig(swing=(-0.25, 0.25), extension=(-0.1, 0.1)),
+}
 """Bounds of the controller's feedback [rad]; the paper's for the learned trot."""
 _SLOW = 300.0
 """Power [W] that a speed of zero costs in the search, in proportion to what is missing."""
@@ -88,7 +91,7 @@ class TuneConfig:
     """Speed that the gait must reach [m/s]."""
     raibert: bool = False
     """Tune Raibert's controller too."""
-    robot: str = "minitaur"
+    robot: str = DEFAULT_ROBOT
     """Name of the robot, or the folder of its description."""
     generations: Annotated[int, Within(1, 10_000)] = 40
     """Generations of the search."""
@@ -169,8 +172,12 @@ class Tuner:
             raise SurefootError(
                 f"{self.robot.name} has legs {choices(self.robot.leg_names)}; gaits are of {choices(FEET)}"
             )
-        longest = self.robot.leg_geometry.foot_position(*[self.robot.extension_range[1]] * 2)
-        self.reach = float(np.hypot(*longest))
+        self.feedback = FEEDBACK[self.robot.leg_geometry.units[-1]]
+        straight = self.robot.pose_angles(
+            *[0.0] * (len(self.robot.coordinates) - 1), self.robot.leg_space["extension"][1]
+        )
+        feet = self.robot.leg_geometry.foot_in_plane(straight[self.robot.leg_motor_index])
+        self.reach = float(np.linalg.norm(feet, axis=-1).mean())
         given = start or {}
         for name, value in given.items():
             if not is_number(value):
@@ -211,7 +218,7 @@ class Tuner:
             observations=seen[0],
             history=seen[1],
             reference=ReferenceConfig(kind="foot", foot=foot),
-            feedback=FEEDBACK,
+            feedback=self.feedback,
             rest=self.robot.rest,
         )
         gains = RaibertConfig(**{name: self.best[name] for name in GAINS}) if config.raibert else None
@@ -244,8 +251,8 @@ class Tuner:
         config, env, starts = self.config, self._env, self.config.starts
         references = [self._reference(values) for values in candidates for _ in range(starts)]
         stacked = FootReference.stacked(references)
-        env.gait = HybridGait(self.robot, stacked, FEEDBACK.swing, FEEDBACK.extension)
-        policy: OpenLoop | RaibertController = OpenLoop(len(self.robot.legs))
+        env.gait = HybridGait(self.robot, stacked, *self.feedback.of(self.robot.coordinates))
+        policy: OpenLoop | RaibertController = OpenLoop(len(env.gait.action_names))
         if config.raibert:
             gains: dict[str, Any] = {
                 name: np.repeat([values[name] for values in candidates], starts)[:, None] for name in GAINS
@@ -268,7 +275,7 @@ class Tuner:
     def _refusal(self, values: Mapping[str, float]) -> str:
         """Return why a robot's legs refuse a gait; empty if they do not."""
         try:
-            HybridGait(self.robot, self._reference(values), FEEDBACK.swing, FEEDBACK.extension)
+            HybridGait(self.robot, self._reference(values), *self.feedback.of(self.robot.coordinates))
         except SurefootError as error:
             return str(error)
         return ""

@@ -23,8 +23,8 @@ RANGES = {
     "control_step": (1e-4, 1.0, "s"),
     "servo_latency": (0.0, 1.0, "s"),
     "control_latency": (0.0, 1.0, "s"),
-    "servo_kp": (0.0, 1e3, "duty/rad"),
-    "servo_kd": (0.0, 1e3, "duty s/rad"),
+    "servo_kp": (0.0, 1e4, "1/rad or N m/rad"),
+    "servo_kd": (0.0, 1e4, "s/rad or N m s/rad"),
     "voltage": (1.0, 1e3, "V"),
 }
 """What is assumed of a robot: least value, greatest value and unit, whatever the robot. Data sheets allow less."""
@@ -67,27 +67,27 @@ class Contract:
     history: int
     """Number of last observations in the policy's input, the newest first."""
     action_names: tuple[str, ...]
-    """Names of the feedback's numbers: the swing of every leg, then the extension of every leg."""
+    """Names of the feedback's A numbers: COORDINATE.LEG for each coordinate of leg space in turn, or joint.MOTOR."""
     low: tuple[float, ...]
-    """Least feedback [rad], one an action."""
+    """Least feedback, one an action: rad, extension of serial legs in lengths of the straight leg."""
     high: tuple[float, ...]
-    """Greatest feedback [rad], one an action."""
+    """Greatest feedback, one an action."""
     reference: dict[str, Any] | None
     """The open loop part of the gait, as the task's reference writes itself; None: zero at all times."""
-    rest: tuple[float, float]
-    """Swing and extension [rad] in which an episode starts."""
+    rest: tuple[float, ...]
+    """Pose of all legs in leg space in which an episode starts."""
     control_step: float
     """Time between two commands [s]."""
     servo_latency: float
     """Assumed age of what the servo sees [s]."""
     control_latency: float
     """Assumed age of what the policy sees [s]."""
-    servo_kp: float
-    """Assumed proportional gain [duty/rad]."""
-    servo_kd: float
-    """Assumed derivative gain [duty s/rad]."""
-    voltage: float
-    """Assumed battery voltage [V]."""
+    servo_kp: float | tuple[float, ...]
+    """Assumed proportional gain, or one for each motor: duty/rad of DC motors, N m/rad of joint drives."""
+    servo_kd: float | tuple[float, ...]
+    """Assumed derivative gain, or one for each motor, per speed."""
+    voltage: float | None
+    """Assumed battery voltage [V]; None for joint drives."""
     task: dict[str, Any]
     """The task as configuration."""
     config_hash: str
@@ -107,8 +107,9 @@ class Contract:
         for name, length in (("motor_signs", motors), ("low", actions), ("high", actions)):
             if len(getattr(self, name)) != length:
                 raise SurefootError(f"contract: {name} has {len(getattr(self, name))} numbers; it must have {length}")
-        if actions != 2 * len(self.leg_names) or not actions:
-            raise SurefootError(f"contract: {actions} actions for {len(self.leg_names)} legs; a leg has two")
+        legs = len(self.leg_names)
+        if not actions or actions not in (2 * legs, 3 * legs, motors):
+            raise SurefootError(f"contract: {actions} actions for {legs} legs; a leg has two or three")
         if not self.columns or self.history < 1:
             raise SurefootError("contract: the policy observes nothing; columns and history must be 1 or more")
         if any(abs(sign) != 1 for sign in self.motor_signs):
@@ -128,9 +129,17 @@ class Contract:
         for value in self.rest:
             _check_range("rest", value, -_ANGLE, _ANGLE, "rad")
         for name, limits in RANGES.items():
-            _check_range(name, getattr(self, name), *limits)
+            if name == "voltage" and self.voltage is None:
+                continue
+            given = {name: getattr(self, name)}
             if name in params:
-                _check_range(f"task.params.{name}", params[name], *limits)
+                given[f"task.params.{name}"] = params[name]
+            for place, values in given.items():
+                each = isinstance(values, list | tuple) and name in ("servo_kp", "servo_kd")
+                if each and len(values) != len(self.motor_names):
+                    raise SurefootError(f"contract: {place} has {len(values)} numbers; a robot has one for each motor")
+                for value in values if each else (values,):
+                    _check_range(place, value, *limits)
         for name, limits in TASK_RANGES.items():
             if name in self.task:
                 _check_range(f"task.{name}", self.task[name], *limits)

@@ -59,7 +59,7 @@ def episode_plot(trace: EpisodeTrace, robot: RobotDescription, path: str | Path)
     step = np.diff(trace.time, prepend=0.0)
     runs = Runs.of_traces([trace])
     with new_figure(path, (9.0, 7.0), rows=3, columns=2) as (figure, axes):
-        tilt, turn, speed, power, swing, extension = axes
+        tilt, turn, speed, power, *legs = axes
         for column, (name, color) in enumerate((("roll", BLUE), ("pitch", ORANGE))):
             tilt.plot(trace.time, trace.roll_pitch_yaw[:, column], color=color, label=name, linewidth=1.0)
         tilt.set_title("Roll and pitch as measured (rad)")
@@ -75,18 +75,19 @@ def episode_plot(trace: EpisodeTrace, robot: RobotDescription, path: str | Path)
         power.set_ylim(bottom=0.0)
         start = min(max(trace.duration - 1.0, 0.0), 2.0)
         shown = (trace.time >= start) & (trace.time <= start + 1.0)
-        angles = robot.motor_to_leg_pose(trace.motor_angle[shown])
-        for ax, angle, name in zip((swing, extension), angles, ("swing", "extension"), strict=True):
+        poses = robot.to_pose(trace.motor_angle[shown])
+        for ax, place in zip(legs, (-2, -1), strict=True):
+            angle, name, unit = poses[:, place], robot.coordinates[place], robot.leg_geometry.units[place]
             for index, leg in enumerate(trace.leg_names):
                 # Dashed, so that a foot shows under the one that it moves with.
                 line = "--" if "right" in leg else "-"
                 color = LEG_COLORS.get(leg, f"C{index}")
                 ax.plot(trace.time[shown], angle[:, index], line, color=color, label=spoken(leg))
-            ax.set_title(f"Leg: {name} over one second (rad)")
+            ax.set_title(f"Leg: {name} over one second{'' if unit == '1' else f' ({unit})'}")
             ax.set_xlim(start, start + 1.0)
             ax.set_xlabel("time (s)")
         _legend_above(tilt)
-        figure.legend(*swing.get_legend_handles_labels(), loc="outside lower center", ncols=len(trace.leg_names))
+        figure.legend(*legs[0].get_legend_handles_labels(), loc="outside lower center", ncols=len(trace.leg_names))
         heading(figure, f"{_name(trace)}, ended by {trace.meta['ended']}")
     return Path(path)
 

@@ -57,7 +57,6 @@ def poses(
         if not np.isfinite(array).all():
             raise SurefootError(f"the {name} is not known throughout; the robot can't be drawn")
     angles = _joint_angles(robot, theta)
-    elements = {item.get("name", ""): item for item in ElementTree.parse(robot.urdf.path).getroot().findall("joint")}
     count = len(theta)
     found = {robot.urdf.root: np.tile(np.eye(4), (count, 1, 1))}
     waiting = list(robot.urdf.joints.values())
@@ -67,7 +66,7 @@ def poses(
             turn = np.tile(np.eye(4), (count, 1, 1))
             if joint.name in angles:
                 turn[:, :3, :3] = _axis_turn(np.array(joint.axis), angles[joint.name])
-            found[joint.child] = found[joint.parent] @ _origin(elements[joint.name]) @ turn
+            found[joint.child] = found[joint.parent] @ joint.frame @ turn
         waiting = [joint for joint in waiting if joint not in ready]
     base = np.tile(np.eye(4), (count, 1, 1))
     base[:, :3, :3], base[:, :3, 3] = quat_matrix(quat / np.linalg.norm(quat, axis=-1, keepdims=True)), position
@@ -87,14 +86,12 @@ def trace_poses(robot: RobotDescription, trace: EpisodeTrace) -> dict[str, Array
 
 def _joint_angles(robot: RobotDescription, theta: Array) -> dict[str, Array]:
     """Angles (T,) [rad] of motor and knee joints by name, in the URDF's sense."""
-    angles = {name: robot.motor_sign[i] * theta[:, i] for i, name in enumerate(robot.motor_names)}
-    for leg, index in zip(robot.legs, robot.leg_motor_index, strict=True):
-        knees = robot.leg_geometry.knee_angles(theta[:, index[0]], theta[:, index[1]])
-        for name, angle in zip(leg.knees, knees, strict=True):
-            if not np.isfinite(angle).all():
-                step = int(np.argmax(~np.isfinite(angle)))
+    angles = robot.joint_angles(theta)
+    for leg in robot.legs:
+        for name in leg.knees:
+            if not np.isfinite(angles[name]).all():
+                step = int(np.argmax(~np.isfinite(angles[name])))
                 raise SurefootError(f"leg {leg.name} can't close its loop at step {step}; check the motor angles")
-            angles[name] = angle
     return angles
 
 

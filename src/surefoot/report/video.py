@@ -129,7 +129,7 @@ def _write(picture: Image.Image, text: str) -> None:
     if not text:
         return
     unit = picture.height / 540
-    font = _font(max(round(19 * unit), 11))
+    font = label_font(max(round(19 * unit), 11))
     pen = ImageDraw.Draw(picture, "RGBA")
     margin, padding = 14 * unit, 10 * unit
     box = pen.multiline_textbbox((margin + padding, margin + padding), text, font=font, spacing=5 * unit)
@@ -140,7 +140,7 @@ def _write(picture: Image.Image, text: str) -> None:
 
 
 @functools.lru_cache(maxsize=8)
-def _font(size: int) -> Any:
+def label_font(size: int) -> Any:
     """Return Pillow's own font, which is there on every machine."""
     return ImageFont.load_default(size)
 

@@ -1,7 +1,18 @@
 """The robot: URDF, data sheet, leg space and the physical parameters that may differ from the data sheet."""
 
-from surefoot.robot.description import GRAVITY, RobotDescription
+from surefoot.robot.description import DEFAULT_ROBOT, GRAVITY, RobotDescription
 from surefoot.robot.leg import FiveBar, leg_to_motor, motor_to_leg
 from surefoot.robot.params import PhysicalParams, parse_settings
+from surefoot.robot.serial_leg import SerialLegs
 
-__all__ = ["GRAVITY", "FiveBar", "PhysicalParams", "RobotDescription", "leg_to_motor", "motor_to_leg", "parse_settings"]
+__all__ = [
+    "DEFAULT_ROBOT",
+    "GRAVITY",
+    "FiveBar",
+    "PhysicalParams",
+    "RobotDescription",
+    "SerialLegs",
+    "leg_to_motor",
+    "motor_to_leg",
+    "parse_settings",
+]

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
+from itertools import product
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -17,12 +18,16 @@ from numpy.typing import ArrayLike, NDArray
 from surefoot.arrays import Array
 from surefoot.configuration import Within, from_mapping, read_toml
 from surefoot.errors import SurefootError, check_name, choices, located, quoted
-from surefoot.robot.leg import FiveBar, leg_to_motor, motor_to_leg
+from surefoot.robot.actuator import ActuatorData, DcMotorData, JointDriveData, per_motor
+from surefoot.robot.leg import FiveBar, Legs
 from surefoot.robot.params import PhysicalParams
+from surefoot.robot.serial_leg import SerialLegs
 from surefoot.robot.urdf import Urdf, read_urdf
 
 _HERE = Path(__file__).parent
 
+DEFAULT_ROBOT = "minitaur"
+"""The robot of tasks that name none: the paper's."""
 GRAVITY = 9.81
 """Acceleration of free fall [m/s2]."""
 
@@ -32,14 +37,33 @@ _NotNegative = Annotated[float, Within(0, 1e9)]
 Range = tuple[float, float]
 Point = tuple[float, float, float]
 
+_ALONG = 1e-6
+"""How far a leg's axes may be from the base's axes, as cosines."""
+_REST = 0.75
+"""Extension of a serial leg at rest, in lengths of the straight leg, where the sheet does not say."""
+_EXTENSION = (0.35, 0.97)
+"""Extension that a command may ask of a serial leg, where the sheet does not say; 1 is straight."""
+_SWING = 1.0
+_ABDUCTION = 0.5
+"""Swing and abduction that a command may ask of a serial leg to either side [rad], where the sheet does not say."""
+_VOLTAGE = 24.0
+"""Nominal battery voltage [V] of joint drives, where the sheet does not say."""
+_SINK = 0.01
+"""How far a foot sinks in under its share of the weight, in leg lengths, where the sheet gives no stiffness."""
+
 
 @dataclass(frozen=True)
 class Leg:
-    """One leg: names of its motor joints (theta_1, theta_2), knee joints and foot link."""
+    """One leg: names of its motor joints, of joints without a motor, and of its foot's link.
 
-    motors: tuple[str, str]
-    knees: tuple[str, str]
+    Motors of a five-bar leg are theta_1 and theta_2, those of a serial leg (abduction,) hip and knee.
+    """
+
+    motors: tuple[str, ...]
     foot: str
+    knees: tuple[str, ...] = ()
+    knee: Literal["forward", "backward"] = "backward"
+    """Where the knee of a serial leg points."""
     name: str = ""
     """In the sheet it is the name of the leg's table."""
 
@@ -53,44 +77,13 @@ class Loop:
 
 
 @dataclass(frozen=True)
-class ActuatorData:
-    """Motor and servo, nominal. Units as in `robot.toml`."""
-
-    torque_constant: _Positive
-    resistance: _Positive
-    voltage: _Positive
-    voltage_clip: _Positive
-    kp: _NotNegative
-    kd: _NotNegative
-    friction: _NotNegative
-    torque_table_current: tuple[float, ...]
-    torque_table_torque: tuple[float, ...]
-    overheat_torque: _Positive
-    overheat_time: _NotNegative
-    viscous_friction: _NotNegative = 0.0
-
-    def __post_init__(self) -> None:
-        """Refuse a torque-current curve that does not rise from 0."""
-        current, torque = self.torque_table_current, self.torque_table_torque
-        if len(current) < 2 or len(current) != len(torque):
-            raise SurefootError(
-                f"actuator.torque_table_current has {len(current)} points and torque_table_torque {len(torque)}; "
-                "both need the same, 2 or more"
-            )
-        if current[0] != 0 or torque[0] != 0 or np.any(np.diff(current) <= 0) or np.any(np.diff(torque) < 0):
-            raise SurefootError(
-                f"actuator.torque_table_current is {list(current)}; it must start at 0 A and 0 N m, and rise"
-            )
-
-
-@dataclass(frozen=True)
 class Timing:
     """Servo step, control step and both latencies [s], nominal."""
 
-    servo_step: _Positive
-    control_step: _Positive
-    servo_latency: _NotNegative
-    control_latency: _NotNegative
+    servo_step: _Positive = 0.001
+    control_step: _Positive = 0.010
+    servo_latency: _NotNegative = 0.002
+    control_latency: _NotNegative = 0.010
 
 
 @dataclass(frozen=True)
@@ -104,20 +97,74 @@ class ContactData:
 
 
 @dataclass(frozen=True)
+class Poses:
+    """Poses between gaits, in leg space, of all legs alike."""
+
+    sit: tuple[float, ...]
+    """How the robot sits: low enough to fall from unharmed when its motors are let go."""
+    spread: float | None = None
+    """Swing [rad] of legs that lie beside the body, about as far as they slide when motors are let go; None: legs
+    do not slide out from under the body."""
+
+
+@dataclass(frozen=True)
+class _Poses:
+    """The table [poses] of a sheet."""
+
+    sit: tuple[float, ...] | None = None
+    spread: float | None = None
+
+
+@dataclass(frozen=True)
+class Battery:
+    """Voltages of the battery [V]."""
+
+    nominal: float
+    """Nominal voltage."""
+    warn: float
+    """Voltage under load below which a deployment warns."""
+    low: float
+    """Voltage under load below which a robot sits down."""
+    empty: float
+    """Voltage below which a robot damps itself."""
+
+
+@dataclass(frozen=True)
+class _Battery:
+    """The table [battery] of a sheet; what it leaves out is derived from the nominal voltage."""
+
+    nominal: Annotated[float | None, Within(1, 1e3)] = None
+    warn: Annotated[float | None, Within(1, 1e3)] = None
+    low: Annotated[float | None, Within(1, 1e3)] = None
+    empty: Annotated[float | None, Within(1, 1e3)] = None
+
+
+@dataclass(frozen=True)
+class _Contact:
+    """The table [contact] of a sheet; what it leaves out is derived from weight and leg length."""
+
+    friction: _Positive = 0.8
+    spinning_friction: _NotNegative = 0.004
+    stiffness: Annotated[float | None, Within(0, 1e9, above=True)] = None
+    damping: Annotated[float | None, Within(0, 1e9, above=True)] = None
+
+
+@dataclass(frozen=True)
 class _Motors:
     """Motor joints in order, and the sign of each: joint angle = sign * motor angle."""
 
     order: tuple[str, ...]
-    sign: tuple[Literal[-1, 1], ...]
+    sign: tuple[Literal[-1, 1], ...] = ()
 
 
 @dataclass(frozen=True)
 class _LegSpace:
-    """What a command may ask of a leg, and where it rests [rad]."""
+    """What a command may ask of a leg, and where it rests; angles in rad."""
 
-    swing: Range
-    extension: Range
-    rest: Range
+    abduction: Range | None = None
+    swing: Range | None = None
+    extension: Range | None = None
+    rest: tuple[float, ...] | None = None
 
 
 @dataclass(frozen=True)
@@ -127,15 +174,17 @@ class _Sheet:
     name: str
     urdf: str
     base: str
-    body_length: _Positive
     motors: _Motors
     legs: dict[str, Any]
-    leg_geometry: FiveBar
-    loops: tuple[Loop, ...]
-    leg_space: _LegSpace
-    actuator: ActuatorData
-    timing: Timing
-    contact: ContactData
+    actuator: dict[str, Any]
+    body_length: Annotated[float | None, Within(0, 1e9, above=True)] = None
+    leg_geometry: FiveBar | None = None
+    loops: tuple[Loop, ...] = ()
+    leg_space: _LegSpace = field(default_factory=_LegSpace)
+    timing: Timing = field(default_factory=Timing)
+    contact: _Contact = field(default_factory=_Contact)
+    poses: _Poses = field(default_factory=_Poses)
+    battery: _Battery = field(default_factory=_Battery)
     allowed: dict[str, Range] = field(default_factory=dict)
 
 
@@ -151,14 +200,20 @@ class RobotDescription:
     motor_names: tuple[str, ...]
     motor_sign: Array
     legs: tuple[Leg, ...]
-    leg_geometry: FiveBar
+    leg_mounts: Array
+    """Place (L, 3) of each leg's hip from the base's origin [m], x forward, y left, z up: between both motors of a
+    five-bar leg, on the axis of abduction of a serial leg."""
+    leg_geometry: Legs
     loops: tuple[Loop, ...]
-    swing_range: tuple[float, float]
-    extension_range: tuple[float, float]
-    rest: tuple[float, float]
+    leg_space: dict[str, Range]
+    """Least and greatest value of each coordinate of leg space that a command may ask of a leg, in order."""
+    rest: tuple[float, ...]
+    """Pose in leg space of every leg in which the robot settles before an episode."""
     actuator: ActuatorData
     timing: Timing
     contact: ContactData
+    poses: Poses
+    battery: Battery
     allowed: dict[str, tuple[float, float]]
 
     @classmethod
@@ -167,13 +222,18 @@ class RobotDescription:
         return sorted(path.parent.name for path in _HERE.glob("*/robot.toml"))
 
     @classmethod
+    def folder_of(cls, robot: str | Path) -> Path:
+        """Return the folder of a robot that ships, by name, or the path that is given."""
+        return _HERE / str(robot) if str(robot) in cls.available() else Path(robot)
+
+    @classmethod
     def load(cls, robot: str | Path) -> RobotDescription:
         """Load a robot by name or by the path of its folder.
 
         Raises:
             SurefootError: no such robot, or an invalid description: states file, key and rule.
         """
-        folder = _HERE / str(robot) if str(robot) in cls.available() else Path(robot)
+        folder = cls.folder_of(robot)
         sheet_path = folder / "robot.toml"
         if not sheet_path.is_file():
             raise SurefootError(
@@ -190,67 +250,72 @@ class RobotDescription:
     @classmethod
     def _from_sheet(cls, sheet: _Sheet, urdf: Urdf, folder: Path) -> RobotDescription:
         links, turning = list(urdf.links), [name for name, joint in urdf.joints.items() if joint.kind != "fixed"]
-        order, sign = sheet.motors.order, sheet.motors.sign
+        order = sheet.motors.order
+        sign = sheet.motors.sign or (1,) * len(order)
         _check_names("base", (sheet.base,), links)
         _check_names("motors.order", order, turning)
         if len(sign) != len(order):
             raise SurefootError(f"motors.sign has {len(sign)} numbers; it must have {len(order)}")
-        tables = dict(sheet.legs)
-        names = tables.pop("order", None)
-        if not isinstance(names, list) or sorted(map(str, names)) != sorted(tables):
-            raise SurefootError(f"legs.order is {quoted(names)}; it must name each leg once: {choices(tables)}")
-        legs = tuple(replace(from_mapping(Leg, tables[name], f"legs.{name}"), name=name) for name in names)
-        for leg in legs:
-            _check_names(f"legs.{leg.name}.motors", leg.motors, order)
-            _check_names(f"legs.{leg.name}.knees", leg.knees, turning)
-            _check_names(f"legs.{leg.name}.foot", (leg.foot,), links)
-        used = [name for leg in legs for name in leg.motors]
-        if sorted(used) != sorted(order):
-            raise SurefootError(
-                f"motors.order names {len(order)} motors; each must belong to one leg; legs use {choices(used)}"
-            )
+        legs = _legs(sheet, urdf)
         hanging = [joint.child for joint in urdf.joints.values()]
         for index, loop in enumerate(sheet.loops):
             _check_names(f"loops[{index}].links", loop.links, hanging)
         for name in sheet.allowed:
             if name not in PhysicalParams.names():
                 raise SurefootError(f"allowed.{name} is unknown; choices: {choices(PhysicalParams.names())}")
-        space = sheet.leg_space
-        ranges = {"leg_space.swing": space.swing, "leg_space.extension": space.extension}
-        ranges |= {f"allowed.{name}": bounds for name, bounds in sheet.allowed.items()}
-        for key, (low, high) in ranges.items():
+        motor_sign = np.array(sign, float)
+        geometry = sheet.leg_geometry or _serial_legs(sheet.base, legs, order, motor_sign, urdf)
+        space, rest = _leg_space(sheet.leg_space, geometry)
+        for key, (low, high) in {
+            **{f"leg_space.{name}": bounds for name, bounds in space.items()},
+            **{f"allowed.{name}": bounds for name, bounds in sheet.allowed.items()},
+        }.items():
             if not low <= high:
                 raise SurefootError(f"{key} is [{low:g}, {high:g}]; the lower bound must come first")
-        as_stated = ("name", "base", "body_length", "leg_geometry", "loops", "actuator", "timing", "contact")
+        mounts = _mounts(sheet.base, legs, urdf)
+        weight = GRAVITY * urdf.total_mass / len(legs)
         description = cls(
-            **{name: getattr(sheet, name) for name in as_stated},
+            name=sheet.name,
+            base=sheet.base,
+            body_length=sheet.body_length or float(np.ptp(mounts[:, 0])) or geometry.length,
+            leg_geometry=geometry,
+            loops=sheet.loops,
+            actuator=_actuator(sheet.actuator, order, legs),
+            timing=sheet.timing,
+            contact=_contact(sheet.contact, weight, geometry.length),
+            poses=_poses(sheet.poses, space),
+            battery=_battery(sheet.battery, float(sheet.actuator.get("voltage", _VOLTAGE))),
             folder=folder,
             urdf=urdf,
             motor_names=order,
-            motor_sign=np.array(sign, float),
+            motor_sign=motor_sign,
             legs=legs,
-            swing_range=space.swing,
-            extension_range=space.extension,
-            rest=space.rest,
+            leg_mounts=mounts,
+            leg_space=space,
+            rest=rest,
             allowed={**{item.name: item.metadata["bounds"] for item in fields(PhysicalParams)}, **sheet.allowed},
         )
         description._check_legs()
         return description
 
     def _check_legs(self) -> None:
-        if not self.leg_geometry.closes(*leg_to_motor(*self.rest)):
+        legs, (*sides, extensions) = self.leg_geometry, self.leg_space.values()
+        if not legs.closes(self._of_legs(self.resting_angles)).all():
+            pose = ", ".join(f"{name} {value:g}" for name, value in zip(self.leg_space, self.rest, strict=True))
             raise SurefootError(
-                "leg_geometry: a loop can't close at the resting pose "
-                f"(swing {self.rest[0]:g}, extension {self.rest[1]:g}); the lower links must reach each other"
+                f"leg_geometry: a leg can't have its resting pose ({pose}); "
+                "the lower links of a loop must reach each other, a serial leg must be long enough"
             )
-        extension = np.linspace(*self.extension_range, 201)
-        if not self.leg_geometry.closes(*leg_to_motor(0.0, extension)).all():
-            raise SurefootError(
-                f"leg_space.extension is {list(self.extension_range)}, "
-                "and a loop can't close everywhere in it; narrow it or check leg_geometry"
-            )
+        middle = [0.0] * len(sides)
+        for extension in np.linspace(*extensions, 201):
+            if not legs.closes(self._of_legs(self.pose_angles(*middle, extension))).all():
+                raise SurefootError(
+                    f"leg_space.extension is {list(extensions)}, "
+                    "and a leg can't have every extension in it; narrow it or check leg_geometry"
+                )
         for name, value in self.nominal_params().items():
-            self.check_allowed(name, np.asarray(value), source="nominal ")
+            if PhysicalParams.drive(name) in ("", self.drive):
+                self.check_allowed(name, np.asarray(value), source="nominal ")
 
     @property
     def num_motors(self) -> int:
@@ -264,82 +329,120 @@ class RobotDescription:
 
     @property
     def leg_motor_index(self) -> NDArray[np.int64]:
-        """Index (legs, 2) of each leg's theta_1 and theta_2 in the motor order."""
+        """Index (legs, m) of each leg's motors in the motor order."""
         return np.array([[self.motor_names.index(name) for name in leg.motors] for leg in self.legs])
 
     @property
-    def leg_mounts(self) -> Array:
-        """Place (legs, 3) of each leg's motors from the base's origin, between both [m]; x forward, y left, z up.
+    def weight(self) -> float:
+        """Weight of the whole robot [N]."""
+        return GRAVITY * self.urdf.total_mass
 
-        Parts fixed to the base are taken to be mounted without turning, as a Minitaur's rails are.
-        """
-        above = {joint.child: joint for joint in self.urdf.joints.values()}
-
-        def place(name: str) -> Array:
-            joint, total = self.urdf.joints[name], np.zeros(3)
-            while True:
-                total += joint.origin
-                if joint.parent == self.base or joint.parent not in above:
-                    return total
-                joint = above[joint.parent]
-
-        return np.array([np.mean([place(name) for name in leg.motors], axis=0) for leg in self.legs])
+    @property
+    def drive(self) -> str:
+        """Kind of the motors: dc or joint."""
+        return self.actuator.kind
 
     @property
     def torque_table(self) -> tuple[Array, Array]:
-        """Points of the torque-current curve: currents [A] and torques [N m]."""
-        return np.array(self.actuator.torque_table_current), np.array(self.actuator.torque_table_torque)
+        """Points of a DC motor's torque-current curve: currents [A] and torques [N m]."""
+        return np.array(self.dc_motor.torque_table_current), np.array(self.dc_motor.torque_table_torque)
 
-    def leg_to_motor_angles(self, swing: ArrayLike, extension: ArrayLike) -> Array:
-        """Return the motor angles (..., motors) [rad] for swing and extension (..., legs) or () [rad]."""
-        theta_1, theta_2 = leg_to_motor(swing, extension)
-        index = self.leg_motor_index
-        angles = np.empty((*theta_1.shape[:-1], self.num_motors))
-        angles[..., index[:, 0]] = theta_1
-        angles[..., index[:, 1]] = theta_2
+    @property
+    def dc_motor(self) -> DcMotorData:
+        """The data of DC motors.
+
+        Raises:
+            SurefootError: the robot has other motors.
+        """
+        if not isinstance(self.actuator, DcMotorData):
+            raise SurefootError(f"the motors of {self.name} are of kind {self.drive}; this takes DC motors")
+        return self.actuator
+
+    @property
+    def five_bar(self) -> FiveBar:
+        """The geometry of five-bar legs.
+
+        Raises:
+            SurefootError: the robot has other legs.
+        """
+        if not isinstance(self.leg_geometry, FiveBar):
+            raise SurefootError(f"the legs of {self.name} are serial; this takes five-bar legs")
+        return self.leg_geometry
+
+    @property
+    def coordinates(self) -> tuple[str, ...]:
+        """Names of the coordinates of leg space: (abduction,) swing, extension."""
+        return tuple(self.leg_space)
+
+    def _of_legs(self, angles: Array) -> Array:
+        """Return the angles (..., L, m) of each leg's motors for those of all motors (..., M)."""
+        return angles[..., self.leg_motor_index]
+
+    def to_motors(self, pose: ArrayLike) -> Array:
+        """Return the motor angles (..., M) [rad] of poses in leg space (..., C, L)."""
+        theta, index = self.leg_geometry.to_motors(pose), self.leg_motor_index
+        angles = np.empty((*theta.shape[:-2], self.num_motors))
+        angles[..., index] = theta
         return angles
 
-    def motor_to_leg_pose(self, angles: ArrayLike) -> tuple[Array, Array]:
-        """Return the swing and extension (..., legs) [rad] for motor angles (..., motors) [rad]."""
-        theta, index = np.asarray(angles, float), self.leg_motor_index
-        return motor_to_leg(theta[..., index[:, 0]], theta[..., index[:, 1]])
+    def to_pose(self, angles: ArrayLike) -> Array:
+        """Return the poses in leg space (..., C, L) for motor angles (..., M) [rad]."""
+        return self.leg_geometry.to_pose(self._of_legs(np.asarray(angles, float)))
+
+    def pose_angles(self, *coordinates: ArrayLike) -> Array:
+        """Return the motor angles (..., M) [rad] for each coordinate's values (..., L), or one number for all legs."""
+        if len(coordinates) != len(self.coordinates):
+            raise SurefootError(
+                f"a pose has {len(coordinates)} numbers; legs of {self.name} have {choices(self.coordinates)}"
+            )
+        *values, _ = np.broadcast_arrays(*coordinates, np.zeros(len(self.legs)))
+        return self.to_motors(np.stack(values, axis=-2))
+
+    def angle_extent(self, *ranges: Range) -> tuple[Array, Array]:
+        """Return the least and greatest motor angles (M,) [rad] over all poses in a range of each coordinate.
+
+        Angles rise or fall with each coordinate but the extension, which is sampled.
+        """
+        *sides, (low, high) = ranges
+        angles = [self.pose_angles(*pose) for pose in product(*sides, np.linspace(low, high, 17))]
+        return np.min(angles, axis=0), np.max(angles, axis=0)
 
     @property
     def resting_angles(self) -> Array:
         """Motor angles (motors,) [rad] of the resting pose."""
-        return self.leg_to_motor_angles(*self.rest)
+        return self.pose_angles(*self.rest)
 
     @property
     def resting_joint_angles(self) -> dict[str, float]:
         """Angles [rad] of motor and knee joints in the resting pose, as the URDF has them, by name; loops closed."""
-        angles = self.resting_angles
-        joints = dict(zip(self.motor_names, (self.motor_sign * angles).tolist(), strict=True))
-        for leg in self.legs:
-            theta = [angles[self.motor_names.index(name)] for name in leg.motors]
-            joints |= zip(leg.knees, map(float, self.leg_geometry.knee_angles(*theta)), strict=True)
+        return {name: float(values) for name, values in self.joint_angles(self.resting_angles).items()}
+
+    def joint_angles(self, angles: ArrayLike) -> dict[str, Array]:
+        """Return the angles (...) [rad] of motor and knee joints by name, as the URDF has them, for motors (..., M).
+
+        NaN at the knees of a leg whose loop can't close.
+        """
+        theta = np.asarray(angles, float)
+        joints = {name: self.motor_sign[k] * theta[..., k] for k, name in enumerate(self.motor_names)}
+        knees = self.leg_geometry.knee_angles(self._of_legs(theta))
+        for number, leg in enumerate(self.legs):
+            joints |= {name: knees[..., number, k] for k, name in enumerate(leg.knees)}
         return joints
 
-    def nominal_params(self) -> dict[str, float]:
-        """Return the nominal value of every physical parameter, by name."""
-        data, timing = self.actuator, self.timing
+    def nominal_params(self) -> dict[str, Any]:
+        """Return the nominal value of every physical parameter, by name: a number, or one for each motor."""
+        timing = self.timing
         return {
+            **dict.fromkeys(PhysicalParams.names(), 0.0),
             **dict.fromkeys(("base_mass_ratio", "leg_mass_ratio", "base_inertia_ratio", "leg_inertia_ratio"), 1.0),
             "motor_strength": 1.0,
-            "motor_friction": data.friction,
-            "motor_viscous_friction": data.viscous_friction,
-            "torque_constant": data.torque_constant,
-            "resistance": data.resistance,
-            "voltage": data.voltage,
-            "servo_kp": data.kp,
-            "servo_kd": data.kd,
+            **self.actuator.nominal_params(),
             "servo_latency": timing.servo_latency,
             "control_latency": timing.control_latency,
             "control_step": timing.control_step,
             "contact_friction": self.contact.friction,
             "contact_stiffness": self.contact.stiffness,
             "contact_spinning_friction": self.contact.spinning_friction,
-            **dict.fromkeys(("knee_friction", "knee_play", "floor_unevenness"), 0.0),
-            **dict.fromkeys(("imu_bias", "imu_noise", "imu_mount"), 0.0),
         }
 
     def check_allowed(self, name: str, values: Array, source: str = "") -> None:
@@ -355,6 +458,150 @@ class RobotDescription:
             raise SurefootError(
                 f"{source}{name} is {bad.flat[0]:g}; {self.name} allows {low:g} to {high:g} (unit: {unit})"
             )
+
+
+def _legs(sheet: _Sheet, urdf: Urdf) -> tuple[Leg, ...]:
+    """Return the legs of a sheet, in order; refuse names that the URDF does not have, and legs that differ in kind."""
+    links, turning = list(urdf.links), [name for name, joint in urdf.joints.items() if joint.kind != "fixed"]
+    order, tables = sheet.motors.order, dict(sheet.legs)
+    names = tables.pop("order", None)
+    if not isinstance(names, list) or sorted(map(str, names)) != sorted(tables):
+        raise SurefootError(f"legs.order is {quoted(names)}; it must name each leg once: {choices(tables)}")
+    legs = tuple(replace(from_mapping(Leg, tables[name], f"legs.{name}"), name=name) for name in names)
+    if not legs:
+        raise SurefootError("legs.order is empty; a robot has legs")
+    counts = (2,) if sheet.leg_geometry else (2, 3)
+    for leg in legs:
+        _check_names(f"legs.{leg.name}.motors", leg.motors, order)
+        _check_names(f"legs.{leg.name}.knees", leg.knees, turning)
+        _check_names(f"legs.{leg.name}.foot", (leg.foot,), links)
+        if len(leg.motors) not in counts or len(leg.motors) != len(legs[0].motors):
+            rule = "two motors and two knees" if sheet.leg_geometry else "2 or 3 motors, as many as the other legs"
+            raise SurefootError(f"legs.{leg.name}.motors has {len(leg.motors)} names; a leg has {rule}")
+        if len(leg.knees) != (2 if sheet.leg_geometry else 0):
+            rule = "two, with leg_geometry" if sheet.leg_geometry else "none: joints without a motor need leg_geometry"
+            raise SurefootError(f"legs.{leg.name}.knees has {len(leg.knees)} names; a leg has {rule}")
+    used = [name for leg in legs for name in leg.motors]
+    if sorted(used) != sorted(order):
+        raise SurefootError(
+            f"motors.order names {len(order)} motors; each must belong to one leg; legs use {choices(used)}"
+        )
+    return legs
+
+
+def _mounts(base: str, legs: Sequence[Leg], urdf: Urdf) -> Array:
+    """Return where legs are mounted (L, 3) [m]; see `RobotDescription.leg_mounts`."""
+    frames = urdf.frames
+    inverse = np.linalg.inv(frames[base])
+
+    def place(joint: str) -> Array:
+        return (inverse @ frames[urdf.joints[joint].child])[:3, 3]
+
+    found = []
+    for leg in legs:
+        places = np.array([place(name) for name in leg.motors])
+        if leg.knees:
+            found.append(places.mean(axis=0))
+        elif len(leg.motors) == 3:
+            found.append(np.array([places[1, 0], *places[0, 1:]]))
+        else:
+            foot = (inverse @ frames[leg.foot])[:3, 3]
+            found.append(np.array([places[0, 0], foot[1], places[0, 2]]))
+    return np.array(found)
+
+
+def _serial_legs(base: str, legs: Sequence[Leg], order: Sequence[str], sign: Array, urdf: Urdf) -> SerialLegs:
+    """Return the kinematics of serial legs, from the places of their joints at zero.
+
+    Raises:
+        SurefootError: axes that are not along the base's x (abduction) and y (hip, knee), or a link without length.
+    """
+    frames = urdf.frames
+    inverse = np.linalg.inv(frames[base])
+    rows: dict[str, list[Any]] = {name: [] for name in SerialLegs.__dataclass_fields__}
+    for leg in legs:
+        along = (0, 1, 1)[-len(leg.motors) :]
+        turn, places = [], []
+        for motor, wanted in zip(leg.motors, along, strict=True):
+            joint = urdf.joints[motor]
+            frame = inverse @ frames[joint.child]
+            turned = frame[:3, :3] @ (np.array(joint.axis) / np.linalg.norm(joint.axis))
+            if abs(abs(turned[wanted]) - 1.0) > _ALONG:
+                rule = f"axis at zero is ({turned[0]:.3g}, {turned[1]:.3g}, {turned[2]:.3g}) in the base frame"
+                raise SurefootError(f"legs.{leg.name}: {motor}: its {rule}; it must be along {'xy'[wanted]}")
+            turn.append(float(np.sign(turned[wanted]) * sign[list(order).index(motor)]))
+            places.append(frame[:3, 3])
+        *first, hip, knee = places
+        foot = (inverse @ frames[leg.foot])[:3, 3]
+        upper, lower = (knee - hip)[[0, 2]], (foot - knee)[[0, 2]]
+        for name, link in (("hip to knee", upper), ("knee to foot", lower)):
+            if not np.linalg.norm(link) > 1e-3:
+                raise SurefootError(f"legs.{leg.name}: {name} is {np.linalg.norm(link):.3g} m long; a leg has links")
+        pivot = first[0] if first else np.array([0.0, foot[1], hip[2]])
+        rows["turn"].append(turn)
+        rows["side"].append(1.0 if foot[1] >= 0 else -1.0)
+        rows["hip"].append([foot[1] - pivot[1], hip[2] - pivot[2]])
+        for name, link in (("upper", upper), ("lower", lower)):
+            rows[name].append(np.linalg.norm(link))
+            rows[f"{name}_angle"].append(np.arctan2(-link[0], -link[1]))
+        rows["knee"].append(1.0 if leg.knee == "forward" else -1.0)
+    return SerialLegs(**{name: np.array(values, float) for name, values in rows.items()})
+
+
+def _leg_space(given: _LegSpace, legs: Legs) -> tuple[dict[str, Range], tuple[float, ...]]:
+    """Return the range of each coordinate and the resting pose: the sheet's, or usual ones for serial legs."""
+    usual = {"abduction": (-_ABDUCTION, _ABDUCTION), "swing": (-_SWING, _SWING), "extension": _EXTENSION}
+    names = legs.coordinates
+    if "abduction" not in names and given.abduction is not None:
+        raise SurefootError("leg_space.abduction is given; these legs have no abduction")
+    space = {name: getattr(given, name) or usual[name] for name in names}
+    rest = given.rest or (*[0.0] * (len(names) - 1), _REST)
+    if legs.units[-1] == "rad" and not (given.swing and given.extension and given.rest):
+        raise SurefootError("leg_space has no swing, extension or rest; legs with leg_geometry need them")
+    if len(rest) != len(names):
+        raise SurefootError(f"leg_space.rest has {len(rest)} numbers; it must have {choices(names)}")
+    return space, rest
+
+
+def _poses(given: _Poses, space: dict[str, Range]) -> Poses:
+    """Return the poses between gaits; robots sit with legs straight down, as short as commands allow."""
+    sit = given.sit or (*[0.0] * (len(space) - 1), space["extension"][0])
+    if len(sit) != len(space):
+        raise SurefootError(f"poses.sit has {len(sit)} numbers; it must have {choices(space)}")
+    for (name, (low, high)), value in zip(space.items(), sit, strict=True):
+        if not low <= value <= high:
+            raise SurefootError(f"poses.sit has {name} {value:g}; leg_space allows {low:g} to {high:g}")
+    return Poses(sit, given.spread)
+
+
+def _battery(given: _Battery, voltage: float) -> Battery:
+    """Return the battery's voltages: cells of 3.7 V are low at 3.3 V and empty at 2.9 V."""
+    nominal = given.nominal or voltage
+    warn, low, empty = given.warn or 0.9 * nominal, given.low or 0.88 * nominal, given.empty or 0.78 * nominal
+    if not empty <= low <= warn:
+        raise SurefootError(f"battery: empty is {empty:g} V, low {low:g} V, warn {warn:g} V; they must rise")
+    return Battery(nominal, warn, low, empty)
+
+
+def _actuator(table: dict[str, Any], order: Sequence[str], legs: Sequence[Leg]) -> ActuatorData:
+    """Return the motors' data; a list with one number for each motor of a leg holds for every leg."""
+    data = dict(table)
+    kind = data.pop("kind", "dc")
+    kinds: dict[str, type[DcMotorData] | type[JointDriveData]] = {"dc": DcMotorData, "joint": JointDriveData}
+    if kind not in kinds:
+        raise SurefootError(f"actuator.kind is {quoted(kind)}; choices: {choices(kinds)}")
+    return per_motor(from_mapping(kinds[kind], data, "actuator"), order, [leg.motors for leg in legs])
+
+
+def _contact(given: _Contact, weight: float, length: float) -> ContactData:
+    """Return the feet's contact; stiffness and damping from a foot's share of the weight [N] and the leg's length [m].
+
+    A foot sinks in by 1 % of the leg's length under its share, and its damping is that of a quarter of the robot on
+    this spring at a damping ratio of .5.
+    """
+    stiffness = given.stiffness or weight / (_SINK * length)
+    damping = given.damping or float(np.sqrt(stiffness * weight / GRAVITY))
+    return ContactData(given.friction, given.spinning_friction, stiffness, damping)
 
 
 def _check_names(key: str, given: Sequence[str], valid: Sequence[str]) -> None:

@@ -1,23 +1,69 @@
-r"""Leg space and the five-bar leg, in closed form.
+r"""Leg space, the interface of all kinds of legs, and the five-bar leg, in closed form.
 
-A leg's pose is (swing s, extension e) in leg space and (theta_1, theta_2) in motor space (Tan et al. 2018,
-figure 3):
+Leg space is the same for every kind: (abduction,) swing, extension. Positive abduction moves the foot away from the
+robot's middle plane, positive swing moves it backward, positive extension makes the leg longer.
+
+The pose of a five-bar leg is (swing s, extension e) in leg space and (theta_1, theta_2) in motor space (Tan et al.
+2018, figure 3):
 
     theta_1 = e + s        theta_2 = e - s
 
-theta is measured from straight up; motor 1 turns its upper link forward, motor 2 backward. Positive extension
-makes the leg longer, positive swing moves the foot backward.
+theta is measured from straight up; motor 1 turns its upper link forward, motor 2 backward.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from surefoot.arrays import Array
 from surefoot.errors import SurefootError
+
+
+class Legs(Protocol):
+    """The kinematics of a robot's L legs, all of one kind with m motors and C coordinates each.
+
+    Poses in leg space have the shape (..., C, L), motor angles (..., L, m), in the order of the sheet's `legs.order`.
+    """
+
+    @property
+    def coordinates(self) -> tuple[str, ...]:
+        """Names of the coordinates of leg space, in order: (abduction,) swing, extension."""
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """Their units; the unit 1 of an extension is the length of the straight leg."""
+
+    @property
+    def length(self) -> float:
+        """Length of the straight leg, hip to foot [m]."""
+
+    def to_motors(self, pose: ArrayLike) -> Array:
+        """Return the motor angles (..., L, m) [rad] of poses (..., C, L); NaN out of reach."""
+
+    def to_pose(self, angles: ArrayLike) -> Array:
+        """Return the poses (..., C, L) for motor angles (..., L, m) [rad]."""
+
+    def foot_in_plane(self, angles: ArrayLike) -> Array:
+        """Return the feet (..., L, 2) [m] in their legs' planes from the hip axis, x forward and z up."""
+
+    def plane_pose(self, foot: ArrayLike) -> tuple[Array, Array]:
+        """Return the swing and extension (..., L) that bring feet to (..., L, 2) [m] in the plane; NaN out of reach."""
+
+    def foot_position(self, angles: ArrayLike) -> Array:
+        """Return the feet (..., L, 3) [m] from the legs' mounts, in the base frame."""
+
+    def jacobian(self, angles: ArrayLike) -> Array:
+        """Return the derivatives (..., L, 3, m) [m/rad] of `foot_position` by the motor angles."""
+
+    def closes(self, angles: ArrayLike) -> NDArray[np.bool_]:
+        """Return whether each leg (..., L) can have these motor angles."""
+
+    def knee_angles(self, angles: ArrayLike) -> Array:
+        """Return the angles (..., L, knees) [rad] of joints without a motor, as the URDF has them."""
 
 
 def leg_to_motor(swing: ArrayLike, extension: ArrayLike) -> tuple[Array, Array]:
@@ -34,7 +80,10 @@ def motor_to_leg(theta_1: ArrayLike, theta_2: ArrayLike) -> tuple[Array, Array]:
 
 @dataclass(frozen=True)
 class FiveBar:
-    """Lengths [m] of a five-bar leg and its kinematics in its plane: x forward, z up from the motor axis."""
+    """Lengths [m] of a five-bar leg and its kinematics in its plane: x forward, z up from the motor axis.
+
+    The foot is the end of the lower link of motor 2, its rounding included. All legs of a robot are alike.
+    """
 
     upper: float
     """Motor axis to knee, both upper links."""
@@ -44,6 +93,9 @@ class FiveBar:
     """Knee to the foot's end, along the lower link of motor 2."""
     foot_radius: float
     """Radius of the foot's rounded end."""
+
+    coordinates: ClassVar[tuple[str, ...]] = ("swing", "extension")
+    units: ClassVar[tuple[str, ...]] = ("rad", "rad")
 
     def __post_init__(self) -> None:
         """Refuse lengths that are not over zero."""
@@ -55,6 +107,21 @@ class FiveBar:
                 f"leg_geometry.foot_radius is {self.foot_radius:g}; it must be from 0 to foot {self.foot:g} m"
             )
 
+    @property
+    def length(self) -> float:
+        """Length of the straight leg [m]."""
+        return self.upper + self.foot
+
+    def to_motors(self, pose: ArrayLike) -> Array:
+        """Return the motor angles (..., L, 2) [rad] of poses (..., 2, L) [rad]."""
+        given = np.asarray(pose, float)
+        return np.stack(leg_to_motor(given[..., 0, :], given[..., 1, :]), axis=-1)
+
+    def to_pose(self, angles: ArrayLike) -> Array:
+        """Return swing and extension (..., 2, L) [rad] for motor angles (..., L, 2) [rad]."""
+        theta = np.asarray(angles, float)
+        return np.stack(motor_to_leg(theta[..., 0], theta[..., 1]), axis=-2)
+
     def knees(self, theta_1: ArrayLike, theta_2: ArrayLike) -> tuple[Array, Array]:
         """Return the positions (..., 2) [m] of both knees, x forward and z up from the motor axis."""
         t1, t2 = np.asarray(theta_1, float), np.asarray(theta_2, float)
@@ -62,24 +129,51 @@ class FiveBar:
         knee_2 = self.upper * np.stack([-np.sin(t2), np.cos(t2)], -1)
         return knee_1, knee_2
 
-    def pin(self, theta_1: ArrayLike, theta_2: ArrayLike) -> Array:
-        """Return the position (..., 2) [m] of the pin joint, where circles around the knees meet away from the motors.
+    def pin(self, angles: ArrayLike) -> Array:
+        """Return the pin joint (..., 2) [m], where circles around the knees meet away from the motors.
 
         NaN where the lower links are too short to meet.
         """
-        knee_1, knee_2 = self.knees(theta_1, theta_2)
+        knee_1, knee_2 = self.knees(*_pair(angles))
         return _corner(knee_2, self.lower[1], knee_1, self.lower[0])
 
-    def foot_position(self, theta_1: ArrayLike, theta_2: ArrayLike) -> Array:
+    def foot_in_plane(self, angles: ArrayLike) -> Array:
         """Return the position (..., 2) [m] of the foot's end from the motor axis; NaN where no loop closes."""
-        _, knee_2 = self.knees(theta_1, theta_2)
-        pin = self.pin(theta_1, theta_2)
-        return knee_2 + (pin - knee_2) * (self.foot / self.lower[1])
+        _, knee_2 = self.knees(*_pair(angles))
+        return knee_2 + (self.pin(angles) - knee_2) * (self.foot / self.lower[1])
 
-    def leg_pose(self, foot: ArrayLike) -> tuple[Array, Array]:
+    def foot_position(self, angles: ArrayLike) -> Array:
+        """Return the position (..., 3) [m] of the foot's end from the leg's mount, in the base frame."""
+        foot = self.foot_in_plane(angles)
+        return np.stack([foot[..., 0], np.zeros_like(foot[..., 0]), foot[..., 1]], -1)
+
+    def jacobian(self, angles: ArrayLike) -> Array:
+        """Return the derivatives (..., 3, 2) [m/rad] of `foot_position`: the lower links keep their lengths.
+
+        With the pin p and knees k_i: (p - k_i) . (dp - dk_i) = 0 for both.
+        """
+        theta_1, theta_2 = _pair(angles)
+        knees, pin = self.knees(theta_1, theta_2), self.pin(angles)
+        speed_1 = self.upper * np.stack([np.cos(theta_1), -np.sin(theta_1)], -1)
+        speed_2 = self.upper * np.stack([-np.cos(theta_2), -np.sin(theta_2)], -1)
+        along = np.stack([pin - knees[0], pin - knees[1]], -2)
+        zero = np.zeros_like(theta_1)
+        right = np.stack(
+            [
+                np.stack([np.sum(along[..., 0, :] * speed_1, -1), zero], -1),
+                np.stack([zero, np.sum(along[..., 1, :] * speed_2, -1)], -1),
+            ],
+            -2,
+        )
+        pin_speed = np.linalg.solve(along, right)
+        knee_speed = np.stack([np.zeros_like(speed_2), speed_2], -1)
+        plane = knee_speed + (pin_speed - knee_speed) * (self.foot / self.lower[1])
+        return np.stack([plane[..., 0, :], np.zeros_like(plane[..., 0, :]), plane[..., 1, :]], -2)
+
+    def plane_pose(self, foot: ArrayLike) -> tuple[Array, Array]:
         """Return the swing and extension (...) [rad] that bring the foot's end to (..., 2) [m] from the motor axis.
 
-        The inverse of `foot_position`, with the knee of motor 1 in front and that of motor 2 behind; NaN out of reach.
+        The inverse of `foot_in_plane`, with the knee of motor 1 in front and that of motor 2 behind; NaN out of reach.
         """
         foot, axis = np.asarray(foot, float), np.zeros(2)
         knee_2 = _corner(axis, self.upper, foot, self.foot)
@@ -89,22 +183,28 @@ class FiveBar:
         angles = np.arctan2([knee_1[..., 0], -knee_2[..., 0]], [knee_1[..., 1], knee_2[..., 1]])
         return motor_to_leg(*((angles + np.pi / 2) % (2 * np.pi) - np.pi / 2))
 
-    def knee_angles(self, theta_1: ArrayLike, theta_2: ArrayLike) -> tuple[Array, Array]:
-        """Return the angles [rad] of both lower links about +y from their upper links; 0 continues the upper link."""
+    def knee_angles(self, angles: ArrayLike) -> Array:
+        """Return the angles (..., 2) [rad] of both lower links about +y from their upper links; 0 continues them."""
+        theta_1, theta_2 = _pair(angles)
         knee_1, knee_2 = self.knees(theta_1, theta_2)
-        pin = self.pin(theta_1, theta_2)
+        pin = self.pin(angles)
 
         def turn(start: Array, angle: Array) -> Array:
             along = pin - start
             return (np.arctan2(along[..., 0], along[..., 1]) - angle + np.pi) % (2 * np.pi) - np.pi
 
         # The knee of motor 1 bends past pi when the leg is short, so the branch is cut at 0 instead.
-        t1, t2 = np.asarray(theta_1, float), np.asarray(theta_2, float)
-        return turn(knee_1, t1) % (2 * np.pi), -(-turn(knee_2, -t2) % (2 * np.pi))
+        return np.stack([turn(knee_1, theta_1) % (2 * np.pi), -(-turn(knee_2, -theta_2) % (2 * np.pi))], -1)
 
-    def closes(self, theta_1: ArrayLike, theta_2: ArrayLike) -> NDArray[np.bool_]:
-        """Return whether the loop can close at these motor angles."""
-        return np.asarray(np.isfinite(self.pin(theta_1, theta_2)).all(-1))
+    def closes(self, angles: ArrayLike) -> NDArray[np.bool_]:
+        """Return whether the loop can close at these motor angles (..., 2)."""
+        return np.asarray(np.isfinite(self.pin(angles)).all(-1))
+
+
+def _pair(angles: ArrayLike) -> tuple[Array, Array]:
+    """Return both motors' angles (...) of angles (..., 2)."""
+    theta = np.asarray(angles, float)
+    return theta[..., 0], theta[..., 1]
 
 
 def _corner(a: Array, side_a: float, b: Array, side_b: float) -> Array:

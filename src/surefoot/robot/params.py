@@ -16,14 +16,22 @@ class _Described(Protocol):
     """What parameters ask of a robot's description."""
 
     @property
+    def name(self) -> str: ...
+    @property
     def num_motors(self) -> int: ...
-    def nominal_params(self) -> dict[str, float]: ...
+    @property
+    def drive(self) -> str: ...
+    def nominal_params(self) -> dict[str, Any]: ...
     def check_allowed(self, name: str, values: Array) -> None: ...
 
 
-def _row(unit: str, meaning: str, bounds: tuple[float, float], width: str = "one") -> Any:
-    """Declare a parameter; `bounds` hold where a robot's sheet does not say what is allowed."""
-    return field(metadata={"unit": unit, "meaning": meaning, "width": width, "bounds": bounds})
+def _row(unit: str, meaning: str, bounds: tuple[float, float], width: str = "one", drive: str = "") -> Any:
+    """Declare a parameter.
+
+    `bounds` hold where a robot's sheet does not say what is allowed; with `drive`, only robots with motors of that kind
+    have it, for others it is 0.
+    """
+    return field(metadata={"unit": unit, "meaning": meaning, "width": width, "bounds": bounds, "drive": drive})
 
 
 @dataclass(frozen=True)
@@ -39,13 +47,23 @@ class PhysicalParams:
     base_inertia_ratio: Array = _row("1", "rotational inertia of the base, over the description's", (0.2, 5.0))
     leg_inertia_ratio: Array = _row("1", "rotational inertia of every moving link, over the description's", (0.2, 5.0))
     motor_strength: Array = _row("1", "motor torque, over the motor model's", (0.0, 2.0), "motors")
-    motor_friction: Array = _row("N m", "Coulomb friction in each motor", (0.0, 0.5), "motors")
-    motor_viscous_friction: Array = _row("N m s/rad", "viscous friction in each motor", (0.0, 0.1), "motors")
-    torque_constant: Array = _row("N m/A", "torque constant K_t, also the back-EMF constant", (0.01, 1.0))
-    resistance: Array = _row("Ohm", "armature resistance R", (0.02, 5.0))
-    voltage: Array = _row("V", "battery voltage", (5.0, 30.0))
-    servo_kp: Array = _row("1/rad", "servo's proportional gain, duty per angle", (0.0, 10.0))
-    servo_kd: Array = _row("s/rad", "servo's derivative gain, duty per speed", (0.0, 0.2))
+    motor_friction: Array = _row("N m", "Coulomb friction in each motor", (0.0, 20.0), "motors")
+    motor_viscous_friction: Array = _row("N m s/rad", "viscous friction in each motor", (0.0, 10.0), "motors")
+    torque_constant: Array = _row("N m/A", "torque constant K_t, also the back-EMF constant", (0.01, 1.0), drive="dc")
+    resistance: Array = _row("Ohm", "armature resistance R", (0.02, 5.0), drive="dc")
+    voltage: Array = _row("V", "battery voltage", (5.0, 30.0), drive="dc")
+    servo_kp: Array = _row(
+        "1/rad, N m/rad",
+        "proportional gain: duty of a DC motor's servo, torque of a joint drive",
+        (0.0, 2000.0),
+        "motors",
+    )
+    servo_kd: Array = _row(
+        "s/rad, N m s/rad",
+        "derivative gain: duty of a DC motor's servo, torque of a joint drive",
+        (0.0, 100.0),
+        "motors",
+    )
     servo_latency: Array = _row("s", "age of the motor angles and speeds that the servo uses", (0.0, 0.020))
     control_latency: Array = _row("s", "age of the readings that the policy observes", (0.0, 0.100))
     control_step: Array = _row("s", "time between two commands of the policy", (0.001, 0.050))
@@ -60,6 +78,11 @@ class PhysicalParams:
     imu_bias: Array = _row("rad", "constant error of roll and pitch", (-0.5, 0.5), "roll, pitch")
     imu_noise: Array = _row("rad", "standard deviation of the white noise on roll and pitch", (0.0, 0.5))
     imu_mount: Array = _row("rad", "roll, pitch and yaw of the IMU against the base", (-0.5, 0.5), "roll, pitch, yaw")
+    load_friction: Array = _row("1", "friction of a joint drive over its torque", (0.0, 0.9), "motors", "joint")
+    speed_filter: Array = _row(
+        "s", "time constant of the first-order filter on the speed that a joint drive uses", (0.0, 0.1), drive="joint"
+    )
+    rotor_inertia: Array = _row("kg m2", "inertia of each rotor, at its joint", (0.0, 1.0), "motors", "joint")
 
     @property
     def num_envs(self) -> int:
@@ -77,12 +100,17 @@ class PhysicalParams:
         return str(cls.__dataclass_fields__[name].metadata["unit"])
 
     @classmethod
+    def drive(cls, name: str) -> str:
+        """Return the kind of motors that have a parameter; empty if all have it."""
+        return str(cls.__dataclass_fields__[name].metadata["drive"])
+
+    @classmethod
     def nominal(cls, robot: _Described, num_envs: int = 1) -> PhysicalParams:
         """Return the parameters that the robot's description states, for `num_envs` robots."""
         nominal = robot.nominal_params()
         widths = {"one": (), "motors": (robot.num_motors,), "roll, pitch": (2,), "roll, pitch, yaw": (3,)}
         shapes = {item.name: (num_envs, *widths[item.metadata["width"]]) for item in fields(cls)}
-        return cls(**{name: np.full(shape, nominal[name], np.float64) for name, shape in shapes.items()})
+        return cls(**{name: np.broadcast_to(nominal[name], shape).astype(np.float64) for name, shape in shapes.items()})
 
     def with_values(self, robot: _Described, **values: ArrayLike) -> PhysicalParams:
         """Return a copy with some parameters set, each given for all robots or one row per robot.
@@ -94,6 +122,10 @@ class PhysicalParams:
         for name, value in values.items():
             if name not in self.names():
                 raise SurefootError(f"'{name}' is not a physical parameter; choices: {choices(self.names())}")
+            if (drive := self.drive(name)) not in ("", robot.drive):
+                raise SurefootError(
+                    f"{name} belongs to motors of kind {drive}; the motors of {robot.name} are {robot.drive}"
+                )
             now = getattr(self, name)
             given = np.asarray(value, dtype=np.float64)
             if given.ndim == 1 and now.ndim == 2 and len(given) == len(now) and len(given) != now.shape[1]:
@@ -116,7 +148,8 @@ class PhysicalParams:
             SurefootError: a value outside what the robot's description allows; then nothing has changed.
         """
         for name in self.names():
-            robot.check_allowed(name, getattr(params, name))
+            if self.drive(name) in ("", robot.drive):
+                robot.check_allowed(name, getattr(params, name))
         for name in self.names():
             getattr(self, name)[index] = getattr(params, name)
 

@@ -108,7 +108,8 @@ def write_params(
     others = {key: value for key, value in (tables or {}).items() if key != "robot"}
     lines = _lines({"robot": robot.name, **{key: value for key, value in others.items() if not _is_table(value)}})
     lines += ["", "[params]"]
-    for name in PhysicalParams.names() if names is None else names:
+    own = [name for name in PhysicalParams.names() if PhysicalParams.drive(name) in ("", robot.drive)]
+    for name in own if names is None else names:
         value = np.asarray(getattr(params, name)[0])
         unit = PhysicalParams.unit(name)
         lines.append(f"{name} = {_toml(value.tolist())}  # {unit}")

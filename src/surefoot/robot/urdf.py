@@ -11,8 +11,12 @@ import xml.etree.ElementTree as ElementTree
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
+from surefoot.arrays import Array
 from surefoot.errors import SurefootError, accessible, choices
 from surefoot.files import read_configuration
+from surefoot.rotations import rpy_matrix
 
 
 @dataclass(frozen=True)
@@ -34,6 +38,17 @@ class Joint:
     child: str
     axis: tuple[float, float, float]
     origin: tuple[float, float, float]
+    rpy: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Roll, pitch and yaw of the child's frame in the parent's at angle 0 [rad]."""
+    limits: tuple[float, float] | None = None
+    """Least and greatest angle [rad]; None: it turns without end."""
+
+    @property
+    def frame(self) -> Array:
+        """Frame (4, 4) of the child in the parent's at angle 0."""
+        frame = np.eye(4)
+        frame[:3, :3], frame[:3, 3] = rpy_matrix(*self.rpy), self.origin
+        return frame
 
 
 @dataclass(frozen=True)
@@ -53,6 +68,16 @@ class Urdf:
     def root(self) -> str:
         """Name of the link that has no parent joint."""
         return _roots(self.links, self.joints)[0]
+
+    @property
+    def frames(self) -> dict[str, Array]:
+        """Frames (4, 4) of all links in the root's, with all joints at 0."""
+        found, waiting = {self.root: np.eye(4)}, list(self.joints.values())
+        while waiting:
+            ready = [joint for joint in waiting if joint.parent in found]
+            found |= {joint.child: found[joint.parent] @ joint.frame for joint in ready}
+            waiting = [joint for joint in waiting if joint.child not in found]
+        return found
 
     def fixed_to(self, link: str) -> set[str]:
         """Return the names of the links that move as one with `link`, itself included."""
@@ -134,9 +159,19 @@ def read_urdf(path: Path) -> Urdf:
                 raise SurefootError(f"{path}: joint '{name}' joins '{end}', not a link; choices: {choices(links)}")
         axis = element.find("axis")
         x, y, z = _floats(attribute(axis, "xyz") if axis is not None else "1 0 0", 3, f"{path}: joint '{name}': axis")
-        place = attribute(element.find("origin"), "xyz", "0 0 0")
-        u, v, w = _floats(place, 3, f"{path}: joint '{name}': origin")
-        joints[name] = Joint(name, attribute(element, "type"), *ends, (x, y, z), (u, v, w))
+        where, origin = f"{path}: joint '{name}'", element.find("origin")
+        u, v, w = _floats(attribute(origin, "xyz", "0 0 0"), 3, f"{where}: origin")
+        roll, pitch, yaw = _floats(attribute(origin, "rpy", "0 0 0"), 3, f"{where}: rpy")
+        kind, limits = attribute(element, "type"), None
+        if kind == "revolute":
+            (low,), (high,) = (
+                _floats(attribute(element.find("limit"), end, "0"), 1, f"{where}: limit {end}")
+                for end in ("lower", "upper")
+            )
+            if not low < high:
+                raise SurefootError(f"{where}: limits are [{low:g}, {high:g}]; the lower one must be below the upper")
+            limits = low, high
+        joints[name] = Joint(name, kind, *ends, (x, y, z), (u, v, w), (roll, pitch, yaw), limits)
 
     roots = _roots(links, joints)
     if len(roots) != 1:

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from surefoot.configuration import Within, check_bounds, from_mapping, read_yaml
-from surefoot.errors import SurefootError, check_name, choices, located
-from surefoot.robot import PhysicalParams, RobotDescription
+from surefoot.configuration import Within, check_bounds, from_mapping, is_number, read_yaml
+from surefoot.errors import SurefootError, check_name, choices, located, quoted
+from surefoot.robot import DEFAULT_ROBOT, PhysicalParams, RobotDescription
 from surefoot.robot.params_file import ParamValue
+from surefoot.task.gait import ActionKind, HybridGait
 from surefoot.task.observation import IMU_AND_MOTORS_12D
 from surefoot.task.pushes import PushConfig
 from surefoot.task.randomize import RandomizeConfig, with_ranges
+from surefoot.task.reference import make_reference
 from surefoot.task.trace import ENERGY_WEIGHT
 
 _PRESETS = Path(__file__).parent / "presets"
@@ -67,6 +70,8 @@ class ReferenceConfig:
     kind: Literal["none", "sine", "table", "foot"] = "none"
     """none: zero at all times; sine: `swing` and `extension`; table: poses out of `file`, every `period`;
     foot: paths of the feet, `foot`."""
+    abduction: WaveConfig = field(default_factory=WaveConfig)
+    """Abduction of the legs, for kind sine; of robots that have it."""
     swing: WaveConfig = field(default_factory=WaveConfig)
     """Swing of the legs, for kind sine."""
     extension: WaveConfig = field(default_factory=WaveConfig)
@@ -77,17 +82,20 @@ class ReferenceConfig:
     """Time [s] in which the table is gone through once."""
     foot: FootConfig = field(default_factory=FootConfig)
     """Paths of the feet, for kind foot."""
+    relative: bool = False
+    """Lengths of `foot` count lengths l of the straight leg, its frequency natural frequencies sqrt(g / l) / 2 pi."""
     rows: dict[str, dict[str, tuple[float, ...]]] | None = None
-    """The table itself, in place of `file`: under swing and extension, each leg's poses [rad]."""
+    """The table itself, in place of `file`: under each coordinate of leg space, each leg's poses."""
 
     def to_mapping(self) -> dict[str, Any] | None:
         """Return the mapping that `make_reference` takes."""
         if self.kind == "none":
             return None
         if self.kind == "sine":
-            return {"kind": "sine", "swing": vars(self.swing), "extension": vars(self.extension)}
+            aside = {} if self.abduction == WaveConfig() else {"abduction": vars(self.abduction)}
+            return {"kind": "sine", **aside, "swing": vars(self.swing), "extension": vars(self.extension)}
         if self.kind == "foot":
-            return {"kind": "foot", "foot": vars(self.foot)}
+            return {"kind": "foot", "foot": vars(self.foot), **({"relative": True} if self.relative else {})}
         if self.rows is None and self.file is None:
             raise SurefootError("reference.file is missing; a reference of kind table needs a CSV or NPZ file")
         return {"kind": "table", "period": self.period, **({"file": self.file} if self.rows is None else self.rows)}
@@ -95,19 +103,28 @@ class ReferenceConfig:
 
 @dataclass(frozen=True)
 class FeedbackConfig:
-    """Bounds of what the policy adds to the reference, in leg space [rad]; equal bounds leave no choice."""
+    """Bounds of what the policy adds to the reference; equal bounds leave no choice."""
 
     swing: tuple[float, float] = (-0.5, 0.5)
-    """Least and greatest feedback on each leg's swing."""
+    """Least and greatest feedback on each leg's swing [rad]."""
     extension: tuple[float, float] = (-0.5, 0.5)
-    """Least and greatest feedback on each leg's extension."""
+    """Least and greatest feedback on each leg's extension: rad for a five-bar leg, lengths of the straight leg for a
+    serial one."""
+    abduction: tuple[float, float] = (-0.2, 0.2)
+    """Least and greatest feedback on each leg's abduction [rad], of robots that have it."""
+    joint: tuple[float, float] = (-0.5, 0.5)
+    """Least and greatest feedback on each motor's angle [rad], for `action` joint."""
 
     def __post_init__(self) -> None:
         """Refuse reversed bounds, and bounds that are not finite."""
         check_bounds(self, "feedback")
-        for name, (low, high) in (("swing", self.swing), ("extension", self.extension)):
+        for name, (low, high) in vars(self).items():
             if not low <= high:
                 raise SurefootError(f"feedback.{name} is [{low:g}, {high:g}]; the lower bound must come first")
+
+    def of(self, names: Sequence[str]) -> list[tuple[float, float]]:
+        """Return the bounds of coordinates by name."""
+        return [getattr(self, name) for name in names]
 
 
 @dataclass(frozen=True)
@@ -116,7 +133,7 @@ class TaskConfig:
 
     name: str = "gait"
     """Name of the task; run folders carry it."""
-    robot: str = "minitaur"
+    robot: str = DEFAULT_ROBOT
     """Name of a robot that ships with surefoot, or the path of a robot's folder."""
     observations: tuple[str, ...] = IMU_AND_MOTORS_12D
     """Parts of the observation, in order."""
@@ -126,8 +143,10 @@ class TaskConfig:
     """The open loop part of the gait."""
     feedback: FeedbackConfig = field(default_factory=FeedbackConfig)
     """Bounds of the policy's part."""
-    rest: tuple[float, float] | None = None
-    """Swing and extension [rad] in which the robot settles first; the middle of commands if not given."""
+    action: ActionKind = "leg"
+    """What the policy's part is added to: the legs' poses in leg space, or the motors' angles."""
+    rest: tuple[float, ...] | None = None
+    """Pose of all legs in leg space in which the robot settles first; the middle of commands if not given."""
     energy_weight: Annotated[float, Within(0, 1e6)] = ENERGY_WEIGHT
     """w of the reward [m/J]."""
     target_speed: Annotated[float | None, Within(0, 100, above=True)] = None
@@ -158,30 +177,74 @@ class TaskConfig:
         check_name("name", self.name)
         check_bounds(self)
 
+    def gait(self, robot: RobotDescription) -> HybridGait:
+        """Return the gait: reference and bounds of the feedback, which the robot must allow."""
+        reference = make_reference(self.reference.to_mapping(), robot)
+        names = ("joint",) if self.action == "joint" else robot.coordinates
+        return HybridGait(robot, reference, *self.feedback.of(names), action=self.action)
+
     def nominal(self, robot: RobotDescription) -> PhysicalParams:
         """Return the physical parameters, which the robot must allow, without randomization, one row."""
         return PhysicalParams.nominal(robot).with_values(robot, **self.params)
 
 
-def preset_names() -> list[str]:
-    """Return the names of the tasks that ship with surefoot."""
-    return sorted(path.stem for path in _PRESETS.glob("*.yaml"))
+def preset_names(robot: str = DEFAULT_ROBOT) -> list[str]:
+    """Return the names of the tasks that ship with surefoot: those of a robot, and those for any."""
+    return sorted({path.stem for folder in (_tasks_of(robot), _PRESETS) for path in folder.glob("*.yaml")})
 
 
-def load_task(task: str) -> tuple[TaskConfig, dict[str, Any]]:
-    """Read a task by preset name or path; returns it and the file's `train` table (empty, if there is none)."""
-    path = _PRESETS / f"{task}.yaml" if task in preset_names() else Path(task)
-    if not path.is_file():
-        raise SurefootError(
-            f"task '{task}' does not exist; choices: {choices(preset_names())}, or the path of a YAML file"
-        )
+def _tasks_of(robot: str) -> Path:
+    """Return the folder with a robot's own tasks, which need not be there."""
+    return RobotDescription.folder_of(robot) / "tasks"
+
+
+def load_task(task: str, robot: str | None = None) -> tuple[TaskConfig, dict[str, Any]]:
+    """Read a task by name or path.
+
+    Args:
+        task: name of a task that ships, of the robot or for any; also ROBOT-NAME; or the path of a YAML file.
+        robot: name of a robot that ships, or the path of a robot's folder; the file's, if not given.
+
+    Returns:
+        the task, and the file's `train` table (empty, if there is none).
+    """
+    if robot is not None:
+        RobotDescription.load(robot)  # refuses one that is not there
+    for name in RobotDescription.available():
+        if robot is None and task.startswith(f"{name}-"):
+            task, robot = task.removeprefix(f"{name}-"), name
+    path, named = _task_file(task, robot or DEFAULT_ROBOT)
     data = read_yaml(path)
     train = data.pop("train", None) or {}
     data.pop("handcrafted", None)  # Belongs to `HandcraftedGait`, whose task this is.
+    cost_weight = data.pop("cost_weight", None)
+    if robot is not None or path.parent == _PRESETS:
+        data["robot"] = robot or DEFAULT_ROBOT
     with located(path):
-        config = from_mapping(TaskConfig, {"name": path.stem, **with_ranges(data, path.parent)})
+        config = from_mapping(
+            TaskConfig, {"name": path.stem, **with_ranges(data, path.parent, data.get("robot", DEFAULT_ROBOT))}
+        )
+        if named and config.robot != DEFAULT_ROBOT:
+            config = replace(config, name=f"{RobotDescription.load(config.robot).name}-{path.stem}")
+        if cost_weight is not None:
+            if not is_number(cost_weight) or not 0 <= cost_weight <= 1e6:
+                raise SurefootError(f"cost_weight is {quoted(cost_weight)}; it must be a number from 0 to 1e6")
+            config = replace(config, energy_weight=cost_weight / RobotDescription.load(config.robot).weight)
     if config.reference.file is not None:
         # A table's path counts from the task's file, wherever surefoot is run.
         absolute = str((path.parent / config.reference.file).resolve())
         config = from_mapping(TaskConfig, {"reference": {"file": absolute}}, base=config)
     return config, train
+
+
+def _task_file(task: str, robot: str) -> tuple[Path, bool]:
+    """Return the file of a task, and whether it is one that ships."""
+    for folder in (_tasks_of(robot), _PRESETS):
+        path = folder / f"{task}.yaml"
+        if task in {found.stem for found in folder.glob("*.yaml")}:
+            return path, True
+    if not Path(task).is_file():
+        raise SurefootError(
+            f"task '{task}' does not exist; choices: {choices(preset_names(robot))}, or the path of a YAML file"
+        )
+    return Path(task), False

@@ -13,11 +13,9 @@ from numpy.typing import ArrayLike, NDArray
 from surefoot.arrays import Array
 from surefoot.robot import RobotDescription
 from surefoot.task.config import TaskConfig
-from surefoot.task.gait import HybridGait
 from surefoot.task.observation import Moment, Observer, phase
 from surefoot.task.pushes import Pusher
 from surefoot.task.randomize import Randomizer
-from surefoot.task.reference import make_reference
 from surefoot.world.interface import Readings, Simulation, SimulationFactory, Truth, WorldConfig
 
 __all__ = ["LocomotionEnv", "LocomotionSingleEnv", "SimulationFactory"]
@@ -48,9 +46,9 @@ def has_fallen(roll_pitch_yaw: Array, limit: float) -> NDArray[np.bool_]:
 class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
     """A batch of robots on one task.
 
-    Observations (N, O) are raw SI readings. Actions (N, 2 L) in [-1, 1] span the feedback's bounds: the swing
-    of every leg, then the extension of every leg. Rewards are those of Tan et al. 2018, eq. 2, in metres, with
-    progress up to the task's `target_speed` if it has one. An
+    Observations (N, O) are raw SI readings. Actions (N, A) in [-1, 1] span the feedback's bounds: each coordinate of
+    leg space in turn, of every leg, or every motor's angle; see `HybridGait`. Rewards are those of Tan et al. 2018,
+    eq. 2, in metres, with progress up to the task's `target_speed` if it has one. An
     episode is terminated by a fall or a diverged simulation, and truncated after `max_steps`. With
     `autoreset`, a robot whose episode is over starts anew in the same step (`AutoresetMode.SAME_STEP`): the
     observation returned is the new episode's first one, and `info` holds `final_obs` and, for every episode
@@ -78,9 +76,8 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
     ) -> None:
         self.task, self.num_envs, self.autoreset, self._threads = task, num_envs, autoreset, threads
         self.robot = robot = RobotDescription.load(task.robot)
-        self.observer = Observer(robot, task.observations)
-        reference = make_reference(task.reference.to_mapping(), robot)
-        self.gait = HybridGait(robot, reference, task.feedback.swing, task.feedback.extension)
+        self.gait = task.gait(robot)
+        self.observer = Observer(robot, task.observations, self.gait.action_names)
         self.nominal = task.nominal(robot).rows(np.zeros(max(num_envs, 1), np.int64))
         self._make_world = make_world
         self._make(seed)
@@ -257,7 +254,7 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
 class LocomotionSingleEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
     """One robot on one task, for learners without support of vector environments: a batch of one.
 
-    Observations (O,), actions (2 L,), rewards and arguments are `LocomotionEnv`'s; without a seed any is taken. At the
+    Observations (O,), actions (A,), rewards and arguments are `LocomotionEnv`'s; without a seed any is taken. At the
     end of an episode `info` holds its `figures`.
     """
 

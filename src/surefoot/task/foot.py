@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from surefoot.arrays import Array
 from surefoot.errors import SurefootError
-from surefoot.robot.leg import FiveBar
+from surefoot.robot.leg import Legs
 
 _LENGTH = 10.0
 QUANTITIES = {
@@ -28,6 +28,8 @@ QUANTITIES = {
     "depth": (0.0, _LENGTH),
 }
 """What each leg has of its own, least and greatest. A foot with a duty factor of 0 or 1 would be infinitely fast."""
+LENGTHS = ("stroke", "clearance", "height", "offset", "depth")
+"""Those that are lengths."""
 FREQUENCY = (0.01, 50.0)
 """Least and greatest frequency [Hz]."""
 _SAMPLES = 360
@@ -42,7 +44,7 @@ class FootReference:
     """
 
     legs: tuple[str, ...]
-    leg: FiveBar
+    leg: Legs
     frequency: Array
     """Cycles a second [Hz], () or (N, 1)."""
     stroke: Array
@@ -59,7 +61,7 @@ class FootReference:
     """Of the middle of the stroke, forward from the motor axis [m]."""
     depth: Array
     """How far it is pressed below that height in the middle of its stance [m]."""
-    _extent: tuple[tuple[float, float], tuple[float, float]] = field(init=False, repr=False, compare=False)
+    _extent: tuple[tuple[float, float], ...] = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         """Check the paths."""
@@ -69,7 +71,7 @@ class FootReference:
             if bad.size:
                 raise SurefootError(f"reference.foot.{name} is {bad[0]:g}; it must be {least:g} to {most:g}")
         paths = self.path(np.linspace(0.0, 1.0, _SAMPLES, endpoint=False)[:, None])
-        poses = self.leg.leg_pose(paths)
+        poses = self.leg.plane_pose(paths)
         lost = ~np.isfinite(poses[0])
         if lost.any():
             place, (x, z) = np.argwhere(lost)[0], paths[lost][0]
@@ -77,8 +79,8 @@ class FootReference:
                 f"reference.foot: the foot of {self.legs[place[-1]]} goes to {x:.3f} m before and {-z:.3f} m below its "
                 "motors, out of the leg's reach; change height, offset, stroke, depth or clearance"
             )
-        swing, extension = ((float(part.min()), float(part.max())) for part in poses)
-        object.__setattr__(self, "_extent", (swing, extension))
+        extent = [(float(part.min()), float(part.max())) for part in poses]
+        object.__setattr__(self, "_extent", (*[(0.0, 0.0)] * (len(self.leg.coordinates) - 2), *extent))
 
     @property
     def period(self) -> Any:
@@ -115,12 +117,14 @@ class FootReference:
         values = {name: np.stack([getattr(one, name) for one in references]) for name in QUANTITIES}
         return cls(first.legs, first.leg, np.array([[one.frequency] for one in references], float), **values)
 
-    def pose(self, time: ArrayLike) -> tuple[Array, Array]:
-        """Return the swing and extension (N, L) [rad] at times (N,) [s] since the episode's start."""
-        return self.leg.leg_pose(self.path(np.asarray(time, float) * np.reshape(self.frequency, -1)))
+    def pose(self, time: ArrayLike) -> Array:
+        """Return the poses (N, C, L) at times (N,) [s] since the episode's start; without abduction."""
+        swing, extension = self.leg.plane_pose(self.path(np.asarray(time, float) * np.reshape(self.frequency, -1)))
+        level = [np.zeros_like(swing)] * (len(self.leg.coordinates) - 2)
+        return np.stack([*level, swing, extension], axis=-2)
 
-    def extent(self) -> tuple[tuple[float, float], tuple[float, float]]:
-        """Return the lowest and highest swing, lowest and highest extension [rad] over all legs and times."""
+    def extent(self) -> tuple[tuple[float, float], ...]:
+        """Return the lowest and highest value of each coordinate over all legs and times."""
         return self._extent
 
     def to_dict(self) -> dict[str, Any]:

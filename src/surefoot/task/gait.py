@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -11,60 +13,84 @@ from surefoot.robot import RobotDescription
 from surefoot.task.reference import Reference
 
 Range = tuple[float, float]
+ActionKind = Literal["leg", "joint"]
+
+
+def action_names(robot: RobotDescription, kind: ActionKind) -> list[str]:
+    """Return the names of the feedback's numbers: of every leg for each coordinate in turn, or of every motor."""
+    if kind == "joint":
+        return [f"joint.{motor}" for motor in robot.motor_names]
+    return [f"{part}.{leg}" for part in robot.coordinates for leg in robot.leg_names]
 
 
 class HybridGait:
     """Reference plus bounded feedback (Tan et al. 2018, eq. 3).
 
+    Feedback is in leg space, C numbers a leg, or, with `action` joint, an angle for each of the M motors; A = C L or M.
+
     Args:
         robot: legs, their order and range.
-        reference: the open loop part.
-        swing: bounds of the feedback on each leg's swing [rad].
-        extension: bounds of the feedback on each leg's extension [rad].
+        reference: the open loop part, in leg space.
+        bounds: bounds of the feedback on each leg's coordinates, in the robot's order; one range [rad] for all motors
+            with `action` joint.
+        action: what feedback is added to: poses of legs, or motor angles.
 
     Raises:
         SurefootError: a command could leave the leg's range.
     """
 
-    def __init__(self, robot: RobotDescription, reference: Reference, swing: Range, extension: Range) -> None:
-        self.robot, self.reference = robot, reference
-        self.low, self.high = np.repeat(np.array([swing, extension], float).T, len(robot.legs), axis=1)
-        given, allowed = (swing, extension), (robot.swing_range, robot.extension_range)
-        spans = zip(("swing", "extension"), reference.extent(), given, allowed, strict=True)
-        for name, (least, most), (low, high), (allowed_low, allowed_high) in spans:
+    def __init__(
+        self, robot: RobotDescription, reference: Reference, *bounds: Range, action: ActionKind = "leg"
+    ) -> None:
+        self.robot, self.reference, self.action_kind = robot, reference, action
+        legs, coordinates = len(robot.legs), robot.coordinates
+        self._shape = (len(coordinates), legs)
+        count = robot.num_motors if action == "joint" else legs
+        self.low, self.high = np.repeat(np.array(bounds, float).T, count, axis=1)
+        given = bounds if action == "leg" else [(0.0, 0.0)] * len(coordinates)
+        self._ranges = [
+            (least + low, most + high) for (least, most), (low, high) in zip(reference.extent(), given, strict=True)
+        ]
+        spans = zip(robot.leg_space.items(), robot.leg_geometry.units, reference.extent(), given, strict=True)
+        for (name, (allowed_low, allowed_high)), unit, (least, most), (low, high) in spans:
             if least + low < allowed_low - 1e-9 or most + high > allowed_high + 1e-9:
+                unit = "" if unit == "1" else f" {unit}"
                 raise SurefootError(
-                    f"{name} can be {least + low:.3f} to {most + high:.3f} rad "
+                    f"{name} can be {least + low:.3f} to {most + high:.3f}{unit} "
                     f"(reference {least:.3f} to {most:.3f}, feedback {low:g} to {high:g}); "
                     f"a leg of {robot.name} allows {allowed_low:g} to {allowed_high:g}"
                 )
 
     @property
     def action_names(self) -> list[str]:
-        """Names of the feedback's numbers: the swing of every leg, then the extension of every leg."""
-        return [f"{part}.{leg}" for part in ("swing", "extension") for leg in self.robot.leg_names]
+        """Names of the feedback's numbers: of every leg for each coordinate in turn, or of every motor."""
+        return action_names(self.robot, self.action_kind)
 
     @property
-    def rest(self) -> Range:
-        """Swing and extension [rad] in the middle of the range of commands."""
-        (s_low, s_high), (e_low, e_high) = self.reference.extent()
-        swing, extension = s_low + s_high + self.low[0] + self.high[0], e_low + e_high + self.low[-1] + self.high[-1]
-        return float(swing) / 2, float(extension) / 2
+    def rest(self) -> tuple[float, ...]:
+        """Pose in leg space in the middle of the range of commands."""
+        return tuple(float(low + high) / 2 for low, high in self._ranges)
+
+    def angle_extent(self) -> tuple[Array, Array]:
+        """Return the least and greatest motor angles (M,) [rad] that a command may have."""
+        least, greatest = self.robot.angle_extent(*self._ranges)
+        return (least + self.low, greatest + self.high) if self.action_kind == "joint" else (least, greatest)
 
     def feedback(self, action: ArrayLike) -> Array:
-        """Return feedback (N, 2 L) [rad] for actions in [-1, 1], clipped: -1 is the lower bound, 1 the upper one."""
+        """Return feedback (N, A) for actions in [-1, 1], clipped: -1 is the lower bound, 1 the upper one."""
         unit = np.clip(np.asarray(action, float), -1.0, 1.0)
         return self.low + (unit + 1.0) / 2 * (self.high - self.low)
 
     def action(self, feedback: ArrayLike) -> Array:
-        """Return the actions (N, 2 L) in [-1, 1] that give this feedback (N, 2 L) [rad]; 0 where bounds are equal."""
+        """Return the actions (N, A) in [-1, 1] that give this feedback (N, A); 0 where bounds are equal."""
         width = self.high - self.low
         free = width > 0
         unit = 2 * (np.asarray(feedback, float) - self.low) / np.where(free, width, 1.0) - 1.0
         return np.where(free, np.clip(unit, -1.0, 1.0), 0.0)
 
     def motor_targets(self, time: ArrayLike, feedback: Array) -> Array:
-        """Return the motor angles (N, M) [rad] for feedback (N, 2 L) [rad] at times (N,) [s]."""
-        swing, extension = self.reference.pose(time)
-        legs = swing.shape[-1]
-        return self.robot.leg_to_motor_angles(swing + feedback[:, :legs], extension + feedback[:, legs:])
+        """Return the motor angles (N, M) [rad] for feedback (N, A) at times (N,) [s]."""
+        pose = self.reference.pose(time)
+        if self.action_kind == "joint":
+            return self.robot.to_motors(pose) + feedback
+        return self.robot.to_motors(pose + feedback.reshape(len(feedback), *self._shape))

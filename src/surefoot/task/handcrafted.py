@@ -28,12 +28,12 @@ KEY = "handcrafted"
 class OpenLoop:
     """A policy that adds nothing to the reference."""
 
-    legs: int
-    """Number of legs, each with swing and extension."""
+    width: int
+    """Numbers of the feedback, A."""
 
     def feedback(self, observation: ArrayLike) -> Array:
-        """Return feedback (N, 2 L) of zero for observations (N, O)."""
-        return np.zeros((len(np.asarray(observation)), 2 * self.legs))
+        """Return feedback (N, A) of zero for observations (N, O)."""
+        return np.zeros((len(np.asarray(observation)), self.width))
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ class HandcraftedGait:
         robot = RobotDescription.load(self.task.robot)
         reference = make_reference(self.task.reference.to_mapping(), robot)
         if self.raibert is None:
-            return OpenLoop(len(robot.legs))
+            return OpenLoop(len(self.task.gait(robot).action_names))
         assert isinstance(reference, FootReference)
         return RaibertController(robot, reference, self.raibert, self.task.observations, self.task.history)
 

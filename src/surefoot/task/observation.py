@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,7 +21,7 @@ class Moment:
     readings: Readings
     reference: Reference
     last_feedback: Array
-    """Leg-space feedback of the last control step (N, 2 L) [rad]; zero before the first."""
+    """Feedback of the last control step (N, A), see `HybridGait`; zero before the first."""
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ PARTS: dict[str, Part] = {
     "last_action": Part(
         "rad",
         "leg space",
-        lambda robot: [f"last_{part}.{leg}" for part in ("swing", "extension") for leg in robot.leg_names],
+        lambda robot: [f"last_{part}.{leg}" for part in robot.coordinates for leg in robot.leg_names],
         lambda m: m.last_feedback,
     ),
 }
@@ -81,9 +81,12 @@ IMU_AND_MOTORS_12D = (*IMU_4D, "motor_angles")
 
 
 class Observer:
-    """Builds observations of a robot: parts out of `PARTS`, in the order of `names`; one or more, none twice."""
+    """Builds observations of a robot: parts out of `PARTS`, in the order of `names`; one or more, none twice.
 
-    def __init__(self, robot: RobotDescription, names: tuple[str, ...]) -> None:
+    `actions` are the names of the feedback's numbers, where these are not coordinates of leg space.
+    """
+
+    def __init__(self, robot: RobotDescription, names: tuple[str, ...], actions: Sequence[str] | None = None) -> None:
         if not names:
             raise SurefootError(f"observations is empty; choices: {choices(PARTS)}")
         for name in names:
@@ -92,7 +95,10 @@ class Observer:
         if len(set(names)) != len(names):
             raise SurefootError(f"observations are {choices(names)}; names must not repeat")
         self.names = names
-        self.columns = [column for name in names for column in PARTS[name].columns(robot)]
+        columns = {name: PARTS[name].columns(robot) for name in names}
+        if actions is not None and "last_action" in columns:
+            columns["last_action"] = [f"last_{action}" for action in actions]
+        self.columns = [column for name in names for column in columns[name]]
 
     @property
     def width(self) -> int:

@@ -110,8 +110,8 @@ class RaibertController:
         part = self.reference.shares(cycle - self.gains.lag * np.reshape(self.reference.frequency, -1))
         part /= self.reference.duty_factor
         leg, motors = self.robot.leg_geometry, self.robot.leg_motor_index
-        theta, turn = np.moveaxis(angle[..., motors], -1, 0), np.moveaxis(rate[..., motors], -1, 0)
-        ahead, behind = (leg.foot_position(*(theta + sign * _STEP * turn)) for sign in (1.0, -1.0))
+        theta, turn = angle[..., motors], rate[..., motors]
+        ahead, behind = (leg.foot_in_plane(theta + sign * _STEP * turn) for sign in (1.0, -1.0))
         forward, below = (ahead - behind)[..., 0] / (2 * _STEP), (ahead + behind)[..., 1] / 2
         found = -forward - imu[..., 3:] * (below + self.robot.leg_mounts[:, 2])
         known = (part > _EDGE) & (part < 1.0 - _EDGE) & np.isfinite(found)
@@ -121,7 +121,7 @@ class RaibertController:
         return speed
 
     def feedback(self, observation: ArrayLike) -> Array:
-        """Return feedback (N, 2 L) [rad] for observations (N, O * history)."""
+        """Return feedback (N, C L) in leg space for observations (N, O * history); none on abduction."""
         imu, _, _, cycle = (part[0] for part in self._parts(observation))
         gains, reference = self.gains, self.reference
         # Without an estimate, as in a flight longer than the history, feet land where the trajectory has them.
@@ -138,7 +138,8 @@ class RaibertController:
         shift = np.clip(np.stack([forward, upward], -1), -gains.reach, gains.reach)
         path = reference.path(cycle)
         leg = self.robot.leg_geometry
-        wanted, given = np.stack(leg.leg_pose(path + shift)), np.stack(leg.leg_pose(path))
+        wanted, given = np.stack(leg.plane_pose(path + shift)), np.stack(leg.plane_pose(path))
         # A foot that would be out of reach stays on its trajectory.
-        swing, extension = np.where(np.isfinite(wanted).all(axis=0), wanted - given, 0.0)
-        return np.concatenate([swing, extension], axis=1)
+        moved = np.where(np.isfinite(wanted).all(axis=0), wanted - given, 0.0)
+        level = [np.zeros_like(moved[0])] * (len(leg.coordinates) - 2)
+        return np.concatenate([*level, *moved], axis=1)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from surefoot.arrays import Array
 from surefoot.configuration import from_mapping, read_yaml
 from surefoot.errors import SurefootError, choices, located
-from surefoot.robot import PhysicalParams, RobotDescription
+from surefoot.robot import DEFAULT_ROBOT, PhysicalParams, RobotDescription
 from surefoot.seeding import generator, generators
 
 Range = tuple[float, float] | None
@@ -113,20 +113,42 @@ ROWS: dict[str, Row] = {item.name: item.metadata["row"] for item in fields(Rando
 
 
 def range_names() -> list[str]:
-    """Return the names of the tables of ranges that ship with surefoot."""
+    """Return the names of the tables of ranges that ship with surefoot, each for every robot."""
     return sorted(path.stem for path in _RANGES.glob("*.yaml"))
 
 
-def load_ranges(name: str, folder: Path = Path()) -> RandomizeConfig:
-    """Read a table of ranges by name, or by the path of a YAML file as seen from a folder."""
-    path = _RANGES / f"{name}.yaml" if name in range_names() else folder / name
+def load_ranges(name: str, folder: Path = Path(), robot: str | Path = DEFAULT_ROBOT) -> RandomizeConfig:
+    """Read a table of ranges.
+
+    Rows under `scaled` are multiples of the robot's nominal values, of its motors' mean.
+
+    Args:
+        name: of a table that ships, the robot's own if it has one; or the path of a YAML file.
+        folder: what the path is seen from.
+        robot: name or folder of the robot.
+    """
+    own = RobotDescription.folder_of(robot) / "ranges" / f"{name}.yaml"
+    path = own if name in range_names() and own.is_file() else _RANGES / f"{name}.yaml"
+    if name not in range_names():
+        path = folder / name
     if not path.is_file():
         raise SurefootError(
             f"randomize '{name}' does not exist; choices: {choices(range_names())}, or the path of a YAML file"
         )
     data = read_yaml(path)
     with located(path):
-        return from_mapping(RandomizeConfig, data, "randomize")
+        scaled = data.pop("scaled", None) or {}
+        config = from_mapping(RandomizeConfig, data, "randomize")
+        if not scaled:
+            return config
+        factors, nominal = (
+            from_mapping(RandomizeConfig, scaled, "scaled"),
+            RobotDescription.load(robot).nominal_params(),
+        )
+        values = {row: float(np.mean(nominal[ROWS[row].params[0]])) for row in factors.ranges}
+        return replace(
+            config, **{row: (low * values[row], high * values[row]) for row, (low, high) in factors.ranges.items()}
+        )
 
 
 def check_ranges(config: RandomizeConfig, robot: RobotDescription) -> None:
@@ -134,6 +156,9 @@ def check_ranges(config: RandomizeConfig, robot: RobotDescription) -> None:
     for row, given in config.ranges.items():
         for name in ROWS[row].params:
             low, high = robot.allowed[name]
+            if (drive := PhysicalParams.drive(name)) not in ("", robot.drive):
+                rule = f"it belongs to motors of kind {drive}, those of {robot.name} are {robot.drive}"
+                raise SurefootError(f"randomize.{row} is given; {rule}")
             if not (low <= given[0] and given[1] <= high):
                 raise SurefootError(
                     f"randomize.{row} is [{given[0]:g}, {given[1]:g}]; "
@@ -222,7 +247,7 @@ def _far_ahead(stream: np.random.Generator) -> np.random.Generator:
     return np.random.Generator(bits.jumped())
 
 
-def with_ranges(data: dict[str, Any], folder: Path = Path()) -> dict[str, Any]:
+def with_ranges(data: dict[str, Any], folder: Path = Path(), robot: str | Path = DEFAULT_ROBOT) -> dict[str, Any]:
     """Return a task's table with `randomize` as a table where it names a table of ranges or a file in a folder.
 
     It names one either alone, or under `table` beside rows that differ from it.
@@ -235,7 +260,7 @@ def with_ranges(data: dict[str, Any], folder: Path = Path()) -> dict[str, Any]:
     name = rows.pop("table", None)
     if not isinstance(name, str):
         return data
-    return {**data, "randomize": {**vars(load_ranges(name, folder)), **rows}}
+    return {**data, "randomize": {**vars(load_ranges(name, folder, robot)), **rows}}
 
 
 def draw_hidden(robot: RobotDescription, ranges: Mapping[str, tuple[float, float]], seed: int) -> PhysicalParams:
@@ -249,9 +274,10 @@ def draw_hidden(robot: RobotDescription, ranges: Mapping[str, tuple[float, float
     """
     nominal = PhysicalParams.nominal(robot)
     known: dict[str, tuple[float, float]] = {"servo_latency": SERVO_LATENCY}
-    for name in ("torque_constant", "resistance"):
-        value = getattr(robot.actuator, name)
-        known[name] = (value * (1 - RELATIVE_RANGE), value * (1 + RELATIVE_RANGE))
+    if robot.drive == "dc":
+        for name in ("torque_constant", "resistance"):
+            value = getattr(robot.dc_motor, name)
+            known[name] = (value * (1 - RELATIVE_RANGE), value * (1 + RELATIVE_RANGE))
     known |= ranges
     known.pop("control_step", None)  # the time between commands is the host's
     drawn = {}

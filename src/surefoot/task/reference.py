@@ -1,4 +1,6 @@
-"""The open loop part of a gait: a periodic reference for the swing and extension of every leg.
+"""The open loop part of a gait: a periodic reference for the pose of every leg in leg space.
+
+L legs have C coordinates each, in the robot's order: (abduction,) swing, extension.
 
 Tan et al. 2018, eq. 3: a(t, o) = reference(t) + feedback(o).
 """
@@ -19,11 +21,10 @@ from surefoot.arrays import Array
 from surefoot.configuration import is_number
 from surefoot.errors import SurefootError, choices, quoted
 from surefoot.files import check_readable
-from surefoot.robot import RobotDescription
+from surefoot.robot import GRAVITY, RobotDescription
 from surefoot.task import foot
 from surefoot.task.foot import FootReference
 
-_PARTS = ("swing", "extension")
 _QUANTITIES = ("amplitude", "frequency", "phase", "offset")
 # What NumPy raises for files that are empty, cut off or of another kind.
 _UNREADABLE = (
@@ -61,16 +62,16 @@ class Wave:
 
 @dataclass(frozen=True)
 class SineReference:
-    """One sinusoid for the swing and one for the extension of every leg."""
+    """One sinusoid for each coordinate of every leg."""
 
     legs: tuple[str, ...]
-    swing: Wave
-    extension: Wave
+    waves: dict[str, Wave]
+    """By coordinate, in order."""
 
     @property
     def period(self) -> float | None:
         """Time [s] after which the reference repeats; None if it does not move or has no common period."""
-        moving = [wave.frequency[wave.amplitude != 0] for wave in (self.swing, self.extension)]
+        moving = [wave.frequency[wave.amplitude != 0] for wave in self.waves.values()]
         frequencies = np.unique(np.abs(np.concatenate(moving)))
         frequencies = frequencies[frequencies > 0]
         if len(frequencies) == 0:
@@ -78,17 +79,17 @@ class SineReference:
         ratios = frequencies / frequencies[0]
         return float(1 / frequencies[0]) if np.allclose(ratios, np.round(ratios)) else None
 
-    def pose(self, time: ArrayLike) -> tuple[Array, Array]:
-        """Return the swing and extension (N, L) [rad] at times (N,) [s] since the episode's start."""
-        return self.swing.at(time), self.extension.at(time)
+    def pose(self, time: ArrayLike) -> Array:
+        """Return the poses (N, C, L) at times (N,) [s] since the episode's start."""
+        return np.stack([wave.at(time) for wave in self.waves.values()], axis=-2)
 
-    def extent(self) -> tuple[tuple[float, float], tuple[float, float]]:
-        """Return the lowest and highest swing, lowest and highest extension [rad] over all legs and times."""
-        return self.swing.extent, self.extension.extent
+    def extent(self) -> tuple[tuple[float, float], ...]:
+        """Return the lowest and highest value of each coordinate over all legs and times."""
+        return tuple(wave.extent for wave in self.waves.values())
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything that `make_reference` needs to make it again, as JSON values."""
-        return {"kind": "sine", **{part: getattr(self, part).to_dict(self.legs) for part in _PARTS}}
+        return {"kind": "sine", **{part: wave.to_dict(self.legs) for part, wave in self.waves.items()}}
 
 
 @dataclass(frozen=True)
@@ -101,29 +102,29 @@ class TableReference:
     legs: tuple[str, ...]
     period: float
     """Time [s] after which the reference repeats."""
-    swing: Array
-    """Swing (rows, L) [rad]."""
-    extension: Array
-    """Extension (rows, L) [rad]."""
+    coordinates: tuple[str, ...]
+    rows: Array
+    """Poses (rows, C, L)."""
 
-    def pose(self, time: ArrayLike) -> tuple[Array, Array]:
-        """Return the swing and extension (N, L) [rad] at times (N,) [s] since the episode's start."""
-        rows = len(self.swing)
+    def pose(self, time: ArrayLike) -> Array:
+        """Return the poses (N, C, L) at times (N,) [s] since the episode's start."""
+        rows = len(self.rows)
         place = np.asarray(time, float) / self.period % 1.0 * rows
         first = np.floor(place).astype(int) % rows
-        share = (place - np.floor(place))[..., None]
-        after = (first + 1) % rows
-        swing, extension = (part[first] + share * (part[after] - part[first]) for part in (self.swing, self.extension))
-        return swing, extension
+        share = (place - np.floor(place))[..., None, None]
+        pose: Array = self.rows[first] + share * (self.rows[(first + 1) % rows] - self.rows[first])
+        return pose
 
-    def extent(self) -> tuple[tuple[float, float], tuple[float, float]]:
-        """Return the lowest and highest swing, lowest and highest extension [rad] over all legs and times."""
-        swing, extension = ((float(part.min()), float(part.max())) for part in (self.swing, self.extension))
-        return swing, extension
+    def extent(self) -> tuple[tuple[float, float], ...]:
+        """Return the lowest and highest value of each coordinate over all legs and times."""
+        return tuple((float(part.min()), float(part.max())) for part in np.moveaxis(self.rows, 1, 0))
 
     def to_dict(self) -> dict[str, Any]:
         """Return what `make_reference` needs to make it again, as JSON values: rows in place of the file."""
-        rows = {part: dict(zip(self.legs, getattr(self, part).T.tolist(), strict=True)) for part in _PARTS}
+        rows = {
+            part: dict(zip(self.legs, self.rows[:, k].T.tolist(), strict=True))
+            for k, part in enumerate(self.coordinates)
+        }
         return {"kind": "table", "period": self.period, **rows}
 
 
@@ -133,11 +134,12 @@ Reference = SineReference | TableReference | FootReference
 def make_reference(data: Mapping[str, Any] | None, robot: RobotDescription) -> Reference:
     """Make a reference for a robot's legs from configuration.
 
-    Four forms: nothing (zero at all times); `kind: sine` with `swing` and `extension`, each with
+    Four forms: nothing (zero at all times); `kind: sine` with a table for each coordinate of leg space, each with
     `amplitude`, `frequency`, `phase` and `offset`, each a number or a mapping from leg to number; `kind:
-    table` with `period` and either `file` (CSV or NPZ) or the rows themselves under `swing` and `extension`; `kind:
+    table` with `period` and either `file` (CSV or NPZ) or the rows themselves under each coordinate; `kind:
     foot` with `foot`: `frequency`, and the quantities of a `FootReference`, each a number or a mapping from leg to
-    number.
+    number; with `relative`, lengths count lengths of the straight leg l, and the frequency natural frequencies
+    sqrt(g / l) / 2 pi.
 
     Raises:
         SurefootError: an unknown key or leg, a value that is not a number, a table that does not fit, or a foot out
@@ -147,10 +149,11 @@ def make_reference(data: Mapping[str, Any] | None, robot: RobotDescription) -> R
     data = {"kind": "sine"} if data is None else data
     kind = data.get("kind")
     if kind == "sine":
-        _only(data, "reference", ("kind", *_PARTS))
-        return SineReference(legs, *(_wave(data.get(part) or {}, f"reference.{part}", legs) for part in _PARTS))
+        _only(data, "reference", ("kind", *robot.coordinates))
+        waves = {part: _wave(data.get(part) or {}, f"reference.{part}", legs) for part in robot.coordinates}
+        return SineReference(legs, waves)
     if kind == "table":
-        return _table(data, legs)
+        return _table(data, legs, robot.coordinates)
     if kind == "foot":
         return _foot(data, robot)
     raise SurefootError(f"reference.kind is {kind!r}; choices: sine, table, foot")
@@ -183,7 +186,7 @@ def _per_leg(given: Any, where: str, legs: tuple[str, ...]) -> Array:
 
 def _foot(data: Mapping[str, Any], robot: RobotDescription) -> FootReference:
     where, names = "reference.foot", ("frequency", *foot.QUANTITIES)
-    _only(data, "reference", ("kind", "foot"))
+    _only(data, "reference", ("kind", "foot", "relative"))
     given: Any = data.get("foot") or {}
     _only(given, where, names)
     for name in names:
@@ -191,6 +194,10 @@ def _foot(data: Mapping[str, Any], robot: RobotDescription) -> FootReference:
             raise SurefootError(f"{where}.{name} is missing; a reference of kind foot needs it")
     values = {name: _per_leg(given[name], f"{where}.{name}", robot.leg_names) for name in foot.QUANTITIES}
     frequency = np.array(_number(given["frequency"], f"{where}.frequency"))
+    if data.get("relative"):
+        length = robot.leg_geometry.length
+        frequency = frequency * np.sqrt(GRAVITY / length) / (2 * np.pi)
+        values |= {name: values[name] * length for name in foot.LENGTHS}
     return FootReference(robot.leg_names, robot.leg_geometry, frequency, **values)
 
 
@@ -202,8 +209,8 @@ def _wave(data: Mapping[str, Any], where: str, legs: tuple[str, ...]) -> Wave:
     return Wave(**values)
 
 
-def _table(data: Mapping[str, Any], legs: tuple[str, ...]) -> TableReference:
-    _only(data, "reference", ("kind", "period", "file", *_PARTS))
+def _table(data: Mapping[str, Any], legs: tuple[str, ...], coordinates: tuple[str, ...]) -> TableReference:
+    _only(data, "reference", ("kind", "period", "file", *coordinates))
     period = _number(data.get("period"), "reference.period")
     if not period > 0:
         raise SurefootError(f"reference.period is {period:g}; it must be over 0 s")
@@ -211,9 +218,9 @@ def _table(data: Mapping[str, Any], legs: tuple[str, ...]) -> TableReference:
     parts: list[Array] = []
     if "file" in data:
         where = str(Path(str(data["file"])))
-        parts = _read_table(Path(where), legs)
+        parts = _read_table(Path(where), legs, coordinates)
     else:
-        for part in _PARTS:
+        for part in coordinates:
             _only(data.get(part, {}), f"reference.{part}", legs)
             try:
                 parts.append(np.array([data[part][leg] for leg in legs], dtype=np.float64).T)
@@ -221,19 +228,18 @@ def _table(data: Mapping[str, Any], legs: tuple[str, ...]) -> TableReference:
                 raise SurefootError(
                     f"reference.{part} must give one list of numbers, equally long, for {choices(legs)}"
                 ) from None
-    swing, extension = parts
-    if swing.ndim != 2 or swing.shape != extension.shape or len(swing) < 2:
-        raise SurefootError(f"{where}: the table has {len(swing)} row(s); a periodic reference needs 2 or more")
-    bad = ~np.isfinite(np.concatenate([swing, extension], axis=1)).all(axis=1)
+    if len({part.shape for part in parts}) != 1 or parts[0].ndim != 2 or len(parts[0]) < 2:
+        raise SurefootError(f"{where}: the table has {len(parts[0])} row(s); a periodic reference needs 2 or more")
+    bad = ~np.isfinite(np.concatenate(parts, axis=1)).all(axis=1)
     if bad.any():
         raise SurefootError(
             f"{where}: row {int(np.argmax(bad)) + 1} of the table is not finite; every pose must be a number"
         )
-    return TableReference(legs, period, swing, extension)
+    return TableReference(legs, period, coordinates, np.stack(parts, axis=1))
 
 
-def _read_table(path: Path, legs: tuple[str, ...]) -> list[Array]:
-    columns = [f"{part}_{leg}" for part in _PARTS for leg in legs]
+def _read_table(path: Path, legs: tuple[str, ...], coordinates: tuple[str, ...]) -> list[Array]:
+    columns = [f"{part}_{leg}" for part in coordinates for leg in legs]
     rule = f"a table has columns {choices(columns)}"
     try:
         check_readable(path)
@@ -255,4 +261,4 @@ def _read_table(path: Path, legs: tuple[str, ...]) -> list[Array]:
     lengths = {len(table[name]) for name in columns}
     if len(lengths) != 1:
         raise SurefootError(f"{path}: columns differ in length ({choices(map(str, sorted(lengths)))}); make them equal")
-    return np.split(np.stack([table[name] for name in columns], axis=1), 2, axis=1)
+    return np.split(np.stack([table[name] for name in columns], axis=1), len(coordinates), axis=1)

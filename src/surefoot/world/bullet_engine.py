@@ -171,14 +171,16 @@ class BulletEngine:
         """
         p, drive, model = self._p, self.drive, self.models[i]
         motors = model.motors
-        kp, kd, dt = drive.kp[i], drive.kd[i], drive.limits[3]
+        dt = drive.limits[3]
+        stiff = drive.kp[i] * dt
+        gains = np.divide(stiff, stiff + drive.kd[i], out=np.zeros_like(stiff), where=stiff > 0)
         p.setJointMotorControlArray(
             model.body,
             motors,
             p.POSITION_CONTROL,
             targetPositions=(self._layout.sign * drive.target[i]).tolist(),
             targetVelocities=[0.0] * len(motors),
-            positionGains=[float(kp * dt / (kp * dt + kd)) if kp > 0 else 0.0] * len(motors),
+            positionGains=gains.tolist(),
             velocityGains=[1.0] * len(motors),
             forces=drive.torque_limit[i].tolist(),
             physicsClientId=model.client,
@@ -197,10 +199,10 @@ class BulletEngine:
         """Put robot `i` into a state from `get_state`."""
         if self._spoilt[i]:
             # Bullet's contact search does not recover from positions that are not finite.
-            values = self.models[i].values
+            values, rotors = self.models[i].values, self.models[i].rotor_inertia
             self.models[i].close()
             self.models[i] = BulletModel(self.robot, self._config, self._settings)
-            self.models[i].apply(values)
+            self.models[i].apply(values, rotors)
             self._spoilt[i] = False
         p, model, row = self._p, self.models[i], self._rows[i]
         row[:], self._force[i] = state[:-3], state[-3:]
@@ -235,7 +237,9 @@ class BulletEngine:
 
     def set_params(self, i: int, params: PhysicalParams, row: int) -> None:
         """Apply masses, inertias, knees, floor and the feet's contact of `params[row]` to robot `i`."""
-        self.models[i].apply({name: float(getattr(params, name)[row]) for name in PARAMETERS})
+        self.models[i].apply(
+            {name: float(getattr(params, name)[row]) for name in PARAMETERS}, params.rotor_inertia[row]
+        )
         self.models[i].forget()
 
     def base(self) -> Array:

@@ -116,6 +116,8 @@ class BulletModel:
     """Displacement of each pin with play in its bore, in its link's inertial frame [m], (P, 3)."""
     values: dict[str, float]
     """The `PARAMETERS` that the client has."""
+    rotor_inertia: Array
+    """Inertia of each rotor at its joint [kg m2], (M,)."""
 
     def __init__(self, robot: RobotDescription, config: WorldConfig, settings: BulletSettings) -> None:
         self.robot, self.rack, self._p = robot, config.rack, import_pybullet()
@@ -168,6 +170,12 @@ class BulletModel:
         self.joints = {info[1].decode(): info[0] for info in infos}
         self.links = {base: -1} | {info[12].decode(): info[0] for info in infos}
         self.motors = [self.joints[name] for name in robot.motor_names]
+        # Squared cosines of each motor's axis and its link's principal axes, by the number of link and joint.
+        self._turns = {}
+        for joint, name in zip(self.motors, robot.motor_names, strict=True):
+            link, frame = fused.place[robot.urdf.joints[name].child]
+            axis = frame[:3, :3] @ np.array(robot.urdf.joints[name].axis)
+            self._turns[joint] = (fused.bodies[link].principal()[1].T @ (axis / np.linalg.norm(axis))) ** 2
         self.knees = [joint for joint in self.joints.values() if joint not in self.motors]
         self.feet = [self.links[fused.place[leg.foot][0]] for leg in robot.legs]
         centres, radii = zip(*(self._foot_sphere(leg.foot) for leg in robot.legs), strict=True)
@@ -180,9 +188,13 @@ class BulletModel:
         moving = {name: item for name, item in fused.bodies.items() if not (self.rack and name == base)}
         self.mass = {name: (item.mass, item.principal()[0]) for name, item in moving.items()}
         self._close_loops()
-        self.values = {name: robot.nominal_params()[name] for name in PARAMETERS}
+        nominal = robot.nominal_params()
+        self.values = {name: float(nominal[name]) for name in PARAMETERS}
+        self.rotor_inertia = np.broadcast_to(nominal["rotor_inertia"], robot.num_motors).astype(float)
         self._set_up_dynamics()
         self.check_masses(self.mass)
+        if self.rotor_inertia.any():
+            self._scale_masses()
 
     def _lay(self, shape: int, place: list[float]) -> int:
         """Return the number of a body to stand on, which does not move."""
@@ -211,7 +223,7 @@ class BulletModel:
         """Return the URDF with boxes for feet: each lower link as wide as its visual, as long as to its foot."""
         robot, tree = self.robot, ElementTree.fromstring(self._fused.text)
         seen = ElementTree.parse(robot.urdf.path).getroot()
-        length = robot.leg_geometry.foot
+        length = robot.five_bar.foot
         for leg in robot.legs:
             box = seen.find(f"link[@name='{leg.foot}']/visual/geometry/box")
             link = tree.find(f"link[@name='{self._fused.place[leg.foot][0]}']")
@@ -274,13 +286,14 @@ class BulletModel:
         p = self._p
         p.setJointMotorControlArray(self.body, joints, p.VELOCITY_CONTROL, forces=forces, physicsClientId=self.client)
 
-    def apply(self, values: dict[str, float]) -> None:
-        """Give the robot other values of all `PARAMETERS`; what depends on those that stay is left as it is."""
+    def apply(self, values: dict[str, float], rotor_inertia: Array) -> None:
+        """Give the robot other `PARAMETERS` and rotors; what depends on those that stay is left as it is."""
         changed = {name for name in PARAMETERS if values[name] != self.values[name]}
-        self.values = values
+        turned = not np.array_equal(rotor_inertia, self.rotor_inertia)
+        self.values, self.rotor_inertia = values, rotor_inertia.copy()
         if changed.intersection(CONTACT):
             self._set_foot_contact()
-        if changed.intersection(RATIOS):
+        if changed.intersection(RATIOS) or turned:
             self._scale_masses()
         if "knee_friction" in changed:
             self._brake(self.knees, values["knee_friction"])
@@ -305,11 +318,14 @@ class BulletModel:
     def _scale_masses(self) -> None:
         """Multiply the nominal masses and moments of base and other links, and check that Bullet has them."""
         base_mass, leg_mass, base_inertia, leg_inertia = (self.values[name] for name in RATIOS)
+        rotors = dict(zip(self.motors, self.rotor_inertia.tolist(), strict=True))
         scaled = {}
         for name, (mass, moments) in self.mass.items():
             link = self.links[name]
             mass = mass * (base_mass if link < 0 else leg_mass)
             moments = moments * (base_inertia if link < 0 else leg_inertia)
+            # Bullet has no rotors: theirs is added to the link that the joint turns, about the joint's axis.
+            moments = moments + rotors.get(link, 0.0) * self._turns[link] if link in rotors else moments
             # Given a mass alone, Bullet would take the inertia of the collision shape.
             self._p.changeDynamics(
                 self.body, link, mass=mass, localInertiaDiagonal=moments.tolist(), physicsClientId=self.client

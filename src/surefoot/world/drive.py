@@ -27,6 +27,8 @@ from surefoot.actuator.delay import push_kernel, read_kernel
 from surefoot.actuator.motor import (
     constraint_speed_kernel,
     constraint_torque_kernel,
+    joint_limit_kernel,
+    joint_torque_kernel,
     motor_current_kernel,
     motor_friction_kernel,
     motor_torque_kernel,
@@ -35,6 +37,7 @@ from surefoot.actuator.motor import (
 )
 from surefoot.arrays import Array
 from surefoot.robot import PhysicalParams, RobotDescription
+from surefoot.robot.actuator import DcMotorData
 from surefoot.rotations import rpy_quat
 from surefoot.world.interface import WorldConfig
 
@@ -45,7 +48,7 @@ RACK_HEIGHT = 1.0
 """Height [m] of the base on a rack."""
 SPEED_LIMIT = 1e5
 """A generalized speed beyond this [m/s, rad/s] counts as diverged, before an engine itself would complain."""
-OF_ALL_ROBOTS = ("table_current", "table_torque", "limits", "constraint")
+OF_ALL_ROBOTS = ("table_current", "table_torque", "limits", "constraint", "joint", "joint_limits")
 """Arrays of `Drive` that have no row for each robot."""
 CONTACT = ("contact_friction", "contact_stiffness", "contact_spinning_friction")
 """Physical parameters of the feet's contact."""
@@ -54,16 +57,19 @@ RATIOS = ("base_mass_ratio", "leg_mass_ratio", "base_inertia_ratio", "leg_inerti
 BULLET_ONLY = ("knee_friction", "knee_play", "floor_unevenness")
 """Physical parameters that MuJoCo's engine does not model."""
 _PARAMS = {
-    **{name: name for name in ("torque_constant", "resistance", "voltage", "servo_latency")},
+    **{
+        name: name
+        for name in ("torque_constant", "resistance", "voltage", "servo_latency", "load_friction", "speed_filter")
+    },
     **{name: f"servo_{name}" for name in ("kp", "kd")},
     **{"strength": "motor_strength", "friction": "motor_friction", "viscous": "motor_viscous_friction"},
 }
 """Arrays of `Drive` that hold a physical parameter, and its name."""
-_ROBOTS = ("torque_constant", "resistance", "voltage", "kp", "kd", "servo_latency", "energy")
+_ROBOTS = ("torque_constant", "resistance", "voltage", "servo_latency", "speed_filter", "energy")
 """Arrays of `Drive` with a number for each robot."""
 _MOTORS = (
-    *("strength", "friction", "viscous", "target", "duty", "torque", "end_speed", "torque_limit", "motor_torque"),
-    "hot_time",
+    *("strength", "friction", "viscous", "kp", "kd", "load_friction", "target", "duty", "torque", "end_speed"),
+    *("torque_limit", "motor_torque", "hot_time", "filtered_speed"),
 )
 """Arrays of `Drive` with a number for each motor."""
 IMU_WIDTH = 6
@@ -80,11 +86,15 @@ class Drive(NamedTuple):
     torque_constant: Array  # (N,)
     resistance: Array  # (N,)
     voltage: Array  # (N,)
-    kp: Array  # (N,)
-    kd: Array  # (N,)
+    kp: Array  # (N, M) duty/rad of DC motors, N m/rad of joint drives
+    kd: Array  # (N, M) per speed
     servo_latency: Array  # (N,) s
+    load_friction: Array  # (N, M) of joint drives
+    speed_filter: Array  # (N,) s, time constant, of joint drives
     table_current: Array  # (points,) A, all robots
     table_torque: Array  # (points,) N m, all robots
+    joint: NDArray[np.bool_]  # (1,) all robots: whether motors are joint drives instead of DC motors
+    joint_limits: Array  # (4, M) all robots: torque, speeds of full and of no torque, overheat torque
     limits: Array  # (4,) all robots: voltage clip V, overheat torque N m and time s (inf: off), servo step s
     constraint: NDArray[np.bool_]  # (1,) all robots: whether motors are constraints instead of DC motors
     ticks: NDArray[np.int64]  # (N,) servo steps since reset
@@ -100,6 +110,7 @@ class Drive(NamedTuple):
     motor_torque: Array  # (N, M) N m of the motor itself
     energy: Array  # (N,) J, integral of |tau . qdot| since it was set to zero
     hot_time: Array  # (N, M) s
+    filtered_speed: Array  # (N, M) rad/s, speeds that joint drives use
     switched_off: NDArray[np.bool_]  # (N, M)
     contact_ticks: Array  # (N, L) servo steps with the foot on the ground since it was set to zero
 
@@ -117,13 +128,20 @@ def new_drive(robot: RobotDescription, num_envs: int, history: int, config: Worl
         "seen": (2 * motors,),
         "contact_ticks": (len(robot.legs),),
     }
-    current, torque = robot.torque_table
+    current, torque, clip, hot_torque, joint_limits = np.zeros(1), np.zeros(1), 0.0, 0.0, np.zeros((4, motors))
+    if isinstance(data, DcMotorData):
+        (current, torque), clip, hot_torque = robot.torque_table, data.voltage_clip, data.overheat_torque
+    else:
+        each = (data.torque_limit, data.full_torque_speed, data.speed_limit, data.overheat_torque)
+        joint_limits = np.array([np.broadcast_to(values, motors) for values in each], float)
     overheat_time = data.overheat_time if config.thermal_protection else math.inf
     drive = Drive(
         **{name: np.zeros((num_envs, *shape)) for name, shape in shapes.items()},
         table_current=current,
         table_torque=torque,
-        limits=np.array([data.voltage_clip, data.overheat_torque, overheat_time, robot.timing.servo_step]),
+        joint=np.array([robot.drive == "joint"]),
+        joint_limits=joint_limits,
+        limits=np.array([clip, hot_torque, overheat_time, robot.timing.servo_step]),
         constraint=np.array([config.actuator == "constraint"]),
         ticks=np.zeros(num_envs, np.int64),
         switched_off=np.zeros((num_envs, motors), np.bool_),
@@ -182,6 +200,35 @@ def record(drive: Drive, i: int) -> None:
 
 
 @kernel
+def joint_tick(drive: Drive, i: int) -> None:
+    """Compute `drive.torque` of robot `i` by joint drives, from the angles and speeds that they see."""
+    motors = drive.target.shape[1]
+    _, _, hot_limit, dt = drive.limits
+    follow = dt / (drive.speed_filter[i] + dt)
+    power = 0.0
+    for m in range(motors):
+        speed = drive.now[i, motors + m]
+        drive.filtered_speed[i, m] += follow * (drive.seen[i, motors + m] - drive.filtered_speed[i, m])
+        wanted = joint_torque_kernel(
+            drive.target[i, m], drive.seen[i, m], drive.filtered_speed[i, m], drive.kp[i, m], drive.kd[i, m]
+        )
+        limit, full, none, hot_torque = drive.joint_limits[:, m]
+        torque = joint_limit_kernel(wanted + drive.duty[i, m] * limit, speed, limit, full, none) * drive.strength[i, m]
+        if hot_limit < math.inf:
+            hot = overheat_kernel(torque, drive.hot_time[i, m], dt, hot_torque)
+            drive.hot_time[i, m] = hot
+            if hot > hot_limit:
+                drive.switched_off[i, m] = True
+            if drive.switched_off[i, m]:
+                torque = 0.0
+        power += torque * speed
+        drive.motor_torque[i, m] = torque
+        coulomb = drive.friction[i, m] + drive.load_friction[i, m] * abs(torque)
+        drive.torque[i, m] = torque + motor_friction_kernel(speed, coulomb, drive.viscous[i, m])
+    drive.energy[i] += dt * abs(power)
+
+
+@kernel
 def servo_tick(drive: Drive, i: int) -> None:
     """Compute `drive.torque` of robot `i` by servo and motor from the state in the history.
 
@@ -192,11 +239,14 @@ def servo_tick(drive: Drive, i: int) -> None:
     if drive.constraint[0]:
         for m in range(motors):
             drive.end_speed[i, m] = constraint_speed_kernel(
-                drive.target[i, m], drive.now[i, m], drive.kp[i], drive.kd[i], drive.limits[3]
+                drive.target[i, m], drive.now[i, m], drive.kp[i, m], drive.kd[i, m], drive.limits[3]
             )
-            drive.torque_limit[i, m] = constraint_torque_kernel(
-                drive.voltage[i], drive.torque_constant[i], drive.resistance[i], drive.strength[i, m]
-            )
+            if drive.joint[0]:
+                drive.torque_limit[i, m] = drive.joint_limits[0, m] * drive.strength[i, m]
+            else:
+                drive.torque_limit[i, m] = constraint_torque_kernel(
+                    drive.voltage[i], drive.torque_constant[i], drive.resistance[i], drive.strength[i, m]
+                )
             drive.torque[i, m] = motor_friction_kernel(
                 drive.now[i, motors + m], drive.friction[i, m], drive.viscous[i, m]
             )
@@ -205,11 +255,14 @@ def servo_tick(drive: Drive, i: int) -> None:
     time = drive.ticks[i] * dt
     read_at = time - drive.servo_latency[i]
     read_kernel(drive.times[i], drive.history[i], drive.ticks[i] + 1, read_at, 2 * motors, drive.seen[i])
+    if drive.joint[0]:
+        joint_tick(drive, i)
+        return
     power = 0.0
     for m in range(motors):
         speed = drive.now[i, motors + m]
         duty = servo_duty_kernel(
-            drive.target[i, m], drive.seen[i, m], drive.seen[i, motors + m], drive.kp[i], drive.kd[i]
+            drive.target[i, m], drive.seen[i, m], drive.seen[i, motors + m], drive.kp[i, m], drive.kd[i, m]
         )
         duty += drive.duty[i, m]
         duty = 1.0 if duty > 1.0 else -1.0 if duty < -1.0 else duty

@@ -66,8 +66,8 @@ class Truth:
 class WorldConfig:
     """Configuration of a simulated world."""
 
-    rest: tuple[float, float] | None = None
-    """Swing and extension [rad] in which robots settle before an episode; the description's, if not given."""
+    rest: tuple[float, ...] | None = None
+    """Pose of all legs in leg space in which robots settle before an episode; the description's, if not given."""
     actuator: Literal["dc", "constraint"] = "dc"
     """dc: servo and DC motor; constraint: the position motor of physics engines, see `actuator.constraint`."""
     rack: bool = False

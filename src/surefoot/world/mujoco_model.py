@@ -55,6 +55,9 @@ def build_model(robot: RobotDescription, config: WorldConfig | None = None) -> m
                 geom.name = f"{feet[body.name]}_foot"
                 # Bit 2 meets nothing; with no bit at all MuJoCo would drop the geom as merely visual.
                 geom.conaffinity = 2
+    rotors = np.broadcast_to(robot.nominal_params()["rotor_inertia"], robot.num_motors)
+    for name, inertia in zip(robot.motor_names, rotors, strict=True):
+        spec.joint(name).armature = inertia
     if config.actuator == "constraint":
         # MuJoCo's bounded friction of a joint, which `MujocoEngine` gives a target speed that is not zero.
         option.iterations = MOTOR_ITERATIONS

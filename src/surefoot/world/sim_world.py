@@ -21,7 +21,10 @@ Index = NDArray[np.int64]
 SETTLE_TIME = 0.5
 """Time [s] for which a robot settles before an episode (the robot's published environment)."""
 _NOISE_BLOCK = 256
-_ZERO_AT_START = ("ticks", "duty", "torque", "motor_torque", "energy", "hot_time", "switched_off", "contact_ticks")
+_ZERO_AT_START = (
+    *("ticks", "duty", "torque", "motor_torque", "energy", "hot_time", "switched_off", "contact_ticks"),
+    "filtered_speed",
+)
 
 
 class Engine(Protocol):
@@ -116,7 +119,7 @@ class SimWorld:
         self.drive = new_drive(robot, num_envs, self._history, self.config)
         self.engine = engine(robot, self.drive, self.config)
         self.params = PhysicalParams.nominal(robot, num_envs)
-        self.resting_angles = robot.leg_to_motor_angles(*(self.config.rest or robot.rest))
+        self.resting_angles = robot.pose_angles(*(self.config.rest or robot.rest))
         # How deep nominal feet stand in the ground: weight over stiffness of all feet [m].
         self._weight = self.engine.gravity * robot.urdf.total_mass / len(robot.legs)
         self._sunk = self._weight / robot.contact.stiffness
@@ -282,12 +285,18 @@ class SimWorld:
 
     def set_state(self, state: dict[str, Any]) -> None:
         """Go on from `get_state`, exactly; a parameter that an earlier version did not have is nominal."""
-        nominal = PhysicalParams.nominal(self.robot, self.num_envs)
-        self.set_params(np.arange(self.num_envs), replace(nominal, **state["params"]))
-        # Not in states of earlier versions: motors had no duty of their own, and viscous friction is as just set.
-        saved = {"duty": 0.0, "viscous": self.params.motor_viscous_friction, **state["drive"]}
+        given = PhysicalParams.nominal(self.robot, self.num_envs)
+        for name, values in state["params"].items():
+            # Gains were one number a robot in states of earlier versions.
+            getattr(given, name)[...] = values if values.ndim == getattr(given, name).ndim else values[:, None]
+        self.set_params(np.arange(self.num_envs), given)
         for name, array in self.drive._asdict().items():
-            array[...] = saved[name]
+            saved = state["drive"].get(name)
+            # What states of earlier versions do not have, or have with one number a robot, is as it was just set.
+            if saved is not None and saved.shape == array.shape:
+                array[...] = saved
+            elif name == "duty":
+                array[...] = 0.0
         for i in range(self.num_envs):
             self.engine.set_state(i, state["engine"][i])
         self._control_steps[:] = state["control_steps"]

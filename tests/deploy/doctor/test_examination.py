@@ -22,10 +22,10 @@ from surefoot.deploy.doctor.leashed_robot import LeashedRobot, MotionStoppedErro
 from surefoot.deploy.doctor.link import LinkFigures, bursts, check_link, measure_link, rate
 from surefoot.deploy.doctor.rack import Wiggle, check_motors, check_response, fit_response, trained_latencies
 from surefoot.deploy.doctor.rest import Sample, check_rest
-from surefoot.deploy.findings import Finding
 from surefoot.deploy.poses import sitting
 from surefoot.deploy.safety import SafetyLimits
 from surefoot.deploy.wire.messages import Mode, State
+from surefoot.findings import Finding
 from surefoot.policy.runtime import PolicyRuntime
 from surefoot.robot import RobotDescription
 
@@ -126,13 +126,13 @@ def samples_of(state: State, rng: np.random.Generator, count: int = 100, **chang
 
 def rest_failures(samples: list[Sample], robot: RobotDescription, connection: RobotConnection) -> dict[str, Finding]:
     handshake = connection.connect()
-    found = check_rest(samples, robot, handshake, SafetyLimits())
+    found = check_rest(samples, robot, handshake, SafetyLimits.of(robot))
     assert [one.name for one in found] == ["battery", "temperature", "encoders", "IMU"]
     return {one.name: one for one in found if not one.passed}
 
 
 def pose_of(robot: RobotDescription, swing: Any, extension: Any) -> np.ndarray:
-    return robot.leg_to_motor_angles(np.broadcast_to(swing, 4), np.broadcast_to(extension, 4))
+    return robot.pose_angles(np.broadcast_to(swing, 4), np.broadcast_to(extension, 4))
 
 
 @pytest.mark.parametrize(("swing", "extension"), [(0.0, 0.9), (-1.3, 1.0), (0.12, 2.98), (0.0, 2.0)])

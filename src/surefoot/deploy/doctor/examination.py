@@ -15,11 +15,11 @@ from surefoot.deploy.connection import RobotConnection
 from surefoot.deploy.doctor import ground, rack
 from surefoot.deploy.doctor.link import PINGS, check_link, measure_link
 from surefoot.deploy.doctor.rest import check_rest, watch
-from surefoot.deploy.findings import Finding, judged, undone
 from surefoot.deploy.link import LinkLostError
 from surefoot.deploy.pacer import Pacer, undisturbed
 from surefoot.deploy.safety import SafetyLimits
 from surefoot.errors import SurefootError, choices
+from surefoot.findings import Finding, judged, undone
 from surefoot.policy.runtime import PolicyRuntime
 from surefoot.robot import RobotDescription
 from surefoot.stop_signals import StopSignals
@@ -75,7 +75,7 @@ def examine(
         for _ in range(PATIENCE):
             # A robot that was just put down, or switched on, is given some time to come to rest.
             samples = watch(connection)
-            at_rest = check_rest(samples, robot, handshake, SafetyLimits())
+            at_rest = check_rest(samples, robot, handshake, SafetyLimits.of(robot))
             if all(finding.passed for finding in at_rest):
                 break
         yield from kept(at_rest)

@@ -15,9 +15,8 @@ from surefoot.arrays import Array
 from surefoot.deploy.connection import RobotConnection
 from surefoot.deploy.doctor.leashed_robot import LeashedRobot, MotionStoppedError
 from surefoot.deploy.doctor.rest import Sample
-from surefoot.deploy.findings import Finding, judged, undone
-from surefoot.deploy.poses import pose
 from surefoot.errors import choices
+from surefoot.findings import Finding, judged, undone
 from surefoot.policy.contract import Contract
 from surefoot.robot import RobotDescription
 from surefoot.stop_signals import StopSignals
@@ -75,7 +74,7 @@ def tilt_robot(
         why = f"the names of the legs ({choices(robot.leg_names)}) do not say which stand in front and which left"
         return undone(NAMES, why, "name them so in the data sheet")
     gyro_bias = np.mean([sample.state.angular_velocity_base for sample in at_rest], axis=0)
-    stand = pose(robot, *contract.rest)
+    stand = robot.pose_angles(*contract.rest)
     leashed = LeashedRobot(connection, robot, contract.control_step, operator, LEASH, sits=True)
     try:
         with leashed:
@@ -84,7 +83,7 @@ def tilt_robot(
             for shorter in SIDES:
                 leashed.hold(stand, SETTLE)
                 first = len(leashed.samples) - _SETTLED
-                lean = _leaning(robot, *contract.rest, shorter)
+                lean = _leaning(robot, contract.rest, shorter)
                 leashed.go(lean, TILT_TIME)
                 leashed.hold(lean, SETTLE)
                 tilts.append(tilted(leashed.samples[first:], gyro_bias))
@@ -97,12 +96,13 @@ def tilt_robot(
     return check_tilts(*tilts)
 
 
-def _leaning(robot: RobotDescription, swing: float, extension: float, shorter: str) -> Array:
+def _leaning(robot: RobotDescription, stand: tuple[float, ...], shorter: str) -> Array:
     """Motor angles (M,) of a robot whose front or left legs are shorter and whose others are longer."""
-    low, high = robot.extension_range
+    *sides, extension = stand
+    low, high = robot.leg_space["extension"]
     side = np.array([shorter in leg for leg in robot.leg_names])
     extensions = np.clip(np.where(side, extension - SHORTER, extension + LONGER), low, high)
-    return robot.leg_to_motor_angles(np.full(len(side), swing), extensions)
+    return robot.pose_angles(*sides, extensions)
 
 
 def tilted(samples: Sequence[Sample], gyro_bias: Array) -> Tilted:

@@ -8,7 +8,7 @@ import numpy as np
 
 from surefoot.arrays import Array
 from surefoot.deploy.connection import RobotConnection
-from surefoot.deploy.findings import Finding, judged, undone
+from surefoot.findings import Finding, judged, undone
 
 PINGS, PING_PERIOD = 200, 0.005
 """Pings, and the time [s] between two: often enough to see an adapter that gathers bytes for 16 ms."""

@@ -16,7 +16,7 @@ from surefoot.arrays import Array
 from surefoot.deploy.connection import RobotConnection
 from surefoot.deploy.doctor.leashed_robot import LeashedRobot, MotionStoppedError
 from surefoot.deploy.doctor.rest import Sample
-from surefoot.deploy.findings import Finding, judged, undone
+from surefoot.findings import Finding, judged, undone
 from surefoot.policy.contract import Contract
 from surefoot.robot import RobotDescription
 from surefoot.stop_signals import StopSignals

@@ -10,9 +10,9 @@ import numpy as np
 from surefoot.arrays import Array
 from surefoot.deploy.connection import RobotConnection
 from surefoot.deploy.doctor.link import listen
-from surefoot.deploy.findings import Finding, judged
 from surefoot.deploy.safety import SafetyLimits
 from surefoot.deploy.wire.messages import Handshake, State
+from surefoot.findings import Finding, judged
 from surefoot.robot import RobotDescription
 
 DURATION = 1.0
@@ -96,6 +96,12 @@ def _temperature(temperature: Array, robot: RobotDescription, limits: SafetyLimi
     return judged("temperature", value <= limits.temperature_warn, told, rule, todo, value)
 
 
+def _span(name: str, values: Array, unit: str) -> str:
+    low, high = float(values.min()), float(values.max())
+    numbers = f"{low:.2f}" if low == high else f"{low:.2f} to {high:.2f}"
+    return f"{name} {numbers}{'' if unit == '1' else f' {unit}'}"
+
+
 def _encoders(angles: Array, robot: RobotDescription) -> Finding:
     # Legs of a robot that lies, sits or hangs without force are in about the same pose, whichever that is; they may be
     # folded far beyond what a gait asks for. A mirrored or misplaced encoder makes one differ, or keeps its loop open.
@@ -103,18 +109,19 @@ def _encoders(angles: Array, robot: RobotDescription) -> Finding:
     if not np.isfinite(angles).all():
         bad = robot.motor_names[int(np.argmin(np.isfinite(angles)))]
         return Finding(name, False, f"the angle of {bad} is not finite", "check its encoder and the firmware")
-    swing, extension = robot.motor_to_leg_pose(angles)
-    spread = (
-        f"swing {swing.min():.2f} to {swing.max():.2f}, extension {extension.min():.2f} to {extension.max():.2f} rad"
-    )
-    off = np.maximum(np.abs(swing - np.median(swing)), np.abs(extension - np.median(extension)))
-    theta = angles[robot.leg_motor_index]
-    closes = robot.leg_geometry.closes(theta[:, 0], theta[:, 1])
+    parts = list(zip(robot.coordinates, robot.to_pose(angles), robot.leg_geometry.units, strict=True))
+
+    def told_pose(of: slice) -> str:
+        return ", ".join(_span(name, values[of], unit) for name, values, unit in parts)
+
+    off = np.max([np.abs(values - np.median(values)) for _, values, _ in parts], axis=0)
+    closes = robot.leg_geometry.closes(angles[robot.leg_motor_index])
+    spread = told_pose(slice(None))
     if closes.all() and off.max() <= ALIKE:
         return Finding(name, True, f"legs are alike: {spread}", value=float(off.max()))
     worst = int(np.argmax(np.where(closes, off, np.inf)))
     told = " and ".join(f"{robot.motor_names[i]} {angles[i]:.2f}" for i in robot.leg_motor_index[worst])
-    legs_pose = f"swing {swing[worst]:.2f}, extension {extension[worst]:.2f} rad"
+    legs_pose = told_pose(slice(worst, worst + 1))
     rule = f"all must be alike to {ALIKE:g} rad ({spread})" if closes[worst] else "its loop can't close so"
     return Finding(
         name,

@@ -1,0 +1,136 @@
+"""`surefoot robot new FILE` and `surefoot robot check FOLDER`: from anybody's URDF or MJCF to a robot to train."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections import Counter
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+from rich.console import Console
+from rich.prompt import Prompt
+
+from surefoot.cli.doctor import FAILED, print_finding
+from surefoot.cli.main import table_lines
+from surefoot.cli.options import Json, check_folder
+from surefoot.cli.parsing import parse
+from surefoot.errors import SurefootError, check_name, choices
+from surefoot.robot import RobotDescription
+from surefoot.robot.tree import Knees, Tree, write_robot
+
+ACTIONS = {
+    "new": "read a robot from a URDF or MJCF, and write its folder",
+    "check": "find what is wrong with a robot's description",
+}
+PICTURE = "robot.png"
+"""File of a robot's folder: the robot in its resting pose, axes and legs named."""
+
+
+@dataclass(frozen=True)
+class NewCommand:
+    """Read a quadruped from a URDF or MJCF, and write its folder: robot.urdf, robot.toml and a picture.
+
+    Base, legs, motors, knees and feet are found from the tree of joints. What the file does not say is guessed; every
+    guess is printed, and stands as a comment in robot.toml.
+    """
+
+    file: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
+    """URDF or MJCF of a robot with four serial legs of two or three motors."""
+    out: Path | None = None
+    """Folder to write; the robot's name here, if not given."""
+    name: str | None = None
+    """Name of the robot; the file's, if not given."""
+    forward: Literal["+x", "-x", "+y", "-y"] | None = None
+    """Direction in the file's frame that is forward; by the names and axes of the joints, if not given."""
+    knees: Knees | None = None
+    """Where knees point; by the limits of the knees, if not given."""
+    meshes: bool = True
+    """Read meshes; without them the base is a box with its inertia."""
+
+
+@dataclass(frozen=True)
+class CheckCommand:
+    """Find what is wrong with a robot's description, one line a check: pass or FAIL, why, and what to do.
+
+    Exit code 0: all passed; 3: something failed; 2: the description can't be read.
+    """
+
+    robot: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="FOLDER")]
+    """Name of a robot that ships, or the path of a robot's folder."""
+    json: Json = False
+
+
+def main(argv: list[str]) -> int:
+    """Run the command with the words after its name; return its exit code."""
+    if not argv or argv[0] in ("-h", "--help"):
+        print(f"usage: surefoot robot ACTION ...\n\nactions:\n{table_lines(ACTIONS)}")
+        return 0 if argv else 2
+    if argv[0] not in ACTIONS:
+        raise SurefootError(f"'{argv[0]}' is not an action; choices: {choices(ACTIONS)}")
+    if argv[0] == "new":
+        return _new(parse(NewCommand, argv[1:], "surefoot robot new"))
+    return _check(parse(CheckCommand, argv[1:], "surefoot robot check"))
+
+
+def _new(command: NewCommand) -> int:
+    from surefoot.world.import_robot import read_tree
+
+    tree = read_tree(command.file, command.forward, command.meshes)
+    name = command.name or tree.name
+    check_name("name", name)
+    folder = command.out or Path(name)
+    check_folder(folder)
+    console = Console(highlight=False, soft_wrap=True, emoji=False)
+    console.print(
+        f"{name}: {tree.mass:.2f} kg, {4 * len(tree.legs[0].joints)} motors, legs of {tree.length:.3f} m, "
+        f"forward is {tree.forward} of the file",
+        markup=False,
+    )
+    for line in write_robot(tree, folder, name, command.knees or _ask_knees(tree)):
+        console.print(f"guessed  {line}", markup=False)
+    robot = RobotDescription.load(folder)
+    draw_robot(robot, folder / PICTURE)
+    console.print(f"wrote {folder}: robot.toml, robot.urdf, {PICTURE}", markup=False)
+    return _report(robot, console)
+
+
+def _ask_knees(tree: Tree) -> Knees | None:
+    """Ask where knees point, if limits do not say and there is somebody to ask."""
+    _, known = tree.knee_signs(None)
+    if known or not sys.stdin.isatty():
+        return None
+    answer = Prompt.ask("Where do the knees point?", choices=["forward", "backward", "inward", "outward"])
+    return answer  # type: ignore[return-value]
+
+
+def _check(command: CheckCommand) -> int:
+    robot = RobotDescription.load(command.robot)
+    if not command.json:
+        return _report(robot, Console(highlight=False, soft_wrap=True, emoji=False))
+    from surefoot.world.robot_check import check_robot
+
+    findings = list(check_robot(robot))
+    failed = any(finding.passed is False for finding in findings)
+    print(json.dumps({"robot": robot.name, "passed": not failed, "findings": [asdict(item) for item in findings]}))
+    return FAILED if failed else 0
+
+
+def _report(robot: RobotDescription, console: Console) -> int:
+    from surefoot.world.robot_check import check_robot
+
+    counts: Counter[bool | None] = Counter()
+    for finding in check_robot(robot):
+        counts[finding.passed] += 1
+        print_finding(console, finding)
+    console.print(f"{counts[True]} passed, {counts[False]} failed", markup=False)
+    return FAILED if counts[False] else 0
+
+
+def draw_robot(robot: RobotDescription, path: Path) -> None:
+    """Draw a robot in its resting pose, with its axes and the names of its legs."""
+    from surefoot.report.robot_picture import save_robot_picture
+
+    save_robot_picture(robot, path)

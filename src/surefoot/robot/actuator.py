@@ -1,0 +1,133 @@
+"""Data of motors as a sheet states them: DC motors with a servo, and torque-controlled joint drives."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Annotated, Any, ClassVar, TypeVar
+
+import numpy as np
+
+from surefoot.arrays import Array
+from surefoot.configuration import Within
+from surefoot.errors import SurefootError
+
+_Positive = Annotated[float, Within(0, 1e9, above=True)]
+_NotNegative = Annotated[float, Within(0, 1e9)]
+_Each = Annotated[float | tuple[float, ...], Within(0, 1e9)]
+"""One number for all motors, one for each motor of a leg, or one for each motor."""
+
+
+@dataclass(frozen=True)
+class DcMotorData:
+    """Voltage-driven motor and servo, nominal. Units as in a sheet's `[actuator]`."""
+
+    torque_constant: _Positive
+    resistance: _Positive
+    voltage: _Positive
+    voltage_clip: _Positive
+    kp: _Each
+    kd: _Each
+    torque_table_current: tuple[float, ...]
+    torque_table_torque: tuple[float, ...]
+    overheat_torque: _Positive
+    overheat_time: _NotNegative
+    friction: _Each = 0.0
+    viscous_friction: _Each = 0.0
+
+    kind: ClassVar[str] = "dc"
+
+    def __post_init__(self) -> None:
+        """Refuse a torque-current curve that does not rise from 0."""
+        current, torque = self.torque_table_current, self.torque_table_torque
+        if len(current) < 2 or len(current) != len(torque):
+            raise SurefootError(
+                f"actuator.torque_table_current has {len(current)} points and torque_table_torque {len(torque)}; "
+                "both need the same, 2 or more"
+            )
+        if current[0] != 0 or torque[0] != 0 or np.any(np.diff(current) <= 0) or np.any(np.diff(torque) < 0):
+            raise SurefootError(
+                f"actuator.torque_table_current is {list(current)}; it must start at 0 A and 0 N m, and rise"
+            )
+
+    def nominal_params(self) -> dict[str, float | Array]:
+        """Return the nominal physical parameters of motors and servos."""
+        return {
+            **{name: getattr(self, name) for name in ("torque_constant", "resistance", "voltage")},
+            **_servo(self.kp, self.kd, self.friction, self.viscous_friction),
+        }
+
+
+@dataclass(frozen=True)
+class JointDriveData:
+    """Torque-controlled joint drive with a PD controller of the joint's angle, nominal; all at the joint."""
+
+    kp: _Each
+    """N m/rad"""
+    kd: _Each
+    """N m s/rad"""
+    torque_limit: _Each
+    """Greatest torque [N m] at low speed."""
+    speed_limit: _Each = 1e9
+    """Speed [rad/s] at which a motor can drive no further; braking has the full torque."""
+    full_torque_speed: _Each = 0.0
+    """Speed [rad/s] up to which the full torque is there; from it to `speed_limit` the torque falls to 0."""
+    rotor_inertia: _Each = 0.0
+    """Inertia of rotor and gear [kg m2], at the joint: gear ratio squared times the rotor's."""
+    friction: _Each = 0.0
+    """Coulomb friction [N m]."""
+    viscous_friction: _Each = 0.0
+    """N m s/rad"""
+    load_friction: _Each = 0.0
+    """Friction over the drive's torque."""
+    speed_filter: _NotNegative = 0.0
+    """Time constant [s] of the first-order filter on the speed that the PD controller uses."""
+    overheat_torque: _Each = 1e9
+    """Torque [N m] that a motor may give for `overheat_time` only."""
+    overheat_time: _NotNegative = 1.0
+
+    kind: ClassVar[str] = "joint"
+
+    def nominal_params(self) -> dict[str, float | Array]:
+        """Return the nominal physical parameters of drives."""
+        return {
+            **_servo(self.kp, self.kd, self.friction, self.viscous_friction),
+            "load_friction": np.asarray(self.load_friction),
+            "speed_filter": self.speed_filter,
+            "rotor_inertia": np.asarray(self.rotor_inertia),
+        }
+
+
+ActuatorData = DcMotorData | JointDriveData
+_Data = TypeVar("_Data", bound=DcMotorData | JointDriveData)
+
+
+def _servo(kp: Any, kd: Any, friction: Any, viscous: Any) -> dict[str, Any]:
+    given = {"servo_kp": kp, "servo_kd": kd, "motor_friction": friction, "motor_viscous_friction": viscous}
+    return {name: np.asarray(value, float) for name, value in given.items()}
+
+
+def per_motor(data: _Data, order: Sequence[str], legs: Sequence[Sequence[str]]) -> _Data:
+    """Return the data with one number for each motor where it had a list for each leg's motors.
+
+    Args:
+        data: as the sheet has them.
+        order: names of all motors.
+        legs: names of each leg's motors.
+
+    Raises:
+        SurefootError: a list of another length.
+    """
+    changed: dict[str, Any] = {}
+    for item in fields(data):
+        value = getattr(data, item.name)
+        if isinstance(value, tuple) and not item.name.startswith("torque_table"):
+            if len(value) not in (len(order), len(legs[0])):
+                raise SurefootError(
+                    f"actuator.{item.name} has {len(value)} numbers; it takes one, {len(legs[0])} for the motors of "
+                    f"each leg, or {len(order)} in the motor order"
+                )
+            if len(value) != len(order):
+                place = {name: k for leg in legs for k, name in enumerate(leg)}
+                changed[item.name] = tuple(value[place[name]] for name in order)
+    return replace(data, **changed)

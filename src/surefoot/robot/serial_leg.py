@@ -1,0 +1,145 @@
+"""Serial legs: (abduction,) hip and knee, in closed form.
+
+A leg's plane holds hip axis, knee axis and foot; abduction turns it about the base's x axis. In the plane, x forward
+and z up from the hip axis, with the angles h and k of hip and knee about the base's +y axis and the links' angles phi
+at zero, measured from straight down (an angle a points to (-sin a, -cos a)):
+
+    upper link at  u = h + phi_1,   lower link at  u + beta,   beta = k + phi_2 - phi_1
+    length  r^2 = l_1^2 + l_2^2 + 2 l_1 l_2 cos beta
+    swing   s = u + atan2(l_2 sin beta, l_1 + l_2 cos beta)
+    extension  e = r / (l_1 + l_2)
+
+beta is 0 for the straight leg, over 0 where the knee points forward, under 0 where it points backward.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from surefoot.arrays import Array
+
+
+@dataclass(frozen=True)
+class SerialLegs:
+    """Kinematics of L serial legs with two or three motors each; arrays (L,) unless said otherwise.
+
+    Motor angles theta and joint angles about the base's +x (abduction) and +y (hip, knee) axes differ by a sign:
+    joint angle = turn * theta.
+    """
+
+    turn: Array
+    """Sense of each motor (L, m), 1 or -1."""
+    side: Array
+    """1 for legs on the left, -1 on the right: abduction turns the foot away from the middle."""
+    hip: Array
+    """Hip axis from the abduction axis at zero, (L, 2): y and z in the base frame [m]; y includes all offsets of the
+    leg's plane. Zero without abduction."""
+    upper: Array
+    """Distance l_1 of hip and knee axes [m]."""
+    lower: Array
+    """Distance l_2 of the knee axis and the foot's centre [m]."""
+    upper_angle: Array
+    """phi_1 [rad]."""
+    lower_angle: Array
+    """phi_2 [rad]."""
+    knee: Array
+    """Sign of beta: 1 for knees that point forward, -1 for knees that point backward."""
+
+    @property
+    def abducts(self) -> bool:
+        """Whether the legs have a motor for abduction."""
+        return self.turn.shape[1] == 3
+
+    @property
+    def coordinates(self) -> tuple[str, ...]:
+        """Names of the coordinates of leg space."""
+        return ("abduction", "swing", "extension") if self.abducts else ("swing", "extension")
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """Units of the coordinates; extension counts lengths of the straight leg."""
+        return ("rad", "rad", "1") if self.abducts else ("rad", "1")
+
+    @property
+    def length(self) -> float:
+        """Mean length of the straight legs [m]."""
+        return float(np.mean(self.upper + self.lower))
+
+    def _joints(self, angles: ArrayLike) -> tuple[Array, Array, Array]:
+        """Return abduction a about +x, upper link's angle u and beta (..., L) [rad] for motor angles (..., L, m)."""
+        joint = np.asarray(angles, float) * self.turn
+        upper = joint[..., -2] + self.upper_angle
+        beta = joint[..., -1] + self.lower_angle - self.upper_angle
+        return joint[..., 0] if self.abducts else np.zeros_like(upper), upper, beta
+
+    def to_pose(self, angles: ArrayLike) -> Array:
+        """Return the poses (..., C, L) for motor angles (..., L, m) [rad]."""
+        abduction, upper, beta = self._joints(angles)
+        ahead, aside = self.upper + self.lower * np.cos(beta), self.lower * np.sin(beta)
+        parts = [upper + np.arctan2(aside, ahead), np.hypot(ahead, aside) / (self.upper + self.lower)]
+        return np.stack([self.side * abduction, *parts] if self.abducts else parts, axis=-2)
+
+    def to_motors(self, pose: ArrayLike) -> Array:
+        """Return the motor angles (..., L, m) [rad] of poses (..., C, L); NaN out of reach."""
+        given = np.asarray(pose, float)
+        swing, length = given[..., -2, :], given[..., -1, :] * (self.upper + self.lower)
+        cosine = (length**2 - self.upper**2 - self.lower**2) / (2 * self.upper * self.lower)
+        with np.errstate(invalid="ignore"):
+            # The straight leg's cosine may be over 1 by rounding.
+            beta = self.knee * np.arccos(np.where(np.abs(cosine - 1) < 1e-12, 1.0, cosine))
+        upper = swing - np.arctan2(self.lower * np.sin(beta), self.upper + self.lower * np.cos(beta))
+        joints = [upper - self.upper_angle, beta - self.lower_angle + self.upper_angle]
+        if self.abducts:
+            joints = [self.side * given[..., 0, :], *joints]
+        return np.stack(joints, axis=-1) * self.turn
+
+    def foot_in_plane(self, angles: ArrayLike) -> Array:
+        """Return the feet's centres (..., L, 2) [m] from the hip axes in the legs' planes, x forward and z up."""
+        _, upper, beta = self._joints(angles)
+        x = -self.upper * np.sin(upper) - self.lower * np.sin(upper + beta)
+        z = -self.upper * np.cos(upper) - self.lower * np.cos(upper + beta)
+        return np.stack([x, z], axis=-1)
+
+    def plane_pose(self, foot: ArrayLike) -> tuple[Array, Array]:
+        """Return the swing [rad] and extension (..., L) that bring feet to (..., L, 2) [m] in the plane.
+
+        NaN out of reach.
+        """
+        place = np.asarray(foot, float)
+        extension = np.hypot(place[..., 0], place[..., 1]) / (self.upper + self.lower)
+        least = np.abs(self.upper - self.lower) / (self.upper + self.lower)
+        reached = (extension <= 1.0) & (extension >= least)
+        swing = np.arctan2(-place[..., 0], -place[..., 1])
+        return np.where(reached, swing, np.nan), np.where(reached, extension, np.nan)
+
+    def foot_position(self, angles: ArrayLike) -> Array:
+        """Return the feet's centres (..., L, 3) [m] from the legs' mounts, in the base frame."""
+        abduction, _, _ = self._joints(angles)
+        plane = self.foot_in_plane(angles)
+        y, z = self.hip[:, 0], self.hip[:, 1] + plane[..., 1]
+        cos, sin = np.cos(abduction), np.sin(abduction)
+        return np.stack([plane[..., 0], cos * y - sin * z, sin * y + cos * z], axis=-1)
+
+    def jacobian(self, angles: ArrayLike) -> Array:
+        """Return the derivatives (..., L, 3, m) [m/rad] of `foot_position` by the motor angles."""
+        abduction, upper, beta = self._joints(angles)
+        cos, sin = np.cos(abduction), np.sin(abduction)
+        below = self.lower * np.stack([-np.cos(upper + beta), np.sin(upper + beta)], -1)
+        both = below + self.upper * np.stack([-np.cos(upper), np.sin(upper)], -1)
+        # A change of z in the plane moves the foot along the plane's own upward direction (0, -sin a, cos a).
+        columns = [np.stack([part[..., 0], -sin * part[..., 1], cos * part[..., 1]], -1) for part in (both, below)]
+        if self.abducts:
+            foot = self.foot_position(angles)
+            columns = [np.stack([np.zeros_like(cos), -foot[..., 2], foot[..., 1]], -1), *columns]
+        return np.stack(columns, axis=-1) * self.turn[:, None, :]
+
+    def closes(self, angles: ArrayLike) -> NDArray[np.bool_]:
+        """Return true for each leg (..., L): there is no loop."""
+        return np.isfinite(np.asarray(angles, float)).all(axis=-1)
+
+    def knee_angles(self, angles: ArrayLike) -> Array:
+        """Return no angles (..., L, 0): every joint has a motor."""
+        return np.zeros((*np.shape(angles)[:-1], 0))

@@ -1,0 +1,89 @@
+"""`surefoot robot new` and `surefoot robot check`: a robot from a file, what is found of it, and bad input."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+from processes import refused, surefoot
+
+from surefoot.robot import RobotDescription
+
+SOLO = RobotDescription.load("solo8")
+
+
+def test_from_a_file_to_a_robot_that_trains(tmp_path: Path) -> None:
+    result = surefoot("robot", "new", str(SOLO.urdf.path), "--name", "mine", "--knees", "backward", cwd=tmp_path)
+    assert result.returncode == 0, result.stderr
+    assert "mine: 2.18 kg, 8 motors, legs of 0.320 m, forward is +x of the file" in result.stdout
+    assert "guessed  kp = " in result.stdout
+    assert "pass      stands" in result.stdout
+    robot = RobotDescription.load(tmp_path / "mine")
+    assert robot.motor_names == tuple(name for leg in ("FL", "FR", "HL", "HR") for name in (f"{leg}_HFE", f"{leg}_KFE"))
+    picture = np.asarray(Image.open(tmp_path / "mine/robot.png").convert("RGB"), int)
+    assert picture.shape == (720, 960, 3)
+    # The robot's grey, and the axes' red and green, are there.
+    for red, green, blue in ((200, 40, 40), (30, 140, 50)):
+        assert (np.abs(picture - [red, green, blue]).sum(axis=2) < 30).sum() > 100
+    words = ("--steps", "2048", "--num-envs", "16", "--evaluate-every", "2048", "--evaluation-episodes", "2")
+    result = surefoot("train", "trot", "--task.robot", "mine", *words, cwd=tmp_path)
+    assert result.returncode == 0, result.stderr
+    (policy,) = tmp_path.glob("runs/mine-trot/*/policy.onnx")
+    result = surefoot("evaluate", str(policy), "--episodes", "2", "--json", cwd=tmp_path)
+    assert result.returncode == 0, result.stderr
+    summary = json.loads(result.stdout)
+    assert summary["robot"] == "mine"
+    assert summary["falls"] <= 2
+
+
+def test_check_finds_what_is_wrong(tmp_path: Path) -> None:
+    folder = tmp_path / "odd"
+    folder.mkdir()
+    sheet, urdf = (SOLO.folder / "robot.toml").read_text(), SOLO.urdf.path.read_text()
+    (folder / "robot.toml").write_text(sheet.replace("torque_limit = 2.7", "torque_limit = 1000.0"))
+    # One of the upper links is twice as heavy.
+    place = urdf.index("<mass", urdf.index('name="front_left_upper"'))
+    end = urdf.index("/>", place)
+    (folder / "solo8.urdf").write_text(urdf[:place] + '<mass value="0.5" ' + urdf[end:])
+    result = surefoot("robot", "check", str(folder), "--json", cwd=tmp_path)
+    assert result.returncode == 3, result.stderr
+    found = json.loads(result.stdout)
+    assert found["passed"] is False
+    wrong = {item["name"]: item for item in found["findings"] if item["passed"] is False}
+    assert set(wrong) == {"torque limits", "left and right"}
+    assert "placeholder" in wrong["torque limits"]["why"]
+    assert "front_left, front_right" in wrong["left and right"]["why"]
+    assert all(item["what_to_do"] for item in wrong.values())
+
+
+@pytest.mark.parametrize("name", RobotDescription.available())
+def test_robots_that_ship_pass(name: str, tmp_path: Path) -> None:
+    result = surefoot("robot", "check", name, "--json", cwd=tmp_path)
+    assert result.returncode == 0, result.stdout + result.stderr
+    assert len(json.loads(result.stdout)["findings"]) >= 7
+
+
+BAD = [
+    ([], "usage"),
+    (["make"], "'make' is not an action; choices: new, check"),
+    (["new"], "FILE"),
+    (["new", "none.urdf"], "none.urdf: can't be read"),
+    (["new", "robot.urdf", "--forward", "up"], "forward"),
+    (["new", "robot.urdf", "--name", "a b"], "name is 'a b'"),
+    (["check", "none"], "robot 'none': no such robot"),
+]
+
+
+@pytest.mark.parametrize(("words", "message"), BAD, ids=[" ".join(words) for words, _ in BAD])
+def test_bad_input_gets_one_line_and_exit_code_2(words: list[str], message: str, tmp_path: Path) -> None:
+    (tmp_path / "robot.urdf").write_text(SOLO.urdf.path.read_text())
+    result = surefoot("robot", *words, cwd=tmp_path)
+    assert result.returncode == 2
+    if not words:
+        assert message in result.stdout
+        return
+    refused(result)
+    assert message in result.stderr

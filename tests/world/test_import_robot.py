@@ -1,0 +1,239 @@
+"""Robots that surefoot never saw: URDF and MJCF in, a folder that loads out; and what is refused."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+from surefoot.errors import SurefootError
+from surefoot.robot import RobotDescription, SerialLegs
+from surefoot.robot.tree import LEGS, Tree, write_robot
+from surefoot.world.import_robot import read_tree
+from surefoot.world.mujoco_model import build_model, foot_geoms
+
+SHIPPED = {name: RobotDescription.load(name) for name in ("go2", "solo8", "pupper_v2")}
+CORNERS = {"FL": (1, 1), "FR": (1, -1), "RL": (-1, 1), "RR": (-1, -1)}
+BODY = """<geom type="box" size=".2 .1 .05"/><inertial pos="0 0 0" mass="6" diaginertia=".05 .1 .12"/>"""
+LINK = """<inertial pos="0 0 -.1" mass=".5" diaginertia=".002 .002 .0005"/>"""
+
+
+def leg(name: str, x: float, y: float, axes: tuple[str, str, str] = ("1 0 0", "0 1 0", "0 1 0"), foot: str = "") -> str:
+    """A leg of an MJCF: upper and lower links of .2 m, .06 m out from the abduction axis."""
+    out = 0.06 * np.sign(y)
+    foot = foot or '<geom type="sphere" size=".02" pos="0 0 -.2"/>'
+    return f"""
+    <body name="{name}_hip" pos="{x} {y} 0"><joint name="{name}_abduction" axis="{axes[0]}" range="-1 1"/>
+      <inertial pos="0 0 0" mass=".3" diaginertia=".0005 .0005 .0005"/>
+      <body name="{name}_upper" pos="0 {out} 0"><joint name="{name}_hip" axis="{axes[1]}"/>{LINK}
+        <body name="{name}_lower" pos="0 0 -.2"><joint name="{name}_knee" axis="{axes[2]}" range="-2.6 -.5"/>{LINK}
+          {foot}</body></body></body>"""
+
+
+def mjcf(legs: str, extra: str = "") -> str:
+    return f"""<mujoco><compiler angle="radian" autolimits="true"/><worldbody><body name="trunk"><freejoint/>{BODY}
+      {legs}</body></worldbody>{extra}</mujoco>"""
+
+
+def quadruped(**other: str) -> str:
+    return mjcf("".join(leg(name, 0.2 * x, 0.08 * y) for name, (x, y) in CORNERS.items()), **other)
+
+
+def write(tmp_path: Path, text: str, name: str = "dog.xml") -> Path:
+    path = tmp_path / name
+    path.write_text(text)
+    return path
+
+
+def test_a_tree_has_what_the_file_says(tmp_path: Path) -> None:
+    tree = read_tree(write(tmp_path, quadruped()))
+    assert tree.name == "dog"
+    assert tree.mass == pytest.approx(6 + 4 * 1.3)
+    assert tree.length == pytest.approx(0.4)
+    assert tree.forward == "+x"
+    first = tree.legs[LEGS.index("front_left")]
+    np.testing.assert_allclose(first.foot, [0.2, 0.14, -0.4], atol=1e-12)
+    assert first.foot_radius == 0.02
+    assert [joint.name for joint in first.joints] == ["FL_abduction", "FL_hip", "FL_knee"]
+    assert first.joints[0].limits == (-1.0, 1.0)
+    assert first.joints[1].limits is None
+    np.testing.assert_allclose(tree.base_box, ([0, 0, 0], [0.2, 0.1, 0.05]), atol=1e-12)
+    assert tree.knee_signs(None) == ([-1] * 4, True)
+
+
+def test_what_is_written_loads_and_keeps_masses_and_kinematics(tmp_path: Path) -> None:
+    tree = read_tree(write(tmp_path, quadruped()))
+    guesses = write_robot(tree, tmp_path / "dog", "dog")
+    robot = RobotDescription.load(tmp_path / "dog")
+    assert robot.urdf.total_mass == pytest.approx(tree.mass, abs=1e-4)
+    assert robot.coordinates == ("abduction", "swing", "extension")
+    assert any(line.startswith("kp = ") for line in guesses)
+    assert all("guessed" in line for line in (tmp_path / "dog/robot.toml").read_text().splitlines() if "kp =" in line)
+    np.testing.assert_allclose(
+        robot.leg_mounts + robot.leg_geometry.foot_position(np.zeros((4, 3))),
+        [one.foot for one in tree.legs],
+        atol=1e-9,
+    )
+    # Inertias about the whole robot's centre of mass are those of the file.
+    given = mujoco.MjModel.from_xml_string(quadruped())
+    made = build_model(robot)
+    for model in (given, made):
+        assert model.body_subtreemass[0] == pytest.approx(tree.mass, abs=1e-4)
+    whole = []
+    for model in (given, made):
+        data = mujoco.MjData(model)
+        data.qpos[:7] = [0, 0, 0, 1, 0, 0, 0]
+        mujoco.mj_forward(model, data)
+        inertia = np.zeros((model.nv, model.nv))
+        mujoco.mj_fullM(model, data, inertia)
+        whole.append(inertia[:6, :6])
+    np.testing.assert_allclose(*whole, atol=2e-5)
+    with pytest.raises(SurefootError, match="holds a robot"):
+        write_robot(tree, tmp_path / "dog", "dog")
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_closed_forms_agree_with_mujoco_over_the_whole_range(name: str) -> None:
+    robot = SHIPPED[name]
+    model, rng = build_model(robot), np.random.default_rng(1)
+    data, feet = mujoco.MjData(model), foot_geoms(robot, model)
+    poses = np.stack([rng.uniform(*span, (100, 4)) for span in robot.leg_space.values()], axis=-2)
+    angles = robot.to_motors(poses)
+    np.testing.assert_allclose(robot.to_pose(angles), poses, atol=1e-9)
+    expected = robot.leg_mounts + robot.leg_geometry.foot_position(angles[..., robot.leg_motor_index])
+    for k, joints in enumerate(angles):
+        for joint, angle in robot.joint_angles(joints).items():
+            data.qpos[model.joint(joint).qposadr[0]] = angle
+        data.qpos[:7] = [0, 0, 0, 1, 0, 0, 0]
+        mujoco.mj_kinematics(model, data)
+        np.testing.assert_allclose(data.geom_xpos[feet], expected[k], atol=1e-9)
+
+
+def turned(text: str) -> str:
+    """The robot of an MJCF as it faces -y of its file."""
+    return text.replace('<body name="trunk">', '<body name="trunk" euler="0 0 -1.5707963267948966">')
+
+
+def test_a_robot_that_faces_elsewhere_is_turned(tmp_path: Path) -> None:
+    # A free base is put at the origin: the turn is in the places and axes of the legs.
+    legs = "".join(
+        leg(name, 0.08 * y, -0.2 * x, axes=("0 1 0", "1 0 0", "1 0 0")).replace(
+            f"0 {0.06 * np.sign(-x)} 0", f"{0.06 * y} 0 0"
+        )
+        for name, (x, y) in CORNERS.items()
+    )
+    tree = read_tree(write(tmp_path, mjcf(legs)))
+    assert tree.forward == "-y"
+    np.testing.assert_allclose(tree.legs[0].foot, [0.2, 0.14, -0.4], atol=1e-9)
+    # The file's x axis is the robot's left: knees turned about it as about +y.
+    np.testing.assert_allclose(tree.legs[0].joints[1].axis, [0, 1, 0])
+
+
+def test_axes_that_point_the_other_way_are_kept_in_the_signs(tmp_path: Path) -> None:
+    legs = "".join(
+        leg(name, 0.2 * x, 0.08 * y, axes=("1 0 0", f"0 {y} 0", f"0 {y} 0")) for name, (x, y) in CORNERS.items()
+    ).replace('axis="0 -1 0" range="-2.6 -.5"', 'axis="0 -1 0" range=".5 2.6"')
+    tree = read_tree(write(tmp_path, mjcf(legs)))
+    write_robot(tree, tmp_path / "dog", "dog")
+    robot = RobotDescription.load(tmp_path / "dog")
+    assert isinstance(robot.leg_geometry, SerialLegs)
+    np.testing.assert_array_equal(robot.leg_geometry.turn[:, 1], [1, -1, 1, -1])
+    angles = robot.pose_angles(0.0, 0.2, 0.8)
+    places = robot.leg_geometry.foot_in_plane(angles[robot.leg_motor_index])
+    np.testing.assert_allclose(places, np.tile(places[:1], (4, 1)), atol=1e-12)
+
+
+def test_a_meshless_urdf_with_two_motors_a_leg(tmp_path: Path) -> None:
+    robot = SHIPPED["solo8"]
+    tree = read_tree(robot.urdf.path)
+    assert [len(one.joints) for one in tree.legs] == [2] * 4
+    assert tree.knee_signs("inward") == ([-1, -1, 1, 1], True)
+    assert tree.knee_signs(None) == ([-1] * 4, False)
+
+
+def urdf(body: str) -> str:
+    return f'<robot name="r">{body}</robot>'
+
+
+def link(name: str, shape: str = "", mass: str = "1") -> str:
+    inertial = f'<inertial><mass value="{mass}"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'
+    return f'<link name="{name}">{inertial if mass else ""}{shape}</link>'
+
+
+MESH = '<collision><geometry><mesh filename="package://r/trunk.stl"/></geometry></collision>'
+BOMB = '<?xml version="1.0"?><!DOCTYPE r [<!ENTITY a "aaaa"><!ENTITY b "&a;&a;&a;">]><robot name="r">&b;</robot>'
+TWO_CHAINS = """<body name="b{n}" pos="{x} {y} 0"><joint name="m{n}a" axis="0 1 0"/>{link}
+  <body name="c{n}" pos="0 0 -.2"><joint name="m{n}b" axis="0 1 0"/>{link}</body>
+  <body name="d{n}" pos="0 0 -.2"><joint name="m{n}c" axis="0 1 0"/>{link}</body></body>"""
+
+BAD = {
+    "no inertials": (
+        urdf(link("a", mass="") + link("b", mass="")),
+        "dog.urdf",
+        "no link has an <inertial> with a mass",
+    ),
+    "mesh": (urdf(link("a", MESH)), "dog.urdf", "mesh 'package://r/trunk.stl' is not there"),
+    "bomb": (BOMB, "dog.urdf", "declares XML entities"),
+    "not xml": ("<robot", "dog.urdf", "is not well-formed XML"),
+    "other root": ("<sdf/>", "dog.xml", "the root element is <sdf>"),
+    "nothing moves": (urdf(link("a")), "dog.urdf", "nothing in it moves"),
+    "five legs": (
+        mjcf("".join(leg(name, 0.2 * x, 0.08 * y) for name, (x, y) in CORNERS.items()) + leg("M", 0.0, 0.2)),
+        "dog.xml",
+        "5 legs hang from 'trunk'; a quadruped has 4",
+    ),
+    "open loop": (
+        mjcf("".join(TWO_CHAINS.format(n=n, x=0.2 * x, y=0.1 * y, link=LINK) for n, (x, y) in CORNERS.items())),
+        "dog.xml",
+        "legs that branch and no loop that closes them",
+    ),
+    "skew axis": (
+        mjcf("".join(leg(n, 0.2 * x, 0.08 * y, ("1 0 0", "0 1 .3", "0 1 0")) for n, (x, y) in CORNERS.items())),
+        "dog.xml",
+        "should be the hip, and its axis at zero is",
+    ),
+    "no foot": (
+        mjcf("".join(leg(n, 0.2 * x, 0.08 * y, foot="<site/>") for n, (x, y) in CORNERS.items())),
+        "dog.xml",
+        "has neither a shape nor a link for its foot",
+    ),
+    "slide": (
+        mjcf(leg("FL", 0.2, 0.1).replace('axis="0 1 0"', 'type="slide" axis="0 1 0"', 1)),
+        "dog.xml",
+        "no single hinge",
+    ),
+    "odd legs": (
+        mjcf("".join(leg(n, 0.2 * x, 0.08 * y) for n, (x, y) in list(CORNERS.items())[:3])),
+        "dog.xml",
+        "3 legs hang from 'trunk'",
+    ),
+}
+
+
+@pytest.mark.parametrize("what", BAD)
+def test_what_is_no_quadruped_is_refused_in_one_line(what: str, tmp_path: Path) -> None:
+    text, name, said = BAD[what]
+    with pytest.raises(SurefootError) as caught:
+        read_tree(write(tmp_path, text, name))
+    assert said in str(caught.value)
+    assert name in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_missing_mesh_can_be_left_out(tmp_path: Path) -> None:
+    text = SHIPPED["solo8"].urdf.path.read_text()
+    text = text.replace('<link name="base">', f'<link name="base">{MESH}', 1)
+    path = write(tmp_path, text, "solo.urdf")
+    with pytest.raises(SurefootError, match="leave out meshes"):
+        read_tree(path)
+    assert isinstance(read_tree(path, meshes=False), Tree)
+
+
+def test_inertias_that_no_body_has_are_noted(tmp_path: Path) -> None:
+    text = SHIPPED["solo8"].urdf.path.read_text()
+    extra = link("camera").replace('ixx="1"', 'ixx="9"')
+    fixed = '<joint name="mount" type="fixed"><parent link="base"/><child link="camera"/></joint>'
+    tree = read_tree(write(tmp_path, text.replace("</robot>", f"{extra}{fixed}</robot>"), "solo.urdf"))
+    assert any("camera" in note and "no rigid body" in note for note in tree.notes)
