@@ -74,7 +74,10 @@ def test_the_speed_estimate_is_near_the_true_speed():
         ("reference: {kind: foot}", "handcrafted is missing; the file is of a task"),
         ("handcrafted: {}", "task.reference.kind is 'none'; a handcrafted gait has a reference of kind foot"),
         ("reference: {kind: foot}\nhandcrafted: {gains: 1}", "handcrafted.gains is not a key; choices: raibert, about"),
-        ("reference: {kind: foot}\nhandcrafted: {raibert: {pitch: 1000}}", "raibert.pitch is 1000; it must be 100 or less"),
+        (
+            "reference: {kind: foot}\nhandcrafted: {raibert: {pitch: 1000}}",
+            "raibert.pitch is 1000; it must be 100 or less",
+        ),
         ("reference: {kind: foot}\nhandcrafted: 3", "handcrafted is 3; it must be a table"),
         ("reference: {kind: foot, foot: {strok: 1}}\nhandcrafted: {}", "reference.foot.strok is not a key"),
     ],
