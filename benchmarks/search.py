@@ -21,6 +21,7 @@ from pathlib import Path
 
 from rounds import measure, ratio_quartiles
 
+from surefoot.cli.policies import find_world
 from surefoot.learn.export import export_run
 from surefoot.learn.run import TrainingRun
 from surefoot.learn.run_folder import RunFolder
@@ -63,7 +64,7 @@ class Turns:
                 ends.append(time.perf_counter())
 
         start = time.perf_counter()
-        outcome = run_trainings(self.trainings(), SimWorld, workers, lambda *_: False, change)
+        outcome = run_trainings(self.trainings(), find_world, workers, lambda *_: False, change)
         seconds = time.perf_counter() - start
         if len(outcome.done) < self.count:
             raise RuntimeError(f"trainings failed: {outcome.failed}")

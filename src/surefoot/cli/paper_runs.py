@@ -82,7 +82,7 @@ def train(task: str, steps: int) -> Stage:
         if begun:
             command(runs, "train", "--resume", begun[-1].parent)
         else:
-            command(runs, "train", task, "--runs", f"runs/{task}", *runs.small("--steps", steps))
+            command(runs, "train", task, "--runs", "runs", *runs.small("--steps", steps))
         (run,) = (path.parent for path in (runs.folder / "runs" / task).glob("*/config.yaml"))
         target = runs.folder / "policies"
         (target / task).mkdir(parents=True, exist_ok=True)

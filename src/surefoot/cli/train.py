@@ -86,17 +86,17 @@ def _robot(argv: list[str]) -> str | None:
 
 
 def _train(config: TrainConfig | None, path: Path) -> int:
+    from surefoot.cli.policies import find_world
     from surefoot.learn.progress import TrainingProgress
     from surefoot.learn.run import TrainingRun
     from surefoot.learn.run_folder import RunFolder
     from surefoot.learn.run_lock import alone
-    from surefoot.world.sim_world import SimWorld
 
     console = Console()
     resume = config is None
     folder, config = RunFolder.open(path) if config is None else (RunFolder.create(config, path), config)
     with alone(folder.path):
-        run = TrainingRun(config, folder, SimWorld, resume=resume)
+        run = TrainingRun(config, folder, find_world(config.world), resume=resume)
         begun = "Going on with" if resume else "Training"
         console.print(f"{begun} {config.task.name} in {folder.path}", soft_wrap=True)
         with TrainingProgress(config, console, run.trainer.steps) as progress, _listen(console) as stop:
@@ -122,10 +122,10 @@ def _listen(console: Console) -> StopSignals:
 
 def check_config(config: TrainConfig) -> None:
     """Refuse an invalid task or an invalid run to start from, before a run folder is made."""
+    from surefoot.cli.policies import find_world
     from surefoot.task.env import LocomotionEnv
-    from surefoot.world.sim_world import SimWorld
 
-    LocomotionEnv(config.task, 1, SimWorld, threads=1)
+    LocomotionEnv(config.task, 1, find_world(config.world), threads=1)
     if config.start_from is not None:
         from surefoot.learn.run_folder import RunFolder
 
@@ -139,6 +139,7 @@ def finish(run: TrainingRun, folder: RunFolder, console: Console) -> None:
     """
     from surefoot.cli.evaluate import draw_episode, print_summaries
     from surefoot.cli.play import film
+    from surefoot.cli.policies import find_world
     from surefoot.evaluate.comparison import Curve
     from surefoot.evaluate.gap import home_task
     from surefoot.evaluate.rollout import run_episodes
@@ -147,10 +148,11 @@ def finish(run: TrainingRun, folder: RunFolder, console: Console) -> None:
     from surefoot.policy.runtime import PolicyRuntime
     from surefoot.report.study_figures import learning_curves
     from surefoot.robot import RobotDescription
-    from surefoot.world.sim_world import SimWorld
 
     export_run(run, folder.policy)
+    world, make_world = run.config.world, find_world(run.config.world)
     task, policy = run.config.task, PolicyRuntime.load(folder.policy)
+    name = policy.contract.name
     robot, figures = RobotDescription.load(task.robot), folder.path / "figures"
     figures.mkdir(exist_ok=True)
     console.print(f"Evaluating over {_EPISODES} episodes ...")
@@ -161,8 +163,8 @@ def finish(run: TrainingRun, folder: RunFolder, console: Console) -> None:
     if task.pushes.enabled:
         wanted["with_pushes"] = (replace(calm, pushes=task.pushes.in_full(True)), _EPISODES)
     traces = {
-        name: run_episodes(policy, given, episodes, SimWorld, seed=0, policy_name=policy.contract.name)
-        for name, (given, episodes) in wanted.items()
+        kind: run_episodes(policy, given, episodes, make_world, seed=0, world_name=world, policy_name=name)
+        for kind, (given, episodes) in wanted.items()
     }
     results = {name: summarize(found, robot.urdf.total_mass) for name, found in traces.items()}
     (folder.path / "evaluation.json").write_text(json.dumps(results, indent=2) + "\n", encoding="utf-8")

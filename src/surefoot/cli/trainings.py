@@ -41,7 +41,7 @@ def train_many(
     Raises:
         SurefootError: no cluster at the address.
     """
-    from surefoot.world.sim_world import SimWorld
+    from surefoot.cli.policies import find_world
 
     def say(count: int) -> None:
         if count == 1:
@@ -59,7 +59,7 @@ def train_many(
 
     # Ray listens to signals as well, and only the last one who began to listen hears them.
     with ray_cluster(address, workers), StopSignals(on_signal=say, respect_nohup=True) as stops, progress:
-        return run_trainings(trainings, SimWorld, workers, told, changed, lambda: stops.count)
+        return run_trainings(trainings, find_world, workers, told, changed, lambda: stops.count)
 
 
 @dataclass

@@ -73,6 +73,8 @@ class TrainConfig:
     """Configuration of a task."""
     name: str = "run"
     """Name of the run; its folder carries it."""
+    world: str = "mujoco"
+    """World to train and evaluate in: mujoco or bullet."""
     seed: Seed = 0
     """The one seed of the run."""
     steps: Steps = 7_000_000

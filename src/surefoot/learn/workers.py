@@ -23,9 +23,9 @@ from surefoot.errors import SurefootError, accessible
 from surefoot.learn.training import Training
 
 if TYPE_CHECKING:
+    from surefoot.evaluate.evaluations import FindWorld
     from surefoot.learn.run import TrainingRun
     from surefoot.learn.run_folder import RunFolder
-    from surefoot.task.env import SimulationFactory
 
 PATIENCE = 120.0
 """How long [s] a worker waits for another process to leave a folder: one that lost its parent may need an update."""
@@ -77,14 +77,14 @@ class Worker:
     """A process that trains: one training after another, each in its folder.
 
     Args:
-        make_world: makes the simulation.
+        find_world: returns what makes the simulation of a world, by name.
         folder: the folder that paths count from.
     """
 
-    def __init__(self, make_world: SimulationFactory, folder: str) -> None:
+    def __init__(self, find_world: FindWorld, folder: str) -> None:
         os.makedirs(folder, exist_ok=True)
         os.chdir(folder)
-        self._make_world, self._held = make_world, contextlib.ExitStack()
+        self._find_world, self._held = find_world, contextlib.ExitStack()
         self._run: TrainingRun | None = None
 
     def begin(self, training: Training) -> Told:
@@ -113,7 +113,8 @@ class Worker:
             training = replace(training, config=config)
         if state == "finished":
             return self._over(folder)
-        self._run = TrainingRun(training.config, folder, self._make_world, resume=state == "started")
+        make_world = self._find_world(training.config.world)
+        self._run = TrainingRun(training.config, folder, make_world, resume=state == "started")
         if self._run.finished:
             return self.end(export=True)
         return Told(self._run.trainer.steps, evaluations=tuple(folder.evaluations()))
@@ -226,7 +227,7 @@ class _Slot:
 
 def run_trainings(
     trainings: Iterable[Training],
-    make_world: SimulationFactory,
+    find_world: FindWorld,
     workers: int,
     on_told: Callable[[Training, Told], bool],
     on_change: Callable[[Training, str, str], None],
@@ -236,7 +237,7 @@ def run_trainings(
 
     Args:
         trainings: what is to be done; the next one is taken when a worker is free for it.
-        make_world: makes the simulation.
+        find_world: returns what makes the simulation of a world, by name.
         workers: how many run at a time; 0 means as many as the cluster has processors.
         on_told: called with how far a training is, about once a second and when it is over; true prunes it: its
             policy is exported as it is.
@@ -289,7 +290,7 @@ def run_trainings(
                 idle.clear()
                 break
             fresh = not idle
-            worker = make_worker.remote(make_world, os.getcwd()) if fresh else idle.pop()
+            worker = make_worker.remote(find_world, os.getcwd()) if fresh else idle.pop()
             tries[training.name] = tries.get(training.name, 0) + 1
             running[worker.begin.remote(training)] = _Slot(training, worker, fresh)
             change(training, "started")

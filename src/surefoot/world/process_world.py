@@ -27,7 +27,7 @@ from surefoot.errors import SurefootError
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.world.drive import OF_ALL_ROBOTS
 from surefoot.world.interface import Readings, Simulation, Truth, WorldConfig
-from surefoot.world.sim_world import EngineFactory, SimWorld, check_batch
+from surefoot.world.sim_world import EngineFactory, SimWorld, check_batch, saved_params
 
 Rows = TypeVar("Rows", Readings, Truth)
 
@@ -271,9 +271,7 @@ class ProcessWorld:
 
     def set_state(self, state: dict[str, Any]) -> None:
         """Continue from `get_state`, exactly; the state may come from any number of processes, or from a `SimWorld`."""
-        # As `SimWorld` does it: a parameter that an earlier version did not have is nominal.
-        params = replace(PhysicalParams.nominal(self.robot, self.num_envs), **state["params"])
-        self.params.set_rows(self.robot, np.arange(self.num_envs), params)
+        self.params.set_rows(self.robot, np.arange(self.num_envs), saved_params(self.robot, state))
         count, parts = self.num_envs, []
         for number, share in enumerate(self._shares):
             sensors, starts = state["streams"][:count][share], state["streams"][count:][share]

@@ -85,6 +85,15 @@ def check_batch(num_envs: int, params: PhysicalParams | None) -> None:
         raise SurefootError(f"params are for {params.num_envs} robots; the world has {num_envs}")
 
 
+def saved_params(robot: RobotDescription, state: dict[str, Any]) -> PhysicalParams:
+    """Return the physical parameters of a saved state; one that an earlier version did not have is nominal."""
+    given = PhysicalParams.nominal(robot, len(state["control_steps"]))
+    for name, values in state["params"].items():
+        # Gains were one number a robot in states of earlier versions.
+        getattr(given, name)[...] = values if values.ndim == getattr(given, name).ndim else values[:, None]
+    return given
+
+
 class SimWorld:
     """A batch of simulated robots, each with physical parameters, clock and control step of its own.
 
@@ -285,11 +294,7 @@ class SimWorld:
 
     def set_state(self, state: dict[str, Any]) -> None:
         """Go on from `get_state`, exactly; a parameter that an earlier version did not have is nominal."""
-        given = PhysicalParams.nominal(self.robot, self.num_envs)
-        for name, values in state["params"].items():
-            # Gains were one number a robot in states of earlier versions.
-            getattr(given, name)[...] = values if values.ndim == getattr(given, name).ndim else values[:, None]
-        self.set_params(np.arange(self.num_envs), given)
+        self.set_params(np.arange(self.num_envs), saved_params(self.robot, state))
         for name, array in self.drive._asdict().items():
             saved = state["drive"].get(name)
             # What states of earlier versions do not have, or have with one number a robot, is as it was just set.
