@@ -82,6 +82,15 @@ def test_runs_are_made_once_stopped_and_gone_on_with(
     assert "not there: results/policies/gallop.json" in done.stdout
 
 
+def test_a_training_keeps_its_policy_and_pictures(repository: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(paper_runs, "STAGES", (paper_runs.train("trot", 8192),))
+    folder = tmp_path / "runs"
+    done = surefoot("paper", "--root", repository, "--quick", "--folder", folder, "--out", tmp_path / "page.html")
+    assert done.returncode == 0, done.stderr
+    assert (folder / "policies/trot.onnx").exists()
+    assert {path.name for path in (folder / "policies/trot").iterdir()} == {"learning_curve.png", "footfalls.png"}
+
+
 def test_a_command_that_fails_ends_the_runs_in_one_line(
     repository: Path, shipped: Path, monkeypatch: pytest.MonkeyPatch
 ):
