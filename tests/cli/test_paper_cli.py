@@ -88,7 +88,7 @@ def test_a_training_keeps_its_policy_and_pictures(repository: Path, tmp_path: Pa
     done = surefoot("paper", "--root", repository, "--quick", "--folder", folder, "--out", tmp_path / "page.html")
     assert done.returncode == 0, done.stderr
     assert (folder / "policies/trot.onnx").exists()
-    assert {path.name for path in (folder / "policies/trot").iterdir()} == {"learning_curve.png", "footfalls.png"}
+    assert (folder / "policies/trot/footfalls.png").exists()
 
 
 def test_a_command_that_fails_ends_the_runs_in_one_line(

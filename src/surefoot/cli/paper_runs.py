@@ -87,7 +87,9 @@ def train(task: str, steps: int) -> Stage:
         target = runs.folder / "policies"
         (target / task).mkdir(parents=True, exist_ok=True)
         for name in _PICTURES:
-            shutil.copy(run / "figures" / name, target / task / name)
+            # A training in which no episode has ended has no curve.
+            if (run / "figures" / name).exists():
+                shutil.copy(run / "figures" / name, target / task / name)
         shutil.copy(run / "policy.onnx", target / f"{task}.onnx")
 
     return Stage(f"policies/{task}.onnx", make)
