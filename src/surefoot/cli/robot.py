@@ -76,6 +76,7 @@ def main(argv: list[str]) -> int:
 
 
 def _new(command: NewCommand) -> int:
+    from surefoot.report.robot_picture import save_robot_picture
     from surefoot.world.import_robot import read_tree
 
     tree = read_tree(command.file, command.forward, command.meshes)
@@ -92,7 +93,7 @@ def _new(command: NewCommand) -> int:
     for line in write_robot(tree, folder, name, command.knees or _ask_knees(tree)):
         console.print(f"guessed  {line}", markup=False)
     robot = RobotDescription.load(folder)
-    draw_robot(robot, folder / PICTURE)
+    save_robot_picture(robot, folder / PICTURE)
     console.print(f"wrote {folder}: robot.toml, robot.urdf, {PICTURE}", markup=False)
     return _report(robot, console)
 
@@ -127,10 +128,3 @@ def _report(robot: RobotDescription, console: Console) -> int:
         print_finding(console, finding)
     console.print(f"{counts[True]} passed, {counts[False]} failed", markup=False)
     return FAILED if counts[False] else 0
-
-
-def draw_robot(robot: RobotDescription, path: Path) -> None:
-    """Draw a robot in its resting pose, with its axes and the names of its legs."""
-    from surefoot.report.robot_picture import save_robot_picture
-
-    save_robot_picture(robot, path)

@@ -3,10 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from surefoot.arrays import Array
+
+
+def are_moments(moments: NDArray[np.floating[Any]]) -> bool:
+    """Return whether a rigid body can have these principal moments (3,): over 0, none over the sum of the others."""
+    return bool(moments.min() > 0 and 2 * moments.max() <= 1.001 * moments.sum())
 
 
 @dataclass(frozen=True)

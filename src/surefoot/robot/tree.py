@@ -25,7 +25,7 @@ LEGS = ("front_left", "front_right", "back_left", "back_right")
 """Names of the legs, in the order of a tree's."""
 Knees = Literal["forward", "backward", "inward", "outward"]
 """Where knees point: all forward or backward, or front and back ones towards each other or apart."""
-_PLACEHOLDER = 5.0
+PLACEHOLDER = 5.0
 """A torque limit beyond this many m g l is a placeholder: no motor lifts the robot by five legs' lengths."""
 
 
@@ -63,8 +63,6 @@ class ImportedLeg:
     """Centre of the foot (3,) [m]."""
     foot_radius: float
     """[m]"""
-    foot_found: str
-    """How the foot was found."""
 
 
 @dataclass(frozen=True)
@@ -264,7 +262,7 @@ class _Sheet:
         lines.append(self._each("kp", [unit] * len(motors), "N m/rad", "m g l, the stiffness that carries the robot"))
         kd = 0.15 * unit * math.sqrt(tree.length / GRAVITY)
         lines.append(self._each("kd", [kd] * len(motors), "N m s/rad", ".15 kp sqrt(l / g)"))
-        known = [joint.torque is not None and 0 < joint.torque < _PLACEHOLDER * unit for joint in motors]
+        known = [joint.torque is not None and 0 < joint.torque < PLACEHOLDER * unit for joint in motors]
         torques = [float(joint.torque or 0) if ok else 0.4 * unit for joint, ok in zip(motors, known, strict=True)]
         lines.append(
             self._each("torque_limit", torques, "N m", "" if all(known) else ".4 m g l; the file has no real limit")

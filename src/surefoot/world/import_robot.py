@@ -15,7 +15,7 @@ from surefoot.arrays import Array
 from surefoot.errors import SurefootError, accessible, choices
 from surefoot.files import read_configuration
 from surefoot.native_output import quiet
-from surefoot.robot.rigid_body import RigidBody, fuse
+from surefoot.robot.rigid_body import RigidBody, are_moments, fuse
 from surefoot.robot.tree import ImportedLeg, MotorJoint, Tree
 from surefoot.robot.urdf import attribute
 
@@ -134,7 +134,7 @@ def _check_inertias(root: ElementTree.Element, path: Path, notes: list[str]) -> 
         found += 1
         whole = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
         moments = np.linalg.eigvalsh(whole) if np.isfinite(whole).all() else np.full(3, np.nan)
-        if not (mass > 0 and moments.min() > 0 and 2 * moments.max() <= 1.001 * moments.sum()):
+        if not (mass > 0 and are_moments(moments)):
             odd.append(str(link.get("name")))
         if not moments.min() > 0:
             tensor.attrib |= dict.fromkeys(("ixy", "ixz", "iyz"), "0")
@@ -192,7 +192,7 @@ class _Reader:
             address = model.jnt_qposadr[model.body_jntadr[base]]
             data.qpos[address : address + 7] = [0, 0, 0, 1, 0, 0, 0]
         mujoco.mj_kinematics(model, data)
-        self.turn, chosen = self._forward(chains, base, forward)
+        self.turn, chosen = self._forward(chains, forward)
         legs = [self._leg(chain) for chain in chains]
         names = self._order(legs)
         centre, half = self._box(base)
@@ -259,7 +259,7 @@ class _Reader:
     def _joint_name(self, body: int) -> str:
         return str(self.model.joint(self._joint(body)).name)
 
-    def _forward(self, chains: list[list[int]], base: int, given: str | None) -> tuple[Array, str]:
+    def _forward(self, chains: list[list[int]], given: str | None) -> tuple[Array, str]:
         """Return the turn (3, 3) from the file's frame to one with x forward, and the direction that was chosen."""
         if given is None:
             hips = np.array([self.data.xanchor[self._joint(chain[0])] for chain in chains])
@@ -325,8 +325,8 @@ class _Reader:
                     rotor_inertia=float(model.dof_armature[dof]),
                 )
             )
-        foot, radius, how = self._foot(chain[-1], joints[-1].place)
-        return ImportedLeg(tuple(joints), tuple(self._body(body) for body in chain), foot, radius, how)
+        foot, radius = self._foot(chain[-1], joints[-1].place)
+        return ImportedLeg(tuple(joints), tuple(self._body(body) for body in chain), foot, radius)
 
     def _torque(self, joint: int) -> float | None:
         """Return the torque limit of a joint: its own, or its actuator's."""
@@ -342,26 +342,26 @@ class _Reader:
                     return gear * float(np.abs(model.actuator_ctrlrange[k]).max())
         return None
 
-    def _foot(self, body: int, knee: Array) -> tuple[Array, float, str]:
-        """Return centre [m] and radius [m] of a leg's foot, and how it was found."""
+    def _foot(self, body: int, knee: Array) -> tuple[Array, float]:
+        """Return centre [m] and radius [m] of a leg's foot."""
         model, data = self.model, self.data
         bodies = np.flatnonzero(self.group == body)
         geoms = [g for g in range(model.ngeom) if model.geom_bodyid[g] in bodies]
         spheres = [g for g in geoms if model.geom_type[g] == mujoco.mjtGeom.mjGEOM_SPHERE]
         if spheres:
             best = max(spheres, key=lambda g: float(np.linalg.norm(self._place(data.geom_xpos[g]) - knee)))
-            return self._place(data.geom_xpos[best]), float(model.geom_size[best, 0]), "a sphere of its last link"
+            return self._place(data.geom_xpos[best]), float(model.geom_size[best, 0])
         named = [b for b in bodies if _FOOT.search(model.body(int(b)).name)]
         if named:
             at = self._place(data.xpos[named[-1]])
-            return at, self._thickness(geoms, at), f"the frame of '{model.body(int(named[-1])).name}'"
+            return at, self._thickness(geoms, at)
         ends = [corner for g in geoms for corner in self._corners(g)]
         if not ends:
             raise self._fail(f"'{model.body(body).name}' has neither a shape nor a link for its foot; add one")
         lowest = max(ends, key=lambda point: float(np.linalg.norm(point - knee)))
         reach = np.array([lowest[0], np.mean([point[1] for point in ends]), lowest[2]])
         radius = self._thickness(geoms, reach)
-        return reach + np.array([0.0, 0.0, radius]), radius, "the far end of its last link's shapes"
+        return reach + np.array([0.0, 0.0, radius]), radius
 
     def _thickness(self, geoms: list[int], place: Array) -> float:
         """Return a radius [m] for a foot: half of the width of the shape that is nearest to it."""

@@ -13,12 +13,12 @@ from surefoot.errors import SurefootError, choices
 from surefoot.findings import Finding, judged
 from surefoot.robot import GRAVITY, RobotDescription
 from surefoot.robot.actuator import JointDriveData
+from surefoot.robot.rigid_body import are_moments
+from surefoot.robot.tree import PLACEHOLDER
 from surefoot.world.fused_urdf import fuse_urdf
 from surefoot.world.mujoco_model import build_model, foot_geoms, resting_qpos
 from surefoot.world.sim_world import SimWorld
 
-PLACEHOLDER = 5.0
-"""A torque limit over this many m g l is a placeholder."""
 STANDING_SHARE = 0.6
 """Share of a motor's torque that standing may take: a trot stands on half of the legs."""
 ALIKE = 0.02
@@ -44,7 +44,7 @@ def check_robot(robot: RobotDescription) -> Iterator[Finding]:
     except (SurefootError, KeyError) as error:
         yield Finding("feet", False, str(error), "give each foot's link one collision sphere")
         return
-    yield from _stand(robot)
+    yield from _stand(robot, model)
     yield from _dynamics(robot, model)
 
 
@@ -57,8 +57,7 @@ def _masses(robot: RobotDescription) -> Finding:
     odd = []
     bodies = fuse_urdf(robot.urdf).bodies
     for name, body in bodies.items():
-        moments = np.linalg.eigvalsh(body.inertia)
-        if not (moments.min() > 0 and 2 * moments.max() <= 1.001 * moments.sum()):
+        if not are_moments(np.linalg.eigvalsh(body.inertia)):
             odd.append(name)
     share = max(body.mass for body in bodies.values()) / robot.urdf.total_mass
     told = f"{robot.urdf.total_mass:.2f} kg, {share:.0%} in one body"
@@ -79,7 +78,8 @@ def _limits(robot: RobotDescription) -> Finding:
 
 def _sides(robot: RobotDescription) -> Finding:
     """Compare what is left with what is right of the middle plane."""
-    bodies, place = fuse_urdf(robot.urdf).bodies, fuse_urdf(robot.urdf).place
+    fused = fuse_urdf(robot.urdf)
+    bodies, place = fused.bodies, fused.place
     masses = {}
     for leg in robot.legs:
         chain = {place[robot.urdf.joints[name].child][0] for name in (*leg.motors, *leg.knees)}
@@ -99,14 +99,13 @@ def _sides(robot: RobotDescription) -> Finding:
     return judged("left and right", not differing, told, "", todo)
 
 
-def _stand(robot: RobotDescription) -> Iterator[Finding]:
+def _stand(robot: RobotDescription, model: mujoco.MjModel) -> Iterator[Finding]:
     todo = "choose another leg_space.rest, stiffer gains or the right masses"
     try:
         world = SimWorld(robot, 1)
     except SurefootError as error:
         yield Finding("stands", False, str(error), todo)
         return
-    model = build_model(robot)
     expected = float(resting_qpos(robot, model)[2])
     for _ in range(round(STAND_TIME / robot.timing.control_step)):
         world.step(world.resting_angles[None])
