@@ -9,6 +9,7 @@ import pytest
 
 from surefoot.configuration import to_mapping, write_yaml
 from surefoot.errors import SurefootError
+from surefoot.robot import RobotDescription
 from surefoot.task.config import TaskConfig, load_task, preset_names
 
 
@@ -119,3 +120,12 @@ def test_an_unknown_task_names_the_presets():
         SurefootError, match=r"'waltz' does not exist; choices: gallop, gallop-robust, scratch, trot.*of a YAML file"
     ):
         load_task("waltz")
+
+
+def test_beside_a_relative_reference_bounds_are_narrowed_to_what_legs_allow() -> None:
+    go2 = RobotDescription.load("go2")  # its legs reach .9 of their length; the reference .8, the feedback asks for .12
+    gait = load_task("trot", "go2")[0].gait(go2)
+    (lowest, highest) = gait.reference.extent()[-1]
+    assert gait.low[-1] == -0.12
+    assert highest + gait.high[-1] == pytest.approx(0.9)
+    assert lowest + gait.low[-1] >= 0.35

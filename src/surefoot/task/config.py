@@ -178,10 +178,20 @@ class TaskConfig:
         check_bounds(self)
 
     def gait(self, robot: RobotDescription) -> HybridGait:
-        """Return the gait: reference and bounds of the feedback, which the robot must allow."""
+        """Return the gait: reference and bounds of the feedback, which the robot must allow.
+
+        Beside a `relative` reference, which serves any robot, bounds are narrowed to what the legs allow.
+        """
         reference = make_reference(self.reference.to_mapping(), robot)
         names = ("joint",) if self.action == "joint" else robot.coordinates
-        return HybridGait(robot, reference, *self.feedback.of(names), action=self.action)
+        bounds = self.feedback.of(names)
+        if self.reference.relative and self.action == "leg":
+            spans = zip(bounds, reference.extent(), robot.leg_space.values(), strict=True)
+            bounds = [
+                (max(low, min(least - lowest, 0.0)), min(high, max(most - highest, 0.0)))
+                for (low, high), (lowest, highest), (least, most) in spans
+            ]
+        return HybridGait(robot, reference, *bounds, action=self.action)
 
     def nominal(self, robot: RobotDescription) -> PhysicalParams:
         """Return the physical parameters, which the robot must allow, without randomization, one row."""
