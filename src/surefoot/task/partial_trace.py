@@ -33,6 +33,8 @@ class Layout:
     """L"""
     observations: int
     """O"""
+    actions: int
+    """A"""
 
     @property
     def widths(self) -> dict[str, int]:
@@ -46,7 +48,7 @@ class Layout:
             "motor_velocity": self.motors,
             "motor_torque": self.motors,
             "observation": self.observations,
-            "feedback": 2 * self.legs,
+            "feedback": self.actions,
             "target": self.motors,
             "energy": 1,
         }
@@ -108,7 +110,8 @@ def recover(path: str | Path) -> EpisodeTrace:
         head = json.loads(line)
         if head["kind"] != _KIND:
             raise ValueError("of another kind")
-        layout = Layout(int(head["motors"]), int(head["legs"]), int(head["observations"]))
+        motors, legs, observations = (int(head[name]) for name in ("motors", "legs", "observations"))
+        layout = Layout(motors, legs, observations, int(head.get("actions", 2 * legs)))
         meta = dict(head["meta"])
     except (ValueError, KeyError, TypeError) as error:
         raise SurefootError(f"partial trace {path}: is not one: {' '.join(str(error).split())}") from error

@@ -57,8 +57,8 @@ class EpisodeTrace:
         motor_velocity: (T, M) rad/s.
         motor_torque: (T, M) N m at the end of the control step.
         observation: (T, O) what the policy was given, in the units of the policy's contract.
-        feedback: (T, 2L) rad, the policy's part of the action in leg space: swing of each leg, then
-            extension of each leg.
+        feedback: (T, A), the policy's part of the action: each coordinate of leg space in turn, of every leg (A = 2L
+            or 3L; rad, extension of serial legs in lengths of the straight leg), or an angle [rad] of every motor.
         target: (T, M) rad motor angles sent to the servos.
         energy: (T,) J, integral over the control step of |tau . qdot| at servo rate.
         foot_contact: (T, L) fraction of the control step's servo steps in which the foot touched, 0 to 1.
@@ -90,7 +90,7 @@ class EpisodeTrace:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "meta", _checked_meta(self.meta))
-        for name, shape in _shapes(np.size(self.time), self.meta).items():
+        for name, shape in _shapes(np.size(self.time), np.shape(self.feedback), self.meta).items():
             value = getattr(self, name)
             if name in ("foot_position_world", "true_motor_angle") and np.size(value) == 0:
                 value = np.full(shape, np.nan)
@@ -161,9 +161,10 @@ class EpisodeTrace:
             return cls(meta=meta, **arrays)
 
 
-def _shapes(steps: int, meta: dict[str, Any]) -> dict[str, tuple[int, ...]]:
-    """Return the shape of each array of a trace of `steps` control steps."""
+def _shapes(steps: int, feedback: tuple[int, ...], meta: dict[str, Any]) -> dict[str, tuple[int, ...]]:
+    """Return the shape of each array of a trace of `steps` control steps, whose `feedback` has that shape."""
     legs, motors = len(meta["leg_names"]), len(meta["motor_names"])
+    actions = feedback[-1] if feedback and feedback[-1] in (3 * legs, motors) else 2 * legs
     return {
         "time": (steps,),
         "base_position_world": (steps + 1, 3),
@@ -171,7 +172,7 @@ def _shapes(steps: int, meta: dict[str, Any]) -> dict[str, tuple[int, ...]]:
         **dict.fromkeys(("roll_pitch_yaw", "angular_velocity_base"), (steps, 3)),
         **dict.fromkeys(("motor_angle", "motor_velocity", "motor_torque", "target"), (steps, motors)),
         "observation": (steps, len(meta["observation_names"])),
-        "feedback": (steps, 2 * legs),
+        "feedback": (steps, actions),
         "energy": (steps,),
         "foot_contact": (steps, legs),
         "foot_position_world": (steps, legs, 3),

@@ -14,7 +14,7 @@ from surefoot.deploy.recording.run_saver import PartialFile, next_free
 from surefoot.errors import SurefootError
 from surefoot.task.partial_trace import Layout, recover, trace_of
 
-LAYOUT = Layout(motors=8, legs=4, observations=3)
+LAYOUT = Layout(motors=8, legs=4, observations=3, actions=8)
 STEP = 0.006
 META = {
     "robot": "minitaur",

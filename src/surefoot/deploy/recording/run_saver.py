@@ -139,7 +139,9 @@ class RunSaver:
     ) -> None:
         contract, robot = deployment.contract, deployment.robot
         self.path, self.connection, self._watch = path, deployment.connection, deployment.watch
-        layout = Layout(robot.num_motors, len(robot.legs), deployment.controller.observer.width)
+        controller = deployment.controller
+        actions = len(controller.contract.action_names)
+        layout = Layout(robot.num_motors, len(robot.legs), controller.observer.width, actions)
         self.recorder = Recorder(layout, contract.control_step, max_steps)
         handshake = self.connection.handshake
         self.meta: dict[str, Any] = {
