@@ -1,4 +1,4 @@
-"""`surefoot identify` as a user gives it, on emulated robots that are processes."""
+"""`surefoot identify` as a user gives it, on emulated robots."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from processes import SUREFOOT, Emulator, emulators, refused, surefoot
+from processes import SUREFOOT, EmulatorHere, emulators, refused, surefoot
 
 from surefoot.cli.identify_run import check_robot
 from surefoot.emulator.limits import Limits, introduction
@@ -105,10 +105,10 @@ def test_without_words_all_experiments_are_told():
 
 
 @pytest.fixture(scope="module")
-def hanging() -> Iterator[Emulator]:
+def hanging() -> Iterator[EmulatorHere]:
     """A robot on its rack that several tests use."""
     pytest.importorskip("mujoco")
-    with emulators() as start:
+    with emulators(EmulatorHere) as start:
         yield start("--lockstep", "--rack")
 
 
@@ -130,7 +130,9 @@ contact = EXPERIMENTS["contact"]
 
 def shorter(robot):
     plan = contact.plan(robot)
-    return replace(plan, phases=tuple(phase for phase in plan.phases if phase.name not in ("drop", "rock")))
+    lengths = {"drag": 3.0, "nod": 2.0}
+    kept = (phase for phase in plan.phases if phase.name not in ("drop", "rock"))
+    return replace(plan, phases=tuple(replace(p, duration=lengths.get(p.name, p.duration)) for p in kept))
 
 EXPERIMENTS["contact"] = replace(contact, plan=shorter)
 sys.exit(main(sys.argv[1:]))
@@ -138,7 +140,7 @@ sys.exit(main(sys.argv[1:]))
 
 
 def run_bare(*words: object) -> subprocess.CompletedProcess[str]:
-    """Run `surefoot identify` on a computer that has only the bare install; contact without phases that no fit uses."""
+    """Run `surefoot identify` on a computer that has only the bare install; contact without phases that no fit uses, and shorter."""
     command = [sys.executable, "-c", ON_THE_ROBOTS_COMPUTER, "identify", *map(str, words)]
     return subprocess.run(command, capture_output=True, text=True, timeout=200)
 
@@ -148,7 +150,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Recorded:
     """Folder of an experiment that was recorded on the robot's computer, and what was said."""
     pytest.importorskip("mujoco")
     folder = tmp_path_factory.mktemp("contact")
-    with emulators() as start:
+    with emulators(EmulatorHere) as start:
         port = start("--lockstep", "--set", "contact_friction=0.7").port
         words = ["contact", "--port", port, "--lockstep", "--yes", "--record-only", "--out", folder / "run"]
         return folder / "run", run_bare(*words)
@@ -226,7 +228,7 @@ def test_a_computer_that_can_not_fit_says_so_before_anything_moves(tmp_path: Pat
     assert not (tmp_path / "out").exists()
 
 
-def test_ctrl_c_ends_it_and_keeps_what_was_recorded(hanging: Emulator, tmp_path: Path):
+def test_ctrl_c_ends_it_and_keeps_what_was_recorded(hanging: EmulatorHere, tmp_path: Path):
     out = tmp_path / "out"
     phase = EXPERIMENTS["motor"].plan(RobotDescription.load("minitaur")).phases[3].name
     words = ["motor", "--port", hanging.port, "--lockstep", "--yes", "--out", out]
@@ -274,7 +276,7 @@ class Terminal(io.StringIO):
 
 @pytest.mark.parametrize(("answer", "code"), [("n\n", 2), ("\n", 2), ("yes\n", 0)])
 def test_a_terminal_is_asked(
-    hanging: Emulator, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, answer: str, code: int
+    hanging: EmulatorHere, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, answer: str, code: int
 ):
     latency = EXPERIMENTS["latency"]
     plan = latency.plan(RobotDescription.load("minitaur"))

@@ -7,7 +7,7 @@ from contextlib import suppress
 
 import numpy as np
 import pytest
-from processes import Emulator, emulators
+from processes import EmulatorHere, emulators
 
 from surefoot.deploy.connection import open_connection
 from surefoot.deploy.display import PlainLines
@@ -22,10 +22,10 @@ MIDDLE, REACH, DUTY = 1.7, 0.3, 0.2
 
 
 @pytest.fixture(scope="session")
-def healthy() -> Iterator[Emulator]:
+def healthy() -> Iterator[EmulatorHere]:
     """A robot on its rack that several tests use, one after another."""
     pytest.importorskip("mujoco")
-    with emulators() as start:
+    with emulators(EmulatorHere) as start:
         yield start("--lockstep", "--rack")
 
 
@@ -76,7 +76,7 @@ def record(run_on: Callable[..., Recording]) -> Callable[..., list[Recording]]:
 
     def recordings(params: dict[str, float], *plans: Plan) -> list[Recording]:
         words = ["--lockstep", "--ideal-sensors", *(["--rack"] if plans[0].rack else [])]
-        with emulators() as start:
+        with emulators(EmulatorHere) as start:
             port = start(*words, "--set", *(f"{name}={value}" for name, value in params.items())).port
             found = [run_on(port, plan) for plan in plans]
         assert all(recording.meta["ended"] == COMPLETE for recording in found)
@@ -86,6 +86,6 @@ def record(run_on: Callable[..., Recording]) -> Callable[..., list[Recording]]:
 
 
 @pytest.fixture(scope="session")
-def recorded(healthy: Emulator, make_plan: Callable[..., Plan], run_on: Callable[..., Recording]) -> Recording:
+def recorded(healthy: EmulatorHere, make_plan: Callable[..., Plan], run_on: Callable[..., Recording]) -> Recording:
     """What a healthy robot told in a whole experiment."""
     return run_on(healthy.port, make_plan())

@@ -1,4 +1,4 @@
-"""Experiments on emulated robots that are processes: what is recorded, and what ends them early."""
+"""Experiments on emulated robots: what is recorded, and what ends them early."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from processes import EmulatorHere, emulators
 
 from surefoot.deploy.connection import open_connection
 from surefoot.deploy.display import PlainLines
@@ -63,16 +64,17 @@ def test_a_whole_experiment(recorded: Recording, make_plan: MakePlan, robot: Rob
 
 
 def test_a_recording_is_the_same_every_time(emulate: Callable[..., Any], make_plan: MakePlan, run_on: RunOn):
-    """However long the robot's process takes to answer: one stands still until its answers are asked for again."""
+    """However long the robot takes to answer: one is a process that stands still for a while."""
     plan = make_plan()
     plan = replace(plan, phases=tuple(phase for phase in plan.phases if "sweep" not in phase.name))
-    first, second, slow = (emulate("--lockstep", "--rack") for _ in range(3))
+    slow = emulate("--lockstep", "--rack")
 
     def hold_up() -> None:
         slow.process.send_signal(signal.SIGSTOP)
         threading.Timer(0.3, slow.process.send_signal, [signal.SIGCONT]).start()
 
-    found = [run_on(first.port, plan), run_on(second.port, plan), run_on(slow.port, plan, Doing("push", hold_up))]
+    with emulators(EmulatorHere) as start:
+        found = [run_on(start("--lockstep", "--rack").port, plan), run_on(slow.port, plan, Doing("push", hold_up))]
     assert len({len(one.time) for one in found}) == 1
     assert len({one.meta["digest"] for one in found}) == 1
     assert all(one.meta["mode_changes"] == found[0].meta["mode_changes"] for one in found)
