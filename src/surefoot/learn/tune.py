@@ -13,7 +13,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Annotated, Any, Literal
 
-import cma
 import numpy as np
 
 from surefoot.arrays import Array
@@ -200,6 +199,9 @@ class Tuner:
         inside = np.clip((np.array(list(self.best.values())) - self._low) / self._width, 0.02, 0.98)
         seed = int(generator(config.seed, "tune").integers(1, 2**31))
         options = {"bounds": [0, 1], "popsize": config.population, "seed": seed, "verbose": -9}
+        # It takes seconds, for SciPy's statistics and Matplotlib; what a user gets wrong is told before.
+        import cma
+
         self._search = cma.CMAEvolutionStrategy(inside, config.sigma, options)
         task, count = self.gait().task, config.population * config.starts
         steps = round(config.seconds / float(task.nominal(self.robot).control_step[0]))
