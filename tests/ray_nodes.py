@@ -34,6 +34,7 @@ class Node:
 
     def __init__(self, log: Path, *words: str, cpus: int = 1) -> None:
         command = [sys.executable, "-m", "ray.scripts.scripts", "start", "--block", *words, "--num-cpus", str(cpus)]
+        command += ["--include-log-monitor", "false"]
         with log.open("wb") as said:
             self._process = subprocess.Popen(
                 [*command, "--object-store-memory", str(80 << 20)], stdout=said, stderr=said, start_new_session=True
@@ -62,8 +63,9 @@ class Cluster:
         self._folder, port = folder, free_port()
         self.address, self.nodes = f"127.0.0.1:{port}", list[Node]()
         head = ("--head", "--node-ip-address", "127.0.0.1", "--port", str(port))
-        ports = ("--ray-client-server-port", str(free_port()), "--include-dashboard", "false")
-        self._start(*head, *ports, cpus=cpus)
+        # Without its processes that nobody asks here: they take seconds to start.
+        without = ("--no-monitor", "--ray-client-server-port", str(free_port()), "--include-dashboard", "false")
+        self._start(*head, *without, cpus=cpus)
 
     def _start(self, *words: str, cpus: int) -> Node:
         self.nodes.append(Node(self._folder / f"node_{len(self.nodes)}.log", *words, cpus=cpus))
