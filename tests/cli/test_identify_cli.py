@@ -140,7 +140,7 @@ sys.exit(main(sys.argv[1:]))
 
 
 def run_bare(*words: object) -> subprocess.CompletedProcess[str]:
-    """Run `surefoot identify` on a computer that has only the bare install; contact without phases that no fit uses, and shorter."""
+    """Run `surefoot identify` with the bare install only; contact is shorter and without phases that no fit uses."""
     command = [sys.executable, "-c", ON_THE_ROBOTS_COMPUTER, "identify", *map(str, words)]
     return subprocess.run(command, capture_output=True, text=True, timeout=200)
 

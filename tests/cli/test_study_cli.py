@@ -15,6 +15,7 @@ from pathlib import Path
 import pytest
 from processes import SUREFOOT, refused, surefoot
 
+from surefoot.learn.training import Training
 from surefoot.policy.runtime import PolicyRuntime
 from surefoot.task.trace import EpisodeTrace
 
@@ -31,6 +32,7 @@ groups:
 evaluate: [sensitivity, table1]
 """
 STEPS = 20480
+BROKEN = TINY.replace("evaluate:", "  broken: {train: {task: {randomize: none}}}\nevaluate:")
 
 
 def start(cwd: Path, *words: str) -> subprocess.Popen[str]:
@@ -51,7 +53,7 @@ def updates(folder: Path, group: str) -> int:
 
 
 def worker(folder: Path, group: str) -> int:
-    return int((folder / "runs" / "tiny" / group / "seed_0" / "lock").read_text())
+    return int((folder / "runs" / "tiny" / group / "seed_0" / "lock").read_text() or 0)
 
 
 def alive(pid: int) -> bool:
@@ -77,48 +79,36 @@ def test_a_study_goes_on_after_whatever_stops_it(tmp_path: Path) -> None:
     wait(lambda: not any(map(alive, workers)))
     done = {group: updates(tmp_path, group) for group in groups}
 
-    # It goes on from the last checkpoints; Ctrl-C saves.
+    # It goes on from the last checkpoints. A worker that dies is replaced, and passes the same places again.
     process = start(tmp_path)
     wait(lambda: all(updates(tmp_path, group) >= done[group] + 2 for group in groups))
+    os.kill(first := worker(tmp_path, "drawn"), signal.SIGKILL)
+    wait(lambda: worker(tmp_path, "drawn") != first)
+    again = updates(tmp_path, "drawn")
+    wait(lambda: updates(tmp_path, "drawn") >= again + 2)
+
+    # Ctrl-C saves.
     process.send_signal(signal.SIGINT)
     shown, errors = process.communicate(timeout=300)
     assert process.returncode == 130, errors
+    assert re.search(r"drawn +seed 0 +lost ", shown)
+    assert re.search(r"drawn +seed 0 +stopped ", shown)
     assert "The same command goes on" in shown
     assert errors == ""
-    done = {group: updates(tmp_path, group) for group in groups}
     assert all((tmp_path / "runs/tiny" / g / "seed_0/checkpoints/latest.ckpt").exists() for g in groups)
 
-    # One training can't begin; the other is finished and reported.
-    place, kept = tmp_path / "runs/tiny/drawn/seed_0", tmp_path / "kept"
-    place.rename(kept)
+    # One training can't begin; the others are finished and reported.
+    (tmp_path / "tiny.yaml").write_text(BROKEN)
+    place = tmp_path / "runs/tiny/broken/seed_0"
+    place.parent.mkdir()
     place.write_text("a file where a folder must be")
-    result = surefoot("study", "tiny.yaml", "--workers", "1", cwd=tmp_path)
-    assert result.returncode == 1
-    assert result.stderr == "surefoot: error: drawn seed 0: runs/tiny/drawn/seed_0: can't be made: File exists\n"
-    assert "Not in the report: drawn seed 0" in result.stdout
-    assert re.search(rf"plain +seed 0 +finished +{STEPS:,} of {STEPS:,} steps", result.stdout)
-    place.unlink()
-    kept.rename(place)
-
-    # A worker that dies is replaced, and goes on from the last checkpoint: it passes the same places again.
-    process = start(tmp_path)
-    wait(lambda: updates(tmp_path, "drawn") >= done["drawn"] + 2)
-    os.kill(worker(tmp_path, "drawn"), signal.SIGKILL)
-    shown, errors = process.communicate(timeout=500)
-    assert process.returncode == 0, errors
-    assert errors == ""
-    assert re.search(r"drawn +seed 0 +lost ", shown)
-    assert re.search(rf"drawn +seed 0 +finished +{STEPS:,} of {STEPS:,} steps", shown)
-    check_log(tmp_path)
-
     result = surefoot("study", "tiny.yaml", "--workers", "2", cwd=tmp_path)
-    assert result.returncode == 0, result.stderr
-    assert "all 2 trainings are finished" in result.stdout
+    assert result.returncode == 1
+    assert result.stderr == "surefoot: error: broken seed 0: runs/tiny/broken/seed_0: can't be made: File exists\n"
+    assert "Not in the report: broken seed 0" in result.stdout
+    assert re.search(rf"drawn +seed 0 +finished +{STEPS:,} of {STEPS:,} steps", result.stdout)
+    check_log(tmp_path)
     check_results(tmp_path / "results" / "tiny")
-    before = (tmp_path / "results/tiny/policies.csv").read_text()
-    result = surefoot("study", "tiny.yaml", cwd=tmp_path)
-    assert "evaluating" not in result.stdout
-    assert (tmp_path / "results/tiny/policies.csv").read_text() == before
 
     (tmp_path / "tiny.yaml").write_text(TINY.replace("max_steps: 40", "max_steps: 41"))
     refused(
@@ -144,7 +134,7 @@ def check_results(out: Path) -> None:
         assert 0 <= float(row["table1_falls"]) <= 100
         assert float(row["sensitivity_std"]) > 0
     summary = json.loads((out / "summary.json").read_text())
-    assert summary["missing"] == []
+    assert summary["missing"] == ["broken seed 0"]
     assert {row["group"]: row["low"] for row in summary["groups"]} == {"plain": None, "drawn": None}
     report = (out / "README.md").read_text()
     assert "surefoot study tiny.yaml --workers 2" in report
@@ -175,11 +165,22 @@ def test_a_study_of_the_reality_gap(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Training, runs in two worlds and the report; MuJoCo stands in for the other world."""
-    from surefoot.cli import study_results
+    from surefoot.cli import study, study_results
     from surefoot.cli.main import main
+    from surefoot.learn.workers import Outcome, Worker
     from surefoot.world.sim_world import SimWorld
 
+    def train_here(title: str, trainings: list[Training], *_: object) -> Outcome:
+        """Train as a worker does, without Ray."""
+        for training in trainings:
+            trainer = Worker(lambda _: SimWorld, ".")
+            told = trainer.begin(training)
+            while not told.finished:
+                told = trainer.advance()
+        return Outcome([training.name for training in trainings])
+
     (tmp_path / "gaps.yaml").write_text(GAP)
+    monkeypatch.setattr(study, "train_many", train_here)
     monkeypatch.chdir(tmp_path)
     asked: list[str] = []
 
@@ -205,6 +206,7 @@ def test_a_study_of_the_reality_gap(
     report = (out / "README.md").read_text()
     assert "In the paper: the baseline had the larger gap." in report
     assert report.count("| improved, at last | baseline |") == 2
+    assert json.loads((out / "summary.json").read_text())["missing"] == []
     assert sorted(path.name for path in out.iterdir()) == sorted(
         [
             *("README.md", "summary.json", "policies.csv", "groups.csv", "differences.csv", "episodes.csv"),
