@@ -49,6 +49,9 @@ class DeployCommand:
     dry_run: bool = False
     """Do everything but arm the robot: states are read and commands computed, none is sent."""
     json: Json = False
+    commands: str | None = None
+    """What steers a policy with commands: a file (CSV: time, forward, sideways, yaw_rate), keyboard, gamepad, or the
+    number of a UDP port on this computer; without it such a robot stands."""
     motion_capture: Path | None = None
     """Motion capture of the run (.csv), with times on the robot's clock; read when a run is over."""
     world_name: str = "robot"
@@ -63,6 +66,7 @@ def main(argv: list[str]) -> int:
     check_folder(command.out)
     from surefoot.cli.policies import find_policy
     from surefoot.deploy.checks import check_contract
+    from surefoot.deploy.commands import open_commands
     from surefoot.deploy.connection import open_connection
     from surefoot.deploy.controller import Controller
     from surefoot.deploy.deployment import Deployment
@@ -88,7 +92,13 @@ def main(argv: list[str]) -> int:
         title = f"{contract.name} on {robot.name}, {command.port}" + (", dry run" if command.dry_run else "")
         watch = LiveDisplay(title) if sys.stderr.isatty() else PlainLines()
         stack.callback(watch.close)
-        deployment = Deployment(connection, controller, stop, watch, dry_run=command.dry_run)
+        commands = None
+        if command.commands is not None:
+            if contract.commands is None:
+                raise SurefootError(f"--commands is given; policy '{contract.name}' has no commands to follow")
+            commands = open_commands(command.commands, contract.commands)
+            stack.callback(commands.close)
+        deployment = Deployment(connection, controller, stop, watch, dry_run=command.dry_run, commands=commands)
         stack.callback(deployment.close)
         if not command.lockstep:
             stack.enter_context(undisturbed())

@@ -13,6 +13,7 @@ from surefoot.cli.options import Count, Json, Threads, make_figures_folder
 from surefoot.cli.parsing import parse
 from surefoot.cli.simulator import GivenRanges, RunOptions, take_ranges
 from surefoot.errors import SurefootError
+from surefoot.robot.commands import COMMANDS
 
 if TYPE_CHECKING:
     from surefoot.robot import RobotDescription
@@ -84,6 +85,7 @@ def _simulated(
     task = adjust_task(
         *(task, robot, command.settings, command.pushes),
         *(command.thermal_protection, ranges, command.simulator, command.push_force),
+        commands=command.commands,
     )
     make_figures_folder(command.out)
     title = f"{command.episodes} episodes"
@@ -151,6 +153,16 @@ def print_summaries(summaries: dict[str, dict[str, Any]]) -> None:
     print_table([{"": measure} | {name: texts[measure] for name, texts in columns.items()} for measure in measures])
 
 
+def _tracking_texts(summary: dict[str, Any]) -> dict[str, str]:
+    """Return the errors of following commands as text, where there were commands."""
+    texts = {}
+    for key, label in (("rmse", "RMSE"), ("rmse_stride", "RMSE over strides")):
+        if key in summary:
+            parts = [f"{'-' if x is None else format(x, '.3f')} {COMMANDS[name]}" for name, x in summary[key].items()]
+            texts[f"{label}: {', '.join(COMMANDS).replace('_', ' ')}"] = ", ".join(parts)
+    return texts
+
+
 def _summary_texts(summary: dict[str, Any]) -> dict[str, str]:
     """Return the figures of an evaluation as text, by what they measure."""
 
@@ -174,6 +186,7 @@ def _summary_texts(summary: dict[str, Any]) -> dict[str, str]:
         "distance": text("distance_mean", "m"),
         "drift": text("drift_mean", "m"),
         "cost of transport": text("cost_of_transport_mean", ""),
+        **_tracking_texts(summary),
         # Without any duty factor nothing is known of the feet.
         "gait": summary["gait"] if any(value is not None for value in duty.values()) else "-",
     }

@@ -39,7 +39,7 @@ def main(argv: list[str]) -> int:
     find_world(command.world)
     policy, robot, task, known = load_gait(path, command.robot)
     given = (task, robot, command.settings, command.pushes)
-    task = adjust_task(*given, simulator=command.simulator, push_force=command.push_force)
+    task = adjust_task(*given, simulator=command.simulator, push_force=command.push_force, commands=command.commands)
     task = lasting(task, robot, command.seconds)
     window = command.out is None and has_display()
     # Imported before anything is simulated: what is not installed is told at once.

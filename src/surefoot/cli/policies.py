@@ -22,6 +22,7 @@ from surefoot.errors import SurefootError, choices
 from surefoot.policy.contract import Contract, check_robot, config_hash
 from surefoot.policy.runtime import PolicyRuntime
 from surefoot.robot import RobotDescription, parse_settings
+from surefoot.task.commands import read_schedule
 from surefoot.task.config import TaskConfig
 from surefoot.task.handcrafted import HandcraftedGait
 from surefoot.task.randomize import RandomizeConfig, check_ranges
@@ -187,6 +188,7 @@ def adjust_task(
     randomize: RandomizeConfig | None = None,
     simulator: Simulator | None = None,
     push_force: tuple[float, float] | None = None,
+    commands: Path | None = None,
 ) -> TaskConfig:
     """Return the task with another simulator, parameters, pushes and randomization.
 
@@ -199,6 +201,7 @@ def adjust_task(
         randomize: ranges that every episode draws from, whatever the task says; none, if not given.
         simulator: actuator, latencies and file of parameters; the task's, if not given.
         push_force: least and greatest force [N] of pushes in horizontal directions, in place of the task's.
+        commands: file of commands over time, in place of drawn ones.
 
     Raises:
         SurefootError: no such parameter, a value that the robot does not allow, or what does not go together.
@@ -209,7 +212,12 @@ def adjust_task(
     task.nominal(robot)  # refuses parameters that the robot does not allow
     ranges = randomize or RandomizeConfig()
     check_ranges(ranges, robot)
-    return replace(task, randomize=ranges, pushes=task.pushes.in_full(pushes, push_force))
+    told = replace(task.commands, ramp=0)
+    if commands is not None:
+        if not task.commands.enabled:
+            raise SurefootError(f"--commands is given; task '{task.name}' has no commands to follow")
+        told = replace(told, schedule=read_schedule(commands))
+    return replace(task, randomize=ranges, pushes=task.pushes.in_full(pushes, push_force), commands=told)
 
 
 def lasting(task: TaskConfig, robot: RobotDescription, duration: float) -> TaskConfig:

@@ -103,6 +103,9 @@ class RunOptions:
     """Another simulator than the policy's own."""
     robot: str | None = None
     """Name or folder of the robot; the one of the policy's task, if not given."""
+    commands: Path | None = None
+    """What steers a policy with commands: a file (CSV: time, forward, sideways, yaw_rate [s, m/s, rad/s]); commands are
+    drawn as in its training, if not given."""
 
 
 def ranges_help() -> str:

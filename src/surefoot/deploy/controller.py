@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from surefoot.arrays import Array
 from surefoot.deploy.safety import check_finite
@@ -14,6 +14,8 @@ from surefoot.errors import SurefootError, choices
 from surefoot.policy.contract import Contract
 from surefoot.policy.runtime import PolicyRuntime
 from surefoot.robot import RobotDescription
+from surefoot.robot.commands import STAND
+from surefoot.task.commands import CommandFilter, CommandState
 from surefoot.task.gait import ActionKind, HybridGait
 from surefoot.task.observation import Moment, Observer
 from surefoot.task.reference import make_reference
@@ -41,7 +43,7 @@ def contract_gait(contract: Contract, robot: RobotDescription) -> HybridGait:
             raise SurefootError(f"policy '{contract.name}' has no action of {part}; {robot.name} has it")
     low, high = np.array(contract.low), np.array(contract.high)
     bounds = [(float(low[found].min()), float(high[found].max())) for found in places.values()]
-    reference = make_reference(contract.reference, robot)
+    reference = make_reference(contract.reference, robot, contract.commands)
     return HybridGait(robot, reference, *bounds, action="joint" if joint else "leg")
 
 
@@ -71,11 +73,31 @@ class Controller:
         self.inference = 0.0
         """How long the policy took for it [s]."""
         self._history: NDArray[np.float32] | None = None
+        limits = contract.commands
+        self.commands = None if limits is None else CommandFilter.of(self.gait.reference, limits, robot, 1)
+        """What the gait follows, of a policy with commands."""
+        self.given = np.array(STAND)
+        """The command (3,) that is given, within the contract's limits: speeds [m/s], yaw rate [rad/s]."""
 
     def reset(self) -> None:
-        """Start a new episode."""
+        """Start a new episode; the robot is told to stand."""
         self.feedback = np.zeros_like(self.feedback)
+        self.given = np.array(STAND)
         self._history = None
+
+    def give(self, command: ArrayLike) -> str:
+        """Set the command (3,) to follow from the next control step on; returns what was out of range, in words.
+
+        Raises:
+            SurefootError: a policy without commands, or not three finite numbers.
+        """
+        if self.contract.commands is None:
+            raise SurefootError(f"policy '{self.contract.name}' has no commands; it goes as it was trained to")
+        self.given, changed = self.contract.commands.clamped(command)
+        return changed
+
+    def _state(self) -> CommandState | None:
+        return None if self.commands is None else self.commands.state
 
     def observe(self, moment: float, state: State, missed: int = 0) -> NDArray[np.float32]:
         """What the policy is given (1, O * history), the newest observation first.
@@ -95,7 +117,15 @@ class Controller:
             motor_angle=state.motor_angle[None],
             motor_velocity=state.motor_velocity[None],
         )
-        self.observation = self.observer.observe(Moment(readings, self.gait.reference, self.feedback[None]))[0]
+        if self.commands is not None:
+            yaw = readings.roll_pitch_yaw[:, 2]
+            if self._history is None:
+                self.commands.reset(np.arange(1), yaw)
+            else:
+                step = np.array([self.contract.control_step * (missed + 1)])
+                self.commands.advance(self.given[None], step, yaw)
+        moment_now = Moment(readings, self.gait.reference, self.feedback[None], self._state())
+        self.observation = self.observer.observe(moment_now)[0]
         check_finite("observation", self.contract.columns, self.observation)
         if self._history is None:
             self._history = np.tile(self.observation, (self.contract.history, 1)).astype(np.float32)
@@ -115,6 +145,6 @@ class Controller:
         self.feedback = np.asarray(self.policy.feedback(observation), float)[0]
         self.inference = time.perf_counter() - started
         check_finite("feedback", self.contract.action_names, self.feedback)
-        self.target = self.gait.motor_targets(np.array([moment]), self.feedback[None])[0]
+        self.target = self.gait.motor_targets(np.array([moment]), self.feedback[None], self._state())[0]
         check_finite("target", self.robot.motor_names, self.target)
         return self.target

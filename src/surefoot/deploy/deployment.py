@@ -8,6 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from surefoot.arrays import Array
+from surefoot.deploy.commands import CommandSource
 from surefoot.deploy.connection import RobotConnection
 from surefoot.deploy.controller import Controller
 from surefoot.deploy.link import LinkLostError
@@ -51,6 +52,7 @@ class Deployment:
         operator: may ask to stop.
         watch: is told how it goes.
         dry_run: compute everything, and neither arm nor send.
+        commands: what steers it, of a policy with commands; without it the robot stands.
     """
 
     def __init__(
@@ -60,7 +62,9 @@ class Deployment:
         operator: StopSignals,
         watch: Watch,
         dry_run: bool = False,
+        commands: CommandSource | None = None,
     ) -> None:
+        self.commands = commands
         self.connection, self.controller, self.operator, self.watch = connection, controller, operator, watch
         self.contract, self.robot = controller.contract, controller.robot
         self.limits, self.dry_run = SafetyLimits.of(self.robot), dry_run
@@ -171,7 +175,15 @@ class Deployment:
         controller, step = self.controller, self.contract.control_step
         controller.reset()
 
+        said = ""
+
         def compute(k: int, state: State, missed: int) -> Array:
+            nonlocal said
+            if self.commands is not None:
+                changed = controller.give(self.commands.read(k * step))
+                if changed and not said:
+                    self.watch.warn(f"command out of range: {changed}")
+                said = changed
             target = controller.command(k * step, controller.observe(k * step, state, missed))
             loop.inference = controller.inference
             return target
@@ -184,7 +196,7 @@ class Deployment:
             if len(rows):
                 keep(rows)
             if computed:
-                recorder.open(controller.observation, controller.feedback, controller.target)
+                recorder.open(controller.observation, controller.feedback, controller.target, controller.given)
 
         return loop.follow("run", recorder.max_steps, compute, after)
 

@@ -98,6 +98,13 @@ class _Recorder:
         self.env = env
         self.position, self.quat = [env.truth.base_position_world.copy()], [env.truth.base_quat_world.copy()]
         self.steps: list[dict[str, Array]] = []
+        self.command = np.full((env.num_envs, 3), np.nan)
+        self.begin()
+
+    def begin(self) -> None:
+        """Keep the commands of the control step that begins."""
+        if self.env.source is not None:
+            self.command = self.env.source.command.copy()
 
     def record(self, time: Array, observation: NDArray[np.float32]) -> None:
         """Keep the control step that just ended; `time` (N,) [s] and `observation` are of its start."""
@@ -114,13 +121,15 @@ class _Recorder:
                 "motor_torque": truth.motor_torque,
                 "observation": observation[:, : env.observer.width].astype(float),
                 "feedback": env.feedback.copy(),
-                "target": env.gait.motor_targets(time, env.feedback),
+                "target": env.target,
                 "energy": truth.energy,
                 "foot_contact": truth.foot_contact,
                 "foot_position_world": env.world.foot_positions(),
                 "true_motor_angle": truth.motor_angle,
+                "command": self.command,
             }
         )
+        self.begin()
 
     def trace(self, robot: int, steps: int, meta: dict[str, Any]) -> EpisodeTrace:
         if steps < 1:
@@ -186,6 +195,7 @@ def run_episodes(
         "motor_names": list(env.robot.motor_names),
         "observation_names": list(env.observer.columns),
         "energy_weight": task.energy_weight,
+        "gait_period": env.gait.reference.period,
         "max_steps": task.max_steps,
         "params_source": task.params_source,
     }

@@ -19,6 +19,7 @@ from surefoot.arrays import Array
 from surefoot.errors import SurefootError, choices
 from surefoot.evaluate.footfalls import Footfalls, analyze_footfalls, circular_phase
 from surefoot.evaluate.statistics import decimal
+from surefoot.evaluate.tracking import STRIDE, Tracking
 from surefoot.robot import GRAVITY
 from surefoot.tables import plain_value
 from surefoot.task.trace import EpisodeTrace
@@ -171,8 +172,8 @@ def summarize(traces: Iterable[EpisodeTrace], total_mass: float) -> dict[str, An
     Returns:
         a dict that JSON can hold (None where nothing is known): episodes, falls, steps_mean, distance_mean
         (m), speed_mean and speed_std (m/s), power_mean (W), return_mean, return_std, drift_mean (m to either side),
-        cost_of_transport_mean (of episodes that went forward), gait, and by leg name duty_factor, phases (strides
-        after front_left) and stance (s), world, policy.
+        cost_of_transport_mean (of episodes that went forward), with commands rmse and rmse_stride by command, gait,
+        and by leg name duty_factor, phases (strides after front_left) and stance (s), world, policy.
 
     Raises:
         SurefootError: no episodes, episodes of several worlds or policies, or no mass.
@@ -205,7 +206,16 @@ def summarize(traces: Iterable[EpisodeTrace], total_mass: float) -> dict[str, An
         "stance": _by_leg(chosen, "stance"),
         "world": runs.world,
         "policy": policy,
+        **_tracking(episodes),
     }
+
+
+def _tracking(traces: Sequence[EpisodeTrace]) -> dict[str, Any]:
+    """Return how well commands were followed, of runs that had any."""
+    told = [trace for trace in traces if np.isfinite(trace.command).any()]
+    if not told:
+        return {}
+    return Tracking.of_traces(told, float(told[0].meta["gait_period"] or STRIDE)).to_mapping()
 
 
 def _known(values: ArrayLike, measure: Any = np.mean) -> float | None:

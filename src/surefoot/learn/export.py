@@ -56,6 +56,7 @@ def make_contract(
         task=to_mapping(env.task),
         config_hash=config_hash(to_mapping(config)),
         figures=dict(figures or {}),
+        commands=env.task.commands.limits(robot),
         version=__version__,
         created=created,
     )

@@ -49,6 +49,7 @@ def evaluate_policy(trainer: Trainer, make_world: SimulationFactory, episodes: i
     ruled = config.task if weight is None else replace(config.task, energy_weight=weight)
     for pushed in (False, True) if config.task.pushes.enabled else (False,):
         task = replace(ruled, pushes=replace(config.task.pushes, enabled=pushed, ramp=0))
+        task = replace(task, commands=replace(task.commands, ramp=0))
         env = LocomotionEnv(task, episodes, make_world, EVALUATION_SEED + config.seed, False, config.threads)
         found.append(run_to_end(trainer.act, env, env.reset()[0]))
     runs, falls = found[0], [int((~one.balanced).sum()) for one in found]

@@ -16,9 +16,13 @@ from tensordict import TensorDict
 
 from surefoot.errors import SurefootError
 from surefoot.robot import RobotDescription, SerialLegs
+from surefoot.task.commands import CommandState
 from surefoot.task.env import LocomotionEnv
 
-_FLIPPED = ("roll", "roll_rate", "yaw", "velocity_y", "push_y", "imu_bias.roll")
+_FLIPPED = (
+    *("roll", "roll_rate", "yaw", "yaw_rate", "velocity_y", "push_y", "imu_bias.roll"),
+    *("command_sideways", "command_yaw_rate", "heading_error"),
+)
 """Columns that change their sign in the mirror; all others keep it."""
 _OF_ANGLES = ("angle", "speed", "joint", "last_joint")
 """What columns of motors are called that have the sign of the motor's angle."""
@@ -93,8 +97,14 @@ def reference_shift(env: LocomotionEnv) -> bool:
     period = reference.period or 1.0
     times = np.linspace(0, period, 64, endpoint=False)
     source, _ = mirror_columns(legs)
+    command = np.zeros((64, 3))
+    if env.commands is not None:
+        shares = np.linspace(0, 1, 64)[:, None] * [1, 2, 3] % 1.0
+        command = env.commands.limits.low + shares * (env.commands.limits.high - env.commands.limits.low)
     for half in (False, True):
-        here, there = reference.pose(times), reference.pose(times + half * period / 2)
+        later, cycles = times + half * period / 2, times / period
+        here = reference.pose(times, CommandState(command, np.ones(64), cycles))
+        there = reference.pose(later, CommandState(command * [1, -1, -1], np.ones(64), later / period))
         if np.allclose(here[..., source], there, atol=1e-4):
             return half
     raise SurefootError(

@@ -14,6 +14,7 @@ import numpy as np
 from surefoot.configuration import from_mapping, to_mapping
 from surefoot.errors import SurefootError, choices
 from surefoot.robot import RobotDescription
+from surefoot.robot.commands import CommandLimits
 
 KIND = "surefoot-policy"
 SCHEMA = 1
@@ -94,6 +95,8 @@ class Contract:
     """SHA-256 of the whole configuration, as `config_hash` makes it."""
     figures: dict[str, Any] = field(default_factory=dict)
     """Figures of the run that made the policy."""
+    commands: CommandLimits | None = None
+    """Speeds and yaw rates that it can be told to follow, and what means stand; None: it is not steered."""
     version: str = ""
     """Version of surefoot that wrote it."""
     created: str = ""

@@ -56,6 +56,12 @@ class Legs(Protocol):
     def foot_position(self, angles: ArrayLike) -> Array:
         """Return the feet (..., L, 3) [m] from the legs' mounts, in the base frame."""
 
+    def foot_pose(self, foot: ArrayLike) -> Array:
+        """Return the poses (..., C, L) that bring feet to (..., L, 3) [m] from the legs' mounts; NaN out of reach.
+
+        A leg without abduction stays in its plane, whatever y.
+        """
+
     def jacobian(self, angles: ArrayLike) -> Array:
         """Return the derivatives (..., L, 3, m) [m/rad] of `foot_position` by the motor angles."""
 
@@ -146,6 +152,10 @@ class FiveBar:
         """Return the position (..., 3) [m] of the foot's end from the leg's mount, in the base frame."""
         foot = self.foot_in_plane(angles)
         return np.stack([foot[..., 0], np.zeros_like(foot[..., 0]), foot[..., 1]], -1)
+
+    def foot_pose(self, foot: ArrayLike) -> Array:
+        """Return the poses (..., 2, L) [rad] that bring feet to (..., L, 3) [m] from the legs' mounts, y left out."""
+        return np.stack(self.plane_pose(np.asarray(foot, float)[..., ::2]), axis=-2)
 
     def jacobian(self, angles: ArrayLike) -> Array:
         """Return the derivatives (..., 3, 2) [m/rad] of `foot_position`: the lower links keep their lengths.

@@ -123,6 +123,22 @@ class SerialLegs:
         cos, sin = np.cos(abduction), np.sin(abduction)
         return np.stack([plane[..., 0], cos * y - sin * z, sin * y + cos * z], axis=-1)
 
+    def foot_pose(self, foot: ArrayLike) -> Array:
+        """Return the poses (..., C, L) that bring feet to (..., L, 3) [m] from the legs' mounts, below the mounts.
+
+        A leg without abduction stays in its plane, whatever y. NaN out of reach.
+        """
+        place = np.asarray(foot, float)
+        x, y, z = place[..., 0], place[..., 1], place[..., 2]
+        if not self.abducts:
+            return np.stack(self.plane_pose(np.stack([x, z - self.hip[:, 1]], -1)), axis=-2)
+        aside = self.hip[:, 0]
+        with np.errstate(invalid="ignore"):
+            below = -np.sqrt(y**2 + z**2 - aside**2)
+        turned = np.arctan2(z, y) - np.arctan2(below, aside)
+        abduction = (turned + np.pi) % (2 * np.pi) - np.pi
+        return np.stack([self.side * abduction, *self.plane_pose(np.stack([x, below - self.hip[:, 1]], -1))], axis=-2)
+
     def jacobian(self, angles: ArrayLike) -> Array:
         """Return the derivatives (..., L, 3, m) [m/rad] of `foot_position` by the motor angles."""
         abduction, upper, beta = self._joints(angles)

@@ -12,11 +12,13 @@ from surefoot.configuration import Within, check_bounds, from_mapping, is_number
 from surefoot.errors import SurefootError, check_name, choices, located, quoted
 from surefoot.robot import DEFAULT_ROBOT, PhysicalParams, RobotDescription
 from surefoot.robot.params_file import ParamValue
+from surefoot.task.commands import CommandConfig
 from surefoot.task.gait import ActionKind, HybridGait
 from surefoot.task.observation import IMU_AND_MOTORS_12D
 from surefoot.task.pushes import PushConfig
 from surefoot.task.randomize import RandomizeConfig, with_ranges
 from surefoot.task.reference import make_reference
+from surefoot.task.reward import check_terms
 from surefoot.task.trace import ENERGY_WEIGHT
 
 _PRESETS = Path(__file__).parent / "presets"
@@ -67,9 +69,9 @@ class FootConfig:
 class ReferenceConfig:
     """The open loop part of the gait."""
 
-    kind: Literal["none", "sine", "table", "foot"] = "none"
+    kind: Literal["none", "sine", "table", "foot", "follow"] = "none"
     """none: zero at all times; sine: `swing` and `extension`; table: poses out of `file`, every `period`;
-    foot: paths of the feet, `foot`."""
+    foot: paths of the feet, `foot`; follow: the same with strides that follow the task's commands."""
     abduction: WaveConfig = field(default_factory=WaveConfig)
     """Abduction of the legs, for kind sine; of robots that have it."""
     swing: WaveConfig = field(default_factory=WaveConfig)
@@ -82,6 +84,10 @@ class ReferenceConfig:
     """Time [s] in which the table is gone through once."""
     foot: FootConfig = field(default_factory=FootConfig)
     """Paths of the feet, for kind foot."""
+    stride_gain: float = 1.15
+    """Stride over that of a foot that does not slip, for kind follow; `foot.stroke` is the longest."""
+    frequency_rise: float = 0.0
+    """Frequency gained at the longest stride, over the frequency on the spot, for kind follow."""
     relative: bool = False
     """Lengths of `foot` count lengths l of the straight leg, its frequency natural frequencies sqrt(g / l) / 2 pi."""
     rows: dict[str, dict[str, tuple[float, ...]]] | None = None
@@ -94,8 +100,10 @@ class ReferenceConfig:
         if self.kind == "sine":
             aside = {} if self.abduction == WaveConfig() else {"abduction": vars(self.abduction)}
             return {"kind": "sine", **aside, "swing": vars(self.swing), "extension": vars(self.extension)}
-        if self.kind == "foot":
-            return {"kind": "foot", "foot": vars(self.foot), **({"relative": True} if self.relative else {})}
+        if self.kind in ("foot", "follow"):
+            own = {"stride_gain": self.stride_gain, "frequency_rise": self.frequency_rise}
+            own = own if self.kind == "follow" else {}
+            return {"kind": self.kind, "foot": vars(self.foot), **({"relative": True} if self.relative else {}), **own}
         if self.rows is None and self.file is None:
             raise SurefootError("reference.file is missing; a reference of kind table needs a CSV or NPZ file")
         return {"kind": "table", "period": self.period, **({"file": self.file} if self.rows is None else self.rows)}
@@ -155,6 +163,10 @@ class TaskConfig:
     """Roll or pitch [rad] beyond which an episode ends."""
     max_steps: Annotated[int, Within(1, MOST_STEPS)] = 1000
     """Control steps of an episode."""
+    commands: CommandConfig = field(default_factory=CommandConfig)
+    """Speeds and yaw rates that the robot is told to follow; none by default: straight on, as fast as it pays."""
+    reward: dict[str, float] = field(default_factory=dict)
+    """Weights of reward terms by name (`task.reward`), a second; without any the paper's reward."""
     pushes: PushConfig = field(default_factory=PushConfig)
     """Random pushes on the base."""
     randomize: RandomizeConfig = field(default_factory=RandomizeConfig)
@@ -176,13 +188,14 @@ class TaskConfig:
         """Refuse an invalid name and values out of bounds."""
         check_name("name", self.name)
         check_bounds(self)
+        check_terms(self.reward)
 
     def gait(self, robot: RobotDescription) -> HybridGait:
         """Return the gait: reference and bounds of the feedback, which the robot must allow.
 
         Beside a `relative` reference, which serves any robot, bounds are narrowed to what the legs allow.
         """
-        reference = make_reference(self.reference.to_mapping(), robot)
+        reference = make_reference(self.reference.to_mapping(), robot, self.commands.limits(robot))
         names = ("joint",) if self.action == "joint" else robot.coordinates
         bounds = self.feedback.of(names)
         if self.reference.relative and self.action == "leg":

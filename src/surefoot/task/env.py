@@ -12,10 +12,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from surefoot.arrays import Array
 from surefoot.robot import RobotDescription
+from surefoot.task.commands import CommandFilter, CommandState
 from surefoot.task.config import TaskConfig
-from surefoot.task.observation import Moment, Observer, phase
+from surefoot.task.observation import Moment, Observer, gait_phase
 from surefoot.task.pushes import Pusher
 from surefoot.task.randomize import Randomizer
+from surefoot.task.reward import Scales, StepMotion, reward_rate
 from surefoot.world.interface import Readings, Simulation, SimulationFactory, Truth, WorldConfig
 
 __all__ = ["LocomotionEnv", "LocomotionSingleEnv", "SimulationFactory"]
@@ -41,6 +43,13 @@ def has_fallen(roll_pitch_yaw: Array, limit: float) -> NDArray[np.bool_]:
     Tan et al. 2018, section IV-C: an episode ends when the base tilts by more than .5 rad; the axis is not stated.
     """
     return np.any(np.abs(roll_pitch_yaw[:, :2]) > limit, axis=1)
+
+
+def in_heading_frame(vector: Array, yaw: Array) -> Array:
+    """Return world vectors (N, 3) in the frame that stands upright and has yaw (N,) [rad]."""
+    cos, sin = np.cos(yaw), np.sin(yaw)
+    x, y, z = vector.T
+    return np.stack([cos * x + sin * y, cos * y - sin * x, z], -1)
 
 
 class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
@@ -78,6 +87,7 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
         self.robot = robot = RobotDescription.load(task.robot)
         self.gait = task.gait(robot)
         self.observer = Observer(robot, task.observations, self.gait.action_names)
+        self._scales = Scales.of(robot)
         self.nominal = task.nominal(robot).rows(np.zeros(max(num_envs, 1), np.int64))
         self._make_world = make_world
         self._make(seed)
@@ -100,11 +110,15 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
         self.world: Simulation = self._make_world(self.robot, self.num_envs, self.nominal, seed, config)
         self.pusher = Pusher(task.pushes, self.num_envs, seed)
         self.randomizer = Randomizer(task.randomize, self.robot, self.nominal, seed)
+        limits = task.commands.limits(self.robot)
+        self.source = task.commands.source(limits, self.num_envs, seed) if limits else None
+        self.commands = CommandFilter.of(self.gait.reference, limits, self.robot, self.num_envs) if limits else None
         self.over = np.zeros(self.num_envs, np.bool_)
         self.steps = np.zeros(self.num_envs, np.int64)
         self.returns = np.zeros(self.num_envs)
         self.start_position = np.zeros((self.num_envs, 3))
         self.feedback = np.zeros((self.num_envs, len(self.gait.action_names)))
+        self.target = np.zeros((self.num_envs, self.robot.num_motors))
         self.readings: Readings = self.world.readings()
         self.truth: Truth = self.world.truth()
         self._begin(np.arange(self.num_envs))
@@ -119,12 +133,23 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
         self.steps[rows], self.returns[rows], self.feedback[rows] = 0, 0.0, 0.0
         self.truth = self.world.truth()
         self.start_position[rows] = self.truth.base_position_world[rows]
+        if self.source is not None and self.commands is not None:
+            self.source.reset(rows)
+            self.commands.reset(rows, self.readings.roll_pitch_yaw[:, 2])
         if self.task.pushes.enabled:
             self.pusher.reset(rows)
             self.world.push(self.pusher.force)
 
     def _observe(self) -> Array:
-        return self.observer.observe(Moment(self.readings, self.gait.reference, self.feedback))
+        return self.observer.observe(self._moment())
+
+    def _moment(self) -> Moment:
+        return Moment(self.readings, self.gait.reference, self.feedback, self.command_state)
+
+    @property
+    def command_state(self) -> CommandState | None:
+        """What the gait follows now, of a task with commands."""
+        return None if self.commands is None else self.commands.state
 
     def _observation(self) -> NDArray[np.float32]:
         return self._history.reshape(self.num_envs, -1).astype(np.float32)
@@ -153,14 +178,21 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
         task, world = self.task, self.world
         if task.pushes.enabled and self.pusher.update(self.readings.time):
             world.push(self.pusher.force)
-        self.feedback = self.gait.feedback(actions)
+        last, self.feedback = self.feedback, self.gait.feedback(actions)
         active = ~self.over if self.over.any() else None
-        self.readings = world.step(self.gait.motor_targets(self.readings.time, self.feedback), active)
+        self.target = self.gait.motor_targets(self.readings.time, self.feedback, self.command_state)
+        self.readings = world.step(self.target, active)
         before, self.truth = self.truth, world.truth()
         diverged = self.truth.diverged
-        displacement = self.truth.base_position_world[:, 0] - before.base_position_world[:, 0]
-        most = np.inf if task.target_speed is None else task.target_speed * world.params.control_step
-        reward = locomotion_reward(displacement, self.truth.energy, task.energy_weight, most)
+        if task.reward:
+            reward = world.params.control_step * reward_rate(task.reward, self._motion(before, last))
+        else:
+            displacement = self.truth.base_position_world[:, 0] - before.base_position_world[:, 0]
+            most = np.inf if task.target_speed is None else task.target_speed * world.params.control_step
+            reward = locomotion_reward(displacement, self.truth.energy, task.energy_weight, most)
+        if self.source is not None and self.commands is not None:
+            self.source.update(self.readings.time)
+            self.commands.advance(self.source.command, world.params.control_step, self.readings.roll_pitch_yaw[:, 2])
         reward[diverged | self.over] = 0.0
         self.steps += ~self.over
         self.returns += reward
@@ -186,6 +218,26 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
                 self._history[rows] = self._observe()[rows, None]
         return self._observation(), reward, terminated, truncated, info
 
+    def _motion(self, before: Truth, last_feedback: Array) -> StepMotion:
+        """Return the motion of the control step that just ended, which began with a truth and the feedback before."""
+        truth, step = self.truth, self.world.params.control_step[:, None]
+        velocity = (truth.base_position_world - before.base_position_world) / step
+        turned = (truth.roll_pitch_yaw - before.roll_pitch_yaw + np.pi) % (2 * np.pi) - np.pi
+        zero = np.zeros((self.num_envs, 3))
+        return StepMotion(
+            scales=self._scales,
+            velocity=in_heading_frame(velocity, before.roll_pitch_yaw[:, 2]),
+            turn=turned / step,
+            tilt=truth.roll_pitch_yaw[:, :2],
+            height=truth.base_position_world[:, 2] - self.start_position[:, 2],
+            power=truth.energy / step[:, 0],
+            torque=truth.motor_torque,
+            action=self.gait.action(self.feedback),
+            last_action=self.gait.action(last_feedback),
+            command=zero if self.commands is None else self.commands.followed,
+            heading_error=zero[:, 0] if self.commands is None else self.commands.heading_error,
+        )
+
     def _episode_figures(self, ended: NDArray[np.bool_]) -> dict[str, Array]:
         """Return the figures of the episodes that just ended; arrays (N,), zero for robots that go on."""
         distance = self.truth.base_position_world[:, 0] - self.start_position[:, 0]
@@ -209,15 +261,20 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
     def _privileged(self) -> list[tuple[list[str], Array]]:
         """Return the parts of the true state: names and numbers (N, width)."""
         truth, motors, period = self.truth, self.robot.motor_names, self.gait.reference.period
+        velocity = truth.base_velocity_world
+        if self.commands is not None:
+            velocity = in_heading_frame(velocity, truth.roll_pitch_yaw[:, 2])
         parts = [
             (["height"], truth.base_position_world[:, 2:]),
-            (["velocity_x", "velocity_y", "velocity_z"], truth.base_velocity_world),
+            (["velocity_x", "velocity_y", "velocity_z"], velocity),
             (["roll", "pitch", "yaw"], truth.roll_pitch_yaw),
             ([f"angle.{motor}" for motor in motors], truth.motor_angle),
             ([f"speed.{motor}" for motor in motors], truth.motor_velocity),
         ]
+        if self.commands is not None:
+            parts.append((["heading_error"], self.commands.heading_error[:, None]))
         if period is not None:
-            parts.append((["phase_sin", "phase_cos"], phase(self.readings.time, period)))
+            parts.append((["phase_sin", "phase_cos"], gait_phase(self._moment())))
         if self.task.pushes.enabled:
             parts.append((["push_x", "push_y"], self.pusher.force[:, :2] / 100.0))
         if self.randomizer.enabled:
@@ -241,14 +298,20 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
                 stream.bit_generator.state = saved
 
     def _arrays(self) -> dict[str, NDArray[Any]]:
+        commands = {}
+        if self.source is not None and self.commands is not None:
+            arrays = self.source.arrays() | self.commands.arrays()
+            commands = {f"commands_{name}": array for name, array in arrays.items()}
         return {
+            **commands,
             **{name: getattr(self, name) for name in ("steps", "returns", "start_position", "feedback", "over")},
             **{"history": self._history, "push_force": self.pusher.force},
             **{"pushes_drawn": self.pusher.drawn, "pushes_before": self.pusher.before},
         }
 
     def _streams(self) -> dict[str, list[np.random.Generator]]:
-        return {"push_streams": self.pusher.streams, "randomize_streams": self.randomizer.streams}
+        drawn = {} if self.source is None else {"command_streams": self.source.streams}
+        return {"push_streams": self.pusher.streams, "randomize_streams": self.randomizer.streams, **drawn}
 
 
 class LocomotionSingleEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):

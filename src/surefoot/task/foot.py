@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 from surefoot.arrays import Array
 from surefoot.errors import SurefootError
 from surefoot.robot.leg import Legs
+from surefoot.task.commands import CommandState
 
 _LENGTH = 10.0
 QUANTITIES = {
@@ -98,17 +99,24 @@ class FootReference:
         share: Array = (np.asarray(cycle, float)[..., None] - self.phase) % 1.0
         return share
 
-    def path(self, cycle: ArrayLike) -> Array:
-        """Return the places (..., N, L, 2) [m] of the feet's ends after cycles (..., N), x forward and z up."""
+    def curve(self, cycle: ArrayLike) -> tuple[Array, Array]:
+        """Return where feet are along their strokes, .5 (front) to -.5, and above `height` [m], after cycles (..., N).
+
+        Both (..., N, L).
+        """
         share, duty = self.shares(cycle), self.duty_factor
         stance = share < duty
         part = np.where(stance, share / duty, (share - duty) / (1.0 - duty))
         # Slope at both ends of the swing, in strokes over a swing: the speed of the stance.
         slope = -(1.0 - duty) / duty
         forward = -0.5 + part**2 * (3.0 - 2.0 * part) + slope * part * (1.0 - part) * (1.0 - 2.0 * part)
-        x = self.offset + self.stroke * np.where(stance, 0.5 - part, forward)
         bump = np.where(stance, -self.depth, self.clearance) * (1.0 - np.cos(2.0 * np.pi * part)) / 2.0
-        return np.stack(np.broadcast_arrays(x, bump - self.height), -1)
+        return np.where(stance, 0.5 - part, forward), bump
+
+    def path(self, cycle: ArrayLike) -> Array:
+        """Return the places (..., N, L, 2) [m] of the feet's ends after cycles (..., N), x forward and z up."""
+        along, bump = self.curve(cycle)
+        return np.stack(np.broadcast_arrays(self.offset + self.stroke * along, bump - self.height), -1)
 
     @classmethod
     def stacked(cls, references: Sequence[FootReference]) -> FootReference:
@@ -117,8 +125,8 @@ class FootReference:
         values = {name: np.stack([getattr(one, name) for one in references]) for name in QUANTITIES}
         return cls(first.legs, first.leg, np.array([[one.frequency] for one in references], float), **values)
 
-    def pose(self, time: ArrayLike) -> Array:
-        """Return the poses (N, C, L) at times (N,) [s] since the episode's start; without abduction."""
+    def pose(self, time: ArrayLike, state: CommandState | None = None) -> Array:
+        """Return the poses (N, C, L) at times (N,) [s] since the episode's start: no abduction, whatever the state."""
         swing, extension = self.leg.plane_pose(self.path(np.asarray(time, float) * np.reshape(self.frequency, -1)))
         level = [np.zeros_like(swing)] * (len(self.leg.coordinates) - 2)
         return np.stack([*level, swing, extension], axis=-2)

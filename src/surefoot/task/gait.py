@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 from surefoot.arrays import Array
 from surefoot.errors import SurefootError
 from surefoot.robot import RobotDescription
+from surefoot.task.commands import CommandState
 from surefoot.task.reference import Reference
 
 Range = tuple[float, float]
@@ -88,9 +89,9 @@ class HybridGait:
         unit = 2 * (np.asarray(feedback, float) - self.low) / np.where(free, width, 1.0) - 1.0
         return np.where(free, np.clip(unit, -1.0, 1.0), 0.0)
 
-    def motor_targets(self, time: ArrayLike, feedback: Array) -> Array:
-        """Return the motor angles (N, M) [rad] for feedback (N, A) at times (N,) [s]."""
-        pose = self.reference.pose(time)
+    def motor_targets(self, time: ArrayLike, feedback: Array, state: CommandState | None = None) -> Array:
+        """Return the motor angles (N, M) [rad] for feedback (N, A) at times (N,) [s], with what is followed."""
+        pose = self.reference.pose(time, state)
         if self.action_kind == "joint":
             return self.robot.to_motors(pose) + feedback
         return self.robot.to_motors(pose + feedback.reshape(len(feedback), *self._shape))

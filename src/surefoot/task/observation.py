@@ -10,6 +10,8 @@ import numpy as np
 from surefoot.arrays import Array
 from surefoot.errors import SurefootError, choices
 from surefoot.robot import RobotDescription
+from surefoot.robot.commands import COMMANDS
+from surefoot.task.commands import CommandState
 from surefoot.task.reference import Reference
 from surefoot.world.interface import Readings
 
@@ -22,6 +24,8 @@ class Moment:
     reference: Reference
     last_feedback: Array
     """Feedback of the last control step (N, A), see `HybridGait`; zero before the first."""
+    commands: CommandState | None = None
+    """What the gait follows, of a task with commands."""
 
 
 @dataclass(frozen=True)
@@ -44,6 +48,20 @@ def phase(time: Array, period: float | None) -> Array:
     return np.stack([np.sin(angle), np.cos(angle)], -1)
 
 
+def gait_phase(moment: Moment) -> Array:
+    """Return sine and cosine (N, 2) of the gait's phase; with commands, times the share of full steps."""
+    if moment.commands is None:
+        return phase(moment.readings.time, moment.reference.period)
+    return moment.commands.activity[:, None] * phase(moment.commands.phase, 1.0)
+
+
+def _command(moment: Moment) -> Array:
+    """Return the commands (N, 3) that are followed; the task must have commands."""
+    if moment.commands is None:
+        raise SurefootError("observation 'command' needs commands with a range; this task has none")
+    return moment.commands.command
+
+
 def _motor_columns(prefix: str) -> Callable[[RobotDescription], list[str]]:
     return lambda robot: [f"{prefix}.{name}" for name in robot.motor_names]
 
@@ -59,11 +77,10 @@ PARTS: dict[str, Part] = {
     "pitch_rate": Part("rad/s", "base, about y", lambda _: ["pitch_rate"], _angular_velocity(1)),
     "motor_angles": Part("rad", "motor", _motor_columns("angle"), lambda m: m.readings.motor_angle),
     "motor_speeds": Part("rad/s", "motor", _motor_columns("speed"), lambda m: m.readings.motor_velocity),
-    "reference_phase": Part(
-        "1",
-        "reference gait",
-        lambda _: ["phase_sin", "phase_cos"],
-        lambda m: phase(m.readings.time, m.reference.period),
+    "yaw_rate": Part("rad/s", "base, about z", lambda _: ["yaw_rate"], _angular_velocity(2)),
+    "reference_phase": Part("1", "reference gait", lambda _: ["phase_sin", "phase_cos"], gait_phase),
+    "command": Part(
+        "m/s, m/s, rad/s", "heading: x forward, y left", lambda _: [f"command_{name}" for name in COMMANDS], _command
     ),
     "last_action": Part(
         "rad",

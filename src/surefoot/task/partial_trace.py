@@ -35,6 +35,8 @@ class Layout:
     """O"""
     actions: int
     """A"""
+    commands: int = 0
+    """Commands to a policy that is steered, 3; else 0."""
 
     @property
     def widths(self) -> dict[str, int]:
@@ -51,6 +53,7 @@ class Layout:
             "feedback": self.actions,
             "target": self.motors,
             "energy": 1,
+            **({"command": self.commands} if self.commands else {}),
         }
 
     @property
@@ -111,7 +114,7 @@ def recover(path: str | Path) -> EpisodeTrace:
         if head["kind"] != _KIND:
             raise ValueError("of another kind")
         motors, legs, observations = (int(head[name]) for name in ("motors", "legs", "observations"))
-        layout = Layout(motors, legs, observations, int(head.get("actions", 2 * legs)))
+        layout = Layout(motors, legs, observations, int(head.get("actions", 2 * legs)), int(head.get("commands", 0)))
         meta = dict(head["meta"])
     except (ValueError, KeyError, TypeError) as error:
         raise SurefootError(f"partial trace {path}: is not one: {' '.join(str(error).split())}") from error

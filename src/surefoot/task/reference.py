@@ -22,7 +22,10 @@ from surefoot.configuration import is_number
 from surefoot.errors import SurefootError, choices, quoted
 from surefoot.files import check_readable
 from surefoot.robot import GRAVITY, RobotDescription
+from surefoot.robot.commands import CommandLimits
 from surefoot.task import foot
+from surefoot.task.commands import CommandState
+from surefoot.task.following import FollowingReference
 from surefoot.task.foot import FootReference
 
 _QUANTITIES = ("amplitude", "frequency", "phase", "offset")
@@ -79,8 +82,8 @@ class SineReference:
         ratios = frequencies / frequencies[0]
         return float(1 / frequencies[0]) if np.allclose(ratios, np.round(ratios)) else None
 
-    def pose(self, time: ArrayLike) -> Array:
-        """Return the poses (N, C, L) at times (N,) [s] since the episode's start."""
+    def pose(self, time: ArrayLike, state: CommandState | None = None) -> Array:
+        """Return the poses (N, C, L) at times (N,) [s] since the episode's start, whatever the commands."""
         return np.stack([wave.at(time) for wave in self.waves.values()], axis=-2)
 
     def extent(self) -> tuple[tuple[float, float], ...]:
@@ -106,8 +109,8 @@ class TableReference:
     rows: Array
     """Poses (rows, C, L)."""
 
-    def pose(self, time: ArrayLike) -> Array:
-        """Return the poses (N, C, L) at times (N,) [s] since the episode's start."""
+    def pose(self, time: ArrayLike, state: CommandState | None = None) -> Array:
+        """Return the poses (N, C, L) at times (N,) [s] since the episode's start, whatever the commands."""
         rows = len(self.rows)
         place = np.asarray(time, float) / self.period % 1.0 * rows
         first = np.floor(place).astype(int) % rows
@@ -128,18 +131,21 @@ class TableReference:
         return {"kind": "table", "period": self.period, **rows}
 
 
-Reference = SineReference | TableReference | FootReference
+Reference = SineReference | TableReference | FootReference | FollowingReference
 
 
-def make_reference(data: Mapping[str, Any] | None, robot: RobotDescription) -> Reference:
+def make_reference(
+    data: Mapping[str, Any] | None, robot: RobotDescription, commands: CommandLimits | None = None
+) -> Reference:
     """Make a reference for a robot's legs from configuration.
 
-    Four forms: nothing (zero at all times); `kind: sine` with a table for each coordinate of leg space, each with
+    Five forms: nothing (zero at all times); `kind: sine` with a table for each coordinate of leg space, each with
     `amplitude`, `frequency`, `phase` and `offset`, each a number or a mapping from leg to number; `kind:
     table` with `period` and either `file` (CSV or NPZ) or the rows themselves under each coordinate; `kind:
     foot` with `foot`: `frequency`, and the quantities of a `FootReference`, each a number or a mapping from leg to
     number; with `relative`, lengths count lengths of the straight leg l, and the frequency natural frequencies
-    sqrt(g / l) / 2 pi.
+    sqrt(g / l) / 2 pi; `kind: follow` with `foot` as before, whose stroke is the longest stride, `stride_gain` and
+    `frequency_rise`, for a robot with commands.
 
     Raises:
         SurefootError: an unknown key or leg, a value that is not a number, a table that does not fit, or a foot out
@@ -156,7 +162,13 @@ def make_reference(data: Mapping[str, Any] | None, robot: RobotDescription) -> R
         return _table(data, legs, robot.coordinates)
     if kind == "foot":
         return _foot(data, robot)
-    raise SurefootError(f"reference.kind is {kind!r}; choices: sine, table, foot")
+    if kind == "follow":
+        if commands is None:
+            raise SurefootError("reference.kind is follow; it needs commands with a range, and the task has none")
+        gains = {name: _number(data.get(name), f"reference.{name}") for name in ("stride_gain", "frequency_rise")}
+        feet = _foot({key: value for key, value in data.items() if key not in gains}, robot)
+        return FollowingReference(robot, feet, commands, **gains)
+    raise SurefootError(f"reference.kind is {kind!r}; choices: sine, table, foot, follow")
 
 
 def _only(data: Mapping[str, Any], where: str, keys: tuple[str, ...]) -> None:

@@ -33,10 +33,11 @@ _META_DEFAULTS: dict[str, Any] = {
     "params": {},
     "energy_weight": ENERGY_WEIGHT,
     "max_steps": 1000,
+    "gait_period": None,
 }
 # Arrays that may be NaN: a robot without motion capture or foot switches does not measure them.
 _MAY_BE_NAN = frozenset(
-    {"base_position_world", "base_quat_world", "foot_contact", "foot_position_world", "true_motor_angle"}
+    {"base_position_world", "base_quat_world", "foot_contact", "foot_position_world", "true_motor_angle", "command"}
 )
 
 
@@ -66,9 +67,11 @@ class EpisodeTrace:
         foot_position_world: (T, L, 3) m; NaN where unknown, all NaN when left out.
         true_motor_angle: (T, M) rad at the end of the control step, without the readings' delay; NaN where
             unknown, all NaN when left out.
+        command: (T, 3) speeds forward and to the left [m/s] and yaw rate [rad/s] that the robot was told to follow; all
+            NaN without commands, and then not in the file.
         meta: what can be written as JSON: schema, robot, world, policy, seed, control_step (s), leg_names,
             motor_names, observation_names, params (each a number, or a list where motors or axes differ),
-            energy_weight, ended (one of `ENDINGS`), max_steps.
+            energy_weight, ended (one of `ENDINGS`), max_steps, gait_period (of the reference, s; None: it has none).
     """
 
     time: Array
@@ -86,13 +89,14 @@ class EpisodeTrace:
     foot_contact: Array
     foot_position_world: Array = field(default_factory=lambda: np.empty(0))
     true_motor_angle: Array = field(default_factory=lambda: np.empty(0))
+    command: Array = field(default_factory=lambda: np.empty(0))
     meta: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "meta", _checked_meta(self.meta))
         for name, shape in _shapes(np.size(self.time), np.shape(self.feedback), self.meta).items():
             value = getattr(self, name)
-            if name in ("foot_position_world", "true_motor_angle") and np.size(value) == 0:
+            if name in ("foot_position_world", "true_motor_angle", "command") and np.size(value) == 0:
                 value = np.full(shape, np.nan)
             object.__setattr__(self, name, _checked_array(name, value, shape))
         if self.time[0] <= 0.0 or np.any(np.diff(self.time) <= 0.0):
@@ -132,6 +136,8 @@ class EpisodeTrace:
             raise SurefootError(f"trace file {path}: the name must end in .npz")
         path.parent.mkdir(parents=True, exist_ok=True)
         arrays = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "meta"}
+        if np.isnan(self.command).all():
+            del arrays["command"]
         with whole_file(path) as file:
             np.savez_compressed(file, meta=np.array(json.dumps(self.meta)), **arrays)
         return path
@@ -154,8 +160,8 @@ class EpisodeTrace:
         if schema != SCHEMA:
             raise SurefootError(f"trace file {path}: schema {schema}, but surefoot reads schema {SCHEMA}")
         names = {f.name for f in fields(cls)} - {"meta"}
-        if set(arrays) != names:
-            odd = choices(sorted(names ^ set(arrays)))
+        if set(arrays) | {"command"} != names:
+            odd = choices(sorted(names ^ (set(arrays) | {"command"})))
             raise SurefootError(f"trace file {path}: not an episode trace: missing or unknown {odd}")
         with located(f"trace file {path}"):
             return cls(meta=meta, **arrays)
@@ -177,6 +183,7 @@ def _shapes(steps: int, feedback: tuple[int, ...], meta: dict[str, Any]) -> dict
         "foot_contact": (steps, legs),
         "foot_position_world": (steps, legs, 3),
         "true_motor_angle": (steps, motors),
+        "command": (steps, 3),
     }
 
 
@@ -217,6 +224,9 @@ def _checked_meta(meta: dict[str, Any]) -> dict[str, Any]:
         is_number = isinstance(value, int | float) and not isinstance(value, bool)
         if not is_number or not (value > 0 or (may_be_zero and value == 0)):
             raise SurefootError(f"trace: {name} {value!r} must be {'0 or above' if may_be_zero else 'above 0'}")
+    period = plain["gait_period"]
+    if period is not None and not (isinstance(period, int | float) and 1e-3 <= period <= 1e3):
+        raise SurefootError(f"trace: gait_period {period!r} must be .001 to 1000 s, or none")
     for name in ("leg_names", "motor_names", "observation_names"):
         names = plain[name]
         if not isinstance(names, list) or len(set(map(str, names))) != len(names):

@@ -31,7 +31,7 @@ class Recorder:
         """Rows that are closed."""
         self.missed: list[int] = []
         """Rows of missed steps, from 0."""
-        self._open: tuple[Array, Array, Array] | None = None
+        self._open: tuple[Array, Array, Array, Array] | None = None
         self._energy: float | None = None
 
     @property
@@ -61,7 +61,7 @@ class Recorder:
         first = self.steps
         if self._open is None or self._energy is None or not is_finite(state):
             return self._rows[first:first]
-        observation, feedback, target = self._open
+        observation, feedback, target, command = self._open
         for k in range(first, min(until, len(self._rows))):
             if k > first:
                 self.missed.append(k)
@@ -73,12 +73,14 @@ class Recorder:
             columns["observation"][0] = observation
             columns["feedback"][0] = feedback
             columns["target"][0] = target
+            if self.layout.commands:
+                columns["command"][0] = command
             # The robot's counter is kept in 32 bits; one that starts anew gives nothing, not less than nothing.
             columns["energy"][0] = max(state.energy - self._energy, 0.0)
             self._energy = state.energy
             self.steps = k + 1
         return self._rows[first : self.steps]
 
-    def open(self, observation: Array, feedback: Array, target: Array) -> None:
-        """Take a control step whose command has just been sent: what its row says of its start."""
-        self._open = observation, feedback, target
+    def open(self, observation: Array, feedback: Array, target: Array, command: Array) -> None:
+        """Take a control step whose target has just been sent: what its row says of its start."""
+        self._open = observation, feedback, target, command

@@ -141,7 +141,9 @@ class RunSaver:
         self.path, self.connection, self._watch = path, deployment.connection, deployment.watch
         controller = deployment.controller
         actions = len(controller.contract.action_names)
-        layout = Layout(robot.num_motors, len(robot.legs), controller.observer.width, actions)
+        layout = Layout(
+            robot.num_motors, len(robot.legs), controller.observer.width, actions, 3 if contract.commands else 0
+        )
         self.recorder = Recorder(layout, contract.control_step, max_steps)
         handshake = self.connection.handshake
         self.meta: dict[str, Any] = {
@@ -156,6 +158,7 @@ class RunSaver:
             "params": {},
             "energy_weight": contract.task.get("energy_weight", ENERGY_WEIGHT),
             "max_steps": max_steps,
+            "gait_period": controller.gait.reference.period,
             "firmware": handshake.firmware if handshake is not None else "",
             "config_hash": contract.config_hash,
             "dry_run": deployment.dry_run,

@@ -1,0 +1,108 @@
+"""How well a robot follows commands after some minutes of training on this computer, from nothing.
+
+The time runs from the start of training (models built, compiled code loaded) to its end; then the deterministic policy
+is run on fresh commands, one for each robot: 8 s from standing, of which the first second does not count. Errors are
+root mean squares of speed forward and sideways [m/s] and yaw rate [rad/s], of every control step and averaged over a
+stride. Episodes that fell count up to the fall.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from surefoot.arrays import Array
+from surefoot.evaluate.rollout import run_episodes
+from surefoot.evaluate.tracking import STRIDE, Tracking
+from surefoot.learn.config import load_train_config
+from surefoot.learn.trainer import Trainer
+from surefoot.task.config import FeedbackConfig, ReferenceConfig, TaskConfig
+from surefoot.task.pushes import PushConfig
+from surefoot.world.sim_world import SimWorld
+
+FRESH = 7_000_003
+"""Added to the seed of fresh commands."""
+SECONDS = 8.0
+"""How long a command holds [s]."""
+
+
+class TrainedPolicy:
+    """The deterministic policy of a trainer, as a policy file's runtime gives it."""
+
+    def __init__(self, trainer: Trainer) -> None:
+        self.trainer = trainer
+
+    def feedback(self, observation: ArrayLike) -> Array:
+        """Return the feedback (N, A) for observations (N, O * history)."""
+        return self.trainer.env.gait.feedback(self.trainer.act(np.asarray(observation, np.float32)))
+
+
+def fresh_commands(task: TaskConfig, control_step: float) -> TaskConfig:
+    """Return the task with one command an episode, on nominal robots without pushes."""
+    commands = replace(task.commands, hold=(SECONDS, SECONDS), ramp=0)
+    pushes = PushConfig(enabled=False)
+    return replace(task, commands=commands, pushes=pushes, max_steps=round(SECONDS / control_step))
+
+
+def from_scratch(task: TaskConfig) -> TaskConfig:
+    """Return the task without a reference gait, with wide bounds on the feedback."""
+    wide = FeedbackConfig(abduction=(-0.4, 0.4), swing=(-0.8, 0.8), extension=(0.45, 0.9))
+    seen = tuple(name for name in task.observations if name != "reference_phase")
+    return replace(task, reference=ReferenceConfig(), feedback=wide, observations=seen)
+
+
+def measure(trainer: Trainer, episodes: int) -> dict[str, Any]:
+    """Return errors and falls of the present policy on fresh commands."""
+    config, env = trainer.config, trainer.env
+    task = fresh_commands(config.task, float(env.nominal.control_step[0]))
+    traces = run_episodes(TrainedPolicy(trainer), task, episodes, SimWorld, config.seed + FRESH, config.threads)
+    found = Tracking.of_traces(traces, env.gait.reference.period or STRIDE)
+    return {
+        "rmse": found.rmse.round(4).tolist(),
+        "rmse_stride": found.rmse_stride.round(4).tolist(),
+        "falls": sum(trace.fell for trace in traces),
+        "episodes": episodes,
+    }
+
+
+def main() -> int:
+    """Train for some minutes and print the errors."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--robot", default="go2", help="name or folder of the robot")
+    parser.add_argument("--minutes", type=float, default=4.0, help="of training")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--episodes", type=int, default=128, help="fresh commands at the end")
+    parser.add_argument("--scratch", action="store_true", help="without a reference gait")
+    parser.add_argument("--every", type=float, default=0.0, help="minutes between errors on the way, outside the time")
+    parser.add_argument("--threads", type=int, default=0, help="of simulation and learning; 0: one a core")
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    options = parser.parse_args()
+    config = replace(load_train_config("steer", options.robot), seed=options.seed, threads=options.threads)
+    config = replace(config, learning_threads=options.threads)
+    if options.scratch:
+        config = replace(config, task=from_scratch(config.task))
+    spent, curve = 0.0, []
+    start = time.perf_counter()
+    trainer = Trainer(config, SimWorld)
+    while spent < 60 * options.minutes:
+        trainer.update()
+        spent += time.perf_counter() - start
+        if options.every and spent > 60 * options.every * (len(curve) + 1):
+            curve.append({"seconds": round(spent, 1), "control_steps": trainer.steps, **measure(trainer, 32)})
+            if not options.json:
+                print(curve[-1], flush=True)
+        start = time.perf_counter()
+    seconds = {"seconds": round(spent, 1), "control_steps": trainer.steps, "robot": trainer.env.robot.name}
+    result = {**seconds, "seed": options.seed, **measure(trainer, options.episodes)}
+    print(json.dumps({**result, "curve": curve} if curve else result) if options.json else result)
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,75 @@
+"""How well a robot follows its commands: errors of speed and yaw rate in the heading frame, from traces."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from surefoot.arrays import Array
+from surefoot.robot.commands import COMMANDS
+from surefoot.task.trace import EpisodeTrace
+
+STRIDE = 0.5
+"""Time [s] that is averaged over where the gait has no period of its own."""
+SETTLING = 1.0
+"""Time [s] after a change of the command that does not count: nobody can follow a jump."""
+
+
+@dataclass(frozen=True)
+class Tracking:
+    """Root mean square errors of speed forward and sideways [m/s] and yaw rate [rad/s]; NaN where nothing tells."""
+
+    rmse: Array
+    """Of each control step's mean speeds, (3,)."""
+    rmse_stride: Array
+    """Of speeds averaged over a stride, (3,)."""
+
+    @classmethod
+    def of_traces(cls, traces: Iterable[EpisodeTrace], stride: float) -> Tracking:
+        """Measure runs; a stride takes `stride` [s].
+
+        Steps within `SETTLING` after the command changed are left out, and for averages all strides that hold one.
+        """
+        at_once, averaged = [np.empty((0, 3))], [np.empty((0, 3))]
+        for trace in traces:
+            step = float(trace.meta["control_step"])
+            errors, settled = motion(trace) - trace.command, settled_steps(trace)
+            at_once.append(errors[settled])
+            count = max(round(stride / step), 1)
+            if len(errors) >= count:
+                whole = np.lib.stride_tricks.sliding_window_view(settled, count).all(axis=-1)
+                means = np.lib.stride_tricks.sliding_window_view(errors, count, axis=0).mean(axis=-1)
+                averaged.append(means[whole])
+        return cls(*(_rms(np.concatenate(found)) for found in (at_once, averaged)))
+
+    def to_mapping(self) -> dict[str, dict[str, float | None]]:
+        """Return the errors by command as JSON holds them."""
+        return {
+            name: {key: float(x) if np.isfinite(x) else None for key, x in zip(COMMANDS, values, strict=True)}
+            for name, values in (("rmse", self.rmse), ("rmse_stride", self.rmse_stride))
+        }
+
+
+def motion(trace: EpisodeTrace) -> Array:
+    """Return mean speeds forward and to the left [m/s] and yaw rate [rad/s] over each control step, (T, 3)."""
+    w, x, y, z = trace.base_quat_world.T
+    yaw = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+    step = np.diff(trace.time, prepend=0.0)
+    moved = np.diff(trace.base_position_world[:, :2], axis=0) / step[:, None]
+    cos, sin = np.cos(yaw[:-1]), np.sin(yaw[:-1])
+    turned = (np.diff(yaw) + np.pi) % (2 * np.pi) - np.pi
+    return np.stack([cos * moved[:, 0] + sin * moved[:, 1], cos * moved[:, 1] - sin * moved[:, 0], turned / step], -1)
+
+
+def settled_steps(trace: EpisodeTrace) -> np.ndarray:
+    """Return for each control step whether its command is known and has held for `SETTLING`, (T,)."""
+    changed = np.any(np.diff(trace.command, axis=0, prepend=np.nan) != 0, axis=1)
+    since = trace.time - np.maximum.accumulate(np.where(changed, np.concatenate([[0.0], trace.time[:-1]]), 0.0))
+    known: np.ndarray = np.isfinite(trace.command).all(axis=1) & (since >= SETTLING - 1e-9)
+    return known
+
+
+def _rms(errors: Array) -> Array:
+    return np.sqrt((errors**2).mean(axis=0)) if len(errors) else np.full(3, np.nan)

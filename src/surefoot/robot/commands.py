@@ -1,0 +1,88 @@
+"""Commands of a robot that is steered: speeds forward and sideways and a yaw rate, all in the heading frame.
+
+The heading frame stands upright and has the base's yaw: x forward, y left, z up. All three commands zero mean: stand.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from surefoot.arrays import Array
+from surefoot.errors import SurefootError
+
+COMMANDS = {"forward": "m/s", "sideways": "m/s", "yaw_rate": "rad/s"}
+"""Names of the commands in order, with units; sideways is positive to the left, the yaw rate about +z."""
+STAND = (0.0, 0.0, 0.0)
+"""The command that means stand."""
+_MOST = 1e3
+
+
+@dataclass(frozen=True)
+class CommandLimits:
+    """What a policy can be commanded, as its contract states it."""
+
+    forward: tuple[float, float]
+    """Least and greatest speed forward [m/s]."""
+    sideways: tuple[float, float]
+    """Least and greatest speed to the left [m/s]; (0, 0) for legs without abduction."""
+    yaw_rate: tuple[float, float]
+    """Least and greatest yaw rate [rad/s]."""
+    acceleration: tuple[float, float, float]
+    """How fast each command that the gait follows may change [m/s^2, m/s^2, rad/s^2]."""
+    deadband: tuple[float, float, float]
+    """Commands that are all no greater than this mean stand [m/s, m/s, rad/s]."""
+    heading_gain: float = 0.0
+    """Yaw rate that is added per heading error [1/s]; 0: the heading is not held."""
+
+    def __post_init__(self) -> None:
+        """Refuse ranges that are reversed or do not hold zero, and rates that are not over zero."""
+        for name in COMMANDS:
+            low, high = getattr(self, name)
+            if not -_MOST <= low <= 0.0 <= high <= _MOST:
+                raise SurefootError(
+                    f"commands.{name} is [{low:g}, {high:g}] {COMMANDS[name]}; it must go from 0 or less to 0 or more"
+                )
+        for name in ("acceleration", "deadband"):
+            for value in getattr(self, name):
+                if not (0.0 <= value <= _MOST and (value > 0.0 or name == "deadband")):
+                    raise SurefootError(f"commands.{name} holds {value:g}; it must be over 0 and at most {_MOST:g}")
+        if not 0.0 <= self.heading_gain <= _MOST:
+            raise SurefootError(f"commands.heading_gain is {self.heading_gain:g}; it must be 0 to {_MOST:g} 1/s")
+
+    @property
+    def low(self) -> Array:
+        """Least commands (3,)."""
+        return np.array([getattr(self, name)[0] for name in COMMANDS])
+
+    @property
+    def high(self) -> Array:
+        """Greatest commands (3,)."""
+        return np.array([getattr(self, name)[1] for name in COMMANDS])
+
+    def clamped(self, command: ArrayLike) -> tuple[Array, str]:
+        """Return a command (3,) within the limits, and what was changed in words, empty if nothing.
+
+        Raises:
+            SurefootError: not three finite numbers.
+        """
+        given = np.asarray(command, float)
+        if given.shape != (3,):
+            raise SurefootError(f"command has shape {given.shape}; it is {', '.join(COMMANDS)}")
+        for name, value in zip(COMMANDS, given, strict=True):
+            if not math.isfinite(value):
+                raise SurefootError(f"command {name} is {value}; it must be a finite number")
+        bounded = np.clip(given, self.low, self.high)
+        changed = [
+            f"{name} {asked:g} to {value:g} {unit}"
+            for (name, unit), asked, value in zip(COMMANDS.items(), given, bounded, strict=True)
+            if asked != value
+        ]
+        return bounded, ", ".join(changed)
+
+    def stands(self, command: Array) -> NDArray[np.bool_]:
+        """Return whether commands (..., 3) mean stand (...)."""
+        return np.asarray(np.all(np.abs(command) <= np.array(self.deadband), axis=-1))

@@ -1,0 +1,311 @@
+"""Commands in a task: their ranges, how they are drawn in training, and how the gait follows them over time."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from surefoot.arrays import Array
+from surefoot.configuration import Within, check_bounds
+from surefoot.errors import SurefootError, accessible, located, quoted
+from surefoot.files import check_readable
+from surefoot.robot import GRAVITY, RobotDescription
+from surefoot.robot.commands import COMMANDS, STAND, CommandLimits
+from surefoot.seeding import generators
+
+Range = tuple[float, float]
+
+_START_TIME = 1.5
+"""Time in which a gait goes from standing to full steps, and back [sqrt(l / g)]."""
+_FILE_BYTES = 1_000_000
+"""Most bytes of a file of commands."""
+_HEADING_ERROR = 0.5
+"""Greatest heading error [rad] that is corrected; beyond it the heading that is held follows the robot."""
+
+
+@dataclass(frozen=True)
+class CommandConfig:
+    """Commands that an episode draws, uniformly; none, if all ranges are (0, 0)."""
+
+    forward: Range = (0.0, 0.0)
+    """Least and greatest speed forward."""
+    sideways: Range = (0.0, 0.0)
+    """Least and greatest speed to the left; robots without abduction have none."""
+    yaw_rate: Range = (0.0, 0.0)
+    """Least and greatest yaw rate."""
+    relative: bool = False
+    """Speeds count sqrt(g l), of a leg of length l, and yaw rates sqrt(g / l), else m/s and rad/s. The square of a
+    relative speed is the Froude number."""
+    acceleration: Annotated[float, Within(0, 100, above=True)] = 0.3
+    """How fast the gait follows: speeds in g, yaw rates in g / l."""
+    heading_gain: Annotated[float, Within(0, 100)] = 0.0
+    """Yaw rate [rad/s] that is added per heading error [rad]; 0: the heading is not held."""
+    hold: Annotated[Range, Within(0.01, 3600)] = (2.0, 6.0)
+    """Least and greatest time [s] until another command is drawn."""
+    stand: Annotated[float, Within(0, 1)] = 0.1
+    """Chance that a command means stand."""
+    straight: Annotated[float, Within(0, 1)] = 0.15
+    """Chance that a command asks for a speed forward only."""
+    ramp: Annotated[int, Within(0, 1_000_000)] = 0
+    """Curriculum: a robot's first `ramp` commands grow from nothing to what is drawn; 0: none do."""
+    schedule: tuple[tuple[float, float, float, float], ...] = ()
+    """Commands that are given in place of drawn ones: time in the episode [s], speeds forward and to the left [m/s] and
+    yaw rate [rad/s]; each holds until the next, and before the first the robot stands."""
+
+    def __post_init__(self) -> None:
+        """Refuse values out of bounds and reversed ranges."""
+        check_bounds(self, "commands")
+        for name in (*COMMANDS, "hold"):
+            low, high = getattr(self, name)
+            if low > high:
+                raise SurefootError(f"commands.{name} is [{low:g}, {high:g}]; the lower bound must come first")
+        check_schedule(self.schedule)
+
+    @property
+    def enabled(self) -> bool:
+        """Whether the task has commands at all."""
+        return any(getattr(self, name) != (0.0, 0.0) for name in COMMANDS)
+
+    def source(self, limits: CommandLimits, num_envs: int, seed: int) -> CommandSampler | CommandSchedule:
+        """Return what gives commands to the robots of a batch."""
+        if self.schedule:
+            return CommandSchedule(self.schedule, limits, num_envs)
+        return CommandSampler(self, limits, num_envs, seed)
+
+    def limits(self, robot: RobotDescription) -> CommandLimits | None:
+        """Return what the robot can be commanded, in SI units; None without commands.
+
+        Raises:
+            SurefootError: a speed sideways for legs without abduction, unless ranges are relative; a range without 0.
+        """
+        if not self.enabled:
+            return None
+        length = robot.leg_geometry.length
+        speed, rate = np.sqrt(GRAVITY * length), np.sqrt(GRAVITY / length)
+        units = dict(zip(COMMANDS, (speed, speed, rate) if self.relative else (1.0, 1.0, 1.0), strict=True))
+        ranges = {name: tuple(float(value * units[name]) for value in getattr(self, name)) for name in COMMANDS}
+        if "abduction" not in robot.coordinates and ranges["sideways"] != (0.0, 0.0):
+            if not self.relative:
+                raise SurefootError(f"commands.sideways is not zero; the legs of {robot.name} have no abduction")
+            ranges["sideways"] = (0.0, 0.0)
+        linear, turning = self.acceleration * GRAVITY, self.acceleration * GRAVITY / length
+        return CommandLimits(
+            **ranges,  # type: ignore[arg-type]
+            acceleration=(linear, linear, turning),
+            deadband=(0.01 * speed, 0.01 * speed, 0.01 * rate),
+            heading_gain=self.heading_gain,
+        )
+
+
+def check_schedule(rows: Sequence[Sequence[float]]) -> None:
+    """Refuse rows of time and commands that are not finite, or whose times do not increase from 0 s."""
+    for k, row in enumerate(rows):
+        if len(row) != 4 or not np.isfinite(row).all():
+            raise SurefootError(f"commands: row {k + 1} is {list(row)}; it needs time, {', '.join(COMMANDS)}: numbers")
+        if row[0] < 0 or (k and row[0] <= rows[k - 1][0]):
+            raise SurefootError(f"commands: row {k + 1} is at {row[0]:g} s; times start at 0 s or later and increase")
+
+
+def read_schedule(path: Path) -> tuple[tuple[float, float, float, float], ...]:
+    """Return the rows of a file of commands over time: CSV with the columns time, forward, sideways and yaw_rate.
+
+    Raises:
+        SurefootError: no such file, another kind of file, or rows that `check_schedule` refuses.
+    """
+    names = ("time", *COMMANDS)
+    rule = f"a file of commands is CSV with the columns {', '.join(names)}"
+    with accessible(f"commands {path}"):
+        check_readable(path)
+        with path.open(encoding="utf-8", errors="replace", newline="") as file:
+            text = file.read(_FILE_BYTES + 1)
+    if len(text) > _FILE_BYTES:
+        raise SurefootError(f"commands {path}: has more than {_FILE_BYTES} bytes; {rule}")
+    rows = list(csv.reader(text.splitlines()))
+    if not rows or tuple(name.strip() for name in rows[0]) != names:
+        raise SurefootError(f"commands {path}: its first line is {quoted(','.join(rows[0]) if rows else '')}; {rule}")
+    try:
+        table = tuple(tuple(float(value) for value in row) for row in rows[1:] if row)
+    except ValueError as error:
+        raise SurefootError(f"commands {path}: {error}; {rule}") from error
+    if not table:
+        raise SurefootError(f"commands {path}: has no row; {rule}")
+    with located(str(path)):
+        check_schedule(table)
+    return table  # type: ignore[return-value]
+
+
+class CommandSchedule:
+    """Gives every robot of a batch the commands of a schedule, within its limits.
+
+    Args:
+        rows: time [s] and commands, as of `CommandConfig.schedule`.
+        limits: of the commands.
+        num_envs: robots.
+    """
+
+    def __init__(self, rows: Sequence[Sequence[float]], limits: CommandLimits, num_envs: int) -> None:
+        table = np.array(rows, float)
+        self._times = table[:, 0]
+        self._commands = np.concatenate([[STAND], [limits.clamped(row)[0] for row in table[:, 1:]]])
+        self.streams: list[np.random.Generator] = []
+        self.command = np.zeros((num_envs, 3))
+
+    def reset(self, rows: NDArray[np.int64]) -> None:
+        """Begin the schedule for episodes that start."""
+        self.command[rows] = self.at(0.0)
+
+    def update(self, time: Array) -> None:
+        """Set the commands of robots whose episodes are `time` (N,) [s] old."""
+        self.command = self.at(time)
+
+    def at(self, time: ArrayLike) -> Array:
+        """Return the commands (..., 3) at times (...) [s]."""
+        found: Array = self._commands[np.searchsorted(self._times, np.asarray(time) + 5e-7, side="right")]
+        return found
+
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """Return the arrays that change over time, by name."""
+        return {"command": self.command}
+
+
+class CommandSampler:
+    """Draws commands for each robot of a batch, each from its own stream.
+
+    Args:
+        config: how they are drawn.
+        limits: their ranges.
+        num_envs: robots.
+        seed: seeds the streams.
+    """
+
+    def __init__(self, config: CommandConfig, limits: CommandLimits, num_envs: int, seed: int) -> None:
+        self.config, self.limits = config, limits
+        self.streams = generators(seed, "commands", num_envs)
+        self.command = np.zeros((num_envs, 3))
+        """Present commands."""
+        self.until = np.zeros(num_envs)
+        """Time in the episode [s] at which another command is drawn, (N,)."""
+        self.drawn = np.zeros(num_envs, np.int64)
+        """Commands drawn so far."""
+
+    def reset(self, rows: NDArray[np.int64]) -> None:
+        """Draw commands for episodes that start."""
+        self.until[rows] = 0.0
+        self._draw(rows)
+
+    def update(self, time: Array) -> None:
+        """Draw other commands for robots whose episodes are `time` (N,) [s] old, where these are due."""
+        self._draw(np.flatnonzero(time + 5e-7 >= self.until))
+
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """Return the arrays that change over time, by name."""
+        return {"command": self.command, "until": self.until, "drawn": self.drawn}
+
+    def _draw(self, rows: NDArray[np.int64]) -> None:
+        config, low, high = self.config, self.limits.low, self.limits.high
+        for i in rows:
+            # Five numbers each time, whatever the configuration: a robot draws the same in every experiment.
+            chance, hold, *shares = self.streams[i].uniform(size=5)
+            command = low + np.array(shares) * (high - low)
+            if chance < config.stand:
+                command[:] = 0.0
+            elif chance < config.stand + config.straight:
+                command[1:] = 0.0
+            if config.ramp:
+                command *= min(1.0, (self.drawn[i] + 1) / config.ramp)
+            self.command[i] = command
+            self.until[i] += config.hold[0] + hold * (config.hold[1] - config.hold[0])
+            self.drawn[i] += 1
+
+
+@dataclass(frozen=True)
+class CommandState:
+    """What a gait follows at one moment, for N robots."""
+
+    command: Array
+    """Speeds forward and to the left [m/s] and yaw rate [rad/s], (N, 3): the given command, its change limited, and
+    the yaw rate that holds the heading."""
+    activity: Array
+    """Share of full steps, 0 for a robot that stands to 1 for one that walks, (N,)."""
+    phase: Array
+    """Phase of the gait in cycles, 0 to 1, (N,)."""
+
+
+class CommandFilter:
+    """Turns the commands that are given into those that a gait follows, the same in simulation and on the robot.
+
+    Changes are limited, steps begin and end gradually, the phase advances with the gait's frequency, and the
+    heading is held: the integral of the commanded yaw rate, against the IMU's yaw.
+
+    Args:
+        limits: of the commands.
+        natural_period: sqrt(l / g) of the legs [s].
+        num_envs: robots.
+        frequency: gives the gait's frequency [Hz] (N,) for commands (N, 3).
+    """
+
+    def __init__(
+        self, limits: CommandLimits, natural_period: float, num_envs: int, frequency: Callable[[Array], Array]
+    ) -> None:
+        self.limits, self._frequency = limits, frequency
+        self._start_rate = 1.0 / (_START_TIME * natural_period)
+        self.followed = np.zeros((num_envs, 3))
+        """The given commands, their change limited, (N, 3)."""
+        self.correction = np.zeros(num_envs)
+        """Yaw rate that holds the heading [rad/s], (N,)."""
+        self.heading_error = np.zeros(num_envs)
+        """Heading that is held less the robot's [rad], (N,)."""
+        self.activity = np.zeros(num_envs)
+        self.phase = np.zeros(num_envs)
+        self.heading = np.zeros(num_envs)
+        """The heading that is held [rad], (N,)."""
+
+    @classmethod
+    def of(cls, reference: Any, limits: CommandLimits, robot: RobotDescription, num_envs: int) -> CommandFilter:
+        """Return the filter of a robot's reference gait: its own `frequency`, if it follows commands."""
+        own = getattr(reference, "frequency", None)
+
+        def fixed(command: Array) -> Array:
+            return np.full(len(command), 1.0 / reference.period if reference.period else 0.0)
+
+        natural = float(np.sqrt(robot.leg_geometry.length / GRAVITY))
+        return cls(limits, natural, num_envs, own if callable(own) else fixed)
+
+    def reset(self, rows: NDArray[np.int64], yaw: Array) -> None:
+        """Let robots stand, whose IMU says `yaw` (N,) [rad]."""
+        for array in (self.followed, self.correction, self.heading_error, self.activity, self.phase):
+            array[rows] = 0.0
+        self.heading[rows] = yaw[rows]
+
+    def advance(self, given: Array, step: Array, yaw: Array) -> None:
+        """Go on by a control step of `step` (N,) [s] with given commands (N, 3) and the IMU's `yaw` (N,) [rad]."""
+        limits = self.limits
+        most = np.array(limits.acceleration) * step[:, None]
+        self.followed += np.clip(given - self.followed, -most, most)
+        walks = ~limits.stands(given) | ~limits.stands(self.followed)
+        change = self._start_rate * step
+        self.activity += np.clip(walks - self.activity, -change, change)
+        self.phase = (self.phase + self._frequency(self.followed) * step) % 1.0
+        self.heading += self.followed[:, 2] * step
+        error = (self.heading - yaw + np.pi) % (2 * np.pi) - np.pi
+        self.heading_error = np.where(walks, np.clip(error, -_HEADING_ERROR, _HEADING_ERROR), 0.0)
+        self.heading = yaw + self.heading_error
+        self.correction = limits.heading_gain * self.heading_error
+
+    @property
+    def state(self) -> CommandState:
+        """What the gait follows now; its arrays are the caller's."""
+        command = self.followed.copy()
+        command[:, 2] += self.correction
+        return CommandState(command, self.activity.copy(), self.phase.copy())
+
+    def arrays(self) -> dict[str, Array]:
+        """Return the arrays that change over time, by name."""
+        names = ("followed", "correction", "heading_error", "activity", "phase", "heading")
+        return {name: getattr(self, name) for name in names}

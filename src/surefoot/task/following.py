@@ -1,0 +1,135 @@
+"""A reference gait that follows commands: foot trajectories whose strides have the commanded speed and direction.
+
+A foot in stance moves against the base's motion at its place: with the commanded velocity v and yaw rate w, the foot of
+a leg mounted at r goes backward by (v + w x r) times the time of stance, times a gain for what is lost to slip and soft
+legs. Without commands feet are lifted on the spot; a robot that stands keeps them on the ground.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from surefoot.arrays import Array
+from surefoot.errors import SurefootError
+from surefoot.robot import RobotDescription
+from surefoot.robot.commands import CommandLimits
+from surefoot.task.commands import CommandState
+from surefoot.task.foot import FootReference
+
+STRIDE_GAIN = (0.0, 3.0)
+FREQUENCY_RISE = (0.0, 3.0)
+_PHASES = 48
+
+
+@dataclass(frozen=True)
+class FollowingReference:
+    """Feet that follow commands.
+
+    Raises:
+        SurefootError: a stride out of the legs' reach.
+    """
+
+    robot: RobotDescription
+    feet: FootReference
+    """Frequency, clearance, phases and posture of the feet; its stroke is the longest stride."""
+    limits: CommandLimits
+    """Commands that are followed."""
+    stride_gain: float
+    """Length of a stride over that of a foot that does not slip."""
+    frequency_rise: float
+    """Frequency gained at the greatest stride, over the frequency on the spot."""
+    places: Array = field(init=False, repr=False)
+    """Feet below the legs' mounts, (L, 3) [m] from the mounts; z is the height."""
+    _extent: tuple[tuple[float, float], ...] = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        """Check that legs reach every stride."""
+        for name, (low, high) in (("stride_gain", STRIDE_GAIN), ("frequency_rise", FREQUENCY_RISE)):
+            value = getattr(self, name)
+            if not low <= value <= high:
+                raise SurefootError(f"reference.{name} is {value:g}; it must be {low:g} to {high:g}")
+        legs, resting = self.robot.leg_geometry, self._resting()
+        _, aside, below = legs.foot_position(resting).T
+        axis = below - legs.foot_in_plane(resting)[:, 1]
+        places = np.stack(np.broadcast_arrays(self.feet.offset, aside, axis - self.feet.height), -1)
+        object.__setattr__(self, "places", places)
+        poses = self.pose(0.0, self._extremes())
+        if not np.isfinite(poses).all():
+            leg = self.feet.legs[int(np.argwhere(~np.isfinite(poses))[0][-1])]
+            raise SurefootError(
+                f"reference.foot: a stride of {leg} is out of the leg's reach; "
+                "change height, stroke, depth or clearance"
+            )
+        extent = tuple((float(part.min()), float(part.max())) for part in np.moveaxis(poses, -2, 0))
+        object.__setattr__(self, "_extent", extent)
+
+    def _resting(self) -> Array:
+        """Return the motor angles (L, m) of legs without abduction or swing."""
+        pose = np.array(self.robot.rest)
+        pose[:-1] = 0.0
+        return self.robot.leg_geometry.to_motors(np.repeat(pose[:, None], len(self.feet.legs), axis=1))
+
+    def _extremes(self) -> CommandState:
+        """Return the states in which legs are furthest from their places: strides all around, at every phase."""
+        corners = np.array(np.meshgrid(*zip(self.limits.low, self.limits.high, strict=True))).reshape(3, -1).T
+        rate = np.max(np.abs(self.limits.yaw_rate)) + self.limits.heading_gain * 0.5
+        corners[:, 2] = np.where(corners[:, 2] > 0, rate, -rate)
+        corners = np.concatenate([corners, corners * [1, 1, 0], np.zeros((1, 3))])
+        phase = np.tile(np.arange(_PHASES) / _PHASES, len(corners))
+        return CommandState(np.repeat(corners, _PHASES, axis=0), np.ones(len(phase)), phase)
+
+    @property
+    def period(self) -> float:
+        """Time of a step on the spot [s]."""
+        return float(self.feet.period)
+
+    def strides(self, command: Array) -> Array:
+        """Return the strides (N, L, 2) [m] forward and to the left for commands (N, 3), no longer than allowed."""
+        x, y = self.robot.leg_mounts[:, 0], self.robot.leg_mounts[:, 1] + self.places[:, 1]
+        forward = command[:, :1] - command[:, 2:] * y
+        aside = command[:, 1:2] + command[:, 2:] * x
+        if "abduction" not in self.robot.coordinates:
+            aside = np.zeros_like(aside)
+        stance = self.feet.duty_factor / np.reshape(self.feet.frequency, -1)
+        stride = self.stride_gain * stance[..., None] * np.stack([forward, aside], -1)
+        length = np.linalg.norm(stride, axis=-1, keepdims=True)
+        # The longer stride comes with a higher frequency, so that feet keep the commanded speed.
+        share = np.minimum(length / self.feet.stroke[:, None], 1.0)
+        stride = stride / (1.0 + self.frequency_rise * share.max(axis=-2, keepdims=True))
+        length = np.linalg.norm(stride, axis=-1, keepdims=True)
+        limited: Array = stride * np.minimum(1.0, self.feet.stroke[:, None] / np.maximum(length, 1e-9))
+        return limited
+
+    def frequency(self, command: Array) -> Array:
+        """Return the frequency (N,) [Hz] at commands (N, 3)."""
+        base = float(self.feet.frequency)
+        if self.frequency_rise == 0.0:
+            return np.full(len(command), base)
+        x, y = self.robot.leg_mounts[:, 0], self.robot.leg_mounts[:, 1] + self.places[:, 1]
+        speed = np.hypot(command[:, :1] - command[:, 2:] * y, command[:, 1:2] + command[:, 2:] * x)
+        stride = self.stride_gain * speed * self.feet.duty_factor / base
+        return base * (1.0 + self.frequency_rise * np.minimum(stride / self.feet.stroke, 1.0).max(axis=-1))
+
+    def pose(self, time: ArrayLike, state: CommandState | None = None) -> Array:
+        """Return the poses (N, C, L) at what the gait follows; without it, of steps on the spot at times (N,) [s]."""
+        if state is None:
+            cycle = np.atleast_1d(np.asarray(time, float)) / self.period
+            state = CommandState(np.zeros((len(cycle), 3)), np.ones(len(cycle)), cycle % 1.0)
+        along, bump = self.feet.curve(state.phase)
+        active = state.activity[:, None]
+        step = (active * along)[..., None] * self.strides(state.command)
+        foot = np.concatenate([step, (active * bump)[..., None]], axis=-1) + self.places
+        return self.robot.leg_geometry.foot_pose(foot)
+
+    def extent(self) -> tuple[tuple[float, float], ...]:
+        """Return the lowest and highest value of each coordinate over all legs, phases and commands."""
+        return self._extent
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return everything that `make_reference` needs to make it again, as JSON values."""
+        own = {"stride_gain": self.stride_gain, "frequency_rise": self.frequency_rise}
+        return {**self.feet.to_dict(), "kind": "follow", **own}
