@@ -87,7 +87,8 @@ def main() -> int:
     config = replace(config, learning_threads=options.threads)
     if options.scratch:
         config = replace(config, task=from_scratch(config.task))
-    spent, curve = 0.0, []
+    spent = 0.0
+    curve: list[dict[str, Any]] = []
     start = time.perf_counter()
     trainer = Trainer(config, SimWorld)
     while spent < 60 * options.minutes:

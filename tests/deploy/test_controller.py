@@ -12,6 +12,7 @@ from surefoot.deploy.controller import Controller
 from surefoot.deploy.safety import NotFiniteError
 from surefoot.errors import SurefootError
 from surefoot.policy.runtime import PolicyRuntime
+from surefoot.robot import RobotDescription
 
 POLICIES = sorted((Path(__file__).resolve().parents[2] / "policies").glob("*.onnx"))
 
@@ -35,7 +36,7 @@ def contract():
 
 
 @pytest.mark.parametrize("path", POLICIES, ids=lambda path: path.stem)
-def test_a_simulated_episode_gets_the_same_targets(path, robot, a_state):
+def test_a_simulated_episode_gets_the_same_targets(path, a_state):
     """Readings of a simulated episode, given to the robot's side step by step."""
     pytest.importorskip("mujoco")
     pytest.importorskip("gymnasium")
@@ -48,7 +49,7 @@ def test_a_simulated_episode_gets_the_same_targets(path, robot, a_state):
     task = task_from_contract(policy.contract)
     task = replace(task, pushes=replace(task.pushes, enabled=False), randomize=RandomizeConfig())
     env = LocomotionEnv(task, 1, SimWorld, 3, autoreset=False, threads=1)
-    controller = Controller(policy, robot)
+    controller = Controller(policy, RobotDescription.load(policy.contract.robot))
     observation, _ = env.reset()
     for k in range(50):
         readings = env.readings
@@ -61,12 +62,13 @@ def test_a_simulated_episode_gets_the_same_targets(path, robot, a_state):
         )
         moment = k * policy.contract.control_step
         assert readings.time[0] == pytest.approx(moment, abs=1e-12)
+        if env.source is not None:
+            assert controller.give(env.source.command[0]) == ""
         given = controller.observe(moment, state)
         assert given == pytest.approx(observation, abs=1e-6)
         target = controller.command(moment, given)
-        feedback = policy.feedback(observation)
-        assert target == pytest.approx(env.gait.motor_targets(readings.time, feedback)[0], abs=1e-6)
-        observation, *_ = env.step(env.gait.action(feedback))
+        observation, *_ = env.step(env.gait.action(policy.feedback(observation)))
+        assert target == pytest.approx(env.target[0], abs=1e-6)
 
 
 def test_history_is_the_newest_first_and_starts_full(contract, robot, a_state):

@@ -117,7 +117,8 @@ def test_a_file_that_is_not_text_is_refused(tmp_path):
 
 def test_an_unknown_task_names_the_presets():
     with pytest.raises(
-        SurefootError, match=r"'waltz' does not exist; choices: gallop, gallop-robust, scratch, trot.*of a YAML file"
+        SurefootError,
+        match=r"'waltz' does not exist; choices: gallop, gallop-robust, scratch, steer, trot.*of a YAML file",
     ):
         load_task("waltz")
 

@@ -24,7 +24,7 @@ from surefoot.world.interface import Readings
 
 WIDTHS = {
     **dict.fromkeys(("roll", "pitch", "roll_rate", "pitch_rate"), 1),
-    **{"motor_angles": 8, "motor_speeds": 8, "reference_phase": 2, "last_action": 8},
+    **{"motor_angles": 8, "motor_speeds": 8, "yaw_rate": 1, "reference_phase": 2, "last_action": 8},
 }
 UNITS = {
     "roll": ("rad", "base in world"),
@@ -33,6 +33,7 @@ UNITS = {
     "pitch_rate": ("rad/s", "base, about y"),
     "motor_angles": ("rad", "motor"),
     "motor_speeds": ("rad/s", "motor"),
+    "yaw_rate": ("rad/s", "base, about z"),
     "reference_phase": ("1", "reference gait"),
     "last_action": ("rad", "leg space"),
 }
@@ -80,6 +81,7 @@ def expected(name: str, robot: int, steps: int) -> list[float]:
         "pitch": [start + 2],
         "roll_rate": [start + 4],
         "pitch_rate": [start + 5],
+        "yaw_rate": [start + 6],
         "motor_angles": [start + 10 + k for k in range(8)],
         "motor_speeds": [start + 20 + k for k in range(8)],
         "reference_phase": list(quarter),
@@ -115,8 +117,9 @@ def check(env: LocomotionEnv, names: tuple[str, ...], history: int) -> Contract:
 
 
 def test_these_are_all_parts():
-    assert list(PARTS) == list(WIDTHS)
-    assert {name: (part.unit, part.frame) for name, part in PARTS.items()} == UNITS
+    assert set(PARTS) == {*WIDTHS, "command"}
+    told = {name: (part.unit, part.frame) for name, part in PARTS.items() if name != "command"}
+    assert told == UNITS
 
 
 @settings(max_examples=30)
@@ -126,7 +129,7 @@ def test_any_choice_in_any_order(make_env, names, history):
 
 
 def test_all_parts_at_once(make_env):
-    assert check(make_env(tuple(WIDTHS), 2), tuple(WIDTHS), 2).width == 2 * 30
+    assert check(make_env(tuple(WIDTHS), 2), tuple(WIDTHS), 2).width == 2 * 31
 
 
 def test_the_papers_twelve_numbers(make_env):

@@ -1,8 +1,8 @@
 """Where commands to a steered robot come from: a file, the keyboard, a gamepad, or a channel that a program feeds.
 
-The channel is UDP on this computer's loopback address: a datagram is one JSON object with the numbers `forward` and
-`sideways` [m/s] and `yaw_rate` [rad/s]; what is left out is 0. The newest one counts for `FRESH` seconds; then the robot
-is told to stand. What is not such a datagram is counted and ignored. A gamepad that is gone means stand, too.
+The channel is UDP on this computer's loopback address. A datagram is one JSON object with numbers `forward`, `sideways`
+[m/s] and `yaw_rate` [rad/s]; what is left out is 0. The newest one counts for `FRESH` seconds; then the robot is told
+to stand. What is not such a datagram is counted and ignored. A gamepad that is gone means stand, too.
 """
 
 from __future__ import annotations
@@ -201,11 +201,13 @@ class GamepadCommands:
     def read(self, moment: float) -> Array:
         """Return the command (3,) of the sticks."""
         try:
-            self._rest += os.read(self._file, 64 * _EVENT.size)
+            events = os.read(self._file, 64 * _EVENT.size)
+            self._rest += events
+            gone = not events
         except BlockingIOError:
-            pass
+            gone = False
         except OSError:
-            self._axes[:] = 0.0
+            gone = True
         whole = len(self._rest) // _EVENT.size * _EVENT.size
         for _, value, kind, number in _EVENT.iter_unpack(self._rest[:whole]):
             # The first events tell where axes are (0x80).
@@ -214,6 +216,8 @@ class GamepadCommands:
                 share = sign * value / 32767
                 self._axes[which] = 0.0 if abs(share) < _DEAD_ZONE else share
         self._rest = self._rest[whole:]
+        if gone:
+            self._axes[:] = 0.0
         return np.where(self._axes > 0, self._axes * self._limits.high, -self._axes * self._limits.low)
 
     def close(self) -> None:

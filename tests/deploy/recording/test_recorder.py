@@ -27,8 +27,8 @@ META = {
 }
 
 
-def opened(k: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    return np.full(3, 10.0 * k), np.full(8, 20.0 * k), np.full(8, 30.0 * k)
+def opened(k: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    return np.full(3, 10.0 * k), np.full(8, 20.0 * k), np.full(8, 30.0 * k), np.full(3, 40.0 * k)
 
 
 @pytest.fixture

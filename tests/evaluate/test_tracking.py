@@ -1,0 +1,92 @@
+"""Errors of following commands, against motions made by hand."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from surefoot.evaluate.tracking import Tracking, motion, settled_steps
+from surefoot.task.trace import EpisodeTrace
+
+STEP = 0.02
+
+
+def trace_of(speed: np.ndarray, yaw: np.ndarray, command: np.ndarray) -> EpisodeTrace:
+    """Return the trace of a robot with speeds (T, 2) in the heading frame, yaw (T + 1,) and commands (T, 3)."""
+    steps = len(speed)
+    cos, sin = np.cos(yaw[:-1]), np.sin(yaw[:-1])
+    world = np.stack([cos * speed[:, 0] - sin * speed[:, 1], sin * speed[:, 0] + cos * speed[:, 1]], -1)
+    position = np.zeros((steps + 1, 3))
+    position[1:, :2] = np.cumsum(world * STEP, axis=0)
+    quat = np.zeros((steps + 1, 4))
+    quat[:, 0], quat[:, 3] = np.cos(yaw / 2), np.sin(yaw / 2)
+    flat, motors = np.zeros((steps, 3)), np.zeros((steps, 8))
+    meta = {
+        **{"robot": "minitaur", "world": "mujoco", "control_step": STEP, "ended": "time"},
+        **{"leg_names": list("abcd"), "motor_names": [f"m{k}" for k in range(8)], "observation_names": ["x"]},
+    }
+    return EpisodeTrace(
+        time=STEP * np.arange(1, steps + 1),
+        base_position_world=position,
+        base_quat_world=quat,
+        roll_pitch_yaw=flat,
+        angular_velocity_base=flat,
+        **dict.fromkeys(("motor_angle", "motor_velocity", "motor_torque", "feedback", "target"), motors),
+        observation=flat[:, :1],
+        energy=flat[:, 0],
+        foot_contact=np.zeros((steps, 4)),
+        command=command,
+        meta=meta,
+    )
+
+
+def test_motion_is_seen_from_the_robot() -> None:
+    yaw = np.linspace(3.0, 3.5, 101)  # through half a turn
+    speed = np.tile([0.4, -0.1], (100, 1))
+    found = motion(trace_of(speed, yaw, np.zeros((100, 3))))
+    assert found[:, :2] == pytest.approx(speed)
+    assert found[:, 2] == pytest.approx(0.5 / (100 * STEP))
+
+
+def test_an_oscillation_within_a_stride_counts_at_once_and_not_over_strides() -> None:
+    steps, count = 500, 25  # a stride of .5 s
+    wave = 0.2 * np.sin(2 * np.pi * np.arange(steps) / count)
+    speed = np.stack([0.5 + wave, np.full(steps, 0.03)], -1)
+    command = np.tile([0.5, 0.0, 0.1], (steps, 1))
+    found = Tracking.of_traces([trace_of(speed, np.zeros(steps + 1), command)], count * STEP)
+    assert found.rmse == pytest.approx([0.2 / np.sqrt(2), 0.03, 0.1], rel=2e-3)  # not whole strides count
+    assert found.rmse_stride == pytest.approx([0.0, 0.03, 0.1], abs=1e-6)
+
+
+def test_the_second_after_a_change_does_not_count() -> None:
+    steps = 200
+    command = np.zeros((steps, 3))
+    command[100:, 0] = 1.0
+    speed = np.zeros((steps, 2))
+    speed[150:, 0] = 1.0  # follows a second later
+    trace = trace_of(speed, np.zeros(steps + 1), command)
+    settled = settled_steps(trace)
+    assert np.flatnonzero(~settled[:100]).tolist() == list(range(49))
+    assert np.flatnonzero(~settled[100:]).tolist() == list(range(49))
+    # One step counts in which the robot had not followed yet: step 149 ends a second after the change.
+    errors = Tracking.of_traces([trace], 0.5)
+    assert errors.rmse[0] == pytest.approx(np.sqrt(1 / settled.sum()))
+
+
+def test_runs_without_commands_tell_nothing() -> None:
+    trace = replace(trace_of(np.zeros((60, 2)), np.zeros(61), np.zeros((60, 3))), command=np.empty(0))
+    assert np.isnan(trace.command).all()
+    found = Tracking.of_traces([trace], 0.5)
+    assert found.to_mapping()["rmse"] == {"forward": None, "sideways": None, "yaw_rate": None}
+
+
+def test_a_trace_keeps_its_commands_in_its_file(tmp_path) -> None:
+    trace = trace_of(np.zeros((60, 2)), np.zeros(61), np.tile([0.5, 0.0, 0.1], (60, 1)))
+    back = EpisodeTrace.load(trace.save(tmp_path / "run.npz"))
+    assert np.array_equal(back.command, trace.command)
+    plain = EpisodeTrace.load(replace(trace, command=np.empty(0)).save(tmp_path / "plain.npz"))
+    assert np.isnan(plain.command).all()
+    with np.load(tmp_path / "plain.npz") as members:
+        assert "command" not in members.files

@@ -1,0 +1,184 @@
+"""Commands: ranges of robots, drawn and scheduled ones, and what a gait follows."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from surefoot.errors import SurefootError
+from surefoot.robot import GRAVITY, RobotDescription
+from surefoot.robot.commands import CommandLimits
+from surefoot.task.commands import CommandConfig, CommandFilter, CommandSampler, CommandSchedule, read_schedule
+
+LIMITS = CommandLimits(
+    forward=(-1.0, 2.0),
+    sideways=(-0.5, 0.5),
+    yaw_rate=(-1.0, 1.0),
+    acceleration=(2.0, 2.0, 4.0),
+    deadband=(0.02, 0.02, 0.02),
+    heading_gain=2.0,
+)
+STEP = np.array([0.1])
+
+
+def make_filter(frequency: float = 2.0) -> CommandFilter:
+    """Return the filter of one robot that stands, with a natural period of .2 s: a start takes .3 s."""
+    made = CommandFilter(LIMITS, 0.2, 1, lambda command: np.full(len(command), frequency))
+    made.reset(np.arange(1), np.zeros(1))
+    return made
+
+
+def test_relative_ranges_count_the_natural_speed_and_rate_of_the_legs() -> None:
+    go2 = RobotDescription.load("go2")
+    length = go2.leg_geometry.length
+    limits = CommandConfig(relative=True, forward=(-0.5, 0.75), sideways=(-0.2, 0.2), yaw_rate=(-0.2, 0.2)).limits(go2)
+    assert limits is not None
+    assert limits.forward == pytest.approx((-0.5 * np.sqrt(GRAVITY * length), 0.75 * np.sqrt(GRAVITY * length)))
+    assert limits.yaw_rate[1] == pytest.approx(0.2 * np.sqrt(GRAVITY / length))
+
+
+def test_legs_without_abduction_are_not_sent_sideways() -> None:
+    minitaur = RobotDescription.load("minitaur")
+    relative = CommandConfig(relative=True, forward=(0, 1), sideways=(-0.2, 0.2)).limits(minitaur)
+    assert relative is not None
+    assert relative.sideways == (0.0, 0.0)
+    with pytest.raises(SurefootError, match=r"commands.sideways is not zero; the legs of minitaur have no abduction"):
+        CommandConfig(forward=(0, 1), sideways=(-0.2, 0.2)).limits(minitaur)
+
+
+def test_without_ranges_there_are_no_commands() -> None:
+    assert CommandConfig().limits(RobotDescription.load("go2")) is None
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"forward": (0.5, 1.0)}, r"commands.forward is \[0.5, 1\] m/s; it must go from 0 or less"),
+        ({"yaw_rate": (-1.0, -0.5)}, r"commands.yaw_rate is \[-1, -0.5\] rad/s"),
+    ],
+)
+def test_a_range_must_hold_zero(given: dict[str, tuple[float, float]], message: str) -> None:
+    with pytest.raises(SurefootError, match=message):
+        CommandConfig(**given).limits(RobotDescription.load("go2"))
+
+
+def test_a_command_out_of_range_is_clamped_and_said() -> None:
+    command, changed = LIMITS.clamped([3.0, 0.1, -1.5])
+    assert command.tolist() == [2.0, 0.1, -1.0]
+    assert changed == "forward 3 to 2 m/s, yaw_rate -1.5 to -1 rad/s"
+    assert LIMITS.clamped([2.0, 0.0, 0.0])[1] == ""
+
+
+@pytest.mark.parametrize("bad", [[np.nan, 0, 0], [0, np.inf, 0], [0, 0]])
+def test_a_command_that_is_not_three_numbers_is_refused(bad: list[float]) -> None:
+    with pytest.raises(SurefootError, match="command"):
+        LIMITS.clamped(bad)
+
+
+def test_a_robot_draws_the_same_commands_in_any_batch() -> None:
+    config = CommandConfig(forward=(-1, 1), yaw_rate=(-1, 1), hold=(1.0, 2.0))
+    few, many = (CommandSampler(config, LIMITS, count, seed=3) for count in (2, 5))
+    for sampler in (few, many):
+        sampler.reset(np.arange(len(sampler.command)))
+        for k in range(60):
+            sampler.update(np.full(len(sampler.command), 0.1 * k))
+    assert np.array_equal(few.command, many.command[:2])
+    assert few.drawn.min() >= 3  # 6 s of commands that hold for at most 2 s
+
+
+def test_drawn_commands_fill_their_ranges_and_some_mean_stand() -> None:
+    config = CommandConfig(forward=(-1, 1), yaw_rate=(-1, 1), stand=0.2, straight=0.3)
+    sampler = CommandSampler(config, LIMITS, 4000, seed=1)
+    sampler.reset(np.arange(4000))
+    stands = LIMITS.stands(sampler.command)
+    straight = ~stands & (sampler.command[:, 2] == 0)
+    assert stands.mean() == pytest.approx(0.2, abs=0.02)
+    assert straight.mean() == pytest.approx(0.3, abs=0.03)
+    forward = sampler.command[~stands, 0]
+    assert (forward.min(), forward.max()) == pytest.approx((-1.0, 2.0), abs=0.01)
+    assert abs(np.mean(forward) - 0.5) < 0.05
+
+
+def test_a_ramp_lets_first_commands_grow() -> None:
+    config = CommandConfig(forward=(-1, 1), stand=0.0, ramp=10)
+    sampler = CommandSampler(config, LIMITS, 500, seed=1)
+    sampler.reset(np.arange(500))
+    assert np.abs(sampler.command[:, 0]).max() <= 0.2  # a tenth of the greatest, 2 m/s
+
+
+def test_a_schedule_holds_each_command_until_the_next() -> None:
+    schedule = CommandSchedule([(1.0, 0.5, 0.0, 0.0), (2.0, 5.0, 0.0, -1.0)], LIMITS, 1)
+    assert schedule.at([0.0, 0.99, 1.0, 1.5, 2.0, 90.0])[:, 0].tolist() == [0.0, 0.0, 0.5, 0.5, 2.0, 2.0]
+    assert schedule.at(2.0).tolist() == [2.0, 0.0, -1.0]
+
+
+def test_a_file_of_commands_is_read(tmp_path: Path) -> None:
+    file = tmp_path / "commands.csv"
+    file.write_text("time,forward,sideways,yaw_rate\n0,0.5,0,0\n\n2,0,0,1\n")
+    assert read_schedule(file) == ((0.0, 0.5, 0.0, 0.0), (2.0, 0.0, 0.0, 1.0))
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "its first line is"),
+        ("t,x\n0,1\n", "its first line is 't,x'; a file of commands is CSV"),
+        ("time,forward,sideways,yaw_rate\n", "has no row"),
+        ("time,forward,sideways,yaw_rate\n0,fast,0,0\n", "could not convert"),
+        ("time,forward,sideways,yaw_rate\n0,nan,0,0\n", "row 1 is"),
+        ("time,forward,sideways,yaw_rate\n0,1,0\n", "row 1 is"),
+        ("time,forward,sideways,yaw_rate\n1,1,0,0\n1,0,0,0\n", "row 2 is at 1 s; times start at 0 s or later"),
+    ],
+)
+def test_a_file_that_holds_no_commands_is_refused(tmp_path: Path, text: str, message: str) -> None:
+    file = tmp_path / "commands.csv"
+    file.write_text(text)
+    with pytest.raises(SurefootError, match=message):
+        read_schedule(file)
+
+
+def test_what_is_followed_changes_no_faster_than_allowed() -> None:
+    followed = make_filter()
+    for _ in range(3):
+        followed.advance(np.array([[2.0, 0.0, -1.0]]), STEP, np.zeros(1))
+    assert followed.followed[0] == pytest.approx([0.6, 0.0, -1.0])  # 2 m/s^2 and 4 rad/s^2 for .3 s
+
+
+def test_steps_begin_and_end_gradually_and_the_phase_goes_on() -> None:
+    followed, go, stand = make_filter(), np.array([[0.2, 0.0, 0.0]]), np.zeros((1, 3))
+    activity = []
+    for given in (go, go, go, go, stand, stand, stand, stand, stand):
+        followed.advance(given, STEP, np.zeros(1))
+        activity.append(float(followed.activity[0]))
+    # The command is followed down to zero in the first step of standing, which is still a step.
+    assert activity == pytest.approx([1 / 3, 2 / 3, 1, 1, 2 / 3, 1 / 3, 0, 0, 0])
+    assert followed.phase[0] == pytest.approx(0.8)  # 9 steps of .1 s at 2 Hz
+
+
+def test_the_heading_is_held_against_the_imu() -> None:
+    followed, go = make_filter(), np.array([[1.0, 0.0, 0.5]])
+    for _ in range(4):
+        followed.advance(go, STEP, np.array([0.1]))
+    # Turned by .04, .09 and so on at 4 rad/s^2 up to .5 rad/s: .4 + .5 + .5 + .5 rad/s for .1 s each, less .1.
+    assert followed.heading_error[0] == pytest.approx(0.09)
+    assert followed.state.command[0, 2] == pytest.approx(0.5 + 2.0 * 0.09)
+
+
+def test_the_heading_that_is_held_wraps_and_never_runs_away() -> None:
+    followed, go = make_filter(), np.array([[1.0, 0.0, 0.0]])
+    followed.reset(np.arange(1), np.array([3.1]))
+    followed.advance(go, STEP, np.array([-3.1]))
+    assert followed.heading_error[0] == pytest.approx(6.2 - 2 * np.pi)
+    followed.advance(go, STEP, np.array([0.0]))  # somebody turned the robot by half a turn
+    assert abs(followed.heading_error[0]) == pytest.approx(0.5)
+    followed.advance(go, STEP, np.array([0.0]))
+    assert abs(followed.heading_error[0]) <= 0.5 + 1e-12
+
+
+def test_a_robot_that_stands_corrects_no_heading() -> None:
+    followed = make_filter()
+    followed.advance(np.zeros((1, 3)), STEP, np.array([0.3]))
+    assert followed.state.command.tolist() == [[0.0, 0.0, 0.0]]
+    assert followed.activity[0] == 0.0

@@ -1,0 +1,122 @@
+"""A reference gait that follows commands: strides, turning, standing, reach."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from surefoot.errors import SurefootError
+from surefoot.robot import RobotDescription
+from surefoot.task.commands import CommandState
+from surefoot.task.config import load_task
+from surefoot.task.following import FollowingReference
+from surefoot.task.reference import make_reference
+
+ROBOTS = ("minitaur", "solo8", "go2", "pupper_v2")
+
+
+def reference_of(name: str) -> FollowingReference:
+    """Return the gait of the task `steer` for a robot."""
+    reference = load_task("steer", name)[0].gait(RobotDescription.load(name)).reference
+    assert isinstance(reference, FollowingReference)
+    return reference
+
+
+def state(command: tuple[float, float, float], activity: float = 1.0, phases: int = 200) -> CommandState:
+    """Return one cycle under a command."""
+    return CommandState(np.tile(command, (phases, 1)), np.full(phases, activity), np.arange(phases) / phases)
+
+
+def feet(reference: FollowingReference, given: CommandState) -> np.ndarray:
+    """Return where feet are (phases, L, 3) [m] from the legs' mounts."""
+    robot = reference.robot
+    angles = robot.leg_geometry.to_motors(reference.pose(0.0, given))
+    return robot.leg_geometry.foot_position(angles)
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_feet_go_backward_at_the_commanded_speed_times_the_gain(name: str) -> None:
+    reference = reference_of(name)
+    speed = 0.3
+    place = feet(reference, state((speed, 0.0, 0.0)))[:, :, 0]
+    step = reference.period / 200
+    # A foot is on the ground for the first part of its own cycle.
+    share = (np.arange(200)[:, None] / 200 - reference.feet.phase) % 1.0
+    moving = np.diff(place, axis=0)[((share > 0.02) & (share < reference.feet.duty_factor - 0.02))[:-1]] / step
+    assert moving == pytest.approx(np.full_like(moving, -reference.stride_gain * speed), rel=1e-6)
+
+
+def test_feet_go_sideways_by_abduction() -> None:
+    reference = reference_of("go2")
+    place = feet(reference, state((0.0, 0.2, 0.0)))
+    span = np.ptp(place, axis=0)
+    stride = reference.stride_gain * 0.2 * 0.6 * reference.period
+    assert span[:, 1].min() >= stride  # the swing goes a little beyond both ends
+    assert span[:, 1].max() < 1.3 * stride
+    assert span[:, 0].max() < 1e-9
+
+
+def test_turning_moves_the_feet_of_the_left_backward_of_the_right() -> None:
+    reference = reference_of("minitaur")
+    x, y = reference.robot.leg_mounts[:, 0], reference.robot.leg_mounts[:, 1] + reference.places[:, 1]
+    stride = reference.strides(np.array([[0.0, 0.0, 1.0]]))[0]
+    stance = reference.feet.duty_factor * reference.period
+    # w x r has -w y forward; legs without abduction can't follow the part to the side.
+    assert stride[:, 0] == pytest.approx(-y * reference.stride_gain * stance)
+    assert not stride[:, 1].any()
+    assert (stride[y > 0, 0] < 0).all()
+    aside = reference_of("go2")
+    x = aside.robot.leg_mounts[:, 0]
+    stride = aside.strides(np.array([[0.0, 0.0, 0.5]]))[0]
+    assert stride[:, 1] == pytest.approx(0.5 * x * aside.stride_gain * 0.6 * aside.period)
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_a_robot_that_stands_keeps_its_feet_where_they_are(name: str) -> None:
+    reference = reference_of(name)
+    still = feet(reference, state((0.0, 0.0, 0.0), activity=0.0))
+    assert np.ptp(still, axis=0) == pytest.approx(0.0, abs=1e-12)
+    assert still[0] == pytest.approx(reference.places, abs=1e-9)
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_every_command_is_within_the_extent_and_the_legs_reach(name: str) -> None:
+    reference, random = reference_of(name), np.random.default_rng(1)
+    low, high = reference.limits.low, reference.limits.high
+    command = low + random.uniform(size=(500, 3)) * (high - low)
+    poses = reference.pose(0.0, CommandState(command, random.uniform(size=500), random.uniform(size=500)))
+    assert np.isfinite(poses).all()
+    for (least, most), values in zip(reference.extent(), np.moveaxis(poses, 1, 0), strict=True):
+        assert values.min() >= least - 2e-3
+        assert values.max() <= most + 2e-3
+
+
+def test_the_longest_stride_holds_with_its_frequency() -> None:
+    reference = replace(reference_of("go2"), frequency_rise=0.5)
+    fast = np.array([[50.0, 0.0, 0.0]])
+    assert np.linalg.norm(reference.strides(fast)[0], axis=-1) == pytest.approx(reference.feet.stroke)
+    assert reference.frequency(fast)[0] == pytest.approx(1.5 / reference.period)
+    assert reference.frequency(np.zeros((1, 3)))[0] == pytest.approx(1.0 / reference.period)
+
+
+def test_what_a_contract_holds_makes_the_same_gait_again() -> None:
+    reference = reference_of("go2")
+    again = make_reference(reference.to_dict(), reference.robot, reference.limits)
+    given = state((0.5, 0.1, 0.3))
+    assert again.pose(0.0, given) == pytest.approx(reference.pose(0.0, given), abs=1e-12)
+
+
+def test_without_commands_there_is_nothing_to_follow() -> None:
+    reference = reference_of("go2")
+    with pytest.raises(SurefootError, match=r"reference\.kind is follow; it needs commands"):
+        make_reference(reference.to_dict(), reference.robot)
+
+
+def test_a_stride_out_of_reach_is_refused() -> None:
+    reference = reference_of("go2")
+    data = reference.to_dict()
+    data["foot"]["stroke"] = dict.fromkeys(reference.feet.legs, 0.8)
+    with pytest.raises(SurefootError, match="out of the leg's reach"):
+        make_reference(data | {"stride_gain": 3.0}, reference.robot, reference.limits)
