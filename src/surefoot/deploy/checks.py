@@ -11,13 +11,15 @@ from typing import Any
 
 import numpy as np
 
+from surefoot.configuration import from_mapping
 from surefoot.deploy.controller import action_kind, contract_gait
 from surefoot.deploy.wire.messages import Handshake
 from surefoot.errors import SurefootError, choices
 from surefoot.findings import Finding, compared, judged, undone
 from surefoot.policy.contract import Contract
 from surefoot.robot import RobotDescription
-from surefoot.task.gait import action_names
+from surefoot.task.commands import CommandConfig
+from surefoot.task.gait import action_names, narrowed_bounds
 from surefoot.task.observation import PARTS, Observer
 from surefoot.task.reference import make_reference
 
@@ -262,7 +264,9 @@ def _contradiction(contract: Contract, robot: RobotDescription) -> str | None:
     actions = tuple(action_names(robot, action_kind(contract)))
     if contract.action_names != actions:
         return f"its actions are {list(contract.action_names)}; of these legs they must be {list(actions)}"
-    return _bounds(contract) or _reference(contract, robot) or _rest(contract, robot)
+    return (
+        _commands(contract, robot) or _reference(contract, robot) or _bounds(contract, robot) or _rest(contract, robot)
+    )
 
 
 def _same(one: Gains, other: Gains) -> bool:
@@ -270,10 +274,25 @@ def _same(one: Gains, other: Gains) -> bool:
     return given.shape == wanted.shape and np.allclose(given, wanted, rtol=_TOLERANCE, atol=_TOLERANCE)
 
 
-def _bounds(contract: Contract) -> str | None:
+def _commands(contract: Contract, robot: RobotDescription) -> str | None:
+    try:
+        expected = from_mapping(CommandConfig, contract.task.get("commands") or {}, "commands").limits(robot)
+    except SurefootError as error:
+        return f"its task's commands can't be read: {error}"
+    if expected != contract.commands:
+        return "its commands are not those of its task"
+    return None
+
+
+def _bounds(contract: Contract, robot: RobotDescription) -> str | None:
+    feedback = dict(contract.task.get("feedback") or {})
+    if (contract.task.get("reference") or {}).get("relative") and all(part in feedback for part in robot.coordinates):
+        reference = make_reference(contract.reference, robot, contract.commands)
+        given = [tuple(feedback[part]) for part in robot.coordinates]
+        feedback |= dict(zip(robot.coordinates, narrowed_bounds(given, reference, robot), strict=True))
     for action, low, high in zip(contract.action_names, contract.low, contract.high, strict=True):
         part = action.split(".")[0]
-        stated = (contract.task.get("feedback") or {}).get(part)
+        stated = feedback.get(part)
         if stated is None:
             continue
         for name, value, expected in (("low", low, stated[0]), ("high", high, stated[1])):
@@ -289,12 +308,14 @@ def _reference(contract: Contract, robot: RobotDescription) -> str | None:
     if kind is not None and (found or "none") != kind:
         return f"its reference is of kind {found or 'none'}; its task says {kind}"
     # A table's rows stand in the contract alone: its task may name a file that is somewhere else.
-    parts = {"sine": robot.coordinates, "foot": ("foot", "relative")}.get(str(kind))
+    foot = ("foot", "relative")
+    parts = {"sine": robot.coordinates, "foot": foot, "follow": (*foot, "stride_gain", "frequency_rise")}.get(str(kind))
     if parts is None:
         return None
     try:
-        expected = make_reference({key: stated[key] for key in ("kind", *parts) if key in stated}, robot)
-        given = make_reference(contract.reference, robot)
+        named = {key: stated[key] for key in ("kind", *parts) if key in stated}
+        expected = make_reference(named, robot, contract.commands)
+        given = make_reference(contract.reference, robot, contract.commands)
     except (SurefootError, KeyError) as error:
         return f"its reference can't be read: {error}"
     if expected.to_dict() != given.to_dict():

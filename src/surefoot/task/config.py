@@ -13,7 +13,7 @@ from surefoot.errors import SurefootError, check_name, choices, located, quoted
 from surefoot.robot import DEFAULT_ROBOT, PhysicalParams, RobotDescription
 from surefoot.robot.params_file import ParamValue
 from surefoot.task.commands import CommandConfig
-from surefoot.task.gait import ActionKind, HybridGait
+from surefoot.task.gait import ActionKind, HybridGait, narrowed_bounds
 from surefoot.task.observation import IMU_AND_MOTORS_12D
 from surefoot.task.pushes import PushConfig
 from surefoot.task.randomize import RandomizeConfig, with_ranges
@@ -199,11 +199,7 @@ class TaskConfig:
         names = ("joint",) if self.action == "joint" else robot.coordinates
         bounds = self.feedback.of(names)
         if self.reference.relative and self.action == "leg":
-            spans = zip(bounds, reference.extent(), robot.leg_space.values(), strict=True)
-            bounds = [
-                (max(low, min(least - lowest, 0.0)), min(high, max(most - highest, 0.0)))
-                for (low, high), (lowest, highest), (least, most) in spans
-            ]
+            bounds = narrowed_bounds(bounds, reference, robot)
         return HybridGait(robot, reference, *bounds, action=self.action)
 
     def nominal(self, robot: RobotDescription) -> PhysicalParams:

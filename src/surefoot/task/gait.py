@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Literal
 
 import numpy as np
@@ -22,6 +23,15 @@ def action_names(robot: RobotDescription, kind: ActionKind) -> list[str]:
     if kind == "joint":
         return [f"joint.{motor}" for motor in robot.motor_names]
     return [f"{part}.{leg}" for part in robot.coordinates for leg in robot.leg_names]
+
+
+def narrowed_bounds(bounds: Sequence[Range], reference: Reference, robot: RobotDescription) -> list[Range]:
+    """Return bounds of the feedback in leg space, narrowed to what the robot's legs allow beside a reference."""
+    spans = zip(bounds, reference.extent(), robot.leg_space.values(), strict=True)
+    return [
+        (max(low, min(least - lowest, 0.0)), min(high, max(most - highest, 0.0)))
+        for (low, high), (lowest, highest), (least, most) in spans
+    ]
 
 
 class HybridGait:
