@@ -41,7 +41,7 @@ def test_feet_go_backward_at_the_commanded_speed_times_the_gain(name: str) -> No
     reference = reference_of(name)
     speed = 0.3
     place = feet(reference, state((speed, 0.0, 0.0)))[:, :, 0]
-    step = reference.period / 200
+    step = 1.0 / reference.frequency(np.array([[speed, 0.0, 0.0]]))[0] / 200
     # A foot is on the ground for the first part of its own cycle.
     share = (np.arange(200)[:, None] / 200 - reference.feet.phase) % 1.0
     moving = np.diff(place, axis=0)[((share > 0.02) & (share < reference.feet.duty_factor - 0.02))[:-1]] / step
@@ -52,7 +52,7 @@ def test_feet_go_sideways_by_abduction() -> None:
     reference = reference_of("go2")
     place = feet(reference, state((0.0, 0.2, 0.0)))
     span = np.ptp(place, axis=0)
-    stride = reference.stride_gain * 0.2 * 0.6 * reference.period
+    stride = reference.stride_gain * 0.2 * 0.6 / reference.frequency(np.array([[0.0, 0.2, 0.0]]))[0]
     assert span[:, 1].min() >= stride  # the swing goes a little beyond both ends
     assert span[:, 1].max() < 1.3 * stride
     assert span[:, 0].max() < 1e-9
@@ -61,16 +61,18 @@ def test_feet_go_sideways_by_abduction() -> None:
 def test_turning_moves_the_feet_of_the_left_backward_of_the_right() -> None:
     reference = reference_of("minitaur")
     x, y = reference.robot.leg_mounts[:, 0], reference.robot.leg_mounts[:, 1] + reference.places[:, 1]
-    stride = reference.strides(np.array([[0.0, 0.0, 1.0]]))[0]
-    stance = reference.feet.duty_factor * reference.period
+    command = np.array([[0.0, 0.0, 1.0]])
+    stride = reference.strides(command)[0]
+    stance = reference.feet.duty_factor / reference.frequency(command)[0]
     # w x r has -w y forward; legs without abduction can't follow the part to the side.
     assert stride[:, 0] == pytest.approx(-y * reference.stride_gain * stance)
     assert not stride[:, 1].any()
     assert (stride[y > 0, 0] < 0).all()
     aside = reference_of("go2")
     x = aside.robot.leg_mounts[:, 0]
-    stride = aside.strides(np.array([[0.0, 0.0, 0.5]]))[0]
-    assert stride[:, 1] == pytest.approx(0.5 * x * aside.stride_gain * 0.6 * aside.period)
+    command = np.array([[0.0, 0.0, 0.5]])
+    stride = aside.strides(command)[0]
+    assert stride[:, 1] == pytest.approx(0.5 * x * aside.stride_gain * 0.6 / aside.frequency(command)[0])
 
 
 @pytest.mark.parametrize("name", ROBOTS)

@@ -87,32 +87,37 @@ class FollowingReference:
         """Time of a step on the spot [s]."""
         return float(self.feet.period)
 
-    def strides(self, command: Array) -> Array:
-        """Return the strides (N, L, 2) [m] forward and to the left for commands (N, 3), no longer than allowed."""
+    def _on_the_spot(self, command: Array) -> tuple[Array, Array]:
+        """Return the strides (N, L, 2) [m] that commands (N, 3) need at the frequency on the spot, and their share.
+
+        The share (N,) is that of the longest over the longest allowed, at most 1.
+        """
         x, y = self.robot.leg_mounts[:, 0], self.robot.leg_mounts[:, 1] + self.places[:, 1]
         forward = command[:, :1] - command[:, 2:] * y
         aside = command[:, 1:2] + command[:, 2:] * x
         if "abduction" not in self.robot.coordinates:
             aside = np.zeros_like(aside)
-        stance = self.feet.duty_factor / np.reshape(self.feet.frequency, -1)
-        stride = self.stride_gain * stance[..., None] * np.stack([forward, aside], -1)
-        length = np.linalg.norm(stride, axis=-1, keepdims=True)
-        # The longer stride comes with a higher frequency, so that feet keep the commanded speed.
-        share = np.minimum(length / self.feet.stroke[:, None], 1.0)
-        stride = stride / (1.0 + self.frequency_rise * share.max(axis=-2, keepdims=True))
+        stance = self.feet.duty_factor / self.feet.frequency
+        stride = self.stride_gain * stance[:, None] * np.stack([forward, aside], -1)
+        share = np.linalg.norm(stride, axis=-1) / np.maximum(self.feet.stroke, 1e-9)
+        return stride, np.minimum(share.max(axis=-1), 1.0)
+
+    def strides(self, command: Array) -> Array:
+        """Return the strides (N, L, 2) [m] forward and to the left for commands (N, 3), no longer than allowed.
+
+        A higher frequency comes with longer strides, so that feet keep the commanded speed.
+        """
+        stride, share = self._on_the_spot(command)
+        stride = stride / (1.0 + self.frequency_rise * share)[:, None, None]
         length = np.linalg.norm(stride, axis=-1, keepdims=True)
         limited: Array = stride * np.minimum(1.0, self.feet.stroke[:, None] / np.maximum(length, 1e-9))
         return limited
 
     def frequency(self, command: Array) -> Array:
         """Return the frequency (N,) [Hz] at commands (N, 3)."""
-        base = float(self.feet.frequency)
-        if self.frequency_rise == 0.0:
-            return np.full(len(command), base)
-        x, y = self.robot.leg_mounts[:, 0], self.robot.leg_mounts[:, 1] + self.places[:, 1]
-        speed = np.hypot(command[:, :1] - command[:, 2:] * y, command[:, 1:2] + command[:, 2:] * x)
-        stride = self.stride_gain * speed * self.feet.duty_factor / base
-        return base * (1.0 + self.frequency_rise * np.minimum(stride / self.feet.stroke, 1.0).max(axis=-1))
+        _, share = self._on_the_spot(command)
+        frequency: Array = self.feet.frequency * (1.0 + self.frequency_rise * share)
+        return frequency
 
     def pose(self, time: ArrayLike, state: CommandState | None = None) -> Array:
         """Return the poses (N, C, L) at what the gait follows; without it, of steps on the spot at times (N,) [s]."""
