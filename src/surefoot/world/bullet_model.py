@@ -17,10 +17,11 @@ from surefoot.arrays import Array
 from surefoot.errors import SurefootError
 from surefoot.native_output import quiet
 from surefoot.robot import GRAVITY, RobotDescription
+from surefoot.robot.urdf import frame_of
 from surefoot.rotations import matrix_quat
 from surefoot.world.bullet_tick import pin_kernel
 from surefoot.world.drive import BULLET_ONLY, CONTACT, RACK_HEIGHT, RATIOS
-from surefoot.world.fused_urdf import frame_of, fuse_urdf
+from surefoot.world.fused_urdf import fuse_urdf
 from surefoot.world.interface import WorldConfig
 
 SOLVER_ITERATIONS = 50
