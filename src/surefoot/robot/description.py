@@ -19,6 +19,7 @@ from surefoot.arrays import Array
 from surefoot.configuration import Within, from_mapping, read_toml
 from surefoot.errors import SurefootError, check_name, choices, located, quoted
 from surefoot.robot.actuator import ActuatorData, DcMotorData, JointDriveData, per_motor
+from surefoot.robot.experiments import Experiments, read_experiments
 from surefoot.robot.leg import FiveBar, Legs
 from surefoot.robot.params import PhysicalParams
 from surefoot.robot.serial_leg import SerialLegs
@@ -158,6 +159,7 @@ class _Sheet:
     contact: dict[str, Any] = field(default_factory=dict)
     poses: dict[str, Any] = field(default_factory=dict)
     battery: dict[str, Any] = field(default_factory=dict)
+    experiments: dict[str, Any] = field(default_factory=dict)
     allowed: dict[str, Range] = field(default_factory=dict)
 
 
@@ -187,6 +189,7 @@ class RobotDescription:
     contact: ContactData
     poses: Poses
     battery: Battery
+    experiments: Experiments
     allowed: dict[str, tuple[float, float]]
 
     @classmethod
@@ -247,17 +250,19 @@ class RobotDescription:
                 raise SurefootError(f"{key} is [{low:g}, {high:g}]; the lower bound must come first")
         mounts = _mounts(sheet.base, legs, urdf)
         weight = GRAVITY * urdf.total_mass / len(legs)
+        actuator = _actuator(sheet.actuator, order, legs)
         description = cls(
             name=sheet.name,
             base=sheet.base,
             body_length=sheet.body_length or float(np.ptp(mounts[:, 0])) or geometry.length,
             leg_geometry=geometry,
             loops=sheet.loops,
-            actuator=_actuator(sheet.actuator, order, legs),
+            actuator=actuator,
             timing=sheet.timing,
             contact=_contact(sheet.contact, weight, geometry.length),
             poses=_poses(sheet.poses, space),
             battery=_battery(sheet.battery, float(sheet.actuator.get("voltage", _VOLTAGE))),
+            experiments=read_experiments(sheet.experiments, space["extension"], actuator),
             folder=folder,
             urdf=urdf,
             motor_names=order,

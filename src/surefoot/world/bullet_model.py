@@ -58,7 +58,7 @@ class BulletSettings:
 
 
 PUBLISHED = BulletSettings(cone_friction=False, gravity=10.0, feet="shank", ground="box")
-"""The simulator that was published with the Minitaur's description (pybullet_envs, minitaur_gym_env): no cone friction,
+"""The simulator that was published with the description of the paper's robot (pybullet_envs): no cone friction,
 300 solver iterations over 6 steps, gravity 10 m/s2, lower links as boxes on a box (on a plane, `trot` falls in 5 of 10
 episodes; there it never does)."""
 PARAMETERS = (*CONTACT, *RATIOS, *BULLET_ONLY)

@@ -244,9 +244,7 @@ class _Reader:
                 self.group[np.isin(self.group, self._below(chain[0], children))] = base
         if model.neq or any(len(children[body]) > 1 for chain in legs for body in chain[:-1]):
             what = "closed loops" if model.neq else "legs that branch and no loop that closes them"
-            raise self._fail(
-                f"it has {what}; surefoot reads serial legs, five-bar legs are written by hand as minitaur's"
-            )
+            raise self._fail(f"it has {what}; surefoot reads serial legs; a sheet for five-bar legs is written by hand")
         if len(legs) != 4:
             raise self._fail(f"{len(legs)} legs hang from '{model.body(base).name}'; a quadruped has 4")
         if len({len(chain) for chain in legs}) != 1 or len(legs[0]) > 3:
