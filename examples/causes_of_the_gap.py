@@ -15,7 +15,7 @@ import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, cast
 
 import numpy as np
 import tyro
@@ -92,7 +92,7 @@ def changed(make: SimulationFactory, change: Change, other: RobotDescription | N
     """Return the world with another contact or another robot."""
 
     def world(robot: RobotDescription, num_envs: int, params: PhysicalParams, seed: int, config: WorldConfig) -> Any:
-        robot = other or replace(robot, contact=replace(robot.contact, **change.contact))
+        robot = other or replace(robot, contact=replace(robot.contact, **cast(Any, change.contact)))
         return make(robot, num_envs, params, seed, config)
 
     return world

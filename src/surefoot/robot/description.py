@@ -90,12 +90,16 @@ class Timing:
 
 @dataclass(frozen=True)
 class ContactData:
-    """Foot against ground: friction coefficient, spinning friction [m], stiffness [N/m] and damping [N s/m]."""
+    """Foot against ground: friction coefficient, spinning friction [m], stiffness [N/m] and damping [N s/m].
+
+    Also whether legs collide with each other and with the base: if not given, serial legs do.
+    """
 
     stiffness: _Positive
     damping: _Positive
     friction: _Positive = 0.8
     spinning_friction: _NotNegative = 0.004
+    self_collision: bool = False
 
 
 @dataclass(frozen=True)
@@ -259,7 +263,7 @@ class RobotDescription:
             loops=sheet.loops,
             actuator=actuator,
             timing=sheet.timing,
-            contact=_contact(sheet.contact, weight, geometry.length),
+            contact=_contact({"self_collision": not sheet.loops} | sheet.contact, weight, geometry.length),
             poses=_poses(sheet.poses, space),
             battery=_battery(sheet.battery, float(sheet.actuator.get("voltage", _VOLTAGE))),
             experiments=read_experiments(sheet.experiments, space["extension"], actuator),

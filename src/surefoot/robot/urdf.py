@@ -71,6 +71,13 @@ class Urdf:
             waiting = [joint for joint in waiting if joint.child not in found]
         return found
 
+    def below(self, joint: str) -> set[str]:
+        """Return the names of the links that a joint moves."""
+        found = {self.joints[joint].child}
+        while more := {other.child for other in self.joints.values() if other.parent in found} - found:
+            found |= more
+        return found
+
     def fixed_to(self, link: str) -> set[str]:
         """Return the names of the links that move as one with `link`, itself included."""
         group = {link}

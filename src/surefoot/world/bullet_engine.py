@@ -22,6 +22,7 @@ from surefoot.world.bullet_model import PARAMETERS, BulletModel, BulletSettings,
 from surefoot.world.bullet_tick import JOINTS, OMEGA, VELOCITY, Layout, base_links, between, observe
 from surefoot.world.drive import RACK_HEIGHT, SPEED_LIMIT, Drive, racked_bases
 from surefoot.world.interface import WorldConfig
+from surefoot.world.self_collision import meeting_links
 
 Index = NDArray[np.int64]
 
@@ -52,7 +53,8 @@ class BulletEngine:
         if num_envs > MAX_ROBOTS:
             raise SurefootError(f"num_envs is {num_envs}; one process holds up to {MAX_ROBOTS} robots in Bullet")
         self._p = import_pybullet()
-        self.models = [BulletModel(robot, config, settings) for _ in range(num_envs)]
+        self._meeting = meeting_links(robot)
+        self.models = [BulletModel(robot, config, settings, self._meeting) for _ in range(num_envs)]
         model = self.models[0]
         joints = len(model.joints)
         self._joints = list(range(joints))
@@ -201,7 +203,7 @@ class BulletEngine:
             # Bullet's contact search does not recover from positions that are not finite.
             values, rotors = self.models[i].values, self.models[i].rotor_inertia
             self.models[i].close()
-            self.models[i] = BulletModel(self.robot, self._config, self._settings)
+            self.models[i] = BulletModel(self.robot, self._config, self._settings, self._meeting)
             self.models[i].apply(values, rotors)
             self._spoilt[i] = False
         p, model, row = self._p, self.models[i], self._rows[i]
