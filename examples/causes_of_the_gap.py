@@ -20,10 +20,11 @@ from typing import Annotated, Any, cast
 import numpy as np
 import tyro
 
-from surefoot.cli.policies import find_policy, find_world, load_policy
+from surefoot.cli.policies import find_policy, load_policy
 from surefoot.evaluate.gap import away_task
 from surefoot.evaluate.rollout import run_episodes
 from surefoot.evaluate.runs import Runs
+from surefoot.evaluate.worlds import find_world
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.world.interface import SimulationFactory, WorldConfig
 

@@ -33,7 +33,8 @@ def main(argv: list[str]) -> int:
     """Run the command with the words after its name; return the exit code."""
     command = parse(PlayCommand, argv, "surefoot play")
     check_suffix("video", command.out, ".mp4")
-    from surefoot.cli.policies import adjust_task, find_policy, find_world, lasting, load_gait, run_policy
+    from surefoot.cli.policies import adjust_task, find_policy, lasting, load_gait, run_policy
+    from surefoot.evaluate.worlds import find_world
 
     path = find_policy(command.policy)
     find_world(command.world)
