@@ -58,11 +58,13 @@ def main(argv: list[str]) -> int:
 
 def film(robot: RobotDescription, trace: EpisodeTrace, path: Path) -> Path:
     """Write a video (.mp4) of a trace; return its path."""
-    from surefoot.report.scene import scene, trace_poses
+    from surefoot.report.drawing import Camera
+    from surefoot.report.scene import extent, scene, trace_poses
     from surefoot.report.video import render_video
 
     shapes, poses = scene(robot), trace_poses(robot, trace)
-    return render_video(shapes, poses, trace.time, path, overlay=_captions(trace), follow=robot.base)
+    camera = Camera().of_robot(extent(robot))
+    return render_video(shapes, poses, trace.time, path, overlay=_captions(trace), follow=robot.base, camera=camera)
 
 
 def has_display() -> bool:

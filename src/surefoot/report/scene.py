@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from surefoot.arrays import Array
 from surefoot.errors import SurefootError
-from surefoot.report.drawing import GREY, Shape
+from surefoot.report.drawing import GREY, Mesh, Shape
 from surefoot.robot import RobotDescription
 from surefoot.robot.urdf import frame_of
 from surefoot.rotations import quat_matrix
@@ -34,6 +34,16 @@ def scene(robot: RobotDescription) -> list[Shape]:
             f"{robot.urdf.path}: has nothing to draw; a link's <visual> must be a box, cylinder or sphere"
         )
     return shapes
+
+
+def extent(robot: RobotDescription) -> float:
+    """Return how large a robot is [m]: the diagonal of the box around its shapes in the resting pose."""
+    placed = poses(robot, np.zeros(3), [1.0, 0.0, 0.0, 0.0], robot.resting_angles)
+    bodies = list(placed)
+    mesh = Mesh(scene(robot), bodies)
+    frames = np.array([placed[body][0] for body in bodies])[mesh.point_body]
+    points = np.einsum("nij,nj->ni", frames[:, :3, :3], mesh.points) + frames[:, :3, 3]
+    return float(np.linalg.norm(np.ptp(points, axis=0)))
 
 
 def poses(
