@@ -21,7 +21,7 @@ from pathlib import Path
 
 from rounds import measure, ratio_quartiles
 
-from surefoot.cli.policies import find_world
+from surefoot.evaluate.worlds import find_world
 from surefoot.learn.export import export_run
 from surefoot.learn.run import TrainingRun
 from surefoot.learn.run_folder import RunFolder

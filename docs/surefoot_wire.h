@@ -18,11 +18,11 @@
 #endif
 
 #define SUREFOOT_VERSION 1u
-#define SUREFOOT_SCHEMA 0xC9751E5Bu
+#define SUREFOOT_SCHEMA 0x883A7B5Cu
 #define SUREFOOT_MOTORS 8
 #define SUREFOOT_MAX_FRAME 1024u /* bytes between two zeros beyond which nothing is a frame */
-#define SUREFOOT_BODY_BYTES 392u /* most bytes of header, payload and CRC-32 together */
-#define SUREFOOT_FRAME_BYTES 396u /* most bytes of a frame on the line, with its zeros */
+#define SUREFOOT_BODY_BYTES 448u /* most bytes of header, payload and CRC-32 together */
+#define SUREFOOT_FRAME_BYTES 452u /* most bytes of a frame on the line, with its zeros */
 
 #if defined(__cplusplus) && __cplusplus >= 201103L
 #define SUREFOOT_SIZE(type, size) static_assert(sizeof(type) == (size), "size of " #type)
@@ -142,8 +142,8 @@ typedef struct {
     char motor_names[SUREFOOT_MOTORS][24]; /* motors, in motor order */
     int8_t motor_signs[SUREFOOT_MOTORS];   /* joint angle = sign * motor angle */
     uint32_t servo_period;                 /* [1e-6 s] time between two servo steps */
-    float servo_kp;                        /* [1/rad] proportional gain, duty per angle */
-    float servo_kd;                        /* [s/rad] derivative gain, duty per speed */
+    float servo_kp[SUREFOOT_MOTORS];       /* [1/rad] proportional gains, duty per angle; joint drives: N m/rad */
+    float servo_kd[SUREFOOT_MOTORS];       /* [s/rad] derivative gains, duty per speed; joint drives: N m s/rad */
     uint32_t command_period_min;           /* [1e-6 s] shortest time between commands */
     uint32_t command_period_max;           /* [1e-6 s] longest time between commands */
     float angle_low[SUREFOOT_MOTORS];      /* [rad] least motor angles that a command may ask for */
@@ -197,7 +197,7 @@ SUREFOOT_SIZE(surefoot_pwm, 34);
 SUREFOOT_SIZE(surefoot_damp, 2);
 SUREFOOT_SIZE(surefoot_disarm, 2);
 SUREFOOT_SIZE(surefoot_bye, 2);
-SUREFOOT_SIZE(surefoot_handshake, 370);
+SUREFOOT_SIZE(surefoot_handshake, 426);
 SUREFOOT_SIZE(surefoot_pong, 4);
 SUREFOOT_SIZE(surefoot_state, 130);
 SUREFOOT_SIZE(surefoot_fault, 83);

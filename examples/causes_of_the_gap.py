@@ -15,15 +15,16 @@ import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, cast
 
 import numpy as np
 import tyro
 
-from surefoot.cli.policies import find_policy, find_world, load_policy
+from surefoot.cli.policies import find_policy, load_policy
 from surefoot.evaluate.gap import away_task
 from surefoot.evaluate.rollout import run_episodes
 from surefoot.evaluate.runs import Runs
+from surefoot.evaluate.worlds import find_world
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.world.interface import SimulationFactory, WorldConfig
 
@@ -92,7 +93,7 @@ def changed(make: SimulationFactory, change: Change, other: RobotDescription | N
     """Return the world with another contact or another robot."""
 
     def world(robot: RobotDescription, num_envs: int, params: PhysicalParams, seed: int, config: WorldConfig) -> Any:
-        robot = other or replace(robot, contact=replace(robot.contact, **change.contact))
+        robot = other or replace(robot, contact=replace(robot.contact, **cast(Any, change.contact)))
         return make(robot, num_envs, params, seed, config)
 
     return world

@@ -89,7 +89,7 @@ class Comparison:
         found = {}
         for name, world in self.worlds().items():
             engine = world.engine
-            engine.set_state(0, engine.initial_state)
+            engine.set_state(np.array([0]), engine.initial_state)
             found[name] = composite(mujoco_parts(engine) if name == "MuJoCo" else bullet_parts(engine))
         (mass, centre, inertia), (other_mass, other_centre, other_inertia) = found.values()
         print(f"masses    {mass:.6f} kg, Bullet {other_mass - mass:+.1e}; centres of mass", end=" ")
@@ -207,12 +207,7 @@ class Comparison:
 
 def lift(world: SimWorld, height: float) -> None:
     """Raise the robot by a height [m]."""
-    if world.engine.name == "mujoco":
-        world.engine.datas[0].qpos[2] += height  # type: ignore[attr-defined]
-        return
-    state = world.engine.get_state(0)
-    state[2] += height
-    world.engine.set_state(0, state)
+    world.engine.raise_base(np.array([0]), np.array([height]))
 
 
 Parts = list[tuple[float, np.ndarray, np.ndarray]]

@@ -12,10 +12,10 @@ from typing import Annotated
 
 import tyro
 
-from surefoot.cli.policies import WORLDS, find_world
 from surefoot.evaluate.gap import away_task
 from surefoot.evaluate.rollout import run_episodes
 from surefoot.evaluate.runs import Runs
+from surefoot.evaluate.worlds import WORLDS, find_world
 from surefoot.robot import RobotDescription
 from surefoot.task.config import load_task
 from surefoot.task.handcrafted import OpenLoop
@@ -27,7 +27,7 @@ class Command:
 
     task: Annotated[str, tyro.conf.Positional] = "trot"
     """A preset, or a task's YAML file."""
-    worlds: tuple[str, ...] = WORLDS
+    worlds: tuple[str, ...] = tuple(WORLDS)
     """Worlds to run in."""
     episodes: int = 20
     """Episodes in each: one on each robot of the ensemble."""

@@ -34,8 +34,8 @@ def handshake_of(robot: RobotDescription) -> Handshake:
         motor_names=robot.motor_names,
         motor_signs=robot.motor_sign,
         servo_period=0.001,
-        servo_kp=1.0,
-        servo_kd=0.015,
+        servo_kp=np.full(8, 1.0),
+        servo_kd=np.full(8, 0.015),
         command_period_min=0.002,
         command_period_max=0.02,
         angle_low=np.full(8, -0.4),
@@ -95,8 +95,22 @@ def swapped(names: tuple[Any, ...], one: int, other: int) -> tuple[Any, ...]:
             "motor signs",
             "back_left_1_motor has +1 (policy), -1 (robot), +1 (data sheet)",
         ),
-        ({"servo_kp": 1.06}, "servo gains", "have kp 1.06 and kd 0.015; the policy was trained with kp 1 and kd 0.015"),
-        ({"servo_kd": 0.014}, "servo gains", "each must be within 5%"),
+        (
+            {"servo_kp": np.full(8, 1.06)},
+            "servo gains",
+            "have kp 1.06 and kd 0.015; the policy was trained with kp 1 and",
+        ),
+        (
+            {"servo_kp": np.array([1, 1, 1.2, 1, 1, 1, 1, 1.0])},
+            "servo gains",
+            "motor 'back_left_2_motor': the robot's servo has kp 1.2 and kd 0.015; the policy was trained with kp 1",
+        ),
+        (
+            {"servo_kd": np.array([0.015, 0.02, 0.015, 0.015, 0.015, 0.03, 0.015, 0.015])},
+            "servo gains",
+            "motor 'front_left_1_motor' and 1 more: the robot's servo has kp 1 and kd 0.02; the policy was trained",
+        ),
+        ({"servo_kd": np.full(8, 0.014)}, "servo gains", "each must be within 5%"),
         ({"servo_period": 0.002}, "servo period", "every 2 ms; the data sheet says 1 ms"),
         ({"command_period_min": 0.007}, "control step", "6 ms; the robot takes commands every 7 to 20 ms"),
         ({"command_period_max": 0.005}, "control step", "6 ms; the robot takes commands every 2 to 5 ms"),
@@ -120,7 +134,9 @@ def test_a_servo_period_of_zero_is_refused():
     assert list(failed) == ["servo period", "control step"]
 
 
-@pytest.mark.parametrize("change", [{"servo_kp": 1.049}, {"servo_period": 0.00101}, {"command_timeout": 0.018}])
+@pytest.mark.parametrize(
+    "change", [{"servo_kp": np.full(8, 1.049)}, {"servo_period": 0.00101}, {"command_timeout": 0.018}]
+)
 def test_what_is_close_enough_passes(change: dict[str, Any]):
     assert failures(contract_of(), replace(HANDSHAKE, **change)) == {}
 
@@ -244,7 +260,9 @@ def test_a_policy_without_a_digest_is_refused():
 
 
 def test_a_refusal_of_several_is_one_line_that_names_them_all():
-    findings = check_contract(contract_of(), replace(HANDSHAKE, servo_kp=2.0, command_timeout=0.01), ROBOT, "abc")
+    findings = check_contract(
+        contract_of(), replace(HANDSHAKE, servo_kp=np.full(8, 2.0), command_timeout=0.01), ROBOT, "abc"
+    )
     said = refusal(findings)
     assert said is not None
     assert said.startswith("servo gains: the robot's servos have kp 2 and kd 0.015;")

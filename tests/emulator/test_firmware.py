@@ -122,7 +122,8 @@ def test_it_tells_what_it_is_and_counts_its_frames_from_one(bench, robot):
     assert isinstance(said, Handshake)
     assert (said.session, said.robot, said.motor_names) == (ME, "minitaur", robot.motor_names)
     np.testing.assert_array_equal(said.motor_signs, robot.motor_sign)
-    assert (said.servo_kp, said.servo_kd, said.servo_period) == (1.0, 0.015, 0.001)
+    assert said.servo_period == 0.001
+    np.testing.assert_array_equal([said.servo_kp, said.servo_kd], [[1.0] * 8, [0.015] * 8])
     assert (said.command_timeout, said.rearm_after) == (0.050, 0.5)
     # Leg space: extension 0.6 to 2.7, swing up to 1; and 1 rad of room.
     np.testing.assert_allclose([said.angle_low[0], said.angle_high[0]], [-1.4, 4.7])

@@ -9,10 +9,9 @@ from numpy.typing import NDArray
 from surefoot.deploy.poses import sitting
 from surefoot.deploy.wire.messages import Mode
 from surefoot.emulator.limits import Limits, introduction
-from surefoot.identify import ground_plans as ground
-from surefoot.identify.ground_plans import ends, rocking, sides, standing_up
+from surefoot.identify.ground_plans import DRAG, ends, rocking, sides, standing_up
 from surefoot.identify.plan import FADE, Phase, Plan, chirps, go_to, hold, steps, sweep
-from surefoot.identify.rack_plans import DUTY, PULSE, SPIKE_EVERY, latency_plan, motor_plan
+from surefoot.identify.rack_plans import PULSE, SPIKE_EVERY, latency_plan, motor_plan
 from surefoot.identify.registry import EXPERIMENTS
 from surefoot.robot import RobotDescription
 
@@ -111,7 +110,7 @@ def test_a_spike_is_one_command(robot: RobotDescription):
     duties = asked(phase, np.zeros(robot.num_motors))
     driven = np.flatnonzero(np.abs(duties).max(axis=1))
     np.testing.assert_array_equal(driven, [0, round(SPIKE_EVERY / PERIOD)])
-    np.testing.assert_allclose(np.abs(duties[driven]), DUTY)
+    np.testing.assert_allclose(np.abs(duties[driven]), robot.experiments.spike)
     np.testing.assert_array_equal(duties[driven[0]], -duties[driven[1]])
 
 
@@ -119,23 +118,25 @@ def test_legs_of_the_ground(robot: RobotDescription):
     # Order: front left, back left, front right, back right.
     assert ends(robot).tolist() == [1, -1, 1, -1]
     assert sides(robot).tolist() == [1, 1, -1, -1]
-    angles = robot.pose_angles([0.1, 0, 0, 0], ground.STANCE)
+    angles = robot.pose_angles([0.1, 0, 0, 0], robot.experiments.stance)
     swing, extension = robot.to_pose(angles)
     np.testing.assert_allclose(swing, [0.1, 0, 0, 0], atol=1e-12)
-    np.testing.assert_allclose(extension, ground.STANCE)
+    np.testing.assert_allclose(extension, robot.experiments.stance)
 
 
 def test_rocking_is_around_standing(robot: RobotDescription):
     signal = rocking(robot, ends(robot), 0.12, 1.0, 4.0, 2.0)
-    nobody, stand = np.zeros(8), robot.pose_angles(0.0, ground.STANCE)
+    nobody, stand = np.zeros(8), robot.pose_angles(0.0, robot.experiments.stance)
     np.testing.assert_allclose(signal(0.0, nobody), stand)
     np.testing.assert_allclose(signal(2.0, nobody), stand, atol=1e-12)
     for t in np.arange(0.0, 2.0, 0.05):
         swing, extension = robot.to_pose(signal(t, nobody))
         np.testing.assert_allclose(swing, 0.0, atol=1e-12)
         # Front legs are longer by as much as back legs are shorter.
-        np.testing.assert_allclose(extension - ground.STANCE, (extension[0] - ground.STANCE) * ends(robot), atol=1e-12)
-        assert abs(extension[0] - ground.STANCE) <= 0.12 + 1e-12
+        np.testing.assert_allclose(
+            extension - robot.experiments.stance, (extension[0] - robot.experiments.stance) * ends(robot), atol=1e-12
+        )
+        assert abs(extension[0] - robot.experiments.stance) <= 0.12 + 1e-12
 
 
 def test_a_sweep_of_one_frequency_is_a_sine():
@@ -165,7 +166,7 @@ def test_legs_that_slid_out_are_drawn_in_from_their_side(robot: RobotDescription
 
 def test_a_diagonal_is_dragged_while_the_other_stands(robot: RobotDescription):
     drags = [phase for phase in EXPERIMENTS["contact"].plan(robot).phases if phase.name == "drag"]
-    stand = robot.pose_angles(0.0, ground.STANCE)
+    stand = robot.pose_angles(0.0, robot.experiments.stance)
     moved = []
     for phase in drags:
         angles = asked(phase, stand)
@@ -174,8 +175,10 @@ def test_a_diagonal_is_dragged_while_the_other_stands(robot: RobotDescription):
         swing, extension = np.moveaxis(robot.to_pose(angles), -2, 0)
         moving = np.ptp(swing, axis=0) > 1e-9
         moved.append(moving.tolist())
-        np.testing.assert_allclose(np.abs(swing).max(axis=0)[moving], ground.DRAG, rtol=0.01)
-        np.testing.assert_allclose(ground.STANCE - extension.min(axis=0), np.where(moving, ground.LIFT, 0.0), atol=1e-9)
+        np.testing.assert_allclose(np.abs(swing).max(axis=0)[moving], DRAG, rtol=0.01)
+        np.testing.assert_allclose(
+            robot.experiments.stance - extension.min(axis=0), np.where(moving, robot.experiments.lift, 0.0), atol=1e-9
+        )
     assert moved == [[True, False, False, True], [False, True, True, False]]
 
 

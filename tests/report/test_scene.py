@@ -12,7 +12,8 @@ import pytest
 pytest.importorskip("PIL.Image")
 
 from surefoot.errors import SurefootError
-from surefoot.report.scene import poses, scene, trace_poses
+from surefoot.report.drawing import Camera, Mesh, View
+from surefoot.report.scene import extent, poses, scene, trace_poses
 from surefoot.robot import RobotDescription
 from surefoot.task.trace import EpisodeTrace
 
@@ -142,3 +143,21 @@ def test_the_viewer_puts_every_body_where_the_poses_say(trace: EpisodeTrace):
         body = model.body(shape_body).id
         assert np.allclose(data.xpos[body], found[shape_body][99, :3, 3])
         assert np.allclose(data.xmat[body].reshape(3, 3), found[shape_body][99, :3, :3], atol=1e-6)
+
+
+@pytest.mark.parametrize("name", RobotDescription.available())
+def test_a_robot_of_any_size_fills_the_picture_alike(name: str) -> None:
+    robot = RobotDescription.load(name)
+    camera = Camera().of_robot(extent(robot))
+    if name == "minitaur":
+        assert camera == Camera()
+    placed = poses(robot, [0.0, 0.0, 0.3 * extent(robot)], [1.0, 0.0, 0.0, 0.0], robot.resting_angles)
+    bodies = list(placed)
+    mesh, view = Mesh(scene(robot), bodies), View(camera, np.array([0.0, 0.0, camera.height]), (960, 540))
+    frames = np.array([placed[body][0] for body in bodies])[mesh.point_body]
+    pixels, _ = view.project(np.einsum("nij,nj->ni", frames[:, :3, :3], mesh.points) + frames[:, :3, 3])
+    wide, high = np.ptp(pixels, axis=0) / [view.width, view.height]
+    assert 0.35 < wide < 0.75
+    assert 0.35 < high < 0.95
+    assert (pixels > 0).all()
+    assert (pixels < [view.width, view.height]).all()

@@ -245,7 +245,7 @@ def test_mass_and_inertia_move_as_in_a_model_of_our_own():
     env = make_env({row: FULL.ranges[row] for row in ("mass", "inertia")}, num_envs=3, params=FINE)
     engine = env.world.engine
     size = mujoco.mj_stateSize(build_model(env.robot), mujoco.mjtState.mjSTATE_INTEGRATION)
-    start = [engine.get_state(i)[:size] for i in range(3)]
+    start = engine.get_state(np.arange(3))[:, :size]
     forces: list[list[Any]] = [[], [], []]
     path: list[list[np.ndarray]] = [[], [], []]
     for k in range(80):

@@ -44,9 +44,9 @@ def rms(difference: np.ndarray) -> float:
 
 def lift(world: SimWorld, height: float) -> None:
     """Put all robots so much higher."""
-    for i in range(world.num_envs):
-        world.engine.raise_base(i, height)
-        world.engine.observe(i)
+    every = np.arange(world.num_envs)
+    world.engine.raise_base(every, np.full(len(every), height))
+    world.engine.observe(every)
 
 
 def bullet_mass_matrix(engine: BulletEngine) -> tuple[float, np.ndarray, np.ndarray]:
@@ -83,7 +83,7 @@ def whole(parts: list[tuple[float, np.ndarray, np.ndarray]]) -> tuple[float, np.
 def test_masses_and_the_whole_robots_inertia_agree(robot: RobotDescription):
     mujoco_world, bullet_world = both(robot)
     for world in (mujoco_world, bullet_world):
-        world.engine.set_state(0, world.engine.initial_state)
+        world.engine.set_state(np.array([0]), world.engine.initial_state)
     one, other = mujoco_mass_matrix(mujoco_world.engine), bullet_mass_matrix(bullet_world.engine)
     assert one[0] == pytest.approx(7.473, abs=1e-9)
     assert other[0] == pytest.approx(one[0], rel=1e-12)
@@ -94,7 +94,7 @@ def test_masses_and_the_whole_robots_inertia_agree(robot: RobotDescription):
 def test_resting_poses_agree(robot: RobotDescription):
     worlds = both(robot)
     for world in worlds:
-        world.engine.set_state(0, world.engine.initial_state)
+        world.engine.set_state(np.array([0]), world.engine.initial_state)
     bases, feet = zip(*((world.engine.base()[0], world.foot_positions()[0]) for world in worlds), strict=True)
     np.testing.assert_allclose(*bases, atol=1e-7)
     np.testing.assert_allclose(*feet, atol=1e-7)
@@ -223,8 +223,7 @@ def test_spinning_friction_stops_a_turning_robot_alike(robot: RobotDescription):
     for world in both(robot, 2, contact_friction=0.05, contact_spinning_friction=[0.0, 0.1]):
         for _ in range(20):
             world.step(world.resting_angles)
-        for i in range(2):
-            world.engine.set_base_velocity(i, np.zeros(3), np.array([0.0, 0.0, 5.0]))
+        world.engine.set_base_velocity(np.arange(2), np.zeros((2, 3)), np.array([[0.0, 0.0, 5.0]] * 2))
         for _ in range(10):
             world.step(world.resting_angles)
         rates = world.readings().angular_velocity_base[:, 2]

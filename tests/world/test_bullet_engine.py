@@ -100,8 +100,8 @@ def test_base_velocity_is_that_of_the_links_origin_in_a_turned_robot(make_world,
         world.step(trot(k))
     engine = world.engine
     linear, angular = np.array([0.3, -0.2, 0.5]), np.array([1.0, -2.0, 3.0])
-    engine.set_base_velocity(0, linear, angular)
-    engine.observe(0)
+    engine.set_base_velocity(np.array([0]), linear[None], angular[None])
+    engine.observe(np.array([0]))
     np.testing.assert_allclose(world.drive.now[0, -3:], angular, atol=1e-12)
     before = world.truth()
     assert np.abs(before.roll_pitch_yaw).max() > 0.01

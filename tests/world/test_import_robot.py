@@ -61,6 +61,11 @@ def test_a_tree_has_what_the_file_says(tmp_path: Path) -> None:
     assert first.joints[1].limits is None
     np.testing.assert_allclose(tree.base_box, ([0, 0, 0], [0.2, 0.1, 0.05]), atol=1e-12)
     assert tree.knee_signs(None) == ([-1] * 4, True)
+    assert "feet: the last link's sphere, radius 0.02 m" in tree.notes
+    toe = '<body name="FL_toe" pos="0 0 -.2"/>'
+    text = quadruped().replace('<geom type="sphere" size=".02" pos="0 0 -.2"/>', toe, 1)
+    notes = read_tree(write(tmp_path, text)).notes
+    assert any(note.startswith("feet of FL_knee: the link named so") for note in notes)
 
 
 def test_what_is_written_loads_and_keeps_masses_and_kinematics(tmp_path: Path) -> None:

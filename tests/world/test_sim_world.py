@@ -89,7 +89,7 @@ def test_viscous_friction_slows_each_leg_on_the_rack_with_its_time_constant(make
     dofs = [[model.joint(name).dofadr[0] for name in leg.motors] for leg in robot.legs]
     inertia = np.array([mass[np.ix_(pair, pair)].sum() for pair in dofs])
     data.qvel[np.ravel(dofs)] = 2.0
-    world.engine.observe(0)
+    world.engine.observe(np.array([0]))
     steps = 20
     for _ in range(steps):
         world.step(world.resting_angles)
@@ -120,7 +120,7 @@ def test_the_greatest_viscous_friction_is_no_trouble_for_the_lightest_legs(make_
     world.engine.models[0].opt.gravity[:] = 0.0
     for joint in robot.motor_names:
         world.engine.datas[0].qvel[world.engine.models[0].joint(joint).dofadr[0]] = 5.0
-    world.engine.observe(0)
+    world.engine.observe(np.array([0]))
     before = np.abs(world.truth().motor_velocity[0]).max()
     for _ in range(100):
         world.step(world.resting_angles)

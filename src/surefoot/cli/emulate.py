@@ -81,8 +81,8 @@ def main(argv: list[str]) -> int:
         print("\n".join(describe()))
         return 0
     _check(command)
-    from surefoot.cli.policies import find_world
     from surefoot.emulator.faults import parse_faults
+    from surefoot.evaluate.worlds import find_world
 
     robot = RobotDescription.load(command.robot)
     faults = parse_faults(words, command.lockstep, robot.num_motors)

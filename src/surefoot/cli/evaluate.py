@@ -76,7 +76,8 @@ def _simulated(
     command: EvaluateCommand, given_ranges: GivenRanges
 ) -> tuple[list[EpisodeTrace], RobotDescription, dict[str, Any]]:
     """Run the policy; returns its traces, the robot, and how it was run."""
-    from surefoot.cli.policies import adjust_task, described, find_policy, find_world, load_gait, run_policy
+    from surefoot.cli.policies import adjust_task, described, find_policy, load_gait, run_policy
+    from surefoot.evaluate.worlds import find_world
 
     path = find_policy(str(command.policy))
     find_world(command.world)

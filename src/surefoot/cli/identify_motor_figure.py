@@ -49,7 +49,7 @@ def main(argv: list[str]) -> int:
     command = parse(MotorFigureCommand, argv, "surefoot identify motor-figure")
     check_suffix("figure", command.out, ".png")
     import_module("matplotlib")
-    from surefoot.cli.policies import find_world
+    from surefoot.evaluate.worlds import find_world
     from surefoot.identify.motor_figure import MotorLog, motor_index, run_motor_experiment
     from surefoot.report.figures import STYLES, motor_figure
     from surefoot.robot import RobotDescription, parse_settings

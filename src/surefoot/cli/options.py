@@ -11,7 +11,8 @@ import tyro
 
 from surefoot import configuration
 from surefoot.configuration import Within
-from surefoot.errors import SurefootError
+from surefoot.errors import SurefootError, choices
+from surefoot.evaluate.worlds import WORLDS
 
 PolicyName = Annotated[
     str,
@@ -48,7 +49,7 @@ Ray = Annotated[
     str | None,
     tyro.conf.arg(metavar="HOST:PORT", help="Ray cluster that trains; this machine alone, if not given."),
 ]
-World = Annotated[str, tyro.conf.arg(help="Where to run: mujoco or bullet.")]
+World = Annotated[str, tyro.conf.arg(help=f"Where to run: {choices(WORLDS)}.")]
 Json = Annotated[bool, tyro.conf.arg(help="Print one JSON object.")]
 Port = Annotated[str, tyro.conf.arg(help="Serial port or pseudo-terminal of the robot, such as /dev/ttyUSB0.")]
 Lockstep = Annotated[bool, tyro.conf.arg(help="The robot is an emulator that runs with --lockstep.")]

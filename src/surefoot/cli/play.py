@@ -33,7 +33,8 @@ def main(argv: list[str]) -> int:
     """Run the command with the words after its name; return the exit code."""
     command = parse(PlayCommand, argv, "surefoot play")
     check_suffix("video", command.out, ".mp4")
-    from surefoot.cli.policies import adjust_task, find_policy, find_world, lasting, load_gait, run_policy
+    from surefoot.cli.policies import adjust_task, find_policy, lasting, load_gait, run_policy
+    from surefoot.evaluate.worlds import find_world
 
     path = find_policy(command.policy)
     find_world(command.world)
@@ -57,11 +58,13 @@ def main(argv: list[str]) -> int:
 
 def film(robot: RobotDescription, trace: EpisodeTrace, path: Path) -> Path:
     """Write a video (.mp4) of a trace; return its path."""
-    from surefoot.report.scene import scene, trace_poses
+    from surefoot.report.drawing import Camera
+    from surefoot.report.scene import extent, scene, trace_poses
     from surefoot.report.video import render_video
 
     shapes, poses = scene(robot), trace_poses(robot, trace)
-    return render_video(shapes, poses, trace.time, path, overlay=_captions(trace), follow=robot.base)
+    camera = Camera().of_robot(extent(robot))
+    return render_video(shapes, poses, trace.time, path, overlay=_captions(trace), follow=robot.base, camera=camera)
 
 
 def has_display() -> bool:

@@ -1,4 +1,4 @@
-"""Finding a policy file, the world to run it in and the task to run, from words of the command line; running it."""
+"""Finding a policy file and the task to run, from words of the command line; running it."""
 
 from __future__ import annotations
 
@@ -7,8 +7,6 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from functools import partial
-from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,6 +17,7 @@ from surefoot.cli.simulator import Simulator
 from surefoot.configuration import to_mapping
 from surefoot.deploy.checks import contradiction, other_gains, unreadable_observation
 from surefoot.errors import SurefootError, choices
+from surefoot.evaluate.worlds import find_world
 from surefoot.policy.contract import Contract, check_robot, config_hash
 from surefoot.policy.runtime import PolicyRuntime
 from surefoot.robot import RobotDescription, parse_settings
@@ -27,7 +26,6 @@ from surefoot.task.config import TaskConfig
 from surefoot.task.handcrafted import HandcraftedGait
 from surefoot.task.randomize import RandomizeConfig, check_ranges
 from surefoot.task.trace import EpisodeTrace
-from surefoot.world.interface import SimulationFactory
 
 if TYPE_CHECKING:
     from surefoot.evaluate.rollout import Policy
@@ -35,9 +33,6 @@ if TYPE_CHECKING:
 PACKAGE = Path(__file__).resolve().parents[1]
 SHELVES = (PACKAGE / "policies", PACKAGE.parents[1] / "policies")
 """Where policies that ship lie: in an installed package, and in the repository."""
-WORLDS = ("mujoco", "bullet", "bullet-published", "ensemble")
-SIDE_BY_SIDE = {"mujoco": 0, "bullet": 128, "bullet-published": 128, "ensemble": 128}
-"""Robots that many episodes are best run with at a time, 0 for all: Bullet takes some 33 MB for each."""
 
 
 def find_policy(policy: str) -> Path:
@@ -56,25 +51,6 @@ def find_policies(policies: Sequence[str]) -> list[Path]:
     if not policies:
         raise SurefootError("no policy is given; give one or more .onnx files, or names of policies that ship")
     return [find_policy(policy) for policy in policies]
-
-
-def find_world(name: str) -> SimulationFactory:
-    """Return the factory of worlds of a name in `WORLDS`; its physics engine must be installed."""
-    if name not in WORLDS:
-        raise SurefootError(f"world '{name}' does not exist; choices: {choices(WORLDS)}")
-    if name == "mujoco":
-        from surefoot.world.sim_world import SimWorld
-
-        return SimWorld
-    # Its processes import it when the world is made; that would be too late for a plain word.
-    if find_spec("pybullet") is None:
-        raise ModuleNotFoundError("No module named 'pybullet'", name="pybullet")
-    from surefoot.evaluate.ensemble import ensemble_world
-    from surefoot.world.process_world import bullet_world
-
-    if name == "ensemble":
-        return ensemble_world
-    return partial(bullet_world, published=name == "bullet-published")
 
 
 def load_policy(path: Path, robot: str | None) -> tuple[PolicyRuntime, RobotDescription, TaskConfig]:

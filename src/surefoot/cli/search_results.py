@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 from rich.console import Console
 
 from surefoot.cli.options import make_figures_folder
-from surefoot.cli.policies import find_world
 from surefoot.errors import SurefootError
+from surefoot.evaluate.worlds import find_world
 from surefoot.learn.search import Search
 from surefoot.learn.search_space import get
 

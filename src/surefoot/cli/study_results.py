@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 from rich.console import Console
 
 from surefoot.cli.options import make_figures_folder
-from surefoot.cli.policies import find_world
 from surefoot.errors import SurefootError
+from surefoot.evaluate.worlds import find_world
 from surefoot.learn.study_config import StudyConfig, study_runs
 from surefoot.learn.training import Training
 

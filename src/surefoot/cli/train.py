@@ -86,7 +86,7 @@ def _robot(argv: list[str]) -> str | None:
 
 
 def _train(config: TrainConfig | None, path: Path) -> int:
-    from surefoot.cli.policies import find_world
+    from surefoot.evaluate.worlds import find_world
     from surefoot.learn.progress import TrainingProgress
     from surefoot.learn.run import TrainingRun
     from surefoot.learn.run_folder import RunFolder
@@ -122,7 +122,7 @@ def _listen(console: Console) -> StopSignals:
 
 def check_config(config: TrainConfig) -> None:
     """Refuse an invalid task or an invalid run to start from, before a run folder is made."""
-    from surefoot.cli.policies import find_world
+    from surefoot.evaluate.worlds import find_world
     from surefoot.task.env import LocomotionEnv
 
     LocomotionEnv(config.task, 1, find_world(config.world), threads=1)
@@ -139,11 +139,11 @@ def finish(run: TrainingRun, folder: RunFolder, console: Console) -> None:
     """
     from surefoot.cli.evaluate import draw_episode, print_summaries
     from surefoot.cli.play import film
-    from surefoot.cli.policies import find_world
     from surefoot.evaluate.comparison import Curve
     from surefoot.evaluate.gap import home_task
     from surefoot.evaluate.rollout import run_episodes
     from surefoot.evaluate.runs import summarize
+    from surefoot.evaluate.worlds import find_world
     from surefoot.learn.export import export_run
     from surefoot.policy.runtime import PolicyRuntime
     from surefoot.report.study_figures import learning_curves

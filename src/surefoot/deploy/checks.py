@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from surefoot.arrays import Array
 from surefoot.configuration import from_mapping
 from surefoot.deploy.controller import action_kind, contract_gait
 from surefoot.deploy.wire.messages import Handshake
@@ -23,7 +24,7 @@ from surefoot.task.gait import action_names, narrowed_bounds
 from surefoot.task.observation import PARTS, Observer
 from surefoot.task.reference import make_reference
 
-Gains = float | Sequence[float]
+Gains = float | Sequence[float] | Array
 """A gain of all motors, or one for each."""
 WATCHDOG_STEPS = 3
 """Control steps that the robot's watchdog must bear: a late command is held for two."""
@@ -135,8 +136,8 @@ def _observation(contract: Contract, robot: RobotDescription) -> Finding:
 def _gains(contract: Contract, handshake: Handshake) -> Finding:
     kp, kd = handshake.servo_kp, handshake.servo_kd
     asked = gains_of(contract.servo_kp, contract.servo_kd)
-    todo = f"set {asked} in the firmware, or train with servo_kp {kp:g} and servo_kd {kd:g}"
-    return compared("servo gains", other_gains(contract, kp, kd), gains_of(kp, kd), todo, kp)
+    todo = f"set {asked} in the firmware, or train with the robot's, servo_kp and servo_kd of its data sheet"
+    return compared("servo gains", other_gains(contract, kp, kd), gains_of(kp, kd), todo, float(np.mean(kp)))
 
 
 def _servo_period(handshake: Handshake, robot: RobotDescription) -> Finding:
@@ -233,12 +234,27 @@ def gains_of(kp: Gains, kd: Gains) -> str:
 
 
 def other_gains(contract: Contract, kp: Gains, kd: Gains) -> str | None:
-    """Why servos with these gains are not those that a policy was trained with; None if they are."""
-    if near(kp, contract.servo_kp) and near(kd, contract.servo_kd):
+    """Why servos with these gains, of all motors or of each, are not those that a policy was trained with, or None.
+
+    Where not all motors are alike, it names the first one that differs.
+    """
+    motors = len(contract.motor_names)
+    stated = contract.servo_kp, contract.servo_kd
+    try:
+        ours, theirs = ([np.broadcast_to(gain, motors) for gain in pair] for pair in ((kp, kd), stated))
+    except ValueError:
+        return f"the robot states gains of {np.size(kp)} motors; the policy has {motors}"
+    wrong = [m for m in range(motors) if not all(near(x[m], y[m]) for x, y in zip(ours, theirs, strict=True))]
+    if not wrong:
         return None
+    who, first = "the robot's servos have", wrong[0]
+    if len(wrong) < motors or any(np.ptp(gain) for gain in (*ours, *theirs)):
+        others = f" and {len(wrong) - 1} more" if len(wrong) > 1 else ""
+        who = f"motor '{contract.motor_names[first]}'{others}: the robot's servo has"
+        ours, theirs = ([gain[first] for gain in pair] for pair in (ours, theirs))
     return (
-        f"the robot's servos have {gains_of(kp, kd)}; the policy was trained with "
-        f"{gains_of(contract.servo_kp, contract.servo_kd)}, and each must be within {GAIN_TOLERANCE:.0%}"
+        f"{who} {gains_of(*ours)}; the policy was trained with {gains_of(*theirs)}, "
+        f"and each must be within {GAIN_TOLERANCE:.0%}"
     )
 
 

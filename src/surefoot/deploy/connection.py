@@ -110,7 +110,8 @@ class RobotConnection:
             codec = self.link.codec
             raise SurefootError(
                 f"the robot speaks version {foreign[0]} and schema {foreign[1]:#010x} of the protocol; this surefoot "
-                f"speaks version {VERSION} and schema {codec.schema:#010x} (for {codec.motors} motors)"
+                f"speaks version {VERSION} and schema {codec.schema:#010x} (for {codec.motors} motors): "
+                f"build its firmware with python -m surefoot.deploy.wire.c_header --motors {codec.motors}"
             )
 
     def update(self) -> None:

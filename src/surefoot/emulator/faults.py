@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 
 _MOTOR = "number of the motor"
 _AFTER_ARMING = "s after arming"
-TILT_FORCE = 80.0
-"""Force [N] of the push that topples a robot; it weighs about 58 N."""
+TILT_FORCE = 1.1
+"""Force of the push that topples a robot, over its weight."""
 TILT_TIME = 0.4
 """Duration of the push [s]."""
 FALL_OF_VOLTAGE = 2.0
@@ -241,7 +241,7 @@ class FaultInjector:
         if (fault := self._active("motor-hot")) and plant.temperature[0] < fault.value:
             plant.temperature[0] += RISE_OF_TEMPERATURE * plant.robot.timing.servo_step
         if fault := self._faults.get("tilt"):
-            force = TILT_FORCE if 0 <= self._since(fault) < TILT_TIME else 0.0
+            force = TILT_FORCE * plant.robot.weight if 0 <= self._since(fault) < TILT_TIME else 0.0
             plant.push(np.array([0.0, force, 0.0]))
         if not self.hangs_until and self.began("hang"):
             self.hangs_until = now + round(self._faults["hang"].value * 1e6)

@@ -6,20 +6,11 @@ import numpy as np
 
 from surefoot.arrays import Array
 from surefoot.deploy.poses import between, sitting
-from surefoot.identify.plan import Phase, Plan, Signal, Use, go_to, hold, sweep
+from surefoot.identify.plan import ExperimentLimits, Phase, Plan, Signal, Use, go_to, hold, sweep
 from surefoot.robot import RobotDescription
 
-STANCE = 1.7
-"""Extension [rad] in which the robot stands."""
-HIGH, LOW = 2.0, 1.5
-"""Extensions [rad] from which it drops, and to which it draws its legs in."""
 DROP = 1.4
 """Length of a drop [s]."""
-SQUAT, NOD = 0.3, 0.12
-"""Amplitudes of the extension [rad] when it squats, and when it nods."""
-LIFT = 0.25
-"""How much shorter [rad] the legs get whose feet are dragged: they then carry a third to two thirds of what they
-did, and weak motors of a heavy robot still move them against friction of 1.25."""
 DRAG, STROKE, DRAGGING = 0.3, 0.7, 4.0
 """Swing [rad], time for there and back, and length of a phase [s]."""
 
@@ -51,7 +42,7 @@ def standing_up(robot: RobotDescription) -> list[Phase]:
         swing, _ = robot.to_pose(start)
         return between(start, robot.pose_angles(swing, robot.poses.sit[-1]), t / 1.0)
 
-    sit, stand = sitting(robot), robot.pose_angles(0.0, STANCE)
+    sit, stand = sitting(robot), robot.pose_angles(0.0, robot.experiments.stance)
     return [
         Phase("swing legs out", "legs beside the body, as folded as they are", 1.0, swing_out, use="way"),
         Phase("unfold", "legs beside the body, unfolded", 1.0, unfold, use="way"),
@@ -65,14 +56,23 @@ def standing_up(robot: RobotDescription) -> list[Phase]:
 def ground_plan(robot: RobotDescription, name: str, *phases: Phase) -> Plan:
     """Return the plan of an experiment on the ground: stand up, go through the phases, sit down."""
     sit = Phase("sit down", "the robot sits down", 1.5, go_to(sitting(robot), 1.5), use="way")
-    low, high = robot.pose_angles(0.0, 0.0), robot.pose_angles(0.0, 2.4)
+    low, high = robot.pose_angles(0.0, 0.0), robot.pose_angles(0.0, 1.2 * robot.experiments.high)
     reach = 1.5  # a robot that lies has its legs far to a side
-    return Plan(name, False, (*standing_up(robot), *phases, sit), low - reach, high + reach, 0.0)
+    return Plan(
+        name,
+        False,
+        (*standing_up(robot), *phases, sit),
+        low - reach,
+        high + reach,
+        0.0,
+        ExperimentLimits(robot.experiments.torque),
+    )
 
 
 def drop(robot: RobotDescription, use: Use = "fit") -> Phase:
     """The robot rises and lets itself fall by drawing its legs in at once; motors and soft feet catch it."""
-    stand, high, low = (robot.pose_angles(0.0, extension) for extension in (STANCE, HIGH, LOW))
+    asked = robot.experiments
+    stand, high, low = (robot.pose_angles(0.0, extension) for extension in (asked.stance, asked.high, asked.low))
 
     def signal(t: float, start: Array) -> Array:
         if t < 0.5:
@@ -89,38 +89,48 @@ def rocking(
 
     def signal(t: float, start: Array) -> Array:
         turned, faded = sweep(t, first, last, duration)
-        return robot.pose_angles(0.0, STANCE + faded * amplitude * share * np.sin(turned))
+        return robot.pose_angles(0.0, robot.experiments.stance + faded * amplitude * share * np.sin(turned))
 
     return signal
 
 
 def mass_plan(robot: RobotDescription) -> Plan:
     """Still and slowly for mass and centre of mass, fast for the base's inertia."""
-    legs, stand = np.ones(len(robot.legs)), robot.pose_angles(0.0, STANCE)
-    squat = rocking(robot, legs, SQUAT, 0.5, 0.5, 4.0)
-    fast = rocking(robot, legs, 0.2, 1.0, 3.0, 3.0)
-    nod = rocking(robot, ends(robot), NOD, 1.0, 5.0, 5.0)
-    other = rocking(robot, ends(robot), 0.1, 4.0, 1.5, 3.0)
+    use = robot.experiments
+    legs, stand = np.ones(len(robot.legs)), robot.pose_angles(0.0, use.stance)
+    squat = rocking(robot, legs, use.squat, 0.5, 0.5, 4.0)
+    least, back = use.part("squat", 2 / 3), use.part("nod", 5 / 6)
+    fast = rocking(robot, legs, least, 1.0, 3.0, 3.0)
+    nod = rocking(robot, ends(robot), use.nod, 1.0, 5.0, 5.0)
+    other = rocking(robot, ends(robot), back, 4.0, 1.5, 3.0)
     return ground_plan(
         robot,
         "mass",
         drop(robot),
         Phase("stand still", "the robot stands still", 1.0, hold(stand)),
-        Phase("squat slowly", f"every leg {SQUAT:g} rad longer and shorter, twice", 4.0, squat),
-        Phase("squat fast", "every leg 0.2 rad longer and shorter, from 1 to 3 Hz", 3.0, fast),
+        Phase("squat slowly", f"every leg {use.squat:g} rad longer and shorter, twice", 4.0, squat),
+        Phase("squat fast", f"every leg {least:g} rad longer and shorter, from 1 to 3 Hz", 3.0, fast),
         drop(robot),
-        Phase("nod", f"front and back legs {NOD:g} rad against each other, from 1 to 5 Hz", 5.0, nod),
+        Phase("nod", f"front and back legs {use.nod:g} rad against each other, from 1 to 5 Hz", 5.0, nod),
         drop(robot),
         Phase("stand still", "the robot stands still", 1.0, hold(stand)),
         drop(robot, use="check"),
-        Phase("nod back", "front and back legs 0.1 rad against each other, from 4 to 1.5 Hz", 3.0, other, use="check"),
+        Phase(
+            "nod back",
+            f"front and back legs {back:g} rad against each other, from 4 to 1.5 Hz",
+            3.0,
+            other,
+            use="check",
+        ),
     )
 
 
 def contact_plan(robot: RobotDescription) -> Plan:
     """Drag one diagonal pair of feet, then the other; drop and nod."""
-    nod = rocking(robot, ends(robot), 0.12, 1.0, 5.0, 4.0)
-    roll = rocking(robot, sides(robot), 0.08, 1.0, 4.0, 3.0)
+    use = robot.experiments
+    small = use.part("nod", 2 / 3)
+    nod = rocking(robot, ends(robot), use.nod, 1.0, 5.0, 4.0)
+    roll = rocking(robot, sides(robot), small, 1.0, 4.0, 3.0)
     what = f"two feet, made light, are dragged {DRAG:g} rad to and fro"
     return ground_plan(
         robot,
@@ -130,20 +140,21 @@ def contact_plan(robot: RobotDescription) -> Plan:
         drop(robot),
         Phase("drag", what, DRAGGING, _dragging(robot, -1.0)),
         drop(robot),
-        Phase("nod", "front and back legs 0.12 rad against each other, from 1 to 5 Hz", 4.0, nod),
+        Phase("nod", f"front and back legs {use.nod:g} rad against each other, from 1 to 5 Hz", 4.0, nod),
         drop(robot),
-        Phase("rock", "left and right legs 0.08 rad against each other, from 1 to 4 Hz", 3.0, roll),
+        Phase("rock", f"left and right legs {small:g} rad against each other, from 1 to 4 Hz", 3.0, roll),
     )
 
 
 def _dragging(robot: RobotDescription, diagonal: float) -> Signal:
     """The legs of one diagonal get shorter and swing, front against back; the others stand."""
+    use = robot.experiments
     light = ends(robot) * sides(robot) == diagonal
 
     def signal(t: float, start: Array) -> Array:
         lifted = np.clip(min(t, DRAGGING - t) / 0.5, 0.0, 1.0)
         swings = np.clip(min(t - 0.5, DRAGGING - 0.5 - t) / 0.3, 0.0, 1.0)
         swing = np.where(light, ends(robot) * DRAG * swings * np.sin(2 * np.pi * (t - 0.5) / STROKE), 0.0)
-        return robot.pose_angles(swing, STANCE - np.where(light, LIFT * lifted, 0.0))
+        return robot.pose_angles(swing, use.stance - np.where(light, use.lift * lifted, 0.0))
 
     return signal

@@ -41,10 +41,10 @@ class Phase:
 class ExperimentLimits:
     """When an experiment ends early, with motors damped."""
 
+    torque: float
+    """Torque [N m] that a motor may give for `torque_time`."""
     angle_room: float = 0.7
     """How far [rad] a motor may be beyond the angles that the plan asks for."""
-    torque: float = 2.8
-    """Torque [N m] that a motor may give for `torque_time`; the Minitaur's own protection takes 2.45 for a second."""
     torque_time: float = 0.4
     """How long [s] a motor may give more than that."""
     temperature: float = 70.0
@@ -67,7 +67,7 @@ class Plan:
     """Greatest ones."""
     largest_duty: float
     """Of PWM commands."""
-    limits: ExperimentLimits = ExperimentLimits()
+    limits: ExperimentLimits
 
     @property
     def duration(self) -> float:

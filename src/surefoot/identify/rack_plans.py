@@ -6,24 +6,16 @@ import numpy as np
 
 from surefoot.arrays import Array
 from surefoot.deploy.wire.messages import Mode
-from surefoot.identify.plan import Phase, Plan, Signal, chirps, go_to, hold, steps
+from surefoot.identify.plan import ExperimentLimits, Phase, Plan, Signal, chirps, go_to, hold, steps
 from surefoot.robot import RobotDescription
 from surefoot.seeding import generator
 
-EXTENSION = 1.7
-"""Extension [rad] around which legs move, in the middle of what they reach."""
-WIDE, SLOW = 0.3, 0.45
-"""Amplitudes [rad] of the chirp and of the slow sweep."""
-STEP = 0.35
-"""Largest step of a target [rad]: half of the servo's currents are then in the bent part of the torque curve."""
-DUTIES = (0.08, 0.15, 0.25, 0.35, 0.45)
-"""Heights of PWM pulses; at stall 7 to 39 A at 16 V."""
+HEIGHTS = (8 / 45, 1 / 3, 5 / 9, 7 / 9, 1.0)
+"""Heights of PWM pulses, in shares of the greatest."""
 PULSE = 0.014
 """Length of a PWM pulse [s]."""
 BURST = 0.24
 """Length of a PWM phase [s]: pulses, then motors without duty."""
-DUTY = 0.4
-"""Height of a spike."""
 SPIKE_EVERY, SPIKES = 0.12, 2
 """Time between spikes [s], and how many there are in a phase."""
 GROUPS = 6
@@ -33,33 +25,34 @@ _SHORT = 0.001
 
 def motor_plan(robot: RobotDescription) -> Plan:
     """Move all motors at once, each in its own way: legs on a rack do not feel each other."""
-    motors = robot.num_motors
+    motors, use = robot.num_motors, robot.experiments
     draw = generator(0, "motor experiment")
-    middle = robot.pose_angles(0.0, EXTENSION)
+    middle = robot.pose_angles(0.0, use.stance)
     turned = np.zeros(motors)
     # A leg's motors a quarter turn apart: swing and extension are both excited; legs differ, so that a look tells them.
     for leg, (first, second) in enumerate(robot.leg_motor_index):
         turned[first], turned[second] = 0.4 * leg, 0.4 * leg + np.pi / 2
     all_motors = np.ones(motors)
-    wide = chirps(middle, WIDE * all_motors, 0.5, 10.0, 8.0, turned)
-    narrow = chirps(middle, 0.08 * all_motors, 8.0, 25.0, 3.0, turned)
-    slow = chirps(middle, SLOW * all_motors, 0.25, 0.5, 4.0, turned)
-    other = chirps(middle, 0.2 * all_motors, 7.0, 1.5, 3.0, turned[::-1])
-    jumps = middle + draw.uniform(-STEP, STEP, (16, motors))
+    wide = chirps(middle, use.chirp * all_motors, 0.5, 10.0, 8.0, turned)
+    small, back = use.part("chirp", 4 / 15), use.part("chirp", 2 / 3)
+    narrow = chirps(middle, small * all_motors, 8.0, 25.0, 3.0, turned)
+    slow = chirps(middle, use.sweep * all_motors, 0.25, 0.5, 4.0, turned)
+    other = chirps(middle, back * all_motors, 7.0, 1.5, 3.0, turned[::-1])
+    jumps = middle + draw.uniform(-use.step, use.step, (16, motors))
     phases = [
         Phase("unfold", "all legs to the middle of their reach", 1.5, go_to(middle, 1.5), use="way"),
         Phase("hold", "all legs held", 0.6, hold(middle)),
-        Phase("sweep slowly", f"every motor {SLOW:g} rad to both sides, three strokes", 4.0, slow),
-        Phase("chirp", f"every motor {WIDE:g} rad to both sides, from 0.5 to 10 Hz", 8.0, wide),
-        Phase("fast chirp", "every motor 0.08 rad to both sides, from 8 to 25 Hz", 3.0, narrow),
-        Phase("steps", f"every motor jumps by up to {STEP:g} rad to both sides, 16 times", 4.0, steps(jumps, 0.25)),
+        Phase("sweep slowly", f"every motor {use.sweep:g} rad to both sides, three strokes", 4.0, slow),
+        Phase("chirp", f"every motor {use.chirp:g} rad to both sides, from 0.5 to 10 Hz", 8.0, wide),
+        Phase("fast chirp", f"every motor {small:g} rad to both sides, from 8 to 25 Hz", 3.0, narrow),
+        Phase("steps", f"every motor jumps by up to {use.step:g} rad to both sides, 16 times", 4.0, steps(jumps, 0.25)),
     ]
-    for height in np.concatenate([draw.permutation(DUTIES) for _ in range(2)]):
+    for height in np.concatenate([draw.permutation([use.part("duty", share) for share in HEIGHTS]) for _ in range(2)]):
         phases += [
             Phase("centre", "all legs back to the middle", 0.5, go_to(middle, 0.3), use="way"),
             Phase(
                 "PWM pulses",
-                f"motors without servo: pulses of {1e3 * PULSE:g} ms and up to {max(DUTIES):g} duty there and back",
+                f"motors without servo: pulses of {1e3 * PULSE:g} ms and up to {use.duty:g} duty there and back",
                 BURST,
                 _pulses(height * draw.choice([-1.0, 1.0], motors) * draw.uniform(0.7, 1.0, motors)),
                 Mode.PWM,
@@ -67,11 +60,11 @@ def motor_plan(robot: RobotDescription) -> Plan:
         ]
     phases += [
         Phase("centre", "all legs back to the middle", 0.7, go_to(middle, 0.3), use="way"),
-        Phase("chirp back", "every motor 0.2 rad to both sides, from 7 to 1.5 Hz", 3.0, other, use="check"),
+        Phase("chirp back", f"every motor {back:g} rad to both sides, from 7 to 1.5 Hz", 3.0, other, use="check"),
         Phase("hold", "all legs held", 0.3, hold(middle), use="check"),
     ]
-    reach = max(WIDE, SLOW, STEP)
-    return Plan("motor", True, tuple(phases), middle - reach, middle + reach, max(DUTIES))
+    reach = max(use.chirp, use.sweep, use.step)
+    return Plan("motor", True, tuple(phases), middle - reach, middle + reach, use.duty, ExperimentLimits(use.torque))
 
 
 def _pulses(height: Array) -> Signal:
@@ -87,12 +80,13 @@ def _pulses(height: Array) -> Signal:
 
 def latency_plan(robot: RobotDescription) -> Plan:
     """Spikes of a single command, the shortest that a robot takes; then motions that the servo follows."""
-    motors = robot.num_motors
+    motors, use = robot.num_motors, robot.experiments
     draw = generator(0, "latency experiment")
-    middle = robot.pose_angles(0.0, EXTENSION)
+    middle = robot.pose_angles(0.0, use.stance)
     turned = np.where(np.arange(motors) % 2 == 0, 0.0, np.pi / 2)
-    fast = chirps(middle, np.full(motors, 0.12), 2.0, 20.0, 3.0, turned)
-    jumps = middle + draw.uniform(-0.25, 0.25, (8, motors))
+    small, most = use.part("chirp", 0.4), use.part("step", 5 / 7)
+    fast = chirps(middle, np.full(motors, small), 2.0, 20.0, 3.0, turned)
+    jumps = middle + draw.uniform(-most, most, (8, motors))
     phases = [
         Phase("unfold", "all legs to the middle of their reach", 1.5, go_to(middle, 1.5), use="way"),
         Phase("hold", "all legs held", 0.5, hold(middle)),
@@ -101,19 +95,21 @@ def latency_plan(robot: RobotDescription) -> Plan:
         phases += [
             Phase(
                 "spikes",
-                f"motors without servo: {SPIKES} spikes of {DUTY:g} duty, one command long, to and fro",
+                f"motors without servo: {SPIKES} spikes of {use.spike:g} duty, one command long, to and fro",
                 SPIKES * SPIKE_EVERY,
-                _spikes(DUTY * draw.choice([-1.0, 1.0], motors)),
+                _spikes(use.spike * draw.choice([-1.0, 1.0], motors)),
                 Mode.PWM,
             ),
             Phase("centre", "all legs back to the middle", 0.5, go_to(middle, 0.3), use="way"),
         ]
     phases += [
-        Phase("chirp", "every motor 0.12 rad to both sides, from 2 to 20 Hz", 3.0, fast),
-        Phase("steps", "every motor jumps by up to 0.25 rad to both sides, 8 times", 2.0, steps(jumps, 0.25)),
+        Phase("chirp", f"every motor {small:g} rad to both sides, from 2 to 20 Hz", 3.0, fast),
+        Phase("steps", f"every motor jumps by up to {most:g} rad to both sides, 8 times", 2.0, steps(jumps, 0.25)),
         Phase("hold", "all legs held", 0.3, hold(middle), use="way"),
     ]
-    return Plan("latency", True, tuple(phases), middle - STEP, middle + STEP, DUTY)
+    return Plan(
+        "latency", True, tuple(phases), middle - use.step, middle + use.step, use.spike, ExperimentLimits(use.torque)
+    )
 
 
 def _spikes(height: Array) -> Signal:

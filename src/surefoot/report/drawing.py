@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -58,6 +58,10 @@ class Shape:
             raise SurefootError(f"shape of {self.body}: size {tuple(self.size)}; {rule}")
 
 
+_EXTENT = 0.8856
+"""Extent [m] of a robot that fills the picture of a camera as it stands."""
+
+
 @dataclass(frozen=True)
 class Camera:
     """Where the picture is taken from; it follows a body's path over the ground, smoothed, and never turns.
@@ -73,6 +77,12 @@ class Camera:
     height: float = 0.13
     field_of_view: float = 32.0
     smoothing: float = 0.3
+
+    def of_robot(self, extent: float) -> Camera:
+        """Return the camera at a distance and height for a robot that is so large [m], corner to corner at rest."""
+        scale = round(extent / _EXTENT, 3)
+        x, y, z = (scale * part for part in self.offset)
+        return replace(self, offset=(x, y, z), height=scale * self.height)
 
 
 class Mesh:

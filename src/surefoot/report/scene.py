@@ -9,9 +9,10 @@ from numpy.typing import ArrayLike
 
 from surefoot.arrays import Array
 from surefoot.errors import SurefootError
-from surefoot.report.drawing import GREY, Shape
+from surefoot.report.drawing import GREY, Mesh, Shape
 from surefoot.robot import RobotDescription
-from surefoot.rotations import quat_matrix, rpy_matrix
+from surefoot.robot.urdf import frame_of
+from surefoot.rotations import quat_matrix
 from surefoot.task.trace import EpisodeTrace
 
 
@@ -25,7 +26,7 @@ def scene(robot: RobotDescription) -> list[Shape]:
             kind, size = _solid(visual)
             if not kind:
                 continue
-            origin, material = _origin(visual), visual.find("material")
+            origin, material = frame_of(visual.find("origin")), visual.find("material")
             color = None if material is None else _color(material) or colors.get(material.get("name", ""))
             shapes.append(Shape(link.get("name", ""), kind, size, origin[:3, 3], origin[:3, :3], color or GREY))
     if not shapes:
@@ -33,6 +34,16 @@ def scene(robot: RobotDescription) -> list[Shape]:
             f"{robot.urdf.path}: has nothing to draw; a link's <visual> must be a box, cylinder or sphere"
         )
     return shapes
+
+
+def extent(robot: RobotDescription) -> float:
+    """Return how large a robot is [m]: the diagonal of the box around its shapes in the resting pose."""
+    placed = poses(robot, np.zeros(3), [1.0, 0.0, 0.0, 0.0], robot.resting_angles)
+    bodies = list(placed)
+    mesh = Mesh(scene(robot), bodies)
+    frames = np.array([placed[body][0] for body in bodies])[mesh.point_body]
+    points = np.einsum("nij,nj->ni", frames[:, :3, :3], mesh.points) + frames[:, :3, 3]
+    return float(np.linalg.norm(np.ptp(points, axis=0)))
 
 
 def poses(
@@ -99,16 +110,6 @@ def _axis_turn(axis: Array, angle: Array) -> Array:
     """Rotation matrices (T, 3, 3) about an axis by angles (T,) [rad]: a quaternion's."""
     unit = axis / np.linalg.norm(axis)
     return quat_matrix(np.concatenate([np.cos(angle / 2)[:, None], np.sin(angle / 2)[:, None] * unit], axis=1))
-
-
-def _origin(element: ElementTree.Element) -> Array:
-    """The (4, 4) transform of an element's <origin>: fixed-axis roll, pitch, yaw."""
-    transform = np.eye(4)
-    origin = element.find("origin")
-    if origin is not None:
-        transform[:3, 3] = _numbers(origin.get("xyz", "0 0 0"))
-        transform[:3, :3] = rpy_matrix(*_numbers(origin.get("rpy", "0 0 0")))
-    return transform
 
 
 def _solid(visual: ElementTree.Element) -> tuple[str, tuple[float, ...]]:

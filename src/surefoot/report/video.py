@@ -27,6 +27,7 @@ def render_video(
     *,
     follow: str,
     overlay: Sequence[str],
+    camera: Camera = Camera(),  # noqa: B008, it is frozen
     fps: int = 50,
     size: tuple[int, int] = (960, 540),
 ) -> Path:
@@ -39,6 +40,7 @@ def render_video(
         path: .mp4 to write; it appears whole or not at all.
         follow: body that the camera follows.
         overlay: text at the top left for each of `times`; may have lines.
+        camera: where pictures are taken from.
         fps: frames a second; poses between two times are interpolated.
         size: width and height in pixels, even.
     """
@@ -49,7 +51,7 @@ def render_video(
         raise SurefootError(f"video {path}: the name must end in .mp4")
     if fps <= 0 or min(size) <= 0 or size[0] % 2 or size[1] % 2:
         raise SurefootError(f"video: {size[0]} x {size[1]} at {fps} fps; sides must be even, all above 0")
-    film = _Film(shapes, poses, times, overlay, follow)
+    film = _Film(shapes, poses, times, overlay, follow, camera)
     length = film.times[-1] - film.times[0]
     clock = film.times[0] + np.arange(max(int(length * fps + 1e-6), 1)) / fps
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -91,6 +93,7 @@ class _Film:
         times: ArrayLike,
         overlay: Sequence[str],
         follow: str,
+        camera: Camera,
     ) -> None:
         self.times = np.asarray(times, dtype=np.float64)
         bodies = list(poses)
@@ -98,7 +101,7 @@ class _Film:
         if missing:
             raise SurefootError(f"video: no poses of {choices(missing)}; there are {choices(bodies) or 'none'}")
         self.poses = np.stack([np.asarray(poses[body], dtype=np.float64) for body in bodies], axis=1)
-        self.overlay, self.camera, self.mesh = overlay, Camera(), Mesh(shapes, bodies)
+        self.overlay, self.camera, self.mesh = overlay, camera, Mesh(shapes, bodies)
         path = self.poses[:, bodies.index(follow), :2, 3]
         self.path_times, self.path = _glide(self.times, path, self.camera.smoothing)
 

@@ -19,6 +19,7 @@ from surefoot.arrays import Array
 from surefoot.configuration import Within, from_mapping, read_toml
 from surefoot.errors import SurefootError, check_name, choices, located, quoted
 from surefoot.robot.actuator import ActuatorData, DcMotorData, JointDriveData, per_motor
+from surefoot.robot.experiments import Experiments, read_experiments
 from surefoot.robot.leg import FiveBar, Legs
 from surefoot.robot.params import PhysicalParams
 from surefoot.robot.serial_leg import SerialLegs
@@ -34,6 +35,7 @@ GRAVITY = 9.81
 
 _Positive = Annotated[float, Within(0, 1e9, above=True)]
 _NotNegative = Annotated[float, Within(0, 1e9)]
+_Voltage = Annotated[float, Within(1, 1e3)]
 Range = tuple[float, float]
 Point = tuple[float, float, float]
 
@@ -88,12 +90,16 @@ class Timing:
 
 @dataclass(frozen=True)
 class ContactData:
-    """Foot against ground: friction coefficient, spinning friction [m], stiffness [N/m] and damping [N s/m]."""
+    """Foot against ground: friction coefficient, spinning friction [m], stiffness [N/m] and damping [N s/m].
 
-    friction: _Positive
-    spinning_friction: _NotNegative
+    Also whether legs collide with each other and with the base: if not given, serial legs do.
+    """
+
     stiffness: _Positive
     damping: _Positive
+    friction: _Positive = 0.8
+    spinning_friction: _NotNegative = 0.004
+    self_collision: bool = False
 
 
 @dataclass(frozen=True)
@@ -108,45 +114,17 @@ class Poses:
 
 
 @dataclass(frozen=True)
-class _Poses:
-    """The table [poses] of a sheet."""
-
-    sit: tuple[float, ...] | None = None
-    spread: float | None = None
-
-
-@dataclass(frozen=True)
 class Battery:
     """Voltages of the battery [V]."""
 
-    nominal: float
+    nominal: _Voltage
     """Nominal voltage."""
-    warn: float
+    warn: _Voltage
     """Voltage under load below which a deployment warns."""
-    low: float
+    low: _Voltage
     """Voltage under load below which a robot sits down."""
-    empty: float
+    empty: _Voltage
     """Voltage below which a robot damps itself."""
-
-
-@dataclass(frozen=True)
-class _Battery:
-    """The table [battery] of a sheet; what it leaves out is derived from the nominal voltage."""
-
-    nominal: Annotated[float | None, Within(1, 1e3)] = None
-    warn: Annotated[float | None, Within(1, 1e3)] = None
-    low: Annotated[float | None, Within(1, 1e3)] = None
-    empty: Annotated[float | None, Within(1, 1e3)] = None
-
-
-@dataclass(frozen=True)
-class _Contact:
-    """The table [contact] of a sheet; what it leaves out is derived from weight and leg length."""
-
-    friction: _Positive = 0.8
-    spinning_friction: _NotNegative = 0.004
-    stiffness: Annotated[float | None, Within(0, 1e9, above=True)] = None
-    damping: Annotated[float | None, Within(0, 1e9, above=True)] = None
 
 
 @dataclass(frozen=True)
@@ -182,9 +160,10 @@ class _Sheet:
     loops: tuple[Loop, ...] = ()
     leg_space: _LegSpace = field(default_factory=_LegSpace)
     timing: Timing = field(default_factory=Timing)
-    contact: _Contact = field(default_factory=_Contact)
-    poses: _Poses = field(default_factory=_Poses)
-    battery: _Battery = field(default_factory=_Battery)
+    contact: dict[str, Any] = field(default_factory=dict)
+    poses: dict[str, Any] = field(default_factory=dict)
+    battery: dict[str, Any] = field(default_factory=dict)
+    experiments: dict[str, Any] = field(default_factory=dict)
     allowed: dict[str, Range] = field(default_factory=dict)
 
 
@@ -214,6 +193,7 @@ class RobotDescription:
     contact: ContactData
     poses: Poses
     battery: Battery
+    experiments: Experiments
     allowed: dict[str, tuple[float, float]]
 
     @classmethod
@@ -274,17 +254,19 @@ class RobotDescription:
                 raise SurefootError(f"{key} is [{low:g}, {high:g}]; the lower bound must come first")
         mounts = _mounts(sheet.base, legs, urdf)
         weight = GRAVITY * urdf.total_mass / len(legs)
+        actuator = _actuator(sheet.actuator, order, legs)
         description = cls(
             name=sheet.name,
             base=sheet.base,
             body_length=sheet.body_length or float(np.ptp(mounts[:, 0])) or geometry.length,
             leg_geometry=geometry,
             loops=sheet.loops,
-            actuator=_actuator(sheet.actuator, order, legs),
+            actuator=actuator,
             timing=sheet.timing,
-            contact=_contact(sheet.contact, weight, geometry.length),
+            contact=_contact({"self_collision": not sheet.loops} | sheet.contact, weight, geometry.length),
             poses=_poses(sheet.poses, space),
             battery=_battery(sheet.battery, float(sheet.actuator.get("voltage", _VOLTAGE))),
+            experiments=read_experiments(sheet.experiments, space["extension"], actuator),
             folder=folder,
             urdf=urdf,
             motor_names=order,
@@ -563,24 +545,27 @@ def _leg_space(given: _LegSpace, legs: Legs) -> tuple[dict[str, Range], tuple[fl
     return space, rest
 
 
-def _poses(given: _Poses, space: dict[str, Range]) -> Poses:
+def _poses(table: dict[str, Any], space: dict[str, Range]) -> Poses:
     """Return the poses between gaits; robots sit with legs straight down, as short as commands allow."""
-    sit = given.sit or (*[0.0] * (len(space) - 1), space["extension"][0])
-    if len(sit) != len(space):
-        raise SurefootError(f"poses.sit has {len(sit)} numbers; it must have {choices(space)}")
-    for (name, (low, high)), value in zip(space.items(), sit, strict=True):
+    poses = from_mapping(Poses, {"sit": [*[0.0] * (len(space) - 1), space["extension"][0]]} | table, "poses")
+    if len(poses.sit) != len(space):
+        raise SurefootError(f"poses.sit has {len(poses.sit)} numbers; it must have {choices(space)}")
+    for (name, (low, high)), value in zip(space.items(), poses.sit, strict=True):
         if not low <= value <= high:
             raise SurefootError(f"poses.sit has {name} {value:g}; leg_space allows {low:g} to {high:g}")
-    return Poses(sit, given.spread)
+    return poses
 
 
-def _battery(given: _Battery, voltage: float) -> Battery:
+def _battery(table: dict[str, Any], voltage: float) -> Battery:
     """Return the battery's voltages: cells of 3.7 V are low at 3.3 V and empty at 2.9 V."""
-    nominal = given.nominal or voltage
-    warn, low, empty = given.warn or 0.9 * nominal, given.low or 0.88 * nominal, given.empty or 0.78 * nominal
-    if not empty <= low <= warn:
-        raise SurefootError(f"battery: empty is {empty:g} V, low {low:g} V, warn {warn:g} V; they must rise")
-    return Battery(nominal, warn, low, empty)
+    given = from_mapping(Battery, {item.name: voltage for item in fields(Battery)} | table, "battery")
+    usual = {"warn": 0.9 * given.nominal, "low": 0.88 * given.nominal, "empty": 0.78 * given.nominal}
+    battery = replace(given, **{key: value for key, value in usual.items() if key not in table})
+    if not battery.empty <= battery.low <= battery.warn:
+        raise SurefootError(
+            f"battery: empty is {battery.empty:g} V, low {battery.low:g} V, warn {battery.warn:g} V; they must rise"
+        )
+    return battery
 
 
 def _actuator(table: dict[str, Any], order: Sequence[str], legs: Sequence[Leg]) -> ActuatorData:
@@ -593,15 +578,15 @@ def _actuator(table: dict[str, Any], order: Sequence[str], legs: Sequence[Leg]) 
     return per_motor(from_mapping(kinds[kind], data, "actuator"), order, [leg.motors for leg in legs])
 
 
-def _contact(given: _Contact, weight: float, length: float) -> ContactData:
+def _contact(table: dict[str, Any], weight: float, length: float) -> ContactData:
     """Return the feet's contact; stiffness and damping from a foot's share of the weight [N] and the leg's length [m].
 
     A foot sinks in by 1 % of the leg's length under its share, and its damping is that of a quarter of the robot on
     this spring at a damping ratio of .5.
     """
-    stiffness = given.stiffness or weight / (_SINK * length)
-    damping = given.damping or float(np.sqrt(stiffness * weight / GRAVITY))
-    return ContactData(given.friction, given.spinning_friction, stiffness, damping)
+    given = from_mapping(ContactData, {"stiffness": weight / (_SINK * length), "damping": 1.0} | table, "contact")
+    usual = float(np.sqrt(given.stiffness * weight / GRAVITY))
+    return given if "damping" in table else replace(given, damping=usual)
 
 
 def _check_names(key: str, given: Sequence[str], valid: Sequence[str]) -> None:

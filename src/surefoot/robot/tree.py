@@ -63,6 +63,8 @@ class ImportedLeg:
     """Centre of the foot (3,) [m]."""
     foot_radius: float
     """[m]"""
+    foot_from: str = ""
+    """What the foot was found by."""
 
 
 @dataclass(frozen=True)

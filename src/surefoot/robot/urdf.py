@@ -37,18 +37,10 @@ class Joint:
     parent: str
     child: str
     axis: tuple[float, float, float]
-    origin: tuple[float, float, float]
-    rpy: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Roll, pitch and yaw of the child's frame in the parent's at angle 0 [rad]."""
+    frame: Array
+    """Frame (4, 4) of the child in the parent's at angle 0."""
     limits: tuple[float, float] | None = None
     """Least and greatest angle [rad]; None: it turns without end."""
-
-    @property
-    def frame(self) -> Array:
-        """Frame (4, 4) of the child in the parent's at angle 0."""
-        frame = np.eye(4)
-        frame[:3, :3], frame[:3, 3] = rpy_matrix(*self.rpy), self.origin
-        return frame
 
 
 @dataclass(frozen=True)
@@ -79,6 +71,13 @@ class Urdf:
             waiting = [joint for joint in waiting if joint.child not in found]
         return found
 
+    def below(self, joint: str) -> set[str]:
+        """Return the names of the links that a joint moves."""
+        found = {self.joints[joint].child}
+        while more := {other.child for other in self.joints.values() if other.parent in found} - found:
+            found |= more
+        return found
+
     def fixed_to(self, link: str) -> set[str]:
         """Return the names of the links that move as one with `link`, itself included."""
         group = {link}
@@ -100,6 +99,14 @@ def _roots(links: dict[str, Link], joints: dict[str, Joint]) -> list[str]:
 def attribute(element: ElementTree.Element | None, key: str, default: str = "") -> str:
     """Return an attribute of an element; the default if either is missing."""
     return default if element is None else element.get(key, default)
+
+
+def frame_of(element: ElementTree.Element | None, where: str = "a shape") -> Array:
+    """Return the frame (4, 4) of an <origin>, or of none; roll, pitch and yaw are about fixed axes."""
+    frame = np.eye(4)
+    frame[:3, :3] = rpy_matrix(*_floats(attribute(element, "rpy", "0 0 0"), 3, f"{where}: rpy"))
+    frame[:3, 3] = _floats(attribute(element, "xyz", "0 0 0"), 3, f"{where}: origin")
+    return frame
 
 
 def _floats(text: str, count: int, where: str) -> tuple[float, ...]:
@@ -159,9 +166,8 @@ def read_urdf(path: Path) -> Urdf:
                 raise SurefootError(f"{path}: joint '{name}' joins '{end}', not a link; choices: {choices(links)}")
         axis = element.find("axis")
         x, y, z = _floats(attribute(axis, "xyz") if axis is not None else "1 0 0", 3, f"{path}: joint '{name}': axis")
-        where, origin = f"{path}: joint '{name}'", element.find("origin")
-        u, v, w = _floats(attribute(origin, "xyz", "0 0 0"), 3, f"{where}: origin")
-        roll, pitch, yaw = _floats(attribute(origin, "rpy", "0 0 0"), 3, f"{where}: rpy")
+        where = f"{path}: joint '{name}'"
+        frame = frame_of(element.find("origin"), where)
         kind, limits = attribute(element, "type"), None
         if kind == "revolute":
             (low,), (high,) = (
@@ -171,7 +177,7 @@ def read_urdf(path: Path) -> Urdf:
             if not low < high:
                 raise SurefootError(f"{where}: limits are [{low:g}, {high:g}]; the lower one must be below the upper")
             limits = low, high
-        joints[name] = Joint(name, kind, *ends, (x, y, z), (u, v, w), (roll, pitch, yaw), limits)
+        joints[name] = Joint(name, kind, *ends, (x, y, z), frame, limits)
 
     roots = _roots(links, joints)
     if len(roots) != 1:

@@ -22,6 +22,7 @@ from surefoot.world.bullet_model import PARAMETERS, BulletModel, BulletSettings,
 from surefoot.world.bullet_tick import JOINTS, OMEGA, VELOCITY, Layout, base_links, between, observe
 from surefoot.world.drive import RACK_HEIGHT, SPEED_LIMIT, Drive, racked_bases
 from surefoot.world.interface import WorldConfig
+from surefoot.world.self_collision import meeting_links
 
 Index = NDArray[np.int64]
 
@@ -52,7 +53,8 @@ class BulletEngine:
         if num_envs > MAX_ROBOTS:
             raise SurefootError(f"num_envs is {num_envs}; one process holds up to {MAX_ROBOTS} robots in Bullet")
         self._p = import_pybullet()
-        self.models = [BulletModel(robot, config, settings) for _ in range(num_envs)]
+        self._meeting = meeting_links(robot)
+        self.models = [BulletModel(robot, config, settings, self._meeting) for _ in range(num_envs)]
         model = self.models[0]
         joints = len(model.joints)
         self._joints = list(range(joints))
@@ -82,10 +84,11 @@ class BulletEngine:
         row[3:7] = model.base_quat[[1, 2, 3, 0]]
         state = np.concatenate([row, np.zeros(3)])
         if not model.rack:
-            before = self.get_state(0)
-            self.set_state(0, state)
+            first = np.zeros(1, np.int64)
+            before = self.get_state(first)
+            self.set_state(first, state)
             state[2] -= float(np.min(self._foot_positions(0)[:, 2] - model.foot_radius))
-            self.set_state(0, before)
+            self.set_state(first, before)
         return state
 
     def _read(self, i: int, joints: list[int]) -> list[float]:
@@ -186,22 +189,28 @@ class BulletEngine:
             physicsClientId=model.client,
         )
 
-    def observe(self, i: int) -> None:
-        """Write the state of robot `i` to `drive.now`."""
-        observe(self._layout, self.drive, i, self._look(i))
+    def observe(self, rows: Index) -> None:
+        """Write states to `drive.now`."""
+        for i in rows:
+            observe(self._layout, self.drive, i, self._look(i))
 
-    def get_state(self, i: int) -> Array:
-        """Return the whole state of robot `i`; contacts are forgotten and pins centred, as `set_state` does."""
-        self.models[i].forget()
-        return np.concatenate([self._rows[i], self._force[i]])
+    def get_state(self, rows: Index) -> Array:
+        """Return the whole states (n, size); contacts are forgotten and pins centred, as `set_state` does."""
+        for i in rows:
+            self.models[i].forget()
+        return np.concatenate([self._rows[rows], self._force[rows]], axis=1)
 
-    def set_state(self, i: int, state: Array) -> None:
-        """Put robot `i` into a state from `get_state`."""
+    def set_state(self, rows: Index, states: Array) -> None:
+        """Put robots into states from `get_state`, or all into one."""
+        for i, state in zip(rows, np.broadcast_to(states, (len(rows), states.shape[-1])), strict=True):
+            self._put(i, state)
+
+    def _put(self, i: int, state: Array) -> None:
         if self._spoilt[i]:
             # Bullet's contact search does not recover from positions that are not finite.
             values, rotors = self.models[i].values, self.models[i].rotor_inertia
             self.models[i].close()
-            self.models[i] = BulletModel(self.robot, self._config, self._settings)
+            self.models[i] = BulletModel(self.robot, self._config, self._settings, self._meeting)
             self.models[i].apply(values, rotors)
             self._spoilt[i] = False
         p, model, row = self._p, self.models[i], self._rows[i]
@@ -214,33 +223,35 @@ class BulletEngine:
         model.forget()
         self.diverged[i] = False
 
-    def set_base_velocity(self, i: int, linear_world: Array, angular_base: Array) -> None:
-        """Set the base's velocity [m/s] in the world and angular velocity [rad/s] in the base frame."""
+    def set_base_velocity(self, rows: Index, linear_world: Array, angular_base: Array) -> None:
+        """Set velocities (n, 3) [m/s] in the world and angular velocities (n, 3) [rad/s] in the base frames."""
         if self._config.rack:
             return
-        row = self._rows[i]
-        turn = xyzw_matrix(row[3:7]) @ self._from_link.T
-        omega = turn @ angular_base
-        row[OMEGA:JOINTS] = omega
-        row[VELOCITY:OMEGA] = linear_world + np.cross(omega, turn @ self.models[i].base_centre)
-        self._write_base(i)
-
-    def set_force(self, i: int, force_world: Array) -> None:
-        """Set the force [N] on the base's centre of mass, in the world frame."""
-        self._force[i] = force_world
-
-    def raise_base(self, i: int, height: float) -> None:
-        """Move the base of robot `i` up by a height [m]."""
-        if not self._config.rack:
-            self._rows[i, 2] += height
+        for i, linear, angular in zip(rows, linear_world, angular_base, strict=True):
+            row = self._rows[i]
+            turn = xyzw_matrix(row[3:7]) @ self._from_link.T
+            omega = turn @ angular
+            row[OMEGA:JOINTS] = omega
+            row[VELOCITY:OMEGA] = linear + np.cross(omega, turn @ self.models[i].base_centre)
             self._write_base(i)
 
-    def set_params(self, i: int, params: PhysicalParams, row: int) -> None:
-        """Apply masses, inertias, knees, floor and the feet's contact of `params[row]` to robot `i`."""
-        self.models[i].apply(
-            {name: float(getattr(params, name)[row]) for name in PARAMETERS}, params.rotor_inertia[row]
-        )
-        self.models[i].forget()
+    def set_force(self, force_world: Array) -> None:
+        """Set the forces (N, 3) [N] on the bases' centres of mass, in the world frame."""
+        self._force[:] = force_world
+
+    def raise_base(self, rows: Index, height: Array) -> None:
+        """Move bases up by heights (n,) [m]."""
+        if not self._config.rack:
+            self._rows[rows, 2] += height
+            for i in rows:
+                self._write_base(i)
+
+    def set_params(self, rows: Index, params: PhysicalParams) -> None:
+        """Apply masses, inertias, knees, floor and the feet's contact, a row for each robot."""
+        for k, i in enumerate(rows):
+            values = {name: float(getattr(params, name)[k]) for name in PARAMETERS}
+            self.models[i].apply(values, params.rotor_inertia[k])
+            self.models[i].forget()
 
     def base(self) -> Array:
         """Return the base position [m], quaternion (w x y z) and velocity [m/s], all in the world frame, (N, 10)."""

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import itertools
 import sys
 import tempfile
 import weakref
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
@@ -17,11 +19,13 @@ from surefoot.arrays import Array
 from surefoot.errors import SurefootError
 from surefoot.native_output import quiet
 from surefoot.robot import GRAVITY, RobotDescription
+from surefoot.robot.urdf import frame_of
 from surefoot.rotations import matrix_quat
 from surefoot.world.bullet_tick import pin_kernel
 from surefoot.world.drive import BULLET_ONLY, CONTACT, RACK_HEIGHT, RATIOS
-from surefoot.world.fused_urdf import frame_of, fuse_urdf
+from surefoot.world.fused_urdf import fuse_urdf
 from surefoot.world.interface import WorldConfig
+from surefoot.world.self_collision import meeting_links
 
 SOLVER_ITERATIONS = 50
 """With 50, loops stay closed within .02 mm on a slow trot (.09 mm with constraint motors) and .4 mm at a gallop of
@@ -57,7 +61,7 @@ class BulletSettings:
 
 
 PUBLISHED = BulletSettings(cone_friction=False, gravity=10.0, feet="shank", ground="box")
-"""The simulator that was published with the Minitaur's description (pybullet_envs, minitaur_gym_env): no cone friction,
+"""The simulator that was published with the description of the paper's robot (pybullet_envs): no cone friction,
 300 solver iterations over 6 steps, gravity 10 m/s2, lower links as boxes on a box (on a plane, `trot` falls in 5 of 10
 episodes; there it never does)."""
 PARAMETERS = (*CONTACT, *RATIOS, *BULLET_ONLY)
@@ -76,6 +80,8 @@ def import_pybullet() -> ModuleType:
 
 class BulletModel:
     """A robot in a Bullet client of its own, over a ground plane at z = 0, motors off; the client ends with the object.
+
+    With `meeting`, links that may collide, as `meeting_links` returns them: it takes a tenth of a second.
 
     Bullet's link frames are inertial frames. L links besides the base, each with one joint; M motors, F feet, P pins
     that close loops. Indices of links and joints are the same in all clients.
@@ -119,7 +125,14 @@ class BulletModel:
     rotor_inertia: Array
     """Inertia of each rotor at its joint [kg m2], (M,)."""
 
-    def __init__(self, robot: RobotDescription, config: WorldConfig, settings: BulletSettings) -> None:
+    def __init__(
+        self,
+        robot: RobotDescription,
+        config: WorldConfig,
+        settings: BulletSettings,
+        meeting: Sequence[tuple[str, str]] | None = None,
+    ) -> None:
+        self._meeting = meeting_links(robot) if meeting is None else meeting
         self.robot, self.rack, self._p = robot, config.rack, import_pybullet()
         self._fused = fuse_urdf(robot.urdf)
         with quiet():
@@ -152,6 +165,7 @@ class BulletModel:
         else:
             shape = p.createCollisionShape(p.GEOM_PLANE, physicsClientId=client)
         self.ground = self.floor = self._lay(shape, [0.0, 0.0, -5.0 if settings.ground == "box" else 0.0])
+        meeting = {frozenset(fused.place[link][0] for link in pair) for pair in self._meeting}
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / "fused.urdf"
             path.write_text(fused.text if settings.feet == "sphere" else self._with_shanks(), encoding="utf-8")
@@ -160,7 +174,7 @@ class BulletModel:
                     str(path),
                     [0, 0, RACK_HEIGHT],
                     useFixedBase=self.rack,
-                    flags=p.URDF_USE_INERTIA_FROM_FILE,
+                    flags=p.URDF_USE_INERTIA_FROM_FILE | (p.URDF_USE_SELF_COLLISION if meeting else 0),
                     physicsClientId=client,
                 )
             except p.error as error:
@@ -169,6 +183,10 @@ class BulletModel:
         infos = [p.getJointInfo(self.body, joint, physicsClientId=client) for joint in range(count)]
         self.joints = {info[1].decode(): info[0] for info in infos}
         self.links = {base: -1} | {info[12].decode(): info[0] for info in infos}
+        if meeting:
+            for one, other in itertools.combinations(self.links, 2):
+                apart = int({one, other} in meeting)
+                p.setCollisionFilterPair(self.body, self.body, self.links[one], self.links[other], apart, client)
         self.motors = [self.joints[name] for name in robot.motor_names]
         # Squared cosines of each motor's axis and its link's principal axes, by the number of link and joint.
         self._turns = {}
@@ -178,6 +196,7 @@ class BulletModel:
             self._turns[joint] = (fused.bodies[link].principal()[1].T @ (axis / np.linalg.norm(axis))) ** 2
         self.knees = [joint for joint in self.joints.values() if joint not in self.motors]
         self.feet = [self.links[fused.place[leg.foot][0]] for leg in robot.legs]
+        self._touching = list(self.links.values()) if meeting else [-1, *self.feet]
         centres, radii = zip(*(self._foot_sphere(leg.foot) for leg in robot.legs), strict=True)
         self.foot_centre, self.foot_radius = np.array(centres), np.array(radii)
         _, axes = fused.bodies[base].principal()
@@ -393,7 +412,7 @@ class BulletModel:
             self.pin_shift[:] = 0.0
             self._place_pins()
         # A link that gets its collision filter again is taken out of Bullet's pairs, and put back.
-        for link in (-1, *self.feet):
+        for link in self._touching:
             self._p.setCollisionFilterGroupMask(self.body, link, 1, -1, self.client)
 
     def _place_pins(self) -> None:

@@ -200,10 +200,25 @@ def record(drive: Drive, i: int) -> None:
 
 
 @kernel
+def protected(drive: Drive, i: int, m: int, torque: float, hot_torque: float) -> float:
+    """Return a motor's torque [N m], 0 once its thermal protection has switched it off; kept as `motor_torque`."""
+    _, _, hot_limit, dt = drive.limits
+    if hot_limit < math.inf:
+        hot = overheat_kernel(torque, drive.hot_time[i, m], dt, hot_torque)
+        drive.hot_time[i, m] = hot
+        if hot > hot_limit:
+            drive.switched_off[i, m] = True
+        if drive.switched_off[i, m]:
+            torque = 0.0
+    drive.motor_torque[i, m] = torque
+    return torque
+
+
+@kernel
 def joint_tick(drive: Drive, i: int) -> None:
     """Compute `drive.torque` of robot `i` by joint drives, from the angles and speeds that they see."""
     motors = drive.target.shape[1]
-    _, _, hot_limit, dt = drive.limits
+    dt = drive.limits[3]
     follow = dt / (drive.speed_filter[i] + dt)
     power = 0.0
     for m in range(motors):
@@ -214,15 +229,8 @@ def joint_tick(drive: Drive, i: int) -> None:
         )
         limit, full, none, hot_torque = drive.joint_limits[:, m]
         torque = joint_limit_kernel(wanted + drive.duty[i, m] * limit, speed, limit, full, none) * drive.strength[i, m]
-        if hot_limit < math.inf:
-            hot = overheat_kernel(torque, drive.hot_time[i, m], dt, hot_torque)
-            drive.hot_time[i, m] = hot
-            if hot > hot_limit:
-                drive.switched_off[i, m] = True
-            if drive.switched_off[i, m]:
-                torque = 0.0
+        torque = protected(drive, i, m, torque, hot_torque)
         power += torque * speed
-        drive.motor_torque[i, m] = torque
         coulomb = drive.friction[i, m] + drive.load_friction[i, m] * abs(torque)
         drive.torque[i, m] = torque + motor_friction_kernel(speed, coulomb, drive.viscous[i, m])
     drive.energy[i] += dt * abs(power)
@@ -251,7 +259,7 @@ def servo_tick(drive: Drive, i: int) -> None:
                 drive.now[i, motors + m], drive.friction[i, m], drive.viscous[i, m]
             )
         return
-    voltage_clip, hot_torque, hot_limit, dt = drive.limits
+    voltage_clip, hot_torque, _, dt = drive.limits
     time = drive.ticks[i] * dt
     read_at = time - drive.servo_latency[i]
     read_kernel(drive.times[i], drive.history[i], drive.ticks[i] + 1, read_at, 2 * motors, drive.seen[i])
@@ -270,15 +278,8 @@ def servo_tick(drive: Drive, i: int) -> None:
             duty, speed, drive.voltage[i], drive.torque_constant[i], drive.resistance[i], voltage_clip
         )
         torque = motor_torque_kernel(current, drive.strength[i, m], drive.table_current, drive.table_torque)
-        if hot_limit < math.inf:
-            hot = overheat_kernel(torque, drive.hot_time[i, m], dt, hot_torque)
-            drive.hot_time[i, m] = hot
-            if hot > hot_limit:
-                drive.switched_off[i, m] = True
-            if drive.switched_off[i, m]:
-                torque = 0.0
+        torque = protected(drive, i, m, torque, hot_torque)
         power += torque * speed
-        drive.motor_torque[i, m] = torque
         drive.torque[i, m] = torque + motor_friction_kernel(speed, drive.friction[i, m], drive.viscous[i, m])
     drive.energy[i] += dt * abs(power)
 

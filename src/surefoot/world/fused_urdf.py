@@ -19,8 +19,8 @@ import numpy as np
 
 from surefoot.arrays import Array
 from surefoot.robot.rigid_body import RigidBody, fuse
-from surefoot.robot.urdf import Urdf, attribute
-from surefoot.rotations import matrix_rpy, rpy_matrix
+from surefoot.robot.urdf import Urdf, attribute, frame_of
+from surefoot.rotations import matrix_rpy
 
 
 @dataclass(frozen=True)
@@ -31,18 +31,6 @@ class FusedUrdf:
     place: dict[str, tuple[str, Array]]
     """For each link of the file: the fused link, and the link's frame (4, 4) in the fused link's."""
     text: str
-
-
-def _vector(element: ElementTree.Element | None, key: str) -> Array:
-    return np.array([float(word) for word in attribute(element, key, "0 0 0").split()])
-
-
-def frame_of(element: ElementTree.Element | None) -> Array:
-    """Return the (4, 4) frame of an <origin>, or of none."""
-    frame = np.eye(4)
-    frame[:3, :3] = rpy_matrix(*_vector(element, "rpy"))
-    frame[:3, 3] = _vector(element, "xyz")
-    return frame
 
 
 def _origin(frame: Array) -> ElementTree.Element:

@@ -195,6 +195,11 @@ class _Reader:
         self.turn, chosen = self._forward(chains, forward)
         legs = [self._leg(chain) for chain in chains]
         names = self._order(legs)
+        for how in dict.fromkeys(leg.foot_from for leg in legs):
+            found = [leg for leg in legs if leg.foot_from == how]
+            which = "feet" if found == legs else f"feet of {choices(leg.joints[-1].name for leg in found)}"
+            radii = choices(dict.fromkeys(f"{leg.foot_radius:.3g}" for leg in found))
+            self.notes.append(f"{which}: {how}, radius {radii} m")
         centre, half = self._box(base)
         return Tree(
             name=re.sub(
@@ -239,9 +244,7 @@ class _Reader:
                 self.group[np.isin(self.group, self._below(chain[0], children))] = base
         if model.neq or any(len(children[body]) > 1 for chain in legs for body in chain[:-1]):
             what = "closed loops" if model.neq else "legs that branch and no loop that closes them"
-            raise self._fail(
-                f"it has {what}; surefoot reads serial legs, five-bar legs are written by hand as minitaur's"
-            )
+            raise self._fail(f"it has {what}; surefoot reads serial legs; a sheet for five-bar legs is written by hand")
         if len(legs) != 4:
             raise self._fail(f"{len(legs)} legs hang from '{model.body(base).name}'; a quadruped has 4")
         if len({len(chain) for chain in legs}) != 1 or len(legs[0]) > 3:
@@ -325,8 +328,8 @@ class _Reader:
                     rotor_inertia=float(model.dof_armature[dof]),
                 )
             )
-        foot, radius = self._foot(chain[-1], joints[-1].place)
-        return ImportedLeg(tuple(joints), tuple(self._body(body) for body in chain), foot, radius)
+        foot = self._foot(chain[-1], joints[-1].place)
+        return ImportedLeg(tuple(joints), tuple(self._body(body) for body in chain), *foot)
 
     def _torque(self, joint: int) -> float | None:
         """Return the torque limit of a joint: its own, or its actuator's."""
@@ -342,26 +345,26 @@ class _Reader:
                     return gear * float(np.abs(model.actuator_ctrlrange[k]).max())
         return None
 
-    def _foot(self, body: int, knee: Array) -> tuple[Array, float]:
-        """Return centre [m] and radius [m] of a leg's foot."""
+    def _foot(self, body: int, knee: Array) -> tuple[Array, float, str]:
+        """Return centre [m] and radius [m] of a leg's foot, and what it was found by."""
         model, data = self.model, self.data
         bodies = np.flatnonzero(self.group == body)
         geoms = [g for g in range(model.ngeom) if model.geom_bodyid[g] in bodies]
         spheres = [g for g in geoms if model.geom_type[g] == mujoco.mjtGeom.mjGEOM_SPHERE]
         if spheres:
             best = max(spheres, key=lambda g: float(np.linalg.norm(self._place(data.geom_xpos[g]) - knee)))
-            return self._place(data.geom_xpos[best]), float(model.geom_size[best, 0])
+            return self._place(data.geom_xpos[best]), float(model.geom_size[best, 0]), "the last link's sphere"
         named = [b for b in bodies if _FOOT.search(model.body(int(b)).name)]
         if named:
             at = self._place(data.xpos[named[-1]])
-            return at, self._thickness(geoms, at)
+            return at, self._thickness(geoms, at), "the link named so"
         ends = [corner for g in geoms for corner in self._corners(g)]
         if not ends:
             raise self._fail(f"'{model.body(body).name}' has neither a shape nor a link for its foot; add one")
         lowest = max(ends, key=lambda point: float(np.linalg.norm(point - knee)))
         reach = np.array([lowest[0], np.mean([point[1] for point in ends]), lowest[2]])
         radius = self._thickness(geoms, reach)
-        return reach + np.array([0.0, 0.0, radius]), radius
+        return reach + np.array([0.0, 0.0, radius]), radius, "the far end of the last link's shapes"
 
     def _thickness(self, geoms: list[int], place: Array) -> float:
         """Return a radius [m] for a foot: half of the width of the shape that is nearest to it."""

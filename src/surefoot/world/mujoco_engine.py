@@ -148,50 +148,58 @@ class MujocoEngine:
         for other in others:
             other.result()
 
-    def observe(self, i: int) -> None:
-        """Write the state of robot `i` to `drive.now`."""
-        observe(self._native, self.drive, i)
+    def observe(self, rows: Index) -> None:
+        """Write states to `drive.now`."""
+        for i in rows:
+            observe(self._native, self.drive, i)
 
-    def get_state(self, i: int) -> Array:
-        """Return the whole state of robot `i` in the engine."""
-        return self._read(self.datas[i], self._native.stretch[i])
+    def get_state(self, rows: Index) -> Array:
+        """Return the whole states (n, size) in the engine."""
+        return np.array([self._read(self.datas[i], self._native.stretch[i]) for i in rows])
 
-    def set_state(self, i: int, state: Array) -> None:
-        """Put robot `i` into a state from `get_state`."""
-        stretch = self._native.stretch[i]
-        mujoco.mj_setState(self._nominal, self.datas[i], state[: -stretch.size], _STATE)
-        stretch[...] = state[-stretch.size :].reshape(stretch.shape)
-        self.diverged[i] = False
+    def set_state(self, rows: Index, states: Array) -> None:
+        """Put robots into states from `get_state`, or all into one."""
+        stretch = self._native.stretch
+        size = stretch[0].size
+        states = np.broadcast_to(states, (len(rows), states.shape[-1]))
+        for i, state in zip(rows, states, strict=True):
+            mujoco.mj_setState(self._nominal, self.datas[i], state[:-size], _STATE)
+        stretch[rows] = states[:, -size:].reshape(-1, *stretch.shape[1:])
+        self.diverged[rows] = False
 
-    def raise_base(self, i: int, height: float) -> None:
-        """Move the base of robot `i` up by a height [m]."""
+    def raise_base(self, rows: Index, height: Array) -> None:
+        """Move bases up by heights (n,) [m]."""
         if self._native.base_qpos >= 0:
-            self.datas[i].qpos[self._native.base_qpos + 2] += height
+            for i, rise in zip(rows, height, strict=True):
+                self.datas[i].qpos[self._native.base_qpos + 2] += rise
 
-    def set_base_velocity(self, i: int, linear_world: Array, angular_base: Array) -> None:
-        """Set the base's velocity [m/s] in the world and angular velocity [rad/s] in the base frame."""
+    def set_base_velocity(self, rows: Index, linear_world: Array, angular_base: Array) -> None:
+        """Set velocities (n, 3) [m/s] in the world and angular velocities (n, 3) [rad/s] in the base frames."""
         if self._native.base_dof < 0:
             return
-        velocity = self.datas[i].qvel
-        velocity[self._native.base_dof :][:3] = linear_world
-        velocity[self._native.base_dof + 3 :][:3] = angular_base
+        for i, velocity in zip(rows, np.concatenate([linear_world, angular_base], axis=1), strict=True):
+            self.datas[i].qvel[self._native.base_dof :][:6] = velocity
 
-    def set_force(self, i: int, force_world: Array) -> None:
-        """Set the force [N] on the base's centre of mass, in the world frame."""
-        self.datas[i].xfrc_applied[self._base, :3] = force_world
+    def set_force(self, force_world: Array) -> None:
+        """Set the forces (N, 3) [N] on the bases' centres of mass, in the world frame."""
+        for data, force in zip(self.datas, force_world, strict=True):
+            data.xfrc_applied[self._base, :3] = force
 
-    def set_params(self, i: int, params: PhysicalParams, row: int) -> None:
-        """Apply masses, inertias and the feet's contact of `params[row]` to robot `i`, if MuJoCo models all else."""
+    def set_params(self, rows: Index, params: PhysicalParams) -> None:
+        """Apply masses, inertias and the feet's contact, a row for each robot, if MuJoCo models all else."""
         for name in BULLET_ONLY:
-            if (value := float(getattr(params, name)[row])) != 0.0:
+            if (values := getattr(params, name)).any():
+                value = values[np.flatnonzero(values)[0]]
                 raise SurefootError(f"{name} is {value:g}; MuJoCo does not model it: set 0, or use world bullet")
-        self._native.friction[i] = params.contact_friction[row]
-        self._native.stiffness[i] = params.contact_stiffness[row]
-        self._native.spinning[i] = params.contact_spinning_friction[row]
-        ratios, rotors = np.array([getattr(params, name)[row] for name in RATIOS]), params.rotor_inertia[row]
-        if not (np.array_equal(self._ratios[i], ratios) and np.array_equal(self._rotors[i], rotors)):
-            self._native.mass[i] = self._scaled_masses(ratios, rotors)
-            self._ratios[i], self._rotors[i] = ratios, rotors
+        native = self._native
+        native.friction[rows] = params.contact_friction
+        native.stiffness[rows] = params.contact_stiffness
+        native.spinning[rows] = params.contact_spinning_friction
+        ratios, rotors = np.stack([getattr(params, name) for name in RATIOS], axis=1), params.rotor_inertia
+        changed = (self._ratios[rows] != ratios).any(axis=1) | (self._rotors[rows] != rotors).any(axis=1)
+        for k in np.flatnonzero(changed):
+            native.mass[rows[k]] = self._scaled_masses(ratios[k], rotors[k])
+        self._ratios[rows], self._rotors[rows] = ratios, rotors
 
     def _scaled_masses(self, ratios: Array, rotors: Array) -> Array:
         """Return `MASS_FIELDS` for ratios in the order of `RATIOS`, and inertias of rotors (M,) [kg m2]."""

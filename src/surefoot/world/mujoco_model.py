@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import product
+
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +13,7 @@ from surefoot.errors import SurefootError
 from surefoot.robot import GRAVITY, RobotDescription
 from surefoot.world.drive import RACK_HEIGHT
 from surefoot.world.interface import WorldConfig
+from surefoot.world.self_collision import meeting_links
 
 LOOP_SOLREF = (0.004, 1.0)
 LOOP_SOLIMP = (0.99, 0.99, 0.001, 0.5, 2.0)
@@ -24,7 +27,7 @@ def build_model(robot: RobotDescription, config: WorldConfig | None = None) -> m
     """Return the robot over a ground plane at z = 0, its base free or on a rack.
 
     Feet meet the ground by the law in `surefoot.world.contact`, so their geoms collide with nothing here; the
-    other collision shapes of the URDF meet the ground, and not each other, by MuJoCo's own contacts.
+    other collision shapes of the URDF meet the ground by MuJoCo's own contacts, and each other as `meeting_links` says.
     """
     try:
         spec = mujoco.MjSpec.from_file(str(robot.urdf.path))
@@ -49,12 +52,14 @@ def build_model(robot: RobotDescription, config: WorldConfig | None = None) -> m
     )
     feet = {leg.foot: leg.name for leg in robot.legs}
     for body in spec.bodies[1:]:
-        for geom in body.geoms:
+        for number, geom in enumerate(body.geoms):
             geom.contype, geom.conaffinity, geom.condim = 0, 1, 3
             if body.name in feet:
                 geom.name = f"{feet[body.name]}_foot"
                 # Bit 2 meets nothing; with no bit at all MuJoCo would drop the geom as merely visual.
                 geom.conaffinity = 2
+            else:
+                geom.name = f"{body.name}_shape_{number}"
     rotors = np.broadcast_to(robot.nominal_params()["rotor_inertia"], robot.num_motors)
     for name, inertia in zip(robot.motor_names, rotors, strict=True):
         spec.joint(name).armature = inertia
@@ -78,6 +83,9 @@ def build_model(robot: RobotDescription, config: WorldConfig | None = None) -> m
             solref=LOOP_SOLREF,
             solimp=LOOP_SOLIMP,
         )
+    for pair in meeting_links(robot):
+        for one, other in product(*(spec.body(link).geoms for link in pair)):
+            spec.add_pair(geomname1=one.name, geomname2=other.name)
     return spec.compile()
 
 

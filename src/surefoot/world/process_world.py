@@ -301,7 +301,7 @@ def bullet_world(
 ) -> Simulation:
     """Return simulated robots in Bullet: in this process if one is enough, else on `config.threads` processes.
 
-    With `published`, Bullet has the settings of the simulator that was published with the Minitaur.
+    With `published`, Bullet has the settings of the simulator that was published with its description.
 
     Raises:
         SurefootError: as `SimWorld`, or more robots than so many processes can hold.

@@ -28,7 +28,10 @@ _ZERO_AT_START = (
 
 
 class Engine(Protocol):
-    """Physics of a batch of robots; it shares the `Drive` arrays with the world."""
+    """Physics of a batch of robots; it shares the `Drive` arrays with the world.
+
+    Rows are indices of robots, (n,); other arrays have a row for each of these.
+    """
 
     name: str
     gravity: float
@@ -38,26 +41,26 @@ class Engine(Protocol):
     def advance(self, servo_steps: Index) -> None:
         """Run each robot for its number of servo steps, `servo_tick` before and `record` after each."""
 
-    def observe(self, i: int) -> None:
-        """Write the state of robot `i` to `drive.now`."""
+    def observe(self, rows: Index) -> None:
+        """Write states to `drive.now`."""
 
-    def get_state(self, i: int) -> Array:
-        """Return the whole state of robot `i` in the engine."""
+    def get_state(self, rows: Index) -> Array:
+        """Return the whole states (n, size) in the engine."""
 
-    def set_state(self, i: int, state: Array) -> None:
-        """Put robot `i` into a state, and clear its mark of divergence."""
+    def set_state(self, rows: Index, states: Array) -> None:
+        """Put robots into states (n, size), or all into one (size,), and clear their marks of divergence."""
 
-    def raise_base(self, i: int, height: float) -> None:
-        """Move the base of robot `i` up by a height [m]."""
+    def raise_base(self, rows: Index, height: Array) -> None:
+        """Move bases up by heights (n,) [m]."""
 
-    def set_base_velocity(self, i: int, linear_world: Array, angular_base: Array) -> None:
-        """Set the base's velocities [m/s], [rad/s]."""
+    def set_base_velocity(self, rows: Index, linear_world: Array, angular_base: Array) -> None:
+        """Set velocities (n, 3) [m/s] and angular velocities (n, 3) [rad/s] of bases."""
 
-    def set_force(self, i: int, force_world: Array) -> None:
-        """Set the force [N] on the base's centre of mass."""
+    def set_force(self, force_world: Array) -> None:
+        """Set the forces (N, 3) [N] on all robots' bases, at their centres of mass."""
 
-    def set_params(self, i: int, params: PhysicalParams, row: int) -> None:
-        """Apply masses, inertias and the feet's contact of one row to robot `i`, whose state stays as it is."""
+    def set_params(self, rows: Index, params: PhysicalParams) -> None:
+        """Apply masses, inertias and the feet's contact, a row for each robot; states stay as they are."""
 
     def base(self) -> Array:
         """Return the base position, quaternion and velocity in the world, (N, 10)."""
@@ -149,15 +152,17 @@ class SimWorld:
         drive = new_drive(self.robot, 1, self._history, config)
         single = engine(self.robot, drive, config)
         drive.target[:] = self.resting_angles
-        single.set_state(0, single.initial_state)
-        single.observe(0)
+        only = np.zeros(1, np.int64)
+        single.set_state(only, single.initial_state)
+        single.observe(only)
         record(drive, 0)
         single.advance(np.array([round(SETTLE_TIME / self.robot.timing.servo_step)]))
         if single.diverged[0]:
             raise SurefootError(
                 f"{self.robot.name}: the robot does not settle at its resting pose; check its description"
             )
-        return single.get_state(0)
+        settled: Array = single.get_state(only)[0]
+        return settled
 
     def reset(self, index: ArrayLike | None = None) -> Readings:
         """Bring robots back to the settled resting pose with a new history; return readings of all robots."""
@@ -173,16 +178,15 @@ class SimWorld:
         drive.target[rows] = self.resting_angles
         self._control_steps[rows] = 0
         self._draw_noise(rows)
+        self.engine.set_state(rows, self._settled)
+        rise = self._sunk - self._weight / self.params.contact_stiffness[rows]
+        self.engine.raise_base(rows[rise != 0], rise[rise != 0])
+        if config.start_linear_speed or config.start_angular_speed:
+            draw = np.array([self._start_streams[i].uniform(-1, 1, 6) for i in rows]).reshape(-1, 6)
+            speeds = config.start_linear_speed * draw[:, :3], config.start_angular_speed * draw[:, 3:]
+            self.engine.set_base_velocity(rows, *speeds)
+        self.engine.observe(rows)
         for i in rows:
-            self.engine.set_state(i, self._settled)
-            if rise := self._sunk - self._weight / float(self.params.contact_stiffness[i]):
-                self.engine.raise_base(i, rise)
-            if config.start_linear_speed or config.start_angular_speed:
-                draw = self._start_streams[i].uniform(-1, 1, 6)
-                self.engine.set_base_velocity(
-                    i, config.start_linear_speed * draw[:3], config.start_angular_speed * draw[3:]
-                )
-            self.engine.observe(i)
             record(drive, i)
 
     def step(self, target: ArrayLike, active: NDArray[np.bool_] | None = None) -> Readings:
@@ -271,18 +275,16 @@ class SimWorld:
         rows = np.atleast_1d(np.asarray(index, np.int64))
         self.params.set_rows(self.robot, rows, params)
         set_drive_params(self.drive, rows, params)
-        for row, i in enumerate(rows):
-            self.engine.set_params(i, params, row)
+        self.engine.set_params(rows, params)
 
     def push(self, force_world: ArrayLike) -> None:
         """Set the force (N, 3) [N] on each base's centre of mass from now on, in the world frame."""
-        for i, force in enumerate(np.asarray(force_world, float)):
-            self.engine.set_force(i, force)
+        self.engine.set_force(np.asarray(force_world, float))
 
     def get_state(self) -> dict[str, Any]:
         """Return the whole state of the world, for an exact resume."""
         return {
-            "engine": np.array([self.engine.get_state(i) for i in range(self.num_envs)]),
+            "engine": self.engine.get_state(np.arange(self.num_envs)),
             "drive": {name: array.copy() for name, array in self.drive._asdict().items()},
             "params": {name: getattr(self.params, name).copy() for name in PhysicalParams.names()},
             "control_steps": self._control_steps.copy(),
@@ -302,8 +304,7 @@ class SimWorld:
                 array[...] = saved
             elif name == "duty":
                 array[...] = 0.0
-        for i in range(self.num_envs):
-            self.engine.set_state(i, state["engine"][i])
+        self.engine.set_state(np.arange(self.num_envs), state["engine"])
         self._control_steps[:] = state["control_steps"]
         self._noise[:] = state["noise"]
         for stream, saved in zip(self._imu_streams + self._start_streams, state["streams"], strict=True):

@@ -94,21 +94,21 @@ def test_a_ping_has_the_bytes_worked_by_hand():
     body = bytes.fromhex(
         "01"  # version
         "02"  # Ping
-        "5B 1E 75 C9"  # schema
+        "5C 7B 3A 88"  # schema
         "02 00 00 00"  # number
         "E8 03 00 00 00 00 00 00"  # 1000 microseconds
         "01 00 00 00"  # token
     )
-    assert crc32(body) == bytes.fromhex("F5 E7 3F 78")
+    assert crc32(body) == bytes.fromhex("5F 2C 6F 5A")
     on_the_line = (
         "00"
-        "08 01 02 5B 1E 75 C9 02"  # seven bytes and a zero
+        "08 01 02 5C 7B 3A 88 02"  # seven bytes and a zero
         "01 01"
         "03 E8 03"
         "01 01 01 01 01"
         "02 01"
         "01 01"
-        "05 F5 E7 3F 78"
+        "05 5F 2C 6F 5A"
         "00"
     )
     assert bytes.fromhex(on_the_line) == PING
@@ -127,7 +127,9 @@ def test_every_kind_of_frame_is_as_documented(example: Example):
 def test_a_frame_without_zeros_over_254_bytes():
     names = tuple(letter * 24 for letter in "abcdefgh")
     full = np.full(8, 1.2345678)
-    message = Handshake(0x1111, "r" * 24, "f" * 40, names, np.ones(8), *([0.1234567] * 5), full, full, *([1.2345] * 5))
+    message = Handshake(
+        0x1111, "r" * 24, "f" * 40, names, np.ones(8), 0.12, full, full, 0.1, 0.1, full, full, *([1.2345] * 5)
+    )
     body = header(Handshake.CODE) + CODEC.pack(message)
     assert max(map(len, (body + crc32(body)).split(b"\0"))) > 254
     data = encode_frame(CODEC, message, 5, 6e-6)
@@ -136,11 +138,14 @@ def test_a_frame_without_zeros_over_254_bytes():
 
 
 def test_the_largest_frame_of_the_largest_robot_still_fits():
-    codec = Codec(27)
-    assert frame_bytes(codec, Handshake) - 2 == MAX_FRAME
-    full = np.full(27, 1.2345678)
-    names = tuple("n" * 24 for _ in range(27))
-    message = Handshake(0x1111, "r" * 24, "f" * 40, names, np.ones(27), *([0.5] * 5), full, full, *([1.2345] * 5))
+    codec = Codec(21)
+    # A motor takes 41 bytes of it: name, sign, gains and range.
+    assert MAX_FRAME - 41 < frame_bytes(codec, Handshake) - 2 <= MAX_FRAME
+    full = np.full(21, 1.2345678)
+    names = tuple("n" * 24 for _ in range(21))
+    message = Handshake(
+        0x1111, "r" * 24, "f" * 40, names, np.ones(21), 0.5, full, full, 0.5, 0.5, full, full, *[1.2] * 5
+    )
     decoder = Decoder(codec)
     assert len(decoder.feed(encode_frame(codec, message, 1, 0.0))) == 1
 

@@ -35,6 +35,7 @@ from surefoot.deploy.wire.messages import (
     Reason,
     State,
 )
+from surefoot.errors import SurefootError
 
 CODEC = Codec(8)
 TWO = Codec(2)
@@ -221,7 +222,7 @@ def test_every_field_has_a_meaning_and_a_whole_number_of_steps_in_its_unit():
 
 def test_the_schema_is_the_hash_of_the_canonical_text():
     # Firmware that was built for this schema stops understanding the host when this number changes.
-    assert CODEC.schema == 0xC9751E5B
+    assert CODEC.schema == 0x883A7B5C
     assert CODEC.schema == struct.unpack("<I", hashlib.sha256(CODEC.describe().encode()).digest()[:4])[0]
 
 
@@ -235,12 +236,15 @@ def test_the_canonical_text_is_as_documented():
 
 
 def test_robots_of_other_numbers_of_motors_have_another_schema():
-    assert len({Codec(motors).schema for motors in range(1, 28)}) == 27
+    assert len({Codec(motors).schema for motors in range(1, 22)}) == 21
 
 
 def test_the_largest_robot_fills_its_frames():
-    assert Codec(27).size(MESSAGES[8]) == 997 == MAX_PAYLOAD
-    assert sum(spec.count == MOTORS for spec in wires(MESSAGES[8]).values()) == 4
+    # 98 bytes and 41 a motor.
+    assert Codec(21).size(MESSAGES[8]) == 959 <= MAX_PAYLOAD < 959 + 41
+    assert sum(spec.count == MOTORS for spec in wires(MESSAGES[8]).values()) == 6
+    with pytest.raises(SurefootError, match="motors is 22"):
+        Codec(22)
 
 
 # Numbers with a meaning.

@@ -23,12 +23,10 @@ from surefoot.stop_signals import StopSignals
 
 RISE, SETTLE, TILT_TIME = 1.5, 0.6, 0.8
 """Time [s] to stand up, to settle, and to go into a tilt."""
-SHORTER, LONGER = 0.2, 0.1
-"""How much less, and more, the legs of either side are extended [rad]."""
 LEASH = 0.8
 """How far [rad] a motor may be from where it was sent: legs that carry the robot give way by some .2 rad."""
 LEAST = 0.03
-"""Least tilt [rad] that must be seen; the legs of a minitaur give .07 in pitch and .17 in roll."""
+"""Least tilt [rad] that must be seen; half of what legs give, or less."""
 OTHER = 0.5
 """How much of that the other axis may turn, as a share."""
 RATE_SHARE, RATE_LEAST = 0.3, 0.015
@@ -98,10 +96,10 @@ def tilt_robot(
 
 def _leaning(robot: RobotDescription, stand: tuple[float, ...], shorter: str) -> Array:
     """Motor angles (M,) of a robot whose front or left legs are shorter and whose others are longer."""
-    *sides, extension = stand
+    use, (*sides, extension) = robot.experiments, stand
     low, high = robot.leg_space["extension"]
     side = np.array([shorter in leg for leg in robot.leg_names])
-    extensions = np.clip(np.where(side, extension - SHORTER, extension + LONGER), low, high)
+    extensions = np.clip(np.where(side, extension - use.shorter, extension + use.longer), low, high)
     return robot.pose_angles(*sides, extensions)
 
 

@@ -1,0 +1,82 @@
+"""How far experiments and checks move a robot: the table [experiments] of a sheet, and usual values for its legs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Annotated, Any
+
+import numpy as np
+
+from surefoot.configuration import Within, from_mapping
+from surefoot.robot.actuator import ActuatorData, DcMotorData
+
+_Positive = Annotated[float, Within(0, 1e9, above=True)]
+_Duty = Annotated[float, Within(0, 1)]
+
+_EXTENSIONS = {
+    **{"stance": 0.52, "high": 0.67, "low": 0.43, "squat": 0.14, "nod": 0.057, "lift": 0.12},
+    **{"shorter": 0.095, "longer": 0.048},
+}
+"""Shares of the range of extensions; the first three count from its least."""
+_STEPS = {"sweep": 1.3, "chirp": 0.86, "step": 1.0}
+"""Shares of the angle at which a servo asks for the torque that a motor bears."""
+_TORQUE = 8 / 7
+"""Torque at which an experiment ends, over the one that a motor bears."""
+
+
+@dataclass(frozen=True)
+class Experiments:
+    """Extensions in the legs' own unit, motor angles in rad."""
+
+    stance: _Positive
+    """Extension in which the robot stands, and around which legs on a rack move."""
+    high: _Positive
+    """Extension from which it drops."""
+    low: _Positive
+    """Extension to which it draws its legs in when it drops."""
+    squat: _Positive
+    """Amplitude of the extension when it squats."""
+    nod: _Positive
+    """Amplitude of the extension when front and back legs move against each other."""
+    lift: _Positive
+    """How much shorter legs get whose feet are dragged."""
+    shorter: _Positive
+    """How much less legs are extended on the side that the doctor lowers."""
+    longer: _Positive
+    """How much more on the other side."""
+    sweep: _Positive
+    """Amplitude of slow sines of motors [rad]."""
+    chirp: _Positive
+    """Amplitude of fast ones [rad]."""
+    step: _Positive
+    """Largest step of a motor's target [rad]."""
+    duty: _Duty
+    """Greatest duty of PWM pulses."""
+    spike: _Duty
+    """Duty of PWM spikes of a single command."""
+    torque: _Positive
+    """Torque [N m] beyond which an experiment ends."""
+
+    def part(self, name: str, share: float) -> float:
+        """Return a share of one of these, to three decimals, as plans tell it."""
+        return round(share * float(getattr(self, name)), 3)
+
+
+def read_experiments(table: Mapping[str, Any], extension: tuple[float, float], motors: ActuatorData) -> Experiments:
+    """Return the table of a sheet, where it is silent with what suits the range of extensions and the motors."""
+    low, high = extension
+    usual = {name: share * (high - low) for name, share in _EXTENSIONS.items()}
+    usual |= {name: low + usual[name] for name in ("stance", "high", "low")}
+    duty = 0.0
+    if isinstance(motors, DcMotorData):
+        torque = motors.overheat_torque
+        current = float(np.interp(torque, motors.torque_table_torque, motors.torque_table_current))
+        duty = min(current * motors.resistance / motors.voltage, 0.7)
+        angle = duty / float(np.max(motors.kp))
+    else:
+        torque = float(np.min(np.minimum(motors.torque_limit, motors.overheat_torque)))
+        angle = torque / float(np.max(motors.kp))
+    usual |= {name: share * angle for name, share in _STEPS.items()}
+    usual |= {"duty": 1.3 * duty, "spike": 1.15 * duty, "torque": _TORQUE * torque}
+    return from_mapping(Experiments, usual | dict(table), "experiments")

@@ -1,0 +1,42 @@
+"""How far experiments move a robot: the sheet's numbers, and usual ones where it is silent."""
+
+from __future__ import annotations
+
+import pytest
+
+from surefoot.errors import SurefootError
+from surefoot.robot import RobotDescription
+from surefoot.robot.experiments import read_experiments
+
+MINITAUR = RobotDescription.load("minitaur")
+
+
+def test_usual_numbers_are_near_those_of_the_minitaurs_sheet() -> None:
+    usual = read_experiments({}, MINITAUR.leg_space["extension"], MINITAUR.actuator)
+    for name, value in vars(MINITAUR.experiments).items():
+        assert getattr(usual, name) == pytest.approx(value, rel=0.02), name
+    # 2.45 N m are at 30 A, 30 * .186 / 16 of the duty, which a gain of 1 duty/rad asks for at that many rad.
+    assert usual.step == pytest.approx(30 * 0.186 / 16)
+    assert usual.part("step", 0.5) == 0.174
+
+
+@pytest.mark.parametrize("name", RobotDescription.available())
+def test_every_robot_stays_within_what_its_legs_may_do(name: str) -> None:
+    robot = RobotDescription.load(name)
+    low, high = robot.leg_space["extension"]
+    moved = robot.experiments
+    for extension in (moved.high, moved.low, moved.stance - moved.squat, moved.stance + moved.squat):
+        assert low < extension < high
+
+
+@pytest.mark.parametrize(
+    ("table", "said"),
+    [
+        ({"stance": -1.0}, "experiments.stance is -1"),
+        ({"duty": 1.5}, "experiments.duty"),
+        ({"jump": 1}, "is not a key"),
+    ],
+)
+def test_what_is_none_is_refused(table: dict[str, float], said: str) -> None:
+    with pytest.raises(SurefootError, match=said):
+        read_experiments(table, (0.6, 2.7), MINITAUR.actuator)
