@@ -109,9 +109,23 @@ def test_a_ramp_lets_first_commands_grow() -> None:
 
 
 def test_a_schedule_holds_each_command_until_the_next() -> None:
-    schedule = CommandSchedule([(1.0, 0.5, 0.0, 0.0), (2.0, 5.0, 0.0, -1.0)], LIMITS, 1)
+    schedule = CommandSchedule([[(1.0, 0.5, 0.0, 0.0), (2.0, 5.0, 0.0, -1.0)]], LIMITS, 1)
     assert schedule.at([0.0, 0.99, 1.0, 1.5, 2.0, 90.0])[:, 0].tolist() == [0.0, 0.0, 0.5, 0.5, 2.0, 2.0]
     assert schedule.at(2.0).tolist() == [2.0, 0.0, -1.0]
+
+
+def test_robots_follow_their_own_commands_in_turn() -> None:
+    config = CommandConfig(forward=(-1, 2), yaw_rate=(-1, 1), each=((0.5, 0.0, 0.0), (0.0, 0.0, 0.3)))
+    source = config.source(LIMITS, 3, seed=0)
+    source.reset(np.arange(3))
+    assert source.command.tolist() == [[0.5, 0.0, 0.0], [0.0, 0.0, 0.3], [0.5, 0.0, 0.0]]
+    source.update(np.full(3, 7.0))
+    assert source.command[1].tolist() == [0.0, 0.0, 0.3]
+
+
+def test_a_schedule_and_commands_for_each_robot_are_not_given_together() -> None:
+    with pytest.raises(SurefootError, match=r"commands\.schedule and commands\.each are given"):
+        CommandConfig(each=((0.5, 0.0, 0.0),), schedule=((0.0, 0.5, 0.0, 0.0),))
 
 
 def test_a_file_of_commands_is_read(tmp_path: Path) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -36,6 +36,9 @@ class EvaluateCommand(RunOptions):
     episodes: Count = 20
     """Episodes to run, side by side."""
     json: Json = False
+    command_grid: bool = False
+    """Give a policy with commands one command an episode, over a grid of its range, not drawn ones; with --out a
+    heat map of its errors is drawn."""
     thermal_protection: bool = False
     """Switch off motors that overheat."""
     out: Path | None = None
@@ -62,13 +65,19 @@ def main(argv: list[str]) -> int:
     summary |= about | {"robot": robot.name}
     if command.out is not None:
         files = [] if command.trace else [t.save(command.out / f"episode_{i:03d}.npz") for i, t in enumerate(traces)]
-        summary["files"] = [str(file) for file in [*files, *draw_episode(command.out, traces[0], robot)]]
+        drawn = draw_episode(command.out, traces[0], robot)
+        if command.command_grid:
+            from surefoot.report.tracking_figure import tracking_figure
+
+            drawn.append(tracking_figure(traces, command.out / "tracking.png"))
+        summary["files"] = [str(file) for file in [*files, *drawn]]
     if command.json:
         print(json.dumps(summary, allow_nan=False))
     else:
         print_summaries({f"{summary['policy']} in {summary['world']}": summary})
-        for file in summary.get("files", [])[-2:]:
-            print(f"wrote {file}")
+        for file in summary.get("files", []):
+            if file.endswith(".png"):
+                print(f"wrote {file}")
     return 0
 
 
@@ -88,11 +97,18 @@ def _simulated(
         *(command.thermal_protection, ranges, command.simulator, command.push_force),
         commands=command.commands,
     )
+    episodes = command.episodes
+    if command.command_grid:
+        from surefoot.evaluate.tracking import command_grid
+
+        if command.commands is not None:
+            raise SurefootError("--command-grid and --commands are given; give one of them")
+        rows = command_grid(task.commands.limits(robot))
+        task = replace(task, commands=replace(task.commands, each=rows))
+        episodes = len(rows)
     make_figures_folder(command.out)
-    title = f"{command.episodes} episodes"
-    traces = run_policy(
-        policy, task, command.episodes, command.world, command.seed, command.threads, known["name"], title
-    )
+    title = f"{episodes} episodes"
+    traces = run_policy(policy, task, episodes, command.world, command.seed, command.threads, known["name"], title)
     given = [word.split("=")[0] for group in command.settings for word in group]
     about = {
         "seed": command.seed,

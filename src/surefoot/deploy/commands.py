@@ -61,7 +61,7 @@ class FileCommands:
     """Commands over time, of a file."""
 
     def __init__(self, path: Path, limits: CommandLimits) -> None:
-        self._schedule = CommandSchedule(read_schedule(path), limits, 1)
+        self._schedule = CommandSchedule([read_schedule(path)], limits, 1)
 
     def read(self, moment: float) -> Array:
         """Return the command (3,) that holds at a moment [s] of the run."""

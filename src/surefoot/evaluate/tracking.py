@@ -8,11 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from surefoot.arrays import Array
-from surefoot.robot.commands import COMMANDS
+from surefoot.errors import SurefootError
+from surefoot.robot.commands import COMMANDS, CommandLimits
 from surefoot.task.trace import EpisodeTrace
 
 STRIDE = 0.5
 """Time [s] that is averaged over where the gait has no period of its own."""
+GRID = 7
+"""Commands along each side of a grid."""
 SETTLING = 1.0
 """Time [s] after a change of the command that does not count: nobody can follow a jump."""
 
@@ -50,6 +53,21 @@ class Tracking:
             name: {key: float(x) if np.isfinite(x) else None for key, x in zip(COMMANDS, values, strict=True)}
             for name, values in (("rmse", self.rmse), ("rmse_stride", self.rmse_stride))
         }
+
+
+def command_grid(limits: CommandLimits | None) -> tuple[tuple[float, float, float], ...]:
+    """Return commands over a policy's range: forward with turning, and, if it has it, forward with sideways.
+
+    Raises:
+        SurefootError: a policy without commands.
+    """
+    if limits is None:
+        raise SurefootError("--command-grid is given; this policy has no commands to follow")
+    forward, sideways, turn = (np.linspace(low, high, GRID) for low, high in zip(limits.low, limits.high, strict=True))
+    rows = [(float(x), 0.0, float(w)) for w in turn for x in forward]
+    if np.ptp(sideways) > 0:
+        rows += [(float(x), float(y), 0.0) for y in sideways for x in forward if y]
+    return tuple(rows)
 
 
 def motion(trace: EpisodeTrace) -> Array:

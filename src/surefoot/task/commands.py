@@ -57,6 +57,9 @@ class CommandConfig:
     schedule: tuple[tuple[float, float, float, float], ...] = ()
     """Commands that are given in place of drawn ones: time in the episode [s], speeds forward and to the left [m/s] and
     yaw rate [rad/s]; each holds until the next, and before the first the robot stands."""
+    each: tuple[tuple[float, float, float], ...] = ()
+    """Commands that hold for a whole episode in place of drawn ones: robot i follows row i, and begins anew after the
+    last one [m/s, m/s, rad/s]."""
 
     def __post_init__(self) -> None:
         """Refuse values out of bounds and reversed ranges."""
@@ -66,6 +69,8 @@ class CommandConfig:
             if low > high:
                 raise SurefootError(f"commands.{name} is [{low:g}, {high:g}]; the lower bound must come first")
         check_schedule(self.schedule)
+        if self.schedule and self.each:
+            raise SurefootError("commands.schedule and commands.each are given; give one of them")
 
     @property
     def enabled(self) -> bool:
@@ -75,7 +80,9 @@ class CommandConfig:
     def source(self, limits: CommandLimits, num_envs: int, seed: int) -> CommandSampler | CommandSchedule:
         """Return what gives commands to the robots of a batch."""
         if self.schedule:
-            return CommandSchedule(self.schedule, limits, num_envs)
+            return CommandSchedule([self.schedule], limits, num_envs)
+        if self.each:
+            return CommandSchedule([[(0.0, *row)] for row in self.each], limits, num_envs)
         return CommandSampler(self, limits, num_envs, seed)
 
     def limits(self, robot: RobotDescription) -> CommandLimits | None:
@@ -141,32 +148,37 @@ def read_schedule(path: Path) -> tuple[tuple[float, float, float, float], ...]:
 
 
 class CommandSchedule:
-    """Gives every robot of a batch the commands of a schedule, within its limits.
+    """Gives robots the commands of schedules, within their limits: robot i those of schedule i, in turn.
 
     Args:
-        rows: time [s] and commands, as of `CommandConfig.schedule`.
+        schedules: rows of time [s] and commands, as of `CommandConfig.schedule`.
         limits: of the commands.
         num_envs: robots.
     """
 
-    def __init__(self, rows: Sequence[Sequence[float]], limits: CommandLimits, num_envs: int) -> None:
-        table = np.array(rows, float)
-        self._times = table[:, 0]
-        self._commands = np.concatenate([[STAND], [limits.clamped(row)[0] for row in table[:, 1:]]])
+    def __init__(self, schedules: Sequence[Sequence[Sequence[float]]], limits: CommandLimits, num_envs: int) -> None:
+        self._schedules = []
+        for rows in schedules:
+            table = np.array(rows, float)
+            commands = np.concatenate([[STAND], [limits.clamped(row)[0] for row in table[:, 1:]]])
+            self._schedules.append((table[:, 0], commands))
         self.streams: list[np.random.Generator] = []
         self.command = np.zeros((num_envs, 3))
 
     def reset(self, rows: NDArray[np.int64]) -> None:
-        """Begin the schedule for episodes that start."""
-        self.command[rows] = self.at(0.0)
+        """Begin the schedules for episodes that start."""
+        for i in rows:
+            self.command[i] = self.at(0.0, i)
 
     def update(self, time: Array) -> None:
         """Set the commands of robots whose episodes are `time` (N,) [s] old."""
-        self.command = self.at(time)
+        for i, moment in enumerate(time):
+            self.command[i] = self.at(moment, i)
 
-    def at(self, time: ArrayLike) -> Array:
-        """Return the commands (..., 3) at times (...) [s]."""
-        found: Array = self._commands[np.searchsorted(self._times, np.asarray(time) + 5e-7, side="right")]
+    def at(self, time: ArrayLike, robot: int = 0) -> Array:
+        """Return a robot's commands (..., 3) at times (...) [s]."""
+        times, commands = self._schedules[robot % len(self._schedules)]
+        found: Array = commands[np.searchsorted(times, np.asarray(time) + 5e-7, side="right")]
         return found
 
     def arrays(self) -> dict[str, NDArray[Any]]:
