@@ -138,7 +138,7 @@ class Plant:
         """Return what servos ask for: a duty of DC motors, a share of the torque limit of joint drives."""
         if self.robot.drive == "dc":
             return np.asarray(servo_duty(target, angle, speed, *self._gains))
-        return np.asarray(joint_torque(target, angle, speed, *self._gains) / self.world.drive.joint_limits[0])
+        return np.asarray(joint_torque(target, angle, speed, *self._gains) / self.world.drive.greatest_torque[0])
 
     def _draw_power(self, temperature: Array, count: int = 1) -> None:
         drive, power, dt = self.world.drive, self.power, count * self.robot.timing.servo_step

@@ -178,7 +178,7 @@ class BulletEngine:
             model.body,
             motors,
             p.POSITION_CONTROL,
-            targetPositions=(self._layout.sign * drive.target[i]).tolist(),
+            targetPositions=(self._layout.sign * (drive.target[i] - drive.motor_offset[i])).tolist(),
             targetVelocities=[0.0] * len(motors),
             positionGains=gains.tolist(),
             velocityGains=[1.0] * len(motors),

@@ -60,6 +60,8 @@ def observe(layout: Layout, drive: Drive, i: int, seen: Array) -> bool:
     now = drive.now[i]
     for m in range(2 * motors):
         now[m] = layout.sign[m % motors] * seen[JOINTS + m]
+    for m in range(motors):
+        now[m] += drive.motor_offset[i, m]
     if layout.rack:
         now[2 * motors :] = 0.0
         return True

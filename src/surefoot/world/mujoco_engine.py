@@ -33,7 +33,7 @@ _LEAST = 8
 """Robots a thread is worth its start for."""
 MASS_FIELDS = (
     *("body_mass", "body_inertia", "body_subtreemass", "body_invweight0", "dof_M0", "dof_invweight0"),
-    "dof_armature",
+    *("dof_armature", "body_ipos"),
 )
 """Arrays of a MuJoCo model that depend on masses and inertias, `mj_setConst`'s results included."""
 
@@ -68,8 +68,8 @@ class MujocoEngine:
         self._native = self._layout()
         self._pool = ThreadPoolExecutor(self.threads - 1) if self.threads > 1 else None
         self.diverged = np.zeros(num_envs, np.bool_)
-        self._ratios = np.ones((num_envs, len(RATIOS)))
-        self._rotors = np.tile(self._nominal.dof_armature[self._native.motor_dof], (num_envs, 1))
+        nominal = (np.ones(len(RATIOS)), self._nominal.dof_armature[self._native.motor_dof], np.zeros(3))
+        self._given = [nominal] * num_envs
         self.initial_state = self._resting_state()
 
     def _layout(self) -> Native:
@@ -188,13 +188,23 @@ class MujocoEngine:
         self._native.friction[i] = params.contact_friction[row]
         self._native.stiffness[i] = params.contact_stiffness[row]
         self._native.spinning[i] = params.contact_spinning_friction[row]
-        ratios, rotors = np.array([getattr(params, name)[row] for name in RATIOS]), params.rotor_inertia[row]
-        if not (np.array_equal(self._ratios[i], ratios) and np.array_equal(self._rotors[i], rotors)):
-            self._native.mass[i] = self._scaled_masses(ratios, rotors)
-            self._ratios[i], self._rotors[i] = ratios, rotors
+        given = (
+            np.array([getattr(params, name)[row] for name in RATIOS]),
+            params.rotor_inertia[row].copy(),
+            params.base_offset[row].copy(),
+        )
+        if not all(map(np.array_equal, self._given[i], given)):
+            self._native.mass[i] = self._scaled_masses(*given)
+            self._given[i] = given
 
-    def _scaled_masses(self, ratios: Array, rotors: Array) -> Array:
-        """Return `MASS_FIELDS` for ratios in the order of `RATIOS`, and inertias of rotors (M,) [kg m2]."""
+    def _scaled_masses(self, ratios: Array, rotors: Array, offset: Array) -> Array:
+        """Return `MASS_FIELDS` for other masses.
+
+        Args:
+            ratios: in the order of `RATIOS`.
+            rotors: inertias of rotors (M,) [kg m2].
+            offset: of the base's centre of mass (3,) [m].
+        """
         base_mass, leg_mass, base_inertia, leg_inertia = ratios
         nominal, model, base, legs = self._nominal, self._scratch_model, self._base, self._legs
         model.body_mass[base] = nominal.body_mass[base] * base_mass
@@ -202,6 +212,7 @@ class MujocoEngine:
         model.body_inertia[base] = nominal.body_inertia[base] * base_inertia
         model.body_inertia[legs] = nominal.body_inertia[legs] * leg_inertia
         model.dof_armature[self._native.motor_dof] = rotors
+        model.body_ipos[base] = nominal.body_ipos[base] + offset
         # Quantities that MuJoCo derives from the masses, with a state of no robot's.
         mujoco.mj_setConst(model, self._scratch)
         return _masses(model)

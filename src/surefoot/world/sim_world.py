@@ -23,7 +23,7 @@ SETTLE_TIME = 0.5
 _NOISE_BLOCK = 256
 _ZERO_AT_START = (
     *("ticks", "duty", "torque", "motor_torque", "energy", "hot_time", "switched_off", "contact_ticks"),
-    "filtered_speed",
+    *("filtered_speed", "friction_stretch"),
 )
 
 
@@ -250,7 +250,7 @@ class SimWorld:
             base_quat_world=base[:, 3:7],
             base_velocity_world=base[:, 7:],
             roll_pitch_yaw=now[:, 2 * motors : 2 * motors + 3].copy(),
-            motor_angle=now[:, :motors].copy(),
+            motor_angle=now[:, :motors] - self.drive.motor_offset,
             motor_velocity=now[:, motors : 2 * motors].copy(),
             motor_torque=self.drive.motor_torque.copy(),
             energy=self.drive.energy.copy(),
