@@ -1,4 +1,4 @@
-"""`surefoot replay`: the commands of a recorded run through the simulated robot, and how far that is from the record."""
+"""`surefoot replay`: the commands of a recorded run through the simulated robot, compared with the record."""
 
 from __future__ import annotations
 

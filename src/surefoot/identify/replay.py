@@ -27,7 +27,7 @@ from surefoot.errors import SurefootError
 from surefoot.identify.recording import CLOCK, Recording
 from surefoot.identify.robot_log import RobotLog
 from surefoot.robot import PhysicalParams, RobotDescription
-from surefoot.world.drive import read_by_mounted_imu
+from surefoot.world.drive import read_imu
 from surefoot.world.interface import WorldConfig
 from surefoot.world.sim_world import EngineFactory, SimWorld, mujoco_engine
 
@@ -57,6 +57,8 @@ class Stretch:
     """Motor angles (M,) [rad] that were held before the first command."""
     lead: float = 0.0
     """How long before their use [s] the control latency takes states to be sent."""
+    attitude: Array | None = None
+    """Roll and pitch (2,) [rad] that the IMU told at the start: floors are tilted so that simulated ones tell it."""
 
 
 def stretch_of(recording: Recording, first: int, last: int) -> Stretch:
@@ -102,7 +104,8 @@ def stretch_of(recording: Recording, first: int, last: int) -> Stretch:
 def stretch_of_log(log: RobotLog, robot: RobotDescription) -> Stretch:
     """Return a log as a stretch that begins with its first command.
 
-    Robots settle at what is commanded of joints that stand still, and where joints that move were first read.
+    Robots settle at what is commanded of joints that stand still, and where joints that move were first read. What the
+    IMU tells then and the robot's own pose does not explain, is the floor's tilt.
     """
     dt, origin = robot.timing.servo_step, float(log.time[0])
     state_time = np.maximum(log.read_time - origin, 0.0)
@@ -116,6 +119,7 @@ def stretch_of_log(log: RobotLog, robot: RobotDescription) -> Stretch:
         states=np.arange(len(log.time)),
         voltage=np.full(ticks, float(robot.battery.nominal)),
         start=np.where(log.moving & np.isfinite(read), read, log.command[0]),
+        attitude=log.imu[0, :2] if np.isfinite(log.imu[0, :2]).all() else None,
     )
 
 
@@ -139,7 +143,7 @@ class Replayer:
         num_envs: how many go at once.
         rack: hold their bases in the air.
         engine: makes the physics; MuJoCo runs on all cores.
-            torques: tell motors' torques too, and follow the voltage; both take a call of the engine in every servo step.
+        torques: tell motors' torques too, and follow the voltage, with a call of the engine in every servo step.
     """
 
     def __init__(
@@ -188,10 +192,8 @@ class Replayer:
             told[row] = (1 - share) * history[before, row] + share * history[before + 1, row]
         ended = np.clip(np.floor(stretch.state_time / dt + 1e-3).astype(np.int64), 0, len(torque) - 1)
         imu = told[:, :, 2 * motors :]
-        for row in np.flatnonzero(params.imu_mount.any(axis=1)):
-            mounts = np.tile(params.imu_mount[row], (len(imu[row]), 1))
-            read_by_mounted_imu(imu[row, :, :3], imu[row, :, 3:], mounts)
-        imu[:, :, :2] += params.imu_bias[:, None]
+        for row in range(params.num_envs):
+            read_imu(imu[row, :, :3], imu[row, :, 3:], params, np.full(len(imu[row]), row))
         return Replayed(
             motor_angle=told[:, :, :motors],
             motor_velocity=told[:, :, motors : 2 * motors],
@@ -213,6 +215,10 @@ def _go_through(world: SimWorld, stretch: Stretch, params: PhysicalParams, torqu
     for k in range(steps):
         drive.target[:] = begin + (stretch.start - begin) * min(2 * k / steps, 1.0)
         advance(active)
+    if stretch.attitude is not None and not world.config.rack:
+        _tilt_floors(world, stretch.attitude, params, given)
+        for _ in range(steps):
+            advance(active)
     ticks, kept = len(stretch.voltage), len(drive.times[0])
     history = np.empty((ticks + 1, rows, drive.now.shape[1]))
     torque = np.empty((ticks + 1 if torques else 0, rows, drive.target.shape[1]))
@@ -232,6 +238,20 @@ def _go_through(world: SimWorld, stretch: Stretch, params: PhysicalParams, torqu
         history[tick + 1 : tick + 1 + count] = np.moveaxis(drive.history[:rows, slots], 1, 0)
         tick += count
     return history, torque
+
+
+def _tilt_floors(world: SimWorld, attitude: Array, params: PhysicalParams, given: PhysicalParams) -> None:
+    """Tilt the floors of robots that stand until IMUs tell a roll and pitch (2,) [rad]; write the tilts to both."""
+    least, greatest = world.robot.allowed["floor_tilt"]
+    for _ in range(2):
+        told = world.drive.now[:, 2 * world.robot.num_motors :].copy()
+        read_imu(told[:, :3], told[:, 3:], given)
+        roll, pitch = (attitude - told[:, :2]).T
+        cos, sin = np.cos(given.imu_mount[:, 2]), np.sin(given.imu_mount[:, 2])
+        more = np.stack([cos * roll - sin * pitch, sin * roll + cos * pitch], axis=1)
+        given.floor_tilt[:] = np.clip(given.floor_tilt + more, least, greatest)
+    params.floor_tilt[:] = given.floor_tilt[: params.num_envs]
+    world.set_params(np.arange(world.num_envs), given)
 
 
 def _obey(world: SimWorld, kind: int, order: Array, params: PhysicalParams) -> None:

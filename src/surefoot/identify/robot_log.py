@@ -1,8 +1,8 @@
 """What a robot was told and what it told, row by row, whoever recorded it.
 
-A row has the time at which a command was sent, the command, and the readings that were last received. The robot sends
-them at a rate of its own: rows that come faster repeat a reading, and one that is new in a row came at some moment since
-the row before, at most as long ago as readings are apart. The middle of this is taken for its time.
+A row has the time at which a command was sent, the command, and the readings that were last received. The robot
+sends them at a rate of its own: rows that come faster repeat a reading, and one that is new in a row came at some
+moment since the row before, at most as long ago as readings are apart. The middle of this is taken for its time.
 """
 
 from __future__ import annotations
@@ -119,9 +119,9 @@ def log_of_trace(name: str, trace: EpisodeTrace) -> RobotLog:
 
 
 def read_log(path: Path, robot: RobotDescription) -> RobotLog:
-    """Read a trace (.npz), or an .npz file with arrays `time` (T,), `command` and `motor_angle` (T, M), and `imu` (T, 4).
+    """Read a trace (.npz), or an .npz file with arrays `time` (T,), `command`, `motor_angle` (T, M) and `imu` (T, 4).
 
-    `motor_angle` and `imu` may be missing, not both.
+    `motor_angle` or `imu` may be missing.
 
     Raises:
         SurefootError: no such file, a damaged one, one with other arrays, of another robot, or refused by `RobotLog`.

@@ -92,6 +92,7 @@ class PhysicalParams:
         "joint",
     )
     motor_offset: Array = _row("rad", "angle that each motor's encoder tells, less the true one", (-0.5, 0.5), "motors")
+    floor_tilt: Array = _row("rad", "roll and pitch of the floor", (-0.5, 0.5), "roll, pitch")
     base_offset: Array = _row("m", "centre of mass of the base, less the description's", (-0.1, 0.1), "x, y, z")
 
     @property

@@ -250,8 +250,8 @@ def read_members(path: Path) -> dict[str, NDArray[Any]]:
 
     Raises:
         OSError: no such file, or one that can't be read.
-        ValueError, EOFError, RuntimeError, zipfile.BadZipFile, zlib.error: a damaged file, one that unpacks to more than
-            `DATA_BYTES`, or one with objects in it.
+        ValueError, EOFError, RuntimeError, zipfile.BadZipFile, zlib.error: a damaged file, one that unpacks to more
+            than `DATA_BYTES`, or one with objects in it.
     """
     check_readable(path)
     with path.open("rb") as file:

@@ -67,6 +67,7 @@ class BulletEngine:
         self._seen = np.zeros((num_envs, JOINTS + 3 * len(sign)))
         self.diverged = np.zeros(num_envs, np.bool_)
         self._force = np.zeros((num_envs, 3))
+        self._tilt = np.zeros((num_envs, 2))
         self._rows = np.zeros((num_envs, JOINTS + 2 * joints))
         for i in range(num_envs):
             self._rows[i] = self._read(i, self._joints)[: self._rows.shape[1]]
@@ -80,7 +81,7 @@ class BulletEngine:
             row[JOINTS + model.joints[name]] = angle
         row[:3] = [*model.base_centre[:2], RACK_HEIGHT + model.base_centre[2]]
         row[3:7] = model.base_quat[[1, 2, 3, 0]]
-        state = np.concatenate([row, np.zeros(3)])
+        state = np.concatenate([row, np.zeros(6)])
         if not model.rack:
             before = self.get_state(0)
             self.set_state(0, state)
@@ -193,19 +194,23 @@ class BulletEngine:
     def get_state(self, i: int) -> Array:
         """Return the whole state of robot `i`; contacts are forgotten and pins centred, as `set_state` does."""
         self.models[i].forget()
-        return np.concatenate([self._rows[i], self._force[i]])
+        return np.concatenate([self._rows[i], self._force[i], self.models[i].base_offset])
 
     def set_state(self, i: int, state: Array) -> None:
         """Put robot `i` into a state from `get_state`."""
         if self._spoilt[i]:
             # Bullet's contact search does not recover from positions that are not finite.
             values, rotors = self.models[i].values, self.models[i].rotor_inertia
-            self.models[i].close()
-            self.models[i] = BulletModel(self.robot, self._config, self._settings)
-            self.models[i].apply(values, rotors)
+            self._renew(i, self.models[i].base_offset)
+            self.models[i].apply(values, rotors, self._tilt[i])
             self._spoilt[i] = False
         p, model, row = self._p, self.models[i], self._rows[i]
-        row[:], self._force[i] = state[:-3], state[-3:]
+        row[:], self._force[i] = state[: len(row)], state[len(row) : len(row) + 3]
+        # Bullet's base is at its centre of mass.
+        if (moved := model.base_offset - state[len(row) + 3 :]).any() and not model.rack:
+            arm = xyzw_matrix(row[3:7]) @ self._from_link.T @ moved
+            row[:3] += arm
+            row[VELOCITY:OMEGA] += np.cross(row[OMEGA:JOINTS], arm)
         if not self._config.rack:
             self._write_base(i)
         angles, speeds = np.split(row[JOINTS:], 2)
@@ -213,6 +218,11 @@ class BulletEngine:
             p.resetJointState(model.body, joint, angle, speed, model.client)
         model.forget()
         self.diverged[i] = False
+
+    def _renew(self, i: int, base_offset: Array) -> None:
+        """Give robot `i` a client of its own anew, with nominal parameters but for the base's centre of mass."""
+        self.models[i].close()
+        self.models[i] = BulletModel(self.robot, self._config, self._settings, base_offset)
 
     def set_base_velocity(self, i: int, linear_world: Array, angular_base: Array) -> None:
         """Set the base's velocity [m/s] in the world and angular velocity [rad/s] in the base frame."""
@@ -237,8 +247,13 @@ class BulletEngine:
 
     def set_params(self, i: int, params: PhysicalParams, row: int) -> None:
         """Apply masses, inertias, knees, floor and the feet's contact of `params[row]` to robot `i`."""
+        if not np.array_equal(params.base_offset[row], self.models[i].base_offset):
+            state = self.get_state(i)
+            self._renew(i, params.base_offset[row])
+            self.set_state(i, state)
+        self._tilt[i] = params.floor_tilt[row]
         self.models[i].apply(
-            {name: float(getattr(params, name)[row]) for name in PARAMETERS}, params.rotor_inertia[row]
+            {name: float(getattr(params, name)[row]) for name in PARAMETERS}, params.rotor_inertia[row], self._tilt[i]
         )
         self.models[i].forget()
 
@@ -246,7 +261,8 @@ class BulletEngine:
         """Return the base position [m], quaternion (w x y z) and velocity [m/s], all in the world frame, (N, 10)."""
         if self._config.rack:
             return racked_bases(len(self.models))
-        return base_links(self._rows, self.models[0].base_quat, self.models[0].base_centre)
+        centres = np.array([model.base_centre for model in self.models])
+        return base_links(self._rows, self.models[0].base_quat, centres)
 
     def foot_positions(self) -> Array:
         """Return the centres of the feet in the world frame [m], (N, L, 3)."""

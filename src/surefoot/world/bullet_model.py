@@ -19,7 +19,7 @@ from surefoot.native_output import quiet
 from surefoot.robot import GRAVITY, RobotDescription
 from surefoot.rotations import matrix_quat
 from surefoot.world.bullet_tick import pin_kernel
-from surefoot.world.drive import BULLET_ONLY, CONTACT, RACK_HEIGHT, RATIOS
+from surefoot.world.drive import BULLET_ONLY, CONTACT, RACK_HEIGHT, RATIOS, down
 from surefoot.world.fused_urdf import frame_of, fuse_urdf
 from surefoot.world.interface import WorldConfig
 
@@ -36,6 +36,7 @@ FLOOR_BEHIND = 4.0
 """Length [m] of an uneven floor behind the place where robots start; the floor ends on all sides."""
 LOOP_ERP = 0.2
 """Share of a loop's gap that is closed in a step."""
+_NO_OFFSET = np.zeros(3)
 _SPEED_CUT = 1e6
 """Bullet cuts all generalized speeds at this [m/s, rad/s]; its own 100 would stop motors, and hide a divergence."""
 
@@ -118,10 +119,15 @@ class BulletModel:
     """The `PARAMETERS` that the client has."""
     rotor_inertia: Array
     """Inertia of each rotor at its joint [kg m2], (M,)."""
+    base_offset: Array
+    """Centre of mass of the base, less the description's [m], (3,)."""
 
-    def __init__(self, robot: RobotDescription, config: WorldConfig, settings: BulletSettings) -> None:
+    def __init__(
+        self, robot: RobotDescription, config: WorldConfig, settings: BulletSettings, base_offset: Array = _NO_OFFSET
+    ) -> None:
         self.robot, self.rack, self._p = robot, config.rack, import_pybullet()
-        self._fused = fuse_urdf(robot.urdf)
+        self.base_offset, self._gravity = base_offset.copy(), settings.gravity
+        self._fused = fuse_urdf(robot.urdf, {robot.base: base_offset})
         with quiet():
             try:
                 self.client = self._p.connect(self._p.DIRECT)
@@ -286,8 +292,10 @@ class BulletModel:
         p = self._p
         p.setJointMotorControlArray(self.body, joints, p.VELOCITY_CONTROL, forces=forces, physicsClientId=self.client)
 
-    def apply(self, values: dict[str, float], rotor_inertia: Array) -> None:
-        """Give the robot other `PARAMETERS` and rotors; what depends on those that stay is left as it is."""
+    def apply(self, values: dict[str, float], rotor_inertia: Array, floor_tilt: Array) -> None:
+        """Give the robot other `PARAMETERS`, rotors and floor; what depends on those that stay is left as it is."""
+        # The world is the floor's: gravity turns.
+        self._p.setGravity(*(self._gravity * down(floor_tilt)).tolist(), physicsClientId=self.client)
         changed = {name for name in PARAMETERS if values[name] != self.values[name]}
         turned = not np.array_equal(rotor_inertia, self.rotor_inertia)
         self.values, self.rotor_inertia = values, rotor_inertia.copy()

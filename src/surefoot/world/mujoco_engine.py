@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from surefoot.arrays import Array
 from surefoot.errors import SurefootError
 from surefoot.robot import GRAVITY, PhysicalParams, RobotDescription
-from surefoot.world.drive import BULLET_ONLY, RATIOS, Drive, racked_bases
+from surefoot.world.drive import BULLET_ONLY, RATIOS, Drive, down, racked_bases
 from surefoot.world.interface import WorldConfig
 from surefoot.world.mujoco_loop import DATA_FIELDS, Native, advance, gather_base, observe
 from surefoot.world.mujoco_model import build_model, foot_geoms, resting_qpos
@@ -38,9 +38,14 @@ MASS_FIELDS = (
 """Arrays of a MuJoCo model that depend on masses and inertias, `mj_setConst`'s results included."""
 
 
+def _of_robot(model: mujoco.MjModel) -> list[Array]:
+    """Return the arrays of a model that differ from robot to robot."""
+    return [*(getattr(model, field) for field in MASS_FIELDS), model.opt.gravity]
+
+
 def _masses(model: mujoco.MjModel) -> Array:
     """Return from a model the numbers that `_load_masses` writes."""
-    return np.concatenate([getattr(model, field).ravel() for field in MASS_FIELDS])
+    return np.concatenate([array.ravel() for array in _of_robot(model)])
 
 
 class MujocoEngine:
@@ -68,7 +73,7 @@ class MujocoEngine:
         self._native = self._layout()
         self._pool = ThreadPoolExecutor(self.threads - 1) if self.threads > 1 else None
         self.diverged = np.zeros(num_envs, np.bool_)
-        nominal = (np.ones(len(RATIOS)), self._nominal.dof_armature[self._native.motor_dof], np.zeros(3))
+        nominal = (np.ones(len(RATIOS)), self._nominal.dof_armature[self._native.motor_dof], np.zeros(3), np.zeros(2))
         self._given = [nominal] * num_envs
         self.initial_state = self._resting_state()
 
@@ -85,10 +90,8 @@ class MujocoEngine:
             step1=function_address("mj_step1"),
             step2=function_address("mj_step2"),
             model=np.array([item._address for item in self.models], np.int64),
-            mass_fields=np.array(
-                [[getattr(item, field).ctypes.data for field in MASS_FIELDS] for item in self.models], np.int64
-            ),
-            mass_sizes=np.array([getattr(model, field).size for field in MASS_FIELDS], np.int64),
+            mass_fields=np.array([[array.ctypes.data for array in _of_robot(item)] for item in self.models], np.int64),
+            mass_sizes=np.array([array.size for array in _of_robot(model)], np.int64),
             mass=np.tile(_masses(model), (num_envs, 1)),
             data=np.array([item._address for item in self.datas], np.int64),
             **addresses,
@@ -192,18 +195,20 @@ class MujocoEngine:
             np.array([getattr(params, name)[row] for name in RATIOS]),
             params.rotor_inertia[row].copy(),
             params.base_offset[row].copy(),
+            params.floor_tilt[row].copy(),
         )
         if not all(map(np.array_equal, self._given[i], given)):
             self._native.mass[i] = self._scaled_masses(*given)
             self._given[i] = given
 
-    def _scaled_masses(self, ratios: Array, rotors: Array, offset: Array) -> Array:
-        """Return `MASS_FIELDS` for other masses.
+    def _scaled_masses(self, ratios: Array, rotors: Array, offset: Array, tilt: Array) -> Array:
+        """Return what `_masses` does for other parameters.
 
         Args:
             ratios: in the order of `RATIOS`.
             rotors: inertias of rotors (M,) [kg m2].
             offset: of the base's centre of mass (3,) [m].
+            tilt: roll and pitch of the floor (2,) [rad].
         """
         base_mass, leg_mass, base_inertia, leg_inertia = ratios
         nominal, model, base, legs = self._nominal, self._scratch_model, self._base, self._legs
@@ -212,6 +217,8 @@ class MujocoEngine:
         model.body_inertia[base] = nominal.body_inertia[base] * base_inertia
         model.body_inertia[legs] = nominal.body_inertia[legs] * leg_inertia
         model.dof_armature[self._native.motor_dof] = rotors
+        # The world is the floor's: gravity turns.
+        model.opt.gravity[:] = GRAVITY * down(tilt)
         model.body_ipos[base] = nominal.body_ipos[base] + offset
         # Quantities that MuJoCo derives from the masses, with a state of no robot's.
         mujoco.mj_setConst(model, self._scratch)

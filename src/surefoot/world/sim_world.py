@@ -13,7 +13,7 @@ from surefoot.arrays import Array
 from surefoot.errors import SurefootError
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.seeding import generators
-from surefoot.world.drive import Drive, new_drive, read_by_mounted_imu, read_delayed, record, set_drive_params
+from surefoot.world.drive import Drive, new_drive, read_delayed, read_imu, record, set_drive_params
 from surefoot.world.interface import Readings, Truth, WorldConfig
 
 Index = NDArray[np.int64]
@@ -221,9 +221,7 @@ class SimWorld:
         out = np.empty_like(self.drive.now)
         read_delayed(self.drive, self.params.control_latency, out)
         angles, rates = out[:, 2 * motors : 2 * motors + 3], out[:, 2 * motors + 3 :]
-        if self.params.imu_mount.any():
-            read_by_mounted_imu(angles, rates, self.params.imu_mount)
-        angles[:, :2] += self.params.imu_bias
+        read_imu(angles, rates, self.params)
         if self.params.imu_noise.any():
             noise = self._noise[np.arange(self.num_envs), self._control_steps % _NOISE_BLOCK]
             angles[:, :2] += noise * self.params.imu_noise[:, None]
