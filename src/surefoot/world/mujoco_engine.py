@@ -107,6 +107,7 @@ class MujocoEngine:
             foot_radius=model.geom_size[self._feet, 0].copy(),
             friction=np.full(num_envs, robot.contact.friction),
             stiffness=np.full(num_envs, robot.contact.stiffness),
+            shear=np.full(num_envs, robot.contact.stiffness),
             spinning=np.full(num_envs, robot.contact.spinning_friction),
             damping=robot.contact.damping,
             stretch=np.zeros((num_envs, len(self._feet), 2)),
@@ -190,6 +191,7 @@ class MujocoEngine:
                 raise SurefootError(f"{name} is {value:g}; MuJoCo does not model it: set 0, or use world bullet")
         self._native.friction[i] = params.contact_friction[row]
         self._native.stiffness[i] = params.contact_stiffness[row]
+        self._native.shear[i] = params.contact_stiffness[row] * params.contact_shear_ratio[row]
         self._native.spinning[i] = params.contact_spinning_friction[row]
         given = (
             np.array([getattr(params, name)[row] for name in RATIOS]),

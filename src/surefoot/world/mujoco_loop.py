@@ -56,6 +56,7 @@ class Native(NamedTuple):
     foot_radius: Array
     friction: Array
     stiffness: Array
+    shear: Array
     spinning: Array
     damping: float
     stretch: Array
@@ -123,6 +124,7 @@ def _feet_on_ground(native: Native, drive: Drive, i: int, velocity: Array, force
             native.stretch[i, leg],
             native.friction[i],
             native.stiffness[i],
+            native.shear[i],
             native.damping,
             drive.limits[3],
             force,
