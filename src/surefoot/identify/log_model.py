@@ -73,8 +73,10 @@ RULES = {
     "motor_offset": Rule(0.03, relative=False, each=True, step=0.004),
     "base_mass_ratio": Rule(0.03),
     "base_offset": Rule(0.02, relative=False, each=True, step=0.002),
+    "leg_mass_ratio": Rule(0.15),
     "contact_friction": Rule(0.3),
-    "contact_stiffness": Rule(0.4, step=0.05),
+    "contact_stiffness": Rule(0.5, step=0.05),
+    "contact_shear_ratio": Rule(0.7, step=0.05),
     "imu_bias": Rule(0.015, relative=False, each=True, step=0.002),
 }
 """Numbers that can be looked for. Those of the drives are known to a factor of two or three beforehand, the mass to
