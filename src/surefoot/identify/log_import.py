@@ -7,13 +7,12 @@
       rightFrontLegMotor: {command: "command[0]", angle: "motor_angle[0]", sign: 1, offset: 0.0}
     imu: {roll: "imu[0]", pitch: "imu[1]", roll_rate: "imu[2]", pitch_rate: "imu[3]", unit: rad, sign: 1}
 
-A motor's angle is sign x column + offset, its command too; `velocity` and `torque` may be given beside them. What has no
-column is missing in the trace: NaN. Times and rows stay as they are, uneven and repeated ones too.
+A motor's angle is sign x column + offset, its command too; `velocity` and `torque` may be given beside them. What has
+no column is missing in the trace: NaN. Times and rows stay as they are, uneven and repeated ones too.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
@@ -22,7 +21,7 @@ import numpy as np
 
 from surefoot.arrays import Array
 from surefoot.configuration import from_mapping, read_yaml
-from surefoot.errors import SurefootError, choices, located, quoted
+from surefoot.errors import SurefootError, choices, located
 from surefoot.identify.log_table import Table, read_table
 from surefoot.robot import RobotDescription
 from surefoot.task.trace import LOG, EpisodeTrace
@@ -68,7 +67,7 @@ class ImuColumns:
 
 
 @dataclass(frozen=True)
-class Mapping_:
+class LogMapping:
     """What stands in which column."""
 
     motors: dict[str, Any]
@@ -77,11 +76,13 @@ class Mapping_:
     imu: ImuColumns = field(default_factory=ImuColumns)
 
 
-def usual_mapping(robot: RobotDescription) -> Mapping_:
+def usual_mapping(robot: RobotDescription) -> LogMapping:
     """Return the mapping of a file with arrays time, command, motor_angle and imu, all in the robot's own order."""
-    motors = {name: {"command": f"command[{k}]", "angle": f"motor_angle[{k}]"} for k, name in enumerate(robot.motor_names)}
+    motors = {
+        name: {"command": f"command[{k}]", "angle": f"motor_angle[{k}]"} for k, name in enumerate(robot.motor_names)
+    }
     imu = ImuColumns("imu[0]", "imu[1]", None, "imu[2]", "imu[3]")
-    return Mapping_(motors, TimeColumn("time"), imu=imu)
+    return LogMapping(motors, TimeColumn("time"), imu=imu)
 
 
 def import_log(path: Path, robot: RobotDescription, mapping: Path | None = None) -> EpisodeTrace:
@@ -101,21 +102,23 @@ def import_log(path: Path, robot: RobotDescription, mapping: Path | None = None)
     else:
         data = read_yaml(mapping)
         with located(mapping):
-            columns = from_mapping(Mapping_, data)
+            columns = from_mapping(LogMapping, data)
             _check_motors(columns, robot)
     with located(f"log {path}"):
         return _trace(read_table(path), columns, robot, mapping is None, path.name)
 
 
-def _check_motors(columns: Mapping_, robot: RobotDescription) -> None:
+def _check_motors(columns: LogMapping, robot: RobotDescription) -> None:
     for name in columns.motors:
         if name not in robot.motor_names:
-            raise SurefootError(f"motors names '{name}', which {robot.name} does not have; it has {choices(robot.motor_names)}")
+            raise SurefootError(
+                f"motors names '{name}', which {robot.name} does not have; it has {choices(robot.motor_names)}"
+            )
     if missing := [name for name in robot.motor_names if name not in columns.motors]:
         raise SurefootError(f"motors lacks {choices(missing)}; every motor has a command")
 
 
-def _trace(table: Table, columns: Mapping_, robot: RobotDescription, usual: bool, name: str) -> EpisodeTrace:
+def _trace(table: Table, columns: LogMapping, robot: RobotDescription, usual: bool, name: str) -> EpisodeTrace:
     motors = {key: from_mapping(MotorColumns, value, f"motors.{key}") for key, value in columns.motors.items()}
     if usual and (extra := f"command[{robot.num_motors}]") in table.columns:
         raise SurefootError(f"has a column '{extra}'; {robot.name} has {robot.num_motors} motors")
@@ -133,7 +136,9 @@ def _trace(table: Table, columns: Mapping_, robot: RobotDescription, usual: bool
     if not np.isfinite(time).all():
         raise SurefootError(f"time is not finite in row {int(np.argmin(np.isfinite(time)))}")
     if (back := np.flatnonzero(np.diff(time) < 0)).size:
-        raise SurefootError(f"time goes backwards in row {back[0] + 1}, from {time[back[0]]:g} to {time[back[0] + 1]:g} s")
+        raise SurefootError(
+            f"time goes backwards in row {back[0] + 1}, from {time[back[0]]:g} to {time[back[0] + 1]:g} s"
+        )
     steps, count, scale = table.rows, robot.num_motors, ANGLE_UNITS[columns.unit]
 
     def of_motors(key: str, offset: bool) -> Array:
@@ -142,15 +147,15 @@ def _trace(table: Table, columns: Mapping_, robot: RobotDescription, usual: bool
             what = motors[motor]
             if (source := getattr(what, key)) is not None:
                 factor = what.sign * (1.0 if key == "torque" else scale)
-                values[:, place] = column(source, usual and key != "command") * factor + (what.offset if offset else 0.0)
+                values[:, place] = column(source, usual and key != "command") * factor + (
+                    what.offset if offset else 0.0
+                )
         return values
 
     def of_imu(*keys: str) -> Array:
         sources = [getattr(columns.imu, key) for key in keys]
         factor = columns.imu.sign * ANGLE_UNITS[columns.imu.unit]
-        return np.stack(
-            [np.full(steps, np.nan) if s is None else column(s, usual) * factor for s in sources], axis=1
-        )
+        return np.stack([np.full(steps, np.nan) if s is None else column(s, usual) * factor for s in sources], axis=1)
 
     command = of_motors("command", True)
     if not np.isfinite(command).all():
@@ -158,7 +163,10 @@ def _trace(table: Table, columns: Mapping_, robot: RobotDescription, usual: bool
         raise SurefootError(f"row {row} has no command of {robot.motor_names[motor]}; every row needs its command")
     gaps = np.diff(time)
     step = float(np.median(gaps[gaps > 0])) if (gaps > 0).any() else 1.0
-    unknown: Callable[..., Array] = lambda *shape: np.full(shape, np.nan)  # noqa: E731
+
+    def unknown(*shape: int) -> Array:
+        return np.full(shape, np.nan)
+
     return EpisodeTrace(
         time=time,
         base_position_world=unknown(steps + 1, 3),
@@ -191,6 +199,3 @@ def missing_columns(trace: EpisodeTrace) -> list[str]:
     """Return the readings that an imported trace does not have at all."""
     names = ("motor_angle", "motor_velocity", "motor_torque", "roll_pitch_yaw", "angular_velocity_base")
     return [name for name in names if not np.isfinite(getattr(trace, name)).any()]
-
-
-__all__ = ["Mapping", "import_log", "missing_columns", "quoted", "usual_mapping"]

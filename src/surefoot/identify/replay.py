@@ -33,6 +33,10 @@ from surefoot.world.sim_world import EngineFactory, SimWorld, mujoco_engine
 
 SETTLE = 0.6
 """Time [s] for which simulated robots hold the first command before the recording begins."""
+TWISTED = 0.6
+"""Time [s] in which floors are twisted after that."""
+TWIST_RATE = 0.15
+"""Share of the difference of the legs' lengths by which floors follow in 10 servo steps."""
 HELD = -1
 """An order: the servos hold the angles that they find, as they do from arming to the first command."""
 
@@ -57,8 +61,8 @@ class Stretch:
     """Motor angles (M,) [rad] that were held before the first command."""
     lead: float = 0.0
     """How long before their use [s] the control latency takes states to be sent."""
-    attitude: Array | None = None
-    """Roll and pitch (2,) [rad] that the IMU told at the start: floors are tilted so that simulated ones tell it."""
+    read: Array | None = None
+    """Motor angles (M,) [rad] that a robot on the ground told at the start, where that is to tell of the floor."""
 
 
 def stretch_of(recording: Recording, first: int, last: int) -> Stretch:
@@ -104,8 +108,8 @@ def stretch_of(recording: Recording, first: int, last: int) -> Stretch:
 def stretch_of_log(log: RobotLog, robot: RobotDescription) -> Stretch:
     """Return a log as a stretch that begins with its first command.
 
-    Robots settle at what is commanded of joints that stand still, and where joints that move were first read. What the
-    IMU tells then and the robot's own pose does not explain, is the floor's tilt.
+    Robots settle at what is commanded of joints that stand still. Joints that move stand as those in the same place of
+    other legs do; where all move, as they were first read.
     """
     dt, origin = robot.timing.servo_step, float(log.time[0])
     state_time = np.maximum(log.read_time - origin, 0.0)
@@ -118,9 +122,20 @@ def stretch_of_log(log: RobotLog, robot: RobotDescription) -> Stretch:
         state_time=state_time,
         states=np.arange(len(log.time)),
         voltage=np.full(ticks, float(robot.battery.nominal)),
-        start=np.where(log.moving & np.isfinite(read), read, log.command[0]),
-        attitude=log.imu[0, :2] if np.isfinite(log.imu[0, :2]).all() else None,
+        start=_standing(log, robot),
+        read=read if np.isfinite(read).all() else None,
     )
+
+
+def _standing(log: RobotLog, robot: RobotDescription) -> Array:
+    """Return the angles (M,) [rad] at which a robot stood before a log; see `stretch_of_log`."""
+    start, index = log.command[0].copy(), robot.leg_motor_index
+    for motors in index.T:
+        still = motors[~log.moving[motors]]
+        for motor in motors[log.moving[motors]]:
+            read = log.motor_angle[0, motor]
+            start[motor] = log.command[0, still].mean() if len(still) else read if np.isfinite(read) else start[motor]
+    return start
 
 
 @dataclass(frozen=True)
@@ -215,10 +230,8 @@ def _go_through(world: SimWorld, stretch: Stretch, params: PhysicalParams, torqu
     for k in range(steps):
         drive.target[:] = begin + (stretch.start - begin) * min(2 * k / steps, 1.0)
         advance(active)
-    if stretch.attitude is not None and not world.config.rack:
-        _tilt_floors(world, stretch.attitude, params, given)
-        for _ in range(steps):
-            advance(active)
+    if stretch.read is not None and not world.config.rack and world.engine.name == "mujoco":
+        _twist_floors(world, stretch.read, given, active)
     ticks, kept = len(stretch.voltage), len(drive.times[0])
     history = np.empty((ticks + 1, rows, drive.now.shape[1]))
     torque = np.empty((ticks + 1 if torques else 0, rows, drive.target.shape[1]))
@@ -240,18 +253,27 @@ def _go_through(world: SimWorld, stretch: Stretch, params: PhysicalParams, torqu
     return history, torque
 
 
-def _tilt_floors(world: SimWorld, attitude: Array, params: PhysicalParams, given: PhysicalParams) -> None:
-    """Tilt the floors of robots that stand until IMUs tell a roll and pitch (2,) [rad]; write the tilts to both."""
-    least, greatest = world.robot.allowed["floor_tilt"]
-    for _ in range(2):
-        told = world.drive.now[:, 2 * world.robot.num_motors :].copy()
-        read_imu(told[:, :3], told[:, 3:], given)
-        roll, pitch = (attitude - told[:, :2]).T
-        cos, sin = np.cos(given.imu_mount[:, 2]), np.sin(given.imu_mount[:, 2])
-        more = np.stack([cos * roll - sin * pitch, sin * roll + cos * pitch], axis=1)
-        given.floor_tilt[:] = np.clip(given.floor_tilt + more, least, greatest)
-    params.floor_tilt[:] = given.floor_tilt[: params.num_envs]
-    world.set_params(np.arange(world.num_envs), given)
+def _twist_floors(world: SimWorld, read: Array, given: PhysicalParams, active: NDArray[np.int64]) -> None:
+    """Twist the floors of robots that stand until their legs on one diagonal carry what they carried.
+
+    A robot on four stiff legs carries little with two of them where a floor is some tenths of a millimetre uneven, and
+    the angles (M,) [rad] that were `read` of its yielding motors tell. What lengthens the legs of a diagonal, against
+    the others, is the floor's twist: it follows until the lengths are those that were read.
+    """
+    robot = world.robot
+    middle = robot.leg_mounts[:, :2] - robot.leg_mounts[:, :2].mean(axis=0)
+    weights = np.sign(np.prod(middle, axis=1)) * robot.leg_geometry.length / len(robot.legs)
+    least, greatest = robot.allowed["floor_twist"]
+
+    def difference(angles: Array) -> Array:
+        return np.asarray(robot.to_pose(angles)[..., -1, :] @ weights)
+
+    wanted, everyone, count = difference(read), np.arange(world.num_envs), 10
+    for _ in range(round(TWISTED / world.robot.timing.servo_step / count)):
+        world.engine.advance(count * active)
+        off = difference(world.drive.now[:, : robot.num_motors]) - wanted
+        given.floor_twist[:] = np.clip(given.floor_twist + TWIST_RATE * off, least, greatest)
+        world.set_params(everyone, given)
 
 
 def _obey(world: SimWorld, kind: int, order: Array, params: PhysicalParams) -> None:

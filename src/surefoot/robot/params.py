@@ -95,7 +95,11 @@ class PhysicalParams:
     contact_shear_ratio: Array = _row(
         "1", "stiffness of the feet along the ground, over that against it; MuJoCo only", (0.01, 10.0)
     )
-    floor_tilt: Array = _row("rad", "roll and pitch of the floor", (-0.5, 0.5), "roll, pitch")
+    floor_twist: Array = _row(
+        "m",
+        "height of the floor under front left and back right feet, and depth under the others; MuJoCo only",
+        (-0.05, 0.05),
+    )
     base_offset: Array = _row("m", "centre of mass of the base, less the description's", (-0.1, 0.1), "x, y, z")
 
     @property

@@ -67,7 +67,6 @@ class BulletEngine:
         self._seen = np.zeros((num_envs, JOINTS + 3 * len(sign)))
         self.diverged = np.zeros(num_envs, np.bool_)
         self._force = np.zeros((num_envs, 3))
-        self._tilt = np.zeros((num_envs, 2))
         self._rows = np.zeros((num_envs, JOINTS + 2 * joints))
         for i in range(num_envs):
             self._rows[i] = self._read(i, self._joints)[: self._rows.shape[1]]
@@ -202,7 +201,7 @@ class BulletEngine:
             # Bullet's contact search does not recover from positions that are not finite.
             values, rotors = self.models[i].values, self.models[i].rotor_inertia
             self._renew(i, self.models[i].base_offset)
-            self.models[i].apply(values, rotors, self._tilt[i])
+            self.models[i].apply(values, rotors)
             self._spoilt[i] = False
         p, model, row = self._p, self.models[i], self._rows[i]
         row[:], self._force[i] = state[: len(row)], state[len(row) : len(row) + 3]
@@ -251,9 +250,8 @@ class BulletEngine:
             state = self.get_state(i)
             self._renew(i, params.base_offset[row])
             self.set_state(i, state)
-        self._tilt[i] = params.floor_tilt[row]
         self.models[i].apply(
-            {name: float(getattr(params, name)[row]) for name in PARAMETERS}, params.rotor_inertia[row], self._tilt[i]
+            {name: float(getattr(params, name)[row]) for name in PARAMETERS}, params.rotor_inertia[row]
         )
         self.models[i].forget()
 

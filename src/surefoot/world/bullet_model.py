@@ -19,7 +19,7 @@ from surefoot.native_output import quiet
 from surefoot.robot import GRAVITY, RobotDescription
 from surefoot.rotations import matrix_quat
 from surefoot.world.bullet_tick import pin_kernel
-from surefoot.world.drive import BULLET_ONLY, CONTACT, RACK_HEIGHT, RATIOS, down
+from surefoot.world.drive import BULLET_ONLY, CONTACT, RACK_HEIGHT, RATIOS
 from surefoot.world.fused_urdf import frame_of, fuse_urdf
 from surefoot.world.interface import WorldConfig
 
@@ -126,7 +126,7 @@ class BulletModel:
         self, robot: RobotDescription, config: WorldConfig, settings: BulletSettings, base_offset: Array = _NO_OFFSET
     ) -> None:
         self.robot, self.rack, self._p = robot, config.rack, import_pybullet()
-        self.base_offset, self._gravity = base_offset.copy(), settings.gravity
+        self.base_offset = base_offset.copy()
         self._fused = fuse_urdf(robot.urdf, {robot.base: base_offset})
         with quiet():
             try:
@@ -292,10 +292,8 @@ class BulletModel:
         p = self._p
         p.setJointMotorControlArray(self.body, joints, p.VELOCITY_CONTROL, forces=forces, physicsClientId=self.client)
 
-    def apply(self, values: dict[str, float], rotor_inertia: Array, floor_tilt: Array) -> None:
-        """Give the robot other `PARAMETERS`, rotors and floor; what depends on those that stay is left as it is."""
-        # The world is the floor's: gravity turns.
-        self._p.setGravity(*(self._gravity * down(floor_tilt)).tolist(), physicsClientId=self.client)
+    def apply(self, values: dict[str, float], rotor_inertia: Array) -> None:
+        """Give the robot other `PARAMETERS` and rotors; what depends on those that stay is left as it is."""
         changed = {name for name in PARAMETERS if values[name] != self.values[name]}
         turned = not np.array_equal(rotor_inertia, self.rotor_inertia)
         self.values, self.rotor_inertia = values, rotor_inertia.copy()

@@ -39,7 +39,7 @@ from surefoot.actuator.motor import (
 from surefoot.arrays import Array
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.robot.actuator import DcMotorData
-from surefoot.rotations import rpy_matrix, rpy_quat
+from surefoot.rotations import rpy_quat
 from surefoot.world.interface import WorldConfig
 
 Quat = tuple[Any, Any, Any, Any]
@@ -324,39 +324,18 @@ def read_delayed(drive: Drive, latency: Array, out: Array) -> None:
 
 
 def read_imu(attitude: Array, rates: Array, params: PhysicalParams, rows: Any = slice(None)) -> None:
-    """Turn attitudes and rates of bases against the floor into what IMUs tell: floor, mount and bias, without noise.
+    """Turn attitudes and rates of bases into what IMUs tell: mount and bias, without noise.
 
     Args:
         attitude: roll, pitch and yaw (N, 3) [rad]; updated.
         rates: angular velocity in the base frame (N, 3) [rad/s]; updated.
-        params: floors, mounts and biases.
+        params: mounts and biases.
         rows: which of its rows, N of them.
     """
-    tilt, mount = params.floor_tilt[rows], params.imu_mount[rows]
-    if tilt.any():
-        read_on_tilted_floor(attitude, tilt)
+    mount = params.imu_mount[rows]
     if mount.any():
         read_by_mounted_imu(attitude, rates, mount)
     attitude[:, :2] += params.imu_bias[rows]
-
-
-@njit(cache=True)
-def read_on_tilted_floor(attitude: Array, tilt: Array) -> None:
-    """Transform attitudes of bases against a floor into those against gravity.
-
-    Args:
-        attitude: roll, pitch and yaw (N, 3) [rad]; updated.
-        tilt: roll and pitch of the floor (N, 2) [rad].
-    """
-    for i in range(len(attitude)):
-        base = _rpy_quat(attitude[i, 0], attitude[i, 1], attitude[i, 2])
-        floor = _rpy_quat(tilt[i, 0], tilt[i, 1], 0.0)
-        attitude[i, 0], attitude[i, 1], attitude[i, 2] = roll_pitch_yaw(*quat_product(floor, base))
-
-
-def down(tilt: Array) -> Array:
-    """Return the direction of gravity (3,) in the frame of a floor with a roll and pitch (2,) [rad]."""
-    return -rpy_matrix(float(tilt[0]), float(tilt[1]), 0.0)[2]
 
 
 @njit(cache=True)

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from surefoot.arrays import Array
 from surefoot.errors import SurefootError
 from surefoot.robot import GRAVITY, PhysicalParams, RobotDescription
-from surefoot.world.drive import BULLET_ONLY, RATIOS, Drive, down, racked_bases
+from surefoot.world.drive import BULLET_ONLY, RATIOS, Drive, racked_bases
 from surefoot.world.interface import WorldConfig
 from surefoot.world.mujoco_loop import DATA_FIELDS, Native, advance, gather_base, observe
 from surefoot.world.mujoco_model import build_model, foot_geoms, resting_qpos
@@ -38,14 +38,9 @@ MASS_FIELDS = (
 """Arrays of a MuJoCo model that depend on masses and inertias, `mj_setConst`'s results included."""
 
 
-def _of_robot(model: mujoco.MjModel) -> list[Array]:
-    """Return the arrays of a model that differ from robot to robot."""
-    return [*(getattr(model, field) for field in MASS_FIELDS), model.opt.gravity]
-
-
 def _masses(model: mujoco.MjModel) -> Array:
     """Return from a model the numbers that `_load_masses` writes."""
-    return np.concatenate([array.ravel() for array in _of_robot(model)])
+    return np.concatenate([getattr(model, field).ravel() for field in MASS_FIELDS])
 
 
 class MujocoEngine:
@@ -70,10 +65,12 @@ class MujocoEngine:
         bodies = range(1, self._nominal.nbody)
         self._legs = np.array([body for body in bodies if self._nominal.body(body).name not in still])
         self._feet = foot_geoms(robot, self._nominal)
+        # The floor is twisted: high under two feet on a diagonal, low under the others.
+        self._diagonals = np.sign(np.prod(robot.leg_mounts[:, :2] - robot.leg_mounts[:, :2].mean(axis=0), axis=1))
         self._native = self._layout()
         self._pool = ThreadPoolExecutor(self.threads - 1) if self.threads > 1 else None
         self.diverged = np.zeros(num_envs, np.bool_)
-        nominal = (np.ones(len(RATIOS)), self._nominal.dof_armature[self._native.motor_dof], np.zeros(3), np.zeros(2))
+        nominal = (np.ones(len(RATIOS)), self._nominal.dof_armature[self._native.motor_dof], np.zeros(3))
         self._given = [nominal] * num_envs
         self.initial_state = self._resting_state()
 
@@ -90,8 +87,10 @@ class MujocoEngine:
             step1=function_address("mj_step1"),
             step2=function_address("mj_step2"),
             model=np.array([item._address for item in self.models], np.int64),
-            mass_fields=np.array([[array.ctypes.data for array in _of_robot(item)] for item in self.models], np.int64),
-            mass_sizes=np.array([array.size for array in _of_robot(model)], np.int64),
+            mass_fields=np.array(
+                [[getattr(item, field).ctypes.data for field in MASS_FIELDS] for item in self.models], np.int64
+            ),
+            mass_sizes=np.array([getattr(model, field).size for field in MASS_FIELDS], np.int64),
             mass=np.tile(_masses(model), (num_envs, 1)),
             data=np.array([item._address for item in self.datas], np.int64),
             **addresses,
@@ -108,6 +107,7 @@ class MujocoEngine:
             friction=np.full(num_envs, robot.contact.friction),
             stiffness=np.full(num_envs, robot.contact.stiffness),
             shear=np.full(num_envs, robot.contact.stiffness),
+            floor=np.zeros((num_envs, len(self._feet))),
             spinning=np.full(num_envs, robot.contact.spinning_friction),
             damping=robot.contact.damping,
             stretch=np.zeros((num_envs, len(self._feet), 2)),
@@ -192,25 +192,24 @@ class MujocoEngine:
         self._native.friction[i] = params.contact_friction[row]
         self._native.stiffness[i] = params.contact_stiffness[row]
         self._native.shear[i] = params.contact_stiffness[row] * params.contact_shear_ratio[row]
+        self._native.floor[i] = params.floor_twist[row] * self._diagonals
         self._native.spinning[i] = params.contact_spinning_friction[row]
         given = (
             np.array([getattr(params, name)[row] for name in RATIOS]),
             params.rotor_inertia[row].copy(),
             params.base_offset[row].copy(),
-            params.floor_tilt[row].copy(),
         )
         if not all(map(np.array_equal, self._given[i], given)):
             self._native.mass[i] = self._scaled_masses(*given)
             self._given[i] = given
 
-    def _scaled_masses(self, ratios: Array, rotors: Array, offset: Array, tilt: Array) -> Array:
+    def _scaled_masses(self, ratios: Array, rotors: Array, offset: Array) -> Array:
         """Return what `_masses` does for other parameters.
 
         Args:
             ratios: in the order of `RATIOS`.
             rotors: inertias of rotors (M,) [kg m2].
             offset: of the base's centre of mass (3,) [m].
-            tilt: roll and pitch of the floor (2,) [rad].
         """
         base_mass, leg_mass, base_inertia, leg_inertia = ratios
         nominal, model, base, legs = self._nominal, self._scratch_model, self._base, self._legs
@@ -219,8 +218,6 @@ class MujocoEngine:
         model.body_inertia[base] = nominal.body_inertia[base] * base_inertia
         model.body_inertia[legs] = nominal.body_inertia[legs] * leg_inertia
         model.dof_armature[self._native.motor_dof] = rotors
-        # The world is the floor's: gravity turns.
-        model.opt.gravity[:] = GRAVITY * down(tilt)
         model.body_ipos[base] = nominal.body_ipos[base] + offset
         # Quantities that MuJoCo derives from the masses, with a state of no robot's.
         mujoco.mj_setConst(model, self._scratch)
