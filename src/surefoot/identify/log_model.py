@@ -99,6 +99,7 @@ def unknowns_of(robot: RobotDescription, known: PhysicalParams, names: Sequence[
         rule = RULES[name]
         values = _values(robot, known, name)
         low, high = robot.allowed.get(name, (0.0, np.inf))
+        low = max(low, 0.0) if rule.relative else low
         for index in range(len(values)) if rule.each else [None]:
             start = float(np.mean(values) if index is None else values[index])
             if rule.relative:

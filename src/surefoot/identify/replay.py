@@ -33,10 +33,6 @@ from surefoot.world.sim_world import EngineFactory, SimWorld, mujoco_engine
 
 SETTLE = 0.6
 """Time [s] for which simulated robots hold the first command before the recording begins."""
-TWISTED = 0.6
-"""Time [s] in which floors are twisted after that."""
-TWIST_RATE = 0.15
-"""Share of the difference of the legs' lengths by which floors follow in 10 servo steps."""
 HELD = -1
 """An order: the servos hold the angles that they find, as they do from arming to the first command."""
 
@@ -61,8 +57,6 @@ class Stretch:
     """Motor angles (M,) [rad] that were held before the first command."""
     lead: float = 0.0
     """How long before their use [s] the control latency takes states to be sent."""
-    read: Array | None = None
-    """Motor angles (M,) [rad] that a robot on the ground told at the start, where that is to tell of the floor."""
 
 
 def stretch_of(recording: Recording, first: int, last: int) -> Stretch:
@@ -114,7 +108,6 @@ def stretch_of_log(log: RobotLog, robot: RobotDescription) -> Stretch:
     dt, origin = robot.timing.servo_step, float(log.time[0])
     state_time = np.maximum(log.read_time - origin, 0.0)
     ticks = int(np.floor(state_time[-1] / dt + 1e-6)) + 1
-    read = log.motor_angle[0]
     return Stretch(
         order_tick=np.ceil((log.time - origin) / dt - 1e-6).astype(np.int64),
         order=log.command,
@@ -123,7 +116,6 @@ def stretch_of_log(log: RobotLog, robot: RobotDescription) -> Stretch:
         states=np.arange(len(log.time)),
         voltage=np.full(ticks, float(robot.battery.nominal)),
         start=_standing(log, robot),
-        read=read if np.isfinite(read).all() else None,
     )
 
 
@@ -230,8 +222,6 @@ def _go_through(world: SimWorld, stretch: Stretch, params: PhysicalParams, torqu
     for k in range(steps):
         drive.target[:] = begin + (stretch.start - begin) * min(2 * k / steps, 1.0)
         advance(active)
-    if stretch.read is not None and not world.config.rack and world.engine.name == "mujoco":
-        _twist_floors(world, stretch.read, given, active)
     ticks, kept = len(stretch.voltage), len(drive.times[0])
     history = np.empty((ticks + 1, rows, drive.now.shape[1]))
     torque = np.empty((ticks + 1 if torques else 0, rows, drive.target.shape[1]))
@@ -251,29 +241,6 @@ def _go_through(world: SimWorld, stretch: Stretch, params: PhysicalParams, torqu
         history[tick + 1 : tick + 1 + count] = np.moveaxis(drive.history[:rows, slots], 1, 0)
         tick += count
     return history, torque
-
-
-def _twist_floors(world: SimWorld, read: Array, given: PhysicalParams, active: NDArray[np.int64]) -> None:
-    """Twist the floors of robots that stand until their legs on one diagonal carry what they carried.
-
-    A robot on four stiff legs carries little with two of them where a floor is some tenths of a millimetre uneven, and
-    the angles (M,) [rad] that were `read` of its yielding motors tell. What lengthens the legs of a diagonal, against
-    the others, is the floor's twist: it follows until the lengths are those that were read.
-    """
-    robot = world.robot
-    middle = robot.leg_mounts[:, :2] - robot.leg_mounts[:, :2].mean(axis=0)
-    weights = np.sign(np.prod(middle, axis=1)) * robot.leg_geometry.length / len(robot.legs)
-    least, greatest = robot.allowed["floor_twist"]
-
-    def difference(angles: Array) -> Array:
-        return np.asarray(robot.to_pose(angles)[..., -1, :] @ weights)
-
-    wanted, everyone, count = difference(read), np.arange(world.num_envs), 10
-    for _ in range(round(TWISTED / world.robot.timing.servo_step / count)):
-        world.engine.advance(count * active)
-        off = difference(world.drive.now[:, : robot.num_motors]) - wanted
-        given.floor_twist[:] = np.clip(given.floor_twist + TWIST_RATE * off, least, greatest)
-        world.set_params(everyone, given)
 
 
 def _obey(world: SimWorld, kind: int, order: Array, params: PhysicalParams) -> None:

@@ -95,11 +95,6 @@ class PhysicalParams:
     contact_shear_ratio: Array = _row(
         "1", "stiffness of the feet along the ground, over that against it; MuJoCo only", (0.01, 10.0)
     )
-    floor_twist: Array = _row(
-        "m",
-        "height of the floor under front left and back right feet, and depth under the others; MuJoCo only",
-        (-0.05, 0.05),
-    )
     base_offset: Array = _row("m", "centre of mass of the base, less the description's", (-0.1, 0.1), "x, y, z")
 
     @property

@@ -65,8 +65,6 @@ class MujocoEngine:
         bodies = range(1, self._nominal.nbody)
         self._legs = np.array([body for body in bodies if self._nominal.body(body).name not in still])
         self._feet = foot_geoms(robot, self._nominal)
-        # The floor is twisted: high under two feet on a diagonal, low under the others.
-        self._diagonals = np.sign(np.prod(robot.leg_mounts[:, :2] - robot.leg_mounts[:, :2].mean(axis=0), axis=1))
         self._native = self._layout()
         self._pool = ThreadPoolExecutor(self.threads - 1) if self.threads > 1 else None
         self.diverged = np.zeros(num_envs, np.bool_)
@@ -107,7 +105,6 @@ class MujocoEngine:
             friction=np.full(num_envs, robot.contact.friction),
             stiffness=np.full(num_envs, robot.contact.stiffness),
             shear=np.full(num_envs, robot.contact.stiffness),
-            floor=np.zeros((num_envs, len(self._feet))),
             spinning=np.full(num_envs, robot.contact.spinning_friction),
             damping=robot.contact.damping,
             stretch=np.zeros((num_envs, len(self._feet), 2)),
@@ -192,7 +189,6 @@ class MujocoEngine:
         self._native.friction[i] = params.contact_friction[row]
         self._native.stiffness[i] = params.contact_stiffness[row]
         self._native.shear[i] = params.contact_stiffness[row] * params.contact_shear_ratio[row]
-        self._native.floor[i] = params.floor_twist[row] * self._diagonals
         self._native.spinning[i] = params.contact_spinning_friction[row]
         given = (
             np.array([getattr(params, name)[row] for name in RATIOS]),

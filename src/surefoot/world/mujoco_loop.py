@@ -57,7 +57,6 @@ class Native(NamedTuple):
     friction: Array
     stiffness: Array
     shear: Array
-    floor: Array  # height of the floor under each foot [m]
     spinning: Array
     damping: float
     stretch: Array
@@ -111,7 +110,7 @@ def _feet_on_ground(native: Native, drive: Drive, i: int, velocity: Array, force
     for leg in range(len(native.foot_geom)):
         g, b = 3 * native.foot_geom[leg], native.foot_body[leg]
         radius = native.foot_radius[leg]
-        depth = radius + native.floor[i, leg] - xpos[g + 2]
+        depth = radius - xpos[g + 2]
         if depth > 0.0:
             # MuJoCo's cvel is the velocity of the body where the whole robot's centre of mass is.
             x, y, z = xpos[g] - com[root], xpos[g + 1] - com[root + 1], xpos[g + 2] - radius - com[root + 2]
