@@ -44,7 +44,7 @@ def test_a_robot_on_its_rack_is_found(pupper: RobotDescription, hanging: RobotLo
     found = fit_logs(pupper, [LogRun(hanging, True)], [], NAMES, PhysicalParams.nominal(pupper))
     for name, value in TRUTH.items():
         item = found.estimate(name)
-        assert item.value == pytest.approx(value, rel=0.05), name
+        assert item.value == pytest.approx(value, rel=0.1), name
         assert item.interval[0] <= value <= item.interval[1], name
     (check,) = found.checks
     assert check.what == "hanging.npz, fitted"

@@ -13,7 +13,8 @@ from scipy import stats
 
 from surefoot.configuration import from_mapping
 from surefoot.errors import SurefootError
-from surefoot.robot import PhysicalParams
+from surefoot.robot import PhysicalParams, RobotDescription
+from surefoot.robot.params_file import read_params
 from surefoot.seeding import generators
 from surefoot.task.config import FeedbackConfig, TaskConfig, load_task
 from surefoot.task.env import LocomotionEnv
@@ -582,3 +583,41 @@ def test_a_task_with_ranges_that_do_not_fit_is_refused(tmp_path: Path, randomize
         load_task(task_file(tmp_path, randomize))
     for piece in pieces:
         assert piece in str(caught.value)
+
+
+def test_rows_around_the_nominal_values_are_factors_or_sums_of_them():
+    robot = RobotDescription.load("pupper_v2")
+    offsets = np.linspace(-0.02, 0.02, 12)
+    nominal = PhysicalParams.nominal(robot, 40).with_values(robot, motor_offset=offsets[None])
+    ranges = RandomizeConfig(servo_kp=(0.9, 1.1), friction=(0.0, 2.0), motor_offset=(-0.01, 0.01))
+    randomizer = Randomizer(ranges, robot, nominal, 3)
+    drawn = randomizer.draw(np.arange(40))
+    factors = drawn.servo_kp / nominal.servo_kp
+    assert np.ptp(factors, axis=1).max() < 1e-12
+    assert 0.9 <= factors.min() < 0.92
+    assert 1.08 < factors.max() <= 1.1
+    assert np.ptp(drawn.motor_friction / nominal.motor_friction, axis=1).min() > 0.5
+    assert np.abs(drawn.motor_offset - offsets).max() <= 0.01
+    scaled = randomizer.scaled(drawn)
+    assert scaled.shape == (40, 1 + 12 + 12) == (40, len(randomizer.columns))
+    np.testing.assert_allclose(scaled[:, 0], 10 * (factors[:, 0] - 1))
+    assert np.abs(scaled).max() <= 1.0 + 1e-9
+    # The draws of rows that were there before do not depend on the new ones.
+    both = replace(ranges, contact_friction=(0.5, 1.0))
+    alone = RandomizeConfig(contact_friction=(0.5, 1.0))
+    first, second = (Randomizer(one, robot, nominal, 3).draw(np.arange(40)) for one in (both, alone))
+    np.testing.assert_array_equal(first.contact_friction, second.contact_friction)
+
+
+def test_ranges_of_an_identified_robot_are_its_intervals():
+    robot = RobotDescription.load("pupper_v2")
+    found = read_params(robot.folder / "identified.toml", robot)
+    ranges = load_ranges("identified", robot="pupper_v2").ranges
+    low, high = found.tables["intervals"]["contact_friction"]
+    assert ranges["contact_friction"] == (low, high)
+    gain = float(found.params.servo_kp[0, 0])
+    np.testing.assert_allclose(ranges["servo_kp"], np.array(found.tables["intervals"]["servo_kp"]) / gain)
+    assert ranges["motor_offset"][0] < 0 < ranges["motor_offset"][1]
+    check_ranges(RandomizeConfig(**ranges), robot)
+    with pytest.raises(SurefootError, match="randomize 'identified' does not exist"):
+        load_ranges("identified", robot="minitaur")
