@@ -119,7 +119,9 @@ def test_a_ros_bag(tmp_path: Path, pupper: RobotDescription):
                 when = 1_000_000_000 + 10_000_000 * k + 1_000_000 * number
                 writer.write(topic, when, store.serialize_cdr(message, kind.__msgtype__))
     which = mapping(tmp_path / "m.yaml", pupper, "sent.position[{}]", "read.position[{}]")
-    trace = import_log(tmp_path / "bag", pupper, which)
+    (one,) = (tmp_path / "bag").glob("*.mcap")
+    trace, same = (import_log(path, pupper, which) for path in (tmp_path / "bag", one))
+    np.testing.assert_array_equal(trace.motor_angle, same.motor_angle)
     np.testing.assert_allclose(trace.time, [0.0, 0.001, 0.01, 0.011, 0.02, 0.021])
     np.testing.assert_array_equal(trace.target[:, 0], [0, 0, 1, 1, 2, 2])
     np.testing.assert_array_equal(trace.motor_angle[:, 5], [np.nan, 10, 10, 11, 11, 12])

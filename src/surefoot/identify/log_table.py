@@ -10,11 +10,14 @@ import csv
 import io
 import pickle
 from collections.abc import Iterator, Mapping
+from contextlib import ExitStack
 from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
+import yaml
 
 from surefoot.arrays import Array
 from surefoot.errors import SurefootError, accessible
@@ -215,6 +218,34 @@ def _flat(data: Any, name: str = "", depth: int = 0) -> Iterator[tuple[str, floa
         yield from _flat({item.name: getattr(data, item.name) for item in fields(data)}, name, depth)
 
 
+def _folder_of_mcap(path: Path, folder: Path) -> Path:
+    """Make the folder of a ROS 2 bag around one MCAP file, which has all that stands in the folder's own file."""
+    from rosbags.rosbag2.storage_mcap import McapReader
+
+    mcap = McapReader(path)
+    mcap.open()
+    topics = [
+        {
+            "topic_metadata": {"name": one.topic, "type": one.msgtype, "serialization_format": "cdr"},
+            "message_count": one.msgcount,
+        }
+        for one in mcap.connections
+    ]
+    mcap.close()
+    (folder / "log.mcap").symlink_to(path.resolve())
+    about = {
+        "version": 5,
+        "storage_identifier": "mcap",
+        "relative_file_paths": ["log.mcap"],
+        "duration": {"nanoseconds": 2**62},
+        "starting_time": {"nanoseconds_since_epoch": 0},
+        "message_count": sum(one["message_count"] for one in topics),
+        "topics_with_message_count": topics,
+    }
+    (folder / "metadata.yaml").write_text(yaml.safe_dump({"rosbag2_bagfile_information": about}), encoding="utf-8")
+    return folder
+
+
 def _read_bag(path: Path) -> Table:
     """Read a bag: a row for each time of a message, each column with what came last; NaN before its first message."""
     from rosbags.highlevel import AnyReader
@@ -227,7 +258,10 @@ def _read_bag(path: Path) -> Table:
         if path.is_file():
             check_readable(path, FILE_BYTES)
     try:
-        with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
+        with ExitStack() as stack:
+            folder = Path(stack.enter_context(TemporaryDirectory()))
+            bag = _folder_of_mcap(path, folder) if path.suffix.lower() == ".mcap" else path
+            reader = stack.enter_context(AnyReader([bag], default_typestore=get_typestore(Stores.ROS2_HUMBLE)))
             for connection, stamp, raw in reader.messages():
                 message = reader.deserialize(raw, connection.msgtype)
                 found.append((stamp * 1e-9, dict(_flat(message, connection.topic.strip("/")))))
