@@ -56,30 +56,32 @@ class Rule:
     """Whether each motor, or axis, has its own."""
     step: float = 0.02
     """For finite differences, like `spread`."""
+    begin: float | None = None
+    """Where to begin; what is known, if not given."""
 
 
 RULES = {
-    "servo_kp": Rule(0.3),
+    "servo_kp": Rule(0.1),
     RATIO: Rule(0.05),
     "motor_friction": Rule(0.7),
     FRICTION_RATIO: Rule(0.1, each=True, step=0.05),
-    "load_friction": Rule(0.7),
+    "load_friction": Rule(0.3),
     "motor_viscous_friction": Rule(1.0, step=0.1),
     "speed_filter": Rule(0.5),
     "rotor_inertia": Rule(0.4),
     "torque_limit": Rule(0.2, step=0.05),
     "control_latency": Rule(0.5),
     "motor_offset": Rule(0.008, relative=False, each=True, step=0.004),
-    "base_mass_ratio": Rule(0.03),
+    "base_mass_ratio": Rule(0.01),
     "base_offset": Rule(0.005, relative=False, each=True, step=0.002),
-    "leg_mass_ratio": Rule(0.15),
+    "leg_mass_ratio": Rule(0.05),
     "contact_friction": Rule(0.3),
     "contact_stiffness": Rule(0.5, step=0.05),
-    "contact_shear_ratio": Rule(0.7, step=0.05),
+    "contact_shear_ratio": Rule(0.7, step=0.05, begin=0.2),
 }
-"""Numbers that can be looked for. Those of the drives are known to a factor of two or three beforehand, the mass to
-some percent, encoders to half a degree, which is less than a hand zeroes them to: with more, what two logs of some legs
-told of other legs was wrong, and logs held out were further off."""
+"""Numbers that can be looked for. Masses are known to some percent, drives as their sheet or a first fit has them;
+encoders to half a degree, which is less than a hand zeroes them to: with more, what two logs of some legs told of
+other legs was wrong, and logs held out were further off. Legs give way sideways: feet begin softer along the ground."""
 _LEAST = {"motor_viscous_friction": 0.005, "load_friction": 0.1, "speed_filter": 0.005}
 """Where what a data sheet has as 0 begins."""
 _FACTOR = 8.0
@@ -102,6 +104,7 @@ def unknowns_of(robot: RobotDescription, known: PhysicalParams, names: Sequence[
         low = max(low, 0.0) if rule.relative else low
         for index in range(len(values)) if rule.each else [None]:
             start = float(np.mean(values) if index is None else values[index])
+            start = start if rule.begin is None else rule.begin
             if rule.relative:
                 start = max(start, _LEAST.get(name, 1e-6))
                 least, most = max(low, start / _FACTOR), min(high, start * _FACTOR)

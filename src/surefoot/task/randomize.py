@@ -267,13 +267,13 @@ class Randomizer:
         self.ranges, self.nominal, self._motor_names = config.ranges, nominal, robot.motor_names
         self._allowed = robot.allowed
         self.streams = generators(seed, "randomize", nominal.num_envs)
-        self._places: dict[str, tuple[str, slice]] = {}
+        self._places: list[tuple[str, str, slice]] = []
         self._numbers = {False: 0, True: 0}
         for row, what in ROWS.items():
             for name in what.params:
                 start = self._numbers[what.apart]
                 self._numbers[what.apart] += getattr(nominal, name)[0].size if what.each else 1
-                self._places[name] = (row, slice(start, self._numbers[what.apart]))
+                self._places.append((name, row, slice(start, self._numbers[what.apart])))
 
     @property
     def enabled(self) -> bool:
@@ -287,7 +287,7 @@ class Randomizer:
             apart[:] = [_far_ahead(self.streams[i]).uniform(size=self._numbers[True]) for i in index]
         together = np.array([self.streams[i].uniform(size=self._numbers[False]) for i in index])
         params = self.nominal.rows(index)
-        for name, (row, place) in self._places.items():
+        for name, row, place in self._places:
             if row in self.ranges:
                 low, high = self.ranges[row]
                 values, unit = getattr(params, name), apart if ROWS[row].apart else together
@@ -309,7 +309,7 @@ class Randomizer:
 
     def _varying(self) -> Iterator[tuple[str, str]]:
         """Yield each drawn parameter, and its row, whose range has a width."""
-        for name, (row, _) in self._places.items():
+        for name, row, _ in self._places:
             if row in self.ranges and self.ranges[row][1] > self.ranges[row][0]:
                 yield name, row
 
