@@ -29,7 +29,7 @@ ARROWS: dict[str, set[str]] = {
         *("task.reference", "task.commands", "task.observation", "task.gait", "task.trace", "task.partial_trace"),
     },
     "emulator": {"deploy", "world", "actuator", "robot"},
-    "report": {"evaluate", "task", "robot", "identify.result"},
+    "report": {"evaluate", "task", "robot", "identify.result", "identify.log_errors"},
 }
 WIRING = "cli"  # the one room that may import anything, and that only `python -m surefoot` imports
 

@@ -10,7 +10,7 @@ from surefoot.robot import PhysicalParams, RobotDescription, parse_settings
 
 PER_MOTOR = {
     *("motor_strength", "motor_friction", "motor_viscous_friction", "servo_kp", "servo_kd"),
-    *("load_friction", "rotor_inertia"),
+    *("load_friction", "rotor_inertia", "torque_limit", "presliding", "motor_offset"),
 }
 
 
@@ -21,7 +21,7 @@ def params(robot: RobotDescription) -> PhysicalParams:
 
 @pytest.mark.parametrize("name", PhysicalParams.names())
 def test_every_array_has_a_row_for_each_robot(params: PhysicalParams, name: str):
-    width = (8,) if name in PER_MOTOR else {"imu_bias": (2,), "imu_mount": (3,)}.get(name, ())
+    width = (8,) if name in PER_MOTOR else {"imu_bias": (2,), "imu_mount": (3,), "base_offset": (3,)}.get(name, ())
     value = getattr(params, name)
     assert value.shape == (5, *width)
     assert value.dtype == np.float64
@@ -33,6 +33,7 @@ def test_nominal_values_are_the_sheets(params: PhysicalParams):
         **{"motor_strength": 1.0, "torque_constant": 0.0954, "resistance": 0.186, "voltage": 16.0},
         **{"servo_kp": 1.0, "servo_kd": 0.015, "servo_latency": 0.003, "control_latency": 0.02, "control_step": 0.006},
         **{"contact_friction": 1.0, "contact_stiffness": 3000.0, "contact_spinning_friction": 0.004},
+        "contact_shear_ratio": 1.0,
     }
     for name, value in expected.items():
         assert np.all(getattr(params, name) == value), name

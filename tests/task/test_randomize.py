@@ -13,7 +13,8 @@ from scipy import stats
 
 from surefoot.configuration import from_mapping
 from surefoot.errors import SurefootError
-from surefoot.robot import PhysicalParams
+from surefoot.robot import PhysicalParams, RobotDescription
+from surefoot.robot.params_file import read_params
 from surefoot.seeding import generators
 from surefoot.task.config import FeedbackConfig, TaskConfig, load_task
 from surefoot.task.env import LocomotionEnv
@@ -30,6 +31,8 @@ from surefoot.world.mujoco_engine import BULLET_ONLY
 from surefoot.world.mujoco_model import build_model
 from surefoot.world.sim_world import SimWorld
 
+SET = {row: what for row, what in ROWS.items() if what.how == "set"}
+"""Rows whose numbers are the parameters; the others are tried below."""
 TABLE_1 = {
     "mass": (0.80, 1.20),
     "motor_friction": (0.0, 0.05),
@@ -56,7 +59,7 @@ MORE = {
 }
 FULL = RandomizeConfig(**TABLE_1, **MORE)
 NUMBERS = {
-    **{row: 1 for row in ROWS},
+    **{row: 1 for row in SET},
     "mass": 2,  # base, legs
     "inertia": 2,  # base, legs
     "motor_strength": 8,  # each motor
@@ -95,7 +98,7 @@ def many(robot) -> list[PhysicalParams]:
     return [randomizer.draw(np.arange(100)) for _ in range(40)]
 
 
-@pytest.mark.parametrize("row", ROWS)
+@pytest.mark.parametrize("row", SET)
 def test_draws_are_uniform_over_the_range(many, row):
     drawn = np.concatenate([numbers(params, row) for params in many])
     low, high = FULL.ranges[row]
@@ -107,7 +110,7 @@ def test_draws_are_uniform_over_the_range(many, row):
 
 
 def test_all_numbers_are_independent(many):
-    drawn = np.array([np.concatenate([numbers(params, row) for row in ROWS], axis=1) for params in many])
+    drawn = np.array([np.concatenate([numbers(params, row) for row in SET], axis=1) for params in many])
     assert drawn.shape == (40, 100, 31)
     assert np.all(many[0].motor_friction == many[0].motor_friction[:, :1])  # all motors share one
     between = np.corrcoef(drawn.reshape(4000, 31), rowvar=False) - np.eye(31)
@@ -147,7 +150,7 @@ def test_the_order_of_resets_does_not_matter(make_randomizer):
     assert same(one.draw(np.arange(4)), other.draw(np.arange(4)))
 
 
-@pytest.mark.parametrize("row", ROWS)
+@pytest.mark.parametrize("row", SET)
 def test_a_row_dropped_or_narrowed_leaves_the_others_draws(make_randomizer, row):
     low, high = FULL.ranges[row]
     width = high - low
@@ -157,7 +160,7 @@ def test_a_row_dropped_or_narrowed_leaves_the_others_draws(make_randomizer, row)
     )
     for _ in range(2):
         drawn = [randomizer.draw(np.arange(4)) for randomizer in (full, dropped, narrowed)]
-        for other in set(ROWS) - {row}:
+        for other in set(SET) - {row}:
             for params in drawn[1:]:
                 assert np.array_equal(numbers(drawn[0], other), numbers(params, other)), other
         for name in ROWS[row].params:
@@ -424,7 +427,7 @@ def test_a_state_taken_and_given_back_goes_on_alike():
 
 def test_a_range_of_the_nominal_value_is_as_no_range(robot):
     nominal = robot.nominal_params()
-    ranges = {row: (nominal[what.params[0]],) * 2 for row, what in ROWS.items()}
+    ranges = {row: (nominal[what.params[0]],) * 2 for row, what in SET.items()}
     values = {"max_steps": 15, "start_linear_speed": 0.05}
     env, plain = make_env(ranges, **values), make_env({}, **values)
     assert env.randomizer.enabled
@@ -582,3 +585,41 @@ def test_a_task_with_ranges_that_do_not_fit_is_refused(tmp_path: Path, randomize
         load_task(task_file(tmp_path, randomize))
     for piece in pieces:
         assert piece in str(caught.value)
+
+
+def test_rows_around_the_nominal_values_are_factors_or_sums_of_them():
+    robot = RobotDescription.load("pupper_v2")
+    offsets = np.linspace(-0.02, 0.02, 12)
+    nominal = PhysicalParams.nominal(robot, 40).with_values(robot, motor_offset=offsets[None])
+    ranges = RandomizeConfig(servo_kp=(0.9, 1.1), friction=(0.0, 2.0), motor_offset=(-0.01, 0.01))
+    randomizer = Randomizer(ranges, robot, nominal, 3)
+    drawn = randomizer.draw(np.arange(40))
+    factors = drawn.servo_kp / nominal.servo_kp
+    assert np.ptp(factors, axis=1).max() < 1e-12
+    assert 0.9 <= factors.min() < 0.92
+    assert 1.08 < factors.max() <= 1.1
+    assert np.ptp(drawn.motor_friction / nominal.motor_friction, axis=1).min() > 0.5
+    assert np.abs(drawn.motor_offset - offsets).max() <= 0.01
+    scaled = randomizer.scaled(drawn)
+    assert scaled.shape == (40, 1 + 12 + 12) == (40, len(randomizer.columns))
+    np.testing.assert_allclose(scaled[:, 0], 10 * (factors[:, 0] - 1))
+    assert np.abs(scaled).max() <= 1.0 + 1e-9
+    # The draws of rows that were there before do not depend on the new ones.
+    both = replace(ranges, contact_friction=(0.5, 1.0))
+    alone = RandomizeConfig(contact_friction=(0.5, 1.0))
+    first, second = (Randomizer(one, robot, nominal, 3).draw(np.arange(40)) for one in (both, alone))
+    np.testing.assert_array_equal(first.contact_friction, second.contact_friction)
+
+
+def test_ranges_of_an_identified_robot_are_its_intervals():
+    robot = RobotDescription.load("pupper_v2")
+    found = read_params(robot.folder / "identified.toml", robot)
+    ranges = load_ranges("identified", robot="pupper_v2").ranges
+    low, high = found.tables["intervals"]["contact_friction"]
+    assert ranges["contact_friction"] == (low, high)
+    gain = float(found.params.servo_kp[0, 0])
+    np.testing.assert_allclose(ranges["servo_kp"], np.array(found.tables["intervals"]["servo_kp"]) / gain)
+    assert ranges["motor_offset"][0] < 0 < ranges["motor_offset"][1]
+    check_ranges(RandomizeConfig(**ranges), robot)
+    with pytest.raises(SurefootError, match="randomize 'identified' does not exist"):
+        load_ranges("identified", robot="minitaur")

@@ -16,7 +16,7 @@ SPEED = st.floats(-5, 5)
 def on_ground(depth: float, velocity=(0.0, 0.0, 0.0), stretch=(0.0, 0.0), friction: float = 1.0):
     """The ground's force (3,) on a foot and the sole's new stretch (2,)."""
     force, after = np.zeros(3), np.array(stretch, float)
-    foot_force_kernel(depth, np.array(velocity, float), after, friction, STIFFNESS, DAMPING, STEP, force)
+    foot_force_kernel(depth, np.array(velocity, float), after, friction, STIFFNESS, STIFFNESS, DAMPING, STEP, force)
     return force, after
 
 

@@ -128,6 +128,20 @@ def motor_friction(speed, coulomb, viscous):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, inline="always")
+def presliding_kernel(stretch: float, greatest: float) -> float:
+    """Return the stretch z [rad] of a friction that sticks, cut at its greatest one z_m.
+
+    Friction is -f z / z_m: a spring that follows the motor's motion, and slides along at the Coulomb friction f (Dahl's
+    model, 1968, with a straight rise). Unlike `motor_friction` it holds a motor at rest under any load below f.
+
+    Args:
+        stretch: z of the last step, and the motion since then [rad].
+        greatest: z_m [rad].
+    """
+    return greatest if stretch > greatest else -greatest if stretch < -greatest else stretch
+
+
+@njit(cache=True, inline="always")
 def joint_torque_kernel(target: float, angle: float, speed: float, kp: float, kd: float) -> float:
     """Return `joint_torque` for scalars."""
     return kp * (target - angle) - kd * speed

@@ -15,7 +15,7 @@ from surefoot.cli.parsing import parse
 from surefoot.configuration import Seed, Within
 from surefoot.errors import SurefootError
 from surefoot.robot import DEFAULT_ROBOT, PhysicalParams, RobotDescription, parse_settings
-from surefoot.robot.params_file import read_params, write_params
+from surefoot.robot.params_file import find_params, read_params, write_params
 
 if TYPE_CHECKING:
     from surefoot.cli.viewer import EmulateViewer
@@ -40,7 +40,8 @@ class EmulateCommand:
     robot: str = DEFAULT_ROBOT
     """Name or folder of the robot."""
     params: Path | None = None
-    """File of physical parameters (.toml); the robot's own, if not given."""
+    """File of physical parameters (.toml), or the name of one that ships with the robot; the data sheet's, if not
+    given."""
     settings: Settings = ()
     """Physical parameters that differ, such as motor_strength=0.8."""
     hidden_seed: Seed | None = None
@@ -120,7 +121,7 @@ def _check(command: EmulateCommand) -> None:
 def _params(command: EmulateCommand, robot: RobotDescription) -> PhysicalParams:
     if command.hidden_seed is None:
         nominal = PhysicalParams.nominal(robot)
-        params = nominal if command.params is None else read_params(command.params, robot).params
+        params = nominal if command.params is None else read_params(find_params(command.params, robot), robot).params
         return params.with_values(robot, **parse_settings([word for group in command.settings for word in group]))
     from surefoot.task.randomize import draw_hidden, load_ranges
 

@@ -11,11 +11,13 @@ import sys
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
+from typing import Annotated, Any
 
 from surefoot.cli.identify_run import ExperimentCommand, run_experiment
 from surefoot.cli.main import table_lines
-from surefoot.cli.options import Json, check_folder, check_suffix
+from surefoot.cli.options import Json, Seed, check_folder, check_suffix
 from surefoot.cli.parsing import parse
+from surefoot.configuration import Within
 from surefoot.errors import SurefootError, choices
 from surefoot.identify.overlay import Known, read_known
 from surefoot.identify.recording import COMPLETE, Recording, load_recording
@@ -51,7 +53,7 @@ class TracesCommand:
     """
 
     from_trace: Path
-    """Trace file (.npz), or a folder of them."""
+    """Trace file (.npz), or a folder of them. Of robots with joint drives: logs of commands and angles."""
     fit: tuple[str, ...] = ()
     """Physical parameters to find; all that traces tell, if not given. The others are taken as they are known."""
     params: Path | None = None
@@ -60,6 +62,15 @@ class TracesCommand:
     """Folder for the report; runs/identify/traces-TIME, if not given."""
     robot: str | None = None
     """Name or folder of the robot's description; the traces' robot, if not given."""
+    rack: tuple[str, ...] = ()
+    """Logs, by the names of their files, of a robot that hung with its base held still."""
+    hold_out: tuple[str, ...] = ()
+    """Logs, by the names of their files, that are not fitted but replayed with what was found."""
+    seconds: Annotated[float, Within(0.5, 3600)] = 2.3
+    """How much of each log is fitted [s], from its start."""
+    search: Annotated[int, Within(0, 100_000)] = 0
+    """Generations of CMA-ES that look for a start before logs are fitted."""
+    seed: Seed = 1
     json: Json = False
 
 
@@ -89,7 +100,7 @@ def main(argv: list[str]) -> int:
 def _usage() -> str:
     experiments = {name: f"{one.what} (on {'rack' if one.rack else 'ground'})" for name, one in EXPERIMENTS.items()}
     others = {
-        f"{FROM_TRACE} FOLDER": "motors and delays, from traces of runs",
+        f"{FROM_TRACE} FOLDER": "motors and delays from traces of runs; a robot with joint drives from logs",
         FIGURE: "one motor follows a sine: servo and DC motor, constraint motor, and a recording",
     }
     width = max(map(len, [*experiments, *others]))
@@ -99,6 +110,11 @@ def _usage() -> str:
 def _from_trace(argv: list[str]) -> int:
     command = parse(TracesCommand, argv, "surefoot identify")
     _check_files(command)
+    if command.robot is not None and (robot := RobotDescription.load(command.robot)).drive == "joint":
+        return _from_logs(command, robot)
+    for name in ("rack", "hold_out", "search"):
+        if getattr(command, name):
+            raise SurefootError(f"--{name.replace('_', '-')} is of logs of a robot with joint drives; name it: --robot")
     from surefoot.evaluate.recorded import find_traces
 
     traces = find_traces(command.from_trace)
@@ -115,6 +131,36 @@ def _from_trace(argv: list[str]) -> int:
     folder = command.out or _new_folder("traces")
     files = write(robot, known, found, command.params or folder / "robot.toml", folder, str(command.from_trace))
     tell(robot, known, found, files, {"traces": [str(path) for path, _ in traces]}, command.json)
+    return 0
+
+
+def _from_logs(command: TracesCommand, robot: RobotDescription) -> int:
+    """Fit a whole robot with joint drives to logs."""
+    from surefoot.identify.robot_log import read_log
+
+    paths = sorted(command.from_trace.glob("*.npz")) if command.from_trace.is_dir() else [command.from_trace]
+    if not paths:
+        raise SurefootError(f"folder {command.from_trace} holds no logs (.npz)")
+    logs = {path.name.removesuffix(".npz"): read_log(path, robot) for path in paths}
+    for option, names in (("rack", command.rack), ("hold-out", command.hold_out)):
+        if bad := [name for name in names if name not in logs]:
+            raise SurefootError(f"--{option} names '{bad[0]}'; logs: {choices(logs)}")
+    known = read_known(command.params, robot)
+    from surefoot.cli.identify_results import check_installed, fitting, tell, write
+
+    check_installed()
+    from surefoot.identify.log_fit import fit_logs
+    from surefoot.identify.log_model import LogRun
+
+    runs = {name: LogRun(log, name in command.rack) for name, log in logs.items()}
+    fitted = [run for name, run in runs.items() if name not in command.hold_out]
+    held = [runs[name] for name in command.hold_out]
+    options: dict[str, Any] = {"seconds": command.seconds, "search": command.search, "seed": command.seed}
+    with fitting("logs") as say:
+        found = fit_logs(robot, fitted, held, command.fit or None, known.params, **options, tell=say)
+    folder = command.out or _new_folder("logs")
+    files = write(robot, known, found, command.params or folder / "robot.toml", folder, str(command.from_trace.name))
+    tell(robot, known, found, files, {"logs": [str(path) for path in paths]}, command.json)
     return 0
 
 

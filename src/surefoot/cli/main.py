@@ -19,6 +19,8 @@ COMMANDS = {
     "study": ("surefoot.cli.study", "train several groups with several seeds, compare them"),
     "tune": ("surefoot.cli.tune", "find a handcrafted gait for a robot and a speed"),
     "identify": ("surefoot.cli.identify", "experiments on a robot, and how well the simulator repeats them"),
+    "trace": ("surefoot.cli.trace", "make traces of logs that others recorded"),
+    "replay": ("surefoot.cli.replay", "replay a recorded run in simulation, and compare"),
     "emulate": ("surefoot.cli.emulate", "emulate a robot: microcontroller and physics behind a pseudo-terminal"),
     "doctor": ("surefoot.cli.doctor", "check a policy, a link and a robot before it runs"),
     "deploy": ("surefoot.cli.deploy", "run a policy on a robot, or on an emulated one"),
@@ -43,6 +45,7 @@ _EXTRAS = {
     "bullet": ("pybullet",),
     "search": ("optuna", "ray", "grpc"),
     "tune": ("cma",),
+    "bags": ("rosbags",),
 }
 
 

@@ -17,7 +17,7 @@ import tyro
 from surefoot.cli.options import Pushes, PushForce, Seed, Settings, World
 from surefoot.errors import SurefootError, choices
 from surefoot.robot import RobotDescription
-from surefoot.robot.params_file import ParamValue, read_params
+from surefoot.robot.params_file import ParamValue, find_params, read_params
 from surefoot.task.config import TaskConfig
 from surefoot.task.randomize import ROWS, RandomizeConfig, load_ranges, range_names
 from surefoot.world.interface import WorldConfig
@@ -37,8 +37,8 @@ class Simulator:
     servo_latency: Annotated[float | None, tyro.conf.arg(metavar="SECONDS")] = None
     """Age of what the servos see [s]; the task's, if not given."""
     params: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
-    """File of a robot's physical parameters (.toml), in place of the task's. What it does not name is as on the data
-    sheet; the control step stays."""
+    """File of a robot's physical parameters (.toml), or the name of one that ships with it, in place of the task's.
+    What it does not name is as on the data sheet; the control step stays."""
 
     @property
     def latencies(self) -> dict[str, float]:
@@ -77,6 +77,7 @@ def _with_file(task: TaskConfig, path: Path) -> TaskConfig:
     robot is not run on a mixture of two; only the control step does, which belongs to the policy and to no robot.
     """
     robot = RobotDescription.load(task.robot)
+    path = find_params(path, robot)
     found, expected = read_params(path, robot), float(task.nominal(robot).control_step[0])
     step = float(found.params.control_step[0])
     if "control_step" in found.given and not math.isclose(step, expected, rel_tol=1e-9):

@@ -92,7 +92,7 @@ def power_tick(drive: Drive, power: PowerConfig, dt: float, temperature: Array) 
     total = 0.0
     if drive.joint[0]:
         for m in range(motors):
-            limit, full = drive.joint_limits[0, m], drive.joint_limits[1, m]
+            limit, full = drive.greatest_torque[0, m], drive.joint_limits[0, m]
             torque = drive.motor_torque[0, m]
             heat = LOSS * limit * full * (torque / limit) ** 2
             total += heat + torque * drive.now[0, motors + m]

@@ -14,7 +14,7 @@ from surefoot.emulator.signals import MotorOrder, Sensors, Vitals
 from surefoot.errors import SurefootError
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.seeding import generator
-from surefoot.world.drive import read_by_mounted_imu, read_delayed
+from surefoot.world.drive import read_delayed, read_imu
 from surefoot.world.interface import WorldConfig
 from surefoot.world.sim_world import EngineFactory, SimWorld, mujoco_engine
 
@@ -72,7 +72,7 @@ class Plant:
         self._gyro_bias = self.sensors.gyro_bias * self._noise.standard_normal(3)
         self._torque_noise = generator(seed, "emulated torque sensors")
         self._torque_gain = 1.0 + self.sensors.torque_gain * self._torque_noise.standard_normal(motors)
-        self._imu_bias, self._imu_noise = self.params.imu_bias[0], float(self.params.imu_noise[0])
+        self._imu_noise = float(self.params.imu_noise[0])
         self._voltage = float(self.params.voltage[0]) if robot.drive == "dc" else robot.battery.nominal
         self.world.drive.voltage[0] = self._voltage
         self._count = np.ones(1, np.int64)
@@ -138,7 +138,7 @@ class Plant:
         """Return what servos ask for: a duty of DC motors, a share of the torque limit of joint drives."""
         if self.robot.drive == "dc":
             return np.asarray(servo_duty(target, angle, speed, *self._gains))
-        return np.asarray(joint_torque(target, angle, speed, *self._gains) / self.world.drive.joint_limits[0])
+        return np.asarray(joint_torque(target, angle, speed, *self._gains) / self.world.drive.greatest_torque[0])
 
     def _draw_power(self, temperature: Array, count: int = 1) -> None:
         drive, power, dt = self.world.drive, self.power, count * self.robot.timing.servo_step
@@ -154,17 +154,12 @@ class Plant:
         read_delayed(self.world.drive, np.array([latency - since_step]), self._row[None])
         return self._row
 
-    def _mount(self, tilt: Array, rate: Array) -> None:
-        """Turn the base's attitude and rates into the IMU's, in place."""
-        if self.params.imu_mount.any():
-            read_by_mounted_imu(tilt[None], rate[None], self.params.imu_mount)
-
     def vitals(self) -> Vitals:
         """Return the present readings that the microcontroller checks."""
         now, motors = self.world.drive.now[0], self.robot.num_motors
         tilt, rate = now[-6:-3].copy(), now[-3:].copy()
-        self._mount(tilt, rate)
-        roll, pitch = (tilt[:2] + self._imu_bias).tolist()
+        read_imu(tilt[None], rate[None], self.params)
+        roll, pitch = tilt[:2].tolist()
         return Vitals(
             motor_angle=now[:motors],
             tilt=max(abs(roll), abs(pitch)),
@@ -187,8 +182,7 @@ class Plant:
             angle = np.round(angle / config.encoder_step) * config.encoder_step
         if config.speed_noise:
             speed = speed + config.speed_noise * noise.standard_normal(motors)
-        self._mount(tilt, rate)
-        tilt[:2] += self._imu_bias
+        read_imu(tilt[None], rate[None], self.params)
         if self._imu_noise:
             tilt[:2] += self._imu_noise * noise.standard_normal(2)
         rate = rate + self._gyro_bias

@@ -3,7 +3,7 @@
 What a state of the robot's time t tells is, with the control latency L_c, which counts up to the readings' use a lead
 after they were sent, and the servo step dt:
 
-    motor_angle, motor_velocity, roll, pitch, rates     of t - L_c + lead, between servo steps on a straight line
+    motor_angle, motor_velocity, IMU                    of t - L_c + lead, between servo steps on a straight line
     motor_torque                                        of the servo step that ended last, at t or before
     voltage                                             of t, which is that of the servo step that begins then
 
@@ -16,6 +16,7 @@ from __future__ import annotations
 import os
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,9 +25,11 @@ from surefoot.arrays import Array
 from surefoot.deploy.wire.messages import Mode
 from surefoot.errors import SurefootError
 from surefoot.identify.recording import CLOCK, Recording
+from surefoot.identify.robot_log import RobotLog
 from surefoot.robot import PhysicalParams, RobotDescription
+from surefoot.world.drive import read_imu
 from surefoot.world.interface import WorldConfig
-from surefoot.world.sim_world import SimWorld
+from surefoot.world.sim_world import EngineFactory, SimWorld, mujoco_engine
 
 SETTLE = 0.6
 """Time [s] for which simulated robots hold the first command before the recording begins."""
@@ -96,6 +99,37 @@ def stretch_of(recording: Recording, first: int, last: int) -> Stretch:
     )
 
 
+def stretch_of_log(log: RobotLog, robot: RobotDescription) -> Stretch:
+    """Return a log as a stretch that begins with its first command.
+
+    Robots settle at what is commanded of joints that stand still. Joints that move stand as those in the same place of
+    other legs do; where all move, as they were first read.
+    """
+    dt, origin = robot.timing.servo_step, float(log.time[0])
+    state_time = np.maximum(log.read_time - origin, 0.0)
+    ticks = int(np.floor(state_time[-1] / dt + 1e-6)) + 1
+    return Stretch(
+        order_tick=np.ceil((log.time - origin) / dt - 1e-6).astype(np.int64),
+        order=log.command,
+        kind=np.full(len(log.time), int(Mode.POSITION)),
+        state_time=state_time,
+        states=np.arange(len(log.time)),
+        voltage=np.full(ticks, float(robot.battery.nominal)),
+        start=_standing(log, robot),
+    )
+
+
+def _standing(log: RobotLog, robot: RobotDescription) -> Array:
+    """Return the angles (M,) [rad] at which a robot stood before a log; see `stretch_of_log`."""
+    start, index = log.command[0].copy(), robot.leg_motor_index
+    for motors in index.T:
+        still = motors[~log.moving[motors]]
+        for motor in motors[log.moving[motors]]:
+            read = log.motor_angle[0, motor]
+            start[motor] = log.command[0, still].mean() if len(still) else read if np.isfinite(read) else start[motor]
+    return start
+
+
 @dataclass(frozen=True)
 class Replayed:
     """What N simulated robots would have told of M motors in T states: arrays (N, T, M) [rad, rad/s, N m]."""
@@ -103,17 +137,35 @@ class Replayed:
     motor_angle: Array
     motor_velocity: Array
     motor_torque: Array
+    """Empty, if torques were not wanted."""
+    imu: Array
+    """Roll, pitch, yaw [rad] and angular velocity in the IMU's frame [rad/s], (N, T, 6)."""
 
 
 class Replayer:
-    """Simulated robots on racks, `num_envs` at a time on all cores, that go through a stretch of a recording."""
+    """Simulated robots, `num_envs` at a time, that go through a stretch of a recording.
 
-    def __init__(self, robot: RobotDescription, num_envs: int) -> None:
-        self.robot, self.num_envs = robot, num_envs
-        cores = min(os.cpu_count() or 1, num_envs)
+    Args:
+        robot: what to simulate.
+        num_envs: how many go at once.
+        rack: hold their bases in the air.
+        engine: makes the physics; MuJoCo runs on all cores.
+        torques: tell motors' torques too, and follow the voltage, with a call of the engine in every servo step.
+    """
+
+    def __init__(
+        self,
+        robot: RobotDescription,
+        num_envs: int,
+        rack: bool = True,
+        engine: EngineFactory = mujoco_engine,
+        torques: bool = True,
+    ) -> None:
+        self.robot, self.num_envs, self._torques = robot, num_envs, torques
+        cores = min(os.cpu_count() or 1, num_envs) if engine is mujoco_engine else 1
         # A world that steps on several threads would have them wait for each other in every servo step.
-        config = WorldConfig(rack=True, threads=1)
-        self._worlds = [SimWorld(robot, -(-num_envs // cores), config=config) for _ in range(cores)]
+        config = WorldConfig(rack=rack, threads=1)
+        self._worlds = [SimWorld(robot, -(-num_envs // cores), config=config, engine=engine) for _ in range(cores)]
         self._pool = ThreadPoolExecutor(cores)
 
     def run(self, stretch: Stretch, params: PhysicalParams) -> Replayed:
@@ -132,7 +184,8 @@ class Replayer:
         """States (ticks + 1, N, width), and torques of the steps that led to them (ticks + 1, N, M)."""
         shares = np.array_split(np.arange(params.num_envs), min(len(self._worlds), params.num_envs))
         rows = [params.rows(share) for share in shares]
-        done = list(self._pool.map(_go_through, self._worlds[: len(rows)], [stretch] * len(rows), rows))
+        go = partial(_go_through, torques=self._torques)
+        done = list(self._pool.map(go, self._worlds[: len(rows)], [stretch] * len(rows), rows))
         return np.concatenate([d[0] for d in done], axis=1), np.concatenate([d[1] for d in done], axis=1)
 
     def _read(self, stretch: Stretch, params: PhysicalParams, history: Array, torque: Array) -> Replayed:
@@ -144,16 +197,20 @@ class Replayer:
             before = np.minimum(at.astype(np.int64), last - 1)
             share = (at - before)[:, None]
             told[row] = (1 - share) * history[before, row] + share * history[before + 1, row]
-        ended = np.clip(np.floor(stretch.state_time / dt + 1e-3).astype(np.int64), 0, last)
+        ended = np.clip(np.floor(stretch.state_time / dt + 1e-3).astype(np.int64), 0, len(torque) - 1)
+        imu = told[:, :, 2 * motors :]
+        for row in range(params.num_envs):
+            read_imu(imu[row, :, :3], imu[row, :, 3:], params, np.full(len(imu[row]), row))
         return Replayed(
             motor_angle=told[:, :, :motors],
             motor_velocity=told[:, :, motors : 2 * motors],
-            motor_torque=np.moveaxis(torque[ended], 1, 0),
+            motor_torque=np.moveaxis(torque[ended] if len(torque) else torque, 1, 0),
+            imu=imu,
         )
 
 
-def _go_through(world: SimWorld, stretch: Stretch, params: PhysicalParams) -> tuple[Array, Array]:
-    """Go through a stretch; row k is the state at k servo steps, and the torque of the step before."""
+def _go_through(world: SimWorld, stretch: Stretch, params: PhysicalParams, torques: bool = True) -> tuple[Array, Array]:
+    """Go through a stretch; row k is the state at k servo steps, and the torque of the step before (or no torques)."""
     rows, everyone = params.num_envs, np.arange(world.num_envs)
     given = params.rows(np.minimum(everyone, rows - 1))
     world.set_params(everyone, given)
@@ -165,18 +222,24 @@ def _go_through(world: SimWorld, stretch: Stretch, params: PhysicalParams) -> tu
     for k in range(steps):
         drive.target[:] = begin + (stretch.start - begin) * min(2 * k / steps, 1.0)
         advance(active)
-    history = np.empty((len(stretch.voltage) + 1, rows, drive.now.shape[1]))
-    torque = np.empty((len(stretch.voltage) + 1, rows, drive.target.shape[1]))
-    history[0], torque[0] = drive.now[:rows], drive.motor_torque[:rows]
-    order = -1
-    changes = [*stretch.order_tick.tolist(), len(torque)]
-    for tick, voltage in enumerate(stretch.voltage.tolist()):
-        while changes[order + 1] <= tick:
+    ticks, kept = len(stretch.voltage), len(drive.times[0])
+    history = np.empty((ticks + 1, rows, drive.now.shape[1]))
+    torque = np.empty((ticks + 1 if torques else 0, rows, drive.target.shape[1]))
+    history[0], torque[:1] = drive.now[:rows], drive.motor_torque[:rows]
+    order, tick = -1, 0
+    changes = [*stretch.order_tick.tolist(), ticks]
+    while tick < ticks:
+        while changes[order + 1] <= tick and order + 1 < len(stretch.order_tick):
             order += 1
             _obey(world, int(stretch.kind[order]), stretch.order[order], given)
-        drive.voltage[:] = voltage
-        advance(active)
-        history[tick + 1], torque[tick + 1] = drive.now[:rows], drive.motor_torque[:rows]
+        drive.voltage[:] = stretch.voltage[tick]
+        count = 1 if torques else min(changes[order + 1], ticks, tick + kept) - tick
+        advance(count * active)
+        if torques:
+            torque[tick + 1] = drive.motor_torque[:rows]
+        slots = np.arange(int(drive.ticks[0]) - count + 1, int(drive.ticks[0]) + 1) % kept
+        history[tick + 1 : tick + 1 + count] = np.moveaxis(drive.history[:rows, slots], 1, 0)
+        tick += count
     return history, torque
 
 

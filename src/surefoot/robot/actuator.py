@@ -13,6 +13,7 @@ from surefoot.configuration import Within
 from surefoot.errors import SurefootError
 
 _Positive = Annotated[float, Within(0, 1e9, above=True)]
+_OF_JOINT_DRIVES = ("load_friction", "presliding", "rotor_inertia", "torque_limit")
 _NotNegative = Annotated[float, Within(0, 1e9)]
 _Each = Annotated[float | tuple[float, ...], Within(0, 1e9)]
 """One number for all motors, one for each motor of a leg, or one for each motor."""
@@ -80,6 +81,9 @@ class JointDriveData:
     """N m s/rad"""
     load_friction: _Each = 0.0
     """Friction over the drive's torque."""
+    presliding: _Each = 0.0
+    """Angle [rad] over which friction builds up when a motor turns back: it sticks; 0: friction depends on the speed
+    alone, and a motor at rest creeps."""
     speed_filter: _NotNegative = 0.0
     """Time constant [s] of the first-order filter on the speed that the PD controller uses."""
     overheat_torque: _Each = 1e9
@@ -92,9 +96,8 @@ class JointDriveData:
         """Return the nominal physical parameters of drives."""
         return {
             **_servo(self.kp, self.kd, self.friction, self.viscous_friction),
-            "load_friction": np.asarray(self.load_friction),
             "speed_filter": self.speed_filter,
-            "rotor_inertia": np.asarray(self.rotor_inertia),
+            **{name: np.asarray(getattr(self, name)) for name in _OF_JOINT_DRIVES},
         }
 
 

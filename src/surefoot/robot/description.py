@@ -418,6 +418,7 @@ class RobotDescription:
             **dict.fromkeys(PhysicalParams.names(), 0.0),
             **dict.fromkeys(("base_mass_ratio", "leg_mass_ratio", "base_inertia_ratio", "leg_inertia_ratio"), 1.0),
             "motor_strength": 1.0,
+            "contact_shear_ratio": 1.0,
             **self.actuator.nominal_params(),
             "servo_latency": timing.servo_latency,
             "control_latency": timing.control_latency,

@@ -83,6 +83,19 @@ class PhysicalParams:
         "s", "time constant of the first-order filter on the speed that a joint drive uses", (0.0, 0.1), drive="joint"
     )
     rotor_inertia: Array = _row("kg m2", "inertia of each rotor, at its joint", (0.0, 1.0), "motors", "joint")
+    torque_limit: Array = _row("N m", "greatest torque of a joint drive at low speed", (1e-6, 1e9), "motors", "joint")
+    presliding: Array = _row(
+        "rad",
+        "angle over which a joint drive's friction builds up; 0: it depends on the speed alone",
+        (0.0, 0.2),
+        "motors",
+        "joint",
+    )
+    motor_offset: Array = _row("rad", "angle that each motor's encoder tells, less the true one", (-0.5, 0.5), "motors")
+    contact_shear_ratio: Array = _row(
+        "1", "stiffness of the feet along the ground, over that against it; MuJoCo only", (0.01, 10.0)
+    )
+    base_offset: Array = _row("m", "centre of mass of the base, less the description's", (-0.1, 0.1), "x, y, z")
 
     @property
     def num_envs(self) -> int:
@@ -108,7 +121,13 @@ class PhysicalParams:
     def nominal(cls, robot: _Described, num_envs: int = 1) -> PhysicalParams:
         """Return the parameters that the robot's description states, for `num_envs` robots."""
         nominal = robot.nominal_params()
-        widths = {"one": (), "motors": (robot.num_motors,), "roll, pitch": (2,), "roll, pitch, yaw": (3,)}
+        widths = {
+            "one": (),
+            "motors": (robot.num_motors,),
+            "roll, pitch": (2,),
+            "roll, pitch, yaw": (3,),
+            "x, y, z": (3,),
+        }
         shapes = {item.name: (num_envs, *widths[item.metadata["width"]]) for item in fields(cls)}
         return cls(**{name: np.broadcast_to(nominal[name], shape).astype(np.float64) for name, shape in shapes.items()})
 

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from surefoot.configuration import is_number, read_toml
-from surefoot.errors import SurefootError, accessible, located, quoted
+from surefoot.errors import SurefootError, accessible, choices, located, quoted
 from surefoot.files import whole_file
 from surefoot.robot.description import RobotDescription
 from surefoot.robot.params import PhysicalParams
@@ -60,6 +60,22 @@ def param_values(params: PhysicalParams, names: Iterable[str] | None = None) -> 
         numbers = getattr(params, name)[0].ravel().tolist()
         values[name] = numbers[0] if len(set(numbers)) == 1 else tuple(numbers)
     return values
+
+
+def find_params(given: str | Path, robot: RobotDescription) -> Path:
+    """Return the path of a file of parameters, given by path, or by the name of one that ships with the robot.
+
+    Raises:
+        SurefootError: neither a file nor such a name.
+    """
+    path, own = Path(given), robot.folder / f"{given}.toml"
+    if path.suffix or path.exists():
+        return path
+    names = sorted(item.stem for item in robot.folder.glob("*.toml") if item.name != "robot.toml")
+    if path.name not in names:
+        known = f"those of {robot.name}: {choices(names)}" if names else f"{robot.name} ships with none"
+        raise SurefootError(f"params is '{given}'; it must be a file (.toml), or a name; {known}")
+    return own
 
 
 def read_params(path: Path, robot: RobotDescription) -> ParamsFile:

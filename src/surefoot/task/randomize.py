@@ -10,7 +10,7 @@ import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,7 @@ from surefoot.arrays import Array
 from surefoot.configuration import from_mapping, read_yaml
 from surefoot.errors import SurefootError, choices, located
 from surefoot.robot import DEFAULT_ROBOT, PhysicalParams, RobotDescription
+from surefoot.robot.params_file import read_params
 from surefoot.seeding import generator, generators
 
 Range = tuple[float, float] | None
@@ -40,11 +41,28 @@ class Row:
     """Whether each motor, or each axis of the IMU, draws a number of its own too."""
     apart: bool = False
     """Whether it draws from a separate part of the stream, so that the draws of other rows do not depend on it."""
+    how: Literal["set", "times", "plus"] = "set"
+    """Whether a number that is drawn is the parameter, or a factor of its nominal value, or is added to that."""
+
+    def applied(self, nominal: Array, drawn: Array) -> Array:
+        """Return parameters for their nominal values and the numbers that were drawn."""
+        return nominal * drawn if self.how == "times" else nominal + drawn if self.how == "plus" else drawn
+
+    def taken_back(self, nominal: Array, values: Array) -> Array:
+        """Return the numbers that were drawn for parameters; 1 for factors of nothing."""
+        if self.how == "times":
+            return np.divide(values, nominal, out=np.ones_like(values), where=nominal != 0)
+        return values - nominal if self.how == "plus" else values
 
 
-def _row(*params: str, each: bool = False, apart: bool = False) -> Any:
+def _row(*params: str, each: bool = False, apart: bool = False, how: Literal["set", "times", "plus"] = "set") -> Any:
     """Declare a row without a range."""
-    return field(default=None, metadata={"row": Row(params, each, apart)})
+    return field(default=None, metadata={"row": Row(params, each, apart, how)})
+
+
+def _around(param: str, each: bool = False, how: Literal["times", "plus"] = "times") -> Any:
+    """Declare a row around the nominal values, without a range."""
+    return _row(param, each=each, apart=True, how=how)
 
 
 @dataclass(frozen=True)
@@ -92,6 +110,26 @@ class RandomizeConfig:
     """Standard deviation of the floor's height [m]; Bullet only, not in the paper's table."""
     imu_mount: Range = _row("imu_mount", each=True, apart=True)
     """Roll, pitch and yaw of the IMU against the base, each its own [rad]; not in the paper's table."""
+    servo_kp: Range = _around("servo_kp")
+    """Proportional gain, to the nominal one; this and all that follow are not in the paper's table."""
+    servo_kd: Range = _around("servo_kd")
+    """Derivative gain, to the nominal one."""
+    friction: Range = _around("motor_friction", each=True)
+    """Coulomb friction of the motors, to the nominal one; each motor draws its own."""
+    viscous_friction: Range = _around("motor_viscous_friction")
+    """Viscous friction of the motors, to the nominal one."""
+    load_friction: Range = _around("load_friction")
+    """Friction of joint drives that grows with their torque, to the nominal one."""
+    speed_filter: Range = _around("speed_filter")
+    """Time constant of the joint drives' filter on the speed, to the nominal one."""
+    rotor_inertia: Range = _around("rotor_inertia")
+    """Inertia of the joint drives' rotors, to the nominal one."""
+    torque_limit: Range = _around("torque_limit")
+    """Greatest torque of joint drives, to the nominal one."""
+    motor_offset: Range = _around("motor_offset", each=True, how="plus")
+    """Error of the encoders, less the nominal one [rad]; each motor draws its own."""
+    base_offset: Range = _around("base_offset", each=True, how="plus")
+    """Centre of mass of the base, less the nominal one [m]; each axis draws its own."""
 
     def __post_init__(self) -> None:
         """Refuse reversed ranges and bounds that are not finite."""
@@ -110,6 +148,7 @@ class RandomizeConfig:
 
 ROWS: dict[str, Row] = {item.name: item.metadata["row"] for item in fields(RandomizeConfig)}
 """Every row that can be drawn, by name."""
+_AROUND = [row for row in ROWS.values() if row.how != "set"]
 
 
 def range_names() -> list[str]:
@@ -129,6 +168,9 @@ def load_ranges(name: str, folder: Path = Path(), robot: str | Path = DEFAULT_RO
     """
     own = RobotDescription.folder_of(robot) / "ranges" / f"{name}.yaml"
     path = own if name in range_names() and own.is_file() else _RANGES / f"{name}.yaml"
+    identified = RobotDescription.folder_of(robot) / f"{name}.toml"
+    if name not in range_names() and name != "robot" and identified.is_file():
+        return _ranges_of_intervals(identified, RobotDescription.load(robot))
     if name not in range_names():
         path = folder / name
     if not path.is_file():
@@ -151,6 +193,42 @@ def load_ranges(name: str, folder: Path = Path(), robot: str | Path = DEFAULT_RO
         )
 
 
+def _ranges_of_intervals(path: Path, robot: RobotDescription) -> RandomizeConfig:
+    """Return the ranges of an identified robot: the 95 % intervals in the file of its parameters.
+
+    A row that all motors or axes share has the widest of their intervals, around the value of each.
+    """
+    found = read_params(path, robot)
+    intervals, ranges = found.tables.get("intervals", {}), dict[str, tuple[float, float]]()
+    for row, what in ROWS.items():
+        # What one row sets and another draws around is drawn around.
+        names = [name for name in what.params if name in intervals]
+        if not names or (what.how == "set" and any(names[0] in other.params for other in _AROUND)):
+            continue
+        with located(f"{path}: intervals.{names[0]}"):
+            pairs = np.reshape(_pairs(intervals[names[0]]), (-1, 2))
+        value = np.atleast_1d(getattr(found.params, names[0])[0])
+        kept = np.isfinite(pairs).all(axis=1)
+        if len(pairs) not in (1, len(value)) or not kept.any():
+            continue
+        drawn = np.array([what.taken_back(value, np.broadcast_to(end, value.shape)) for end in pairs.T])
+        kept = np.broadcast_to(kept, value.shape)
+        ranges[row] = (float(drawn[0][kept].min()), float(drawn[1][kept].max()))
+    if not ranges:
+        raise SurefootError(f"{path}: has no intervals to draw from")
+    return RandomizeConfig(**ranges)
+
+
+def _pairs(given: Any) -> Array:
+    try:
+        pairs = np.asarray(given, float)
+    except (TypeError, ValueError):
+        pairs = np.zeros(0)
+    if pairs.shape[-1:] != (2,) or pairs.ndim > 2:
+        raise SurefootError("must be a pair of numbers, or a list of such pairs")
+    return pairs
+
+
 def check_ranges(config: RandomizeConfig, robot: RobotDescription) -> None:
     """Refuse ranges outside what the robot's description allows."""
     for row, given in config.ranges.items():
@@ -159,6 +237,10 @@ def check_ranges(config: RandomizeConfig, robot: RobotDescription) -> None:
             if (drive := PhysicalParams.drive(name)) not in ("", robot.drive):
                 rule = f"it belongs to motors of kind {drive}, those of {robot.name} are {robot.drive}"
                 raise SurefootError(f"randomize.{row} is given; {rule}")
+            if ROWS[row].how != "set":
+                if ROWS[row].how == "times" and given[0] < 0:
+                    raise SurefootError(f"randomize.{row} is [{given[0]:g}, {given[1]:g}]; factors are 0 or more")
+                continue  # what is drawn is cut to what the robot allows
             if not (low <= given[0] and given[1] <= high):
                 raise SurefootError(
                     f"randomize.{row} is [{given[0]:g}, {given[1]:g}]; "
@@ -183,14 +265,15 @@ class Randomizer:
     def __init__(self, config: RandomizeConfig, robot: RobotDescription, nominal: PhysicalParams, seed: int) -> None:
         check_ranges(config, robot)
         self.ranges, self.nominal, self._motor_names = config.ranges, nominal, robot.motor_names
+        self._allowed = robot.allowed
         self.streams = generators(seed, "randomize", nominal.num_envs)
-        self._places: dict[str, tuple[str, slice]] = {}
+        self._places: list[tuple[str, str, slice]] = []
         self._numbers = {False: 0, True: 0}
         for row, what in ROWS.items():
             for name in what.params:
                 start = self._numbers[what.apart]
                 self._numbers[what.apart] += getattr(nominal, name)[0].size if what.each else 1
-                self._places[name] = (row, slice(start, self._numbers[what.apart]))
+                self._places.append((name, row, slice(start, self._numbers[what.apart])))
 
     @property
     def enabled(self) -> bool:
@@ -204,27 +287,29 @@ class Randomizer:
             apart[:] = [_far_ahead(self.streams[i]).uniform(size=self._numbers[True]) for i in index]
         together = np.array([self.streams[i].uniform(size=self._numbers[False]) for i in index])
         params = self.nominal.rows(index)
-        for name, (row, place) in self._places.items():
+        for name, row, place in self._places:
             if row in self.ranges:
                 low, high = self.ranges[row]
                 values, unit = getattr(params, name), apart if ROWS[row].apart else together
                 drawn = low + (high - low) * unit[:, place]
-                values[...] = drawn if values.ndim == 2 else drawn[:, 0]
+                values[...] = ROWS[row].applied(values, drawn if values.ndim == 2 else drawn[:, 0])
+                if ROWS[row].how != "set":
+                    np.clip(values, *self._allowed[name], out=values)
         return params
 
     @property
     def columns(self) -> list[str]:
         """Names of the numbers of `scaled`, in order."""
         angles = ("roll", "pitch", "yaw")
-        parts = {"motor_strength": self._motor_names, "imu_bias": angles[:2], "imu_mount": angles}
+        parts = {"imu_bias": angles[:2], "imu_mount": angles, "base_offset": ("x", "y", "z")}
         names = []
         for name, row in self._varying():
-            names += [f"{name}.{part}" for part in parts[name]] if ROWS[row].each else [name]
+            names += [f"{name}.{part}" for part in parts.get(name, self._motor_names)] if ROWS[row].each else [name]
         return names
 
     def _varying(self) -> Iterator[tuple[str, str]]:
         """Yield each drawn parameter, and its row, whose range has a width."""
-        for name, (row, _) in self._places.items():
+        for name, row, _ in self._places:
             if row in self.ranges and self.ranges[row][1] > self.ranges[row][0]:
                 yield name, row
 
@@ -233,7 +318,8 @@ class Randomizer:
         columns = []
         for name, row in self._varying():
             low, high = self.ranges[row]
-            values = getattr(params, name).reshape(params.num_envs, -1)
+            nominal = getattr(self.nominal, name)[: params.num_envs]
+            values = ROWS[row].taken_back(nominal, getattr(params, name)).reshape(params.num_envs, -1)
             if not ROWS[row].each:
                 values = values[:, :1]
             columns.append((2 * values - low - high) / (high - low))
@@ -285,5 +371,6 @@ def draw_hidden(robot: RobotDescription, ranges: Mapping[str, tuple[float, float
         for name in ROWS[row].params:
             # A stream for each name: what one row draws does not change with the others.
             size = np.shape(getattr(nominal, name)) if ROWS[row].each else 1
-            drawn[name] = low + (high - low) * generator(seed, f"hidden {name}").uniform(size=size)
+            numbers = low + (high - low) * generator(seed, f"hidden {name}").uniform(size=size)
+            drawn[name] = np.clip(ROWS[row].applied(getattr(nominal, name), numbers), *robot.allowed[name])
     return nominal.with_values(robot, **drawn)

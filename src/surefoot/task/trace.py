@@ -7,6 +7,7 @@ so all worlds are measured alike. numpy only: the robot's computer writes it too
 from __future__ import annotations
 
 import json
+import math
 import zipfile
 import zlib
 from dataclasses import dataclass, field, fields
@@ -35,6 +36,9 @@ _META_DEFAULTS: dict[str, Any] = {
     "max_steps": 1000,
     "gait_period": None,
 }
+LOG = "log"
+"""World of a trace that was imported from somebody's log, whose rows are as the log has them: commands are sent at the
+time of their row, readings are taken right after, times may repeat, and everything but time and target may be NaN."""
 # Arrays that may be NaN: a robot without motion capture or foot switches does not measure them.
 _MAY_BE_NAN = frozenset(
     {"base_position_world", "base_quat_world", "foot_contact", "foot_position_world", "true_motor_angle", "command"}
@@ -98,8 +102,12 @@ class EpisodeTrace:
             value = getattr(self, name)
             if name in ("foot_position_world", "true_motor_angle", "command") and np.size(value) == 0:
                 value = np.full(shape, np.nan)
-            object.__setattr__(self, name, _checked_array(name, value, shape))
-        if self.time[0] <= 0.0 or np.any(np.diff(self.time) <= 0.0):
+            may_be_nan = name in _MAY_BE_NAN or (self.imported and name not in ("time", "target"))
+            object.__setattr__(self, name, _checked_array(name, value, shape, may_be_nan))
+        if self.imported:
+            if np.any(np.diff(self.time) < 0.0):
+                raise SurefootError("trace: time must not go backwards")
+        elif self.time[0] <= 0.0 or np.any(np.diff(self.time) <= 0.0):
             raise SurefootError("trace: time must be above 0 s at the first step and strictly increasing")
         if np.any(self.energy < 0.0):
             raise SurefootError(f"trace: energy {self.energy.min():.3g} J must be 0 or above: it sums |tau . qdot|")
@@ -108,6 +116,11 @@ class EpisodeTrace:
         norms = np.linalg.norm(self.base_quat_world, axis=1)
         if np.any(np.abs(norms - 1.0) > 1e-3):
             raise SurefootError("trace: base_quat_world must hold unit quaternions w, x, y, z (or NaN)")
+
+    @property
+    def imported(self) -> bool:
+        """Whether it is a log that surefoot did not record; see `LOG`."""
+        return bool(self.meta["world"] == LOG)
 
     @property
     def num_steps(self) -> int:
@@ -147,7 +160,7 @@ class EpisodeTrace:
         """Read a trace; refuse a file that is missing, cut off, damaged, not a trace, or of another schema."""
         path = Path(path)
         try:
-            arrays = _read_members(path)
+            arrays = read_members(path)
             meta = json.loads(str(arrays.pop("meta")))
         except OSError as error:
             raise SurefootError(f"trace file {path}: cannot be read: {error.strerror}") from error
@@ -187,7 +200,7 @@ def _shapes(steps: int, feedback: tuple[int, ...], meta: dict[str, Any]) -> dict
     }
 
 
-def _checked_array(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
+def _checked_array(name: str, value: ArrayLike, shape: tuple[int, ...], may_be_nan: bool) -> Array:
     """Return a read-only float64 copy after checking shape and finiteness."""
     given = np.asarray(value)
     if given.dtype.kind not in "biuf":
@@ -197,10 +210,10 @@ def _checked_array(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array
         raise SurefootError(f"trace: {name} has shape {array.shape}, but must have {shape}")
     if array.size == 0 and shape[0] == 0:
         raise SurefootError("trace: an episode needs at least one control step")
-    bad = np.isinf(array) if name in _MAY_BE_NAN else ~np.isfinite(array)
+    bad = np.isinf(array) if may_be_nan else ~np.isfinite(array)
     if np.any(bad):
         row = int(np.argwhere(bad)[0][0])
-        rule = "finite or NaN" if name in _MAY_BE_NAN else "finite"
+        rule = "finite or NaN" if may_be_nan else "finite"
         raise SurefootError(f"trace: {name} row {row} holds {array[bad][0]}, but must be {rule}")
     array.setflags(write=False)
     return array
@@ -243,8 +256,14 @@ def _plain(value: object) -> object:
     raise TypeError(f"{type(value).__name__} {value!r}")
 
 
-def _read_members(path: Path) -> dict[str, NDArray[Any]]:
-    """Read every array of an .npz file whole, so that each member's checksum is verified."""
+def read_members(path: Path) -> dict[str, NDArray[Any]]:
+    """Read every array of an .npz file whole, so that each member's checksum is verified.
+
+    Raises:
+        OSError: no such file, or one that can't be read.
+        ValueError, EOFError, RuntimeError, zipfile.BadZipFile, zlib.error: a damaged file, one that unpacks to more
+            than `DATA_BYTES`, or one with objects in it.
+    """
     check_readable(path)
     with path.open("rb") as file:
         start = file.read(2)
@@ -256,7 +275,16 @@ def _read_members(path: Path) -> dict[str, NDArray[Any]]:
         with zipfile.ZipFile(file) as archive:
             if sum(member.file_size for member in archive.infolist()) > DATA_BYTES:
                 raise ValueError(f"it unpacks to more than {DATA_BYTES} bytes")
-            return {
-                name.removesuffix(".npy"): np.lib.format.read_array(BytesIO(archive.read(name)))
-                for name in archive.namelist()
-            }
+            return {name.removesuffix(".npy"): _member(archive.read(name)) for name in archive.namelist()}
+
+
+def _member(content: bytes) -> NDArray[Any]:
+    """Return the array of a .npy file, which must hold as many numbers as its header says."""
+    file = BytesIO(content)
+    version = np.lib.format.read_magic(file)
+    read_header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+    shape, _, kind = read_header(file)
+    if not kind.hasobject and math.prod(shape) * kind.itemsize > len(content):
+        raise ValueError(f"an array of shape {shape} is longer than its file")
+    file.seek(0)
+    return np.lib.format.read_array(file)

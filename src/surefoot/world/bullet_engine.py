@@ -82,7 +82,7 @@ class BulletEngine:
             row[JOINTS + model.joints[name]] = angle
         row[:3] = [*model.base_centre[:2], RACK_HEIGHT + model.base_centre[2]]
         row[3:7] = model.base_quat[[1, 2, 3, 0]]
-        state = np.concatenate([row, np.zeros(3)])
+        state = np.concatenate([row, np.zeros(6)])
         if not model.rack:
             first = np.zeros(1, np.int64)
             before = self.get_state(first)
@@ -181,7 +181,7 @@ class BulletEngine:
             model.body,
             motors,
             p.POSITION_CONTROL,
-            targetPositions=(self._layout.sign * drive.target[i]).tolist(),
+            targetPositions=(self._layout.sign * (drive.target[i] - drive.motor_offset[i])).tolist(),
             targetVelocities=[0.0] * len(motors),
             positionGains=gains.tolist(),
             velocityGains=[1.0] * len(motors),
@@ -198,7 +198,8 @@ class BulletEngine:
         """Return the whole states (n, size); contacts are forgotten and pins centred, as `set_state` does."""
         for i in rows:
             self.models[i].forget()
-        return np.concatenate([self._rows[rows], self._force[rows]], axis=1)
+        offsets = np.array([self.models[i].base_offset for i in rows])
+        return np.concatenate([self._rows[rows], self._force[rows], offsets], axis=1)
 
     def set_state(self, rows: Index, states: Array) -> None:
         """Put robots into states from `get_state`, or all into one."""
@@ -209,12 +210,16 @@ class BulletEngine:
         if self._spoilt[i]:
             # Bullet's contact search does not recover from positions that are not finite.
             values, rotors = self.models[i].values, self.models[i].rotor_inertia
-            self.models[i].close()
-            self.models[i] = BulletModel(self.robot, self._config, self._settings, self._meeting)
+            self._renew(i, self.models[i].base_offset)
             self.models[i].apply(values, rotors)
             self._spoilt[i] = False
         p, model, row = self._p, self.models[i], self._rows[i]
-        row[:], self._force[i] = state[:-3], state[-3:]
+        row[:], self._force[i] = state[: len(row)], state[len(row) : len(row) + 3]
+        # Bullet's base is at its centre of mass.
+        if (moved := model.base_offset - state[len(row) + 3 :]).any() and not model.rack:
+            arm = xyzw_matrix(row[3:7]) @ self._from_link.T @ moved
+            row[:3] += arm
+            row[VELOCITY:OMEGA] += np.cross(row[OMEGA:JOINTS], arm)
         if not self._config.rack:
             self._write_base(i)
         angles, speeds = np.split(row[JOINTS:], 2)
@@ -222,6 +227,11 @@ class BulletEngine:
             p.resetJointState(model.body, joint, angle, speed, model.client)
         model.forget()
         self.diverged[i] = False
+
+    def _renew(self, i: int, base_offset: Array) -> None:
+        """Give robot `i` a client of its own anew, with nominal parameters but for the base's centre of mass."""
+        self.models[i].close()
+        self.models[i] = BulletModel(self.robot, self._config, self._settings, self._meeting, base_offset)
 
     def set_base_velocity(self, rows: Index, linear_world: Array, angular_base: Array) -> None:
         """Set velocities (n, 3) [m/s] in the world and angular velocities (n, 3) [rad/s] in the base frames."""
@@ -249,6 +259,10 @@ class BulletEngine:
     def set_params(self, rows: Index, params: PhysicalParams) -> None:
         """Apply masses, inertias, knees, floor and the feet's contact, a row for each robot."""
         for k, i in enumerate(rows):
+            if not np.array_equal(params.base_offset[k], self.models[i].base_offset):
+                state = self.get_state(rows[k : k + 1])
+                self._renew(i, params.base_offset[k])
+                self.set_state(rows[k : k + 1], state)
             values = {name: float(getattr(params, name)[k]) for name in PARAMETERS}
             self.models[i].apply(values, params.rotor_inertia[k])
             self.models[i].forget()
@@ -257,7 +271,8 @@ class BulletEngine:
         """Return the base position [m], quaternion (w x y z) and velocity [m/s], all in the world frame, (N, 10)."""
         if self._config.rack:
             return racked_bases(len(self.models))
-        return base_links(self._rows, self.models[0].base_quat, self.models[0].base_centre)
+        centres = np.array([model.base_centre for model in self.models])
+        return base_links(self._rows, self.models[0].base_quat, centres)
 
     def foot_positions(self) -> Array:
         """Return the centres of the feet in the world frame [m], (N, L, 3)."""

@@ -40,6 +40,7 @@ FLOOR_BEHIND = 4.0
 """Length [m] of an uneven floor behind the place where robots start; the floor ends on all sides."""
 LOOP_ERP = 0.2
 """Share of a loop's gap that is closed in a step."""
+_NO_OFFSET = np.zeros(3)
 _SPEED_CUT = 1e6
 """Bullet cuts all generalized speeds at this [m/s, rad/s]; its own 100 would stop motors, and hide a divergence."""
 
@@ -124,6 +125,8 @@ class BulletModel:
     """The `PARAMETERS` that the client has."""
     rotor_inertia: Array
     """Inertia of each rotor at its joint [kg m2], (M,)."""
+    base_offset: Array
+    """Centre of mass of the base, less the description's [m], (3,)."""
 
     def __init__(
         self,
@@ -131,10 +134,12 @@ class BulletModel:
         config: WorldConfig,
         settings: BulletSettings,
         meeting: Sequence[tuple[str, str]] | None = None,
+        base_offset: Array = _NO_OFFSET,
     ) -> None:
         self._meeting = meeting_links(robot) if meeting is None else meeting
         self.robot, self.rack, self._p = robot, config.rack, import_pybullet()
-        self._fused = fuse_urdf(robot.urdf)
+        self.base_offset = base_offset.copy()
+        self._fused = fuse_urdf(robot.urdf, {robot.base: base_offset})
         with quiet():
             try:
                 self.client = self._p.connect(self._p.DIRECT)

@@ -60,6 +60,8 @@ def observe(layout: Layout, drive: Drive, i: int, seen: Array) -> bool:
     now = drive.now[i]
     for m in range(2 * motors):
         now[m] = layout.sign[m % motors] * seen[JOINTS + m]
+    for m in range(motors):
+        now[m] += drive.motor_offset[i, m]
     if layout.rack:
         now[2 * motors :] = 0.0
         return True
@@ -143,17 +145,17 @@ def pin_kernel(quats: Array, forces: Array, axes: Array, play: float, shift: Arr
         shift[k, 2] += PIN_FOLLOWS * (reach * fz - shift[k, 2])
 
 
-def base_links(rows: Array, base_quat: Array, base_centre: Array) -> Array:
+def base_links(rows: Array, base_quat: Array, base_centres: Array) -> Array:
     """Return the base links of robots (N, 10): position [m], quaternion w x y z and velocity [m/s] in the world.
 
     Args:
         rows: see above, (N, ...).
         base_quat: orientation of Bullet's base in the base link (4,), w x y z.
-        base_centre: centre of mass in the base link (3,) [m].
+        base_centres: centre of mass in each base link (N, 3) [m].
     """
     x, y, z, w = rows[:, 3:7].T
     # Without the rotation of the inertial frame, by the conjugate.
     quats = np.stack(quat_product.py_func((w, x, y, z), base_quat * [1, -1, -1, -1]), axis=1)
-    arm = quat_matrix(quats) @ base_centre
+    arm = np.einsum("nij,nj->ni", quat_matrix(quats), base_centres)
     velocity = rows[:, VELOCITY:OMEGA] - np.cross(rows[:, OMEGA:JOINTS], arm)
     return np.concatenate([rows[:, :3] - arm, quats, velocity], axis=1)

@@ -24,7 +24,7 @@ from surefoot.actuator.compiled import kernel
 from surefoot.arrays import Array
 
 TANGENTIAL_DAMPING = 0.5
-"""B_t / B. The sole's stiffness along the ground is taken as that into the ground; neither was measured."""
+"""B_t / B. The sole's stiffness along the ground is nominally that into the ground; neither was measured."""
 SPIN_SPEED = 0.1
 """Angular velocity w_0 [rad/s] at which a foot that turns on the spot meets its full resistance."""
 
@@ -36,6 +36,7 @@ def foot_force_kernel(
     stretch: Array,
     friction: float,
     stiffness: float,
+    shear_stiffness: float,
     damping: float,
     dt: float,
     force: Array,
@@ -47,7 +48,8 @@ def foot_force_kernel(
         velocity: velocity (3,) of that point in the world frame, z up [m/s].
         stretch: stretch (2,) of the sole along x and y, s [m]; updated.
         friction: coefficient mu.
-        stiffness: K, also K_t [N/m].
+        stiffness: K [N/m].
+        shear_stiffness: K_t [N/m].
         damping: B [N s/m].
         dt: step [s].
         force: output (3,), world frame [N].
@@ -60,8 +62,8 @@ def foot_force_kernel(
     slide_damping = TANGENTIAL_DAMPING * damping
     stretch[0] += velocity[0] * dt
     stretch[1] += velocity[1] * dt
-    force[0] = -(stiffness * stretch[0] + slide_damping * velocity[0])
-    force[1] = -(stiffness * stretch[1] + slide_damping * velocity[1])
+    force[0] = -(shear_stiffness * stretch[0] + slide_damping * velocity[0])
+    force[1] = -(shear_stiffness * stretch[1] + slide_damping * velocity[1])
     force[2] = normal
     bound = friction * normal
     tangential = math.hypot(force[0], force[1])
@@ -69,7 +71,7 @@ def foot_force_kernel(
         force[0] *= bound / tangential
         force[1] *= bound / tangential
     # Sliding may only take from what the sole has stored: a stretch set from the force would create energy.
-    held = stiffness * math.hypot(stretch[0], stretch[1])
+    held = shear_stiffness * math.hypot(stretch[0], stretch[1])
     if held > bound:
         stretch[0] *= bound / held
         stretch[1] *= bound / held

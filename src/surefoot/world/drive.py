@@ -33,6 +33,7 @@ from surefoot.actuator.motor import (
     motor_friction_kernel,
     motor_torque_kernel,
     overheat_kernel,
+    presliding_kernel,
     servo_duty_kernel,
 )
 from surefoot.arrays import Array
@@ -59,9 +60,13 @@ BULLET_ONLY = ("knee_friction", "knee_play", "floor_unevenness")
 _PARAMS = {
     **{
         name: name
-        for name in ("torque_constant", "resistance", "voltage", "servo_latency", "load_friction", "speed_filter")
+        for name in (
+            *("torque_constant", "resistance", "voltage", "servo_latency", "load_friction", "speed_filter"),
+            *("presliding", "motor_offset"),
+        )
     },
     **{name: f"servo_{name}" for name in ("kp", "kd")},
+    "greatest_torque": "torque_limit",
     **{"strength": "motor_strength", "friction": "motor_friction", "viscous": "motor_viscous_friction"},
 }
 """Arrays of `Drive` that hold a physical parameter, and its name."""
@@ -70,6 +75,7 @@ _ROBOTS = ("torque_constant", "resistance", "voltage", "servo_latency", "speed_f
 _MOTORS = (
     *("strength", "friction", "viscous", "kp", "kd", "load_friction", "target", "duty", "torque", "end_speed"),
     *("torque_limit", "motor_torque", "hot_time", "filtered_speed"),
+    *("greatest_torque", "presliding", "friction_stretch", "motor_offset"),
 )
 """Arrays of `Drive` with a number for each motor."""
 IMU_WIDTH = 6
@@ -91,16 +97,21 @@ class Drive(NamedTuple):
     servo_latency: Array  # (N,) s
     load_friction: Array  # (N, M) of joint drives
     speed_filter: Array  # (N,) s, time constant, of joint drives
+    greatest_torque: Array  # (N, M) N m at low speed, of joint drives
+    presliding: Array  # (N, M) rad, of joint drives
+    motor_offset: Array  # (N, M) rad, what encoders tell less the true angles
     table_current: Array  # (points,) A, all robots
     table_torque: Array  # (points,) N m, all robots
     joint: NDArray[np.bool_]  # (1,) all robots: whether motors are joint drives instead of DC motors
-    joint_limits: Array  # (4, M) all robots: torque, speeds of full and of no torque, overheat torque
+    joint_limits: Array  # (3, M) all robots: speeds of full and of no torque, overheat torque
     limits: Array  # (4,) all robots: voltage clip V, overheat torque N m and time s (inf: off), servo step s
     constraint: NDArray[np.bool_]  # (1,) all robots: whether motors are constraints instead of DC motors
     ticks: NDArray[np.int64]  # (N,) servo steps since reset
     times: Array  # (N, H) s, of the history
     history: Array  # (N, H, 2 M + 6)
-    now: Array  # (N, 2 M + 6) angles, speeds, roll, pitch, yaw, angular velocity in the base frame
+    now: (
+        Array  # (N, 2 M + 6) angles as encoders tell them, speeds, roll, pitch, yaw, angular velocity in the base frame
+    )
     seen: Array  # (N, 2 M) delayed angles and speeds for the servo
     target: Array  # (N, M) rad
     duty: Array  # (N, M) added to the servo's duty: 0 in simulations, set by PWM commands on a robot
@@ -111,6 +122,7 @@ class Drive(NamedTuple):
     energy: Array  # (N,) J, integral of |tau . qdot| since it was set to zero
     hot_time: Array  # (N, M) s
     filtered_speed: Array  # (N, M) rad/s, speeds that joint drives use
+    friction_stretch: Array  # (N, M) rad, of joint drives that stick
     switched_off: NDArray[np.bool_]  # (N, M)
     contact_ticks: Array  # (N, L) servo steps with the foot on the ground since it was set to zero
 
@@ -128,11 +140,11 @@ def new_drive(robot: RobotDescription, num_envs: int, history: int, config: Worl
         "seen": (2 * motors,),
         "contact_ticks": (len(robot.legs),),
     }
-    current, torque, clip, hot_torque, joint_limits = np.zeros(1), np.zeros(1), 0.0, 0.0, np.zeros((4, motors))
+    current, torque, clip, hot_torque, joint_limits = np.zeros(1), np.zeros(1), 0.0, 0.0, np.zeros((3, motors))
     if isinstance(data, DcMotorData):
         (current, torque), clip, hot_torque = robot.torque_table, data.voltage_clip, data.overheat_torque
     else:
-        each = (data.torque_limit, data.full_torque_speed, data.speed_limit, data.overheat_torque)
+        each = (data.full_torque_speed, data.speed_limit, data.overheat_torque)
         joint_limits = np.array([np.broadcast_to(values, motors) for values in each], float)
     overheat_time = data.overheat_time if config.thermal_protection else math.inf
     drive = Drive(
@@ -227,11 +239,17 @@ def joint_tick(drive: Drive, i: int) -> None:
         wanted = joint_torque_kernel(
             drive.target[i, m], drive.seen[i, m], drive.filtered_speed[i, m], drive.kp[i, m], drive.kd[i, m]
         )
-        limit, full, none, hot_torque = drive.joint_limits[:, m]
+        full, none, hot_torque = drive.joint_limits[:, m]
+        limit = drive.greatest_torque[i, m]
         torque = joint_limit_kernel(wanted + drive.duty[i, m] * limit, speed, limit, full, none) * drive.strength[i, m]
         torque = protected(drive, i, m, torque, hot_torque)
         power += torque * speed
         coulomb = drive.friction[i, m] + drive.load_friction[i, m] * abs(torque)
+        if drive.presliding[i, m] > 0.0:
+            stretch = presliding_kernel(drive.friction_stretch[i, m] + speed * dt, drive.presliding[i, m])
+            drive.friction_stretch[i, m] = stretch
+            torque -= coulomb * stretch / drive.presliding[i, m]
+            coulomb = 0.0
         drive.torque[i, m] = torque + motor_friction_kernel(speed, coulomb, drive.viscous[i, m])
     drive.energy[i] += dt * abs(power)
 
@@ -250,7 +268,7 @@ def servo_tick(drive: Drive, i: int) -> None:
                 drive.target[i, m], drive.now[i, m], drive.kp[i, m], drive.kd[i, m], drive.limits[3]
             )
             if drive.joint[0]:
-                drive.torque_limit[i, m] = drive.joint_limits[0, m] * drive.strength[i, m]
+                drive.torque_limit[i, m] = drive.greatest_torque[i, m] * drive.strength[i, m]
             else:
                 drive.torque_limit[i, m] = constraint_torque_kernel(
                     drive.voltage[i], drive.torque_constant[i], drive.resistance[i], drive.strength[i, m]
@@ -304,6 +322,21 @@ def read_delayed(drive: Drive, latency: Array, out: Array) -> None:
     for i in range(len(latency)):
         at = drive.ticks[i] * drive.limits[3] - latency[i]
         read_kernel(drive.times[i], drive.history[i], drive.ticks[i] + 1, at, out.shape[1], out[i])
+
+
+def read_imu(attitude: Array, rates: Array, params: PhysicalParams, rows: Any = slice(None)) -> None:
+    """Turn attitudes and rates of bases into what IMUs tell: mount and bias, without noise.
+
+    Args:
+        attitude: roll, pitch and yaw (N, 3) [rad]; updated.
+        rates: angular velocity in the base frame (N, 3) [rad/s]; updated.
+        params: mounts and biases.
+        rows: which of its rows, N of them.
+    """
+    mount = params.imu_mount[rows]
+    if mount.any():
+        read_by_mounted_imu(attitude, rates, mount)
+    attitude[:, :2] += params.imu_bias[rows]
 
 
 @njit(cache=True)

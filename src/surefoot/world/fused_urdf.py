@@ -13,7 +13,9 @@ differ in how they handle products of inertia.
 from __future__ import annotations
 
 import xml.etree.ElementTree as ElementTree
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from types import MappingProxyType
 
 import numpy as np
 
@@ -70,10 +72,10 @@ def _places(joints: list[ElementTree.Element], root: str) -> dict[str, tuple[str
     return place
 
 
-def fuse_urdf(urdf: Urdf) -> FusedUrdf:
+def fuse_urdf(urdf: Urdf, shifts: Mapping[str, Array] = MappingProxyType({})) -> FusedUrdf:
     """Fuse the links of a URDF that fixed joints join; a group takes the name and frame of its topmost link.
 
-    Visuals are left out.
+    Visuals are left out. `shifts` moves centres of mass of fused links, by name [m].
     """
     robot = ElementTree.parse(urdf.path).getroot()
     links = {link.get("name", ""): link for link in robot.findall("link")}
@@ -86,6 +88,8 @@ def fuse_urdf(urdf: Urdf) -> FusedUrdf:
     bodies = {}
     for top, names in groups.items():
         bodies[top] = fuse([(_rigid_body(links[name]), place[name][1]) for name in names])
+        if top in shifts:
+            bodies[top] = replace(bodies[top], centre=bodies[top].centre + shifts[top])
         link = ElementTree.SubElement(fused, "link", name=top)
         link.append(_inertial(bodies[top]))
         for name in names:

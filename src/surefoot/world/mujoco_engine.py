@@ -33,7 +33,7 @@ _LEAST = 8
 """Robots a thread is worth its start for."""
 MASS_FIELDS = (
     *("body_mass", "body_inertia", "body_subtreemass", "body_invweight0", "dof_M0", "dof_invweight0"),
-    "dof_armature",
+    *("dof_armature", "body_ipos"),
 )
 """Arrays of a MuJoCo model that depend on masses and inertias, `mj_setConst`'s results included."""
 
@@ -68,8 +68,8 @@ class MujocoEngine:
         self._native = self._layout()
         self._pool = ThreadPoolExecutor(self.threads - 1) if self.threads > 1 else None
         self.diverged = np.zeros(num_envs, np.bool_)
-        self._ratios = np.ones((num_envs, len(RATIOS)))
-        self._rotors = np.tile(self._nominal.dof_armature[self._native.motor_dof], (num_envs, 1))
+        nominal = [np.ones(len(RATIOS)), self._nominal.dof_armature[self._native.motor_dof], np.zeros(3)]
+        self._given = np.tile(np.concatenate(nominal), (num_envs, 1))
         self.initial_state = self._resting_state()
 
     def _layout(self) -> Native:
@@ -104,6 +104,7 @@ class MujocoEngine:
             foot_radius=model.geom_size[self._feet, 0].copy(),
             friction=np.full(num_envs, robot.contact.friction),
             stiffness=np.full(num_envs, robot.contact.stiffness),
+            shear=np.full(num_envs, robot.contact.stiffness),
             spinning=np.full(num_envs, robot.contact.spinning_friction),
             damping=robot.contact.damping,
             stretch=np.zeros((num_envs, len(self._feet), 2)),
@@ -194,15 +195,22 @@ class MujocoEngine:
         native = self._native
         native.friction[rows] = params.contact_friction
         native.stiffness[rows] = params.contact_stiffness
+        native.shear[rows] = params.contact_stiffness * params.contact_shear_ratio
         native.spinning[rows] = params.contact_spinning_friction
-        ratios, rotors = np.stack([getattr(params, name) for name in RATIOS], axis=1), params.rotor_inertia
-        changed = (self._ratios[rows] != ratios).any(axis=1) | (self._rotors[rows] != rotors).any(axis=1)
-        for k in np.flatnonzero(changed):
-            native.mass[rows[k]] = self._scaled_masses(ratios[k], rotors[k])
-        self._ratios[rows], self._rotors[rows] = ratios, rotors
+        ratios = np.stack([getattr(params, name) for name in RATIOS], axis=1)
+        given = np.concatenate([ratios, params.rotor_inertia, params.base_offset], axis=1)
+        for k in np.flatnonzero((self._given[rows] != given).any(axis=1)):
+            native.mass[rows[k]] = self._scaled_masses(ratios[k], params.rotor_inertia[k], params.base_offset[k])
+        self._given[rows] = given
 
-    def _scaled_masses(self, ratios: Array, rotors: Array) -> Array:
-        """Return `MASS_FIELDS` for ratios in the order of `RATIOS`, and inertias of rotors (M,) [kg m2]."""
+    def _scaled_masses(self, ratios: Array, rotors: Array, offset: Array) -> Array:
+        """Return what `_masses` does for other parameters.
+
+        Args:
+            ratios: in the order of `RATIOS`.
+            rotors: inertias of rotors (M,) [kg m2].
+            offset: of the base's centre of mass (3,) [m].
+        """
         base_mass, leg_mass, base_inertia, leg_inertia = ratios
         nominal, model, base, legs = self._nominal, self._scratch_model, self._base, self._legs
         model.body_mass[base] = nominal.body_mass[base] * base_mass
@@ -210,6 +218,7 @@ class MujocoEngine:
         model.body_inertia[base] = nominal.body_inertia[base] * base_inertia
         model.body_inertia[legs] = nominal.body_inertia[legs] * leg_inertia
         model.dof_armature[self._native.motor_dof] = rotors
+        model.body_ipos[base] = nominal.body_ipos[base] + offset
         # Quantities that MuJoCo derives from the masses, with a state of no robot's.
         mujoco.mj_setConst(model, self._scratch)
         return _masses(model)

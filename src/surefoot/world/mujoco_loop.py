@@ -56,6 +56,7 @@ class Native(NamedTuple):
     foot_radius: Array
     friction: Array
     stiffness: Array
+    shear: Array
     spinning: Array
     damping: float
     stretch: Array
@@ -86,7 +87,7 @@ def observe(native: Native, drive: Drive, i: int) -> bool:
             return False
     now, motors = drive.now[i], len(native.motor_qpos)
     for m in range(motors):
-        now[m] = native.motor_sign[m] * qpos[native.motor_qpos[m]]
+        now[m] = native.motor_sign[m] * qpos[native.motor_qpos[m]] + drive.motor_offset[i, m]
         now[motors + m] = native.motor_sign[m] * qvel[native.motor_dof[m]]
     if native.base_qpos < 0:  # on a rack
         now[2 * motors :] = 0.0
@@ -123,6 +124,7 @@ def _feet_on_ground(native: Native, drive: Drive, i: int, velocity: Array, force
             native.stretch[i, leg],
             native.friction[i],
             native.stiffness[i],
+            native.shear[i],
             native.damping,
             drive.limits[3],
             force,

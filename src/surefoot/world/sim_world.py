@@ -13,7 +13,7 @@ from surefoot.arrays import Array
 from surefoot.errors import SurefootError
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.seeding import generators
-from surefoot.world.drive import Drive, new_drive, read_by_mounted_imu, read_delayed, record, set_drive_params
+from surefoot.world.drive import Drive, new_drive, read_delayed, read_imu, record, set_drive_params
 from surefoot.world.interface import Readings, Truth, WorldConfig
 
 Index = NDArray[np.int64]
@@ -23,7 +23,7 @@ SETTLE_TIME = 0.5
 _NOISE_BLOCK = 256
 _ZERO_AT_START = (
     *("ticks", "duty", "torque", "motor_torque", "energy", "hot_time", "switched_off", "contact_ticks"),
-    "filtered_speed",
+    *("filtered_speed", "friction_stretch"),
 )
 
 
@@ -225,9 +225,7 @@ class SimWorld:
         out = np.empty_like(self.drive.now)
         read_delayed(self.drive, self.params.control_latency, out)
         angles, rates = out[:, 2 * motors : 2 * motors + 3], out[:, 2 * motors + 3 :]
-        if self.params.imu_mount.any():
-            read_by_mounted_imu(angles, rates, self.params.imu_mount)
-        angles[:, :2] += self.params.imu_bias
+        read_imu(angles, rates, self.params)
         if self.params.imu_noise.any():
             noise = self._noise[np.arange(self.num_envs), self._control_steps % _NOISE_BLOCK]
             angles[:, :2] += noise * self.params.imu_noise[:, None]
@@ -254,7 +252,7 @@ class SimWorld:
             base_quat_world=base[:, 3:7],
             base_velocity_world=base[:, 7:],
             roll_pitch_yaw=now[:, 2 * motors : 2 * motors + 3].copy(),
-            motor_angle=now[:, :motors].copy(),
+            motor_angle=now[:, :motors] - self.drive.motor_offset,
             motor_velocity=now[:, motors : 2 * motors].copy(),
             motor_torque=self.drive.motor_torque.copy(),
             energy=self.drive.energy.copy(),

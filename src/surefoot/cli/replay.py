@@ -1,0 +1,105 @@
+"""`surefoot replay`: the commands of a recorded run through the simulated robot, compared with the record."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+from typing import Annotated, Any
+
+import tyro
+
+from surefoot.cli.options import Json, Settings, World, check_suffix
+from surefoot.cli.parsing import parse
+from surefoot.robot import PhysicalParams, RobotDescription
+from surefoot.robot.params import parse_settings
+from surefoot.robot.params_file import find_params, read_params
+
+
+@dataclass(frozen=True)
+class ReplayCommand:
+    """Send the commands of a recorded run, at their recorded times, through a simulated robot; compare what both told.
+
+    Errors are root mean squares from .3 s on: over the joints that move [rad], of each motor, of each channel of the
+    IMU. The robot stands on the ground, or hangs on a rack.
+    """
+
+    trace: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="TRACE")]
+    """Trace, or an .npz file with arrays time, command, motor_angle and imu."""
+    robot: str
+    """Name or folder of the robot's description."""
+    params: Annotated[str | None, tyro.conf.arg(metavar="NAME|FILE")] = None
+    """Physical parameters: a file (.toml) or the name of one that ships with the robot; the data sheet's, if not
+    given."""
+    settings: Settings = ()
+    """Physical parameters that differ from these, such as contact_friction=0.8."""
+    world: World = "mujoco"
+    rack: bool = False
+    """The robot hung with its base held still."""
+    beside: Path | None = None
+    """Another record of the same commands to compare and draw, such as another simulator's."""
+    out: Annotated[Path | None, tyro.conf.arg(metavar="FIGURE")] = None
+    """Figure to write (.png): angles and errors over time."""
+    json: Json = False
+
+
+def main(argv: list[str]) -> int:
+    """Run the command with the words after its name; returns the exit code."""
+    command = parse(ReplayCommand, argv, "surefoot replay")
+    check_suffix("out", command.out, ".png")
+    if command.out is not None:
+        import_module("matplotlib")
+    robot = RobotDescription.load(command.robot)
+    params = PhysicalParams.nominal(robot)
+    if command.params is not None:
+        params = read_params(find_params(command.params, robot), robot).params
+    params = params.with_values(robot, **parse_settings([word for group in command.settings for word in group]))
+    from surefoot.identify.log_errors import errors_of_recorded, replay_log
+    from surefoot.identify.replay import Replayer
+    from surefoot.identify.robot_log import read_log
+    from surefoot.world.engines import engine_of
+
+    engine = engine_of(command.world)
+    log = read_log(command.trace, robot)
+    other = None if command.beside is None else errors_of_recorded(log, read_log(command.beside, robot))
+    replayer = Replayer(robot, 1, command.rack, engine, torques=False)
+    errors = replay_log(log, robot, params, replayer)
+    told: dict[str, Any] = {
+        "rms": errors.rms,
+        "rms_by_motor": dict(zip(robot.motor_names, map(_number, errors.by_motor.tolist()), strict=True)),
+        "rms_imu": {name: _number(value) for name, value in errors.by_imu.items()},
+        "moving": [name for name, moves in zip(robot.motor_names, log.moving, strict=True) if moves],
+        "world": command.world,
+        "rack": command.rack,
+        "timing": log.timing(),
+    }
+    if other is not None:
+        told["beside"] = {"file": str(command.beside), "rms": other.rms}
+    if command.out is not None:
+        from surefoot.report.replay_figure import draw_replay
+
+        label = "" if command.beside is None else command.beside.name.removesuffix(".npz")
+
+        draw_replay(command.out, robot, errors, other, label)
+        told["figure"] = str(command.out)
+    if command.json:
+        print(json.dumps(told))
+        return 0
+    print(f"root mean square over the joints that move: {errors.rms:.4f} rad")
+    for name, value in told["rms_by_motor"].items():
+        moves = "" if name in told["moving"] else "  (stands)"
+        print(f"  {name:<24} {'not read' if value is None else f'{value:.4f} rad'}{moves}")
+    for name, value in told["rms_imu"].items():
+        unit = "rad/s" if name.endswith("rate") else "rad"
+        print(f"  {name:<24} {'not read' if value is None else f'{value:.4f} {unit}'}")
+    if other is not None:
+        print(f"{command.beside}: {other.rms:.4f} rad, until {other.log.time[-1]:.1f} s")
+    if command.out is not None:
+        print(f"figure: {command.out}")
+    return 0
+
+
+def _number(value: float) -> float | None:
+    return value if math.isfinite(value) else None

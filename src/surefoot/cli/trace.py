@@ -1,0 +1,71 @@
+"""`surefoot trace import FILE`: a log of somebody else's robot becomes a trace."""
+
+from __future__ import annotations
+
+import json
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from surefoot.cli.main import table_lines
+from surefoot.cli.options import Json, check_suffix
+from surefoot.cli.parsing import parse
+from surefoot.errors import SurefootError, choices
+from surefoot.robot import RobotDescription
+
+ACTIONS = {"import": "make a trace of a log: NPZ, CSV, pickle, MCAP or ROS bag"}
+
+
+@dataclass(frozen=True)
+class ImportCommand:
+    """Make a trace of somebody's log, row by row; what the log does not have is missing in the trace.
+
+    Without --map the log is an .npz file with arrays time, command, motor_angle and imu in the robot's own order.
+    """
+
+    file: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
+    """Log: .npz, .csv, .pkl, .mcap, .bag, or the folder of a ROS 2 bag."""
+    robot: str
+    """Name or folder of the robot's description."""
+    out: Path
+    """Trace to write (.npz)."""
+    map: Path | None = None
+    """Which column is which motor, with units, signs and clock (.yaml)."""
+    json: Json = False
+
+
+def main(argv: list[str]) -> int:
+    """Run the command with the words after its name; returns the exit code."""
+    if not argv or argv[0] in ("-h", "--help"):
+        print(
+            f"usage: surefoot trace import FILE ...\n\n{table_lines(ACTIONS)}",
+            file=sys.stdout if argv else sys.stderr,
+        )
+        return 0 if argv else 2
+    if argv[0] not in ACTIONS:
+        raise SurefootError(f"'{argv[0]}' is no action; choices: {choices(ACTIONS)}")
+    command = parse(ImportCommand, argv[1:], "surefoot trace import")
+    check_suffix("out", command.out, ".npz")
+    robot = RobotDescription.load(command.robot)
+    from surefoot.identify.log_import import import_log, missing_columns
+    from surefoot.identify.robot_log import log_of_trace
+
+    trace = import_log(command.file, robot, command.map)
+    timing = log_of_trace(command.file.name, trace).timing()
+    missing = missing_columns(trace)
+    trace.save(command.out)
+    if command.json:
+        print(json.dumps({"trace": str(command.out), "missing": missing, "timing": timing}))
+        return 0
+    steps = [1e3 * timing[f"{name}_step"] for name in ("least", "median", "greatest")]
+    print(f"{timing['rows']} rows, {timing['seconds']:.2f} s; steps of {steps[0]:.2f} to {steps[2]:.2f} ms, ", end="")
+    print(f"{steps[1]:.2f} in the middle")
+    print(f"{100 * timing['repeated_times']:.1f} % of the times and ", end="")
+    print(f"{100 * timing['repeated_readings']:.1f} % of the readings repeat the row before; they are kept")
+    if missing:
+        print(f"missing: {choices(missing)}")
+    print(f"wrote {command.out}")
+    return 0

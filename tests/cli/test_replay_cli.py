@@ -1,0 +1,65 @@
+"""`surefoot replay` and `surefoot trace import` on the logs of a real robot."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("mujoco")
+
+from surefoot.cli.main import main
+
+DATA = Path(__file__).parents[2] / "data" / "pupper_v2"
+
+
+def test_the_identified_robot_hangs_as_the_real_one_did(capsys: pytest.CaptureFixture[str]):
+    words = [str(DATA / "one_hip_200hz.npz"), "--robot", "pupper_v2", "--rack", "--json"]
+    assert main(["replay", *words, "--params", "identified"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["moving"] == ["rightFrontUpperLegMotor"]
+    assert told["rms"] == told["rms_by_motor"]["rightFrontUpperLegMotor"] < 0.021 / 5
+    assert set(told["rms_imu"]) == {"roll", "pitch", "roll_rate", "pitch_rate"}
+    assert main(["replay", *words]) == 0
+    assert json.loads(capsys.readouterr().out)["rms"] > told["rms"]
+
+
+def test_an_imported_log_replays_as_the_log_itself(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    pytest.importorskip("matplotlib")
+    log, trace, figure = DATA / "one_hip_200hz.npz", tmp_path / "trace.npz", tmp_path / "figure.png"
+    assert main(["trace", "import", str(log), "--robot", "pupper_v2", "--out", str(trace)]) == 0
+    assert "missing: motor_velocity, motor_torque" in capsys.readouterr().out
+    told = []
+    for path in (log, trace):
+        assert main(["replay", str(path), "--robot", "pupper_v2", "--rack", "--json"]) == 0
+        told.append(json.loads(capsys.readouterr().out))
+    assert told[0]["rms_by_motor"] == told[1]["rms_by_motor"]
+    beside = str(DATA / "published_simulator" / "one_hip_200hz.npz")
+    words = ["--robot", "pupper_v2", "--rack", "--beside", beside, "--out", str(figure)]
+    assert main(["replay", str(log), *words]) == 0
+    assert f"{beside}: 0.0" in capsys.readouterr().out
+    assert figure.read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--params", "nothing"], "params is 'nothing'; it must be a file (.toml), or a name; those of pupper_v2: id"),
+        (["--world", "newton"], "world is 'newton'; choices: mujoco, bullet"),
+        (["--out", "figure.svg"], "out figure.svg: the name must end in .png"),
+        (["--set", "mass=1"], "'mass' is not a physical parameter"),
+    ],
+)
+def test_words_that_do_not_fit(words: list[str], said: str, capsys: pytest.CaptureFixture[str]):
+    assert main(["replay", str(DATA / "one_hip_200hz.npz"), "--robot", "pupper_v2", *words]) == 2
+    assert said in capsys.readouterr().err
+
+
+def test_a_log_that_is_too_short(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    command = np.zeros((5, 12))
+    command[:, 1] = np.arange(5) / 10
+    np.savez(tmp_path / "log.npz", time=0.01 * np.arange(5), command=command, motor_angle=command)
+    assert main(["replay", str(tmp_path / "log.npz"), "--robot", "pupper_v2"]) == 2
+    assert "log.npz is 0.04 s long; errors count after 0.3 s" in capsys.readouterr().err

@@ -1,0 +1,127 @@
+"""Logs of others become traces: columns, units, signs; what is missing stays missing."""
+
+from __future__ import annotations
+
+import os
+import pickle
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from surefoot.errors import SurefootError
+from surefoot.identify.log_import import import_log, missing_columns
+from surefoot.identify.robot_log import log_of_trace
+from surefoot.robot import RobotDescription
+from surefoot.task.trace import EpisodeTrace
+
+
+@pytest.fixture(scope="module")
+def pupper() -> RobotDescription:
+    return RobotDescription.load("pupper_v2")
+
+
+def mapping(path: Path, robot: RobotDescription, command: str, angle: str, first: str = "", head: str = "") -> Path:
+    lines = [head, "motors:"]
+    for k, name in enumerate(robot.motor_names):
+        more = first if k == 0 else ""
+        lines.append(f'  {name}: {{command: "{command.format(k)}", angle: "{angle.format(k)}"{more}}}')
+    path.write_text("\n".join(lines))
+    return path
+
+
+def test_a_table_in_degrees_and_milliseconds(tmp_path: Path, pupper: RobotDescription):
+    names = ["ms", *(f"c{k}" for k in range(12)), *(f"q{k}" for k in range(12))]
+    rows = [[10 * t, *[t] * 12, *[-t] * 11, ""] for t in (1, 2, 2, 4)]
+    lines = [",".join(names), *(",".join(map(str, row)) for row in rows)]
+    (tmp_path / "log.csv").write_text("\n".join(lines))
+    head = "time: {column: ms, unit: ms}\nunit: deg"
+    which = mapping(tmp_path / "m.yaml", pupper, "c{}", "q{}", ", sign: -1, offset: 0.5", head)
+    trace = import_log(tmp_path / "log.csv", pupper, which)
+    np.testing.assert_allclose(trace.time, [0.01, 0.02, 0.02, 0.04])
+    degree = np.pi / 180
+    np.testing.assert_allclose(trace.target[:, 0], 0.5 - degree * np.array([1, 2, 2, 4]))
+    np.testing.assert_allclose(trace.target[:, 1], degree * np.array([1, 2, 2, 4]))
+    np.testing.assert_allclose(trace.motor_angle[:, 0], 0.5 + degree * np.array([1, 2, 2, 4]))
+    assert np.isnan(trace.motor_angle[:, 11]).all()
+    assert missing_columns(trace) == ["motor_velocity", "motor_torque", "roll_pitch_yaw", "angular_velocity_base"]
+    # It is a trace like others: it can be kept, and replayed.
+    again = EpisodeTrace.load(trace.save(tmp_path / "trace.npz"))
+    np.testing.assert_array_equal(again.target, trace.target)
+    assert log_of_trace("log", again).timing()["repeated_times"] == pytest.approx(1 / 3)
+
+
+def test_a_pickle_of_rows_and_one_of_arrays(tmp_path: Path, pupper: RobotDescription):
+    time, angles = np.array([0.0, 0.01, 0.02]), np.arange(36.0).reshape(3, 12).astype(np.float32)
+    (tmp_path / "arrays.pkl").write_bytes(pickle.dumps({"time": time, "command": angles, "motor_angle": 2 * angles}))
+    rows = [{"t": float(t), "c": a.tolist(), "q": 2 * a} for t, a in zip(time, angles, strict=True)]
+    (tmp_path / "rows.pkl").write_bytes(pickle.dumps(rows, protocol=5))
+    which = mapping(tmp_path / "m.yaml", pupper, "c[{}]", "q[{}]", head="time: {column: t}")
+    for trace in (import_log(tmp_path / "arrays.pkl", pupper), import_log(tmp_path / "rows.pkl", pupper, which)):
+        np.testing.assert_array_equal(trace.target, angles)
+        np.testing.assert_array_equal(trace.motor_angle, 2 * angles)
+
+
+class Hostile:
+    def __reduce__(self):
+        return os.system, ("exit 1",)
+
+
+def test_a_pickle_that_runs_something_is_refused(tmp_path: Path, pupper: RobotDescription):
+    (tmp_path / "log.pkl").write_bytes(pickle.dumps(Hostile()))
+    with pytest.raises(SurefootError, match=r"is no pickle of numbers: it asks for (posix|nt)\.system"):
+        import_log(tmp_path / "log.pkl", pupper)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("motors: {wheel: {command: c}}", "motors names 'wheel', which pupper_v2 does not have; it has rightFront"),
+        ("motors: {rightFrontLegMotor: {command: c}}", "motors lacks rightFrontUpperLegMotor"),
+        ("motors: {}\nunit: turns", "unit is 'turns'"),
+    ],
+)
+def test_a_mapping_that_does_not_fit_is_refused(tmp_path: Path, pupper: RobotDescription, text: str, said: str):
+    (tmp_path / "m.yaml").write_text(text)
+    with pytest.raises(SurefootError, match=said):
+        import_log(tmp_path / "log.csv", pupper, tmp_path / "m.yaml")
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"time": np.array([0.0, 0.02, 0.01])}, "time goes backwards in row 2, from 0.02 to 0.01 s"),
+        ({"command": np.zeros((3, 13))}, r"has a column 'command\[12\]'; pupper_v2 has 12 motors"),
+        ({"command": np.zeros((3, 8))}, r"has no column 'command\[8\]'"),
+        ({"command": np.full((3, 12), np.nan)}, "row 0 has no command of rightFrontLegMotor"),
+    ],
+)
+def test_a_log_that_does_not_fit_is_refused(tmp_path: Path, pupper: RobotDescription, changes: dict, said: str):
+    np.savez(tmp_path / "log.npz", **{"time": np.arange(3.0), "command": np.zeros((3, 12)), **changes})
+    with pytest.raises(SurefootError, match=said):
+        import_log(tmp_path / "log.npz", pupper)
+
+
+def test_a_ros_bag(tmp_path: Path, pupper: RobotDescription):
+    pytest.importorskip("rosbags")
+    from rosbags.rosbag2 import StoragePlugin, Writer
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    kind = store.types["sensor_msgs/msg/JointState"]
+    stamp, header = store.types["builtin_interfaces/msg/Time"], store.types["std_msgs/msg/Header"]
+    with Writer(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        topics = [writer.add_connection(f"/{name}", kind.__msgtype__, typestore=store) for name in ("sent", "read")]
+        for k in range(3):
+            for number, topic in enumerate(topics):
+                angles = np.full(12, k + 10.0 * number)
+                message = kind(header(stamp(0, 0), ""), [], angles, np.zeros(0), np.zeros(0))
+                when = 1_000_000_000 + 10_000_000 * k + 1_000_000 * number
+                writer.write(topic, when, store.serialize_cdr(message, kind.__msgtype__))
+    which = mapping(tmp_path / "m.yaml", pupper, "sent.position[{}]", "read.position[{}]")
+    (one,) = (tmp_path / "bag").glob("*.mcap")
+    trace, same = (import_log(path, pupper, which) for path in (tmp_path / "bag", one))
+    np.testing.assert_array_equal(trace.motor_angle, same.motor_angle)
+    np.testing.assert_allclose(trace.time, [0.0, 0.001, 0.01, 0.011, 0.02, 0.021])
+    np.testing.assert_array_equal(trace.target[:, 0], [0, 0, 1, 1, 2, 2])
+    np.testing.assert_array_equal(trace.motor_angle[:, 5], [np.nan, 10, 10, 11, 11, 12])

@@ -1,0 +1,96 @@
+"""What single robots differ in: encoders that are off, a centre of mass elsewhere, drives that stick."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+pytest.importorskip("mujoco")
+
+from surefoot.actuator.motor import presliding_kernel
+from surefoot.robot import PhysicalParams, RobotDescription
+from surefoot.world.engines import engine_of
+from surefoot.world.interface import WorldConfig
+from surefoot.world.sim_world import SimWorld
+
+ENGINES = ("mujoco", "bullet")
+
+
+@pytest.fixture(scope="module")
+def pupper() -> RobotDescription:
+    return RobotDescription.load("pupper_v2")
+
+
+def world(robot: RobotDescription, engine: str, rack: bool = False, **values: object) -> SimWorld:
+    if engine == "bullet":
+        pytest.importorskip("pybullet")
+    params = PhysicalParams.nominal(robot).with_values(robot, **values)
+    return SimWorld(robot, 1, params, config=WorldConfig(rack=rack, threads=1), engine=engine_of(engine))
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_an_encoder_that_is_off_moves_the_joint_and_not_its_reading(pupper: RobotDescription, engine: str):
+    offset = np.zeros((1, 12))
+    offset[0, 4] = 0.1
+    straight, off = (world(pupper, engine, True, motor_friction=0.0, motor_offset=o) for o in (0 * offset, offset))
+    for one in (straight, off):
+        for _ in range(100):
+            one.step(pupper.resting_angles)
+    turned = off.truth().motor_angle[0] - straight.truth().motor_angle[0]
+    assert turned[4] == pytest.approx(-0.1, abs=0.01)
+    assert np.abs(off.readings().motor_angle[0] - straight.readings().motor_angle[0]).max() < 0.01
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_a_centre_of_mass_to_the_left_loads_the_left_legs(pupper: RobotDescription, engine: str):
+    rolls, places = [], []
+    for side in (0.0, 0.02):
+        one = world(pupper, engine, base_offset=[[0.0, side, 0.0]])
+        places.append(one.truth().base_position_world[0])
+        for _ in range(60):
+            one.step(pupper.resting_angles)
+        rolls.append(one.truth().roll_pitch_yaw[0, 0])
+    # The base link starts where it did; what hangs on it is heavier on the left, and it rolls there.
+    np.testing.assert_allclose(places[0], places[1], atol=1e-9)
+    assert rolls[1] < rolls[0] - 0.003
+    # Moment of .02 m times the base's weight on the springs of four feet .17 m apart and legs: some hundredths of rad.
+    assert rolls[1] > rolls[0] - 0.1
+
+
+def test_the_engines_agree_on_a_shifted_centre_of_mass(pupper: RobotDescription):
+    rolls = []
+    for engine in ENGINES:
+        one = world(pupper, engine, base_offset=[[0.01, 0.02, 0.0]])
+        for _ in range(60):
+            one.step(pupper.resting_angles)
+        rolls.append(one.truth().roll_pitch_yaw[0, :2])
+    np.testing.assert_allclose(rolls[0], rolls[1], atol=0.004)
+
+
+def test_a_state_of_a_shifted_robot_is_restored_exactly(pupper: RobotDescription):
+    one = world(pupper, "bullet", base_offset=[[0.01, 0.0, 0.0]])
+    one.step(pupper.resting_angles)
+    state = one.get_state()
+    first = [one.step(pupper.resting_angles + 0.05).motor_angle for _ in range(5)]
+    one.set_state(state)
+    again = [one.step(pupper.resting_angles + 0.05).motor_angle for _ in range(5)]
+    np.testing.assert_array_equal(first, again)
+
+
+def test_a_drive_that_sticks_holds_a_load_below_its_friction(pupper: RobotDescription):
+    # Without gains, gravity turns a hip whose leg is held out; friction above its moment holds it.
+    drifts = []
+    for angle in (0.0, 0.005):
+        values = {"servo_kp": 0.0, "servo_kd": 0.0, "motor_friction": 0.3, "load_friction": 0.0, "presliding": angle}
+        one = world(pupper, "mujoco", True, **values)
+        start = one.truth().motor_angle[0].copy()
+        for _ in range(100):
+            one.step(pupper.resting_angles)
+        drifts.append(np.abs(one.truth().motor_angle[0] - start).max())
+    assert drifts[0] > 0.02
+    assert drifts[1] < 0.005
+
+
+@pytest.mark.parametrize(("stretch", "cut"), [(0.02, 0.01), (-0.02, -0.01), (0.004, 0.004)])
+def test_friction_that_sticks_slides_at_its_greatest_stretch(stretch: float, cut: float):
+    assert presliding_kernel(stretch, 0.01) == cut
