@@ -132,10 +132,10 @@ class Bare:
 class Bench:
     """The layers, set up once, each with a method that runs it for a turn and returns (physics steps, seconds)."""
 
-    def __init__(self, num_envs: int, steps: int, threads: int) -> None:
-        self.num_envs, self.steps, self.threads = num_envs, steps, threads
+    def __init__(self, num_envs: int, steps: int, threads: int, policy: str = "gallop", training: str = "") -> None:
+        self.num_envs, self.steps, self.threads, self.training = num_envs, steps, threads, training or policy
         self.clock = time.process_time if threads == 1 else time.perf_counter
-        self.policy = PolicyRuntime.load(find_policy("gallop"))
+        self.policy = PolicyRuntime.load(find_policy(policy))
         task = replace(task_from_contract(self.policy.contract), start_linear_speed=0.3, start_angular_speed=1.0)
         self.servo_env, self.env = (self._env(task, task.randomize) for _ in range(2))
         self.servo_steps = round(self.policy.contract.control_step / self.env.robot.timing.servo_step)
@@ -154,13 +154,14 @@ class Bench:
 
     def make_long(self) -> None:
         """Set up what the longer turns need."""
-        table1 = load_ranges("table1")
+        table1 = load_ranges("table1", robot=self.env.task.robot)
         self.episode_env = self._env(self.env.task, self.env.task.randomize)
         self.drawn_env = self._env(self.env.task, replace(table1, control_step=None))
         self.unequal_env = self._env(self.env.task, RandomizeConfig(control_step=table1.control_step))
         self.redraw_seconds = 0.0
         self._time_redraws(self.drawn_env)
-        config = replace(load_train_config("gallop"), threads=self.threads, learning_threads=self.threads)
+        config = replace(load_train_config(self.training), threads=self.threads, learning_threads=self.threads)
+        config = replace(config, task=replace(config.task, robot=self.env.task.robot))
         self.trainer = Trainer(config, SimWorld)
         self.drawn_trainer = Trainer(replace(config, task=replace(config.task, randomize=table1)), SimWorld)
         for trainer in (self.trainer, self.drawn_trainer):

@@ -67,6 +67,28 @@ def test_robots_that_ship_pass(name: str, tmp_path: Path) -> None:
     assert len(json.loads(result.stdout)["findings"]) >= 7
 
 
+def test_a_step_that_light_rotors_do_not_bear_is_shortened(tmp_path: Path) -> None:
+    # Without the file's armature the guess is .005 m l^2; with a hundredth of it the damping asks for a shorter step.
+    legs = "".join(
+        f"""<body name="{n}" pos="{x} {y} 0"><joint name="{n}_hip" axis="0 1 0" armature="1e-5"/>
+        <inertial pos="0 0 -.1" mass=".1" diaginertia="1e-4 1e-4 1e-4"/>
+        <body name="{n}_lower" pos="0 0 -.2"><joint name="{n}_knee" axis="0 1 0" armature="1e-5" range="-2.6 -.5"/>
+        <inertial pos="0 0 -.1" mass=".1" diaginertia="1e-4 1e-4 1e-4"/>
+        <geom type="sphere" size=".02" pos="0 0 -.2"/></body></body>"""
+        for n, x, y in (("FL", 0.2, 0.1), ("FR", 0.2, -0.1), ("RL", -0.2, 0.1), ("RR", -0.2, -0.1))
+    )
+    base = '<geom type="box" size=".2 .1 .05"/><inertial pos="0 0 0" mass="6" diaginertia=".05 .1 .12"/>'
+    (tmp_path / "dog.xml").write_text(
+        '<mujoco><compiler angle="radian" autolimits="true"/><worldbody><body name="trunk"><freejoint/>'
+        f"{base}{legs}</body></worldbody></mujoco>"
+    )
+    result = surefoot("robot", "new", "dog.xml", cwd=tmp_path)
+    assert "the longest that servos, friction and feet allow" in result.stdout, result.stdout + result.stderr
+    assert "pass      physics step" in result.stdout
+    assert result.stdout.count("servo_step") == 1
+    assert RobotDescription.load(tmp_path / "dog").timing.servo_step < 0.001
+
+
 BAD = [
     ([], "usage"),
     (["make"], "'make' is not an action; choices: new, check"),

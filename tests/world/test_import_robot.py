@@ -65,7 +65,7 @@ def test_a_tree_has_what_the_file_says(tmp_path: Path) -> None:
     toe = '<body name="FL_toe" pos="0 0 -.2"/>'
     text = quadruped().replace('<geom type="sphere" size=".02" pos="0 0 -.2"/>', toe, 1)
     notes = read_tree(write(tmp_path, text)).notes
-    assert any(note.startswith("feet of FL_knee: the link named so") for note in notes)
+    assert any(note.startswith("feet of FL_knee: a link named so") for note in notes)
 
 
 def test_what_is_written_loads_and_keeps_masses_and_kinematics(tmp_path: Path) -> None:

@@ -19,7 +19,7 @@ from surefoot.cli.options import Json, check_folder
 from surefoot.cli.parsing import parse
 from surefoot.errors import SurefootError, check_name, choices
 from surefoot.robot import RobotDescription
-from surefoot.robot.tree import Knees, Tree, write_robot
+from surefoot.robot.tree import Knees, Tree, shorten_step, write_robot
 
 ACTIONS = {
     "new": "read a robot from a URDF or MJCF, and write its folder",
@@ -78,6 +78,7 @@ def main(argv: list[str]) -> int:
 def _new(command: NewCommand) -> int:
     from surefoot.report.robot_picture import save_robot_picture
     from surefoot.world.import_robot import read_tree
+    from surefoot.world.robot_check import step_to_shorten
 
     tree = read_tree(command.file, command.forward, command.meshes)
     name = command.name or tree.name
@@ -90,9 +91,13 @@ def _new(command: NewCommand) -> int:
         f"forward is {tree.forward} of the file",
         markup=False,
     )
-    for line in write_robot(tree, folder, name, command.knees or _ask_knees(tree)):
-        console.print(f"guessed  {line}", markup=False)
+    guesses = write_robot(tree, folder, name, command.knees or _ask_knees(tree))
     robot = RobotDescription.load(folder)
+    if (step := step_to_shorten(robot)) is not None:
+        guesses = [line for line in guesses if not line.startswith("servo_step")] + [shorten_step(folder, step)]
+        robot = RobotDescription.load(folder)
+    for line in guesses:
+        console.print(f"guessed  {line}", markup=False)
     save_robot_picture(robot, folder / PICTURE)
     console.print(f"wrote {folder}: robot.toml, robot.urdf, {PICTURE}", markup=False)
     return _report(robot, console)

@@ -158,7 +158,18 @@ def write_robot(tree: Tree, folder: Path, name: str, knees: Knees | None = None)
     for file_name, content in (("robot.urdf", _urdf(tree, name)), ("robot.toml", text)):
         with accessible(folder / file_name, "written"), whole_file(folder / file_name) as file:
             file.write(content.encode())
-    return [*tree.notes, *sheet.guesses]
+    return list(dict.fromkeys([*tree.notes, *sheet.guesses]))
+
+
+def shorten_step(folder: Path, step: float) -> str:
+    """Give the sheet of a robot that was just written a shorter physics step [s]; return the guess as a line."""
+    path, why = folder / "robot.toml", "s, the longest that servos, friction and feet allow"
+    lines = path.read_text(encoding="utf-8").split("\n")
+    place = next(k for k, line in enumerate(lines) if line.startswith("servo_step = "))
+    lines[place] = f"servo_step = {step:g}  # guessed: {why}"
+    with accessible(path, "written"), whole_file(path) as file:
+        file.write("\n".join(lines).encode())
+    return f"servo_step = {step:g}: {why}"
 
 
 class _Sheet:

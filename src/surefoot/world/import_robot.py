@@ -153,7 +153,9 @@ def _mesh_file(name: str, path: Path) -> Path:
         for part in (inside, Path(*inside.parts[1:]) if len(inside.parts) > 1 else inside):
             if (folder / part).is_file():
                 return folder / part
-    raise SurefootError(f"{path}: mesh '{name}' is not there; put it where the file names it, or leave out meshes")
+    raise SurefootError(
+        f"{path}: mesh '{name}' is not there; put it where the file names it, or leave out meshes (--no-meshes)"
+    )
 
 
 class _Reader:
@@ -357,7 +359,7 @@ class _Reader:
         named = [b for b in bodies if _FOOT.search(model.body(int(b)).name)]
         if named:
             at = self._place(data.xpos[named[-1]])
-            return at, self._thickness(geoms, at), "the link named so"
+            return at, self._thickness(geoms, at), "a link named so"
         ends = [corner for g in geoms for corner in self._corners(g)]
         if not ends:
             raise self._fail(f"'{model.body(body).name}' has neither a shape nor a link for its foot; add one")

@@ -29,6 +29,8 @@ SINK = 0.2
 """Share of its resting height by which a standing robot may sag."""
 _DAMPER = 1.5
 """Steps, in times m / B, up to which a damper B that is computed at the step's start is stable; 2 is the limit."""
+STEP = "physics step"
+"""Name of the check of the physics step."""
 STAND_TIME = 2.0
 """How long it must stand [s]."""
 
@@ -124,6 +126,12 @@ def _stand(robot: RobotDescription, model: mujoco.MjModel) -> Iterator[Finding]:
         yield judged("torque to stand", passed, told, rule, todo, float(share.max()))
 
 
+def step_to_shorten(robot: RobotDescription) -> float | None:
+    """Return the longest physics step [s] for a robot; None if its own is not longer."""
+    *_, found = _dynamics(robot, build_model(robot))
+    return float(found.value or 0.0) if found.passed is False else None
+
+
 def _dynamics(robot: RobotDescription, model: mujoco.MjModel) -> Iterator[Finding]:
     """Compare the frequencies of legs, servos and feet with the physics step."""
     length, step = robot.leg_geometry.length, robot.timing.servo_step
@@ -157,8 +165,9 @@ def _dynamics(robot: RobotDescription, model: mujoco.MjModel) -> Iterator[Findin
     yield Finding("frequencies", True, told, value=natural)
     what = min(limits, key=lambda name: limits[name])
     told = f"{1e3 * step:g} ms; at most {1e3 * limits[what]:.2g} ms by {what}"
-    todo = f"set timing.servo_step to {limits[what]:.1g}"
-    yield judged("physics step", step <= limits[what], told, "", todo, limits[what])
+    # Rounded down, to hundredths of a millisecond.
+    longest = max(math.floor(1e5 * limits[what]), 1) / 1e5
+    yield judged(STEP, step <= limits[what], told, "", f"set timing.servo_step to {longest:g}", longest)
 
 
 def _foot_mass(model: mujoco.MjModel, data: mujoco.MjData, inertia: Array, geom: int) -> float:
