@@ -160,8 +160,8 @@ class Bench:
         self.unequal_env = self._env(self.env.task, RandomizeConfig(control_step=table1.control_step))
         self.redraw_seconds = 0.0
         self._time_redraws(self.drawn_env)
-        config = replace(load_train_config(self.training), threads=self.threads, learning_threads=self.threads)
-        config = replace(config, task=replace(config.task, robot=self.env.task.robot))
+        config = load_train_config(self.training, self.env.task.robot)
+        config = replace(config, threads=self.threads, learning_threads=self.threads)
         self.trainer = Trainer(config, SimWorld)
         self.drawn_trainer = Trainer(replace(config, task=replace(config.task, randomize=table1)), SimWorld)
         for trainer in (self.trainer, self.drawn_trainer):
