@@ -224,7 +224,7 @@ def _folder_of_mcap(path: Path, folder: Path) -> Path:
 
     mcap = McapReader(path)
     mcap.open()
-    topics = [
+    topics: list[dict[str, Any]] = [
         {
             "topic_metadata": {"name": one.topic, "type": one.msgtype, "serialization_format": "cdr"},
             "message_count": one.msgcount,
