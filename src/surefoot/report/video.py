@@ -93,7 +93,7 @@ class _Film:
         times: ArrayLike,
         overlay: Sequence[str],
         follow: str,
-        camera: Camera,
+        camera: Camera = Camera(),  # noqa: B008, it is frozen
     ) -> None:
         self.times = np.asarray(times, dtype=np.float64)
         bodies = list(poses)
