@@ -18,7 +18,7 @@ from surefoot.rotations import xyzw_matrix
 from surefoot.world import bullet_engine as module
 from surefoot.world.bullet_engine import BulletEngine
 from surefoot.world.bullet_model import PUBLISHED, BulletModel, BulletSettings
-from surefoot.world.bullet_tick import pin_kernel
+from surefoot.world.bullet_tick import pin_kernel, sole_kernel
 from surefoot.world.interface import WorldConfig
 from surefoot.world.sim_world import SimWorld
 
@@ -150,6 +150,53 @@ def test_a_pin_lies_against_its_bore_on_the_side_of_its_load():
     for _ in range(100):
         pin_kernel(quats, forces, np.array([[0.0, 0.0, 1.0]]), 0.001, turned)
     np.testing.assert_allclose(turned, 0.001 / 6 * np.array([[4.0, -3.0, 0.0]]), atol=1e-9)
+
+
+def soles(load, velocity, omega=(0.0, 0.0, 0.0), turn=(0.0, 0.0, 0.0, 1.0), stretch=(0.0, 0.0)):
+    """Force (3,) on a sphere of .02 m, .1 m below its link's centre, where it acts (3,), and the new stretch (2,)."""
+    links = np.array([[1.0, 2.0, 3.0, *turn, *velocity, *omega]])
+    after, force, place = np.array([stretch], float), np.zeros((1, 3)), np.zeros((1, 3))
+    centres, radii, law = np.array([[0.0, 0.0, -0.1]]), np.array([0.02]), (0.5, 300.0, 100.0, 0.001)
+    sole_kernel(links, np.array([load], float), centres, radii, law, after, force, place)
+    return force[0], place[0], after[0]
+
+
+def test_a_sole_stretches_with_the_foot_that_turns():
+    # .02 m/s and .25 rad/s at .12 m give .05 m/s along x: 300 x .00005 + 50 x .05 = 2.515 N against it.
+    force, place, stretch = soles((0, 0, 10), (0.02, 0, -1.0), (0, -0.25, 0))
+    np.testing.assert_allclose(force, [-2.515, 0, 0], atol=1e-12)
+    np.testing.assert_allclose(place, [1, 2, 2.88], atol=1e-12)
+    np.testing.assert_allclose(stretch, [0.00005, 0], atol=1e-15)
+
+
+def test_a_sole_is_where_its_link_turns_it():
+    # Half a turn about x: the foot is above the link's centre.
+    _, place, _ = soles((0, 0, 10), (0, 0, 0), turn=(1.0, 0.0, 0.0, 0.0))
+    np.testing.assert_allclose(place, [1, 2, 3.08], atol=1e-12)
+
+
+def test_a_sole_slides_at_the_limit_and_lets_go_in_the_air():
+    force, _, stretch = soles((0, 0, 10), (0, 0, 0), stretch=(0.03, 0.04))
+    np.testing.assert_allclose(force, [-3, -4, 0], atol=1e-12)  # 15 N of 50 mm, bounded by .5 x 10 N
+    np.testing.assert_allclose(stretch, [0.01, 0.04 / 3], atol=1e-12)
+    force, _, stretch = soles((0, 0, 0), (1, 0, 0), stretch=(0.03, 0.04))
+    assert not force.any()
+    assert not stretch.any()
+
+
+def test_the_force_on_a_slope_is_along_it():
+    normal = np.array([0.6, 0.0, 0.8])
+    force, place, _ = soles(10 * normal, (0.01, 0.02, -0.03))
+    assert force[0] != 0
+    assert force @ normal == pytest.approx(0.0, abs=1e-12)
+    np.testing.assert_allclose(place, [1 - 0.012, 2, 2.9 - 0.016], atol=1e-12)
+
+
+def test_feet_with_soft_soles_have_no_friction_of_bullets_own(make_world):
+    world = make_world(2, contact_shear_ratio=[0.5, 1.0])
+    for model, friction in zip(world.engine.models, (0.0, world.robot.contact.friction), strict=True):
+        for link in model.feet:
+            assert pybullet.getDynamicsInfo(model.body, link, model.client)[1] == friction
 
 
 def test_legs_with_play_give_way_under_the_robots_weight(make_world):

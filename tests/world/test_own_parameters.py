@@ -77,6 +77,56 @@ def test_a_state_of_a_shifted_robot_is_restored_exactly(pupper: RobotDescription
     np.testing.assert_array_equal(first, again)
 
 
+@pytest.mark.parametrize("engine", ENGINES)
+def test_feet_give_way_along_the_ground_as_their_shear_stiffness_has_it(pupper: RobotDescription, engine: str):
+    one = world(pupper, engine, contact_shear_ratio=0.1)
+    for _ in range(100):
+        one.step(pupper.resting_angles)
+    before = one.foot_positions()
+    one.push([[2.0, -1.0, 0.0]])
+    for _ in range(100):
+        one.step(pupper.resting_angles)
+    moved = (one.foot_positions() - before)[0].mean(axis=0)
+    # Four feet of 1600 N/m, a tenth of it along the ground: 2 N move them by 2 / (4 x 160) m.
+    np.testing.assert_allclose(moved[:2], [0.003125, -0.0015625], rtol=0.1)
+
+
+def test_bullets_own_friction_does_not_give(pupper: RobotDescription):
+    feet = []
+    for force in (0.0, 2.0):
+        one = world(pupper, "bullet")
+        one.push([[force, 0.0, 0.0]])
+        for _ in range(50):
+            one.step(pupper.resting_angles)
+        feet.append(one.foot_positions()[0, :, 0].mean())
+    assert abs(feet[1] - feet[0]) < 0.001
+
+
+def test_soft_soles_in_bullet_slide_at_the_limit_of_friction(pupper: RobotDescription):
+    # 2.1 kg with a coefficient of .2 hold 4.1 N: 3 N are held, 6 N are not.
+    moved = []
+    for force in (3.0, 6.0):
+        one = world(pupper, "bullet", contact_shear_ratio=0.5, contact_friction=0.2)
+        one.push([[force, 0.0, 0.0]])
+        for _ in range(50):
+            one.step(pupper.resting_angles)
+        moved.append(one.truth().base_position_world[0, 0])
+    assert moved[0] < 0.03
+    assert moved[1] > 0.1
+
+
+@pytest.mark.parametrize("ratio", [0.1, 1.0])
+def test_a_state_of_a_robot_on_soft_soles_is_restored_exactly(pupper: RobotDescription, ratio: float):
+    one = world(pupper, "bullet", contact_shear_ratio=ratio)
+    for k in range(10):
+        one.step(pupper.resting_angles + 0.01 * k)
+    state = one.get_state()
+    first = [one.step(pupper.resting_angles + 0.05).motor_angle for _ in range(5)]
+    one.set_state(state)
+    again = [one.step(pupper.resting_angles + 0.05).motor_angle for _ in range(5)]
+    np.testing.assert_array_equal(first, again)
+
+
 def test_a_drive_that_sticks_holds_a_load_below_its_friction(pupper: RobotDescription):
     # Without gains, gravity turns a hip whose leg is held out; friction above its moment holds it.
     drifts = []

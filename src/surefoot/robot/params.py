@@ -92,9 +92,7 @@ class PhysicalParams:
         "joint",
     )
     motor_offset: Array = _row("rad", "angle that each motor's encoder tells, less the true one", (-0.5, 0.5), "motors")
-    contact_shear_ratio: Array = _row(
-        "1", "stiffness of the feet along the ground, over that against it; MuJoCo only", (0.01, 10.0)
-    )
+    contact_shear_ratio: Array = _row("1", "stiffness of the feet along the ground, over that against it", (0.01, 10.0))
     base_offset: Array = _row("m", "centre of mass of the base, less the description's", (-0.1, 0.1), "x, y, z")
 
     @property

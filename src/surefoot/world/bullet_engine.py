@@ -2,7 +2,9 @@
 
 Servo, motors, delays and sensors are the same compiled functions as in every other world; Bullet has only the bodies,
 the loops and the contacts. Feet meet the ground by Bullet's own contact with the stiffness and damping of the data
-sheet, which its solver takes implicitly: force = K d + B d' at the end of the step, not at its start.
+sheet, which its solver takes implicitly: force = K d + B d' at the end of the step, not at its start. Bullet's friction
+holds a foot without give along the ground. Where `contact_shear_ratio` is not 1, it is off, and the spring-slider of
+`contact` takes its place, with the normal force of the step before.
 
 A robot's state is one row of numbers, in Bullet's own frames: for Bullet, the base is where its centre of mass is,
 turned like its principal axes. After every control step the row is written back to Bullet, whose quaternion of the
@@ -140,11 +142,15 @@ class BulletEngine:
             p.setJointMotorControlArray(body, motors, p.TORQUE_CONTROL, forces=torques, physicsClientId=client)
         if pushed:  # Bullet forgets a force after a step, and when torques are set
             p.applyExternalForce(body, -1, self._force[i].tolist(), seen[:3].tolist(), p.WORLD_FRAME, client)
+        if model.soles:
+            model.push_soles()
         p.stepSimulation(client)
         if model.values["knee_play"]:
             model.move_pins()
         seen[:] = self._read(i, motors)
         points = p.getContactPoints(body, model.floor, physicsClientId=client)
+        if model.soles:
+            model.move_soles(points)
         for leg in {self._feet[point[3]] for point in points if point[9] > 0.0 and point[3] in self._feet}:
             self.drive.contact_ticks[i, leg] += 1.0
 

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
-from typing import Literal
+from typing import Any, Literal
 from xml.etree import ElementTree
 
 import numpy as np
@@ -21,7 +21,7 @@ from surefoot.native_output import quiet
 from surefoot.robot import GRAVITY, RobotDescription
 from surefoot.robot.urdf import frame_of
 from surefoot.rotations import matrix_quat
-from surefoot.world.bullet_tick import pin_kernel
+from surefoot.world.bullet_tick import pin_kernel, sole_kernel
 from surefoot.world.drive import BULLET_ONLY, CONTACT, RACK_HEIGHT, RATIOS
 from surefoot.world.fused_urdf import fuse_urdf
 from surefoot.world.interface import WorldConfig
@@ -121,6 +121,8 @@ class BulletModel:
     """Numbers of the constraints that close loops."""
     pin_shift: Array
     """Displacement of each pin with play in its bore, in its link's inertial frame [m], (P, 3)."""
+    soles: bool
+    """The feet's friction is that of `contact`, with a stiffness along the ground of its own, not Bullet's."""
     values: dict[str, float]
     """The `PARAMETERS` that the client has."""
     rotor_inertia: Array
@@ -325,12 +327,16 @@ class BulletModel:
             self._lay_floor(values["floor_unevenness"])
 
     def _set_foot_contact(self) -> None:
-        friction, stiffness, spinning = (self.values[name] for name in CONTACT)
+        friction, stiffness, spinning, shear = (self.values[name] for name in CONTACT)
+        # Bullet's own friction holds a foot where it is, without give.
+        self.soles = shear != 1.0 and not self.rack
+        self._sole_law = (friction, stiffness * shear, self.robot.contact.damping, self.robot.timing.servo_step)
+        self._forget_soles()
         for link in self.feet:
             self._p.changeDynamics(
                 self.body,
                 link,
-                lateralFriction=friction,
+                lateralFriction=0.0 if self.soles else friction,
                 # Bullet takes it as a length: it bounds the torque about the normal by this times the normal force.
                 spinningFriction=spinning,
                 contactStiffness=stiffness,
@@ -411,8 +417,31 @@ class BulletModel:
         pin_kernel(quats, -forces, self._pin_axes, self.values["knee_play"], self.pin_shift)
         self._place_pins()
 
+    def _forget_soles(self) -> None:
+        self._sole_stretch = np.zeros((len(self.feet), 2))
+        self._sole_force, self._sole_place = np.zeros((2, len(self.feet), 3))
+
+    def push_soles(self) -> None:
+        """Apply the forces along the ground on the feet, which Bullet forgets after a step."""
+        p, client = self._p, self.client
+        for link, force, place in zip(self.feet, self._sole_force.tolist(), self._sole_place.tolist(), strict=True):
+            if any(force):
+                p.applyExternalForce(self.body, link, force, place, p.WORLD_FRAME, client)
+
+    def move_soles(self, points: Sequence[tuple[Any, ...]]) -> None:
+        """Move soles with their feet, from Bullet's contact points after a step; see `sole_kernel`."""
+        loads = np.zeros((len(self.feet), 3))
+        for point in points:
+            if point[3] in self.feet:
+                loads[self.feet.index(point[3])] += point[9] * np.array(point[7])
+        states = self._p.getLinkStates(self.body, self.feet, computeLinkVelocity=1, physicsClientId=self.client)
+        links = np.array([[*state[0], *state[1], *state[6], *state[7]] for state in states])
+        feet = (self.foot_centre, self.foot_radius)
+        sole_kernel(links, loads, *feet, self._sole_law, self._sole_stretch, self._sole_force, self._sole_place)
+
     def forget(self) -> None:
-        """Forget the contacts that Bullet remembers, and centre pins with play."""
+        """Forget the contacts that Bullet remembers and the soles' stretch, and centre pins with play."""
+        self._forget_soles()
         if self.pin_shift.any():
             self.pin_shift[:] = 0.0
             self._place_pins()

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from surefoot.arrays import Array
 from surefoot.rotations import quat_matrix
+from surefoot.world.contact import sliding_force_kernel
 from surefoot.world.drive import (
     SPEED_LIMIT,
     Drive,
@@ -143,6 +144,57 @@ def pin_kernel(quats: Array, forces: Array, axes: Array, play: float, shift: Arr
         shift[k, 0] += PIN_FOLLOWS * (reach * fx - shift[k, 0])
         shift[k, 1] += PIN_FOLLOWS * (reach * fy - shift[k, 1])
         shift[k, 2] += PIN_FOLLOWS * (reach * fz - shift[k, 2])
+
+
+@njit(cache=True)
+def sole_kernel(
+    links: Array,
+    loads: Array,
+    centres: Array,
+    radii: Array,
+    law: tuple[float, float, float, float],
+    stretch: Array,
+    force: Array,
+    place: Array,
+) -> None:
+    """Compute the forces along the ground on feet with soles of a stiffness of their own, see `contact`.
+
+    Args:
+        links: positions [m], orientations x y z w, velocities and angular velocities of the feet's links in the world
+            (F, 13).
+        loads: normal forces of the ground on the feet in the step that has ended, world frame (F, 3) [N].
+        centres: centres of the feet in their links' frames (F, 3) [m].
+        radii: of the feet (F,) [m].
+        law: coefficient of friction, stiffness along the ground [N/m], damping against it [N s/m], step [s].
+        stretch: of the soles along x and y (F, 2) [m]; updated.
+        force: output, world frame (F, 3) [N].
+        place: output, where the forces act, world frame (F, 3) [m].
+    """
+    friction, shear, damping, dt = law
+    arm, normal, slip = np.empty(3), np.empty(3), np.empty(3)
+    for k in range(len(links)):
+        force[k] = 0.0
+        load = math.sqrt(loads[k, 0] ** 2 + loads[k, 1] ** 2 + loads[k, 2] ** 2)
+        if loads[k, 2] <= 0.0:
+            stretch[k] = 0.0
+            continue
+        quat = (links[k, 6], -links[k, 3], -links[k, 4], -links[k, 5])
+        arm[0], arm[1], arm[2] = turned_back(quat, (centres[k, 0], centres[k, 1], centres[k, 2]))
+        along = 0.0
+        for c in range(3):
+            normal[c] = loads[k, c] / load
+            arm[c] -= radii[k] * normal[c]
+            place[k, c] = links[k, c] + arm[c]
+        for c in range(3):
+            a, b = (c + 1) % 3, (c + 2) % 3
+            slip[c] = links[k, VELOCITY + c] + links[k, OMEGA + a] * arm[b] - links[k, OMEGA + b] * arm[a]
+            along += slip[c] * normal[c]
+        for c in range(3):
+            slip[c] -= along * normal[c]
+        sliding_force_kernel(load, slip, stretch[k], friction, shear, damping, dt, force[k])
+        force[k, 2] = (
+            -(normal[0] * force[k, 0] + normal[1] * force[k, 1]) / normal[2]
+        )  # along the ground where it slopes
 
 
 def base_links(rows: Array, base_quat: Array, base_centres: Array) -> Array:

@@ -59,12 +59,30 @@ def foot_force_kernel(
         stretch[:] = 0.0
         force[:] = 0.0
         return
+    force[2] = normal
+    sliding_force_kernel(normal, velocity, stretch, friction, shear_stiffness, damping, dt, force)
+
+
+@kernel
+def sliding_force_kernel(
+    normal: float,
+    velocity: Array,
+    stretch: Array,
+    friction: float,
+    shear_stiffness: float,
+    damping: float,
+    dt: float,
+    force: Array,
+) -> None:
+    """Compute the force along the ground on a foot that is pressed against it with `normal` [N].
+
+    It writes the first two numbers of `force`; all else is as in `foot_force_kernel`.
+    """
     slide_damping = TANGENTIAL_DAMPING * damping
     stretch[0] += velocity[0] * dt
     stretch[1] += velocity[1] * dt
     force[0] = -(shear_stiffness * stretch[0] + slide_damping * velocity[0])
     force[1] = -(shear_stiffness * stretch[1] + slide_damping * velocity[1])
-    force[2] = normal
     bound = friction * normal
     tangential = math.hypot(force[0], force[1])
     if tangential > bound:

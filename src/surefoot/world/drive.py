@@ -51,7 +51,7 @@ SPEED_LIMIT = 1e5
 """A generalized speed beyond this [m/s, rad/s] counts as diverged, before an engine itself would complain."""
 OF_ALL_ROBOTS = ("table_current", "table_torque", "limits", "constraint", "joint", "joint_limits")
 """Arrays of `Drive` that have no row for each robot."""
-CONTACT = ("contact_friction", "contact_stiffness", "contact_spinning_friction")
+CONTACT = ("contact_friction", "contact_stiffness", "contact_spinning_friction", "contact_shear_ratio")
 """Physical parameters of the feet's contact."""
 RATIOS = ("base_mass_ratio", "leg_mass_ratio", "base_inertia_ratio", "leg_inertia_ratio")
 """Physical parameters of masses and inertias."""
