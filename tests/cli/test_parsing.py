@@ -50,7 +50,7 @@ FAR = [
     ("train ranges.yaml", "ranges.yaml: randomize.mass is [1.2, 0.8]; the lower bound must come first"),
     ("evaluate trot --randomize.mass 80 120", "minitaur allows base_mass_ratio from 0.2 to 5"),
     ("evaluate trot --randomize nowhere", "'nowhere' does not exist; choices: ensemble, none, table1, or the path"),
-    ("train walk", "task 'walk' does not exist; choices: gallop, gallop-robust, scratch, trot"),
+    ("train walk", "task 'walk' does not exist; choices: gallop, gallop-robust, scratch, steer, trot"),
     ("train gallop --num-envs 0", "num_envs is 0; it must be 1 or more"),
     ("train gallop --num-envs few", "few"),
     ("train gallop --nun-envs 8", "nun-envs"),

@@ -153,7 +153,7 @@ def test_states_come_in_batches_as_some_adapters_deliver_them(rig):
 @pytest.mark.parametrize(("way", "signs"), [("0", None), ("1", (-1, 1)), ("2", (1, -1)), ("3", (-1, -1))])
 def test_an_imu_that_is_mounted_otherwise(rig, way, signs):
     bench = rig(f"imu-flip={way}")
-    bench.board.plant._imu_bias = np.array([0.1, 0.2])
+    bench.board.plant.params.imu_bias[0] = [0.1, 0.2]
     bench.arm()
     bench.walk(2)
     roll, pitch, _ = bench.states[-1].message.roll_pitch_yaw

@@ -26,7 +26,7 @@ def test_a_robot_is_the_same_in_every_batch_and_comes_again_after_the_last(robot
 def test_every_robot_is_within_the_ranges_and_differs(robot: RobotDescription) -> None:
     params = ensemble_params(robot, ROBOTS)
     ranges = load_ranges("ensemble").ranges
-    assert set(ranges) == set(ROWS)
+    assert set(ranges) < set(ROWS)
     for row, (low, high) in ranges.items():
         for name in ROWS[row].params:
             values = getattr(params, name)

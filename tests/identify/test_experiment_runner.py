@@ -103,10 +103,10 @@ def ended(healthy: Any, robot: RobotDescription, tmp_path: Path) -> Callable[...
 @pytest.mark.parametrize(
     ("limits", "why"),
     [
-        (ExperimentLimits(angle_room=-0.28), "beyond what was asked for; at most -0.28"),
-        (ExperimentLimits(angle_room=2.0, torque=0.1, torque_time=0.02), "gave more than 0.1 N m for 0.02 s"),
-        (ExperimentLimits(angle_room=2.0, temperature=15.0), "degC; at most 15"),
-        (ExperimentLimits(angle_room=2.0, duration=1.7), "it took more than 1.7 s"),
+        (ExperimentLimits(torque=2.8, angle_room=-0.28), "beyond what was asked for; at most -0.28"),
+        (ExperimentLimits(torque=0.1, angle_room=2.0, torque_time=0.02), "gave more than 0.1 N m for 0.02 s"),
+        (ExperimentLimits(torque=2.8, angle_room=2.0, temperature=15.0), "degC; at most 15"),
+        (ExperimentLimits(torque=2.8, angle_room=2.0, duration=1.7), "it took more than 1.7 s"),
     ],
     ids=["angle", "torque", "temperature", "time"],
 )

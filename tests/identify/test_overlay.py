@@ -36,7 +36,7 @@ def motor(strength: float = 0.9, missing: int = 3) -> Identification:
         Estimate("voltage", 15.4, 0.1, "V", low=0.0),
         Estimate("resistance", 0.3, 0.1, "Ohm", told=False),
         Estimate("motor_friction", 0.001, 0.01, "N m", 0, low=0.0),
-        Estimate("base_offset", 0.02, 0.001, "m", 0),
+        Estimate("base_height", 0.02, 0.001, "m", 0),
     ]
     sensors = {"torque_gain": [0.01, -0.02], "torque_accuracy": 0.004}
     return Identification("motor", "minitaur", tuple(estimates), sensors=sensors, digest="ab12", date="2026-11-21")
@@ -81,9 +81,9 @@ def test_intervals_of_numbers_and_of_motors(robot: RobotDescription):
     assert tables["intervals"]["motor_friction"][0][0] == 0.0
     assert tables["intervals"]["motor_friction"][1:] == [[-math.inf, math.inf]] * 7
     # What no simulator has is told too, but is no parameter.
-    assert tables["intervals"]["base_offset"] == [pytest.approx([0.01804, 0.02196], abs=1e-5)]
+    assert tables["intervals"]["base_height"] == [pytest.approx([0.01804, 0.02196], abs=1e-5)]
     assert "resistance" not in tables["intervals"]
-    assert tables["told_by"] == dict.fromkeys(("motor_strength", "voltage", "motor_friction", "base_offset"), "motor")
+    assert tables["told_by"] == dict.fromkeys(("motor_strength", "voltage", "motor_friction", "base_height"), "motor")
 
 
 def test_everything_else_in_the_file_stays(robot: RobotDescription, tmp_path: Path):

@@ -104,13 +104,15 @@ def test_what_mujoco_derives_from_masses_is_all_that_masses_and_rotors_change(ro
     model.body_mass[1:] *= 1.2
     model.body_inertia[1:] *= 1.3
     model.dof_armature[6:] += 0.01
+    model.body_ipos[1] += 0.01
     mujoco.mj_setConst(model, mujoco.MjData(model))
     names = [name for name in dir(model) if isinstance(getattr(model, name), np.ndarray)]
     differ = {
         name for name in names if not np.array_equal(getattr(model, name), getattr(nominal, name), equal_nan=True)
     }
     assert len(names) > 200
-    assert differ == set(MASS_FIELDS)
+    # A centre of mass that moves also shifts what is only for pairs of many shapes (bounding boxes) and for sleeping.
+    assert differ - {"bvh_aabb", "dof_length"} == set(MASS_FIELDS)
     assert options_of(model.opt) == options_of(nominal.opt)
 
 

@@ -372,5 +372,6 @@ def draw_hidden(robot: RobotDescription, ranges: Mapping[str, tuple[float, float
             # A stream for each name: what one row draws does not change with the others.
             size = np.shape(getattr(nominal, name)) if ROWS[row].each else 1
             numbers = low + (high - low) * generator(seed, f"hidden {name}").uniform(size=size)
-            drawn[name] = np.clip(ROWS[row].applied(getattr(nominal, name), numbers), *robot.allowed[name])
+            values = ROWS[row].applied(getattr(nominal, name), numbers)
+            drawn[name] = values if ROWS[row].how == "set" else np.clip(values, *robot.allowed[name])
     return nominal.with_values(robot, **drawn)
