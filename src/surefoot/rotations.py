@@ -47,10 +47,18 @@ def rpy_quat(roll: float, pitch: float, yaw: float) -> tuple[float, float, float
     )
 
 
-def quat_yaw(quat: ArrayLike) -> float:
-    """Return the yaw [rad] of a unit quaternion (4,)."""
-    w, x, y, z = np.asarray(quat, float)
-    return float(np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)))
+def quat_yaw(quat: ArrayLike) -> Array:
+    """Return the yaw [rad] (...) of unit quaternions (..., 4), w x y z."""
+    w, x, y, z = np.moveaxis(np.asarray(quat, float), -1, 0)
+    yaw: Array = np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+    return yaw
+
+
+def in_heading_frame(vector: Array, yaw: Array) -> Array:
+    """Return world vectors (N, 3) in the frame that stands upright and has yaw (N,) [rad]."""
+    cos, sin = np.cos(yaw), np.sin(yaw)
+    x, y, z = vector.T
+    return np.stack([cos * x + sin * y, cos * y - sin * x, z], -1)
 
 
 def quat_matrix(quat: ArrayLike) -> Array:

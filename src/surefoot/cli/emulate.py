@@ -14,8 +14,8 @@ from surefoot.cli.options import Repeated, Settings, check_suffix
 from surefoot.cli.parsing import parse
 from surefoot.configuration import Seed, Within
 from surefoot.errors import SurefootError
-from surefoot.robot import DEFAULT_ROBOT, PhysicalParams, RobotDescription, parse_settings
-from surefoot.robot.params_file import find_params, read_params, write_params
+from surefoot.robot import DEFAULT_ROBOT, PhysicalParams, RobotDescription
+from surefoot.robot.params_file import given_params, write_params
 
 if TYPE_CHECKING:
     from surefoot.cli.viewer import EmulateViewer
@@ -120,9 +120,7 @@ def _check(command: EmulateCommand) -> None:
 
 def _params(command: EmulateCommand, robot: RobotDescription) -> PhysicalParams:
     if command.hidden_seed is None:
-        nominal = PhysicalParams.nominal(robot)
-        params = nominal if command.params is None else read_params(find_params(command.params, robot), robot).params
-        return params.with_values(robot, **parse_settings([word for group in command.settings for word in group]))
+        return given_params(robot, command.params, command.settings)
     from surefoot.task.randomize import draw_hidden, load_ranges
 
     params = draw_hidden(robot, load_ranges(command.hidden_ranges, robot=robot.folder).ranges, command.hidden_seed)
@@ -139,13 +137,9 @@ def _build(command: EmulateCommand, robot: RobotDescription, faults: dict[str, F
     from surefoot.emulator.hardware import PowerConfig, SensorConfig
     from surefoot.emulator.limits import Limits, introduction
     from surefoot.emulator.plant import Plant
-    from surefoot.world.sim_world import EngineFactory, mujoco_engine
+    from surefoot.world.engines import engine_of
 
-    engine: EngineFactory = mujoco_engine
-    if command.world == "bullet":
-        from surefoot.world.bullet_engine import BulletEngine
-
-        engine = BulletEngine
+    engine = engine_of(command.world)
     sensors, power = (SensorConfig.ideal(), PowerConfig.ideal()) if command.ideal_sensors else (None, None)
     params = _params(command, robot)
     plant = Plant(robot, params, command.seed, sensors, power, command.rack, engine, servo_every=servo_every)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
@@ -13,9 +12,9 @@ import tyro
 
 from surefoot.cli.options import Json, Settings, World, check_suffix
 from surefoot.cli.parsing import parse
-from surefoot.robot import PhysicalParams, RobotDescription
-from surefoot.robot.params import parse_settings
-from surefoot.robot.params_file import find_params, read_params
+from surefoot.robot import RobotDescription
+from surefoot.robot.params_file import given_params
+from surefoot.tables import plain_value
 
 
 @dataclass(frozen=True)
@@ -52,10 +51,7 @@ def main(argv: list[str]) -> int:
     if command.out is not None:
         import_module("matplotlib")
     robot = RobotDescription.load(command.robot)
-    params = PhysicalParams.nominal(robot)
-    if command.params is not None:
-        params = read_params(find_params(command.params, robot), robot).params
-    params = params.with_values(robot, **parse_settings([word for group in command.settings for word in group]))
+    params = given_params(robot, command.params, command.settings)
     from surefoot.identify.log_errors import errors_of_recorded, replay_log
     from surefoot.identify.replay import Replayer
     from surefoot.identify.robot_log import read_log
@@ -68,8 +64,8 @@ def main(argv: list[str]) -> int:
     errors = replay_log(log, robot, params, replayer)
     told: dict[str, Any] = {
         "rms": errors.rms,
-        "rms_by_motor": dict(zip(robot.motor_names, map(_number, errors.by_motor.tolist()), strict=True)),
-        "rms_imu": {name: _number(value) for name, value in errors.by_imu.items()},
+        "rms_by_motor": dict(zip(robot.motor_names, map(plain_value, errors.by_motor.tolist()), strict=True)),
+        "rms_imu": {name: plain_value(value) for name, value in errors.by_imu.items()},
         "moving": [name for name, moves in zip(robot.motor_names, log.moving, strict=True) if moves],
         "world": command.world,
         "rack": command.rack,
@@ -99,7 +95,3 @@ def main(argv: list[str]) -> int:
     if command.out is not None:
         print(f"figure: {command.out}")
     return 0
-
-
-def _number(value: float) -> float | None:
-    return value if math.isfinite(value) else None

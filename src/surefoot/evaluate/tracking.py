@@ -10,6 +10,8 @@ import numpy as np
 from surefoot.arrays import Array
 from surefoot.errors import SurefootError
 from surefoot.robot.commands import COMMANDS, CommandLimits
+from surefoot.rotations import in_heading_frame, quat_yaw
+from surefoot.tables import plain_value
 from surefoot.task.trace import EpisodeTrace
 
 STRIDE = 0.5
@@ -47,10 +49,10 @@ class Tracking:
                 averaged.append(means[whole])
         return cls(*(_rms(np.concatenate(found)) for found in (at_once, averaged)))
 
-    def to_mapping(self) -> dict[str, dict[str, float | None]]:
+    def to_mapping(self) -> dict[str, dict[str, object]]:
         """Return the errors by command as JSON holds them."""
         return {
-            name: {key: float(x) if np.isfinite(x) else None for key, x in zip(COMMANDS, values, strict=True)}
+            name: dict(zip(COMMANDS, map(plain_value, values.tolist()), strict=True))
             for name, values in (("rmse", self.rmse), ("rmse_stride", self.rmse_stride))
         }
 
@@ -72,13 +74,10 @@ def command_grid(limits: CommandLimits | None) -> tuple[tuple[float, float, floa
 
 def motion(trace: EpisodeTrace) -> Array:
     """Return mean speeds forward and to the left [m/s] and yaw rate [rad/s] over each control step, (T, 3)."""
-    w, x, y, z = trace.base_quat_world.T
-    yaw = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
-    step = np.diff(trace.time, prepend=0.0)
-    moved = np.diff(trace.base_position_world[:, :2], axis=0) / step[:, None]
-    cos, sin = np.cos(yaw[:-1]), np.sin(yaw[:-1])
+    yaw, step = quat_yaw(trace.base_quat_world), np.diff(trace.time, prepend=0.0)
+    velocity = np.diff(trace.base_position_world, axis=0) / step[:, None]
     turned = (np.diff(yaw) + np.pi) % (2 * np.pi) - np.pi
-    return np.stack([cos * moved[:, 0] + sin * moved[:, 1], cos * moved[:, 1] - sin * moved[:, 0], turned / step], -1)
+    return np.column_stack([in_heading_frame(velocity, yaw[:-1])[:, :2], turned / step])
 
 
 def settled_steps(trace: EpisodeTrace) -> np.ndarray:

@@ -23,7 +23,7 @@ from surefoot.configuration import is_number, read_toml
 from surefoot.errors import SurefootError, accessible, choices, located, quoted
 from surefoot.files import whole_file
 from surefoot.robot.description import RobotDescription
-from surefoot.robot.params import PhysicalParams
+from surefoot.robot.params import PhysicalParams, parse_settings
 
 ParamValue = float | tuple[float, ...]
 """A parameter of one robot: one number, or one for each motor or axis."""
@@ -76,6 +76,20 @@ def find_params(given: str | Path, robot: RobotDescription) -> Path:
         known = f"those of {robot.name}: {choices(names)}" if names else f"{robot.name} ships with none"
         raise SurefootError(f"params is '{given}'; it must be a file (.toml), or a name; {known}")
     return own
+
+
+def given_params(
+    robot: RobotDescription, given: str | Path | None, settings: Iterable[Iterable[str]]
+) -> PhysicalParams:
+    """Return the parameters, one row, of a file or a name that ships with a robot, the data sheet's if none is given.
+
+    Args:
+        robot: which values are allowed.
+        given: as of `find_params`.
+        settings: words NAME=VALUE that change some of them, as often as `--set` was given.
+    """
+    params = PhysicalParams.nominal(robot) if given is None else read_params(find_params(given, robot), robot).params
+    return params.with_values(robot, **parse_settings([word for group in settings for word in group]))
 
 
 def read_params(path: Path, robot: RobotDescription) -> ParamsFile:

@@ -25,7 +25,7 @@ _START_TIME = 1.5
 """Time in which a gait goes from standing to full steps, and back [sqrt(l / g)]."""
 _FILE_BYTES = 1_000_000
 """Most bytes of a file of commands."""
-_HEADING_ERROR = 0.5
+HEADING_ERROR = 0.5
 """Greatest heading error [rad] that is corrected; beyond it the heading that is held follows the robot."""
 
 
@@ -306,7 +306,7 @@ class CommandFilter:
         self.phase = (self.phase + self._frequency(self.followed) * step) % 1.0
         self.heading += self.followed[:, 2] * step
         error = (self.heading - yaw + np.pi) % (2 * np.pi) - np.pi
-        self.heading_error = np.where(walks, np.clip(error, -_HEADING_ERROR, _HEADING_ERROR), 0.0)
+        self.heading_error = np.where(walks, np.clip(error, -HEADING_ERROR, HEADING_ERROR), 0.0)
         self.heading = yaw + self.heading_error
         self.correction = limits.heading_gain * self.heading_error
 

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from surefoot.arrays import Array
 from surefoot.robot import RobotDescription
+from surefoot.rotations import in_heading_frame
 from surefoot.task.commands import CommandFilter, CommandState
 from surefoot.task.config import TaskConfig
 from surefoot.task.observation import Moment, Observer, gait_phase
@@ -43,13 +44,6 @@ def has_fallen(roll_pitch_yaw: Array, limit: float) -> NDArray[np.bool_]:
     Tan et al. 2018, section IV-C: an episode ends when the base tilts by more than .5 rad; the axis is not stated.
     """
     return np.any(np.abs(roll_pitch_yaw[:, :2]) > limit, axis=1)
-
-
-def in_heading_frame(vector: Array, yaw: Array) -> Array:
-    """Return world vectors (N, 3) in the frame that stands upright and has yaw (N,) [rad]."""
-    cos, sin = np.cos(yaw), np.sin(yaw)
-    x, y, z = vector.T
-    return np.stack([cos * x + sin * y, cos * y - sin * x, z], -1)
 
 
 class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):

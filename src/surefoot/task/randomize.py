@@ -44,9 +44,14 @@ class Row:
     how: Literal["set", "times", "plus"] = "set"
     """Whether a number that is drawn is the parameter, or a factor of its nominal value, or is added to that."""
 
-    def applied(self, nominal: Array, drawn: Array) -> Array:
-        """Return parameters for their nominal values and the numbers that were drawn."""
-        return nominal * drawn if self.how == "times" else nominal + drawn if self.how == "plus" else drawn
+    def applied(self, nominal: Array, drawn: Array, allowed: tuple[float, float]) -> Array:
+        """Return parameters for their nominal values and the numbers that were drawn.
+
+        What is drawn around nominal values is cut to what the robot allows.
+        """
+        if self.how == "set":
+            return drawn
+        return np.clip(nominal * drawn if self.how == "times" else nominal + drawn, *allowed)
 
     def taken_back(self, nominal: Array, values: Array) -> Array:
         """Return the numbers that were drawn for parameters; 1 for factors of nothing."""
@@ -292,9 +297,8 @@ class Randomizer:
                 low, high = self.ranges[row]
                 values, unit = getattr(params, name), apart if ROWS[row].apart else together
                 drawn = low + (high - low) * unit[:, place]
-                values[...] = ROWS[row].applied(values, drawn if values.ndim == 2 else drawn[:, 0])
-                if ROWS[row].how != "set":
-                    np.clip(values, *self._allowed[name], out=values)
+                numbers = drawn if values.ndim == 2 else drawn[:, 0]
+                values[...] = ROWS[row].applied(values, numbers, self._allowed[name])
         return params
 
     @property
@@ -372,6 +376,5 @@ def draw_hidden(robot: RobotDescription, ranges: Mapping[str, tuple[float, float
             # A stream for each name: what one row draws does not change with the others.
             size = np.shape(getattr(nominal, name)) if ROWS[row].each else 1
             numbers = low + (high - low) * generator(seed, f"hidden {name}").uniform(size=size)
-            values = ROWS[row].applied(getattr(nominal, name), numbers)
-            drawn[name] = values if ROWS[row].how == "set" else np.clip(values, *robot.allowed[name])
+            drawn[name] = ROWS[row].applied(getattr(nominal, name), numbers, robot.allowed[name])
     return nominal.with_values(robot, **drawn)

@@ -101,7 +101,7 @@ def _same_side(quat: Array) -> Array:
 
 def _from_origin(position: Array, quat: Array) -> tuple[Array, Array]:
     """Shift and turn about z so that row 0 has x = y = 0 and yaw 0; heights stay."""
-    yaw = quat_yaw(quat[0])
+    yaw = float(quat_yaw(quat[0]))
     cos, sin = np.cos(-yaw), np.sin(-yaw)
     moved = position - [*position[0, :2], 0.0]
     x, y = cos * moved[:, 0] - sin * moved[:, 1], sin * moved[:, 0] + cos * moved[:, 1]
