@@ -7,7 +7,18 @@ from typing import Any
 import numpy as np
 
 from surefoot.robot import PhysicalParams, RobotDescription
+from surefoot.robot.commands import CommandLimits
 from surefoot.world.interface import Readings, Truth, WorldConfig
+
+COMMAND_LIMITS = CommandLimits(
+    forward=(-1.0, 2.0),
+    sideways=(-0.5, 0.5),
+    yaw_rate=(-1.0, 1.0),
+    acceleration=(2.0, 2.0, 4.0),
+    deadband=(0.02, 0.02, 0.02),
+    heading_gain=2.0,
+)
+"""What a policy can be commanded."""
 
 
 class ScriptedWorld:

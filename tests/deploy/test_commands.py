@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scripted import COMMAND_LIMITS as LIMITS
 
 from surefoot.deploy.commands import (
     FRESH,
@@ -24,15 +25,6 @@ from surefoot.deploy.commands import (
     send_command,
 )
 from surefoot.errors import SurefootError
-from surefoot.robot.commands import CommandLimits
-
-LIMITS = CommandLimits(
-    forward=(-1.0, 2.0),
-    sideways=(-0.5, 0.5),
-    yaw_rate=(-1.0, 1.0),
-    acceleration=(2.0, 2.0, 4.0),
-    deadband=(0.02, 0.02, 0.02),
-)
 
 
 def until(read: Callable[[], np.ndarray], wanted: list[float]) -> None:

@@ -6,20 +6,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scripted import COMMAND_LIMITS as LIMITS
 
 from surefoot.errors import SurefootError
 from surefoot.robot import GRAVITY, RobotDescription
-from surefoot.robot.commands import CommandLimits
 from surefoot.task.commands import CommandConfig, CommandFilter, CommandSampler, CommandSchedule, read_schedule
 
-LIMITS = CommandLimits(
-    forward=(-1.0, 2.0),
-    sideways=(-0.5, 0.5),
-    yaw_rate=(-1.0, 1.0),
-    acceleration=(2.0, 2.0, 4.0),
-    deadband=(0.02, 0.02, 0.02),
-    heading_gain=2.0,
-)
 STEP = np.array([0.1])
 
 
