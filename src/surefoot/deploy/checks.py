@@ -324,7 +324,7 @@ def _reference(contract: Contract, robot: RobotDescription) -> str | None:
     if kind is not None and (found or "none") != kind:
         return f"its reference is of kind {found or 'none'}; its task says {kind}"
     # A table's rows stand in the contract alone: its task may name a file that is somewhere else.
-    foot = ("foot", "relative")
+    foot = ("foot", "relative", "velocity_feedforward")
     parts = {"sine": robot.coordinates, "foot": foot, "follow": (*foot, "stride_gain", "frequency_rise")}.get(str(kind))
     if parts is None:
         return None

@@ -88,8 +88,11 @@ class ReferenceConfig:
     """Stride over that of a foot that does not slip, for kind follow; `foot.stroke` is the longest."""
     frequency_rise: float = 0.0
     """Frequency gained at the longest stride, over the frequency on the spot, for kind follow."""
+    velocity_feedforward: float = 0.0
+    """Time [s] by which commands lead along the velocity of the reference, for kinds foot and follow."""
     relative: bool = False
-    """Lengths of `foot` count lengths l of the straight leg, its frequency natural frequencies sqrt(g / l) / 2 pi."""
+    """Lengths of `foot` count lengths l of the straight leg, its frequency natural frequencies sqrt(g / l) / 2 pi, and
+    `velocity_feedforward` the drives' k_d / k_p."""
     rows: dict[str, dict[str, tuple[float, ...]]] | None = None
     """The table itself, in place of `file`: under each coordinate of leg space, each leg's poses."""
 
@@ -103,6 +106,7 @@ class ReferenceConfig:
         if self.kind in ("foot", "follow"):
             own = {"stride_gain": self.stride_gain, "frequency_rise": self.frequency_rise}
             own = own if self.kind == "follow" else {}
+            own |= {"velocity_feedforward": self.velocity_feedforward} if self.velocity_feedforward else {}
             return {"kind": self.kind, "foot": vars(self.foot), **({"relative": True} if self.relative else {}), **own}
         if self.rows is None and self.file is None:
             raise SurefootError("reference.file is missing; a reference of kind table needs a CSV or NPZ file")
@@ -233,10 +237,10 @@ def load_task(task: str, robot: str | None = None) -> tuple[TaskConfig, dict[str
         if robot is None and task.startswith(f"{name}-"):
             task, robot = task.removeprefix(f"{name}-"), name
     path, named = _task_file(task, robot or DEFAULT_ROBOT)
-    data = read_yaml(path)
+    data = _with_base(read_yaml(path), path)
     train = data.pop("train", None) or {}
     data.pop("handcrafted", None)  # Belongs to `HandcraftedGait`, whose task this is.
-    cost_weight = data.pop("cost_weight", None)
+    cost_weight, push_weight = data.pop("cost_weight", None), data.pop("push_weight", None)
     if robot is not None or path.parent == _PRESETS:
         data["robot"] = robot or DEFAULT_ROBOT
     with located(path):
@@ -249,11 +253,38 @@ def load_task(task: str, robot: str | None = None) -> tuple[TaskConfig, dict[str
             if not is_number(cost_weight) or not 0 <= cost_weight <= 1e6:
                 raise SurefootError(f"cost_weight is {quoted(cost_weight)}; it must be a number from 0 to 1e6")
             config = replace(config, energy_weight=cost_weight / RobotDescription.load(config.robot).weight)
+        if push_weight is not None:
+            if not isinstance(push_weight, list) or not all(is_number(number) for number in push_weight):
+                raise SurefootError(f"push_weight is {quoted(push_weight)}; it must be the least and greatest number")
+            force = [number * RobotDescription.load(config.robot).weight for number in push_weight]
+            config = from_mapping(TaskConfig, {"pushes": {"force": force}}, base=config)
     if config.reference.file is not None:
         # A table's path counts from the task's file, wherever surefoot is run.
         absolute = str((path.parent / config.reference.file).resolve())
         config = from_mapping(TaskConfig, {"reference": {"file": absolute}}, base=config)
     return config, train
+
+
+def _with_base(data: dict[str, Any], path: Path) -> dict[str, Any]:
+    """Return a task file's table laid over that of its `base`, the name of a task for any robot, if it names one."""
+    base = data.pop("base", None)
+    if base is None:
+        return data
+    names = sorted(found.stem for found in _PRESETS.glob("*.yaml") if found != path)
+    if base not in names:
+        raise SurefootError(f"{path}: base is {quoted(base)}; choices: {choices(names)}")
+    below = _PRESETS / f"{base}.yaml"
+    return _laid_over(_with_base(read_yaml(below), below), data)
+
+
+def _laid_over(below: dict[str, Any], above: dict[str, Any]) -> dict[str, Any]:
+    """Return a table with what another one changes or adds, at every depth."""
+    both = {
+        key: _laid_over(below[key], value)
+        for key, value in above.items()
+        if isinstance(value, dict) and isinstance(below.get(key), dict)
+    }
+    return {**below, **above, **both}
 
 
 def _task_file(task: str, robot: str) -> tuple[Path, bool]:

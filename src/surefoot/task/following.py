@@ -7,7 +7,7 @@ legs. Without commands feet are lifted on the spot; a robot that stands keeps th
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -18,7 +18,7 @@ from surefoot.errors import SurefootError
 from surefoot.robot import RobotDescription
 from surefoot.robot.commands import CommandLimits
 from surefoot.task.commands import HEADING_ERROR, CommandState
-from surefoot.task.foot import FootReference
+from surefoot.task.foot import RATE_STEP, FootReference
 
 STRIDE_GAIN = (0.0, 3.0)
 FREQUENCY_RISE = (0.0, 3.0)
@@ -129,6 +129,21 @@ class FollowingReference:
         step = (active * along)[..., None] * self.strides(state.command)
         foot = np.concatenate([step, (active * bump)[..., None]], axis=-1) + self.places
         return self.robot.leg_geometry.foot_pose(foot)
+
+    @property
+    def velocity_feedforward(self) -> float:
+        """Time [s] by which commands lead along the velocity of the pose."""
+        return self.feet.velocity_feedforward
+
+    def pose_rate(self, time: ArrayLike, state: CommandState | None = None) -> Array:
+        """Return the velocities (N, C, L) of the poses at what the gait follows, in units of leg space a second."""
+        if state is None:
+            time = np.asarray(time, float)
+            before, after = self.pose(time - RATE_STEP), self.pose(time + RATE_STEP)
+        else:
+            turn = RATE_STEP * self.frequency(state.command)
+            before, after = (self.pose(time, replace(state, phase=state.phase + way * turn)) for way in (-1, 1))
+        return (after - before) / (2 * RATE_STEP)
 
     def extent(self) -> tuple[tuple[float, float], ...]:
         """Return the lowest and highest value of each coordinate over all legs, phases and commands."""

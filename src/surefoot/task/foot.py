@@ -33,6 +33,10 @@ LENGTHS = ("stroke", "clearance", "height", "offset", "depth")
 """Those that are lengths."""
 FREQUENCY = (0.01, 50.0)
 """Least and greatest frequency [Hz]."""
+VELOCITY_FEEDFORWARD = (0.0, 1.0)
+"""Least and greatest feedforward [s]."""
+RATE_STEP = 0.002
+"""Half of the time [s] over which the velocity of a pose is taken."""
 _SAMPLES = 360
 
 
@@ -62,10 +66,17 @@ class FootReference:
     """Of the middle of the stroke, forward from the motor axis [m]."""
     depth: Array
     """How far it is pressed below that height in the middle of its stance [m]."""
+    velocity_feedforward: float = 0.0
+    """Time [s] by which commands lead along the velocity of the pose; k_d / k_p makes up for a drive's damping."""
     _extent: tuple[tuple[float, float], ...] = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         """Check the paths."""
+        if not VELOCITY_FEEDFORWARD[0] <= self.velocity_feedforward <= VELOCITY_FEEDFORWARD[1]:
+            raise SurefootError(
+                f"reference.velocity_feedforward is {self.velocity_feedforward:g} s; it must be "
+                f"{VELOCITY_FEEDFORWARD[0]:g} to {VELOCITY_FEEDFORWARD[1]:g} s"
+            )
         for name, (least, most) in (("frequency", FREQUENCY), *QUANTITIES.items()):
             values = getattr(self, name)
             bad = values[(values < least) | (values > most)]
@@ -122,14 +133,20 @@ class FootReference:
     def stacked(cls, references: Sequence[FootReference]) -> FootReference:
         """Return the paths of N robots, one reference each."""
         first = references[0]
-        values = {name: np.stack([getattr(one, name) for one in references]) for name in QUANTITIES}
-        return cls(first.legs, first.leg, np.array([[one.frequency] for one in references], float), **values)
+        values: dict[str, Any] = {name: np.stack([getattr(one, name) for one in references]) for name in QUANTITIES}
+        frequency = np.array([[one.frequency] for one in references], float)
+        return cls(first.legs, first.leg, frequency, **values)
 
     def pose(self, time: ArrayLike, state: CommandState | None = None) -> Array:
         """Return the poses (N, C, L) at times (N,) [s] since the episode's start: no abduction, whatever the state."""
         swing, extension = self.leg.plane_pose(self.path(np.asarray(time, float) * np.reshape(self.frequency, -1)))
         level = [np.zeros_like(swing)] * (len(self.leg.coordinates) - 2)
         return np.stack([*level, swing, extension], axis=-2)
+
+    def pose_rate(self, time: ArrayLike, state: CommandState | None = None) -> Array:
+        """Return the velocities (N, C, L) of the poses at times (N,) [s], in units of leg space a second."""
+        time = np.asarray(time, float)
+        return (self.pose(time + RATE_STEP) - self.pose(time - RATE_STEP)) / (2 * RATE_STEP)
 
     def extent(self) -> tuple[tuple[float, float], ...]:
         """Return the lowest and highest value of each coordinate over all legs and times."""
@@ -138,4 +155,5 @@ class FootReference:
     def to_dict(self) -> dict[str, Any]:
         """Return everything that `make_reference` needs to make it again, as JSON values."""
         values = {name: dict(zip(self.legs, getattr(self, name).tolist(), strict=True)) for name in QUANTITIES}
-        return {"kind": "foot", "foot": {"frequency": float(self.frequency), **values}}
+        ahead = {"velocity_feedforward": self.velocity_feedforward} if self.velocity_feedforward else {}
+        return {"kind": "foot", "foot": {"frequency": float(self.frequency), **values}, **ahead}

@@ -12,6 +12,8 @@ from surefoot.arrays import Array
 from surefoot.errors import SurefootError
 from surefoot.robot import RobotDescription
 from surefoot.task.commands import CommandState
+from surefoot.task.following import FollowingReference
+from surefoot.task.foot import FootReference
 from surefoot.task.reference import Reference
 
 Range = tuple[float, float]
@@ -37,6 +39,9 @@ def narrowed_bounds(bounds: Sequence[Range], reference: Reference, robot: RobotD
 class HybridGait:
     """Reference plus bounded feedback (Tan et al. 2018, eq. 3).
 
+    With `velocity_feedforward` T of the reference, commands are T dq/dt ahead of it, as far as legs allow: a drive
+    with T = k_d / k_p then damps the difference to the reference's velocity, not the velocity.
+
     Feedback is in leg space, C numbers a leg, or, with `action` joint, an angle for each of the M motors; A = C L or M.
 
     Args:
@@ -54,6 +59,9 @@ class HybridGait:
         self, robot: RobotDescription, reference: Reference, *bounds: Range, action: ActionKind = "leg"
     ) -> None:
         self.robot, self.reference, self.action_kind = robot, reference, action
+        self._leading: FootReference | FollowingReference | None = None
+        if isinstance(reference, FootReference | FollowingReference) and reference.velocity_feedforward:
+            self._leading = reference
         legs, coordinates = len(robot.legs), robot.coordinates
         self._shape = (len(coordinates), legs)
         count = robot.num_motors if action == "joint" else legs
@@ -84,7 +92,8 @@ class HybridGait:
 
     def angle_extent(self) -> tuple[Array, Array]:
         """Return the least and greatest motor angles (M,) [rad] that a command may have."""
-        least, greatest = self.robot.angle_extent(*self._ranges)
+        ranges = self._ranges if self._leading is None else list(self.robot.leg_space.values())
+        least, greatest = self.robot.angle_extent(*ranges)
         return (least + self.low, greatest + self.high) if self.action_kind == "joint" else (least, greatest)
 
     def feedback(self, action: ArrayLike) -> Array:
@@ -102,6 +111,12 @@ class HybridGait:
     def motor_targets(self, time: ArrayLike, feedback: Array, state: CommandState | None = None) -> Array:
         """Return the motor angles (N, M) [rad] for feedback (N, A) at times (N,) [s], with what is followed."""
         pose = self.reference.pose(time, state)
-        if self.action_kind == "joint":
-            return self.robot.to_motors(pose) + feedback
-        return self.robot.to_motors(pose + feedback.reshape(len(feedback), *self._shape))
+        joint = self.action_kind == "joint"
+        if not joint:
+            pose = pose + feedback.reshape(len(feedback), *self._shape)
+        if self._leading is not None:
+            lead = self._leading.velocity_feedforward * self._leading.pose_rate(time, state)
+            low, high = np.array(list(self.robot.leg_space.values())).T
+            pose = np.clip(pose + lead, low[:, None], high[:, None])
+        motors = self.robot.to_motors(pose)
+        return motors + feedback if joint else motors

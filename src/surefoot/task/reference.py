@@ -143,9 +143,9 @@ def make_reference(
     `amplitude`, `frequency`, `phase` and `offset`, each a number or a mapping from leg to number; `kind:
     table` with `period` and either `file` (CSV or NPZ) or the rows themselves under each coordinate; `kind:
     foot` with `foot`: `frequency`, and the quantities of a `FootReference`, each a number or a mapping from leg to
-    number; with `relative`, lengths count lengths of the straight leg l, and the frequency natural frequencies
-    sqrt(g / l) / 2 pi; `kind: follow` with `foot` as before, whose stroke is the longest stride, `stride_gain` and
-    `frequency_rise`, for a robot with commands.
+    number; with `relative`, lengths count lengths of the straight leg l, the frequency natural frequencies
+    sqrt(g / l) / 2 pi, and `velocity_feedforward` the drives' k_d / k_p; `kind: follow` with `foot` as before, whose
+    stroke is the longest stride, `stride_gain` and `frequency_rise`, for a robot with commands.
 
     Raises:
         SurefootError: an unknown key or leg, a value that is not a number, a table that does not fit, or a foot out
@@ -198,7 +198,7 @@ def _per_leg(given: Any, where: str, legs: tuple[str, ...]) -> Array:
 
 def _foot(data: Mapping[str, Any], robot: RobotDescription) -> FootReference:
     where, names = "reference.foot", ("frequency", *foot.QUANTITIES)
-    _only(data, "reference", ("kind", "foot", "relative"))
+    _only(data, "reference", ("kind", "foot", "relative", "velocity_feedforward"))
     given: Any = data.get("foot") or {}
     _only(given, where, names)
     for name in names:
@@ -206,11 +206,14 @@ def _foot(data: Mapping[str, Any], robot: RobotDescription) -> FootReference:
             raise SurefootError(f"{where}.{name} is missing; a reference of kind foot needs it")
     values = {name: _per_leg(given[name], f"{where}.{name}", robot.leg_names) for name in foot.QUANTITIES}
     frequency = np.array(_number(given["frequency"], f"{where}.frequency"))
+    ahead = _number(data.get("velocity_feedforward", 0.0), "reference.velocity_feedforward")
     if data.get("relative"):
         length = robot.leg_geometry.length
         frequency = frequency * np.sqrt(GRAVITY / length) / (2 * np.pi)
         values |= {name: values[name] * length for name in foot.LENGTHS}
-    return FootReference(robot.leg_names, robot.leg_geometry, frequency, **values)
+        nominal = robot.nominal_params()
+        ahead *= float(np.mean(nominal["servo_kd"]) / np.mean(nominal["servo_kp"]))
+    return FootReference(robot.leg_names, robot.leg_geometry, frequency, velocity_feedforward=ahead, **values)
 
 
 def _wave(data: Mapping[str, Any], where: str, legs: tuple[str, ...]) -> Wave:
