@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -97,6 +98,10 @@ def test_written_and_read_again_it_is_the_same(tmp_path, name):
         ("robot: [minitaur\nname: x", ["is not YAML"]),
         ("\t- x: {", ["is not YAML"]),
         ("robot: !!python/object:os.system x", ["is not YAML"]),
+        ("base: waltz", ["base is 'waltz'", "choices: ", "trot"]),
+        ("base: [trot]", ["base is", "choices: "]),
+        ("push_weight: 3", ["push_weight is 3", "two numbers"]),
+        ("push_weight: [1, -1]", ["pushes.force"]),
     ],
 )
 def test_a_file_that_does_not_fit_is_refused_in_one_line(tmp_path, text, pieces):
@@ -130,3 +135,19 @@ def test_beside_a_relative_reference_bounds_are_narrowed_to_what_legs_allow() ->
     assert gait.low[-1] == -0.12
     assert highest + gait.high[-1] == pytest.approx(0.9)
     assert lowest + gait.low[-1] >= 0.35
+
+
+def test_a_task_lays_its_own_values_over_those_of_its_base(tmp_path: Path) -> None:
+    base = load_task("trot", "go2")[0]
+    changed = "base: trot\nrobot: go2\nreference: {foot: {height: 0.7}}\nmax_steps: 7\ntrain: {steps: 5}\n"
+    (tmp_path / "mine.yaml").write_text(changed)
+    task, train = load_task(str(tmp_path / "mine.yaml"))
+    foot = replace(base.reference.foot, height=0.7)
+    assert task == replace(base, name="mine", max_steps=7, reference=replace(base.reference, foot=foot))
+    assert train["steps"] == 5
+    assert train["ppo"]["policy_hidden"] == [125, 89]
+
+
+def test_forces_of_pushes_scale_with_the_robots_weight() -> None:
+    task = load_task("trot-robust", "go2")[0]
+    assert task.pushes.force == (0.0, pytest.approx(0.8 * RobotDescription.load("go2").weight))

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from surefoot.errors import SurefootError
 from surefoot.robot import RobotDescription
+from surefoot.task.commands import CommandState
+from surefoot.task.config import load_task
 from surefoot.task.gait import HybridGait
 from surefoot.task.reference import make_reference
 
@@ -147,3 +151,40 @@ def test_the_edge_of_the_legs_range_is_allowed(robot):
     gait = HybridGait(robot, reference, robot.leg_space["swing"], robot.leg_space["extension"])
     assert gait.low[0] == -1.0
     assert gait.high[-1] == 2.7
+
+
+@pytest.mark.parametrize("task", ["trot", "steer"])
+def test_a_damped_drive_follows_a_reference_that_leads_by_its_lag(task: str):
+    """A drive without inertia and load moves at (command - angle) k_p / k_d: it lags by T = k_d / k_p."""
+    go2, lag, step = RobotDescription.load("go2"), 0.0286, 1e-3
+    time = np.arange(0.0, 2.0, step)
+    command, worst = np.tile([0.5, 0.0, 0.0], (len(time), 1)), {}
+    for lead in (0.0, 1.0):  # in k_d / k_p
+        config = load_task(task, "go2")[0]
+        gait = replace(config, reference=replace(config.reference, velocity_feedforward=lead)).gait(go2)
+        frequency = gait.reference.frequency(command) if task == "steer" else 0.0
+        state = CommandState(command, np.ones(len(time)), frequency * time)
+        targets = gait.motor_targets(time, np.zeros((len(time), 12)), state)
+        wanted = go2.to_motors(gait.reference.pose(time, state))
+        angle, off = wanted[0], []
+        for target, pose in zip(targets, wanted, strict=True):
+            off.append(np.abs(angle - pose).max())
+            angle = angle + (target - angle) * step / lag
+        worst[lead] = max(off[500:])
+    assert worst[0.0] > 0.1
+    assert worst[1.0] < 0.25 * worst[0.0], worst
+
+
+def test_commands_that_lead_stay_within_what_legs_allow(robot: RobotDescription):
+    foot = {"frequency": 3.0, "stroke": 0.1, "clearance": 0.05, "duty_factor": 0.5, "phase": 0.0, "height": 0.2}
+    data = {"kind": "foot", "foot": {**foot, "offset": 0.0, "depth": 0.0}, "velocity_feedforward": 1.0}
+    gait = HybridGait(robot, make_reference(data, robot), (-0.1, 0.1), (-0.1, 0.1))
+    targets = gait.motor_targets(np.linspace(0, 1, 200), np.zeros((200, 8)))
+    pose = robot.to_pose(targets)
+    for part, (low, high) in enumerate(robot.leg_space.values()):
+        assert pose[:, part].min() == pytest.approx(low)
+        assert pose[:, part].max() == pytest.approx(high)
+    least, greatest = gait.angle_extent()
+    assert (targets >= least - 1e-9).all()
+    assert (targets <= greatest + 1e-9).all()
+    assert make_reference(gait.reference.to_dict(), robot).to_dict() == gait.reference.to_dict()

@@ -254,8 +254,9 @@ def load_task(task: str, robot: str | None = None) -> tuple[TaskConfig, dict[str
                 raise SurefootError(f"cost_weight is {quoted(cost_weight)}; it must be a number from 0 to 1e6")
             config = replace(config, energy_weight=cost_weight / RobotDescription.load(config.robot).weight)
         if push_weight is not None:
-            if not isinstance(push_weight, list) or not all(is_number(number) for number in push_weight):
-                raise SurefootError(f"push_weight is {quoted(push_weight)}; it must be the least and greatest number")
+            pair = isinstance(push_weight, list) and len(push_weight) == 2
+            if not pair or not all(is_number(number) for number in push_weight):
+                raise SurefootError(f"push_weight is {quoted(push_weight)}; it must be two numbers, least and greatest")
             force = [number * RobotDescription.load(config.robot).weight for number in push_weight]
             config = from_mapping(TaskConfig, {"pushes": {"force": force}}, base=config)
     if config.reference.file is not None:
