@@ -95,7 +95,9 @@ def main() -> int:
         trainer.update()
         spent += time.perf_counter() - start
         if options.every and spent > 60 * options.every * (len(curve) + 1):
-            curve.append({"seconds": round(spent, 1), "control_steps": trainer.steps, **measure(trainer, 32)})
+            curve.append(
+                {"seconds": round(spent, 1), "control_steps": trainer.steps, **measure(trainer, options.episodes)}
+            )
             if not options.json:
                 print(curve[-1], flush=True)
         start = time.perf_counter()

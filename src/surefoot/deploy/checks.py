@@ -22,7 +22,7 @@ from surefoot.robot import RobotDescription
 from surefoot.task.commands import CommandConfig
 from surefoot.task.gait import action_names, narrowed_bounds
 from surefoot.task.observation import PARTS, Observer
-from surefoot.task.reference import make_reference
+from surefoot.task.reference import FOLLOWING_GAINS, make_reference
 
 Gains = float | Sequence[float] | Array
 """A gain of all motors, or one for each."""
@@ -325,7 +325,7 @@ def _reference(contract: Contract, robot: RobotDescription) -> str | None:
         return f"its reference is of kind {found or 'none'}; its task says {kind}"
     # A table's rows stand in the contract alone: its task may name a file that is somewhere else.
     foot = ("foot", "relative", "velocity_feedforward")
-    parts = {"sine": robot.coordinates, "foot": foot, "follow": (*foot, "stride_gain", "frequency_rise")}.get(str(kind))
+    parts = {"sine": robot.coordinates, "foot": foot, "follow": (*foot, *FOLLOWING_GAINS)}.get(str(kind))
     if parts is None:
         return None
     try:

@@ -88,6 +88,8 @@ class ReferenceConfig:
     """Stride over that of a foot that does not slip, for kind follow; `foot.stroke` is the longest."""
     frequency_rise: float = 0.0
     """Frequency gained at the longest stride, over the frequency on the spot, for kind follow."""
+    turn_gain: float = 1.0
+    """What a stride has for turning, over that of a foot that does not slip, for kind follow."""
     velocity_feedforward: float = 0.0
     """Time [s] by which commands lead along the velocity of the reference, for kinds foot and follow."""
     relative: bool = False
@@ -105,6 +107,7 @@ class ReferenceConfig:
             return {"kind": "sine", **aside, "swing": vars(self.swing), "extension": vars(self.extension)}
         if self.kind in ("foot", "follow"):
             own = {"stride_gain": self.stride_gain, "frequency_rise": self.frequency_rise}
+            own |= {"turn_gain": self.turn_gain} if self.turn_gain != 1.0 else {}
             own = own if self.kind == "follow" else {}
             own |= {"velocity_feedforward": self.velocity_feedforward} if self.velocity_feedforward else {}
             return {"kind": self.kind, "foot": vars(self.foot), **({"relative": True} if self.relative else {}), **own}

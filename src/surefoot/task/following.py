@@ -22,6 +22,7 @@ from surefoot.task.foot import RATE_STEP, FootReference
 
 STRIDE_GAIN = (0.0, 3.0)
 FREQUENCY_RISE = (0.0, 3.0)
+TURN_GAIN = (0.0, 100.0)
 _PHASES = 48
 
 
@@ -42,13 +43,17 @@ class FollowingReference:
     """Length of a stride over that of a foot that does not slip."""
     frequency_rise: float
     """Frequency gained at the greatest stride, over the frequency on the spot."""
+    turn_gain: float = 1.0
+    """What a stride has for turning, over that of a foot that does not slip. Legs without abduction turn a robot only
+    as far as they make feet slide."""
     places: Array = field(init=False, repr=False)
     """Feet below the legs' mounts, (L, 3) [m] from the mounts; z is the height."""
     _extent: tuple[tuple[float, float], ...] = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         """Check that legs reach every stride."""
-        for name, (low, high) in (("stride_gain", STRIDE_GAIN), ("frequency_rise", FREQUENCY_RISE)):
+        bounds = {"stride_gain": STRIDE_GAIN, "frequency_rise": FREQUENCY_RISE, "turn_gain": TURN_GAIN}
+        for name, (low, high) in bounds.items():
             value = getattr(self, name)
             if not low <= value <= high:
                 raise SurefootError(f"reference.{name} is {value:g}; it must be {low:g} to {high:g}")
@@ -93,8 +98,8 @@ class FollowingReference:
         The share (N,) is that of the longest over the longest allowed, at most 1.
         """
         x, y = self.robot.leg_mounts[:, 0], self.robot.leg_mounts[:, 1] + self.places[:, 1]
-        forward = command[:, :1] - command[:, 2:] * y
-        aside = command[:, 1:2] + command[:, 2:] * x
+        turn = self.turn_gain * command[:, 2:]
+        forward, aside = command[:, :1] - turn * y, command[:, 1:2] + turn * x
         if "abduction" not in self.robot.coordinates:
             aside = np.zeros_like(aside)
         stance = self.feet.duty_factor / self.feet.frequency
@@ -152,4 +157,5 @@ class FollowingReference:
     def to_dict(self) -> dict[str, Any]:
         """Return everything that `make_reference` needs to make it again, as JSON values."""
         own = {"stride_gain": self.stride_gain, "frequency_rise": self.frequency_rise}
+        own |= {"turn_gain": self.turn_gain} if self.turn_gain != 1.0 else {}
         return {**self.feet.to_dict(), "kind": "follow", **own}

@@ -30,6 +30,8 @@ from surefoot.task.foot import FootReference
 
 _QUANTITIES = ("amplitude", "frequency", "phase", "offset")
 # What NumPy raises for files that are empty, cut off or of another kind.
+FOLLOWING_GAINS = ("stride_gain", "frequency_rise", "turn_gain")
+"""Numbers that a reference of kind follow has besides those of its feet."""
 _UNREADABLE = (
     *(OSError, ValueError, KeyError, EOFError, IndexError, TypeError, AttributeError),
     *(zipfile.BadZipFile, zlib.error),
@@ -145,7 +147,8 @@ def make_reference(
     foot` with `foot`: `frequency`, and the quantities of a `FootReference`, each a number or a mapping from leg to
     number; with `relative`, lengths count lengths of the straight leg l, the frequency natural frequencies
     sqrt(g / l) / 2 pi, and `velocity_feedforward` the drives' k_d / k_p; `kind: follow` with `foot` as before, whose
-    stroke is the longest stride, `stride_gain` and `frequency_rise`, for a robot with commands.
+    stroke is the longest stride, `stride_gain`, `frequency_rise` and, if it is not 1, `turn_gain`, for a robot with
+    commands.
 
     Raises:
         SurefootError: an unknown key or leg, a value that is not a number, a table that does not fit, or a foot out
@@ -165,7 +168,8 @@ def make_reference(
     if kind == "follow":
         if commands is None:
             raise SurefootError("reference.kind is follow; it needs commands with a range, and the task has none")
-        gains = {name: _number(data.get(name), f"reference.{name}") for name in ("stride_gain", "frequency_rise")}
+        named = {"turn_gain": 1.0, **data}
+        gains = {name: _number(named.get(name), f"reference.{name}") for name in FOLLOWING_GAINS}
         feet = _foot({key: value for key, value in data.items() if key not in gains}, robot)
         return FollowingReference(robot, feet, commands, **gains)
     raise SurefootError(f"reference.kind is {kind!r}; choices: sine, table, foot, follow")

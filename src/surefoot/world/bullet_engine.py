@@ -58,13 +58,13 @@ class BulletEngine:
         self._meeting = meeting_links(robot)
         self.models = [BulletModel(robot, config, settings, self._meeting) for _ in range(num_envs)]
         model = self.models[0]
-        joints = len(model.joints)
-        self._joints = list(range(joints))
+        self._joints = list(model.joints.values())
+        joints = len(self._joints)
         self._spoilt = np.zeros(num_envs, np.bool_)
         sign = robot.motor_sign.astype(np.float64)
         self._layout = Layout(sign, model.base_quat, model.rack)
         self._from_link = quat_matrix(model.base_quat)
-        columns = JOINTS + np.array(model.motors)
+        columns = JOINTS + np.array([self._joints.index(motor) for motor in model.motors])
         self._motor_columns = np.concatenate([columns, columns + joints])
         self._feet = {link: leg for leg, link in enumerate(model.feet)}
         self._applied = np.zeros((num_envs, len(sign)))
@@ -81,7 +81,7 @@ class BulletEngine:
         model = self.models[0]
         row = np.zeros(self._rows.shape[1])
         for name, angle in self.robot.resting_joint_angles.items():
-            row[JOINTS + model.joints[name]] = angle
+            row[JOINTS + self._joints.index(model.joints[name])] = angle
         row[:3] = [*model.base_centre[:2], RACK_HEIGHT + model.base_centre[2]]
         row[3:7] = model.base_quat[[1, 2, 3, 0]]
         state = np.concatenate([row, np.zeros(6)])
@@ -161,8 +161,10 @@ class BulletEngine:
         # Knees are looked at here only: what is wrong with one shows at its motor, too, a step later.
         self.diverged[i] |= not np.abs(row).max() < SPEED_LIMIT
         self._spoilt[i] = self.diverged[i]
-        if not self.diverged[i] and not self._config.rack:
-            self._write_base(i)
+        if not self.diverged[i]:
+            self._turn_rotors(i)
+            if not self._config.rack:
+                self._write_base(i)
 
     def _look(self, i: int) -> Array:
         """Return the base, angles and speeds that `observe` takes, from robot `i`'s row."""
@@ -231,8 +233,13 @@ class BulletEngine:
         angles, speeds = np.split(row[JOINTS:], 2)
         for joint, angle, speed in zip(self._joints, angles.tolist(), speeds.tolist(), strict=True):
             p.resetJointState(model.body, joint, angle, speed, model.client)
+        self._turn_rotors(i)
         model.forget()
         self.diverged[i] = False
+
+    def _turn_rotors(self, i: int) -> None:
+        angles, speeds = np.split(self._rows[i, self._motor_columns], 2)
+        self.models[i].turn_rotors(angles.tolist(), speeds.tolist())
 
     def _renew(self, i: int, base_offset: Array) -> None:
         """Give robot `i` a client of its own anew, with nominal parameters but for the base's centre of mass."""

@@ -42,6 +42,11 @@ LOOP_ERP = 0.2
 """Share of a loop's gap that is closed in a step."""
 _NO_OFFSET = np.zeros(3)
 _SPEED_CUT = 1e6
+ROTOR_RATIO = 300.0
+"""Turns of a rotor for a turn of its joint in Bullet; the more, the less it resists the turning of what it is on."""
+_ROTOR = "rotor of "
+_ROTOR_MASS = 1e-9
+_LEAST_ROTOR = 1e-6
 """Bullet cuts all generalized speeds at this [m/s, rad/s]; its own 100 would stop motors, and hide a divergence."""
 
 
@@ -106,6 +111,8 @@ class BulletModel:
     """Joint indices in the robot's motor order."""
     knees: list[int]
     """Indices of the joints without a motor."""
+    rotors: dict[int, int]
+    """Index of the joint of each rotor by that of the joint it drives."""
     feet: list[int]
     """Link indices in the order of the legs."""
     foot_centre: Array
@@ -175,7 +182,8 @@ class BulletModel:
         meeting = {frozenset(fused.place[link][0] for link in pair) for pair in self._meeting}
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / "fused.urdf"
-            path.write_text(fused.text if settings.feet == "sphere" else self._with_shanks(), encoding="utf-8")
+            text = fused.text if settings.feet == "sphere" else self._with_shanks()
+            path.write_text(self._with_rotors(text) if robot.drive == "joint" else text, encoding="utf-8")
             try:
                 self.body = p.loadURDF(
                     str(path),
@@ -188,19 +196,16 @@ class BulletModel:
                 raise SurefootError(f"{robot.urdf.path}: Bullet refuses it: {error}") from error
         count = p.getNumJoints(self.body, physicsClientId=client)
         infos = [p.getJointInfo(self.body, joint, physicsClientId=client) for joint in range(count)]
-        self.joints = {info[1].decode(): info[0] for info in infos}
-        self.links = {base: -1} | {info[12].decode(): info[0] for info in infos}
+        numbers = {info[1].decode(): info[0] for info in infos}
+        self.joints = {name: number for name, number in numbers.items() if not name.startswith(_ROTOR)}
+        self.links = {base: -1} | {info[12].decode(): info[0] for info in infos if info[0] in self.joints.values()}
         if meeting:
             for one, other in itertools.combinations(self.links, 2):
                 apart = int({one, other} in meeting)
                 p.setCollisionFilterPair(self.body, self.body, self.links[one], self.links[other], apart, client)
         self.motors = [self.joints[name] for name in robot.motor_names]
-        # Squared cosines of each motor's axis and its link's principal axes, by the number of link and joint.
-        self._turns = {}
-        for joint, name in zip(self.motors, robot.motor_names, strict=True):
-            link, frame = fused.place[robot.urdf.joints[name].child]
-            axis = frame[:3, :3] @ np.array(robot.urdf.joints[name].axis)
-            self._turns[joint] = (fused.bodies[link].principal()[1].T @ (axis / np.linalg.norm(axis))) ** 2
+        geared = [name for name in robot.motor_names if f"{_ROTOR}{name}" in numbers]
+        self.rotors = {self.joints[name]: numbers[f"{_ROTOR}{name}"] for name in geared}
         self.knees = [joint for joint in self.joints.values() if joint not in self.motors]
         self.feet = [self.links[fused.place[leg.foot][0]] for leg in robot.legs]
         self._touching = list(self.links.values()) if meeting else [-1, *self.feet]
@@ -219,8 +224,7 @@ class BulletModel:
         self.rotor_inertia = np.broadcast_to(nominal["rotor_inertia"], robot.num_motors).astype(float)
         self._set_up_dynamics()
         self.check_masses(self.mass)
-        if self.rotor_inertia.any():
-            self._scale_masses()
+        self._gear_rotors()
 
     def _lay(self, shape: int, place: list[float]) -> int:
         """Return the number of a body to stand on, which does not move."""
@@ -228,6 +232,53 @@ class BulletModel:
         number: int = p.createMultiBody(0, shape, basePosition=place, physicsClientId=client)
         p.changeDynamics(number, -1, lateralFriction=1.0, restitution=0.0, physicsClientId=client)
         return number
+
+    def _with_rotors(self, text: str) -> str:
+        """Return the URDF with a rotor beside every joint with a motor, on the link that the motor is fixed to.
+
+        Bullet has no inertia of joints. One that is added to the link that the joint turns would resist the turning of
+        the link before it too; a rotor that turns n times as fast, with 1 / n^2 of the inertia, does so by 1 / n.
+        """
+        tree = ElementTree.fromstring(text)
+        for joint in tree.findall("joint"):
+            if joint.get("name") in self.robot.motor_names:
+                name = f"{_ROTOR}{joint.get('name')}"
+                body = ElementTree.SubElement(ElementTree.SubElement(tree, "link", name=name), "inertial")
+                ElementTree.SubElement(body, "mass", value=repr(_ROTOR_MASS))
+                moments = {key: "0" for key in ("ixy", "ixz", "iyz")} | {key: "1e-9" for key in ("ixx", "iyy", "izz")}
+                ElementTree.SubElement(body, "inertia", moments)
+                turning = ElementTree.SubElement(tree, "joint", name=name, type="continuous")
+                turning.extend(part for part in joint if part.tag in ("origin", "parent", "axis"))
+                ElementTree.SubElement(turning, "child", link=name)
+        return ElementTree.tostring(tree, encoding="unicode")
+
+    def _gear_rotors(self) -> None:
+        """Couple rotors to their joints, and give them their inertia."""
+        p, body = self._p, self.body
+        for joint, rotor in self.rotors.items():
+            ends = (body, joint, body, rotor, p.JOINT_GEAR, [0, 0, 1], [0, 0, 0], [0, 0, 0])
+            gear = p.createConstraint(*ends, physicsClientId=self.client)
+            p.changeConstraint(gear, gearRatio=-1.0 / ROTOR_RATIO, maxForce=1e9, physicsClientId=self.client)
+        self._weigh_rotors()
+
+    def _weigh_rotors(self) -> None:
+        for joint, inertia in zip(self.motors, self.rotor_inertia.tolist(), strict=True):
+            if joint in self.rotors:
+                moments = [max(inertia, _LEAST_ROTOR) / ROTOR_RATIO**2] * 3
+                self._p.changeDynamics(
+                    self.body,
+                    self.rotors[joint],
+                    mass=_ROTOR_MASS,
+                    localInertiaDiagonal=moments,
+                    physicsClientId=self.client,
+                )
+
+    def turn_rotors(self, angles: list[float], speeds: list[float]) -> None:
+        """Put rotors where joints at angles (M,) [rad] and speeds (M,) [rad/s] of the motors have them."""
+        for motor, angle, speed in zip(self.motors, angles, speeds, strict=True):
+            if motor in self.rotors:
+                turned = (ROTOR_RATIO * angle, ROTOR_RATIO * speed)
+                self._p.resetJointState(self.body, self.rotors[motor], *turned, self.client)
 
     def _foot_sphere(self, foot: str) -> tuple[Array, float]:
         """Return the centre [m] of a foot's sphere in its link's inertial frame, and its radius [m]."""
@@ -289,7 +340,7 @@ class BulletModel:
 
     def _set_up_dynamics(self) -> None:
         """Remove damping and default motors, and set the contact of the feet; all else is stiff against the ground."""
-        for link in self.links.values():
+        for link in (*self.links.values(), *self.rotors.values()):
             self._p.changeDynamics(
                 self.body,
                 link,
@@ -303,7 +354,7 @@ class BulletModel:
                 maxJointVelocity=_SPEED_CUT,
                 physicsClientId=self.client,
             )
-        self._brake(list(range(len(self.joints))), 0.0)
+        self._brake([*self.joints.values(), *self.rotors.values()], 0.0)
         self._set_foot_contact()
 
     def _brake(self, joints: list[int], torque: float) -> None:
@@ -319,8 +370,10 @@ class BulletModel:
         self.values, self.rotor_inertia = values, rotor_inertia.copy()
         if changed.intersection(CONTACT):
             self._set_foot_contact()
-        if changed.intersection(RATIOS) or turned:
+        if changed.intersection(RATIOS):
             self._scale_masses()
+        if turned:
+            self._weigh_rotors()
         if "knee_friction" in changed:
             self._brake(self.knees, values["knee_friction"])
         if "floor_unevenness" in changed:
@@ -348,14 +401,11 @@ class BulletModel:
     def _scale_masses(self) -> None:
         """Multiply the nominal masses and moments of base and other links, and check that Bullet has them."""
         base_mass, leg_mass, base_inertia, leg_inertia = (self.values[name] for name in RATIOS)
-        rotors = dict(zip(self.motors, self.rotor_inertia.tolist(), strict=True))
         scaled = {}
         for name, (mass, moments) in self.mass.items():
             link = self.links[name]
             mass = mass * (base_mass if link < 0 else leg_mass)
             moments = moments * (base_inertia if link < 0 else leg_inertia)
-            # Bullet has no rotors: theirs is added to the link that the joint turns, about the joint's axis.
-            moments = moments + rotors.get(link, 0.0) * self._turns[link] if link in rotors else moments
             # Given a mass alone, Bullet would take the inertia of the collision shape.
             self._p.changeDynamics(
                 self.body, link, mass=mass, localInertiaDiagonal=moments.tolist(), physicsClientId=self.client
