@@ -61,11 +61,11 @@ def test_feet_go_sideways_by_abduction() -> None:
 def test_turning_moves_the_feet_of_the_left_backward_of_the_right() -> None:
     reference = reference_of("minitaur")
     x, y = reference.robot.leg_mounts[:, 0], reference.robot.leg_mounts[:, 1] + reference.places[:, 1]
-    command = np.array([[0.0, 0.0, 1.0]])
+    command = np.array([[0.0, 0.0, 0.1]])
     stride = reference.strides(command)[0]
     stance = reference.feet.duty_factor / reference.frequency(command)[0]
     # w x r has -w y forward; legs without abduction can't follow the part to the side.
-    assert stride[:, 0] == pytest.approx(-y * reference.stride_gain * stance)
+    assert stride[:, 0] == pytest.approx(-0.1 * reference.turn_gain * y * reference.stride_gain * stance)
     assert not stride[:, 1].any()
     assert (stride[y > 0, 0] < 0).all()
     aside = reference_of("go2")

@@ -264,3 +264,20 @@ def test_a_dropped_robot_lands_alike(robot: RobotDescription):
     assert np.min(depths) > 0.02
     np.testing.assert_allclose(depths[1], depths[0], rtol=0.05)
     assert rms(heights[1] - heights[0]) < 0.003
+
+
+@pytest.mark.parametrize("name", ["go2", "pupper_v2"])
+def test_rotors_resist_the_turning_of_their_joints_alone(name: str):
+    """Hips swing legs on a rack while knees are free, which an inertia added to the calves would swing along."""
+    robot = RobotDescription.load(name)
+    values = {"servo_kp": np.tile([40.0, 40.0, 0.0], 4), "servo_kd": np.tile([2.0, 2.0, 0.0], 4)}
+    free = {"motor_friction": 0.0, "motor_viscous_friction": 0.0, "load_friction": 0.0, "torque_limit": 100.0}
+    rest = robot.resting_angles
+
+    def path(k: int) -> np.ndarray:
+        return (rest + np.tile([0.0, 0.3 * np.sin(0.2 * k), 0.0], 4))[None]
+
+    swung = [follow(world, path, 40) for world in both(robot, config=WorldConfig(rack=True), **values, **free)]
+    knees = [angles[:, 0, 2::3] - rest[2::3] for angles in swung]
+    assert np.abs(knees[0]).max() > 0.2
+    assert rms(knees[0] - knees[1]) < 0.02 * np.abs(knees[0]).max()
