@@ -56,6 +56,7 @@ MORE = {
     "knee_play": (0.0001, 0.0005),
     "floor_unevenness": (0.001, 0.004),
     "imu_mount": (-0.02, 0.02),
+    "imu_yaw_drift": (-0.02, 0.02),
 }
 FULL = RandomizeConfig(**TABLE_1, **MORE)
 NUMBERS = {
@@ -111,13 +112,13 @@ def test_draws_are_uniform_over_the_range(many, row):
 
 def test_all_numbers_are_independent(many):
     drawn = np.array([np.concatenate([numbers(params, row) for row in SET], axis=1) for params in many])
-    assert drawn.shape == (40, 100, 31)
+    assert drawn.shape == (40, 100, 32)
     assert np.all(many[0].motor_friction == many[0].motor_friction[:, :1])  # all motors share one
-    between = np.corrcoef(drawn.reshape(4000, 31), rowvar=False) - np.eye(31)
+    between = np.corrcoef(drawn.reshape(4000, 32), rowvar=False) - np.eye(32)
     # The standard error of a correlation of 4000 pairs is .016; this is four of them.
     assert np.abs(between).max() < 0.064
     for first, second in ((drawn[:-1], drawn[1:]), (drawn[:, :-1], drawn[:, 1:])):  # episodes, and robots, in a row
-        for k in range(31):
+        for k in range(32):
             assert abs(np.corrcoef(first[..., k].ravel(), second[..., k].ravel())[0, 1]) < 0.064
 
 
@@ -450,7 +451,7 @@ def test_without_ranges_nothing_is_drawn(robot):
 def test_scaled_is_from_minus_one_to_one(make_randomizer, many):
     randomizer = make_randomizer()
     scaled = np.concatenate([randomizer.scaled(params) for params in many])
-    assert scaled.shape == (4000, 31)
+    assert scaled.shape == (4000, 32)
     assert np.abs(scaled).max() <= 1 + 1e-12
     assert np.all(scaled.min(axis=0) < -0.99)
     assert np.all(scaled.max(axis=0) > 0.99)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from surefoot.world.drive import read_by_mounted_imu
 from surefoot.world.sim_world import SimWorld
@@ -33,3 +34,12 @@ def test_each_robot_of_a_world_has_its_own_mount(make_world):
     truth = world.truth().roll_pitch_yaw
     np.testing.assert_allclose(readings.roll_pitch_yaw[0], truth[0], atol=2e-3)
     np.testing.assert_allclose(readings.roll_pitch_yaw[1] - readings.roll_pitch_yaw[0], mount[1], atol=5e-4)
+
+
+def test_the_yaw_of_an_imu_drifts_with_the_bias_of_its_gyro(make_world):
+    world: SimWorld = make_world(2, imu_yaw_drift=[0.0, 0.1])
+    for _ in range(50):
+        readings = world.step(world.resting_angles)
+    yaw = readings.roll_pitch_yaw[:, 2]
+    assert yaw[1] - yaw[0] == pytest.approx(0.1 * readings.time[1])
+    assert readings.angular_velocity_base[1, 2] - readings.angular_velocity_base[0, 2] == pytest.approx(0.1)

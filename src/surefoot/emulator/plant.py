@@ -86,6 +86,11 @@ class Plant:
         self._draw_power(np.zeros(motors))
 
     @property
+    def _seconds(self) -> Array:
+        """Time since the robot was switched on (1,) [s]."""
+        return np.asarray(self.world.drive.ticks * self.robot.timing.servo_step, np.float64)
+
+    @property
     def ticks(self) -> int:
         """Servo steps since the robot was switched on."""
         return int(self.world.drive.ticks[0])
@@ -158,7 +163,7 @@ class Plant:
         """Return the present readings that the microcontroller checks."""
         now, motors = self.world.drive.now[0], self.robot.num_motors
         tilt, rate = now[-6:-3].copy(), now[-3:].copy()
-        read_imu(tilt[None], rate[None], self.params)
+        read_imu(tilt[None], rate[None], self._seconds, self.params)
         roll, pitch = tilt[:2].tolist()
         return Vitals(
             motor_angle=now[:motors],
@@ -182,7 +187,7 @@ class Plant:
             angle = np.round(angle / config.encoder_step) * config.encoder_step
         if config.speed_noise:
             speed = speed + config.speed_noise * noise.standard_normal(motors)
-        read_imu(tilt[None], rate[None], self.params)
+        read_imu(tilt[None], rate[None], self._seconds, self.params)
         if self._imu_noise:
             tilt[:2] += self._imu_noise * noise.standard_normal(2)
         rate = rate + self._gyro_bias

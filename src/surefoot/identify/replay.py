@@ -200,7 +200,7 @@ class Replayer:
         ended = np.clip(np.floor(stretch.state_time / dt + 1e-3).astype(np.int64), 0, len(torque) - 1)
         imu = told[:, :, 2 * motors :]
         for row in range(params.num_envs):
-            read_imu(imu[row, :, :3], imu[row, :, 3:], params, np.full(len(imu[row]), row))
+            read_imu(imu[row, :, :3], imu[row, :, 3:], stretch.state_time, params, np.full(len(imu[row]), row))
         return Replayed(
             motor_angle=told[:, :, :motors],
             motor_velocity=told[:, :, motors : 2 * motors],

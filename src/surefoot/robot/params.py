@@ -94,6 +94,7 @@ class PhysicalParams:
     motor_offset: Array = _row("rad", "angle that each motor's encoder tells, less the true one", (-0.5, 0.5), "motors")
     contact_shear_ratio: Array = _row("1", "stiffness of the feet along the ground, over that against it", (0.01, 10.0))
     base_offset: Array = _row("m", "centre of mass of the base, less the description's", (-0.1, 0.1), "x, y, z")
+    imu_yaw_drift: Array = _row("rad/s", "bias of the gyro about z, with which the IMU's yaw drifts", (-0.5, 0.5))
 
     @property
     def num_envs(self) -> int:

@@ -135,6 +135,8 @@ class RandomizeConfig:
     """Error of the encoders, less the nominal one [rad]; each motor draws its own."""
     base_offset: Range = _around("base_offset", each=True, how="plus")
     """Centre of mass of the base, less the nominal one [m]; each axis draws its own."""
+    imu_yaw_drift: Range = _row("imu_yaw_drift", apart=True)
+    """Bias of the gyro about z, with which the IMU's yaw drifts [rad/s]."""
 
     def __post_init__(self) -> None:
         """Refuse reversed ranges and bounds that are not finite."""

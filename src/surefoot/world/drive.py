@@ -324,19 +324,24 @@ def read_delayed(drive: Drive, latency: Array, out: Array) -> None:
         read_kernel(drive.times[i], drive.history[i], drive.ticks[i] + 1, at, out.shape[1], out[i])
 
 
-def read_imu(attitude: Array, rates: Array, params: PhysicalParams, rows: Any = slice(None)) -> None:
-    """Turn attitudes and rates of bases into what IMUs tell: mount and bias, without noise.
+def read_imu(attitude: Array, rates: Array, time: Array, params: PhysicalParams, rows: Any = slice(None)) -> None:
+    """Turn attitudes and rates of bases into what IMUs tell: mount, bias and drift, without noise.
 
     Args:
         attitude: roll, pitch and yaw (N, 3) [rad]; updated.
         rates: angular velocity in the base frame (N, 3) [rad/s]; updated.
-        params: mounts and biases.
+        time: since the robots' last reset (N,) [s].
+        params: mounts, biases and drifts.
         rows: which of its rows, N of them.
     """
     mount = params.imu_mount[rows]
     if mount.any():
         read_by_mounted_imu(attitude, rates, mount)
     attitude[:, :2] += params.imu_bias[rows]
+    drift = params.imu_yaw_drift[rows]
+    if drift.any():
+        attitude[:, 2] += drift * time
+        rates[:, 2] += drift
 
 
 @njit(cache=True)

@@ -225,12 +225,13 @@ class SimWorld:
         out = np.empty_like(self.drive.now)
         read_delayed(self.drive, self.params.control_latency, out)
         angles, rates = out[:, 2 * motors : 2 * motors + 3], out[:, 2 * motors + 3 :]
-        read_imu(angles, rates, self.params)
+        time = np.asarray(self.drive.ticks * self.robot.timing.servo_step, np.float64)
+        read_imu(angles, rates, time, self.params)
         if self.params.imu_noise.any():
             noise = self._noise[np.arange(self.num_envs), self._control_steps % _NOISE_BLOCK]
             angles[:, :2] += noise * self.params.imu_noise[:, None]
         return Readings(
-            time=np.asarray(self.drive.ticks * self.robot.timing.servo_step, np.float64),
+            time=time,
             roll_pitch_yaw=angles,
             angular_velocity_base=rates,
             motor_angle=out[:, :motors],
