@@ -13,6 +13,7 @@ from typing import NamedTuple
 from numba import njit
 
 from surefoot.arrays import Array
+from surefoot.robot.actuator import LOSS
 from surefoot.world.drive import Drive
 
 
@@ -40,10 +41,6 @@ class SensorConfig:
     def ideal(cls) -> SensorConfig:
         """Return sensors without error."""
         return cls(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-
-
-LOSS = 0.5
-"""Heat of a joint drive at its full torque, over torque times the speed up to which it has it; assumed."""
 
 
 class PowerConfig(NamedTuple):

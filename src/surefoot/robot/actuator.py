@@ -19,6 +19,10 @@ _Each = Annotated[float | tuple[float, ...], Within(0, 1e9)]
 """One number for all motors, one for each motor of a leg, or one for each motor."""
 
 
+LOSS = 0.5
+"""Heat of a joint drive at its full torque, over torque times the speed up to which it has it; assumed."""
+
+
 @dataclass(frozen=True)
 class DcMotorData:
     """Voltage-driven motor and servo, nominal. Units as in a sheet's `[actuator]`."""
@@ -57,6 +61,11 @@ class DcMotorData:
             **{name: getattr(self, name) for name in ("torque_constant", "resistance", "voltage")},
             **_servo(self.kp, self.kd, self.friction, self.viscous_friction),
         }
+
+    def heat(self, torque: Array) -> Array:
+        """Return the heat R I^2 [W] of nominal motors with torques (..., M) [N m], I by the torque table."""
+        current = np.interp(np.abs(torque), self.torque_table_torque, self.torque_table_current)
+        return self.resistance * current**2
 
 
 @dataclass(frozen=True)
@@ -99,6 +108,11 @@ class JointDriveData:
             "speed_filter": self.speed_filter,
             **{name: np.asarray(getattr(self, name)) for name in _OF_JOINT_DRIVES},
         }
+
+    def heat(self, torque: Array) -> Array:
+        """Return the heat [W] of nominal drives with torques (..., M) [N m]: at full torque `LOSS` of the power there."""
+        heat: Array = LOSS * np.asarray(self.full_torque_speed) * np.square(torque) / np.asarray(self.torque_limit)
+        return heat
 
 
 ActuatorData = DcMotorData | JointDriveData

@@ -55,6 +55,8 @@ class StepMotion:
     """Mean of |tau . qdot| (N,) [W]."""
     torque: Array
     """Motor torques at the end of the step (N, M) [N m]."""
+    heat: Array
+    """Heat of the motors at these torques (N, M) [W]."""
     action: Array
     """Feedback in half widths of its bounds (N, A)."""
     last_action: Array
@@ -111,6 +113,11 @@ TERMS: dict[str, Term] = {
     "height": Term("height^2, l^2", lambda m: (m.height / m.scales.length) ** 2, _RUDIN),
     "torque": Term(
         "tau^2, (m g l)^2", lambda m: ((m.torque / (m.scales.weight * m.scales.length)) ** 2).sum(axis=1), _RUDIN
+    ),
+    "heat": Term(
+        "heat of all motors, m g sqrt(g l)",
+        lambda m: m.heat.sum(axis=1) / (m.scales.weight * m.scales.speed),
+        "R I^2, by the torque table; of joint drives as the emulator has it",
     ),
     "feedback": Term("mean of squares", lambda m: (m.action**2).mean(axis=1), "keeps the network's part small"),
     "feedback_change": Term("mean of squares", lambda m: ((m.action - m.last_action) ** 2).mean(axis=1), _RUDIN),
