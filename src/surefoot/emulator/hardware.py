@@ -13,7 +13,7 @@ from typing import NamedTuple
 from numba import njit
 
 from surefoot.arrays import Array
-from surefoot.robot.actuator import LOSS
+from surefoot.robot.actuator import HEAT_LOSS
 from surefoot.world.drive import Drive
 
 
@@ -75,8 +75,8 @@ def power_tick(drive: Drive, power: PowerConfig, dt: float, temperature: Array) 
         C dT/dt = R I^2 - (T - T_air) / R_heat
 
     Where the table is flat, the least current that gives the torque is taken. Joint drives are known by their limits
-    alone: their heat is `LOSS` of the power at full torque and the speed up to which they have it, times the square of
-    torque over limit.
+    alone: their heat is `HEAT_LOSS` of the power at full torque and the speed up to which they have it, times the
+    square of torque over limit.
 
     Args:
         drive: a batch of one robot, after the step.
@@ -91,7 +91,7 @@ def power_tick(drive: Drive, power: PowerConfig, dt: float, temperature: Array) 
         for m in range(motors):
             limit, full = drive.greatest_torque[0, m], drive.joint_limits[0, m]
             torque = drive.motor_torque[0, m]
-            heat = LOSS * limit * full * (torque / limit) ** 2
+            heat = HEAT_LOSS * limit * full * (torque / limit) ** 2
             total += heat + torque * drive.now[0, motors + m]
             cooling = (temperature[m] - power.ambient) / power.heat_resistance
             temperature[m] += dt / power.heat_capacity * (heat - cooling)

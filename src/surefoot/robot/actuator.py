@@ -19,7 +19,7 @@ _Each = Annotated[float | tuple[float, ...], Within(0, 1e9)]
 """One number for all motors, one for each motor of a leg, or one for each motor."""
 
 
-LOSS = 0.5
+HEAT_LOSS = 0.5
 """Heat of a joint drive at its full torque, over torque times the speed up to which it has it; assumed."""
 
 
@@ -110,8 +110,8 @@ class JointDriveData:
         }
 
     def heat(self, torque: Array) -> Array:
-        """Return the heat [W] of nominal drives with torques (..., M) [N m]: at full torque `LOSS` of the power there."""
-        heat: Array = LOSS * np.asarray(self.full_torque_speed) * np.square(torque) / np.asarray(self.torque_limit)
+        """Return the heat [W] of nominal drives with torques (..., M) [N m]; `HEAT_LOSS` says of what."""
+        heat: Array = HEAT_LOSS * np.asarray(self.full_torque_speed) * np.square(torque) / np.asarray(self.torque_limit)
         return heat
 
 
