@@ -115,9 +115,9 @@ TERMS: dict[str, Term] = {
         "tau^2, (m g l)^2", lambda m: ((m.torque / (m.scales.weight * m.scales.length)) ** 2).sum(axis=1), _RUDIN
     ),
     "heat": Term(
-        "heat of all motors, m g sqrt(g l)",
-        lambda m: m.heat.sum(axis=1) / (m.scales.weight * m.scales.speed),
-        "R I^2, by the torque table; of joint drives as the emulator has it",
+        "M times the root mean square over motors of their heat, m g sqrt(g l)",
+        lambda m: np.sqrt(m.heat.shape[1] * np.square(m.heat).sum(axis=1)) / (m.scales.weight * m.scales.speed),
+        "R I^2, by the torque table; squares, since the hottest motor ends a run",
     ),
     "feedback": Term("mean of squares", lambda m: (m.action**2).mean(axis=1), "keeps the network's part small"),
     "feedback_change": Term("mean of squares", lambda m: ((m.action - m.last_action) ** 2).mean(axis=1), _RUDIN),
