@@ -133,7 +133,10 @@ def read_schedule(path: Path) -> tuple[tuple[float, float, float, float], ...]:
             text = file.read(_FILE_BYTES + 1)
     if len(text) > _FILE_BYTES:
         raise SurefootError(f"commands {path}: has more than {_FILE_BYTES} bytes; {rule}")
-    rows = list(csv.reader(text.splitlines()))
+    try:
+        rows = list(csv.reader(text.splitlines()))
+    except csv.Error as error:
+        raise SurefootError(f"commands {path}: {error}; {rule}") from error
     if not rows or tuple(name.strip() for name in rows[0]) != names:
         raise SurefootError(f"commands {path}: its first line is {quoted(','.join(rows[0]) if rows else '')}; {rule}")
     try:
