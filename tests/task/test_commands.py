@@ -56,6 +56,11 @@ def test_a_range_must_hold_zero(given: dict[str, tuple[float, float]], message: 
         CommandConfig(**given).limits(RobotDescription.load("go2"))
 
 
+def test_a_range_that_is_reversed_is_refused() -> None:
+    with pytest.raises(SurefootError, match=r"commands\.hold is \[3, 2\]; the lower bound must come first"):
+        CommandConfig(hold=(3.0, 2.0))
+
+
 def test_a_command_out_of_range_is_clamped_and_said() -> None:
     command, changed = LIMITS.clamped([3.0, 0.1, -1.5])
     assert command.tolist() == [2.0, 0.1, -1.0]
@@ -132,6 +137,8 @@ def test_a_file_of_commands_is_read(tmp_path: Path) -> None:
         ("", "its first line is"),
         ("t,x\n0,1\n", "its first line is 't,x'; a file of commands is CSV"),
         ("time,forward,sideways,yaw_rate\n", "has no row"),
+        ("time,forward,sideways,yaw_rate\n" + "0,1,0,0\n" * 130_000, "has more than 1000000 bytes"),
+        ("time," + "x" * 200_000, "field larger than field limit"),
         ("time,forward,sideways,yaw_rate\n0,fast,0,0\n", "could not convert"),
         ("time,forward,sideways,yaw_rate\n0,nan,0,0\n", "row 1 is"),
         ("time,forward,sideways,yaw_rate\n0,1,0\n", "row 1 is"),
