@@ -155,15 +155,18 @@ class CommandSchedule:
 
     Args:
         schedules: rows of time [s] and commands, as of `CommandConfig.schedule`.
-        limits: of the commands.
+        limits: of the commands; None: they are given as they are.
         num_envs: robots.
     """
 
-    def __init__(self, schedules: Sequence[Sequence[Sequence[float]]], limits: CommandLimits, num_envs: int) -> None:
+    def __init__(
+        self, schedules: Sequence[Sequence[Sequence[float]]], limits: CommandLimits | None, num_envs: int
+    ) -> None:
         self._schedules = []
         for rows in schedules:
             table = np.array(rows, float)
-            commands = np.concatenate([[STAND], [limits.clamped(row)[0] for row in table[:, 1:]]])
+            given = table[:, 1:] if limits is None else [limits.clamped(row)[0] for row in table[:, 1:]]
+            commands = np.concatenate([[STAND], given])
             self._schedules.append((table[:, 0], commands))
         self.streams: list[np.random.Generator] = []
         self.command = np.zeros((num_envs, 3))
