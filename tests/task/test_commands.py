@@ -11,6 +11,7 @@ from scripted import COMMAND_LIMITS as LIMITS
 from surefoot.errors import SurefootError
 from surefoot.robot import GRAVITY, RobotDescription
 from surefoot.task.commands import CommandConfig, CommandFilter, CommandSampler, CommandSchedule, read_schedule
+from surefoot.task.config import load_task
 
 STEP = np.array([0.1])
 
@@ -195,3 +196,13 @@ def test_a_robot_that_stands_corrects_no_heading() -> None:
     followed.advance(np.zeros((1, 3)), STEP, np.array([0.3]))
     assert followed.state.command.tolist() == [[0.0, 0.0, 0.0]]
     assert followed.activity[0] == 0.0
+
+
+def test_a_gait_that_follows_no_commands_keeps_its_own_frequency() -> None:
+    go2 = RobotDescription.load("go2")
+    trot, none = (load_task(name, "go2")[0].gait(go2).reference for name in ("trot", "scratch"))
+    for reference, cycles in ((trot, 0.1 / trot.period), (none, 0.0)):
+        followed = CommandFilter.of(reference, LIMITS, go2, 1)
+        followed.reset(np.arange(1), np.zeros(1))
+        followed.advance(np.array([[0.5, 0.0, 0.0]]), STEP, np.zeros(1))
+        assert followed.state.phase == pytest.approx(cycles % 1.0)

@@ -354,3 +354,22 @@ def test_meshes_are_found_as_packages_have_them_and_unreadable_ones_are_noted(tm
     (low, high), (was_low, was_high) = ((box[0] - box[1], box[0] + box[1]) for box in (tree.base_box, plain.base_box))
     np.testing.assert_allclose(low, np.minimum(was_low, 0.0), atol=1e-6)
     np.testing.assert_allclose(high, np.maximum(was_high, corners.max(axis=0)), atol=1e-6)
+
+
+@pytest.mark.parametrize(("mass", "moment", "more"), [("0", "1", 0), ("", "1", 0), ("0.5", "0", 0.5), ("1", "1", 1)])
+def test_links_add_their_mass_with_or_without_inertia(mass: str, moment: str, more: float, tmp_path: Path) -> None:
+    extra = link("frame", mass=mass)
+    for axis in ("ixx", "iyy", "izz"):
+        extra = extra.replace(f'{axis}="1"', f'{axis}="{moment}"')
+    extra += '<joint name="mount" type="fixed"><parent link="base"/><child link="frame"/></joint>'
+    path = write(tmp_path, SHIPPED["solo8"].urdf.path.read_text().replace("</robot>", extra + "</robot>"), "solo.urdf")
+    tree, plain = read_tree(path), read_tree(SHIPPED["solo8"].urdf.path)
+    assert tree.base.mass == pytest.approx(plain.base.mass + more)
+    assert tree.base.centre == pytest.approx(plain.base.centre * plain.base.mass / tree.base.mass, abs=1e-9)
+    # Inertia about the base's frame, where the link is.
+    about = [
+        one.inertia + one.mass * (one.centre @ one.centre * np.eye(3) - np.outer(one.centre, one.centre))
+        for one in (tree.base, plain.base)
+    ]
+    np.testing.assert_allclose(about[0] - about[1], np.eye(3) * (float(moment) if more else 0.0), atol=1e-9)
+    assert tree.notes == plain.notes

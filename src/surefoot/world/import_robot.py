@@ -128,10 +128,13 @@ def _check_inertias(root: ElementTree.Element, path: Path, notes: list[str]) -> 
             xx, xy, xz, yy, yz, zz = (float(attribute(tensor, key, "0")) for key in _TENSOR)
         except ValueError:
             raise SurefootError(f"{path}: link '{link.get('name')}': its <inertial> has no numbers") from None
-        if mass == 0.0 or tensor is None or xx == yy == zz == 0.0:
+        if mass == 0.0 or tensor is None:
             link.remove(inertial)
             continue
         found += 1
+        if mass > 0 and xx == yy == zz == 0.0:  # a point mass
+            tensor.attrib |= dict.fromkeys(("ixy", "ixz", "iyz"), "0")
+            continue
         whole = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
         moments = np.linalg.eigvalsh(whole) if np.isfinite(whole).all() else np.full(3, np.nan)
         if not (mass > 0 and are_moments(moments)):
