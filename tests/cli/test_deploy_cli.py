@@ -22,6 +22,7 @@ from processes import SUREFOOT, EmulatorHere, emulators, refused, surefoot
 
 from surefoot.evaluate.recorded import find_traces
 from surefoot.policy.runtime import PolicyRuntime
+from surefoot.rotations import quat_yaw
 from surefoot.task.partial_trace import recover
 from surefoot.task.trace import EpisodeTrace
 
@@ -96,6 +97,39 @@ def test_a_policy_over_foot_trajectories_goes_as_far_as_in_simulation(emulate, t
     (run,) = json.loads(done.stdout)["runs"]
     assert simulated["speed_mean"] > 0.3
     assert run["speed"] == pytest.approx(simulated["speed_mean"], rel=0.1)
+
+
+def test_a_file_of_commands_steers_the_robot(emulate, tmp_path, repository):
+    robot = emulate("--robot", "go2", "--ideal-sensors")
+    robot.board.on_step.append(MotionCapture(tmp_path / "capture.csv", robot.board.plant).see)
+    rows = ("time,forward,sideways,yaw_rate", "0.5,0.5,0,0", "2.5,0,0,0", "3.3,0,0,0.6", "5.3,0,0,0", "5.9,0,0,9")
+    (tmp_path / "way.csv").write_text("\n".join(rows))
+    words = ("deploy", "go2-steer", "--port", robot.port, "--lockstep", "--out", tmp_path / "out")
+    # What is wrong with commands is told before the robot is asked anything.
+    refused(surefoot(*words, "--commands", tmp_path / "none.csv"), "none.csv")
+    done = surefoot(
+        *(*words, "--commands", tmp_path / "way.csv", "--duration", "6"),
+        *("--motion-capture", tmp_path / "capture.csv", "--json"),
+    )
+    assert done.returncode == 0, done.stderr
+    (run,) = json.loads(done.stdout)["runs"]
+    trace = EpisodeTrace.load(run["trace"])
+    begins = trace.time - trace.meta["control_step"] + 1e-6
+    given = [(0.5 <= t < 2.5, 3.3 <= t < 5.3) for t in begins]
+    last = begins >= 5.9
+    np.testing.assert_allclose(trace.command[~last], [(0.5 * w, 0.0, 0.6 * t) for w, t in np.array(given)[~last]])
+    most = PolicyRuntime.load(repository / "policies" / "go2-steer.onnx").contract.commands.high[2]
+    np.testing.assert_allclose(trace.command[last], [(0.0, 0.0, most)] * int(last.sum()))
+    assert done.stderr.count("command out of range: ") == 1
+    at = np.searchsorted(trace.time, [0.4, 3.2])
+    start, walked, end = (trace.base_position_world[k, :2] for k in (*at, -1))
+    assert walked - start == pytest.approx([1.0, 0.0], abs=0.15)
+    assert end - walked == pytest.approx(0.0, abs=0.08)
+    assert quat_yaw(trace.base_quat_world)[[at[1], -1]] == pytest.approx([0.0, 1.2], abs=0.15)
+
+
+def test_a_policy_without_commands_is_not_steered(emulate):
+    refused(deploy(emulate().port, "--commands", "5555"), "--commands is given; policy 'trot' has no commands")
 
 
 def assert_readings_are_20_ms_old(trace: EpisodeTrace, capture: Path) -> None:

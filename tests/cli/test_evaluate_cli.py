@@ -256,3 +256,34 @@ def test_a_robot_that_nobody_sees_still_tells_its_power(recorded: tuple[Path, di
     assert rows["speed"] == rows["return"] == rows["gait"] == "-"
     assert rows["power"] == f"{trace.energy.sum() / trace.duration:.3f} W"
     assert [path.name for path in (tmp_path / "out").iterdir()] == ["episode.png"]
+
+
+def test_a_steered_policy_is_measured_over_a_grid_of_commands(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    from surefoot.evaluate import tracking
+    from surefoot.task.trace import EpisodeTrace
+
+    monkeypatch.setattr(tracking, "GRID", 2)
+    words = ("evaluate", "go2-steer", "--command-grid", "--threads", 1, "--out", tmp_path)
+    done = surefoot(*words, "--json")
+    assert done.returncode == 0, done.stderr
+    told = json.loads(done.stdout)
+    # Two speeds with two yaw rates, and two with two sideways.
+    assert told["episodes"] == 8
+    assert str(tmp_path / "tracking.png") in told["files"]
+    traces = [EpisodeTrace.load(path) for path in sorted(tmp_path.glob("*.npz"))]
+    assert len({tuple(trace.command[-1]) for trace in traces}) == 8
+    assert all(np.ptp(trace.command, axis=0).max() == 0 for trace in traces)
+    # It follows: errors are small beside the commands of 1 m/s and 1 rad/s.
+    assert set(told["rmse"]) == set(told["rmse_stride"]) == {"forward", "sideways", "yaw_rate"}
+    assert max(told["rmse_stride"].values()) < 0.3
+    read = surefoot("evaluate", "--trace", *sorted(tmp_path.glob("*.npz")))
+    row = re.search(r"RMSE over strides: forward, sideways, yaw rate +(.*?) *$", read.stdout, re.MULTILINE)
+    errors = ", ".join(
+        f"{value:.3f} {unit}" for value, unit in zip(told["rmse_stride"].values(), ("m/s", "m/s", "rad/s"), strict=True)
+    )
+    assert row is not None
+    assert row[1] == errors
+    refused(surefoot(*words, "--commands", "way.csv"), "way.csv")
+    (tmp_path / "way.csv").write_text("time,forward,sideways,yaw_rate\n0,0.5,0,0\n")
+    refused(surefoot(*words, "--commands", tmp_path / "way.csv"), "--command-grid and --commands are given")
+    refused(surefoot("evaluate", "trot", "--command-grid"), "this policy has no commands to follow")

@@ -21,7 +21,7 @@ from surefoot.cli.identify_run import check_robot
 from surefoot.emulator.limits import Limits, introduction
 from surefoot.errors import SurefootError
 from surefoot.identify.registry import EXPERIMENTS
-from surefoot.robot import RobotDescription
+from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.robot.params_file import read_params
 
 pytestmark = pytest.mark.slow
@@ -335,3 +335,37 @@ def test_runs_that_were_recorded_tell_too(tmp_path: Path):
     assert found["identified"]["traces"]["file"] == str(traces)
     done = identify("--from-trace", traces, "--fit", "contact_friction")
     refused(done, "traces do not tell 'contact_friction'; choices: motor_strength")
+
+
+def test_logs_of_a_robot_with_joint_drives_tell_and_one_is_held_out(tmp_path: Path):
+    pytest.importorskip("mujoco")
+    pytest.importorskip("matplotlib")
+    from surefoot.identify.replay import Replayer, stretch_of_log
+    from surefoot.identify.robot_log import RobotLog
+
+    pupper, logs, out = RobotDescription.load("pupper_v2"), tmp_path / "logs", tmp_path / "out"
+    words = ("--from-trace", logs, "--robot", "pupper_v2")
+    logs.mkdir()
+    refused(identify(*words), f"folder {logs} holds no logs (.npz)")
+    truth = PhysicalParams.nominal(pupper).with_values(pupper, control_latency=0.030)
+    replayer, time = Replayer(pupper, 1, torques=False), 0.01 * np.arange(71)
+    # Nobody says when readings were taken; they are taken to be half a row old.
+    read = np.concatenate([[0.0], time[1:] - 0.005])
+    for name, rate in (("slow", 9.0), ("fast", 13.0)):
+        command = np.tile(np.tile([0.0, 0.6, -1.2], 4), (len(time), 1))
+        command[:, 1] += 0.3 * np.sin(rate * time)
+        blank = RobotLog(name, time, command, read, np.full((71, 12), np.nan), np.full((71, 4), np.nan))
+        told = replayer.run(stretch_of_log(blank, pupper), truth)
+        np.savez(logs / f"{name}.npz", time=time, command=command, motor_angle=told.motor_angle[0])
+    refused(identify(*words, "--hold-out", "quick"), "--hold-out names 'quick'; logs: fast, slow")
+    refused(identify("--from-trace", logs, "--rack", "slow"), "--rack is of logs of a robot with joint drives")
+    how = ("--rack", "fast", "slow", "--hold-out", "fast", "--fit", "control_latency", "--out", out)
+    done = identify(*words, *how, "--json")
+    assert done.returncode == 0, done.stderr
+    said = json.loads(done.stdout)
+    assert said["logs"] == [str(logs / name) for name in ("fast.npz", "slow.npz")]
+    found = tomllib.loads((out / "robot.toml").read_text())["params"]
+    assert found["control_latency"] == pytest.approx(0.030, abs=0.001)
+    assert [check["what"] for check in said["checks"]] == ["slow.npz, fitted", "fast.npz, held out"]
+    for check in said["checks"]:
+        assert check["after"] < 0.5 * check["before"], check

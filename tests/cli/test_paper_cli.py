@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from unittest import mock
 
 import pytest
 from processes import refused, surefoot
@@ -12,7 +13,13 @@ pytest.importorskip("matplotlib")
 pytest.importorskip("mujoco")
 
 from surefoot.cli import paper_runs
+from surefoot.cli.evaluate import EvaluateCommand
 from surefoot.cli.paper_runs import Runs, Stage, command, evaluate
+from surefoot.cli.parsing import parse
+from surefoot.cli.search import SearchCommand
+from surefoot.cli.study import StudyCommand
+from surefoot.cli.tune import TuneCommand
+from surefoot.errors import SurefootError
 
 
 def test_the_page_is_written_from_a_clone(repository: Path, tmp_path: Path):
@@ -114,3 +121,74 @@ def test_every_file_that_the_page_reads_is_made_by_a_run_or_is_of_the_clone(repo
     for stage in paper_runs.STAGES:
         if stage.makes.startswith("results/") and stage.makes.endswith("summary.json"):
             assert (repository / "studies" / f"{Path(stage.makes).parent.name}.yaml").exists()
+
+
+PARSERS = {"evaluate": EvaluateCommand, "study": StudyCommand, "tune": TuneCommand, "search": SearchCommand}
+
+
+def test_all_runs_are_commands_that_are_understood(repository: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    said: list[list[str]] = []
+
+    def main(words: list[str]) -> int:
+        """Take the words as the command would, and leave what later runs need."""
+        said.append(words)
+        name, *rest = words
+        if name in PARSERS:
+            # Ranges and bounds that --randomize and --push-force take are words like others here.
+            parse(PARSERS[name], rest, name)
+        if name == "evaluate":
+            print(f"what {rest[0]} did")
+        if name == "tune":
+            Path(rest[rest.index("--out") + 1]).touch()
+        if name == "train":
+            run = Path(rest[1]) if rest[0] == "--resume" else Path("runs") / rest[0] / "first"
+            (run / "figures").mkdir(parents=True, exist_ok=True)
+            for file in ("config.yaml", "policy.onnx", "figures/footfalls.png"):
+                (run / file).touch()
+        return 0
+
+    monkeypatch.setattr("surefoot.cli.main.main", main)
+    run = mock.Mock(return_value=mock.Mock(returncode=0))
+    monkeypatch.setattr(paper_runs.subprocess, "run", run)
+    (tmp_path / "results/search").mkdir(parents=True)
+    quick = Runs(repository, tmp_path, True, workers=2)
+    for stage in paper_runs.STAGES:
+        stage.make(quick)
+    told = {tuple(words) for words in said}
+    assert ("train", "trot", "--runs", "runs", "--steps", "200000") in told
+    assert (tmp_path / "policies/trot.onnx").exists()
+    assert (tmp_path / "policies/trot/footfalls.png").exists()
+    assert (tmp_path / "results/policies/trot.json").read_text() == "what policies/trot.onnx did\n"
+    assert (tmp_path / "results/handcrafted/trot-60.yaml").exists()
+    assert len({words for words in told if "--push-force" in words}) == 12
+    assert run.call_args.args[0][1:3] == [str(repository / "benchmarks/handcrafted.py"), "results/handcrafted"]
+    assert run.call_args.args[0][-4:] == ["--episodes", "5", "--conditions", "mujoco"]
+    studies = [words for words in said if words[0] == "study"]
+    assert [Path(words[1]).is_file() for words in studies] == [True] * 3
+    assert studies[0][2:6] == ["--workers", "2", "--steps", "60000"]
+    assert " ".join(said[-1]) == "search gallop --out results/search --workers 2 --trials 4 --steps 60000"
+
+    # The full version has none of the words that make it small, and what was stopped goes on.
+    said.clear()
+    (tmp_path / "results/search/search.yaml").touch()
+    full = Runs(repository, tmp_path, False, ray="head:6379")
+    for stage in paper_runs.STAGES:
+        stage.make(full)
+    assert ["train", "--resume", str(tmp_path / "runs/trot/first")] in said
+    assert " ".join(said[-1]) == "search gallop --out results/search --workers 0 --ray head:6379 --resume"
+    assert not {"--steps", "--episodes", "--only", "--generations"} & {
+        word for words in said for word in words if "--push-force" not in words
+    }
+    run.return_value.returncode = 1
+    with pytest.raises(SurefootError, match=r"handcrafted\.py: ended with exit code 1"):
+        paper_runs.handcrafted(full)
+    monkeypatch.setattr("surefoot.cli.main.main", lambda words: 130)
+    with pytest.raises(KeyboardInterrupt):
+        paper_runs.search(full)
+
+
+def test_a_run_that_makes_nothing_is_told(repository: Path, shipped: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(paper_runs, "STAGES", (Stage("results/none.json", lambda runs: None),))
+    done = surefoot("paper", "--root", repository, "--quick", "--folder", shipped)
+    refused_late = "surefoot: error: results/none.json was not made; see what was said above\n"
+    assert (done.returncode, done.stderr.endswith(refused_late)) == (2, True)

@@ -11,6 +11,7 @@ import pytest
 pytest.importorskip("mujoco")
 
 from surefoot.cli.main import main
+from surefoot.task.trace import EpisodeTrace
 
 DATA = Path(__file__).parents[2] / "data" / "pupper_v2"
 
@@ -41,6 +42,22 @@ def test_an_imported_log_replays_as_the_log_itself(tmp_path: Path, capsys: pytes
     assert main(["replay", str(log), *words]) == 0
     assert f"{beside}: 0.0" in capsys.readouterr().out
     assert figure.read_bytes().startswith(b"\x89PNG")
+
+
+def test_what_an_import_found_is_told_as_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    np.savez(tmp_path / "log.npz", time=[0.0, 0.01, 0.01, 0.03], command=np.linspace(0, 1, 48).reshape(4, 12))
+    words = ["trace", "import", str(tmp_path / "log.npz"), "--robot", "pupper_v2", "--out", str(tmp_path / "trace.npz")]
+    assert main([*words, "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["missing"][0] == "motor_angle"
+    assert (told["timing"]["rows"], told["timing"]["repeated_times"]) == (4, pytest.approx(1 / 3))
+    assert EpisodeTrace.load(told["trace"]).num_steps == 4
+    assert main(["trace", "export"]) == 2
+    assert "'export' is no action; choices: import" in capsys.readouterr().err
+    assert (main(["trace"]), main(["trace", "--help"])) == (2, 0)
+    said = capsys.readouterr()
+    assert said.out == said.err
+    assert said.out.startswith("usage: surefoot trace import FILE")
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from surefoot.cli.policies import find_policy
-from surefoot.deploy.checks import check_contract, gains_of, near
+from surefoot.deploy.checks import check_contract, contradiction, gains_of, near
 from surefoot.deploy.wire.messages import Handshake
 from surefoot.findings import Finding, refusal
 from surefoot.policy.contract import Contract
@@ -300,3 +300,20 @@ def test_gains_of_all_motors_and_of_each_are_compared(one, other, expected: bool
 def test_gains_of_each_motor_are_told_as_a_span():
     assert gains_of(1.0, 0.015) == "kp 1 and kd 0.015"
     assert gains_of((20.0, 40.0, 30.0), 0.5) == "kp 20 to 40 and kd 0.5"
+
+
+@pytest.mark.parametrize(
+    ("change", "why"),
+    [
+        ({"commands": {"forward": [-0.5, 0.5]}}, "its commands are not those of its task"),
+        ({"commands": {"heading_gain": 0.5}}, "its commands are not those of its task"),
+        ({"task": {"commands": {"forward": [1.0, -1.0]}}}, "its task's commands can't be read: commands.forward is"),
+        ({"reference": {"stride_gain": 1.0}}, "its reference gait is not the one of its task"),
+        ({"reference": {"stride_gain": 100.0}}, "its reference can't be read: "),
+        ({"rest": [0.0, 0.0]}, "its pose at rest has 2 numbers; go2 has abduction, swing, extension"),
+    ],
+)
+def test_a_steered_policy_that_contradicts_itself_is_found(change: dict[str, Any], why: str):
+    go2 = RobotDescription.load("go2")
+    assert contradiction(contract_of("go2-steer"), go2) is None
+    assert why in str(contradiction(edited(change, "go2-steer"), go2))

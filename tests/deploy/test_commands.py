@@ -7,9 +7,11 @@ import os
 import pty
 import socket
 import struct
+import termios
 import time
 from collections.abc import Callable
 from pathlib import Path
+from unittest import mock
 
 import numpy as np
 import pytest
@@ -168,3 +170,51 @@ def test_sticks_give_shares_of_the_range_and_a_lost_gamepad_means_stand(tmp_path
 def test_a_source_that_is_none_is_refused(given: str, message: str) -> None:
     with pytest.raises(SurefootError, match=message):
         open_commands(given, LIMITS)
+
+
+def test_arrows_are_no_letters() -> None:
+    ours, theirs = pty.openpty()
+    keyboard = KeyboardCommands(LIMITS, theirs)
+    # Up, left with shift, F1, then w: three keys that end in letters which mean something by themselves.
+    os.write(ours, b"\x1b[A\x1b[1;2D\x1bOSw")
+    until(lambda: keyboard.read(0.0), [0.2, 0.0, 0.0])
+    keyboard.close()
+    os.close(ours)
+    os.close(theirs)
+
+
+def test_sources_are_opened_by_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "way.csv").write_text("time,forward,sideways,yaw_rate\n1,0.5,0,0\n2,9,0,0\n")
+    file = open_commands(str(tmp_path / "way.csv"), LIMITS)
+    assert [file.read(moment)[0] for moment in (0.99, 1.0, 2.5)] == [0.0, 0.5, 9.0]  # clamped, and told, by the loop
+    file.close()
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
+        taken.bind(("127.0.0.1", 0))
+        free = taken.getsockname()[1]
+    channel = open_commands(str(free), LIMITS)
+    assert isinstance(channel, ChannelCommands)
+    assert channel.port == free
+    channel.close()
+    with pytest.raises(SurefootError, match=r"gamepad .*none: No such file or directory; is one connected"):
+        GamepadCommands(LIMITS, tmp_path / "none")
+    ours, theirs = pty.openpty()
+    with os.fdopen(theirs) as terminal:
+        before = termios.tcgetattr(theirs)
+        monkeypatch.setattr("sys.stdin", terminal)
+        keyboard = open_commands("keyboard", LIMITS)
+        assert termios.tcgetattr(theirs) != before
+        keyboard.close()
+        # The terminal is as it was.
+        assert termios.tcgetattr(theirs) == before
+    os.close(ours)
+
+
+def test_a_gamepad_that_is_pulled_out_means_stand(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    device = tmp_path / "js0"
+    device.write_bytes(struct.pack("<IhBB", 0, -32767, 2, 1))
+    gamepad = GamepadCommands(LIMITS, device)
+    assert gamepad.read(0.0)[0] == 2.0
+    os.lseek(gamepad._file, 0, os.SEEK_SET)
+    monkeypatch.setattr(os, "read", mock.Mock(side_effect=OSError(19, "No such device")))
+    assert gamepad.read(0.0).tolist() == [0.0, 0.0, 0.0]
+    gamepad.close()

@@ -13,7 +13,7 @@ from surefoot.deploy.wire.messages import Mode
 from surefoot.emulator.hardware import PowerConfig, SensorConfig, power_tick
 from surefoot.emulator.plant import Plant
 from surefoot.emulator.signals import MotorOrder
-from surefoot.robot import PhysicalParams
+from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.world.drive import new_drive, set_drive_params
 from surefoot.world.interface import WorldConfig
 from surefoot.world.sim_world import SimWorld
@@ -222,6 +222,25 @@ def test_battery_and_heat_by_hand(robot):
     assert current == pytest.approx(5.0)
     # 45 W into 80 J/K; 20 W in and (65 - 25) / 2 W out.
     np.testing.assert_allclose(temperature, [25.0 + 45 / 80 * 0.001, 65.0])
+
+
+def test_heat_of_joint_drives_by_hand():
+    go2, temperature = RobotDescription.load("go2"), np.array([25.0, 65.0])
+    drive = new_drive(go2, 1, 1, WorldConfig())
+    assert drive.joint[0]
+    drive = drive._replace(
+        motor_torque=np.array([[10.0, -10.0]]),
+        now=np.array([[0.0, 0.0, 4.0, 4.0]]),
+        greatest_torque=np.array([[20.0, 20.0]]),
+        joint_limits=np.array([[30.0, 30.0]]),
+        voltage=np.array([20.0]),
+    )
+    power = PowerConfig(ambient=25.0, heat_capacity=80.0, heat_resistance=2.0)
+    current = power_tick(drive, power, 0.001, temperature)
+    # At full torque half of 20 N m times 30 rad/s is heat, 300 W; at half torque a quarter of that. Motor 1 does 40 W
+    # of work and motor 2 is driven by as much: 150 W in all, from 20 V.
+    assert current == pytest.approx(7.5)
+    np.testing.assert_allclose(temperature, [25.0 + 75 / 80 * 0.001, 65.0 + 55 / 80 * 0.001])
 
 
 def test_the_battery_sags_under_load_and_empties(robot):

@@ -6,8 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scripted import COMMAND_LIMITS as LIMITS
 
-from surefoot.evaluate.tracking import Tracking, motion, settled_steps
+from surefoot.errors import SurefootError
+from surefoot.evaluate.tracking import GRID, Tracking, command_grid, motion, settled_steps
 from surefoot.task.trace import EpisodeTrace
 
 STEP = 0.02
@@ -90,3 +92,19 @@ def test_a_trace_keeps_its_commands_in_its_file(tmp_path) -> None:
     assert np.isnan(plain.command).all()
     with np.load(tmp_path / "plain.npz") as members:
         assert "command" not in members.files
+
+
+def test_a_grid_covers_the_range_of_the_commands() -> None:
+    rows = command_grid(LIMITS)
+    turning, sideways = rows[: GRID * GRID], rows[GRID * GRID :]
+    assert len(set(turning)) == GRID * GRID
+    assert {y for _, y, _ in turning} == {0.0} == {w for _, _, w in sideways}
+    for column, name in ((0, "forward"), (2, "yaw_rate")):
+        values = [row[column] for row in turning]
+        assert (min(values), max(values)) == getattr(LIMITS, name)
+    # What is straight on is there already.
+    assert len(set(rows)) == len(rows) == GRID * (2 * GRID - 1)
+    assert {(x, y) for x, y, _ in sideways} >= {(LIMITS.high[0], LIMITS.low[1]), (LIMITS.low[0], LIMITS.high[1])}
+    assert len(command_grid(replace(LIMITS, sideways=(0.0, 0.0)))) == GRID * GRID
+    with pytest.raises(SurefootError, match="this policy has no commands to follow"):
+        command_grid(None)

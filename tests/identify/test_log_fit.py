@@ -10,8 +10,9 @@ import pytest
 pytest.importorskip("mujoco")
 
 from surefoot.errors import SurefootError
-from surefoot.identify.log_fit import fit_logs
-from surefoot.identify.log_model import LogRun, params_of_logs, unknowns_of
+from surefoot.identify.log_errors import imu_of
+from surefoot.identify.log_fit import _mounted, _searched, fit_logs
+from surefoot.identify.log_model import LogModel, LogRun, params_of_logs, unknowns_of
 from surefoot.identify.replay import Replayer, stretch_of_log
 from surefoot.identify.robot_log import RobotLog
 from surefoot.robot import PhysicalParams, RobotDescription
@@ -73,3 +74,37 @@ def test_what_can_t_be_fitted_is_refused(pupper: RobotDescription, hanging: Robo
     minitaur = RobotDescription.load("minitaur")
     with pytest.raises(SurefootError, match="motors of minitaur are of kind dc"):
         fit_logs(minitaur, [LogRun(hanging, True)], [], None, PhysicalParams.nominal(minitaur))
+
+
+def test_a_search_begins_nearer_and_counts_its_generations(pupper: RobotDescription, hanging: RobotLog):
+    known, told = PhysicalParams.nominal(pupper), []
+    model = LogModel(
+        pupper, [LogRun(hanging.until(0.5), True)], unknowns_of(pupper, known, ["servo_kp", "motor_offset"]), known
+    )
+    start = np.array([unknown.start for unknown in model.unknowns])
+    found = _searched(model, 2, 1, lambda step, cost: told.append((step, cost)))
+    before, after = (float(np.sum(model.residuals(one[None]) ** 2)) for one in (start, found))
+    assert after < before
+    # What motors have of their own is left to the fit.
+    assert found[0] != start[0]
+    assert np.array_equal(found[1:], start[1:])
+    assert [step for step, _ in told] == ["search, generation 1", "search, generation 2"]
+    assert told[1][1] <= told[0][1]
+    assert np.array_equal(found, _searched(model, 2, 1, lambda *_: None))
+    with pytest.raises(SurefootError, match="a search looks for what all motors share"):
+        fit_logs(pupper, [LogRun(hanging, True)], [], ["motor_offset"], known, search=2)
+
+
+def test_an_imu_that_is_mounted_the_other_way_is_found(pupper: RobotDescription, hanging: RobotLog):
+    nominal = PhysicalParams.nominal(pupper)
+    truth, first = nominal.rows(np.zeros(1, np.int64)), hanging.until(0.5)
+    truth.imu_mount[0, 2] = np.pi
+    # Its left legs bend: it rolls and pitches, and the IMU tells both with the other sign.
+    command = first.command.copy()
+    command[:, 2::6] -= 0.4 * np.linspace(0, 1, len(command))[:, None]
+    blank = replace(first, command=command)
+    told = Replayer(pupper, 1, rack=False, torques=False).run(stretch_of_log(blank, pupper), truth)
+    log = replace(blank, motor_angle=told.motor_angle[0], imu=imu_of(told)[0])
+    assert np.ptp(log.imu[:, :2], axis=0).min() > 0.01
+    assert _mounted(pupper, [LogRun(log, False)], nominal) == np.pi
+    assert _mounted(pupper, [LogRun(hanging, True)], nominal) is None

@@ -10,7 +10,9 @@ import numpy as np
 import pytest
 
 from surefoot.errors import SurefootError
+from surefoot.identify import log_table
 from surefoot.identify.log_import import import_log, missing_columns
+from surefoot.identify.log_table import read_table
 from surefoot.identify.robot_log import log_of_trace
 from surefoot.robot import RobotDescription
 from surefoot.task.trace import EpisodeTrace
@@ -125,3 +127,113 @@ def test_a_ros_bag(tmp_path: Path, pupper: RobotDescription):
     np.testing.assert_allclose(trace.time, [0.0, 0.001, 0.01, 0.011, 0.02, 0.021])
     np.testing.assert_array_equal(trace.target[:, 0], [0, 0, 1, 1, 2, 2])
     np.testing.assert_array_equal(trace.motor_angle[:, 5], [np.nan, 10, 10, 11, 11, 12])
+
+
+def billion() -> list[object]:
+    """Return a thousand times a list of a thousand times a list and so on: 10^15 numbers in some kilobytes."""
+    made: list[object] = [1.0]
+    for _ in range(5):
+        made = [made] * 1000
+    return made
+
+
+class Zeros:
+    """Asks for an array around so many bytes that nobody sent."""
+
+    def __reduce__(self):
+        return np.core.numeric._frombuffer, (1 << 40, np.dtype("f8"), (1 << 37,), "C")
+
+
+ARRAYS = {
+    "text only": ({"name": np.array(["a"])}, "holds no arrays of numbers"),
+    "no rows": ({"time": np.zeros(0), "command": np.zeros((0, 12))}, "holds no arrays of numbers"),
+    "no columns": ({"command": np.zeros((5, 0))}, "holds no arrays of numbers"),
+    "too wide": ({"command": np.zeros((2, 5000))}, r"command has shape \(2, 5000\); it is too large"),
+}
+PICKLES = {
+    "nothing": (b"", "Ran out of input"),
+    "rows of nothing": ([{}, {}], "holds no numbers"),
+    "text": ("hello", "is no table: could not convert"),
+    "uneven": ([[1.0, 2.0], [3.0]], "is no table: setting an array element"),
+    "objects": ({"command": np.array([None, 1], object)}, "objects are not read"),
+    "deep": ({"command": [[[[[[[[[[1.0]]]]]]]]]]}, "nested too deeply"),
+    "a list over and over": (billion(), "it holds more than 1000 items"),
+    "bytes that nobody sent": (Zeros(), "arrays of objects are not read"),
+}
+TEXTS = {
+    "nothing": ("", "has 0 columns and 0 rows"),
+    "names only": ("a,b\n", "has 2 columns and 0 rows"),
+    "twice": ("a,a\n1,2\n", "columns of one name"),
+    "short line": ("a,b\n1,2\n\n3\n", "line 3 has 1 values; the first line names 2"),
+    "endless": ('"' + "x" * 200_000, "is no CSV file: field larger"),
+}
+
+
+@pytest.mark.parametrize("what", ARRAYS)
+def test_arrays_that_are_no_table_are_refused(tmp_path: Path, what: str):
+    arrays, said = ARRAYS[what]
+    np.savez(tmp_path / "log.npz", **arrays)
+    with pytest.raises(SurefootError, match=said):
+        read_table(tmp_path / "log.npz")
+
+
+@pytest.mark.parametrize("what", PICKLES)
+def test_pickles_that_are_no_table_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, what: str):
+    data, said = PICKLES[what]
+    (tmp_path / "log.pkl").write_bytes(data if isinstance(data, bytes) else pickle.dumps(data))
+    monkeypatch.setattr(log_table, "MOST_ITEMS", 1000)
+    with pytest.raises(SurefootError, match=said):
+        read_table(tmp_path / "log.pkl")
+
+
+@pytest.mark.parametrize("what", TEXTS)
+def test_texts_that_are_no_table_are_refused(tmp_path: Path, what: str):
+    text, said = TEXTS[what]
+    (tmp_path / "log.csv").write_text(text)
+    with pytest.raises(SurefootError, match=said):
+        read_table(tmp_path / "log.csv")
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [("log.xlsx", r"is of kind '.xlsx'; kinds: .npz"), ("log.csv", "No such file"), ("log.mcap", "does not exist")],
+)
+def test_a_file_that_is_not_there_or_of_another_kind_is_refused(tmp_path: Path, name: str, said: str):
+    with pytest.raises(SurefootError, match=said):
+        read_table(tmp_path / name)
+
+
+@pytest.mark.parametrize("name", ["log.mcap", "log.bag"])
+def test_a_bag_that_is_none_is_refused(tmp_path: Path, name: str):
+    pytest.importorskip("rosbags")
+    (tmp_path / name).write_bytes(b"junk")
+    with pytest.raises(SurefootError, match="is no bag: File magic is invalid"):
+        read_table(tmp_path / name)
+
+
+def test_a_pickle_has_what_numpy_writes_of_arrays_and_single_numbers(tmp_path: Path):
+    turned = np.asfortranarray(np.arange(6.0).reshape(3, 2))
+    rows = [{"a": np.float64(2.5), "b": (1, True)}, {"a": np.int32(4)}]
+    for protocol in (0, 2, 5):
+        (tmp_path / "log.pkl").write_bytes(pickle.dumps({"q": turned, "n": np.float64(3)}, protocol))
+        table = read_table(tmp_path / "log.pkl")
+        assert {name: column.tolist() for name, column in table.columns.items()} == {
+            "q[0]": [0, 2, 4],
+            "q[1]": [1, 3, 5],
+        }
+        (tmp_path / "log.pkl").write_bytes(pickle.dumps(rows, protocol))
+        found = read_table(tmp_path / "log.pkl").columns
+        np.testing.assert_equal(
+            {k: v.tolist() for k, v in found.items()}, {"a": [2.5, 4.0], "b[0]": [1.0, np.nan], "b[1]": [1.0, np.nan]}
+        )
+    (tmp_path / "log.pkl").write_bytes(pickle.dumps([1, 2, 3]))
+    assert read_table(tmp_path / "log.pkl").columns["data"].tolist() == [1, 2, 3]
+
+
+def test_a_clock_must_be_there_and_count(tmp_path: Path, pupper: RobotDescription):
+    np.savez(tmp_path / "log.npz", time=np.array([0.0, np.nan, 0.02]), command=np.zeros((3, 12)))
+    with pytest.raises(SurefootError, match="time is not finite in row 1"):
+        import_log(tmp_path / "log.npz", pupper)
+    which = mapping(tmp_path / "m.yaml", pupper, "command[{}]", "command[{}]")
+    with pytest.raises(SurefootError, match="has no clock of its own"):
+        import_log(tmp_path / "log.npz", pupper, which)

@@ -13,7 +13,7 @@ pytest.importorskip("torch")
 from surefoot.cli.main import main
 from surefoot.errors import SurefootError
 from surefoot.learn.config import TrainConfig
-from surefoot.learn.run_folder import RunFolder
+from surefoot.learn.run_folder import RunFolder, read_checkpoint
 from surefoot.learn.run_lock import alone
 
 
@@ -37,3 +37,22 @@ def test_what_a_killed_run_had_under_way_is_removed(tmp_path: Path):
         path.touch()
     with alone(folder.path):
         assert not any(path.exists() for path in left)
+
+
+@pytest.mark.parametrize("content", ["{", "[]", "{}", "[" * 10_000])
+def test_a_folder_whose_record_is_damaged_is_refused(tmp_path: Path, content: str):
+    (tmp_path / "run.json").write_text(content)
+    with pytest.raises(SurefootError, match=r"run\.json: is damaged; it must be the JSON that surefoot wrote"):
+        RunFolder.open(tmp_path)
+
+
+def test_a_folder_that_can_t_be_made_is_refused(tmp_path: Path):
+    (tmp_path / "file").touch()
+    with pytest.raises(SurefootError, match=r"file/run: a run folder can't be made there: Not a directory"):
+        RunFolder.create_at(TrainConfig(), tmp_path / "file" / "run")
+
+
+def test_a_file_of_another_kind_is_no_checkpoint(tmp_path: Path):
+    (tmp_path / "checkpoint.pt").write_bytes(b"PK" + bytes(100))
+    with pytest.raises(SurefootError, match="is not a surefoot checkpoint, or its start is damaged"):
+        read_checkpoint(tmp_path / "checkpoint.pt")

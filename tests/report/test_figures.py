@@ -26,6 +26,7 @@ from surefoot.evaluate.sensitivity import Nominal, Sensitivity, TestWorld
 from surefoot.report.figures import _mean_power, episode_plot, footfall_diagram, side_by_side
 from surefoot.report.parameter_figures import aggregate_figure, parameter_figure, parameters_figure
 from surefoot.report.study_figures import gap_figure, group_figure, learning_curves
+from surefoot.report.tracking_figure import tracking_figure
 from surefoot.robot import RobotDescription
 from surefoot.task.trace import EpisodeTrace
 
@@ -252,3 +253,32 @@ def test_power_is_the_energy_of_the_last_half_second(make_run: MakeRun) -> None:
     assert np.allclose(power[times < 1.0 - 1e-9], 20.0)
     assert power[124] == pytest.approx(40.0)  # half of it in either
     assert power[-1] == pytest.approx(60.0)
+
+
+def test_errors_over_a_grid_of_commands_stand_where_their_command_is(
+    tmp_path: Path, make_run: MakeRun, drawn: list[Figure]
+):
+    grid = [(x, 0.0, w) for w in (-0.5, 0.5) for x in (0.0, 0.5, 1.0)] + [(1.0, y, 0.0) for y in (-0.2, 0.2)]
+    # All go ahead at .5 m/s and never turn: 2 s, of which the first does not count.
+    runs = [
+        make_run(
+            *(1.0, 1.0, 100, 0.02),
+            {"command": np.tile(row, (100, 1))},
+            ended="fall" if row == (1.0, 0.0, 0.5) else "time",
+        )
+        for row in grid
+    ]
+    assert tracking_figure(runs, tmp_path / "tracking.png").stat().st_size > 1000
+    panels = [ax for ax in drawn[0].axes if ax.get_title(loc="left")]
+    assert [ax.get_title(loc="left") for ax in panels] == 2 * [
+        f"error {name}" for name in ("forward", "to the left", "yaw rate")
+    ]
+    meshes = [np.ma.filled(ax.collections[0].get_array(), np.nan) for ax in panels]
+    forward, left, turn = meshes[:3]
+    np.testing.assert_allclose(forward, 2 * [[0.5, 0.0, 0.5]], atol=1e-9)
+    np.testing.assert_allclose(left, np.zeros((2, 3)), atol=1e-9)
+    np.testing.assert_allclose(turn, np.full((2, 3), 0.5), atol=1e-9)
+    np.testing.assert_allclose(meshes[4], [[0.2], [0.2]], atol=1e-9)
+    assert [ax.get_ylabel().split(" (")[0] for ax in panels] == 3 * ["yaw rate"] + 3 * ["to the left"]
+    crosses = [tuple(np.concatenate(ax.lines[0].get_data()).tolist()) for ax in panels]
+    assert crosses == 3 * [(1.0, 0.5)] + 3 * [()]

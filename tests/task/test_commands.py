@@ -11,6 +11,7 @@ from scripted import COMMAND_LIMITS as LIMITS
 from surefoot.errors import SurefootError
 from surefoot.robot import GRAVITY, RobotDescription
 from surefoot.task.commands import CommandConfig, CommandFilter, CommandSampler, CommandSchedule, read_schedule
+from surefoot.task.config import load_task
 
 STEP = np.array([0.1])
 
@@ -54,6 +55,11 @@ def test_without_ranges_there_are_no_commands() -> None:
 def test_a_range_must_hold_zero(given: dict[str, tuple[float, float]], message: str) -> None:
     with pytest.raises(SurefootError, match=message):
         CommandConfig(**given).limits(RobotDescription.load("go2"))
+
+
+def test_a_range_that_is_reversed_is_refused() -> None:
+    with pytest.raises(SurefootError, match=r"commands\.hold is \[3, 2\]; the lower bound must come first"):
+        CommandConfig(hold=(3.0, 2.0))
 
 
 def test_a_command_out_of_range_is_clamped_and_said() -> None:
@@ -132,6 +138,8 @@ def test_a_file_of_commands_is_read(tmp_path: Path) -> None:
         ("", "its first line is"),
         ("t,x\n0,1\n", "its first line is 't,x'; a file of commands is CSV"),
         ("time,forward,sideways,yaw_rate\n", "has no row"),
+        ("time,forward,sideways,yaw_rate\n" + "0,1,0,0\n" * 130_000, "has more than 1000000 bytes"),
+        ("time," + "x" * 200_000, "field larger than field limit"),
         ("time,forward,sideways,yaw_rate\n0,fast,0,0\n", "could not convert"),
         ("time,forward,sideways,yaw_rate\n0,nan,0,0\n", "row 1 is"),
         ("time,forward,sideways,yaw_rate\n0,1,0\n", "row 1 is"),
@@ -188,3 +196,13 @@ def test_a_robot_that_stands_corrects_no_heading() -> None:
     followed.advance(np.zeros((1, 3)), STEP, np.array([0.3]))
     assert followed.state.command.tolist() == [[0.0, 0.0, 0.0]]
     assert followed.activity[0] == 0.0
+
+
+def test_a_gait_that_follows_no_commands_keeps_its_own_frequency() -> None:
+    go2 = RobotDescription.load("go2")
+    trot, none = (load_task(name, "go2")[0].gait(go2).reference for name in ("trot", "scratch"))
+    for reference, cycles in ((trot, 0.1 / trot.period), (none, 0.0)):
+        followed = CommandFilter.of(reference, LIMITS, go2, 1)
+        followed.reset(np.arange(1), np.zeros(1))
+        followed.advance(np.array([[0.5, 0.0, 0.0]]), STEP, np.zeros(1))
+        assert followed.state.phase == pytest.approx(cycles % 1.0)

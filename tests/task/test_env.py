@@ -295,3 +295,34 @@ def test_fall():
     fallen = [(0.501, 0.0, 0.0), (0.0, 0.501, 0.0), (-0.501, 0.0, 0.0), (0.0, -0.501, 0.0)]
     assert has_fallen(np.array(upright + fallen), 0.5).tolist() == [False] * 4 + [True] * 4
     assert has_fallen(np.array(upright), 0.4).tolist() == [False, True, True, False]
+
+
+# --- commands ---------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "commands",
+    [{"hold": (0.1, 0.3), "ramp": 3}, {"schedule": ((0.1, 0.3, 0.0, 0.0), (0.4, 0.0, 0.0, 0.5))}],
+    ids=["drawn", "scheduled"],
+)
+def test_robots_that_follow_commands_go_on_exactly_from_a_state(commands):
+    task = load_task("steer", "go2")[0]
+    task = replace(task, max_steps=25, commands=replace(task.commands, **commands))
+    env, other = (LocomotionEnv(task, 2, SimWorld, seed, threads=1) for seed in (1, 2))
+
+    def run(one: LocomotionEnv) -> list[np.ndarray]:
+        """Take 30 steps, over the end of an episode; return what was seen, rewarded and told to the gait."""
+        told = []
+        for _ in range(30):
+            observation, reward, *_ = one.step(np.zeros((2, 12)))
+            told += [observation.copy(), reward, one.source.command.copy(), *vars(one.commands.state).values()]
+        return told
+
+    run(env)
+    state = env.get_state()
+    path = run(env)
+    # The gait was under way, and commands changed.
+    assert np.ptp(np.stack(path[2::6]), axis=0).max() > 0.1
+    for one in (other, env):
+        one.set_state(state)
+        assert all(np.array_equal(*pair) for pair in zip(path, run(one), strict=True))

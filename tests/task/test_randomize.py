@@ -23,6 +23,7 @@ from surefoot.task.randomize import (
     ROWS,
     RandomizeConfig,
     Randomizer,
+    _ranges_of_intervals,
     check_ranges,
     load_ranges,
     range_names,
@@ -624,3 +625,32 @@ def test_ranges_of_an_identified_robot_are_its_intervals():
     check_ranges(RandomizeConfig(**ranges), robot)
     with pytest.raises(SurefootError, match="randomize 'identified' does not exist"):
         load_ranges("identified", robot="minitaur")
+
+
+@pytest.mark.parametrize(
+    ("robot", "ranges", "said"),
+    [
+        ("go2", {"voltage": (14.0, 16.0)}, "voltage is given; it belongs to motors of kind dc, those of go2 are joint"),
+        ("pupper_v2", {"servo_kp": (-0.5, 1.0)}, r"randomize\.servo_kp is \[-0\.5, 1\]; factors are 0 or more"),
+    ],
+)
+def test_ranges_that_a_robot_can_t_have_are_refused(robot: str, ranges: dict[str, Any], said: str):
+    with pytest.raises(SurefootError, match=said):
+        check_ranges(RandomizeConfig(**ranges), RobotDescription.load(robot))
+
+
+@pytest.mark.parametrize(
+    ("intervals", "said"),
+    [
+        ("", "has no intervals to draw from"),
+        ("[intervals]\ncontact_friction = [nan, nan]", "has no intervals to draw from"),
+        ("[intervals]\ncontact_friction = 0.5", r"intervals\.contact_friction: must be a pair of numbers"),
+        ('[intervals]\ncontact_friction = ["low", "high"]', r"intervals\.contact_friction: must be a pair of numbers"),
+        ("[intervals]\ncontact_friction = [[0.4, 0.5, 0.6]]", r"intervals\.contact_friction: must be a pair"),
+    ],
+)
+def test_intervals_that_are_none_are_refused(tmp_path: Path, intervals: str, said: str):
+    robot = RobotDescription.load("pupper_v2")
+    (tmp_path / "found.toml").write_text(f"[params]\ncontact_friction = 0.5\n{intervals}\n")
+    with pytest.raises(SurefootError, match=said):
+        _ranges_of_intervals(tmp_path / "found.toml", robot)

@@ -209,6 +209,37 @@ BAD = {
         "dog.xml",
         "no single hinge",
     ),
+    "no such element": ("<mujoco><wheel/></mujoco>", "dog.xml", "MuJoCo refuses it: XML Error: Schema violation"),
+    "no such mesh": (
+        quadruped()
+        .replace('type="box"', 'type="mesh" mesh="m"')
+        .replace("<worldbody>", '<asset><mesh name="m" file="none.stl"/></asset><worldbody>'),
+        "dog.xml",
+        "MuJoCo refuses it: Error",
+    ),
+    "no numbers": (urdf(link("a", mass="heavy")), "dog.urdf", "link 'a': its <inertial> has no numbers"),
+    "no base": (
+        quadruped()
+        .replace('<body name="trunk"><freejoint/>' + BODY, "")
+        .replace("</body></worldbody>", "</worldbody>"),
+        "dog.xml",
+        "its legs hang from nothing that moves",
+    ),
+    "base without mass": (
+        quadruped().replace("<freejoint/>", "").replace(BODY, ""),
+        "dog.xml",
+        "body 'trunk' has no mass",
+    ),
+    "uneven legs": (
+        quadruped().replace('<joint name="FL_abduction" axis="1 0 0" range="-1 1"/>', ""),
+        "dog.xml",
+        "its legs have 2, 3, 3, 3 hinges; all must have 2, or all 3",
+    ),
+    "tripod in front": (
+        mjcf("".join(leg(n, 0.2 if n != "RR" else -0.2, 0.08 * y) for n, (x, y) in CORNERS.items())),
+        "dog.xml",
+        "its hips are not at four corners, one leg at each",
+    ),
     "odd legs": (
         mjcf("".join(leg(n, 0.2 * x, 0.08 * y) for n, (x, y) in list(CORNERS.items())[:3])),
         "dog.xml",
@@ -242,3 +273,103 @@ def test_inertias_that_no_body_has_are_noted(tmp_path: Path) -> None:
     fixed = '<joint name="mount" type="fixed"><parent link="base"/><child link="camera"/></joint>'
     tree = read_tree(write(tmp_path, text.replace("</robot>", f"{extra}{fixed}</robot>"), "solo.urdf"))
     assert any("camera" in note and "no rigid body" in note for note in tree.notes)
+
+
+def test_a_tail_is_held_still_and_adds_to_the_base(tmp_path: Path) -> None:
+    tail = f'<body name="tail" pos="-.2 0 0"><joint name="wag" axis="0 0 1"/>{LINK}</body>'
+    poses = '<keyframe><key name="home" qpos="0 0 1 1 0 0 0 0 0 0 0 0 0 0 0 0 0 0 0 0"/></keyframe>'
+    legs = "".join(leg(name, 0.2 * x, 0.08 * y) for name, (x, y) in CORNERS.items())
+    tree = read_tree(write(tmp_path, mjcf(tail + legs, poses)))
+    assert "joint 'wag' and what hangs from it are held still: no leg's" in tree.notes
+    assert tree.base.mass == pytest.approx(6.5)
+    # The tail's centre is .1 m below its joint.
+    np.testing.assert_allclose(tree.base.centre, 0.5 / 6.5 * np.array([-0.2, 0.0, -0.1]), atol=1e-12)
+
+
+def test_torques_are_limited_by_joints_or_by_their_actuators(tmp_path: Path) -> None:
+    motors = """<actuator>
+      <motor joint="FL_hip" gear="-9" forcerange="-2 3"/><motor joint="FL_knee" gear="6" ctrlrange="-1.5 1.5"/>
+      <position joint="FR_hip" kp="20" ctrlrange="-2 2"/></actuator>"""
+    text = quadruped(extra=motors)
+    text = text.replace('<joint name="FL_abduction"', '<joint name="FL_abduction" actuatorfrcrange="-24 20"')
+    tree = read_tree(write(tmp_path, text))
+    assert [joint.torque for joint in tree.legs[LEGS.index("front_left")].joints] == [24.0, 27.0, 9.0]
+    # What a position servo is sent are angles.
+    assert [joint.torque for joint in tree.legs[LEGS.index("front_right")].joints] == [None] * 3
+
+
+def test_feet_without_spheres_are_the_far_ends_of_boxes(tmp_path: Path) -> None:
+    box = '<geom type="box" size=".015 .01 .1" pos=".005 0 -.1"/>'
+    legs = "".join(leg(name, 0.2 * x, 0.08 * y, foot=box) for name, (x, y) in CORNERS.items())
+    tree = read_tree(write(tmp_path, mjcf(legs)))
+    radius = tree.legs[0].foot_radius
+    # Half of the box's thinnest side.
+    assert radius == pytest.approx(0.01)
+    # The corner that is furthest from the knee, in the box's middle plane, a radius above its end.
+    np.testing.assert_allclose(tree.legs[0].foot, [0.22, 0.14, -0.4 + radius], atol=1e-9)
+    assert f"feet: the far end of the last link's shapes, radius {radius:.3g} m" in tree.notes
+
+
+def test_a_base_without_a_shape_is_a_box_of_its_inertia(tmp_path: Path) -> None:
+    half = np.array([0.3, 0.15, 0.1])
+    inertia = 6 / 3 * (np.sum(half**2) - half**2)  # of a solid box with half sides
+    body = f'<inertial pos=".01 0 0" mass="6" diaginertia="{" ".join(map(str, inertia))}"/>'
+    tree = read_tree(write(tmp_path, quadruped().replace(BODY, body)))
+    centre, found = tree.base_box
+    np.testing.assert_allclose(centre, [0.01, 0, 0], atol=1e-12)
+    np.testing.assert_allclose(found, half, rtol=1e-6)
+    assert "the base has no shape: a box with its inertia stands for it" in tree.notes
+
+
+def test_forward_is_guessed_where_no_name_tells(tmp_path: Path) -> None:
+    legs = "".join(leg(f"leg{k}", 0.2 * x, 0.08 * y) for k, (x, y) in enumerate(CORNERS.values()))
+    path = write(tmp_path, mjcf(legs))
+    tree = read_tree(path)
+    assert tree.forward == "+x"
+    assert "forward is guessed: the joints' names do not say which legs are in front" in tree.notes
+    back = read_tree(path, "-x")
+    assert (back.forward, [note for note in back.notes if "guessed" in note]) == ("-x", [])
+    # Turned by half: the last leg of the file is the front left one.
+    assert back.legs[LEGS.index("front_left")].joints[0].name == "leg3_abduction"
+
+
+def test_meshes_are_found_as_packages_have_them_and_unreadable_ones_are_noted(tmp_path: Path) -> None:
+    corners = np.array([[0, 0, 0], [0.4, 0, 0], [0, 0.2, 0], [0, 0, 0.1]])
+    faces = corners[[[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]]
+    triangles = np.zeros(4, [("normal", "<f4", 3), ("points", "<f4", (3, 3)), ("more", "<u2")])
+    triangles["points"] = faces
+    stl = tmp_path / "pack" / "meshes" / "trunk.stl"
+    stl.parent.mkdir(parents=True)
+    stl.write_bytes(bytes(80) + np.uint32(4).tobytes() + triangles.tobytes())
+    (stl.parent / "legs.dae").touch()
+    text = SHIPPED["solo8"].urdf.path.read_text()
+    meshes = MESH.replace("r/trunk.stl", "other_name/meshes/trunk.stl") + MESH.replace(
+        "r/trunk.stl", "r/meshes/legs.dae"
+    )
+    text = text.replace('<link name="base">', f'<link name="base">{meshes}', 1)
+    (tmp_path / "pack" / "urdf").mkdir()
+    tree = read_tree(write(tmp_path, text, "pack/urdf/solo.urdf"))
+    plain = read_tree(SHIPPED["solo8"].urdf.path)
+    assert "shapes that MuJoCo can't read are left out: legs.dae" in tree.notes
+    (low, high), (was_low, was_high) = ((box[0] - box[1], box[0] + box[1]) for box in (tree.base_box, plain.base_box))
+    np.testing.assert_allclose(low, np.minimum(was_low, 0.0), atol=1e-6)
+    np.testing.assert_allclose(high, np.maximum(was_high, corners.max(axis=0)), atol=1e-6)
+
+
+@pytest.mark.parametrize(("mass", "moment", "more"), [("0", "1", 0), ("", "1", 0), ("0.5", "0", 0.5), ("1", "1", 1)])
+def test_links_add_their_mass_with_or_without_inertia(mass: str, moment: str, more: float, tmp_path: Path) -> None:
+    extra = link("frame", mass=mass)
+    for axis in ("ixx", "iyy", "izz"):
+        extra = extra.replace(f'{axis}="1"', f'{axis}="{moment}"')
+    extra += '<joint name="mount" type="fixed"><parent link="base"/><child link="frame"/></joint>'
+    path = write(tmp_path, SHIPPED["solo8"].urdf.path.read_text().replace("</robot>", extra + "</robot>"), "solo.urdf")
+    tree, plain = read_tree(path), read_tree(SHIPPED["solo8"].urdf.path)
+    assert tree.base.mass == pytest.approx(plain.base.mass + more)
+    assert tree.base.centre == pytest.approx(plain.base.centre * plain.base.mass / tree.base.mass, abs=1e-9)
+    # Inertia about the base's frame, where the link is.
+    about = [
+        one.inertia + one.mass * (one.centre @ one.centre * np.eye(3) - np.outer(one.centre, one.centre))
+        for one in (tree.base, plain.base)
+    ]
+    np.testing.assert_allclose(about[0] - about[1], np.eye(3) * (float(moment) if more else 0.0), atol=1e-9)
+    assert tree.notes == plain.notes

@@ -11,6 +11,7 @@ import contextlib
 import json
 import math
 import os
+import re
 import select
 import socket
 import struct
@@ -38,6 +39,8 @@ _STEP = 0.1
 """What a key changes, in greatest commands."""
 _KEYS = {"w": (0, 1), "s": (0, -1), "a": (1, 1), "d": (1, -1), "q": (2, 1), "e": (2, -1)}
 KEYS = "w/s forward, a/d sideways, q/e turn, space stand"
+_ESCAPE = re.compile(r"\x1b(?:\[[0-9;]*[ -~]|O?.)?")
+"""What arrows and other keys without a letter send; they end in letters that mean something else."""
 _AXES = {1: (0, -1), 0: (1, -1), 3: (2, -1)}
 """Axes of a gamepad: command and sign; sticks are positive to the right and backward."""
 _DEAD_ZONE = 0.1
@@ -58,10 +61,10 @@ class CommandSource(Protocol):
 
 
 class FileCommands:
-    """Commands over time, of a file."""
+    """Commands over time, of a file; who runs the robot clamps them, and says so."""
 
-    def __init__(self, path: Path, limits: CommandLimits) -> None:
-        self._schedule = CommandSchedule([read_schedule(path)], limits, 1)
+    def __init__(self, path: Path) -> None:
+        self._schedule = CommandSchedule([read_schedule(path)], None, 1)
 
     def read(self, moment: float) -> Array:
         """Return the command (3,) that holds at a moment [s] of the run."""
@@ -157,11 +160,11 @@ class KeyboardCommands:
         """Return the command (3,) that the keys have set."""
         with contextlib.suppress(OSError):
             while select.select([self._file], [], [], 0)[0]:
-                keys = os.read(self._file, 64).decode("ascii", "ignore").lower()
+                keys = os.read(self._file, 64).decode("ascii", "ignore")
                 if not keys:
                     self._command = np.array(STAND)
                     break
-                for key in keys:
+                for key in _ESCAPE.sub("", keys).lower():
                     self._press(key)
         return self._command
 
@@ -240,4 +243,4 @@ def open_commands(given: str, limits: CommandLimits) -> CommandSource:
         if not 1024 <= port <= 65535:
             raise SurefootError(f"commands: port is {port}; it must be 1024 to 65535")
         return ChannelCommands(port)
-    return FileCommands(Path(given), limits)
+    return FileCommands(Path(given))

@@ -114,11 +114,17 @@ def _mounted(robot: RobotDescription, runs: Sequence[LogRun], known: PhysicalPar
 
 
 def _searched(model: LogModel, generations: int, seed: int, tell: FitProgress) -> Array:
-    """Return values (n,) by CMA-ES over the unknowns that all motors share, in units of what is known beforehand."""
+    """Return values (n,) by CMA-ES over the unknowns that all motors share, in units of what is known beforehand.
+
+    Raises:
+        SurefootError: all unknowns are of one motor or axis each.
+    """
     import cma
 
     unknowns: Sequence[Unknown] = model.unknowns
     shared = [i for i, unknown in enumerate(unknowns) if unknown.index is None]
+    if not shared:
+        raise SurefootError("a search looks for what all motors share, and nothing of that is to be found")
     starts = np.array([unknown.start for unknown in unknowns])
     spread = np.array([unknown.prior or 1.0 for unknown in unknowns])
     low, high = (np.array([getattr(unknown, end) for unknown in unknowns]) for end in ("low", "high"))

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import csv
 import io
+import itertools
 import pickle
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
@@ -28,6 +29,8 @@ FILE_BYTES = 1 << 28
 """Size of the largest file that is read."""
 MOST_COLUMNS = 4096
 MOST_NUMBERS = 1 << 27
+MOST_ITEMS = 1 << 24
+"""Numbers, texts, lists and tables of a pickle: a few bytes of it can name a list many times over."""
 _DEPTH = 8
 
 
@@ -69,13 +72,13 @@ def _read_npz(path: Path) -> Table:
 def _table(arrays: Mapping[Any, Any]) -> Table:
     """Return arrays by name as a table; those that are not a row for each time are left out."""
     numbers = {str(k): np.asarray(v) for k, v in arrays.items() if np.asarray(v).dtype.kind in "biuf"}
-    lengths = [len(array) for array in numbers.values() if array.ndim]
+    lengths = [len(array) for array in numbers.values() if array.ndim and array.size]
     if not lengths:
         raise SurefootError("holds no arrays of numbers")
     rows = max(lengths, key=lengths.count)
     columns: dict[str, Array] = {}
     for name, array in numbers.items():
-        if not array.ndim or len(array) != rows:
+        if not array.ndim or not array.size or len(array) != rows:
             continue
         if array.size > rows * MOST_COLUMNS or array.size > MOST_NUMBERS:
             raise SurefootError(f"{name} has shape {array.shape}; it is too large")
@@ -130,7 +133,8 @@ class _Array:
 
 def _buffered(content: Any, kind: Any, shape: Any, order: Any) -> _Array:
     made = _Array()
-    made.__setstate__((1, shape, kind, order == "F", bytes(content)))
+    content = bytes(content) if isinstance(content, bytearray) else content
+    made.__setstate__((1, shape, kind, order == "F", content))
     return made
 
 
@@ -176,12 +180,14 @@ def _read_pickle(path: Path) -> Table:
     with accessible("it"):
         content = path.read_bytes()
     try:
-        data = _plain(_Unpickler(io.BytesIO(content)).load())
+        data = _plain(_Unpickler(io.BytesIO(content)).load(), itertools.count())
     except Exception as error:  # a pickle is a program: whatever it does is its fault
         raise SurefootError(f"is no pickle of numbers: {' '.join(str(error).split())}") from error
     if isinstance(data, list) and data and all(isinstance(row, dict) for row in data):
         rows = [dict(_flat(row)) for row in data]
         names = list(dict.fromkeys(name for row in rows for name in row))[:MOST_COLUMNS]
+        if not names:
+            raise SurefootError("holds no numbers")
         return Table({name: np.array([row.get(name, np.nan) for row in rows]) for name in names})
     try:
         return _table(data if isinstance(data, dict) else {"data": np.asarray(data, float)})
@@ -189,14 +195,14 @@ def _read_pickle(path: Path) -> Table:
         raise SurefootError(f"is no table: {' '.join(str(error).split())}") from error
 
 
-def _plain(data: Any, depth: int = 0) -> Any:
-    if depth > _DEPTH:
-        raise ValueError("it is nested too deeply")
+def _plain(data: Any, items: Iterator[int], depth: int = 0) -> Any:
+    if depth > _DEPTH or next(items) >= MOST_ITEMS:
+        raise ValueError("it is nested too deeply" if depth > _DEPTH else f"it holds more than {MOST_ITEMS} items")
     if isinstance(data, _Array):
         return data.value
     if isinstance(data, dict):
-        return {key: _plain(value, depth + 1) for key, value in data.items()}
-    return [_plain(value, depth + 1) for value in data] if isinstance(data, list | tuple) else data
+        return {key: _plain(value, items, depth + 1) for key, value in data.items()}
+    return [_plain(value, items, depth + 1) for value in data] if isinstance(data, list | tuple) else data
 
 
 def _flat(data: Any, name: str = "", depth: int = 0) -> Iterator[tuple[str, float]]:

@@ -133,7 +133,10 @@ def read_schedule(path: Path) -> tuple[tuple[float, float, float, float], ...]:
             text = file.read(_FILE_BYTES + 1)
     if len(text) > _FILE_BYTES:
         raise SurefootError(f"commands {path}: has more than {_FILE_BYTES} bytes; {rule}")
-    rows = list(csv.reader(text.splitlines()))
+    try:
+        rows = list(csv.reader(text.splitlines()))
+    except csv.Error as error:
+        raise SurefootError(f"commands {path}: {error}; {rule}") from error
     if not rows or tuple(name.strip() for name in rows[0]) != names:
         raise SurefootError(f"commands {path}: its first line is {quoted(','.join(rows[0]) if rows else '')}; {rule}")
     try:
@@ -152,15 +155,18 @@ class CommandSchedule:
 
     Args:
         schedules: rows of time [s] and commands, as of `CommandConfig.schedule`.
-        limits: of the commands.
+        limits: of the commands; None: they are given as they are.
         num_envs: robots.
     """
 
-    def __init__(self, schedules: Sequence[Sequence[Sequence[float]]], limits: CommandLimits, num_envs: int) -> None:
+    def __init__(
+        self, schedules: Sequence[Sequence[Sequence[float]]], limits: CommandLimits | None, num_envs: int
+    ) -> None:
         self._schedules = []
         for rows in schedules:
             table = np.array(rows, float)
-            commands = np.concatenate([[STAND], [limits.clamped(row)[0] for row in table[:, 1:]]])
+            given = table[:, 1:] if limits is None else [limits.clamped(row)[0] for row in table[:, 1:]]
+            commands = np.concatenate([[STAND], given])
             self._schedules.append((table[:, 0], commands))
         self.streams: list[np.random.Generator] = []
         self.command = np.zeros((num_envs, 3))

@@ -128,10 +128,13 @@ def _check_inertias(root: ElementTree.Element, path: Path, notes: list[str]) -> 
             xx, xy, xz, yy, yz, zz = (float(attribute(tensor, key, "0")) for key in _TENSOR)
         except ValueError:
             raise SurefootError(f"{path}: link '{link.get('name')}': its <inertial> has no numbers") from None
-        if mass == 0.0 or tensor is None or xx == yy == zz == 0.0:
+        if mass == 0.0 or tensor is None:
             link.remove(inertial)
             continue
         found += 1
+        if mass > 0 and xx == yy == zz == 0.0:  # a point mass
+            tensor.attrib |= dict.fromkeys(("ixy", "ixz", "iyz"), "0")
+            continue
         whole = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
         moments = np.linalg.eigvalsh(whole) if np.isfinite(whole).all() else np.full(3, np.nan)
         if not (mass > 0 and are_moments(moments)):
@@ -364,7 +367,7 @@ class _Reader:
         if not ends:
             raise self._fail(f"'{model.body(body).name}' has neither a shape nor a link for its foot; add one")
         lowest = max(ends, key=lambda point: float(np.linalg.norm(point - knee)))
-        reach = np.array([lowest[0], np.mean([point[1] for point in ends]), lowest[2]])
+        reach = np.array([lowest[0], (np.min(ends, axis=0)[1] + np.max(ends, axis=0)[1]) / 2, lowest[2]])
         radius = self._thickness(geoms, reach)
         return reach + np.array([0.0, 0.0, radius]), radius, "the far end of the last link's shapes"
 
@@ -379,10 +382,16 @@ class _Reader:
         return float(np.clip(half[0], 0.3 * usual, usual))
 
     def _corners(self, geom: int) -> list[Array]:
-        centre, half = self.model.geom_aabb[geom, :3], self.model.geom_aabb[geom, 3:]
-        turn, place = self.data.geom_xmat[geom].reshape(3, 3), self.data.geom_xpos[geom]
-        signs = [np.array([a, b, c]) for a in (-1, 1) for b in (-1, 1) for c in (-1, 1)]
-        return [self._place(place + turn @ (centre + half * sign)) for sign in signs]
+        """Return points of a shape's hull: the vertices of a mesh, the corners of the box around another shape."""
+        model, turn, place = self.model, self.data.geom_xmat[geom].reshape(3, 3), self.data.geom_xpos[geom]
+        if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_MESH:
+            # The box around a mesh has its principal axes: the box around that one would be too large.
+            first = model.mesh_vertadr[model.geom_dataid[geom]]
+            points = model.mesh_vert[first : first + model.mesh_vertnum[model.geom_dataid[geom]]].astype(float)
+        else:
+            signs = np.array([(a, b, c) for a in (-1, 1) for b in (-1, 1) for c in (-1, 1)])
+            points = model.geom_aabb[geom, :3] + model.geom_aabb[geom, 3:] * signs
+        return list((place + points @ turn.T) @ self.turn.T)
 
     def _box(self, base: int) -> tuple[Array, Array]:
         """Return centre and half of the sides of a box around the base's shapes, or with its inertia."""
