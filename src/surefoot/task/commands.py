@@ -27,6 +27,8 @@ _FILE_BYTES = 1_000_000
 """Most bytes of a file of commands."""
 HEADING_ERROR = 0.5
 """Greatest heading error [rad] that is corrected; beyond it the heading that is held follows the robot."""
+STANDING_HEADING_ERROR = 0.15
+"""Greatest heading error [rad] that a standing robot keeps, to correct it when it walks again."""
 
 
 @dataclass(frozen=True)
@@ -312,9 +314,10 @@ class CommandFilter:
         self.phase = (self.phase + self._frequency(self.followed) * step) % 1.0
         self.heading += self.followed[:, 2] * step
         error = (self.heading - yaw + np.pi) % (2 * np.pi) - np.pi
-        self.heading_error = np.where(walks, np.clip(error, -HEADING_ERROR, HEADING_ERROR), 0.0)
+        most = np.where(walks, HEADING_ERROR, STANDING_HEADING_ERROR)
+        self.heading_error = np.clip(error, -most, most)
         self.heading = yaw + self.heading_error
-        self.correction = limits.heading_gain * self.heading_error
+        self.correction = np.where(walks, limits.heading_gain * self.heading_error, 0.0)
 
     @property
     def state(self) -> CommandState:
