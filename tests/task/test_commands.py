@@ -198,6 +198,20 @@ def test_a_robot_that_stands_corrects_no_heading() -> None:
     assert followed.activity[0] == 0.0
 
 
+def test_what_a_turn_leaves_is_corrected_after_a_stand_as_far_as_it_is_small() -> None:
+    followed, stand = make_filter(), np.zeros((1, 3))
+    followed.heading[:] = 0.4
+    for _ in range(500):  # stopped .1 rad before the heading that is held
+        followed.advance(stand, STEP, np.array([0.3]))
+    assert followed.correction[0] == 0.0
+    followed.advance(np.array([[0.5, 0.0, 0.0]]), STEP, np.array([0.3]))
+    assert followed.heading_error[0] == pytest.approx(0.1)
+    followed.advance(stand, STEP, np.array([1.3]))
+    for _ in range(500):  # somebody turned it
+        followed.advance(stand, STEP, np.array([1.3]))
+    assert followed.heading_error[0] == pytest.approx(-0.15)
+
+
 def test_a_gait_that_follows_no_commands_keeps_its_own_frequency() -> None:
     go2 = RobotDescription.load("go2")
     trot, none = (load_task(name, "go2")[0].gait(go2).reference for name in ("trot", "scratch"))
