@@ -31,7 +31,7 @@ _FRAME = 1 / 30
 """Time between pictures [s]."""
 _NEWS = 1 / 15
 """Time between the plots' points [s]."""
-_SILENCE = 1.5
+_SILENCE = 3.0
 """Time after which a command that is not sent again ends [s]."""
 _PUSH = 0.1
 """How long a push lasts [s]."""
@@ -248,5 +248,3 @@ def _numbers(given: Any, count: int) -> list[float]:
     if not np.isfinite(values).all():
         raise ValueError("not finite")
     return values
-
-

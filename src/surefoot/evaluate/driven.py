@@ -1,4 +1,4 @@
-"""One simulated robot that is driven while it runs: commands, parameters and pushes act from the next control step on."""
+"""One simulated robot that is driven: commands, parameters and pushes act from the next control step on."""
 
 from __future__ import annotations
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 from collections import deque
+from typing import Any
 
 import numpy as np
 import viser
@@ -30,6 +31,7 @@ class RobotView:
 
     def __init__(self) -> None:
         self._server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
+        self._server.gui.main_panel.minimize()
         self.port = self._server.get_port()
         self.frames = 0
         """Pictures that were sent."""
@@ -57,11 +59,14 @@ class RobotView:
                 if shape.body not in self._links:
                     self._links[shape.body] = server.scene.add_frame(f"/world/{shape.body}", show_axes=False)
                 self._add(f"/world/{shape.body}/{k}", shape)
-            server.initial_camera.position = (0.9 * size, -1.8 * size, 0.8 * size)
+            server.initial_camera.position = (1.1 * size, -1.5 * size, 0.7 * size)
             server.initial_camera.look_at = (0.0, 0.0, 0.2 * size)
 
     def _add(self, name: str, shape: Shape) -> None:
-        place = {"position": np.asarray(shape.position), "wxyz": matrix_quat(np.asarray(shape.rotation, float))}
+        place: dict[str, Any] = {
+            "position": np.asarray(shape.position),
+            "wxyz": matrix_quat(np.asarray(shape.rotation, float)),
+        }
         add, color = self._server.scene, shape.color
         if shape.kind == "box":
             x, y, z = shape.size
