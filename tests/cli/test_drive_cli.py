@@ -19,10 +19,10 @@ import numpy as np
 import pytest
 
 pytest.importorskip("mujoco")
-websockets = pytest.importorskip("websockets")
 pytest.importorskip("viser")
 pytest.importorskip("playwright")
 
+import websockets
 from websockets.sync.client import connect
 
 from surefoot.cli.drive import Drive
