@@ -63,9 +63,8 @@ def main() -> None:
     delays = 1e3 * np.array(drive.delays)
     print(f"load of {os.cpu_count()} cores {os.getloadavg()[0]:.1f}, tabs {given.tabs}")
     print(f"pictures sent {sent / passed:.1f} /s, drawn in software {shown / passed:.1f} /s")
-    print(
-        f"joystick to command, ms: median {np.median(delays):.1f}, 99 % {np.quantile(delays, 0.99):.1f}, n {len(delays)}"
-    )
+    middle, late = np.quantile(delays, [0.5, 0.99])
+    print(f"joystick to command, ms: median {middle:.1f}, 99 % {late:.1f}, of {len(delays)}")
     print(f"share of real time {kept:.3f}")
 
 
