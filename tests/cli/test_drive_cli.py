@@ -71,6 +71,89 @@ def running() -> Iterator[Running]:
     view.stop()
 
 
+# These come first: while no browser's tab is open, they drive.
+
+
+def talk(server: PageServer, origin: str | None = None) -> Any:
+    host = f"localhost:{server.port}"
+    return connect(f"ws://{host}/socket", origin=origin or f"http://{host}")  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("path", ["socket", "viser"])
+@pytest.mark.parametrize("origin", ["http://example.org", "http://localhost:1", "null"])
+def test_a_foreign_origin_is_refused(running: Running, path: str, origin: str):
+    with pytest.raises(websockets.InvalidStatus) as caught:
+        connect(f"ws://localhost:{running.server.port}/{path}", origin=origin)  # type: ignore[arg-type]
+    assert caught.value.response.status_code == 403
+
+
+def test_a_name_of_another_site_that_leads_here_is_refused(running: Running):
+    url = f"http://127.0.0.1:{running.server.port}/"
+    with pytest.raises(urllib.error.HTTPError, match="403"):
+        urllib.request.urlopen(urllib.request.Request(url, headers={"Host": "example.org"}))
+    with pytest.raises(urllib.error.HTTPError, match="404"):
+        urllib.request.urlopen(f"{url}../page.html")
+
+
+BAD = [
+    *('{"command": [NaN, 0, 0]}', '{"command": [1e999, 0, 0]}', '{"command": "fast"}', '{"command": [null, 0, 0]}'),
+    *('{"set": ["base_mass_ratio", 99]}', '{"set": ["control_step", 0.01]}', '{"set": [[], 1]}', '{"push": [1e9, 0]}'),
+    *('{"policy": "../../etc/passwd"}', '{"policy": []}', '{"speed": 1e9}', '{"speed": {}}', '{"command": 3}'),
+    *("{", "[" * 999),
+]
+
+
+def test_what_is_no_good_is_refused_and_does_no_harm(running: Running):
+    with talk(running.server) as line:
+        running.until(lambda: running.server.tabs > 0)
+        for text in BAD:
+            line.send(text)
+            while "error" not in (said := json.loads(line.recv(timeout=10))):
+                pass
+            assert len(said["error"]) < 400
+            assert "you watch" not in said["error"]
+        state = running.measured(0.2)
+    assert np.isfinite(state[-1].position).all()
+    assert running.drive.robot.env.world.divergences == 0
+
+
+def flood(line: Any) -> None:
+    for _ in range(100_000):
+        line.send('{"command": [0.1, 0, 0]}')
+    line.recv(timeout=10)
+
+
+def test_a_flood_of_messages_ends_the_connection_and_not_the_robot(running: Running):
+    before = running.server.tabs
+    with talk(running.server) as line, pytest.raises(websockets.ConnectionClosed):
+        flood(line)
+    running.until(lambda: running.server.tabs == before)
+    with talk(running.server):
+        assert len(running.measured(0.2)) > 5
+
+
+def test_for_other_machines_the_address_holds_a_token(running: Running):
+    server = PageServer("127.0.0.1", 0, 1)
+    try:
+        assert len(server.address.split("/")[3]) > 20
+        assert urllib.request.urlopen(server.address).status == 200
+        with pytest.raises(urllib.error.HTTPError, match="404"):
+            urllib.request.urlopen(f"http://127.0.0.1:{server.port}/")
+    finally:
+        server.stop()
+
+
+def test_a_port_that_is_taken_is_told_in_a_line():
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        words = [sys.executable, "-m", "surefoot", "drive", "go2-steer", "--port", str(taken.getsockname()[1])]
+        done = subprocess.run(words, capture_output=True, text=True, timeout=120, check=False)
+    assert done.returncode == 2
+    assert len(done.stderr.splitlines()) == 1
+    assert "--port" in done.stderr
+
+
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Browser]:
     from playwright.sync_api import sync_playwright
@@ -101,8 +184,10 @@ def shared(running: Running, browser: Browser) -> Iterator[Page]:
 @pytest.fixture
 def page(running: Running, shared: Page) -> Page:
     """Give the tab that drives, with a robot that has just begun to stand, as its sheet says."""
+    robot = running.drive.robot
+    before = robot.restarts
     shared.locator("#restart").click()
-    running.until(lambda: running.drive.robot.env.steps[0] < 20)
+    running.until(lambda: robot.restarts > before)
     return shared
 
 
@@ -244,82 +329,3 @@ def test_closing_the_last_tab_stops_time(running: Running, page: Page):
     assert running.drive.robot.steps == steps
     page.goto(running.server.address)
     running.until(lambda: running.drive.robot.steps > steps)
-
-
-def talk(server: PageServer, origin: str | None = None) -> Any:
-    host = f"localhost:{server.port}"
-    return connect(f"ws://{host}/socket", origin=origin or f"http://{host}")  # type: ignore[arg-type]
-
-
-@pytest.mark.parametrize("path", ["socket", "viser"])
-@pytest.mark.parametrize("origin", ["http://example.org", "http://localhost:1", "null"])
-def test_a_foreign_origin_is_refused(running: Running, path: str, origin: str):
-    with pytest.raises(websockets.InvalidStatus) as caught:
-        connect(f"ws://localhost:{running.server.port}/{path}", origin=origin)  # type: ignore[arg-type]
-    assert caught.value.response.status_code == 403
-
-
-def test_a_name_of_another_site_that_leads_here_is_refused(running: Running):
-    url = f"http://127.0.0.1:{running.server.port}/"
-    with pytest.raises(urllib.error.HTTPError, match="403"):
-        urllib.request.urlopen(urllib.request.Request(url, headers={"Host": "example.org"}))
-    with pytest.raises(urllib.error.HTTPError, match="404"):
-        urllib.request.urlopen(f"{url}../page.html")
-
-
-BAD = [
-    *('{"command": [NaN, 0, 0]}', '{"command": [1e999, 0, 0]}', '{"command": "fast"}', '{"command": [null, 0, 0]}'),
-    *('{"set": ["base_mass_ratio", 99]}', '{"set": ["control_step", 0.01]}', '{"set": [[], 1]}', '{"push": [1e9, 0]}'),
-    *('{"policy": "../../etc/passwd"}', '{"policy": []}', '{"speed": 1e9}', '{"speed": {}}', '{"command": 3}'),
-    *("{", "[" * 999),
-]
-
-
-def test_what_is_no_good_is_refused_and_does_no_harm(running: Running):
-    with talk(running.server) as line:
-        running.until(lambda: running.server.tabs > 0)
-        for text in BAD:
-            line.send(text)
-            while "error" not in (said := json.loads(line.recv(timeout=10))):
-                pass
-            assert len(said["error"]) < 400
-        state = running.measured(0.2)
-    assert np.isfinite(state[-1].position).all()
-    assert running.drive.robot.env.world.divergences == 0
-
-
-def flood(line: Any) -> None:
-    for _ in range(100_000):
-        line.send('{"command": [0.1, 0, 0]}')
-    line.recv(timeout=10)
-
-
-def test_a_flood_of_messages_ends_the_connection_and_not_the_robot(running: Running):
-    before = running.server.tabs
-    with talk(running.server) as line, pytest.raises(websockets.ConnectionClosed):
-        flood(line)
-    running.until(lambda: running.server.tabs == before)
-    with talk(running.server):
-        assert len(running.measured(0.2)) > 5
-
-
-def test_for_other_machines_the_address_holds_a_token(running: Running):
-    server = PageServer("127.0.0.1", 0, 1)
-    try:
-        assert len(server.address.split("/")[3]) > 20
-        assert urllib.request.urlopen(server.address).status == 200
-        with pytest.raises(urllib.error.HTTPError, match="404"):
-            urllib.request.urlopen(f"http://127.0.0.1:{server.port}/")
-    finally:
-        server.stop()
-
-
-def test_a_port_that_is_taken_is_told_in_a_line():
-    with socket.socket() as taken:
-        taken.bind(("127.0.0.1", 0))
-        taken.listen()
-        words = [sys.executable, "-m", "surefoot", "drive", "go2-steer", "--port", str(taken.getsockname()[1])]
-        done = subprocess.run(words, capture_output=True, text=True, timeout=120, check=False)
-    assert done.returncode == 2
-    assert len(done.stderr.splitlines()) == 1
-    assert "--port" in done.stderr

@@ -103,7 +103,7 @@ class DrivenRobot:
         if self.limits is not None:
             self.env.source = self._given  # type: ignore[assignment]
         self.rows: deque[Row] = deque(maxlen=kept)
-        self.falls, self.steps = 0, 0
+        self.falls, self.steps, self.restarts = 0, 0, 0
         self._push_until = self._stand_at = np.inf
         self._observation, _ = self.env.reset()
 
@@ -181,6 +181,7 @@ class DrivenRobot:
 
     def restart(self) -> None:
         """Stand again at the start; parameters stay."""
+        self.restarts += 1
         self._observation, _ = self.env.reset()
         self.env.world.push(np.zeros((1, 3)))
         self._push_until = self._stand_at = np.inf

@@ -170,7 +170,7 @@ class PageServer:
                 if count > _MOST_MESSAGES:
                     await connection.close(1008, "too many messages")
                     return
-                await self._take(connection, message)
+                self._take(connection, message)
         except websockets.ConnectionClosed:
             pass
         finally:
@@ -180,16 +180,21 @@ class PageServer:
                 self._put({"left": True})
                 self._greet_all()
 
-    async def _take(self, connection: ServerConnection, message: str | bytes) -> None:
+    def _take(self, connection: ServerConnection, message: str | bytes) -> None:
         try:
             given = json.loads(message, parse_constant=_refuse)
         except (ValueError, RecursionError) as error:
-            await connection.send(json.dumps({"error": f"message refused: {error}"[:200]}))
+            self._answer(connection, f"message refused: {error}"[:200])
             return
         if self._tabs[0] is not connection:
-            await connection.send(json.dumps({"error": "you watch; another browser drives"}))
+            self._answer(connection, "you watch; another browser drives")
         elif isinstance(given, dict):
             self._put(given)
+
+    @staticmethod
+    def _answer(connection: ServerConnection, error: str) -> None:
+        # Not waited for: a tab that does not read would hold up the count of its messages.
+        broadcast([connection], json.dumps({"error": error}))
 
     def _put(self, given: dict[str, Any]) -> None:
         with contextlib.suppress(queue.Full):
