@@ -29,6 +29,8 @@ from surefoot.errors import SurefootError
 LOCAL = ("localhost", "127.0.0.1", "[::1]")
 _PAGE = Path(__file__).with_name("page.html")
 _VIEWER = Path(viser.__file__).parent / "client" / "build" / "index.html"
+_BARE = b"<style>.mantine-Paper-root, .mantine-Notifications-root { display: none !important; }</style>"
+"""Hides the viewer's own panel and notes, which would cover a small picture; the page has its own."""
 _MOST_BYTES = 2000
 _MOST_MESSAGES = 400
 """Messages that a tab may send in a second; one that sends more is closed."""
@@ -103,6 +105,7 @@ class PageServer:
                 compression=None,
                 max_size=_MOST_BYTES,
                 max_queue=16,
+                close_timeout=0.5,
                 logger=_quiet(),
             ) as server:
                 ready.put(next(iter(server.sockets)).getsockname()[1])
@@ -125,7 +128,7 @@ class PageServer:
         file = {"": _PAGE, "view": _VIEWER}.get(name) if name is not None else None
         if file is None:
             return connection.respond(http.HTTPStatus.NOT_FOUND, "not here\n")
-        body = file.read_bytes()
+        body = file.read_bytes() + (_BARE if file is _VIEWER else b"")
         kind = [("Content-Type", "text/html; charset=utf-8"), ("Content-Length", str(len(body)))]
         safe = [("X-Frame-Options", "SAMEORIGIN"), ("Referrer-Policy", "no-referrer"), ("Connection", "close")]
         return Response(200, "OK", Headers([*kind, *safe]), body)

@@ -22,7 +22,7 @@ from surefoot.rotations import matrix_quat
 
 _TRAIL = 300
 """Points of the trail."""
-_FOLLOW = 0.15
+_FOLLOW = 0.4
 """Share of the way to the robot that the ground's frame goes with each picture."""
 
 
@@ -31,7 +31,6 @@ class RobotView:
 
     def __init__(self) -> None:
         self._server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
-        self._server.gui.main_panel.minimize()
         self.port = self._server.get_port()
         self.frames = 0
         """Pictures that were sent."""
