@@ -209,6 +209,7 @@ def heat(rows: list[Row]) -> float:
 @in_browser
 @pytest.mark.realtime
 def test_the_joystick_moves_the_robot_and_lets_it_stand(running: Running, page: Page):
+    page.locator("#stick").scroll_into_view_if_needed()
     box = page.locator("#stick").bounding_box()
     assert box is not None
     middle = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
