@@ -52,7 +52,7 @@ ROBOT_SIDE = [
 NOT_ON_THE_ROBOT = {
     *("mujoco", "numba", "llvmlite", "gymnasium", "scipy", "pybullet"),
     *("torch", "tensordict", "rsl_rl", "tensorboard", "onnx", "stable_baselines3"),
-    *("matplotlib", "imageio_ffmpeg", "PIL"),
+    *("matplotlib", "imageio_ffmpeg", "PIL", "viser", "websockets"),
 }
 
 

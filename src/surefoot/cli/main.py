@@ -15,6 +15,7 @@ COMMANDS = {
     "robot": ("surefoot.cli.robot", "take any quadruped from its URDF or MJCF, and check its description"),
     "evaluate": ("surefoot.cli.evaluate", "run a policy in simulation and measure it"),
     "play": ("surefoot.cli.play", "watch a policy, in a window or as a video"),
+    "drive": ("surefoot.cli.drive", "steer, push and change a simulated robot, on a page in the browser"),
     "search": ("surefoot.cli.search", "train many times with searched settings, and see what emerges"),
     "study": ("surefoot.cli.study", "train several groups with several seeds, compare them"),
     "tune": ("surefoot.cli.tune", "find a handcrafted gait for a robot and a speed"),
@@ -46,6 +47,7 @@ _EXTRAS = {
     "search": ("optuna", "ray", "grpc"),
     "tune": ("cma",),
     "bags": ("rosbags",),
+    "page": ("viser", "websockets"),
 }
 
 

@@ -1,0 +1,72 @@
+"""How fast the page of `surefoot drive` is: pictures, delay from joystick to command, share of real time kept.
+
+Headless Chromium, which draws in software, moves the joystick. Both run on this machine, and share its cores.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import os
+import shutil
+import threading
+import time
+
+import numpy as np
+from playwright.sync_api import sync_playwright
+
+from surefoot.cli.drive import Drive
+from surefoot.report.page_server import PageServer
+from surefoot.report.page_view import RobotView
+
+_COUNT = "window.pictures = 0; const count = () => { ++window.pictures; requestAnimationFrame(count); }; count()"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--policy", default="go2-steer", help="a policy with commands")
+    parser.add_argument("--seconds", type=float, default=20.0)
+    parser.add_argument("--tabs", type=int, default=1)
+    given = parser.parse_args()
+    path = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+    if path is None:
+        raise SystemExit("no Chromium on this computer")
+    drive, view, stop = Drive(given.policy, "mujoco"), RobotView(), threading.Event()
+    page = PageServer(None, 0, view.port)
+    thread = threading.Thread(target=drive.run, args=(page, view, stop))
+    thread.start()
+    with sync_playwright() as playwright:
+        words = ["--no-sandbox", "--enable-unsafe-swiftshader"]
+        browser = playwright.chromium.launch(executable_path=path, args=words)
+        tabs = [browser.new_page(viewport={"width": 600, "height": 420}) for _ in range(given.tabs)]
+        for tab in tabs:
+            tab.goto(page.address)
+            tab.wait_for_function("document.getElementById('state').textContent.includes('m/s')")
+        box = tabs[0].locator("#stick").bounding_box()
+        assert box is not None
+        x, y, reach = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2, 0.4 * box["width"]
+        tabs[0].mouse.move(x, y)
+        tabs[0].mouse.down()
+        tabs[0].evaluate(_COUNT)
+        drive.delays.clear()
+        begin, sent, simulated = time.perf_counter(), view.frames, drive.robot.time
+        while (passed := time.perf_counter() - begin) < given.seconds:
+            tabs[0].mouse.move(x + reach * math.sin(passed), y - reach * math.cos(passed))
+            time.sleep(0.03)
+        shown, passed = tabs[0].evaluate("window.pictures"), time.perf_counter() - begin
+        kept, sent = (drive.robot.time - simulated) / passed, view.frames - sent
+        browser.close()
+    stop.set()
+    thread.join()
+    page.stop()
+    view.stop()
+    delays = 1e3 * np.array(drive.delays)
+    print(f"load of {os.cpu_count()} cores {os.getloadavg()[0]:.1f}, tabs {given.tabs}")
+    print(f"pictures sent {sent / passed:.1f} /s, drawn in software {shown / passed:.1f} /s")
+    middle, late = np.quantile(delays, [0.5, 0.99])
+    print(f"joystick to command, ms: median {middle:.1f}, 99 % {late:.1f}, of {len(delays)}")
+    print(f"share of real time {kept:.3f}")
+
+
+if __name__ == "__main__":
+    main()

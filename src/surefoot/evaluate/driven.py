@@ -1,0 +1,213 @@
+"""One simulated robot that is driven: commands, parameters and pushes act from the next control step on."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from surefoot.arrays import Array
+from surefoot.errors import SurefootError
+from surefoot.evaluate.rollout import Policy
+from surefoot.robot import PhysicalParams
+from surefoot.robot.commands import STAND
+from surefoot.rotations import in_heading_frame
+from surefoot.task.config import TaskConfig
+from surefoot.task.env import LocomotionEnv
+from surefoot.task.randomize import RandomizeConfig
+from surefoot.world.interface import SimulationFactory
+
+FIXED = ("control_step",)
+"""Parameters that belong to the policy, and can't be changed while it runs."""
+_MOST_STEPS = 1_000_000
+_LIE_TIME = 1.5
+"""How long a robot that fell lies until it stands again at its start [s]."""
+_MOST_FORCE = 2000.0
+"""Greatest force of a push [N]."""
+
+
+@dataclass(frozen=True)
+class Knob:
+    """A number of a physical parameter that may be changed while the robot runs."""
+
+    name: str
+    """The parameter, and behind a dot the column of one that has several columns of different meaning."""
+    unit: str
+    meaning: str
+    low: float
+    """Least value that the robot allows."""
+    high: float
+    """Greatest value that the robot allows."""
+    value: float
+    """Present value; the motors' mean, where each has its own."""
+
+
+class _Held:
+    """A source of commands for an environment: the command that was given last."""
+
+    streams: tuple[np.random.Generator, ...] = ()
+
+    def __init__(self) -> None:
+        self.command = np.zeros((1, 3))
+
+    def reset(self, rows: NDArray[np.int64]) -> None:
+        self.command[rows] = STAND
+
+    def update(self, time: Array) -> None:
+        pass
+
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        return {"command": self.command}
+
+
+@dataclass(frozen=True)
+class Row:
+    """A control step of a driven robot."""
+
+    time: float
+    """Simulated time since the robot was made [s]."""
+    position: Array
+    """Base in the world (3,) [m]."""
+    velocity: Array
+    """Base in the heading frame (3,) [m/s]; the third is the yaw rate [rad/s]."""
+    command: Array
+    """What the gait follows (3,) [m/s, m/s, rad/s]; NaN without commands."""
+    torque: Array
+    """Motors (M,) [N m]."""
+    heat: float
+    """All motors [W]."""
+    contact: Array
+    """Share of the step in which each foot touched the ground (L,)."""
+
+
+class DrivenRobot:
+    """A policy in a world, run one control step at a time.
+
+    Args:
+        policy: gives the feedback.
+        task: what it was made for; neither pushes nor randomization act.
+        make_world: makes the simulation.
+        kept: control steps that `rows` keeps.
+    """
+
+    def __init__(self, policy: Policy, task: TaskConfig, make_world: SimulationFactory, kept: int = 4000) -> None:
+        pushes = replace(task.pushes, enabled=False)
+        task = replace(task, pushes=pushes, max_steps=_MOST_STEPS, randomize=RandomizeConfig())
+        self.policy, self.env = policy, LocomotionEnv(task, 1, make_world, seed=1, autoreset=False, threads=1)
+        self.robot, self.step_time = self.env.robot, float(self.env.world.params.control_step[0])
+        self.limits = task.commands.limits(self.robot)
+        self._given = _Held()
+        if self.limits is not None:
+            self.env.source = self._given  # type: ignore[assignment]
+        self.rows: deque[Row] = deque(maxlen=kept)
+        self.falls, self.steps, self.restarts = 0, 0, 0
+        self._push_until = self._stand_at = np.inf
+        self._observation, _ = self.env.reset()
+
+    @property
+    def time(self) -> float:
+        """Simulated time since the robot was made [s]."""
+        return self.steps * self.step_time
+
+    def command(self, command: ArrayLike) -> None:
+        """Take a command (3,) [m/s, m/s, rad/s], cut to the policy's limits; `CommandFilter` follows it.
+
+        Raises:
+            SurefootError: a policy without commands, or numbers that are not finite.
+        """
+        if self.limits is None:
+            raise SurefootError("this policy follows no commands")
+        self._given.command[0], _ = self.limits.clamped(command)
+
+    def push(self, force: ArrayLike, duration: float) -> None:
+        """Push the base with a force (3,) [N] in the heading frame, for a duration [s].
+
+        Raises:
+            SurefootError: numbers that are not finite, or too large.
+        """
+        given = np.asarray(force, float)
+        if given.shape != (3,) or not (np.linalg.norm(given) <= _MOST_FORCE) or not 0.0 < duration <= 10.0:
+            raise SurefootError(f"push: must be up to {_MOST_FORCE:g} N, for up to 10 s")
+        yaw = self.env.truth.roll_pitch_yaw[0, 2]
+        turn = np.array([[np.cos(yaw), -np.sin(yaw), 0], [np.sin(yaw), np.cos(yaw), 0], [0, 0, 1]])
+        self.env.world.push((turn @ given)[None])
+        self._push_until = self.time + duration
+
+    def knobs(self) -> list[Knob]:
+        """Return what can be set."""
+        found = []
+        for name, declared in PhysicalParams.__dataclass_fields__.items():
+            if name in FIXED or declared.metadata["drive"] not in ("", self.robot.drive):
+                continue
+            low, high = self.robot.allowed[name]
+            about = (declared.metadata["unit"], declared.metadata["meaning"], low, high)
+            values, width = getattr(self.env.world.params, name), declared.metadata["width"]
+            if width in ("one", "motors"):
+                found.append(Knob(name, *about, float(values.mean())))
+            else:
+                columns = zip(width.split(", "), values[0], strict=True)
+                found += [Knob(f"{name}.{column}", *about, float(value)) for column, value in columns]
+        return found
+
+    def set(self, knob: str, value: float) -> None:
+        """Give a knob's parameter another value, at once, in the same simulation.
+
+        Where each motor has a value of its own, all are scaled to the new mean.
+
+        Raises:
+            SurefootError: no such knob, or a value that robot or engine do not allow; then nothing has changed.
+        """
+        name, _, column = knob.partition(".")
+        if knob not in (known.name for known in self.knobs()):
+            raise SurefootError(f"'{knob}' is not a parameter of {self.robot.name} that can be set while it runs")
+        world = self.env.world
+        now, nominal = getattr(world.params, name), getattr(self.env.nominal, name)
+        if column:
+            wanted = now.copy()
+            wanted[:, PhysicalParams.__dataclass_fields__[name].metadata["width"].split(", ").index(column)] = value
+        else:
+            mean = float(nominal.mean())
+            wanted = nominal / mean * value if mean else np.full_like(now, value)
+        before = world.params.rows([0])
+        changed = before.with_values(self.robot, **{name: wanted})
+        try:
+            world.set_params([0], changed)
+        except SurefootError:
+            world.set_params([0], before)
+            raise
+
+    def restart(self) -> None:
+        """Stand again at the start; parameters stay."""
+        self.restarts += 1
+        self._observation, _ = self.env.reset()
+        self.env.world.push(np.zeros((1, 3)))
+        self._push_until = self._stand_at = np.inf
+
+    def step(self) -> Row:
+        """Run one control step; a robot that fell stands up again after a while."""
+        env = self.env
+        if self.time >= self._stand_at:
+            self.restart()
+        if self.time >= self._push_until:
+            env.world.push(np.zeros((1, 3)))
+            self._push_until = np.inf
+        before = env.truth
+        self._observation, _, fell, over, _ = env.step(env.gait.action(self.policy.feedback(self._observation)))
+        self.steps += 1
+        if fell[0] or over[0]:
+            self.falls += int(fell[0])
+            self._stand_at = self.time + _LIE_TIME
+        truth = env.truth
+        moved = (truth.base_position_world - before.base_position_world) / self.step_time
+        velocity = in_heading_frame(moved, before.roll_pitch_yaw[:, 2])[0]
+        turned = truth.roll_pitch_yaw[0, 2] - before.roll_pitch_yaw[0, 2]
+        velocity[2] = ((turned + np.pi) % (2 * np.pi) - np.pi) / self.step_time
+        state, torque = env.command_state, truth.motor_torque[0]
+        command = np.full(3, np.nan) if state is None else state.command[0]
+        heat = float(np.sum(self.robot.actuator.heat(torque)))
+        row = Row(self.time, truth.base_position_world[0], velocity, command, torque, heat, truth.foot_contact[0])
+        self.rows.append(row)
+        return row
