@@ -113,10 +113,12 @@ class Drive:
         """Run until `stop` is set; while no tab is open, time stands still."""
         self._page, self._view = page, view
         self._show()
-        begin, frame, news, steps = time.perf_counter(), 0.0, 0.0, 0
+        begin, frame, news, steps, speed = time.perf_counter(), 0.0, 0.0, 0, self.speed
         while not stop.is_set():
             self._take()
             now = time.perf_counter()
+            if speed != self.speed:
+                begin, steps, speed = now, 0, self.speed
             if self.paused or not page.tabs:
                 if now >= news:
                     news = now + 0.25
