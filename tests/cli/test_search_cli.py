@@ -34,7 +34,8 @@ ppo.policy_hidden.0: {low: 8, high: 16, int: true}
 ppo.activation: {choices: [elu, tanh]}
 task.energy_weight: {low: 0.002, high: 0.02, log: true}
 """
-STEPS = 8192
+STEPS = 16384
+UPDATES = STEPS // 256
 SEARCH = ("search", "tiny.yaml", "--space", "space.yaml", "--steps", str(STEPS), "--out", "out", "--seed", "5")
 
 
@@ -67,7 +68,8 @@ def test_every_trial_counts_once_whatever_dies(tmp_path: Path) -> None:
     with cluster(tmp_path, cpus=1) as made:
         second = made.join()
         process = start(tmp_path, "--trials", "3", "--ray", made.address)
-        wait(lambda: min(len(rows(tmp_path, number)) for number in (0, 1)) >= 5)
+        # One trial on each computer, both well before their ends, whichever of the three they are.
+        wait(lambda: sum(5 <= len(rows(tmp_path, number)) <= 2 * UPDATES // 3 for number in range(3)) == 2)
         second.kill()
 
         # The search itself is killed when it has noticed that, and its journal is cut off.
@@ -106,7 +108,7 @@ def check(folder: Path, trials: int) -> None:
     assert all(row["state"] == "complete" for row in table)
     for number in range(trials):
         found = rows(folder, number)
-        assert [row["steps"] for row in found] == [256 * (n + 1) for n in range(STEPS // 256)]
+        assert [row["steps"] for row in found] == [256 * (n + 1) for n in range(UPDATES)]
         assert float(table[number]["return"]) == pytest.approx(found[-1]["evaluation"]["return_mean"], abs=1e-6)  # type: ignore[index]
     assert len({row["seed"] for row in table}) == trials
 
