@@ -304,10 +304,27 @@ def test_time_is_slowed_and_stopped(running: Running, page: Page):
 def test_a_second_tab_watches_and_drives_once_the_first_has_gone(running: Running, page: Page, browser: Browser):
     second = browser.new_page(viewport={"width": 300, "height": 300})
     second.goto(running.server.address)
-    second.wait_for_function("document.getElementById('role').textContent.includes('watching')")
+    watches = "document.getElementById('role').textContent.includes('watching')"
+    second.wait_for_function(watches)
     assert second.locator("#push").is_disabled()
     assert page.locator("#push").is_enabled()
+    with talk(running.server) as line:
+        line.send('{"pause": true}')
+        while "error" not in (said := json.loads(line.recv(timeout=10))):
+            pass
+        assert "you watch" in said["error"]
+    assert not running.drive.paused
+    page.goto("about:blank")
+    second.wait_for_function(f"!{watches}")
+    second.locator("#pause").click()
+    running.until(lambda: running.drive.paused)
+    second.wait_for_function("document.getElementById('state').textContent.includes('paused')")
+    second.locator("#pause").click()
+    running.until(lambda: not running.drive.paused)
+    page.goto(running.server.address)
+    page.wait_for_function(watches)
     second.close()
+    page.wait_for_function(f"!{watches}")
     running.until(lambda: running.server.tabs == 1)
 
 
