@@ -132,8 +132,7 @@ class DrivenRobot:
         if given.shape != (3,) or not (np.linalg.norm(given) <= _MOST_FORCE) or not 0.0 < duration <= 10.0:
             raise SurefootError(f"push: must be up to {_MOST_FORCE:g} N, for up to 10 s")
         yaw = self.env.truth.roll_pitch_yaw[0, 2]
-        turn = np.array([[np.cos(yaw), -np.sin(yaw), 0], [np.sin(yaw), np.cos(yaw), 0], [0, 0, 1]])
-        self.env.world.push((turn @ given)[None])
+        self.env.world.push(in_heading_frame(given[None], np.array([-yaw])))
         self._push_until = self.time + duration
 
     def knobs(self) -> list[Knob]:

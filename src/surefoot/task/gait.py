@@ -64,6 +64,7 @@ class HybridGait:
             self._leading = reference
         legs, coordinates = len(robot.legs), robot.coordinates
         self._shape = (len(coordinates), legs)
+        self._space = np.array(list(robot.leg_space.values())).T[..., None]
         count = robot.num_motors if action == "joint" else legs
         self.low, self.high = np.repeat(np.array(bounds, float).T, count, axis=1)
         given = bounds if action == "leg" else [(0.0, 0.0)] * len(coordinates)
@@ -116,7 +117,6 @@ class HybridGait:
             pose = pose + feedback.reshape(len(feedback), *self._shape)
         if self._leading is not None:
             lead = self._leading.velocity_feedforward * self._leading.pose_rate(time, state)
-            low, high = np.array(list(self.robot.leg_space.values())).T
-            pose = np.clip(pose + lead, low[:, None], high[:, None])
+            pose = np.clip(pose + lead, *self._space)
         motors = self.robot.to_motors(pose)
         return motors + feedback if joint else motors
