@@ -77,6 +77,7 @@ class ScriptedWorld:
             motor_velocity=motors,
             motor_torque=motors,
             energy=self.energy.copy(),
+            heat=motors,
             foot_contact=np.ones((self.num_envs, 4)),
             diverged=self.diverged.copy(),
         )

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from surefoot.errors import SurefootError
-from surefoot.robot import PhysicalParams
+from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.rotations import quat_matrix
 from surefoot.world.interface import WorldConfig
 from surefoot.world.sim_world import SimWorld
@@ -325,6 +325,40 @@ def test_energy_of_a_control_step_sums_its_servo_steps(make_world, trot):
             fine.step(trot(k))
             total += fine.truth().energy[0]
         assert coarse.truth().energy[0] == pytest.approx(total, rel=1e-12)
+
+
+def test_heat_is_that_of_the_currents_at_servo_rate(make_world, trot):
+    # 20 A and less are on the torque table's rising part, where the current follows from the torque; R is .186 Ohm.
+    world = make_world(1, control_step=0.001, motor_strength=0.5)
+    table = world.robot.torque_table
+    for k in range(50):
+        world.step(trot(k // 6))
+        truth = world.truth()
+        current = np.interp(np.abs(truth.motor_torque) / 0.5, table[1], table[0])
+        below = current < table[0][-1] - 1e-9
+        assert below.any()
+        np.testing.assert_allclose(truth.heat[below], 0.001 * 0.186 * current[below] ** 2, rtol=1e-9)
+
+
+def test_heat_of_a_drive_grows_with_the_square_of_its_torque():
+    # Pupper's drives have 1.1 N m up to 10 rad/s; half of these 11 W is heat at full torque.
+    robot = RobotDescription.load("pupper_v2")
+    world = SimWorld(robot, 1, PhysicalParams.nominal(robot, 1).with_values(robot, control_step=0.001))
+    world.step(np.zeros((1, 12)))
+    truth = world.truth()
+    assert (truth.motor_torque != 0.0).any()
+    np.testing.assert_allclose(truth.heat, 0.001 * 5.5 * (truth.motor_torque / 1.1) ** 2, rtol=1e-12)
+
+
+def test_heat_of_a_control_step_sums_its_servo_steps(make_world, trot):
+    fine, coarse = make_world(1, control_step=0.001), make_world(1, control_step=0.006)
+    for k in range(10):
+        coarse.step(trot(k))
+        total = 0.0
+        for _ in range(6):
+            fine.step(trot(k))
+            total = total + fine.truth().heat
+        np.testing.assert_allclose(coarse.truth().heat, total, rtol=1e-12)
 
 
 @pytest.mark.parametrize("protected", [True, False])

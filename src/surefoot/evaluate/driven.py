@@ -206,7 +206,7 @@ class DrivenRobot:
         velocity[2] = ((turned + np.pi) % (2 * np.pi) - np.pi) / self.step_time
         state, torque = env.command_state, truth.motor_torque[0]
         command = np.full(3, np.nan) if state is None else state.command[0]
-        heat = float(np.sum(self.robot.actuator.heat(torque)))
+        heat = float(truth.heat.sum()) / self.step_time
         row = Row(self.time, truth.base_position_world[0], velocity, command, torque, heat, truth.foot_contact[0])
         self.rows.append(row)
         return row

@@ -62,11 +62,6 @@ class DcMotorData:
             **_servo(self.kp, self.kd, self.friction, self.viscous_friction),
         }
 
-    def heat(self, torque: Array) -> Array:
-        """Return the heat R I^2 [W] of nominal motors with torques (..., M) [N m], I by the torque table."""
-        current = np.interp(np.abs(torque), self.torque_table_torque, self.torque_table_current)
-        return self.resistance * current**2
-
 
 @dataclass(frozen=True)
 class JointDriveData:
@@ -108,11 +103,6 @@ class JointDriveData:
             "speed_filter": self.speed_filter,
             **{name: np.asarray(getattr(self, name)) for name in _OF_JOINT_DRIVES},
         }
-
-    def heat(self, torque: Array) -> Array:
-        """Return the heat [W] of nominal drives with torques (..., M) [N m]; `HEAT_LOSS` says of what."""
-        heat: Array = HEAT_LOSS * np.asarray(self.full_torque_speed) * np.square(torque) / np.asarray(self.torque_limit)
-        return heat
 
 
 ActuatorData = DcMotorData | JointDriveData

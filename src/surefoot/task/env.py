@@ -226,7 +226,7 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
             height=truth.base_position_world[:, 2] - self.start_position[:, 2],
             power=truth.energy / step[:, 0],
             torque=truth.motor_torque,
-            heat=self.robot.actuator.heat(truth.motor_torque),
+            heat=truth.heat / step,
             action=self.gait.action(self.feedback),
             last_action=self.gait.action(last_feedback),
             command=zero if self.commands is None else self.commands.followed,

@@ -56,7 +56,7 @@ class StepMotion:
     torque: Array
     """Motor torques at the end of the step (N, M) [N m]."""
     heat: Array
-    """Heat of the motors at these torques (N, M) [W]."""
+    """Mean heat of the motors (N, M) [W]."""
     action: Array
     """Feedback in half widths of its bounds (N, A)."""
     last_action: Array
@@ -117,7 +117,7 @@ TERMS: dict[str, Term] = {
     "heat": Term(
         "M times the root mean square over motors of their heat, m g sqrt(g l)",
         lambda m: np.sqrt(m.heat.shape[1] * np.square(m.heat).sum(axis=1)) / (m.scales.weight * m.scales.speed),
-        "R I^2, by the torque table; squares, since the hottest motor ends a run",
+        "R I^2 at servo rate; squares, since the hottest motor ends a run",
     ),
     "feedback": Term("mean of squares", lambda m: (m.action**2).mean(axis=1), "keeps the network's part small"),
     "feedback_change": Term("mean of squares", lambda m: ((m.action - m.last_action) ** 2).mean(axis=1), _RUDIN),

@@ -115,6 +115,7 @@ class BulletEngine:
         """
         drive, seen, applied, layout = self.drive, self._seen, self._applied, self._layout
         drive.energy[servo_steps > 0] = 0.0
+        drive.heat[servo_steps > 0] = 0.0
         drive.contact_ticks[servo_steps > 0] = 0.0
         left = np.where(self.diverged, 0, servo_steps)
         rows = np.flatnonzero(left).tolist()

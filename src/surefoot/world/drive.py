@@ -38,7 +38,7 @@ from surefoot.actuator.motor import (
 )
 from surefoot.arrays import Array
 from surefoot.robot import PhysicalParams, RobotDescription
-from surefoot.robot.actuator import DcMotorData
+from surefoot.robot.actuator import HEAT_LOSS, DcMotorData
 from surefoot.rotations import rpy_quat
 from surefoot.world.interface import WorldConfig
 
@@ -74,7 +74,7 @@ _ROBOTS = ("torque_constant", "resistance", "voltage", "servo_latency", "speed_f
 """Arrays of `Drive` with a number for each robot."""
 _MOTORS = (
     *("strength", "friction", "viscous", "kp", "kd", "load_friction", "target", "duty", "torque", "end_speed"),
-    *("torque_limit", "motor_torque", "hot_time", "filtered_speed"),
+    *("torque_limit", "motor_torque", "heat", "hot_time", "filtered_speed"),
     *("greatest_torque", "presliding", "friction_stretch", "motor_offset"),
 )
 """Arrays of `Drive` with a number for each motor."""
@@ -120,6 +120,7 @@ class Drive(NamedTuple):
     torque_limit: Array  # (N, M) N m at most, of constraint motors
     motor_torque: Array  # (N, M) N m of the motor itself
     energy: Array  # (N,) J, integral of |tau . qdot| since it was set to zero
+    heat: Array  # (N, M) J, of windings since it was set to zero; 0 for constraint motors, which have no current
     hot_time: Array  # (N, M) s
     filtered_speed: Array  # (N, M) rad/s, speeds that joint drives use
     friction_stretch: Array  # (N, M) rad, of joint drives that stick
@@ -244,6 +245,7 @@ def joint_tick(drive: Drive, i: int) -> None:
         torque = joint_limit_kernel(wanted + drive.duty[i, m] * limit, speed, limit, full, none) * drive.strength[i, m]
         torque = protected(drive, i, m, torque, hot_torque)
         power += torque * speed
+        drive.heat[i, m] += dt * HEAT_LOSS * full * torque * torque / limit
         coulomb = drive.friction[i, m] + drive.load_friction[i, m] * abs(torque)
         if drive.presliding[i, m] > 0.0:
             stretch = presliding_kernel(drive.friction_stretch[i, m] + speed * dt, drive.presliding[i, m])
@@ -298,6 +300,8 @@ def servo_tick(drive: Drive, i: int) -> None:
         torque = motor_torque_kernel(current, drive.strength[i, m], drive.table_current, drive.table_torque)
         torque = protected(drive, i, m, torque, hot_torque)
         power += torque * speed
+        if not drive.switched_off[i, m]:
+            drive.heat[i, m] += dt * drive.resistance[i] * current * current
         drive.torque[i, m] = torque + motor_friction_kernel(speed, drive.friction[i, m], drive.viscous[i, m])
     drive.energy[i] += dt * abs(power)
 

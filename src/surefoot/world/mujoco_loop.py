@@ -167,6 +167,7 @@ def _seek_speeds(native: Native, drive: Drive, i: int) -> None:
 def _run(native: Native, drive: Drive, i: int, servo_steps: int, model: int, velocity: Array, force: Array) -> bool:
     """Run robot `i` for some servo steps on a thread's model; return false if it diverges."""
     drive.energy[i] = 0.0
+    drive.heat[i] = 0.0
     drive.contact_ticks[i] = 0.0
     applied, data = doubles(native.qfrc_applied[i]), native.data[i]
     for _ in range(servo_steps):

@@ -22,7 +22,7 @@ SETTLE_TIME = 0.5
 """Time [s] for which a robot settles before an episode (the robot's published environment)."""
 _NOISE_BLOCK = 256
 _ZERO_AT_START = (
-    *("ticks", "duty", "torque", "motor_torque", "energy", "hot_time", "switched_off", "contact_ticks"),
+    *("ticks", "duty", "torque", "motor_torque", "energy", "heat", "hot_time", "switched_off", "contact_ticks"),
     *("filtered_speed", "friction_stretch"),
 )
 
@@ -244,7 +244,7 @@ class SimWorld:
             self._noise[i] = self._imu_streams[i].standard_normal((_NOISE_BLOCK, 2))
 
     def truth(self) -> Truth:
-        """Return the true state, with energy and contacts over the last control step."""
+        """Return the true state, with energy, heat and contacts over the last control step."""
         base, motors = self.engine.base(), self.robot.num_motors
         now = self.drive.now
         ticks = np.maximum(np.round(self.params.control_step / self.robot.timing.servo_step), 1)
@@ -257,6 +257,7 @@ class SimWorld:
             motor_velocity=now[:, motors : 2 * motors].copy(),
             motor_torque=self.drive.motor_torque.copy(),
             energy=self.drive.energy.copy(),
+            heat=self.drive.heat.copy(),
             foot_contact=np.minimum(self.drive.contact_ticks / ticks[:, None], 1.0),
             diverged=self._diverged.copy(),
         )
