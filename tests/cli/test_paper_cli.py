@@ -17,6 +17,7 @@ from surefoot.cli.evaluate import EvaluateCommand
 from surefoot.cli.paper_runs import Runs, Stage, command, evaluate
 from surefoot.cli.parsing import parse
 from surefoot.cli.search import SearchCommand
+from surefoot.cli.sensitivity import SensitivityCommand
 from surefoot.cli.study import StudyCommand
 from surefoot.cli.tune import TuneCommand
 from surefoot.errors import SurefootError
@@ -114,7 +115,9 @@ def test_every_file_that_the_page_reads_is_made_by_a_run_or_is_of_the_clone(repo
     folders = {Path(stage.makes).parts[:2] for stage in paper_runs.STAGES}
     sections = load_content().sections
     wanted = {item.ours.file for part in sections for item in part.items if not isinstance(item.ours, str)}
-    wanted |= {one.file for part in sections for one in part.pictures if one.file.startswith("results/")}
+    pictures = {one.file for part in sections for one in part.pictures}
+    wanted |= {file for file in pictures if file.startswith("results/")}
+    assert {file for file in pictures if file.startswith("docs/")} <= {stage.makes for stage in paper_runs.STAGES}
     assert {("results", "search"), ("results", "from-scratch")} <= {Path(file).parts[:2] for file in wanted}
     for file in wanted:
         assert Path(file).parts[:2] in folders, file
@@ -123,7 +126,13 @@ def test_every_file_that_the_page_reads_is_made_by_a_run_or_is_of_the_clone(repo
             assert (repository / "studies" / f"{Path(stage.makes).parent.name}.yaml").exists()
 
 
-PARSERS = {"evaluate": EvaluateCommand, "study": StudyCommand, "tune": TuneCommand, "search": SearchCommand}
+PARSERS = {
+    "evaluate": EvaluateCommand,
+    "sensitivity": SensitivityCommand,
+    "study": StudyCommand,
+    "tune": TuneCommand,
+    "search": SearchCommand,
+}
 
 
 def test_all_runs_are_commands_that_are_understood(repository: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
@@ -138,6 +147,10 @@ def test_all_runs_are_commands_that_are_understood(repository: Path, tmp_path: P
             parse(PARSERS[name], rest, name)
         if name == "evaluate":
             print(f"what {rest[0]} did")
+        if name == "sensitivity":
+            folder = Path(rest[rest.index("--out") + 1])
+            folder.mkdir(parents=True, exist_ok=True)
+            (folder / "push_force.png").touch()
         if name == "tune":
             Path(rest[rest.index("--out") + 1]).touch()
         if name == "train":
@@ -160,7 +173,8 @@ def test_all_runs_are_commands_that_are_understood(repository: Path, tmp_path: P
     assert (tmp_path / "policies/trot/footfalls.png").exists()
     assert (tmp_path / "results/policies/trot.json").read_text() == "what policies/trot.onnx did\n"
     assert (tmp_path / "results/handcrafted/trot-60.yaml").exists()
-    assert len({words for words in told if "--push-force" in words}) == 12
+    assert len({words for words in told if "--push-force" in words and words[0] == "evaluate"}) == 12
+    assert (tmp_path / "docs/pushes.png").exists()
     assert run.call_args.args[0][1:3] == [str(repository / "benchmarks/handcrafted.py"), "results/handcrafted"]
     assert run.call_args.args[0][-4:] == ["--episodes", "5", "--conditions", "mujoco"]
     studies = [words for words in said if words[0] == "study"]

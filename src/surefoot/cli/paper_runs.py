@@ -120,6 +120,15 @@ def motor_figure(runs: Runs) -> None:
     command(runs, "identify", "motor-figure", "--log", log, "--out", "docs/motor.png")
 
 
+def pushes_figure(runs: Runs) -> None:
+    """Draw falls over the force of every push."""
+    (runs.folder / "docs").mkdir(exist_ok=True)
+    policies, small = [f"policies/{task}.onnx" for task in POLICIES], runs.small("--values", 4, "--episodes", 4)
+    words = (*("--ranges", "none", "--push-force", 0, 220, "--values", 12, "--episodes", 20), *small)
+    command(runs, "sensitivity", *policies, *words, "--out", "results/push-force")
+    shutil.copy(runs.folder / "results" / "push-force" / "push_force.png", runs.folder / "docs" / "pushes.png")
+
+
 def study(name: str, steps: int, *only: str) -> Stage:
     """Run a study of the clone; its small version has one seed and some of the groups."""
 
@@ -178,6 +187,7 @@ STAGES = (
         for world in ("mujoco", "bullet")
         for low, high in ((20, 40), (60, 60), (130, 220))
     ),
+    Stage("docs/pushes.png", pushes_figure),
     study(
         "reality-gap", 60_000, "baseline", "baseline_pushes", "improved_pushes", "small_randomized", "large_randomized"
     ),
