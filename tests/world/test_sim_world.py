@@ -301,6 +301,19 @@ def test_a_state_gives_back_noise_over_many_blocks(make_world, assert_same):
     assert_same(world.readings(), first)
 
 
+@pytest.mark.parametrize(
+    ("values", "rule"), [({"knee_friction": 0.01}, "MuJoCo does not model"), ({}, "imu_noise is 9")]
+)
+def test_refused_parameters_change_no_robot(make_world, values, rule):
+    world = make_world(2)
+    given = world.params.rows([0]).with_values(world.robot, voltage=14.0, **values)
+    if not values:
+        given.imu_noise[0] = 9.0
+    with pytest.raises(SurefootError, match=rule):
+        world.set_params([1], given)
+    assert world.params.voltage.tolist() == world.drive.voltage.tolist() == [16.0, 16.0]
+
+
 # --- energy and heat --------------------------------------------------------------------------------------
 
 

@@ -170,13 +170,7 @@ class DrivenRobot:
         else:
             mean = float(nominal.mean())
             wanted = nominal / mean * value if mean else np.full_like(now, value)
-        before = world.params.rows([0])
-        changed = before.with_values(self.robot, **{name: wanted})
-        try:
-            world.set_params([0], changed)
-        except SurefootError:
-            world.set_params([0], before)
-            raise
+        world.set_params([0], world.params.rows([0]).with_values(self.robot, **{name: wanted}))
 
     def restart(self) -> None:
         """Stand again at the start; parameters stay."""

@@ -159,15 +159,14 @@ class PhysicalParams:
         """Return the parameters of some of the robots, by index."""
         return replace(self, **{name: getattr(self, name)[np.asarray(index)] for name in self.names()})
 
-    def set_rows(self, robot: _Described, index: ArrayLike, params: PhysicalParams) -> None:
-        """Take other parameters for the robots at `index`, one row each.
-
-        Raises:
-            SurefootError: a value outside what the robot's description allows; then nothing has changed.
-        """
+    def check(self, robot: _Described) -> None:
+        """Raise `SurefootError` for a value outside what the robot's description allows."""
         for name in self.names():
             if self.drive(name) in ("", robot.drive):
-                robot.check_allowed(name, getattr(params, name))
+                robot.check_allowed(name, getattr(self, name))
+
+    def set_rows(self, index: ArrayLike, params: PhysicalParams) -> None:
+        """Take other parameters for the robots at `index`, one row each."""
         for name in self.names():
             getattr(self, name)[index] = getattr(params, name)
 

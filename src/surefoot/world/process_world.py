@@ -247,9 +247,10 @@ class ProcessWorld:
     def set_params(self, index: ArrayLike, params: PhysicalParams) -> None:
         """Give the robots at `index` other physical parameters, one row each; see `SimWorld.set_params`."""
         rows = np.atleast_1d(np.asarray(index, np.int64))
-        self.params.set_rows(self.robot, rows, params)
+        params.check(self.robot)
         self._truths = None
         self._ask("set_params", [(own, params.rows(places)) for places, own in self._split(index)])
+        self.params.set_rows(rows, params)
 
     def push(self, force_world: ArrayLike) -> None:
         """Set the force (N, 3) [N] on each base's centre of mass from now on, in the world frame."""
@@ -271,7 +272,9 @@ class ProcessWorld:
 
     def set_state(self, state: dict[str, Any]) -> None:
         """Continue from `get_state`, exactly; the state may come from any number of processes, or from a `SimWorld`."""
-        self.params.set_rows(self.robot, np.arange(self.num_envs), saved_params(self.robot, state))
+        params = saved_params(self.robot, state)
+        params.check(self.robot)
+        self.params.set_rows(np.arange(self.num_envs), params)
         count, parts = self.num_envs, []
         for number, share in enumerate(self._shares):
             sensors, starts = state["streams"][:count][share], state["streams"][count:][share]

@@ -270,12 +270,14 @@ class SimWorld:
         """Give the robots at `index` other physical parameters, one row each; best followed by their reset.
 
         Raises:
-            SurefootError: a value outside what the robot's description allows; then no robot has changed.
+            SurefootError: a value outside what the robot's description allows, or that the engine does not model;
+                then no robot has changed.
         """
         rows = np.atleast_1d(np.asarray(index, np.int64))
-        self.params.set_rows(self.robot, rows, params)
-        set_drive_params(self.drive, rows, params)
+        params.check(self.robot)
         self.engine.set_params(rows, params)
+        self.params.set_rows(rows, params)
+        set_drive_params(self.drive, rows, params)
 
     def push(self, force_world: ArrayLike) -> None:
         """Set the force (N, 3) [N] on each base's centre of mass from now on, in the world frame."""
