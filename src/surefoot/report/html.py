@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 from collections.abc import Iterable, Sequence
 from html import escape
+from pathlib import Path
 
 STYLE = """
 body { font: 15px/1.5 system-ui, sans-serif; color: #22272e; max-width: 62rem; margin: 2rem auto; padding: 0 1rem; }
@@ -39,3 +40,12 @@ def row(texts: Sequence[str], kinds: str, tag: str = "td") -> str:
 def picture(png: bytes, alt: str) -> str:
     """Return a picture as part of the page."""
     return f'<img alt="{escape(alt)}" src="data:image/png;base64,{base64.b64encode(png).decode()}">'
+
+
+def document(name: str) -> str:
+    """Return a page with a script of its own, a file beside this one, with the style and the plots that all share."""
+    here = Path(__file__).parent
+    text = (here / name).read_text("utf-8")
+    for part, mark in (("page.css", "/* page.css */"), ("plots.js", "// plots.js")):
+        text = text.replace(mark, (here / part).read_text("utf-8").rstrip())
+    return text

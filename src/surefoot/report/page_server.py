@@ -14,10 +14,8 @@ import queue
 import secrets
 import threading
 import time
-from pathlib import Path
 from typing import Any
 
-import viser
 import websockets
 from websockets.asyncio.client import connect
 from websockets.asyncio.server import ServerConnection, broadcast, serve
@@ -25,12 +23,10 @@ from websockets.datastructures import Headers
 from websockets.http11 import Request, Response
 
 from surefoot.errors import SurefootError
+from surefoot.report.html import document
+from surefoot.report.page_view import bare_viewer
 
 LOCAL = ("localhost", "127.0.0.1", "[::1]")
-_PAGE = Path(__file__).with_name("page.html")
-_VIEWER = Path(viser.__file__).parent / "client" / "build" / "index.html"
-_BARE = b"<style>.mantine-Paper-root, .mantine-Notifications-root { display: none !important; }</style>"
-"""Hides the viewer's own panel and notes, which would cover a small picture; the page has its own."""
 _MOST_BYTES = 2000
 _MOST_MESSAGES = 400
 """Messages that a tab may send in a second; one that sends more is closed."""
@@ -43,13 +39,15 @@ class PageServer:
     Args:
         host: address to listen at; none: this machine only, and without a token.
         port: TCP port; 0 for a free one.
-        view_port: of the 3D view, on this machine.
+        view_port: of the 3D view, on this machine; none: the page has its own.
+        page: HTML; the page that drives, if not given.
 
     Raises:
         SurefootError: a port that can't be listened at.
     """
 
-    def __init__(self, host: str | None, port: int, view_port: int) -> None:
+    def __init__(self, host: str | None, port: int, view_port: int | None, page: str | None = None) -> None:
+        self._page = (document("page.html") if page is None else page).encode()
         self._token = "" if host is None else secrets.token_urlsafe(16)
         self._prefix = f"/{self._token}" if self._token else ""
         self._view_port = view_port
@@ -121,14 +119,13 @@ class PageServer:
             return connection.respond(http.HTTPStatus.FORBIDDEN, "only localhost\n")
         inside = path.startswith(f"{self._prefix}/")
         name = path[len(self._prefix) + 1 :] if inside else None
-        if name in ("socket", "viser"):
+        if self._view_port is not None and name in ("socket", "viser"):
             if request.headers.get("Origin") != f"http://{host}":
                 return connection.respond(http.HTTPStatus.FORBIDDEN, "foreign origin\n")
             return None
-        file = {"": _PAGE, "view": _VIEWER}.get(name) if name is not None else None
-        if file is None:
+        if name not in ("", "view"):
             return connection.respond(http.HTTPStatus.NOT_FOUND, "not here\n")
-        body = file.read_bytes() + (_BARE if file is _VIEWER else b"")
+        body = self._page if name == "" else bare_viewer().encode()
         kind = [("Content-Type", "text/html; charset=utf-8"), ("Content-Length", str(len(body)))]
         safe = [("X-Frame-Options", "SAMEORIGIN"), ("Referrer-Policy", "no-referrer"), ("Connection", "close")]
         return Response(200, "OK", Headers([*kind, *safe]), body)
