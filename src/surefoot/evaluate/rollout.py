@@ -127,9 +127,14 @@ class _Recorder:
                 "foot_position_world": env.world.foot_positions(),
                 "true_motor_angle": truth.motor_angle,
                 "command": self.command,
+                "push_force_world": self._push(),
             }
         )
         self.begin()
+
+    def _push(self) -> Array:
+        """Return the force (N, 3) [N] that pushed the base in the control step that just ended; NaN without pushes."""
+        return self.env.pusher.force.copy() if self.env.task.pushes.enabled else np.full((self.env.num_envs, 3), np.nan)
 
     def trace(self, robot: int, steps: int, meta: dict[str, Any]) -> EpisodeTrace:
         if steps < 1:

@@ -15,9 +15,15 @@ from surefoot.robot.urdf import frame_of
 from surefoot.rotations import quat_matrix
 from surefoot.task.trace import EpisodeTrace
 
+_HIP = 0.35
+"""Radius of a hip that is drawn over its length."""
+
 
 def scene(robot: RobotDescription) -> list[Shape]:
-    """The boxes, cylinders and spheres among the URDF's visuals, one or more; a link's name is the body's."""
+    """The boxes, cylinders and spheres among the URDF's visuals, one or more; a link's name is the body's.
+
+    Links from abduction to hip that have none of these are drawn as cylinders.
+    """
     root = ElementTree.parse(robot.urdf.path).getroot()
     colors = {item.get("name", ""): color for item in root.findall("material") if (color := _color(item))}
     shapes = []
@@ -33,6 +39,21 @@ def scene(robot: RobotDescription) -> list[Shape]:
         raise SurefootError(
             f"{robot.urdf.path}: has nothing to draw; a link's <visual> must be a box, cylinder or sphere"
         )
+    return shapes + _hips(robot, {shape.body for shape in shapes})
+
+
+def _hips(robot: RobotDescription, drawn: set[str]) -> list[Shape]:
+    """Return a cylinder along the hip's axis for each link between abduction and hip that is not `drawn`."""
+    shapes, joints = [], robot.urdf.joints
+    for leg in robot.legs:
+        hip = joints[leg.motors[-2]]
+        length = float(np.linalg.norm(hip.frame[:3, 3]))
+        if len(leg.motors) == 3 and hip.parent == joints[leg.motors[0]].child not in drawn and length > 1e-3:
+            along = hip.frame[:3, 3] / length
+            side = np.cross(along, [1.0, 0.0, 0.0] if abs(along[0]) < 0.9 else [0.0, 0.0, 1.0])
+            side /= np.linalg.norm(side)
+            turn = np.column_stack([side, np.cross(along, side), along])
+            shapes.append(Shape(hip.parent, "cylinder", (_HIP * length, length / 2), hip.frame[:3, 3] / 2, turn))
     return shapes
 
 

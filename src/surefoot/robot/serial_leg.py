@@ -143,8 +143,8 @@ class SerialLegs:
         """Return the derivatives (..., L, 3, m) [m/rad] of `foot_position` by the motor angles."""
         abduction, upper, beta = self._joints(angles)
         cos, sin = np.cos(abduction), np.sin(abduction)
-        below = self.lower * np.stack([-np.cos(upper + beta), np.sin(upper + beta)], -1)
-        both = below + self.upper * np.stack([-np.cos(upper), np.sin(upper)], -1)
+        below = self.lower[:, None] * np.stack([-np.cos(upper + beta), np.sin(upper + beta)], -1)
+        both = below + self.upper[:, None] * np.stack([-np.cos(upper), np.sin(upper)], -1)
         # A change of z in the plane moves the foot along the plane's own upward direction (0, -sin a, cos a).
         columns = [np.stack([part[..., 0], -sin * part[..., 1], cos * part[..., 1]], -1) for part in (both, below)]
         if self.abducts:

@@ -39,9 +39,11 @@ _META_DEFAULTS: dict[str, Any] = {
 LOG = "log"
 """World of a trace that was imported from somebody's log, whose rows are as the log has them: commands are sent at the
 time of their row, readings are taken right after, times may repeat, and everything but time and target may be NaN."""
+_OPTIONAL = ("command", "push_force_world")
+"""Arrays that are not in the file where all is NaN."""
 # Arrays that may be NaN: a robot without motion capture or foot switches does not measure them.
 _MAY_BE_NAN = frozenset(
-    {"base_position_world", "base_quat_world", "foot_contact", "foot_position_world", "true_motor_angle", "command"}
+    {"base_position_world", "base_quat_world", "foot_contact", "foot_position_world", "true_motor_angle", *_OPTIONAL}
 )
 
 
@@ -73,6 +75,8 @@ class EpisodeTrace:
             unknown, all NaN when left out.
         command: (T, 3) speeds forward and to the left [m/s] and yaw rate [rad/s] that the robot was told to follow; all
             NaN without commands, and then not in the file.
+        push_force_world: (T, 3) N that pushed the base during the control step; all NaN where pushes are unknown or
+            there are none, and then not in the file.
         meta: what can be written as JSON: schema, robot, world, policy, seed, control_step (s), leg_names,
             motor_names, observation_names, params (each a number, or a list where motors or axes differ),
             energy_weight, ended (one of `ENDINGS`), max_steps, gait_period (of the reference, s; None: it has none).
@@ -94,13 +98,14 @@ class EpisodeTrace:
     foot_position_world: Array = field(default_factory=lambda: np.empty(0))
     true_motor_angle: Array = field(default_factory=lambda: np.empty(0))
     command: Array = field(default_factory=lambda: np.empty(0))
+    push_force_world: Array = field(default_factory=lambda: np.empty(0))
     meta: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "meta", _checked_meta(self.meta))
         for name, shape in _shapes(np.size(self.time), np.shape(self.feedback), self.meta).items():
             value = getattr(self, name)
-            if name in ("foot_position_world", "true_motor_angle", "command") and np.size(value) == 0:
+            if name in ("foot_position_world", "true_motor_angle", *_OPTIONAL) and np.size(value) == 0:
                 value = np.full(shape, np.nan)
             may_be_nan = name in _MAY_BE_NAN or (self.imported and name not in ("time", "target"))
             object.__setattr__(self, name, _checked_array(name, value, shape, may_be_nan))
@@ -149,8 +154,9 @@ class EpisodeTrace:
             raise SurefootError(f"trace file {path}: the name must end in .npz")
         path.parent.mkdir(parents=True, exist_ok=True)
         arrays = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "meta"}
-        if np.isnan(self.command).all():
-            del arrays["command"]
+        for name in _OPTIONAL:
+            if np.isnan(arrays[name]).all():
+                del arrays[name]
         with whole_file(path) as file:
             np.savez_compressed(file, meta=np.array(json.dumps(self.meta)), **arrays)
         return path
@@ -173,9 +179,8 @@ class EpisodeTrace:
         if schema != SCHEMA:
             raise SurefootError(f"trace file {path}: schema {schema}, but surefoot reads schema {SCHEMA}")
         names = {f.name for f in fields(cls)} - {"meta"}
-        if set(arrays) | {"command"} != names:
-            odd = choices(sorted(names ^ (set(arrays) | {"command"})))
-            raise SurefootError(f"trace file {path}: not an episode trace: missing or unknown {odd}")
+        if odd := names ^ {*arrays, *_OPTIONAL}:
+            raise SurefootError(f"trace file {path}: not an episode trace: missing or unknown {choices(sorted(odd))}")
         with located(f"trace file {path}"):
             return cls(meta=meta, **arrays)
 
@@ -196,7 +201,7 @@ def _shapes(steps: int, feedback: tuple[int, ...], meta: dict[str, Any]) -> dict
         "foot_contact": (steps, legs),
         "foot_position_world": (steps, legs, 3),
         "true_motor_angle": (steps, motors),
-        "command": (steps, 3),
+        **dict.fromkeys(_OPTIONAL, (steps, 3)),
     }
 
 
