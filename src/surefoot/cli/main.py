@@ -16,6 +16,7 @@ COMMANDS = {
     "evaluate": ("surefoot.cli.evaluate", "run a policy in simulation and measure it"),
     "play": ("surefoot.cli.play", "watch a policy, in a window or as a video"),
     "drive": ("surefoot.cli.drive", "steer, push and change a simulated robot, on a page in the browser"),
+    "show": ("surefoot.cli.show", "show recorded runs, on a page in the browser or as one file"),
     "search": ("surefoot.cli.search", "train many times with searched settings, and see what emerges"),
     "study": ("surefoot.cli.study", "train several groups with several seeds, compare them"),
     "tune": ("surefoot.cli.tune", "find a handcrafted gait for a robot and a speed"),

@@ -1,0 +1,93 @@
+"""`surefoot show`: recorded runs on a page in the browser, or as one file of HTML."""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import tyro
+
+from surefoot.cli.options import check_suffix
+from surefoot.cli.parsing import parse
+from surefoot.configuration import Within
+from surefoot.errors import SurefootError, quoted
+from surefoot.robot import RobotDescription
+
+if TYPE_CHECKING:
+    from surefoot.report.recording import Recording
+
+
+@dataclass(frozen=True)
+class ShowCommand:
+    """Show recorded runs on a page in the browser: robots in 3D, a time line, and plots that follow it.
+
+    Runs may be of different robots and worlds: simulated, deployed, or logs made traces by `surefoot trace import`.
+    """
+
+    trace: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="TRACE [TRACE ...]")]
+    """Trace files (.npz), or folders of them."""
+    robot: tuple[str, ...] = ()
+    """Folders of robots that do not ship, whose traces are shown."""
+    layout: Literal["side", "over", "one"] = "side"
+    """Robots side by side, laid over each other, or one at a time; the page can change it."""
+    html: Path | None = None
+    """File to write (.html) in place of serving: the whole page, which opens in a browser without anything else."""
+    port: Annotated[int, Within(0, 65535)] = 8400
+    """TCP port of the page; 0 for a free one."""
+    host: Annotated[str | None, tyro.conf.arg(metavar="ADDRESS")] = None
+    """Address to listen at for other machines, such as 0.0.0.0; the page's address then holds a token. Without it only
+    this machine can open the page."""
+
+
+def main(argv: list[str]) -> int:
+    """Run the command with the words after its name; return the exit code."""
+    command = parse(ShowCommand, argv, "surefoot show")
+    check_suffix("html", command.html, ".html")
+    if not command.trace:
+        raise SurefootError("no TRACE is given; give one or more files (.npz), or folders of them")
+    from surefoot.report.page_server import PageServer
+    from surefoot.report.recording import recording_page
+
+    page = recording_page(_recordings(command), command.layout)
+    if command.html is not None:
+        from surefoot.files import whole_file
+
+        command.html.parent.mkdir(parents=True, exist_ok=True)
+        with whole_file(command.html) as file:
+            file.write(page.encode())
+        print(f"wrote {command.html}: {len(page) / 1e6:.1f} MB; opens in a browser")
+        return 0
+    server = PageServer(command.host, command.port, None, page)
+    try:
+        print(f"{server.address}   (Ctrl-C ends)", flush=True)
+        threading.Event().wait()
+    finally:
+        server.stop()
+    return 0
+
+
+def _recordings(command: ShowCommand) -> list[Recording]:
+    """Load the traces and their robots; name them by policy, with world or file where that does not tell them apart."""
+    from surefoot.cli.policies import distinct_names
+    from surefoot.evaluate.recorded import find_traces
+    from surefoot.report.recording import Recording
+
+    found = [one for path in command.trace for one in find_traces(path)]
+    given = [RobotDescription.load(folder) for folder in command.robot]
+    robots = {robot.name: robot for robot in given}
+    for path, trace in found:
+        name = str(trace.meta["robot"])
+        if name not in robots:
+            if name not in RobotDescription.available():
+                raise SurefootError(
+                    f"trace file {path}: is of robot {quoted(name)}, which does not ship; give its folder with --robot"
+                )
+            robots[name] = RobotDescription.load(name)
+    titles = [str(trace.meta["policy"])[:80] or path.stem for path, trace in found]
+    if len(set(titles)) < len(titles):
+        titles = [f"{title}, {str(trace.meta['world'])[:80]}" for title, (_, trace) in zip(titles, found, strict=True)]
+    titles = distinct_names(titles, [f"{path.parent.name}/{path.stem}" for path, _ in found])
+    named = zip(titles, found, strict=True)
+    return [Recording(title, robots[str(trace.meta["robot"])], trace) for title, (_, trace) in named]
