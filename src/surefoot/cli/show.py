@@ -27,9 +27,10 @@ class ShowCommand:
     """
 
     trace: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="TRACE [TRACE ...]")]
-    """Trace files (.npz), or folders of them."""
-    robot: tuple[str, ...] = ()
-    """Folders of robots that do not ship, whose traces are shown."""
+    """Trace files (.npz), or folders of them; with --robot also .npz files with arrays time, command, motor_angle and
+    imu, which name no robot."""
+    robot: str | None = None
+    """Name or folder of the robot of such files, or of traces of a robot that does not ship."""
     layout: Literal["side", "over", "one"] = "side"
     """Robots side by side, laid over each other, or one at a time; the page can change it."""
     html: Path | None = None
@@ -72,11 +73,18 @@ def _recordings(command: ShowCommand) -> list[Recording]:
     """Load the traces and their robots; name them by policy, with world or file where that does not tell them apart."""
     from surefoot.cli.policies import distinct_names
     from surefoot.evaluate.recorded import find_traces
+    from surefoot.identify.log_import import import_log
+    from surefoot.identify.robot_log import read_arrays
     from surefoot.report.recording import Recording
 
-    found = [one for path in command.trace for one in find_traces(path)]
-    given = [RobotDescription.load(folder) for folder in command.robot]
-    robots = {robot.name: robot for robot in given}
+    given = None if command.robot is None else RobotDescription.load(command.robot)
+    found = []
+    for path in command.trace:
+        if given is not None and path.is_file() and path.suffix == ".npz" and "meta" not in read_arrays(path):
+            found.append((path, import_log(path, given)))
+        else:
+            found += find_traces(path)
+    robots = {} if given is None else {given.name: given}
     for path, trace in found:
         name = str(trace.meta["robot"])
         if name not in robots:

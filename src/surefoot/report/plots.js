@@ -6,10 +6,11 @@ function sheet(id) {
   const pen = canvas.getContext("2d"); pen.clearRect(0, 0, width, height); pen.font = "11px system-ui";
   return [pen, width, height];
 }
-// Lines of a color, from 0 or below to `least` or above; `dash` is a pattern of a line.
-function drawLines(id, x, lines, least = 0.1) {
+// Lines of a color; what is plotted reaches from `low` or below to `high` or above. `dash` is a pattern of a line.
+function drawLines(id, x, lines, low = 0, high = 0.1) {
   const [pen, width, height] = sheet(id), values = lines.flatMap(line => line.points.map(p => p[1])).filter(v => v !== null);
-  const low = values.reduce((a, b) => Math.min(a, b), 0), high = values.reduce((a, b) => Math.max(a, b), least);
+  low = values.reduce((a, b) => Math.min(a, b), low); high = values.reduce((a, b) => Math.max(a, b), high);
+  if (!(high > low)) { high += 0.01; low -= 0.01; }
   const y = v => height - 4 - (height - 8) * (v - low) / (high - low);
   for (const { color, points, dash } of lines) {
     pen.beginPath(); pen.strokeStyle = color; pen.lineWidth = 1.5; pen.setLineDash(dash || []);

@@ -23,6 +23,7 @@ from surefoot.arrays import Array
 from surefoot.errors import SurefootError, located
 from surefoot.evaluate.foot_forces import foot_forces
 from surefoot.evaluate.tracking import motion
+from surefoot.report.drawing import GREY
 from surefoot.report.html import document
 from surefoot.report.page_view import add_ground, add_shape, bare_viewer, quiet_server
 from surefoot.report.scene import extent, poses, scene
@@ -66,7 +67,9 @@ class Recording:
         """Refuse a trace of another robot, or one that is too long to be shown."""
         robot, meta = self.robot, self.trace.meta
         if (meta["robot"], *meta["motor_names"]) != (robot.name, *robot.motor_names):
-            raise SurefootError(f"{self.name} is of robot '{meta['robot']}', not of '{robot.name}' with its motors")
+            raise SurefootError(
+                f"{self.name} is of robot '{meta['robot']}', not of '{robot.name}' with its motors' names"
+            )
         if self.seconds > _LONGEST:
             raise SurefootError(f"{self.name} is {self.seconds:g} s long; at most {_LONGEST:g} s are shown")
 
@@ -94,11 +97,12 @@ def recording_page(recordings: Sequence[Recording], layout: str = "side") -> str
     for number, one in enumerate(recordings):
         with located(one.name):
             runs.append(_run(one, rate, f"/world/r{number}"))
-    size = max(extent(one.robot) for one in recordings)
-    for number, run in enumerate(runs):
+    size = max(run["size"] for run, _ in runs)
+    for number, (run, _) in enumerate(runs):
         run["color"] = "#{:02x}{:02x}{:02x}".format(*_COLORS[number % len(_COLORS)])
     beside = len(runs) if layout == "side" else 1
-    data = {"layout": layout, "rate": rate, "size": size, "runs": runs, "last": f"{runs[-1]['node']}/last"}
+    data = {"layout": layout, "rate": rate, "size": size, "runs": [run for run, _ in runs]}
+    data["last"] = f"/world/r{len(runs) - 1}/last"
     page = document("show.html").replace("<head>", f"<head>\n<!--\n{_notice()}\n-->", 1)
     return page.replace(
         "DATA = null, VIEWER = null",
@@ -118,24 +122,22 @@ def _notice() -> str:
     return "\n".join(["This page holds a copy of viser's client.", *texts]).replace("--", "- -")
 
 
-def _run(one: Recording, rate: float, node: str) -> dict[str, Any]:
-    """Return what the page's script takes of a trace."""
+def _run(one: Recording, rate: float, node: str) -> tuple[dict[str, Any], Array]:
+    """Return what the page's script takes of a trace, and where its base went, (T, 3) [m]."""
     trace, robot = one.trace, one.robot
     clock = np.arange(int(one.seconds * rate + 1e-6) + 1) / rate
-    position, quat, notes = _base(trace, robot)
     angles, said = _angles(trace, robot)
-    speed, power = _speed(trace), trace.energy / np.diff(trace.time, prepend=0.0).clip(1e-4)
-    count = max(round(_SMOOTH / float(trace.meta["control_step"])), 1)
-    joints = robot.joint_angles(angles)
-    # A leg whose loop can't close at the angles that were read stays where it was.
-    joints = {name: _filled(values[:, None])[:, 0] for name, values in joints.items()}
+    # A leg whose loop can't close at the angles that were read moves as before and after.
+    joints = {name: _filled(values[:, None])[:, 0] for name, values in robot.joint_angles(angles).items()}
     if not np.isfinite([*joints.values()]).all():
         raise SurefootError("a leg can't close its loop at any of the motor angles")
-    paths = _paths(robot, f"{node}/base")
-    index = robot.leg_motor_index
-    feet = robot.leg_mounts + robot.leg_geometry.foot_position(angles[:, index])
+    feet = robot.leg_mounts + robot.leg_geometry.foot_position(angles[:, robot.leg_motor_index])
+    position, quat, notes = _base(trace, feet)
     forces = foot_forces(robot, angles, trace.motor_torque)
     forces[(trace.foot_contact < 0.5) | (forces[..., 2] < 0.0)] = 0.0
+    speed, power = _speed(trace), trace.energy / np.diff(trace.time, prepend=0.0).clip(1e-4)
+    count = max(round(_SMOOTH / float(trace.meta["control_step"])), 1)
+    paths, size = _paths(robot, f"{node}/base"), extent(robot)
     rows = len(trace.time)
     columns = {
         "pose": np.column_stack([position, quat]),
@@ -159,14 +161,14 @@ def _run(one: Recording, rate: float, node: str) -> dict[str, Any]:
             )
     ended = {"time": "", "fall": ", fell", "fault": ", ended by a fault", "stopped": ", stopped"}[trace.meta["ended"]]
     what = f"{robot.name} in {str(trace.meta['world'])[:60]}, {one.seconds:.2f} s{ended}"
-    return {
+    run = {
         "name": one.name,
         "node": node,
         "notes": [what, *notes, *said],
         "legs": [name.replace("_", " ") for name in robot.leg_names],
         "motors": list(robot.motor_names),
-        "size": extent(robot),
-        "newton": _WEIGHT_ARROW * extent(robot) / robot.weight,
+        "size": size,
+        "newton": _WEIGHT_ARROW * size / robot.weight,
         "rows": len(clock),
         "columns": {name: _packed(_at(clock, one.clock, values)) for name, values in known.items()},
         "joints": [
@@ -174,6 +176,7 @@ def _run(one: Recording, rate: float, node: str) -> dict[str, Any]:
             for joint in map(robot.urdf.joints.__getitem__, joints)
         ],
     }
+    return run, position
 
 
 def _unit(axis: ArrayLike) -> list[float]:
@@ -190,15 +193,17 @@ def _start(trace: EpisodeTrace) -> tuple[Array, float]:
     return trace.base_position_world[first, :2], float(quat_yaw(trace.base_quat_world[first]))
 
 
-def _base(trace: EpisodeTrace, robot: RobotDescription) -> tuple[Array, Array, list[str]]:
-    """Return the base (T, 3) [m] and (T, 4), from the origin on and heading along x first, and what is to be said."""
+def _base(trace: EpisodeTrace, feet: Array) -> tuple[Array, Array, list[str]]:
+    """Return the base (T, 3) [m] and (T, 4), from the origin on and heading along x first, and what is to be said.
+
+    Where it was never measured, it is as high as its feet (T, L, 3) [m], seen from the base, mostly reach down.
+    """
     position, quat = trace.base_position_world[1:], trace.base_quat_world[1:]
     seen = np.asarray(np.isfinite(position).all(axis=1) & np.isfinite(quat).all(axis=1))
     if not seen.any():
         attitude = np.nan_to_num(_filled(trace.roll_pitch_yaw)) % (2 * np.pi)
         attitude[:, 2] -= attitude[0, 2]
-        feet = robot.leg_mounts + robot.leg_geometry.foot_position(robot.resting_angles[robot.leg_motor_index])
-        place = np.tile([0.0, 0.0, -feet[:, 2].min()], (len(seen), 1))
+        place = np.tile([0.0, 0.0, -np.nanmedian(np.min(feet[..., 2], axis=1))], (len(seen), 1))
         turned = "turned as its IMU says" if np.isfinite(trace.roll_pitch_yaw).any() else "level"
         told = f"the base was not measured: it is held at standing height, {turned}"
         return place, _continuous(np.array([rpy_quat(*row) for row in attitude])), [told]
@@ -288,7 +293,9 @@ def _paths(robot: RobotDescription, base: str) -> dict[str, str]:
     return paths
 
 
-def _viewer(recordings: Sequence[Recording], runs: Sequence[dict[str, Any]], size: float, beside: int) -> str:
+def _viewer(
+    recordings: Sequence[Recording], runs: Sequence[tuple[dict[str, Any], Array]], size: float, beside: int
+) -> str:
     """Return viser's page with the robots at rest; the camera sees so many beside each other."""
     server = quiet_server()
     try:
@@ -296,8 +303,8 @@ def _viewer(recordings: Sequence[Recording], runs: Sequence[dict[str, Any]], siz
         stage.set_up_direction("+z")
         stage.add_frame("/world", show_axes=False)
         add_ground(stage, "/world/ground", size)
-        for number, (one, run) in enumerate(zip(recordings, runs, strict=True)):
-            _add_robot(stage, one, run, _COLORS[number % len(_COLORS)], len(runs) > 1)
+        for number, (one, (run, track)) in enumerate(zip(recordings, runs, strict=True)):
+            _add_robot(stage, one.robot, run, track, _COLORS[number % len(_COLORS)] if len(runs) > 1 else None)
         far = 0.75 + 0.25 * beside
         server.initial_camera.position = (1.1 * size * far, -1.5 * size * far, 0.7 * size * far)
         server.initial_camera.look_at = (0.0, 0.0, 0.15 * size)
@@ -309,10 +316,10 @@ def _viewer(recordings: Sequence[Recording], runs: Sequence[dict[str, Any]], siz
 
 
 def _add_robot(
-    stage: viser.SceneApi, one: Recording, run: dict[str, Any], color: tuple[int, int, int], tinted: bool
+    stage: viser.SceneApi, robot: RobotDescription, run: dict[str, Any], track: Array, tint: tuple[int, int, int] | None
 ) -> None:
-    """Add a robot at rest, with its path over the ground and its arrows."""
-    robot, node = one.robot, run["node"]
+    """Add a robot at rest, with its path over the ground and its arrows; half of its color is a tint, if given."""
+    node, size = run["node"], run["size"]
     stage.add_frame(node, show_axes=False)
     stage.add_frame(f"{node}/base", show_axes=False)
     paths = _paths(robot, f"{node}/base")
@@ -323,17 +330,18 @@ def _add_robot(
         frame = frames[link]
         stage.add_frame(path, show_axes=False, position=frame[:3, 3], wxyz=matrix_quat(frame[:3, :3]))
     for number, shape in enumerate(scene(robot)):
-        mixed = np.round(0.5 * np.array(shape.color) + 0.5 * np.array(color)).astype(int).tolist()
-        add_shape(stage, f"{paths[shape.body]}/s{number}", replace(shape, color=tuple(mixed)) if tinted else shape)
-    size = run["size"]
+        if tint is not None:
+            red, green, blue = ((own + other) // 2 for own, other in zip(shape.color, tint, strict=True))
+            shape = replace(shape, color=(red, green, blue))
+        add_shape(stage, f"{paths[shape.body]}/s{number}", shape)
     arrows = [(f"base/force{leg}", _FORCE) for leg in range(len(robot.legs))] if "force" in run["columns"] else []
-    for name, tint in [*arrows, *([("push", _PUSH)] if "push" in run["columns"] else [])]:
+    for name, color in [*arrows, *([("push", _PUSH)] if "push" in run["columns"] else [])]:
         up = np.array([[[0.0, 0.0, 0.0], [0.0, 0.0, 1.0]]])
-        stage.add_arrows(f"{node}/{name}", up, tint, shaft_radius=0.04, head_radius=0.1, head_length=0.3)
-    track = _base(one.trace, robot)[0][:, :2]
-    far = np.floor(np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(track, axis=0), axis=1))]) / (0.05 * size))
-    line = track[np.unique(far, return_index=True)[1]]
+        stage.add_arrows(f"{node}/{name}", up, color, shaft_radius=0.04, head_radius=0.1, head_length=0.3)
+    far = np.floor(
+        np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(track[:, :2], axis=0), axis=1))]) / (0.05 * size)
+    )
+    line = track[np.unique(far, return_index=True)[1]] * [1.0, 1.0, 0.0] + [0.0, 0.0, 0.004]
     if len(line) > 1:
-        raised = np.column_stack([line, np.full(len(line), 0.004)])
-        stage.add_line_segments(f"{node}/path", np.stack([raised[:-1], raised[1:]], axis=1), color, thickness=0.008)
+        stage.add_line_segments(f"{node}/path", np.stack([line[:-1], line[1:]], axis=1), tint or GREY, thickness=0.008)
     stage.add_frame(f"{node}/last", show_axes=False)
