@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shutil
 import socket
 import subprocess
 import sys
@@ -23,6 +22,7 @@ pytest.importorskip("viser")
 pytest.importorskip("playwright")
 
 import websockets
+from chromium import errors_of, in_browser, running_browser
 from websockets.sync.client import connect
 
 from surefoot.cli.drive import Drive
@@ -32,9 +32,6 @@ from surefoot.report.page_view import RobotView
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
-
-CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
-in_browser = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this computer; the page is not tried in one")
 
 
 @dataclass
@@ -155,13 +152,8 @@ def test_a_port_that_is_taken_is_told_in_a_line():
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Browser]:
-    from playwright.sync_api import sync_playwright
-
-    with sync_playwright() as playwright:
-        words = ["--no-sandbox", "--enable-unsafe-swiftshader"]
-        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=words)
+    with running_browser() as browser:
         yield browser
-        browser.close()
 
 
 @pytest.fixture(scope="module")
@@ -169,9 +161,7 @@ def shared(running: Running, browser: Browser) -> Iterator[Page]:
     """Give a tab that drives; its errors fail the tests."""
     # A small picture, as it is drawn in software here.
     page = browser.new_page(viewport={"width": 600, "height": 420})
-    wrong: list[str] = []
-    page.on("pageerror", lambda error: wrong.append(str(error)))
-    page.on("console", lambda said: wrong.append(said.text) if said.type == "error" else None)
+    wrong = errors_of(page)
     page.goto(running.server.address)
     page.wait_for_function("document.getElementById('state').textContent.includes('m/s')")
     page.frame_locator("#view").locator("canvas").first.wait_for()

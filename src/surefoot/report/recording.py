@@ -134,7 +134,7 @@ def _run(one: Recording, rate: float, node: str) -> tuple[dict[str, Any], Array]
     feet = robot.leg_mounts + robot.leg_geometry.foot_position(angles[:, robot.leg_motor_index])
     position, quat, notes = _base(trace, feet)
     forces = foot_forces(robot, angles, trace.motor_torque)
-    forces[(trace.foot_contact < 0.5) | (forces[..., 2] < 0.0)] = 0.0
+    forces[np.isfinite(forces[..., 2]) & ((trace.foot_contact < 0.5) | (forces[..., 2] < 0.0))] = 0.0
     speed, power = _speed(trace), trace.energy / np.diff(trace.time, prepend=0.0).clip(1e-4)
     count = max(round(_SMOOTH / float(trace.meta["control_step"])), 1)
     paths, size = _paths(robot, f"{node}/base"), extent(robot)
@@ -201,7 +201,7 @@ def _base(trace: EpisodeTrace, feet: Array) -> tuple[Array, Array, list[str]]:
     position, quat = trace.base_position_world[1:], trace.base_quat_world[1:]
     seen = np.asarray(np.isfinite(position).all(axis=1) & np.isfinite(quat).all(axis=1))
     if not seen.any():
-        attitude = np.nan_to_num(_filled(trace.roll_pitch_yaw)) % (2 * np.pi)
+        attitude = np.nan_to_num(_filled(trace.roll_pitch_yaw))
         attitude[:, 2] -= attitude[0, 2]
         place = np.tile([0.0, 0.0, -np.nanmedian(np.min(feet[..., 2], axis=1))], (len(seen), 1))
         turned = "turned as its IMU says" if np.isfinite(trace.roll_pitch_yaw).any() else "level"

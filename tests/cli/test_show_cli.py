@@ -1,0 +1,287 @@
+"""Recorded runs in a real browser: served, and as one file; and what is refused."""
+
+from __future__ import annotations
+
+import math
+import re
+import signal
+import subprocess
+import sys
+import urllib.error
+import urllib.request
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("mujoco")
+pytest.importorskip("viser")
+pytest.importorskip("playwright")
+
+from chromium import errors_of, in_browser, running_browser
+from recordings import swinging
+
+from surefoot.cli.main import main
+from surefoot.report.scene import poses
+from surefoot.robot import RobotDescription
+from surefoot.task.trace import EpisodeTrace
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser, Page
+
+ROBOTS = ("go2", "minitaur")
+MakeRun = Callable[..., EpisodeTrace]
+
+
+def pushed(make_run: MakeRun, name: str, speed: float) -> EpisodeTrace:
+    """Return a run whose base is pushed to the left all the time."""
+    trace = swinging(make_run, name, speed).trace
+    return replace(trace, push_force_world=np.tile([0.0, 30.0, 0.0], (trace.num_steps, 1)))
+
+
+@pytest.fixture(scope="module")
+def traces(make_run: MakeRun, tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    folder = tmp_path_factory.mktemp("traces")
+    return [
+        pushed(make_run, name, speed).save(folder / f"{name}.npz")
+        for name, speed in zip(ROBOTS, (0.5, 1.0), strict=True)
+    ]
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    with running_browser() as browser:
+        yield browser
+
+
+def opened(browser: Browser, url: str) -> Page:
+    """Open a page at the start of its runs, which do not play; nothing may go wrong, and nothing else be asked for."""
+    # A small picture, as it is drawn in software here.
+    tab, asked = browser.new_page(viewport={"width": 480, "height": 400}), list[str]()
+    wrong = errors_of(tab)
+    tab.on("request", lambda request: asked.append(request.url))
+    tab.goto(url)
+    tab.evaluate("setPlaying(false)")
+    tab.wait_for_function("document.body.dataset.ready === 'yes'")
+    tab.evaluate("setTime(0)")
+    assert wrong == []
+    assert asked == [url]
+    return tab
+
+
+@pytest.fixture(scope="module")
+def shared(traces: list[Path], browser: Browser, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
+    """Give a tab that shows the runs from a file."""
+    file = tmp_path_factory.mktemp("shared") / "runs.html"
+    assert main(["show", *map(str, traces), "--html", str(file)]) == 0
+    assert file.stat().st_size < 1.5e6
+    tab = opened(browser, file.as_uri())
+    wrong = errors_of(tab)
+    yield tab
+    assert wrong == []
+
+
+@pytest.fixture
+def page(shared: Page) -> Page:
+    """Give the tab with both robots side by side, at the start, and not playing."""
+    shared.locator("#layout").select_option("side")
+    shared.locator("#time").fill("0")
+    return shared
+
+
+@contextmanager
+def served(trace: Path, *words: str) -> Iterator[str]:
+    """Run the command with a trace, and give the address that it prints; Ctrl-C ends it without a word."""
+    whole = [sys.executable, "-m", "surefoot", "show", str(trace), "--port", "0", *words]
+    with subprocess.Popen(whole, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        yield process.stdout.readline().split()[0]
+        process.send_signal(signal.SIGINT)
+        _, said = process.communicate(timeout=20)
+    assert said == "surefoot: interrupted\n"
+
+
+def place(page: Page, node: str) -> list[float]:
+    """Return where a frame of the scene is, in the frame that holds it [m]."""
+    asked = "node => document.getElementById('view').contentWindow.__viserMutable.nodePoseData[node].position"
+    found: list[float] = page.evaluate(asked, node)
+    return found
+
+
+@in_browser
+def test_the_time_line_moves_both_robots_at_their_own_speed(page: Page):
+    assert place(page, "/world/r0/base")[0] == pytest.approx(0.005, abs=1e-3)
+    page.locator("#time").fill("1.5")
+    assert place(page, "/world/r0/base")[0] == pytest.approx(0.75, abs=1e-3)
+    assert place(page, "/world/r1/base")[0] == pytest.approx(1.5, abs=1e-3)
+    assert place(page, "/world")[0] == pytest.approx(-(0.75 + 1.5) / 2, abs=1e-3)
+    assert "1.50 of 2.00 s" in page.locator("#clock").inner_text()
+
+
+@in_browser
+@pytest.mark.parametrize("number", [0, 1])
+def test_links_are_where_the_kinematics_has_them(page: Page, number: int):
+    """The places that the browser draws, of every frame below the base, against forward kinematics in Python."""
+    page.locator("#time").fill("0.3")
+    robot = RobotDescription.load(ROBOTS[number])
+    angles = robot.resting_angles + 0.2 * math.sin(2 * math.pi * 0.3)
+    expected = np.array([pose[0, :3, 3] for pose in poses(robot, np.zeros(3), [1, 0, 0, 0], angles).values()])
+    drawn = page.evaluate(
+        """async node => {
+          const { nodeRefFromName } = document.getElementById("view").contentWindow.__viserMutable;
+          await new Promise(done => setTimeout(done, 200));
+          nodeRefFromName[node].updateWorldMatrix(true, true);
+          const inverse = nodeRefFromName[node].matrixWorld.clone().invert(), place = name =>
+            inverse.clone().multiply(nodeRefFromName[name].matrixWorld).elements.slice(12, 15);
+          const below = Object.keys(nodeRefFromName).filter(name => name.startsWith(node));
+          return below.filter(name => /(root|l[0-9]+)$/.test(name)).map(place);
+        }""",
+        f"/world/r{number}/base",
+    )
+    assert len(drawn) == len(robot.urdf.links)
+    apart = np.linalg.norm(np.array(drawn)[:, None] - expected, axis=-1)
+    assert apart.min(axis=0).max() < 1e-3
+    assert apart.min(axis=1).max() < 1e-3
+
+
+@in_browser
+def test_robots_stand_side_by_side_or_over_each_other_or_one_is_hidden(page: Page):
+    assert place(page, "/world/r0")[1] - place(page, "/world/r1")[1] > 0.5
+    page.locator("#layout").select_option("over")
+    assert place(page, "/world/r0")[1] == place(page, "/world/r1")[1] == 0.0
+    page.locator("#layout").select_option("one")
+    shown = "document.getElementById('view').contentWindow.__viserMutable.nodeRefFromName['{}'].visible === {}"
+    page.wait_for_function(shown.format("/world/r1", "false"))
+    page.locator("input[type=checkbox]").nth(1).click()
+    page.wait_for_function(shown.format("/world/r0", "false"))
+    page.wait_for_function(shown.format("/world/r1", "true"))
+    assert not page.locator("input[type=checkbox]").nth(0).is_checked()
+
+
+@in_browser
+def test_it_plays_and_a_click_into_a_plot_goes_there(page: Page):
+    page.locator("#speed").select_option("2")
+    page.locator("#play").click()
+    page.wait_for_function("+document.getElementById('time').value > 0.4")
+    page.locator("#play").click()
+    page.locator("#plots canvas").first.scroll_into_view_if_needed()
+    box = page.locator("#plots canvas").first.bounding_box()
+    assert box is not None
+    page.mouse.click(box["x"] + 0.5 * box["width"], box["y"] + 0.5 * box["height"])
+    assert float(page.locator("#time").input_value()) == pytest.approx(1.0, abs=0.02)
+    cursor = page.locator(".plot i").first.bounding_box()
+    assert cursor is not None
+    assert cursor["x"] == pytest.approx(box["x"] + 0.5 * box["width"], abs=2.0)
+
+
+@in_browser
+def test_plots_show_what_the_runs_have_at_the_cursor(page: Page):
+    page.locator("#time").fill("1")
+    figures = page.locator(".plot").filter(has_text="speed forward").locator("output span").all_inner_texts()
+    assert figures == ["0.50", "1.00"]
+    assert page.locator(".plot").filter(has_text="push").locator("output span").all_inner_texts() == ["30.00", "30.00"]
+    assert page.locator(".plot").filter(has_text="yaw rate").is_hidden()
+    assert page.locator(".plot").filter(has_text="angle").is_hidden()
+    page.locator("#motor").select_option("FL_hip_joint")
+    (angle,) = page.locator(".plot").filter(has_text="angle").locator("output span").all_inner_texts()[:1]
+    assert float(angle) == pytest.approx(0.0, abs=0.02)
+    page.locator("#motor").select_option("")
+
+
+@in_browser
+def test_it_is_served_to_this_machine(traces: list[Path], browser: Browser):
+    with served(traces[0]) as url:
+        tab = opened(browser, url)
+        tab.locator("#time").fill("1")
+        assert place(tab, "/world/r0/base")[0] == pytest.approx(0.5, abs=1e-3)
+        tab.close()
+
+
+def test_for_other_machines_the_page_has_a_token(traces: list[Path]):
+    with served(traces[0], "--host", "127.0.0.1") as url:
+        assert urllib.request.urlopen(url).status == 200
+        for inside in (re.sub(r"/[^/]+/$", "/", url), url + "socket", url + "viser"):
+            with pytest.raises(urllib.error.HTTPError, match="404"):
+                urllib.request.urlopen(inside)
+
+
+def cut(path: Path, content: bytes) -> None:
+    path.write_bytes(content[: len(content) // 2])
+
+
+def with_infinity(path: Path, content: bytes) -> None:
+    path.write_bytes(content)
+    with np.load(path) as file:
+        arrays = dict(file)
+    arrays["motor_angle"][3, 2] = np.inf
+    np.savez(path, **arrays)
+
+
+def without_rows(path: Path, content: bytes) -> None:
+    path.write_bytes(content)
+    with np.load(path) as file:
+        arrays = dict(file)
+    whole = {"meta": arrays["meta"], "base_position_world": arrays["base_position_world"][:1]}
+    whole["base_quat_world"] = arrays["base_quat_world"][:1]
+    np.savez(path, **{name: array[:0] for name, array in arrays.items() if name not in whole}, **whole)
+
+
+def arrays_alone(path: Path, _: bytes) -> None:
+    np.savez(path, time=np.arange(3.0), command=np.zeros((3, 12)))
+
+
+@pytest.mark.parametrize(
+    ("write", "said"),
+    [
+        (cut, "cut off or damaged"),
+        (lambda path, _: path.write_bytes(b""), "cut off or damaged"),
+        (lambda path, _: path.write_text("time,angle\n1,2\n"), "not an episode trace"),
+        (with_infinity, "row 3 holds inf"),
+        (without_rows, "at least one control step"),
+        (arrays_alone, "not an episode trace"),
+    ],
+)
+def test_what_is_no_trace_is_told_in_a_line(
+    write: Callable[[Path, bytes], Any],
+    said: str,
+    traces: list[Path],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+):
+    path = tmp_path / "bad.npz"
+    write(path, traces[0].read_bytes())
+    assert main(["show", str(traces[0]), str(path), "--html", str(tmp_path / "x.html")]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert said in line
+    assert "bad.npz" in line
+    assert not (tmp_path / "x.html").exists()
+
+
+def test_other_bad_words_are_told_in_a_line(
+    make_run: MakeRun, traces: list[Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    foreign = make_run(robot="nemo/../evil").save(tmp_path / "foreign.npz")
+    renamed = make_run().save(tmp_path / "renamed.npz")
+    for words, said in (
+        ([], "no TRACE is given"),
+        ([str(foreign)], "which does not ship; give its folder with --robot"),
+        ([str(renamed)], "is of robot 'minitaur'"),
+        ([str(tmp_path / "none.npz")], "does not exist"),
+        ([str(traces[0]), "--html", "x.txt"], "must end in .html"),
+        ([str(traces[0])] * 17, "17 traces are given"),
+    ):
+        assert main(["show", *words]) == 2
+        (line,) = capsys.readouterr().err.splitlines()
+        assert said in line
+
+
+def test_a_log_that_names_no_robot_is_shown_with_one(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    time = 0.01 * np.arange(50)
+    np.savez(tmp_path / "log.npz", time=time, command=np.tile(np.sin(time)[:, None], (1, 12)), imu=np.zeros((50, 4)))
+    assert main(["show", str(tmp_path / "log.npz"), "--robot", "go2", "--html", str(tmp_path / "log.html")]) == 0
+    assert "wrote" in capsys.readouterr().out
+    assert "12 of 12 motors were not read" in (tmp_path / "log.html").read_text()

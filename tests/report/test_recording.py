@@ -1,0 +1,158 @@
+"""What the page of recorded runs is given: positions, angles and forces at an even rate; what it refuses."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+pytest.importorskip("viser")
+pytest.importorskip("mujoco")
+
+from recordings import data_of, standing_height, swinging
+
+from surefoot.errors import SurefootError
+from surefoot.evaluate.foot_forces import foot_forces
+from surefoot.report.recording import MOST_RUNS, Recording, recording_page
+from surefoot.robot import RobotDescription
+from surefoot.rotations import quat_matrix, rpy_quat
+from surefoot.task.trace import LOG, EpisodeTrace
+
+MakeRun = Callable[..., EpisodeTrace]
+GO2 = RobotDescription.load("go2")
+
+
+def test_rows_are_those_of_the_trace_at_an_even_rate(make_run: MakeRun):
+    one = swinging(make_run, speed=0.5, seconds=2.0)
+    (run,) = data_of(recording_page([one]))["runs"]
+    columns, time = run["columns"], np.arange(101) / 50
+    assert run["rows"] == 101
+    # Row 0 shows the end of the first control step, for there is none before.
+    assert np.allclose(columns["pose"][1:, 0], 0.5 * time[1:], atol=1e-4)
+    assert np.allclose(columns["pose"][:, 3:], [1.0, 0.0, 0.0, 0.0])
+    swing = 0.2 * np.sin(2 * np.pi * time[1:])
+    assert np.allclose(columns["angle"][1:], GO2.resting_angles + swing[:, None], atol=1e-4)
+    assert np.allclose(columns["target"] - columns["angle"], 0.05, atol=1e-4)
+    assert np.allclose(columns["speed"][1:], [0.5, 0.0, 0.0], atol=1e-3)
+    assert not {"command", "push"} & set(columns)
+    turning = GO2.joint_angles(GO2.resting_angles + swing[:, None])
+    assert np.allclose(columns["joint"][1:], np.column_stack([*turning.values()]), atol=1e-4)
+    assert len(run["joints"]) == len(turning)
+
+
+def test_runs_begin_at_the_origin_and_ahead(make_run: MakeRun):
+    turn, tilt = np.array(rpy_quat(0.0, 0.0, 2.0)), np.array(rpy_quat(0.1, -0.2, 2.0))
+    whole = swinging(make_run, speed=0.5)
+    moved = whole.trace.base_position_world @ quat_matrix(turn).T + [3.0, -4.0, 0.0]
+    trace = replace(whole.trace, base_position_world=moved, base_quat_world=np.tile(tilt, (len(moved), 1)))
+    (run,) = data_of(recording_page([replace(whole, trace=trace)]))["runs"]
+    assert np.allclose(run["columns"]["pose"][-1, :2], [1.0, 0.0], atol=1e-3)
+    assert np.allclose(np.abs(run["columns"]["pose"][-1, 3:] @ rpy_quat(0.1, -0.2, 0.0)), 1.0, atol=1e-6)
+
+
+def test_a_base_that_was_never_measured_is_held_and_said_to_be(make_run: MakeRun):
+    nothing = {"base_position_world": np.full((201, 3), np.nan), "base_quat_world": np.full((201, 4), np.nan)}
+    rolled = {"roll_pitch_yaw": np.tile([0.1, -0.2, 3.0], (200, 1)), "foot_contact": np.full((200, 4), np.nan)}
+    (run,) = data_of(recording_page([swinging(make_run, arrays=nothing | rolled)]))["runs"]
+    assert np.allclose(run["columns"]["pose"][:, :2], 0.0)
+    assert np.allclose(run["columns"]["pose"][:, 2], standing_height(GO2), atol=0.02)
+    assert np.allclose(run["columns"]["pose"][:, 3:] @ rpy_quat(0.1, -0.2, 0.0), 1.0, atol=1e-6)
+    assert not {"speed", "contact"} & set(run["columns"])
+    assert any("held at standing height" in note for note in run["notes"])
+
+
+def test_a_base_that_was_lost_for_a_while_is_interpolated(make_run: MakeRun):
+    one = swinging(make_run, speed=0.5)
+    position = one.trace.base_position_world.copy()
+    position[50:150] = np.nan
+    (run,) = data_of(recording_page([replace(one, trace=replace(one.trace, base_position_world=position))]))["runs"]
+    assert np.allclose(run["columns"]["pose"][1:, 0], 0.5 * np.arange(1, 101) / 50, atol=1e-3)
+    assert "50.0 % of the rows" in run["notes"][1]
+    assert np.isnan(run["columns"]["speed"][40:70, :2]).all()
+    assert np.allclose(run["columns"]["speed"][-5:], [0.5, 0.0, 0.0], atol=1e-3)
+
+
+def test_a_log_without_readings_shows_its_commands(make_run: MakeRun):
+    missing = {name: np.full((200, 12), np.nan) for name in ("motor_angle", "motor_velocity", "motor_torque")}
+    time = {"time": 1.6e9 + np.repeat(0.02 * np.arange(100), 2), "energy": np.full(200, np.nan)}
+    (run,) = data_of(recording_page([swinging(make_run, arrays=missing | time, world=LOG)]))["runs"]
+    assert run["rows"] == 100
+    assert np.allclose(
+        run["columns"]["joint"][0], np.column_stack([*GO2.joint_angles(run["columns"]["target"][:1]).values()])
+    )
+    assert any("12 of 12 motors were not read" in note for note in run["notes"])
+    assert not {"torque", "force", "power"} & set(run["columns"])
+
+
+def test_forces_are_of_feet_on_the_ground_and_pushes_turn_with_the_run(make_run: MakeRun):
+    one = swinging(make_run)
+    hold = -np.einsum(
+        "lij,lj->li",
+        np.swapaxes(GO2.leg_geometry.jacobian(GO2.resting_angles[GO2.leg_motor_index]), -1, -2),
+        np.tile([0.0, 0.0, 40.0], (4, 1)),
+    )
+    torque = np.zeros((200, 12))
+    torque[:, GO2.leg_motor_index] = hold
+    push = np.zeros((200, 3))
+    push[100:, 1] = 50.0
+    turned = np.tile(rpy_quat(0.0, 0.0, np.pi / 2), (201, 1))
+    trace = replace(one.trace, motor_torque=torque, push_force_world=push, base_quat_world=turned)
+    (run,) = data_of(recording_page([replace(one, trace=trace)]))["runs"]
+    expected = foot_forces(GO2, one.trace.motor_angle, torque).reshape(200, -1)
+    assert np.allclose(run["columns"]["force"][10], expected[19], atol=0.05)  # .2 s: on the ground
+    assert np.allclose(run["columns"]["force"][35], 0.0, atol=1e-3)  # .7 s: in the air
+    assert np.allclose(run["columns"]["push"][[10, 90]], [[0.0, 0.0, 0.0], [50.0, 0.0, 0.0]], atol=1e-2)
+
+
+def test_robots_of_any_kind_are_shown_together(make_run: MakeRun):
+    names = RobotDescription.available()
+    page = recording_page([swinging(make_run, name, seconds=0.2) for name in names], "over")
+    data = data_of(page)
+    assert [run["name"] for run in data["runs"]] == names
+    assert len({run["color"] for run in data["runs"]}) == len(names)
+    assert data["layout"] == "over"
+    assert len(page) < 2e6
+
+
+def test_a_long_run_has_fewer_rows(make_run: MakeRun):
+    one = swinging(make_run, seconds=2.0)
+    slow = replace(one.trace, time=one.trace.time * 900.0)
+    data = data_of(recording_page([replace(one, trace=slow)]))
+    assert 19_900 < data["runs"][0]["rows"] <= 20_001
+
+
+def test_what_traces_say_ends_no_script(make_run: MakeRun):
+    evil = "</script><script>alert(1)</script><!--"
+    one = replace(swinging(make_run, world=evil, policy=evil), name=evil)
+    page = recording_page([one])
+    assert evil not in page
+    assert data_of(page)["runs"][0]["name"] == evil
+
+
+@pytest.mark.parametrize(
+    ("arrays", "said"),
+    [
+        ({"time": 1e300 * np.arange(1, 201)}, "3600 s are shown"),
+        ({"motor_angle": np.full((200, 12), 1e9)}, "nothing over"),
+        ({"base_position_world": np.linspace(0, 1e200, 603).reshape(201, 3)}, "nothing over"),
+    ],
+)
+def test_values_that_can_not_be_shown_are_refused(make_run: MakeRun, arrays: dict[str, np.ndarray], said: str):
+    with pytest.raises(SurefootError, match=said):
+        recording_page([swinging(make_run, arrays=arrays)])
+
+
+def test_legs_that_close_nowhere_are_refused(make_run: MakeRun):
+    with pytest.raises(SurefootError, match="can't close its loop"):
+        recording_page([swinging(make_run, "minitaur", arrays={"motor_angle": np.zeros((200, 8))})])
+
+
+def test_a_trace_of_another_robot_and_too_many_are_refused(make_run: MakeRun):
+    one = swinging(make_run)
+    with pytest.raises(SurefootError, match="is of robot 'go2'"):
+        Recording("x", RobotDescription.load("solo8"), one.trace)
+    for number in (0, MOST_RUNS + 1):
+        with pytest.raises(SurefootError, match=f"{number} traces are given"):
+            recording_page([one] * number)
