@@ -96,5 +96,5 @@ def test_ctrl_c_on_a_terminal_saves_and_resume_finishes(tmp_path: Path) -> None:
     result = surefoot("train", "--resume", str(run), cwd=tmp_path)
     assert result.returncode == 0, result.stderr
     made = {str(path.relative_to(run)) for path in run.rglob("*") if path.is_file()}
-    figures = {f"figures/{name}" for name in ("video.mp4", "footfalls.png", "episode.png")}
+    figures = {f"figures/{name}" for name in ("video.mp4", "footfalls.png", "episode.png", "episode.npz")}
     assert {"policy.onnx", "evaluation.json", *figures} <= made, made

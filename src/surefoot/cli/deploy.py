@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from surefoot.cli.options import Baud, Count, Json, Lockstep, PolicyName, Port, check_folder
+from surefoot.cli.options import Baud, Count, Json, Lockstep, PolicyName, Port, check_folder, how_to_show
 from surefoot.cli.parsing import parse
 from surefoot.configuration import Duration
 from surefoot.deploy.link import BAUD
@@ -179,6 +179,8 @@ def _tell(command: DeployCommand, deployment: Deployment, results: list[dict[str
             return code
         for result in results:
             _print_result(result)
+        if traces := [result["trace"] for result in results if result["trace"] is not None]:
+            print(how_to_show(traces), flush=True)
     return code
 
 

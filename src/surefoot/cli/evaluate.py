@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
-from surefoot.cli.options import Count, Json, Threads, make_figures_folder
+from surefoot.cli.options import Count, Json, Threads, how_to_show, make_figures_folder
 from surefoot.cli.parsing import parse
 from surefoot.cli.simulator import GivenRanges, RunOptions, take_ranges
 from surefoot.errors import SurefootError
@@ -78,6 +78,8 @@ def main(argv: list[str]) -> int:
         for file in summary.get("files", []):
             if file.endswith(".png"):
                 print(f"wrote {file}")
+        if command.out is not None and not command.trace:
+            print(how_to_show([command.out / "episode_000.npz"]))
     return 0
 
 

@@ -19,6 +19,7 @@ from surefoot.cli.options import (
     Seed,
     Settings,
     Threads,
+    how_to_show,
     make_figures_folder,
 )
 from surefoot.cli.parsing import parse
@@ -246,6 +247,8 @@ def _report(
         title = f"Reality gap: return in {gaps[0].home.world} less return elsewhere, ± one standard error"
         print_table([row for gap in (*gaps, *pooled) for row in gap.text_rows()], title, 2)
         print_files(files, out)
+        first = next(iter(runs.values()))
+        print(how_to_show(found[0][0] for found in first.values()))
         return
     plain = {name: plain_rows(part) for name, part in rows.items()}
     told = {

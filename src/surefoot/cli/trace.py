@@ -11,7 +11,7 @@ from typing import Annotated
 import tyro
 
 from surefoot.cli.main import table_lines
-from surefoot.cli.options import Json, check_suffix
+from surefoot.cli.options import Json, check_suffix, how_to_show
 from surefoot.cli.parsing import parse
 from surefoot.errors import SurefootError, choices
 from surefoot.robot import RobotDescription
@@ -68,4 +68,5 @@ def main(argv: list[str]) -> int:
     if missing:
         print(f"missing: {choices(missing)}")
     print(f"wrote {command.out}")
+    print(how_to_show([command.out]))
     return 0

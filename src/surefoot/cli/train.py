@@ -138,6 +138,7 @@ def finish(run: TrainingRun, folder: RunFolder, console: Console) -> None:
     Tables, figures and a video of the median episode go to the run folder.
     """
     from surefoot.cli.evaluate import draw_episode, print_summaries
+    from surefoot.cli.options import how_to_show
     from surefoot.cli.play import film
     from surefoot.evaluate.comparison import Curve
     from surefoot.evaluate.gap import home_task
@@ -176,5 +177,7 @@ def finish(run: TrainingRun, folder: RunFolder, console: Console) -> None:
     median = sorted(nominal, key=lambda trace: trace.base_position_world[-1, 0])[len(nominal) // 2]
     draw_episode(figures, median, robot)
     film(robot, median, figures / "video.mp4")
+    median.save(figures / "episode.npz")
     print_summaries({name.replace("_", " "): summary for name, summary in results.items()})
     console.print(f"Policy, table, figures and video are in {folder.path}", soft_wrap=True)
+    console.print(how_to_show([figures / "episode.npz"]), soft_wrap=True, highlight=False, markup=False)
