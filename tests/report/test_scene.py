@@ -161,3 +161,19 @@ def test_a_robot_of_any_size_fills_the_picture_alike(name: str) -> None:
     assert 0.35 < high < 0.95
     assert (pixels > 0).all()
     assert (pixels < [view.width, view.height]).all()
+
+
+@pytest.mark.parametrize("name", ["go2", "pupper_v2"])
+def test_hips_reach_from_abduction_to_the_leg(name: str):
+    """Their links have no visuals: each is a cylinder whose ends are the joints' places."""
+    robot = RobotDescription.load(name)
+    placed = poses(robot, np.zeros(3), LEVEL, robot.resting_angles)
+    for leg in robot.legs:
+        abduction, upper = (robot.urdf.joints[motor].child for motor in leg.motors[:2])
+        (hip,) = (shape for shape in scene(robot) if shape.body == abduction)
+        rotation = np.asarray(hip.rotation)
+        assert np.allclose(rotation @ rotation.T, np.eye(3))
+        assert np.linalg.det(rotation) == pytest.approx(1.0)
+        ends = [hip.position + side * hip.size[1] * rotation[:, 2] for side in (-1.0, 1.0)]
+        places = [(placed[abduction][0] @ [*end, 1.0])[:3] for end in ends]
+        assert np.allclose(places, [placed[link][0, :3, 3] for link in (abduction, upper)], atol=1e-9)

@@ -100,13 +100,13 @@ def recording_page(recordings: Sequence[Recording], layout: str = "side") -> str
     size = max(run["size"] for run, _ in runs)
     for number, (run, _) in enumerate(runs):
         run["color"] = "#{:02x}{:02x}{:02x}".format(*_COLORS[number % len(_COLORS)])
-    beside = len(runs) if layout == "side" else 1
+    tinted = len(runs) > 1 and layout != "one"
     data = {"layout": layout, "rate": rate, "size": size, "runs": [run for run, _ in runs]}
     data["last"] = f"/world/r{len(runs) - 1}/last"
     page = document("show.html").replace("<head>", f"<head>\n<!--\n{_notice()}\n-->", 1)
     return page.replace(
         "DATA = null, VIEWER = null",
-        f"DATA = {_script(data)},\n  VIEWER = {_script(_viewer(recordings, runs, size, beside))}",
+        f"DATA = {_script(data)},\n  VIEWER = {_script(_viewer(recordings, runs, size, tinted))}",
         1,
     )
 
@@ -294,9 +294,9 @@ def _paths(robot: RobotDescription, base: str) -> dict[str, str]:
 
 
 def _viewer(
-    recordings: Sequence[Recording], runs: Sequence[tuple[dict[str, Any], Array]], size: float, beside: int
+    recordings: Sequence[Recording], runs: Sequence[tuple[dict[str, Any], Array]], size: float, tinted: bool
 ) -> str:
-    """Return viser's page with the robots at rest; the camera sees so many beside each other."""
+    """Return viser's page with the robots at rest, each `tinted` by a color of its own."""
     server = quiet_server()
     try:
         stage = server.scene
@@ -304,9 +304,9 @@ def _viewer(
         stage.add_frame("/world", show_axes=False)
         add_ground(stage, "/world/ground", size)
         for number, (one, (run, track)) in enumerate(zip(recordings, runs, strict=True)):
-            _add_robot(stage, one.robot, run, track, _COLORS[number % len(_COLORS)] if len(runs) > 1 else None)
-        far = 0.75 + 0.25 * beside
-        server.initial_camera.position = (1.1 * size * far, -1.5 * size * far, 0.7 * size * far)
+            _add_robot(stage, one.robot, run, track, _COLORS[number % len(_COLORS)] if tinted else None)
+        # The page sets the distance, so that it fits the robots that are shown.
+        server.initial_camera.position = (1.1 * size, -1.5 * size, 0.7 * size)
         server.initial_camera.look_at = (0.0, 0.0, 0.15 * size)
         data = base64.b64encode(server.get_scene_serializer().serialize()).decode()
     finally:
@@ -337,7 +337,7 @@ def _add_robot(
     arrows = [(f"base/force{leg}", _FORCE) for leg in range(len(robot.legs))] if "force" in run["columns"] else []
     for name, color in [*arrows, *([("push", _PUSH)] if "push" in run["columns"] else [])]:
         up = np.array([[[0.0, 0.0, 0.0], [0.0, 0.0, 1.0]]])
-        stage.add_arrows(f"{node}/{name}", up, color, shaft_radius=0.04, head_radius=0.1, head_length=0.3)
+        stage.add_arrows(f"{node}/{name}", up, color, shaft_radius=0.028, head_radius=0.07, head_length=0.22)
     far = np.floor(
         np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(track[:, :2], axis=0), axis=1))]) / (0.05 * size)
     )

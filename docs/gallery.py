@@ -1,0 +1,40 @@
+"""Make docs/gallery.html: every policy that ships, for some seconds, on one page that opens without surefoot.
+
+Run it when a policy changes: python docs/gallery.py
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+from surefoot.cli.policies import SHELVES, adjust_task, find_policy, lasting, load_policy, run_policy
+from surefoot.files import whole_file
+from surefoot.report.recording import Recording, recording_page
+
+SECONDS = 5.0
+STEPS = ((0.0, 0.7, 0.0, 0.0), (1.7, 0.5, 0.0, 0.8), (3.4, 0.0, 0.8, 0.0))
+"""What policies with commands are told: from when on [s], and shares of the greatest forward, left and yaw rate."""
+
+
+def recorded(name: str) -> Recording:
+    """Return a run of a policy that ships."""
+    policy, robot, task = load_policy(find_policy(name), None)
+    task = lasting(adjust_task(task, robot, (), False), robot, SECONDS)
+    if (limits := task.commands.limits(robot)) is not None:
+        most = (limits.forward[1], limits.sideways[1], limits.yaw_rate[1])
+        rows = tuple(
+            (begin, *(share * top for share, top in zip(shares, most, strict=True))) for begin, *shares in STEPS
+        )
+        task = replace(task, commands=replace(task.commands, schedule=rows))
+    (trace,) = run_policy(policy, task, 1, "mujoco", seed=0, name=name)
+    return Recording(name, robot, trace)
+
+
+if __name__ == "__main__":
+    names = sorted({path.stem for path in SHELVES[-1].glob("*.onnx")})
+    page = recording_page([recorded(name) for name in names], "one")
+    path = Path(__file__).with_name("gallery.html")
+    with whole_file(path) as file:
+        file.write(page.encode())
+    print(f"{path.name}: {len(names)} policies, {len(page) / 1e6:.2f} MB")
