@@ -115,6 +115,11 @@ def test_pushes_move_the_robot():
     # The first push comes after 1.2 s, that is 200 control steps.
     assert apart[:200].max() == 0
     assert apart.max() > 0.02
+    # The trace holds the force of each control step: 10 of 6 ms, from the 201st on.
+    pushing = np.linalg.norm(moved.push_force_world, axis=1)
+    assert np.flatnonzero(pushing).tolist() == list(range(200, min(210, moved.num_steps)))
+    assert 130.0 <= pushing.max() <= 220.0
+    assert np.isnan(still.push_force_world).all()
 
 
 def test_a_reference_alone_runs_with_equal_bounds():
