@@ -6,6 +6,7 @@ import shlex
 import sys
 from collections.abc import Iterable
 from importlib import import_module
+from itertools import islice
 from pathlib import Path
 from typing import Annotated
 
@@ -85,8 +86,8 @@ def check_folder(path: Path | None) -> None:
 
 
 def how_to_show(traces: Iterable[Path | str]) -> str:
-    """Return a line that names the command which shows traces in the browser."""
-    return f"to look at: surefoot show {shlex.join(map(str, traces))}"
+    """Return a line that names the command which shows traces in the browser, the first four of them."""
+    return f"to look at: surefoot show {shlex.join(map(str, islice(traces, 4)))}"
 
 
 def make_figures_folder(path: Path | None) -> None:
