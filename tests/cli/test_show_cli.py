@@ -18,7 +18,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-pytest.importorskip("mujoco")
 pytest.importorskip("viser")
 pytest.importorskip("playwright")
 

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 pytest.importorskip("viser")
-pytest.importorskip("mujoco")
 
 from recordings import data_of, standing_height, swinging
 
