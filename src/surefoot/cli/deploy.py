@@ -11,12 +11,13 @@ import json
 import math
 import sys
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 from surefoot.cli.options import Baud, Count, Json, Lockstep, PolicyName, Port, check_folder, how_to_show
 from surefoot.cli.parsing import parse
-from surefoot.configuration import Duration
+from surefoot.configuration import Duration, Within
 from surefoot.deploy.link import BAUD
 from surefoot.errors import SurefootError
 
@@ -26,6 +27,8 @@ if TYPE_CHECKING:
     from surefoot.deploy.recording.run_saver import SavedRun
     from surefoot.deploy.wire.messages import Handshake
 
+_DRIVEN = 600.0
+"""Length of a run that is driven from the page [s], if none is given."""
 SAFETY = 3
 """Exit code of a run that safety ended."""
 
@@ -52,6 +55,11 @@ class DeployCommand:
     commands: str | None = None
     """What steers a policy with commands: a file (CSV: time, forward, sideways, yaw_rate), keyboard, gamepad, or the
     number of a UDP port on this computer; without it such a robot stands."""
+    drive: bool = False
+    """Show the robot on a page in the browser, and take commands from there. The run lasts ten minutes, if no
+    --duration is given."""
+    page_port: Annotated[int, Within(0, 65535)] = 8400
+    """TCP port of the page; 0 for a free one. Only this machine can open the page."""
     motion_capture: Path | None = None
     """Motion capture of the run (.csv), with times on the robot's clock; read when a run is over."""
     world_name: str = "robot"
@@ -64,13 +72,20 @@ def main(argv: list[str]) -> int:
     """Run the command with the words after its name; returns the exit code."""
     command = parse(DeployCommand, argv, "surefoot deploy")
     check_folder(command.out)
+    if command.drive and command.commands is not None:
+        raise SurefootError("--drive and --commands are given; commands come from one place")
+    if command.drive and command.lockstep:
+        raise SurefootError("--drive and --lockstep are given; a page drives in real time")
+    if command.drive:
+        import_module("viser")  # what is not installed is told before the robot is asked
     from surefoot.cli.policies import find_policy
     from surefoot.deploy.checks import check_contract
-    from surefoot.deploy.commands import open_commands
+    from surefoot.deploy.commands import ChannelCommands, CommandSource, open_commands
     from surefoot.deploy.connection import open_connection
     from surefoot.deploy.controller import Controller
     from surefoot.deploy.deployment import Deployment
-    from surefoot.deploy.display import LiveDisplay, PlainLines
+    from surefoot.deploy.display import LiveDisplay, PlainLines, Watches
+    from surefoot.deploy.loop import Watch
     from surefoot.deploy.pacer import undisturbed
     from surefoot.findings import refusal
     from surefoot.policy.runtime import PolicyRuntime
@@ -90,14 +105,25 @@ def main(argv: list[str]) -> int:
     with StopSignals() as stop, contextlib.ExitStack() as stack:
         connection = open_connection(command.port, len(contract.motor_names), command.lockstep, command.baud)
         title = f"{contract.name} on {robot.name}, {command.port}" + (", dry run" if command.dry_run else "")
-        watch = LiveDisplay(title) if sys.stderr.isatty() else PlainLines()
-        stack.callback(watch.close)
-        commands = None
+        commands: CommandSource | None = None
         if command.commands is not None:
             if contract.commands is None:
                 raise SurefootError(f"--commands is given; policy '{contract.name}' has no commands to follow")
             commands = open_commands(command.commands, contract.commands)
             stack.callback(commands.close)
+        watch: Watch = LiveDisplay(title) if sys.stderr.isatty() and not command.drive else PlainLines()
+        stack.callback(watch.close)
+        if command.drive:
+            from surefoot.cli.deploy_page import DeployPage
+
+            channel = ChannelCommands(0)
+            stack.callback(channel.close)
+            page = DeployPage(
+                title, str(robot.folder), contract.name, contract.commands, command.page_port, channel.port
+            )
+            stack.callback(page.close)
+            print(f"{page.address}   (Ctrl-C: the robot sits)", file=sys.stderr, flush=True)
+            watch, commands = Watches(page, watch), channel if contract.commands is not None else None
         deployment = Deployment(connection, controller, stop, watch, dry_run=command.dry_run, commands=commands)
         stack.callback(deployment.close)
         if not command.lockstep:
@@ -116,8 +142,9 @@ def _runs(command: DeployCommand, deployment: Deployment) -> tuple[list[dict[str
     contract = deployment.contract
     step = contract.control_step
     steps = int(contract.task.get("max_steps", 1000))
-    if command.duration is not None:
-        steps = max(round(command.duration / step), 1)
+    duration = command.duration or (_DRIVEN if command.drive else None)
+    if duration is not None:
+        steps = max(round(duration / step), 1)
     results: list[dict[str, Any]] = []
     code = 0
     for run in range(command.runs):

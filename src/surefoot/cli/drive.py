@@ -205,16 +205,16 @@ class Drive:
 
     def _do(self, word: str, value: Any) -> None:
         if word == "command":
-            self._command(_numbers(value[:3], 3))
+            self._command(finite_numbers(value[:3], 3))
             if len(value) == 4:
-                self.delays.append(time.time() - _numbers(value[3:], 1)[0] / 1e3)
+                self.delays.append(time.time() - finite_numbers(value[3:], 1)[0] / 1e3)
         elif word == "left":
             self._command(STAND)
         elif word == "set":
-            self.robot.set(str(value[0]), *_numbers(value[1:], 1))
+            self.robot.set(str(value[0]), *finite_numbers(value[1:], 1))
             self._page.tell(done=[str(value[0]), float(value[1])])
         elif word == "push":
-            force, degrees = _numbers(value, 2)
+            force, degrees = finite_numbers(value, 2)
             turn = np.radians(degrees)
             self.robot.push([force * np.cos(turn), force * np.sin(turn), 0.0], _PUSH)
         elif word == "pause":
@@ -242,7 +242,7 @@ class Drive:
             self._heard = time.perf_counter() if any(command) else 0.0
 
 
-def _numbers(given: Any, count: int) -> list[float]:
+def finite_numbers(given: Any, count: int) -> list[float]:
     """Return finite numbers from a browser's message."""
     if not isinstance(given, list) or len(given) != count or not all(type(x) in (int, float) for x in given):
         raise ValueError("not numbers")

@@ -27,11 +27,17 @@ _SCALE = 1e3
 
 
 class LiveDisplay(Watch):
-    """Starts the display's process and feeds it."""
+    """Starts the display's process and feeds it.
 
-    def __init__(self, title: str) -> None:
-        command = [sys.executable, "-m", "surefoot.deploy.display"]
-        self._process = subprocess.Popen(command, stdin=subprocess.PIPE)
+    Args:
+        title: of the display.
+        module: what is run as the process; it ends with its input.
+        stdout: of the process; this process's, if None.
+    """
+
+    def __init__(self, title: str, module: str = "surefoot.deploy.display", stdout: int | None = None) -> None:
+        command = [sys.executable, "-m", module]
+        self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=stdout)
         if (stdin := self._process.stdin) is None:
             raise RuntimeError("the display has no pipe")
         self._stdin, self._pipe = stdin, stdin.fileno()
@@ -57,21 +63,24 @@ class LiveDisplay(Watch):
 
     def tick(self, snapshot: Snapshot) -> None:
         """Tell how the loop does."""
+        self._send(**self._about(snapshot))
+
+    def _about(self, snapshot: Snapshot) -> dict[str, Any]:
         state = snapshot.state
-        self._send(
-            phase=snapshot.phase,
-            left=round(snapshot.left, 1),
-            rate=round(snapshot.rate, 1),
-            lateness=[round(_SCALE * late, 3) for late in snapshot.lateness],
-            inference=None if math.isnan(snapshot.inference) else round(_SCALE * snapshot.inference, 3),
-            missed=snapshot.missed,
-            dropped=snapshot.dropped,
-            state_age=round(_SCALE * snapshot.state_age, 2),
-            voltage=round(state.voltage, 2),
-            temperature=float(np.max(state.temperature)),
-            roll=round(float(state.roll_pitch_yaw[0]), 3),
-            pitch=round(float(state.roll_pitch_yaw[1]), 3),
-        )
+        return {
+            "phase": snapshot.phase,
+            "left": round(snapshot.left, 1),
+            "rate": round(snapshot.rate, 1),
+            "lateness": [round(_SCALE * late, 3) for late in snapshot.lateness],
+            "inference": None if math.isnan(snapshot.inference) else round(_SCALE * snapshot.inference, 3),
+            "missed": snapshot.missed,
+            "dropped": snapshot.dropped,
+            "state_age": round(_SCALE * snapshot.state_age, 2),
+            "voltage": round(state.voltage, 2),
+            "temperature": float(np.max(state.temperature)),
+            "roll": round(float(state.roll_pitch_yaw[0]), 3),
+            "pitch": round(float(state.roll_pitch_yaw[1]), 3),
+        }
 
     def close(self) -> None:
         """End the display; its last picture stays on the terminal."""
@@ -81,6 +90,38 @@ class LiveDisplay(Watch):
             self._process.wait(2.0)
         except subprocess.TimeoutExpired:
             self._process.kill()
+
+
+class Watches(Watch):
+    """Several that watch the same run; told as often as the first wants it."""
+
+    def __init__(self, *watches: Watch) -> None:
+        self._watches, self.period = watches, watches[0].period
+
+    def phase(self, name: str, duration: float) -> None:
+        """Tell all what the robot does."""
+        for watch in self._watches:
+            watch.phase(name, duration)
+
+    def tick(self, snapshot: Snapshot) -> None:
+        """Tell all how the loop does."""
+        for watch in self._watches:
+            watch.tick(snapshot)
+
+    def warn(self, text: str) -> None:
+        """Tell all something that the operator should know."""
+        for watch in self._watches:
+            watch.warn(text)
+
+    def recording(self, text: str) -> None:
+        """Tell all how recording goes."""
+        for watch in self._watches:
+            watch.recording(text)
+
+    def close(self) -> None:
+        """It is over for all."""
+        for watch in self._watches:
+            watch.close()
 
 
 class PlainLines(Watch):

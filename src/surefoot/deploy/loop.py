@@ -26,8 +26,6 @@ After = Callable[[int, State, bool], None]
 
 EARLY = 0.0005
 """How long before a step is due [s] the loop looks at the link a first time."""
-TOLD = 0.1
-"""Time [s] between two tellings of how the loop does."""
 
 
 @dataclass(frozen=True)
@@ -56,6 +54,9 @@ class Snapshot:
 
 class Watch:
     """Somebody who watches a run, and here says nothing; no method may take time."""
+
+    period = 0.1
+    """Time between two calls of `tick` [s]."""
 
     def phase(self, name: str, duration: float) -> None:
         """A phase of so many seconds starts."""
@@ -202,7 +203,7 @@ class ControlLoop:
         if not math.isnan(self.inference):
             self._worst = max(self.inference, self._worst) if not math.isnan(self._worst) else self.inference
         now = self.connection.clock.now()
-        if now - self._told < TOLD:
+        if now - self._told < self.watch.period:
             return
         for text in self.guard.warnings[self._told_warnings :]:
             self.watch.warn(text)

@@ -1,0 +1,87 @@
+"""`surefoot deploy --drive`: the robot's own state on a page in a real browser, and commands from there."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+from processes import SUREFOOT, Emulator, refused, run_surefoot
+
+from surefoot.task.trace import EpisodeTrace
+
+pytest.importorskip("mujoco")
+pytest.importorskip("viser")
+pytest.importorskip("playwright")
+
+from chromium import errors_of, in_browser, running_browser
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Page
+
+
+@pytest.fixture
+def page(tmp_path: Path) -> Iterator[Page]:
+    with running_browser(gives_way=tmp_path) as browser:
+        page = browser.new_page(viewport={"width": 500, "height": 400})
+        # Without the 3D view: drawn by two processors, it would take the time that the control loop beside it needs.
+        page.route("**/view?*", lambda route: route.fulfill(body="", content_type="text/html"))
+        yield page
+
+
+@in_browser
+@pytest.mark.realtime
+def test_a_page_drives_the_robot_which_stands_once_it_is_closed(
+    emulate: Callable[..., Emulator], page: Page, tmp_path: Path
+):
+    robot = emulate("--robot", "go2", "--ideal-sensors")
+    words = ("--port", robot.port, "--drive", "--page-port", "0", "--out", str(tmp_path), "--json")
+    deploy = subprocess.Popen([*SUREFOOT, "deploy", "go2-steer", *words], stdout=-1, stderr=-1, text=True)
+    try:
+        assert deploy.stderr is not None
+        address = deploy.stderr.readline().split()[0]
+        wrong = errors_of(page)
+        page.goto(address)
+        page.wait_for_function("document.getElementById('state').textContent.startsWith('run')", timeout=40_000)
+        assert page.locator("#policy").is_hidden()
+        assert page.locator("#push").is_hidden()
+        page.locator("#stick").scroll_into_view_if_needed()
+        box = page.locator("#stick").bounding_box()
+        assert box is not None
+        middle = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+        page.mouse.move(*middle)
+        page.mouse.down()
+        page.mouse.move(middle[0], middle[1] - 0.2 * box["height"])
+        page.wait_for_timeout(2500)
+        assert page.evaluate("points[points.length - 1].heat") > 20.0  # degC, as the robot tells it
+        # No tab, no fresh command: the robot stands.
+        page.goto("about:blank")
+        page.wait_for_timeout(2500)
+        page.goto(address)
+        page.wait_for_function("points.length > 5")
+        page.locator("#stop").click()
+        said, _ = deploy.communicate(timeout=30)
+    finally:
+        deploy.kill()
+    assert deploy.returncode == 0
+    (run,) = json.loads(said)["runs"]
+    assert run["ended"] == "stopped"
+    trace = EpisodeTrace.load(run["trace"])
+    forward, speeds = trace.command[:, 0], np.abs(trace.motor_velocity[1:]).mean(axis=1)
+    driven = np.flatnonzero(forward)
+    assert 1.0 < trace.time[driven[-1]] - trace.time[driven[0]] < 3.5
+    assert forward.max() == pytest.approx(0.6, abs=0.05)
+    stood = slice(np.searchsorted(trace.time, trace.time[driven[-1]] + 1.0), len(forward))
+    assert len(forward[stood]) > 50
+    assert speeds[stood].mean() < 0.1 * speeds[driven].mean()
+    assert wrong == []
+
+
+def test_what_does_not_go_with_the_page_is_refused():
+    given = ("deploy", "go2-steer", "--port", "x", "--drive")
+    refused(run_surefoot(*given, "--commands", "5555"), "commands come from one place")
+    refused(run_surefoot(*given, "--lockstep"), "a page drives in real time")
