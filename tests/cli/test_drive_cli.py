@@ -12,6 +12,7 @@ import urllib.error
 import urllib.request
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -25,7 +26,10 @@ import websockets
 from chromium import errors_of, in_browser, running_browser
 from websockets.sync.client import connect
 
-from surefoot.cli.drive import Drive
+from surefoot.cli import play
+from surefoot.cli.drive import Drive, serve
+from surefoot.deploy.commands import FileCommands
+from surefoot.errors import SurefootError
 from surefoot.evaluate.driven import Row
 from surefoot.report.page_server import PageServer
 from surefoot.report.page_view import RobotView
@@ -128,6 +132,47 @@ def test_a_flood_of_messages_ends_the_connection_and_not_the_robot(running: Runn
         assert len(running.measured(0.2)) > 5
 
 
+def test_a_command_that_is_not_repeated_ends(running: Running):
+    with talk(running.server) as line:
+        running.until(lambda: running.server.tabs > 0)
+        line.send('{"command": [0.5, 0, 0]}')
+        rows = running.drive.robot.rows
+        running.until(lambda: rows and rows[-1].command[0] == 0.5)
+        begin = time.monotonic()
+        running.until(lambda: rows[-1].command[0] == 0.0)
+        assert 2.0 < time.monotonic() - begin < 5.0
+
+
+def test_a_file_of_commands_drives_in_place_of_the_page(running: Running, tmp_path: Path):
+    drive, file = running.drive, tmp_path / "commands.csv"
+    file.write_text("time,forward,sideways,yaw_rate\n0,0.4,0,0\n")
+    drive.source = FileCommands(file)
+    try:
+        with talk(running.server) as line:
+            line.send('{"command": [-0.5, 0, 0]}')
+            running.until(lambda: drive.robot.rows[-1].command[0] == 0.4)
+            assert all(row.command[0] >= 0.0 for row in running.measured(0.2))
+    finally:
+        drive.source = None
+        drive.robot.command([0.0, 0.0, 0.0])
+
+
+def test_play_in_the_browser_is_the_page_with_its_parameters(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
+    served: list[Any] = []
+    monkeypatch.setattr("surefoot.cli.drive.serve", lambda *given: served.append(given))
+    assert play.main(["go2-steer", "--browser", "--set", "base_mass_ratio=1.5", "--commands", "walk.csv"]) == 0
+    ((drive, host, _, commands),) = served
+    assert drive.robot.env.world.params.base_mass_ratio.tolist() == [1.5]
+    assert (host, commands) == (None, "walk.csv")
+    with pytest.raises(SurefootError, match="a page makes no MP4"):
+        play.main(["go2-steer", "--browser", "--out", "x.mp4"])
+
+
+def test_a_policy_without_commands_takes_none_from_elsewhere():
+    with pytest.raises(SurefootError, match="'trot' has no commands to follow"):
+        serve(Drive("trot", "mujoco"), None, 0, "5555")
+
+
 def test_for_other_machines_the_address_holds_a_token(running: Running):
     server = PageServer("127.0.0.1", 0, 1)
     try:
@@ -215,6 +260,37 @@ def test_the_joystick_moves_the_robot_and_lets_it_stand(running: Running, page: 
 
 def shift(rows: list[Row]) -> float:
     return float(max(np.linalg.norm(row.position[:2] - rows[0].position[:2]) for row in rows))
+
+
+@in_browser
+@pytest.mark.realtime
+def test_sticks_of_a_gamepad_are_commands(running: Running, page: Page):
+    pad = "navigator.getGamepads = () => [{ connected: true, axes: [0.05, -0.5, 1, 0] }]"
+    page.evaluate(pad)
+    rows = running.drive.robot.rows
+    # Half of 1.5 m/s forward, to the right with all of 1 rad/s; a stick that is almost in its middle is in it.
+    running.until(lambda: rows[-1].command[0] == pytest.approx(0.75) and rows[-1].velocity[2] < -0.4)
+    assert rows[-1].command[1] == 0.0
+    page.evaluate("navigator.getGamepads = () => []")
+    running.until(lambda: rows[-1].command[0] == 0.0)
+
+
+@in_browser
+@pytest.mark.realtime
+def test_the_joystick_goes_sideways_if_it_is_told_to(running: Running, page: Page):
+    page.locator("#strafe").check()
+    page.locator("#stick").scroll_into_view_if_needed()
+    box = page.locator("#stick").bounding_box()
+    assert box is not None
+    middle = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+    page.mouse.move(*middle)
+    page.mouse.down()
+    page.mouse.move(middle[0] - 0.5 * box["width"], middle[1])
+    rows = running.drive.robot.rows
+    running.until(lambda: rows[-1].command[1] == pytest.approx(0.5, abs=0.02) and rows[-1].velocity[1] > 0.2)
+    page.mouse.up()
+    page.locator("#strafe").uncheck()
+    running.until(lambda: rows[-1].command[1] == 0.0)
 
 
 @in_browser

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import queue
 import threading
 import time
 from collections import deque
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, Annotated, Any
@@ -21,10 +23,17 @@ from surefoot.evaluate.worlds import WORLDS, find_world
 from surefoot.robot.commands import COMMANDS, STAND
 
 if TYPE_CHECKING:
+    from surefoot.deploy.commands import CommandSource
     from surefoot.evaluate.driven import DrivenRobot
     from surefoot.report.page_server import PageServer
     from surefoot.report.page_view import RobotView
+    from surefoot.robot import RobotDescription
+    from surefoot.task.config import TaskConfig
 
+    Adjust = Callable[[TaskConfig, RobotDescription], TaskConfig]
+
+PORT = 8400
+"""TCP port of the page, if none is given."""
 SPEEDS = (1.0, 0.5, 0.25, 0.1)
 """Simulated over real time that a page may choose."""
 _FRAME = 1 / 30
@@ -47,8 +56,11 @@ class DriveCommand:
     world: World = "mujoco"
     robot: str | None = None
     """Name or folder of the robot; the one of the policy's task, if not given."""
-    port: Annotated[int, Within(0, 65535)] = 8400
+    port: Annotated[int, Within(0, 65535)] = PORT
     """TCP port of the page; 0 for a free one."""
+    commands: str | None = None
+    """What steers in place of the page: a file (CSV: time, forward, sideways, yaw_rate), keyboard or gamepad at this
+    terminal, or the number of a UDP port on this computer."""
     host: Annotated[str | None, tyro.conf.arg(metavar="ADDRESS")] = None
     """Address to listen at for other machines, such as 0.0.0.0; the page's address then holds a token. Without it only
     this machine can open the page."""
@@ -57,21 +69,38 @@ class DriveCommand:
 def main(argv: list[str]) -> int:
     """Run the command with the words after its name; return the exit code."""
     command = parse(DriveCommand, argv, "surefoot drive")
+    serve(Drive(command.policy, command.world, command.robot), command.host, command.port, command.commands)
+    return 0
+
+
+def serve(drive: Drive, host: str | None, port: int, commands: str | None) -> None:
+    """Serve the page and run the simulation behind it until Ctrl-C.
+
+    Args:
+        drive: the simulation.
+        host: address to listen at; none: this machine only.
+        port: TCP port; 0 for a free one.
+        commands: what steers in place of the page, as `open_commands` takes it.
+
+    Raises:
+        SurefootError: a port that is taken, or commands that can't be had.
+    """
+    from surefoot.deploy.commands import open_commands
     from surefoot.report.page_server import PageServer
     from surefoot.report.page_view import RobotView
 
-    drive = Drive(command.policy, command.world, command.robot)
-    view = RobotView()
-    try:
-        page = PageServer(command.host, command.port, view.port)
-        try:
-            print(f"{page.address}   (Ctrl-C ends)", flush=True)
-            drive.run(page, view, threading.Event())
-        finally:
-            page.stop()
-    finally:
-        view.stop()
-    return 0
+    with contextlib.ExitStack() as stack:
+        if commands is not None:
+            if drive.robot.limits is None:
+                raise SurefootError(f"--commands is given; policy '{drive.policy}' has no commands to follow")
+            drive.source, drive.source_name = open_commands(commands, drive.robot.limits), commands
+            stack.callback(drive.source.close)
+        view = RobotView()
+        stack.callback(view.stop)
+        page = PageServer(host, port, view.port)
+        stack.callback(page.stop)
+        print(f"{page.address}   (Ctrl-C ends)", flush=True)
+        drive.run(page, view, threading.Event())
 
 
 class Drive:
@@ -81,15 +110,20 @@ class Drive:
         policy: path, or name of one that ships.
         world: name of the world.
         robot: name or folder of the robot; the one of the policy's task, if None.
+        adjust: changes that policy's task, which is for the robot that is given too; other policies' stay as they are.
     """
 
-    def __init__(self, policy: str, world: str, robot: str | None = None) -> None:
+    source: CommandSource | None = None
+    """What steers in place of the page."""
+    source_name = ""
+
+    def __init__(self, policy: str, world: str, robot: str | None = None, adjust: Adjust | None = None) -> None:
         from surefoot.cli.policies import SHELVES
 
         shipped = sorted({path.stem for shelf in SHELVES for path in shelf.glob("*.onnx")})
         self.policies = list(dict.fromkeys([policy, *shipped]))
         self.worlds = [name for name, entry in WORLDS.items() if find_spec(entry.package) is not None]
-        self._robot_given = robot
+        self._robot_given, self._adjust = robot, adjust
         self.paused, self.speed = False, 1.0
         self.delays: deque[float] = deque(maxlen=10_000)
         """Time from a hand's movement in the browser to its command in the simulation [s], on one machine."""
@@ -104,7 +138,9 @@ class Drive:
 
         make = find_world(world)
         given = self._robot_given if policy == self.policies[0] else None
-        runtime, _, task, _ = load_gait(find_policy(policy), given)
+        runtime, described, task, _ = load_gait(find_policy(policy), given)
+        if self._adjust is not None and policy == self.policies[0]:
+            task = self._adjust(task, described)
         robot = DrivenRobot(runtime, task, make)
         self.policy, self.world = policy, world
         return robot
@@ -126,7 +162,9 @@ class Drive:
                 time.sleep(0.01)
                 begin, steps = time.perf_counter(), 0
                 continue
-            if self._heard and now - self._heard > _SILENCE:
+            if self.source is not None and self.robot.limits is not None:
+                self.robot.command(self.source.read(self.robot.time))
+            elif self._heard and now - self._heard > _SILENCE:
                 self._command(STAND)
             self.robot.step()
             steps += 1
@@ -162,6 +200,7 @@ class Drive:
             world=self.world,
             robot=self.robot.robot.name,
             legs=self.robot.robot.leg_names,
+            source=self.source_name,
             limits=None if limits is None else [[*getattr(limits, name)] for name in COMMANDS],
             knobs=[asdict(knob) for knob in self.robot.knobs()],
             speeds=SPEEDS,
@@ -237,7 +276,7 @@ class Drive:
                 self._show()
 
     def _command(self, command: Any) -> None:
-        if self.robot.limits is not None:
+        if self.robot.limits is not None and self.source is None:
             self.robot.command(command)
             self._heard = time.perf_counter() if any(command) else 0.0
 

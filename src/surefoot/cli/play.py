@@ -12,21 +12,28 @@ from surefoot.cli.options import PolicyName, check_suffix
 from surefoot.cli.parsing import parse
 from surefoot.cli.simulator import RunOptions
 from surefoot.configuration import Duration
+from surefoot.errors import SurefootError
 
 if TYPE_CHECKING:
     from surefoot.robot import RobotDescription
+    from surefoot.task.config import TaskConfig
     from surefoot.task.trace import EpisodeTrace
 
 
 @dataclass(frozen=True)
 class PlayCommand(RunOptions):
-    """Run a policy once and show it: in MuJoCo's viewer where there is a display, else as an MP4."""
+    """Run a policy once and show it: in MuJoCo's viewer where there is a display, else as an MP4.
+
+    With --browser it runs on the page of `surefoot drive`, with this command's world, robot, parameters and commands.
+    """
 
     policy: PolicyName
     seconds: Duration = 6.0
     """How long the robot runs, in simulated time."""
     out: Path | None = None
     """MP4 to write, display or not; POLICY.mp4 here, if not given and there is no display."""
+    browser: bool = False
+    """Run it in real time on a page in the browser, until Ctrl-C."""
 
 
 def main(argv: list[str]) -> int:
@@ -38,6 +45,8 @@ def main(argv: list[str]) -> int:
 
     path = find_policy(command.policy)
     find_world(command.world)
+    if command.browser:
+        return _on_a_page(command)
     policy, robot, task, known = load_gait(path, command.robot)
     given = (task, robot, command.settings, command.pushes)
     task = adjust_task(*given, simulator=command.simulator, push_force=command.push_force, commands=command.commands)
@@ -53,6 +62,21 @@ def main(argv: list[str]) -> int:
         replay(robot, trace)
     else:
         print(film(robot, trace, command.out or Path(f"{path.stem}.mp4")))
+    return 0
+
+
+def _on_a_page(command: PlayCommand) -> int:
+    """Run the policy on the page of `surefoot drive`; return the exit code."""
+    if command.out is not None:
+        raise SurefootError("--browser and --out are given; a page makes no MP4")
+    from surefoot.cli.drive import PORT, Drive, serve
+    from surefoot.cli.policies import adjust_task
+
+    def adjust(task: TaskConfig, robot: RobotDescription) -> TaskConfig:
+        return adjust_task(task, robot, command.settings, False, simulator=command.simulator)
+
+    drive = Drive(command.policy, command.world, command.robot, adjust)
+    serve(drive, None, PORT, None if command.commands is None else str(command.commands))
     return 0
 
 
