@@ -154,7 +154,7 @@ def test_all_runs_are_commands_that_are_understood(repository: Path, tmp_path: P
         if name == "tune":
             Path(rest[rest.index("--out") + 1]).touch()
         if name == "train":
-            run = Path(rest[1]) if rest[0] == "--resume" else Path("runs") / rest[0] / "first"
+            run = Path(rest[1]) if rest[0] == "--resume" else Path("runs") / Path(rest[0]).stem / "first"
             (run / "figures").mkdir(parents=True, exist_ok=True)
             for file in ("config.yaml", "policy.onnx", "figures/footfalls.png"):
                 (run / file).touch()

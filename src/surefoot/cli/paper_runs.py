@@ -24,6 +24,8 @@ QUICK_NOTE = (
 )
 POLICIES = ("gallop", "trot", "trot-robust", "gallop-robust")
 """Tasks whose policies stand on the page."""
+HYBRIDS = ("trot-hybrid", "gallop-hybrid")
+"""Tasks of the clone's examples: learned feedback on top of handcrafted trajectories."""
 _PICTURES = ("learning_curve.png", "footfalls.png")
 
 
@@ -82,7 +84,8 @@ def train(task: str, steps: int) -> Stage:
         if begun:
             command(runs, "train", "--resume", begun[-1].parent)
         else:
-            command(runs, "train", task, "--runs", "runs", *runs.small("--steps", steps))
+            given = runs.root / "examples" / f"{task}.yaml" if task in HYBRIDS else task
+            command(runs, "train", given, "--runs", "runs", *runs.small("--steps", steps))
         (run,) = (path.parent for path in (runs.folder / "runs" / task).glob("*/config.yaml"))
         target = runs.folder / "policies"
         (target / task).mkdir(parents=True, exist_ok=True)
@@ -155,7 +158,10 @@ def tune(gait: str, speed: float) -> Stage:
 
 def handcrafted(runs: Runs) -> None:
     """Compare handcrafted gaits with learned ones."""
-    script, policies = runs.root / "benchmarks" / "handcrafted.py", [f"policies/{task}.onnx" for task in POLICIES]
+    script, policies = (
+        runs.root / "benchmarks" / "handcrafted.py",
+        [f"policies/{task}.onnx" for task in (*POLICIES, *HYBRIDS)],
+    )
     words = [sys.executable, str(script), "results/handcrafted", "--policies", *policies]
     small = runs.small("--episodes", 5, "--conditions", "mujoco")
     runs.console.print(shlex.join(["python", *words[1:], *small]), style="bold")
@@ -195,6 +201,7 @@ STAGES = (
     study("from-scratch", 100_000),
     tune("trot", 0.6),
     tune("gallop", 1.2),
+    *(train(task, 200_000) for task in HYBRIDS),
     Stage("results/handcrafted/table.csv", handcrafted),
     Stage("results/search/README.md", search),
 )
