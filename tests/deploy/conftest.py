@@ -11,7 +11,7 @@ import pytest
 from surefoot.deploy.clock import LockstepClock
 from surefoot.deploy.connection import RobotConnection
 from surefoot.deploy.link import Link, LinkLostError
-from surefoot.deploy.loop import Snapshot
+from surefoot.deploy.loop import Snapshot, Watch
 from surefoot.deploy.wire.frames import Decoder, encode_frame
 from surefoot.deploy.wire.messages import Codec, Message, State
 from surefoot.emulator.firmware import Firmware, MotorOrder, Sensors, Vitals
@@ -111,7 +111,7 @@ class ToyRobot:
 
 
 @dataclass
-class WatchLog:
+class WatchLog(Watch):
     """Somebody who watches, and remembers."""
 
     phases: list[str] = field(default_factory=list)
