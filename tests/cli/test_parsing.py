@@ -59,7 +59,7 @@ FAR = [
     ("train trot --task.feedback.swing -2 2", "swing can be -2.300 to 2.300 rad"),
     ("train gallop --task.observations roll smell", "observation 'smell' does not exist; choices: roll, pitch"),
     ("train --resume nowhere", "nowhere: is not a run folder"),
-    ("train --resume run --params robot.toml", "--resume takes the path of one run folder and nothing else"),
+    ("train --resume run --params robot.toml", "Unrecognized options: --params"),
     ("sensitivity", "no policy is given"),
     ("sensitivity trot nowhere", "policy 'nowhere' does not exist"),
     ("sensitivity trot --episodes 0", "episodes is 0; it must be 1 or more"),

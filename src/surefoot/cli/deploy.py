@@ -13,11 +13,22 @@ import sys
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
-from surefoot.cli.options import Baud, Count, Json, Lockstep, PolicyName, Port, check_folder, how_to_show
+from surefoot.cli.options import (
+    PAGE_PORT,
+    Baud,
+    Count,
+    Json,
+    Lockstep,
+    PagePort,
+    PolicyName,
+    Port,
+    check_folder,
+    how_to_show,
+)
 from surefoot.cli.parsing import parse
-from surefoot.configuration import Duration, Within
+from surefoot.configuration import Duration
 from surefoot.deploy.link import BAUD
 from surefoot.errors import SurefootError
 
@@ -58,8 +69,7 @@ class DeployCommand:
     drive: bool = False
     """Show the robot on a page in the browser, and take commands from there. The run lasts ten minutes, if no
     --duration is given."""
-    page_port: Annotated[int, Within(0, 65535)] = 8400
-    """TCP port of the page; 0 for a free one. Only this machine can open the page."""
+    page_port: PagePort = PAGE_PORT
     motion_capture: Path | None = None
     """Motion capture of the run (.csv), with times on the robot's clock; read when a run is over."""
     world_name: str = "robot"

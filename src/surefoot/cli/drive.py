@@ -15,9 +15,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 import tyro
 
-from surefoot.cli.options import PolicyName, World
+from surefoot.cli.options import PAGE_PORT, PagePort, PolicyName, World
 from surefoot.cli.parsing import parse
-from surefoot.configuration import Within
 from surefoot.errors import SurefootError, choices
 from surefoot.evaluate.worlds import WORLDS, find_world
 from surefoot.robot.commands import COMMANDS, STAND
@@ -32,8 +31,6 @@ if TYPE_CHECKING:
 
     Adjust = Callable[[TaskConfig, RobotDescription], TaskConfig]
 
-PORT = 8400
-"""TCP port of the page, if none is given."""
 SPEEDS = (1.0, 0.5, 0.25, 0.1)
 """Simulated over real time that a page may choose."""
 _FRAME = 1 / 30
@@ -56,8 +53,7 @@ class DriveCommand:
     world: World = "mujoco"
     robot: str | None = None
     """Name or folder of the robot; the one of the policy's task, if not given."""
-    port: Annotated[int, Within(0, 65535)] = PORT
-    """TCP port of the page; 0 for a free one."""
+    port: PagePort = PAGE_PORT
     commands: str | None = None
     """What steers in place of the page: a file (CSV: time, forward, sideways, yaw_rate), keyboard or gamepad at this
     terminal, or the number of a UDP port on this computer."""

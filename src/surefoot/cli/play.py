@@ -8,7 +8,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from surefoot.cli.options import PolicyName, check_suffix
+from surefoot.cli.options import PAGE_PORT, PolicyName, check_suffix
 from surefoot.cli.parsing import parse
 from surefoot.cli.simulator import RunOptions
 from surefoot.configuration import Duration
@@ -69,14 +69,14 @@ def _on_a_page(command: PlayCommand) -> int:
     """Run the policy on the page of `surefoot drive`; return the exit code."""
     if command.out is not None:
         raise SurefootError("--browser and --out are given; a page makes no MP4")
-    from surefoot.cli.drive import PORT, Drive, serve
+    from surefoot.cli.drive import Drive, serve
     from surefoot.cli.policies import adjust_task
 
     def adjust(task: TaskConfig, robot: RobotDescription) -> TaskConfig:
         return adjust_task(task, robot, command.settings, False, simulator=command.simulator)
 
     drive = Drive(command.policy, command.world, command.robot, adjust)
-    serve(drive, None, PORT, None if command.commands is None else str(command.commands))
+    serve(drive, None, PAGE_PORT, None if command.commands is None else str(command.commands))
     return 0
 
 

@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from surefoot.cli.options import check_suffix
+from surefoot.cli.options import PAGE_PORT, PagePort, check_suffix
 from surefoot.cli.parsing import parse
-from surefoot.configuration import Within
 from surefoot.errors import SurefootError, quoted
 from surefoot.robot import RobotDescription
 
@@ -35,8 +34,7 @@ class ShowCommand:
     """Robots side by side, laid over each other, or one at a time; the page can change it."""
     html: Path | None = None
     """File to write (.html) in place of serving: the whole page, which opens in a browser without anything else."""
-    port: Annotated[int, Within(0, 65535)] = 8400
-    """TCP port of the page; 0 for a free one."""
+    port: PagePort = PAGE_PORT
     host: Annotated[str | None, tyro.conf.arg(metavar="ADDRESS")] = None
     """Address to listen at for other machines, such as 0.0.0.0; the page's address then holds a token. Without it only
     this machine can open the page."""

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
+from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 
+from surefoot.cli.options import PAGE_PORT, PagePort
 from surefoot.cli.parsing import parse
 from surefoot.cli.simulator import Simulator, SimulatorOptions, ranges_help, take_ranges
 from surefoot.errors import SurefootError, choices
@@ -24,7 +28,7 @@ _EPISODES = 20
 _DRAWN_EPISODES = 100
 """Episodes with physical parameters drawn: falls are rare there, and worlds differ."""
 _USAGE = """usage: surefoot train TASK [options]                 learn a gait
-       surefoot train --resume RUN                     resume a run exactly where it stopped
+       surefoot train --resume RUN [--browser]         resume a run exactly where it stopped, with its own options
        surefoot train TASK --help                      every option, with the task's own values
 
 TASK is {tasks}, or the path of a YAML file.
@@ -39,20 +43,41 @@ def main(argv: list[str]) -> int:
         print(_USAGE.format(tasks=choices(preset_names()), ranges=ranges_help()))
         return 0 if argv else 2
     if argv[0] == "--resume":
-        if len(argv) != 2:
-            raise SurefootError(
-                "--resume takes the path of one run folder and nothing else; the run's own options hold"
-            )
-        return _train(None, Path(argv[1]))
+        resumed = parse(ResumeCommand, argv, "surefoot train")
+        return _train(None, resumed.resume, resumed.page)
     if argv[0].startswith("-"):
         raise SurefootError(f"'{argv[0]}' is not a task; choices: {choices(preset_names())}, or a YAML file")
-    config, root = _parse(argv)
+    config, command = _parse(argv)
     check_config(config)
-    return _train(config, root)
+    return _train(config, command.runs, command.page)
 
 
 @dataclass(frozen=True)
-class TrainCommand(TrainConfig):
+class PageOptions:
+    """Options for the page of a training."""
+
+    browser: bool = False
+    """Show the newest policy on a page in the browser while it learns."""
+    page_port: PagePort = PAGE_PORT
+
+    @property
+    def page(self) -> int | None:
+        """The page's port; None: no page."""
+        if self.browser:
+            import_module("viser")  # what is not installed is told before there is a run
+        return self.page_port if self.browser else None
+
+
+@dataclass(frozen=True, kw_only=True)
+class ResumeCommand(PageOptions):
+    """Resume a run exactly where it stopped; the run's own options hold."""
+
+    resume: Path
+    """Folder of the run."""
+
+
+@dataclass(frozen=True)
+class TrainCommand(PageOptions, TrainConfig):
     """Learn a gait."""
 
     simulator: SimulatorOptions = Simulator()
@@ -63,7 +88,7 @@ class TrainCommand(TrainConfig):
     """Folder for run folders."""
 
 
-def _parse(argv: list[str]) -> tuple[TrainConfig, Path]:
+def _parse(argv: list[str]) -> tuple[TrainConfig, TrainCommand]:
     base = load_train_config(argv[0], _robot(argv))
     words, given_ranges = take_ranges(argv[1:])
     ranges = given_ranges.of(base.task.robot, base.task.randomize)
@@ -73,7 +98,7 @@ def _parse(argv: list[str]) -> tuple[TrainConfig, Path]:
     given = {name: value for name, value in command.task.params.items() if base.task.params.get(name) != value}
     task = command.simulator.of(replace(command.task, params=base.task.params), given)
     task = replace(task, pushes=replace(task.pushes, enabled=task.pushes.enabled or command.pushes))
-    return TrainConfig(**{name: getattr(command, name) for name in vars(base)} | {"task": task}), command.runs
+    return TrainConfig(**{name: getattr(command, name) for name in vars(base)} | {"task": task}), command
 
 
 def _robot(argv: list[str]) -> str | None:
@@ -85,7 +110,7 @@ def _robot(argv: list[str]) -> str | None:
     return None
 
 
-def _train(config: TrainConfig | None, path: Path) -> int:
+def _train(config: TrainConfig | None, path: Path, page_port: int | None) -> int:
     from surefoot.evaluate.worlds import find_world
     from surefoot.learn.progress import TrainingProgress
     from surefoot.learn.run import TrainingRun
@@ -99,8 +124,21 @@ def _train(config: TrainConfig | None, path: Path) -> int:
         run = TrainingRun(config, folder, find_world(config.world), resume=resume)
         begun = "Going on with" if resume else "Training"
         console.print(f"{begun} {config.task.name} in {folder.path}", soft_wrap=True)
-        with TrainingProgress(config, console, run.trainer.steps) as progress, _listen(console) as stop:
-            run.run(progress.update, lambda: stop.count > 0)
+        with ExitStack() as stack:
+            progress = stack.enter_context(TrainingProgress(config, console, run.trainer.steps))
+            stop = stack.enter_context(_listen(console))
+            after: Callable[..., None] = progress.update
+            if page_port is not None:
+                from surefoot.cli.train_page import TrainingPage
+
+                page = TrainingPage(run, page_port)
+                stack.callback(page.close)
+
+                def after(*told: Any) -> None:
+                    progress.update(*told)
+                    page.update()
+
+            run.run(after, lambda: stop.count > 0)
         if not run.finished:
             console.print(f"Stopped and saved at {run.trainer.steps:,} steps. To resume:", highlight=False)
             console.print(f"  surefoot train --resume {folder.path}", soft_wrap=True, highlight=False)

@@ -1,0 +1,101 @@
+"""`surefoot train --browser`: the newest policy on a page in a real browser, and the same weights as without it."""
+
+from __future__ import annotations
+
+import io
+import signal
+import subprocess
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+from processes import SUREFOOT
+
+pytest.importorskip("torch")
+pytest.importorskip("mujoco")
+pytest.importorskip("viser")
+pytest.importorskip("playwright")
+
+import torch
+from chromium import errors_of, in_browser, running_browser
+
+from surefoot.learn.run_folder import read_checkpoint
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Page
+
+pytestmark = pytest.mark.slow
+
+TINY = (
+    *("steer", "--task.robot", "go2", "--num-envs", "8", "--steps-per-update", "16", "--threads", "1"),
+    *("--learning-threads", "1", "--evaluate-every", "1000000", "--evaluation-episodes", "2"),
+)
+
+
+@pytest.fixture
+def page(tmp_path: Path) -> Iterator[Page]:
+    with running_browser() as browser:
+        page = browser.new_page(viewport={"width": 500, "height": 400})
+        # Without the 3D view, which would take the time that the training needs.
+        page.route("**/view?*", lambda route: route.fulfill(body="", content_type="text/html"))
+        yield page
+
+
+@in_browser
+def test_the_page_shows_newer_policies_until_the_training_stops(page: Page, tmp_path: Path):
+    words = [*TINY, "--steps", "10000000"]
+    train = subprocess.Popen(
+        [*SUREFOOT, "train", *words, "--browser", "--page-port", "0"],
+        cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
+    )  # fmt: skip
+    try:
+        assert train.stdout is not None
+        address = next(line for line in train.stdout if line.startswith("http")).split()[0]
+        (newest,) = tmp_path.glob("runs/*/*/newest.onnx")
+        wrong = errors_of(page)
+        page.goto(address)
+        page.wait_for_function("document.getElementById('state').textContent.includes('m/s')")
+        # It walks at half of its top speed before anybody steers.
+        page.wait_for_function("points.length > 5 && points[points.length - 1].command[0] > 0.5")
+        first = newest.stat().st_mtime_ns
+        deadline = time.monotonic() + 60
+        while newest.stat().st_mtime_ns == first and time.monotonic() < deadline:
+            time.sleep(0.1)
+        seen = page.evaluate("points[points.length - 1].time")
+        page.wait_for_function(f"points[points.length - 1].time > {seen} + 1.5")
+        assert newest.stat().st_mtime_ns > first
+        assert wrong == []
+        train.send_signal(signal.SIGINT)
+        said, _ = train.communicate(timeout=60)
+        assert train.returncode == 130, said
+    finally:
+        train.kill()
+    assert not newest.exists()
+    page.wait_for_function("document.getElementById('role').textContent.includes('has ended')")
+
+
+def content(checkpoint: Path) -> bytes:
+    """Return all that a checkpoint holds but how long it took."""
+    state, buffer = read_checkpoint(checkpoint), io.BytesIO()
+    del state["seconds"]
+    torch.save(state, buffer)
+    return buffer.getvalue()
+
+
+def test_weights_are_those_of_a_training_without_a_page(tmp_path: Path):
+    options = {"with": ("--browser", "--page-port", "0"), "without": ()}
+    runs = [
+        subprocess.Popen(
+            [*SUREFOOT, "train", *TINY, "--steps", "512", "--runs", str(tmp_path / name), *words],
+            stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
+        )
+        for name, words in options.items()
+    ]  # fmt: skip
+    for run in runs:
+        said, _ = run.communicate(timeout=200)
+        assert run.returncode == 0, said
+    first, second = (content(next(tmp_path.glob(f"{name}/*/*/checkpoints/latest.ckpt"))) for name in options)
+    assert first == second
+    assert not list(tmp_path.glob("with/*/*/newest.onnx"))
