@@ -1,0 +1,63 @@
+"""Take the pictures of the pages in docs/drive.md with a real browser: PYTHONPATH=tests python docs/pages.py."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from chromium import running_browser
+from playwright.sync_api import Page
+
+FOLDER = Path(__file__).parent
+SUREFOOT = (sys.executable, "-m", "surefoot")
+WIDE, NARROW = {"width": 1280, "height": 800}, {"width": 400, "height": 800}
+
+
+@contextmanager
+def running(*words: str) -> Iterator[str]:
+    """Run a command; give what its first line says behind the last blank, an address or a port."""
+    process = subprocess.Popen([*SUREFOOT, *words], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+    assert process.stdout is not None
+    try:
+        line = process.stdout.readline()
+        yield (re.findall(r"http\S+|/dev/\S+", line) or [line])[0]
+    finally:
+        process.terminate()
+        process.wait()
+
+
+def steer(page: Page, forward: float, left: float, seconds: float) -> None:
+    """Hold the joystick at shares of its reach."""
+    page.locator("#stick").scroll_into_view_if_needed()
+    box = page.locator("#stick").bounding_box()
+    assert box is not None
+    x, y, reach = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2, 0.4 * box["width"]
+    page.mouse.move(x, y)
+    page.mouse.down()
+    page.mouse.move(x - left * reach, y - forward * reach)
+    page.wait_for_timeout(1000 * seconds)
+
+
+if __name__ == "__main__":
+    with tempfile.TemporaryDirectory() as folder, running_browser(gives_way=Path(folder)) as browser:
+        with running("drive", "go2-steer", "--port", "0") as address:
+            for name, size in (("drive-wide", WIDE), ("drive-narrow", NARROW)):
+                page = browser.new_page(viewport=size)
+                page.goto(address)
+                page.wait_for_function("document.getElementById('state').textContent.includes('m/s')")
+                steer(page, 0.7, 0.4, 9.0)
+                page.screenshot(path=FOLDER / f"{name}.png")
+                page.close()
+        with running("emulate", "--robot", "go2") as port:
+            words = [*("--port", port, "--drive", "--page-port", "0", "--out", folder)]
+            with running("deploy", "go2-steer", *words) as address:
+                page = browser.new_page(viewport=WIDE)
+                page.goto(address)
+                page.wait_for_function("document.getElementById('state').textContent.startsWith('run')", timeout=90_000)
+                steer(page, 0.7, 0.4, 9.0)
+                page.screenshot(path=FOLDER / "deploy-page.png")
