@@ -267,9 +267,11 @@ def shift(rows: list[Row]) -> float:
 def test_sticks_of_a_gamepad_are_commands(running: Running, page: Page):
     pad = "navigator.getGamepads = () => [{ connected: true, axes: [0.05, -0.5, 1, 0] }]"
     page.evaluate(pad)
-    rows = running.drive.robot.rows
-    # Half of 1.5 m/s forward, to the right with all of 1 rad/s; a stick that is almost in its middle is in it.
-    running.until(lambda: rows[-1].command[0] == pytest.approx(0.75) and rows[-1].velocity[2] < -0.4)
+    rows, limits = running.drive.robot.rows, running.drive.robot.limits
+    assert limits is not None
+    half = pytest.approx(0.5 * limits.forward[1])
+    # A stick that is almost in its middle is in it.
+    running.until(lambda: rows[-1].command[0] == half and rows[-1].velocity[2] < -0.4)
     assert rows[-1].command[1] == 0.0
     page.evaluate("navigator.getGamepads = () => []")
     running.until(lambda: rows[-1].command[0] == 0.0)
