@@ -4,19 +4,18 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from surefoot.arrays import Array
 from surefoot.errors import SurefootError
 from surefoot.evaluate.rollout import Policy
 from surefoot.robot import PhysicalParams
-from surefoot.robot.commands import STAND
 from surefoot.rotations import in_heading_frame
+from surefoot.task.commands import HeldCommand
 from surefoot.task.config import TaskConfig
-from surefoot.task.env import LocomotionEnv
+from surefoot.task.env import LocomotionEnv, base_rates
 from surefoot.task.randomize import RandomizeConfig
 from surefoot.world.interface import SimulationFactory
 
@@ -43,24 +42,6 @@ class Knob:
     """Greatest value that the robot allows."""
     value: float
     """Present value; the motors' mean, where each has its own."""
-
-
-class _Held:
-    """A source of commands for an environment: the command that was given last."""
-
-    streams: tuple[np.random.Generator, ...] = ()
-
-    def __init__(self) -> None:
-        self.command = np.zeros((1, 3))
-
-    def reset(self, rows: NDArray[np.int64]) -> None:
-        self.command[rows] = STAND
-
-    def update(self, time: Array) -> None:
-        pass
-
-    def arrays(self) -> dict[str, NDArray[Any]]:
-        return {"command": self.command}
 
 
 @dataclass(frozen=True)
@@ -96,12 +77,11 @@ class DrivenRobot:
     def __init__(self, policy: Policy, task: TaskConfig, make_world: SimulationFactory, kept: int = 4000) -> None:
         pushes = replace(task.pushes, enabled=False)
         task = replace(task, pushes=pushes, max_steps=_MOST_STEPS, randomize=RandomizeConfig())
-        self.policy, self.env = policy, LocomotionEnv(task, 1, make_world, seed=1, autoreset=False, threads=1)
+        self._given = HeldCommand(1)
+        self.policy = policy
+        self.env = LocomotionEnv(task, 1, make_world, seed=1, autoreset=False, threads=1, source=self._given)
         self.robot, self.step_time = self.env.robot, float(self.env.world.params.control_step[0])
         self.limits = task.commands.limits(self.robot)
-        self._given = _Held()
-        if self.limits is not None:
-            self.env.source = self._given  # type: ignore[assignment]
         self.rows: deque[Row] = deque(maxlen=kept)
         self.falls, self.steps, self.restarts = 0, 0, 0
         self._push_until = self._stand_at = np.inf
@@ -194,10 +174,8 @@ class DrivenRobot:
             self.falls += int(fell[0])
             self._stand_at = self.time + _LIE_TIME
         truth = env.truth
-        moved = (truth.base_position_world - before.base_position_world) / self.step_time
-        velocity = in_heading_frame(moved, before.roll_pitch_yaw[:, 2])[0]
-        turned = truth.roll_pitch_yaw[0, 2] - before.roll_pitch_yaw[0, 2]
-        velocity[2] = ((turned + np.pi) % (2 * np.pi) - np.pi) / self.step_time
+        (velocity,), (turn,) = base_rates(before, truth, self.step_time)
+        velocity[2] = turn[2]
         state, torque = env.command_state, truth.motor_torque[0]
         command = np.full(3, np.nan) if state is None else state.command[0]
         heat = float(truth.heat.sum()) / self.step_time

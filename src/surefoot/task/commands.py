@@ -6,7 +6,7 @@ import csv
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -79,7 +79,7 @@ class CommandConfig:
         """Whether the task has commands at all."""
         return any(getattr(self, name) != (0.0, 0.0) for name in COMMANDS)
 
-    def source(self, limits: CommandLimits, num_envs: int, seed: int) -> CommandSampler | CommandSchedule:
+    def source(self, limits: CommandLimits, num_envs: int, seed: int) -> CommandSource:
         """Return what gives commands to the robots of a batch."""
         if self.schedule:
             return CommandSchedule([self.schedule], limits, num_envs)
@@ -194,6 +194,30 @@ class CommandSchedule:
         return {"command": self.command}
 
 
+class HeldCommand:
+    """Holds the commands that it was given last, until an episode starts.
+
+    Args:
+        num_envs: robots.
+    """
+
+    def __init__(self, num_envs: int) -> None:
+        self.streams: list[np.random.Generator] = []
+        self.command = np.zeros((num_envs, 3))
+        """Present commands; they may be written."""
+
+    def reset(self, rows: NDArray[np.int64]) -> None:
+        """Let robots whose episodes start stand."""
+        self.command[rows] = STAND
+
+    def update(self, time: Array) -> None:
+        """Keep the commands at any time (N,) [s]."""
+
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """Return the arrays that change over time, by name."""
+        return {"command": self.command}
+
+
 class CommandSampler:
     """Draws commands for each robot of a batch, each from its own stream.
 
@@ -242,6 +266,10 @@ class CommandSampler:
             self.command[i] = command
             self.until[i] += config.hold[0] + hold * (config.hold[1] - config.hold[0])
             self.drawn[i] += 1
+
+
+CommandSource: TypeAlias = CommandSampler | CommandSchedule | HeldCommand
+"""What gives commands to the robots of a batch."""
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from surefoot.arrays import Array
 from surefoot.robot import RobotDescription
 from surefoot.rotations import in_heading_frame
-from surefoot.task.commands import CommandFilter, CommandState
+from surefoot.task.commands import CommandFilter, CommandSource, CommandState
 from surefoot.task.config import TaskConfig
 from surefoot.task.observation import Moment, Observer, gait_phase
 from surefoot.task.pushes import Pusher
@@ -46,6 +46,22 @@ def has_fallen(roll_pitch_yaw: Array, limit: float) -> NDArray[np.bool_]:
     return np.any(np.abs(roll_pitch_yaw[:, :2]) > limit, axis=1)
 
 
+def base_rates(before: Truth, after: Truth, step: Array | float) -> tuple[Array, Array]:
+    """Return mean rates of the base over a control step, for N robots.
+
+    Args:
+        before: truth at the beginning.
+        after: truth at the end.
+        step: its duration [s], a number or (N, 1).
+
+    Returns:
+        Velocity in the heading frame of the beginning [m/s] and rates of roll, pitch and yaw [rad/s], (N, 3) each.
+    """
+    velocity = (after.base_position_world - before.base_position_world) / step
+    turned = (after.roll_pitch_yaw - before.roll_pitch_yaw + np.pi) % (2 * np.pi) - np.pi
+    return in_heading_frame(velocity, before.roll_pitch_yaw[:, 2]), turned / step
+
+
 class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
     """A batch of robots on one task.
 
@@ -64,6 +80,7 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
         seed: seeds every stream of random numbers.
         autoreset: whether robots start anew by themselves.
         threads: threads of the simulation; 0 means one a core.
+        source: gives the commands, if the task has any; what the task says, if None.
     """
 
     metadata = {"autoreset_mode": AutoresetMode.SAME_STEP, "render_modes": []}  # noqa: RUF012
@@ -76,8 +93,10 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
         seed: int = 0,
         autoreset: bool = True,
         threads: int = 0,
+        source: CommandSource | None = None,
     ) -> None:
         self.task, self.num_envs, self.autoreset, self._threads = task, num_envs, autoreset, threads
+        self._given_source = source
         self.robot = robot = RobotDescription.load(task.robot)
         self.gait = task.gait(robot)
         self.observer = Observer(robot, task.observations, self.gait.action_names)
@@ -105,7 +124,9 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
         self.pusher = Pusher(task.pushes, self.num_envs, seed)
         self.randomizer = Randomizer(task.randomize, self.robot, self.nominal, seed)
         limits = task.commands.limits(self.robot)
-        self.source = task.commands.source(limits, self.num_envs, seed) if limits else None
+        self.source: CommandSource | None = None
+        if limits:
+            self.source = self._given_source or task.commands.source(limits, self.num_envs, seed)
         self.commands = CommandFilter.of(self.gait.reference, limits, self.robot, self.num_envs) if limits else None
         self.over = np.zeros(self.num_envs, np.bool_)
         self.steps = np.zeros(self.num_envs, np.int64)
@@ -215,13 +236,12 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
     def _motion(self, before: Truth, last_feedback: Array) -> StepMotion:
         """Return the motion of the control step that just ended, which began with a truth and the feedback before."""
         truth, step = self.truth, self.world.params.control_step[:, None]
-        velocity = (truth.base_position_world - before.base_position_world) / step
-        turned = (truth.roll_pitch_yaw - before.roll_pitch_yaw + np.pi) % (2 * np.pi) - np.pi
+        velocity, turn = base_rates(before, truth, step)
         zero = np.zeros((self.num_envs, 3))
         return StepMotion(
             scales=self._scales,
-            velocity=in_heading_frame(velocity, before.roll_pitch_yaw[:, 2]),
-            turn=turned / step,
+            velocity=velocity,
+            turn=turn,
             tilt=truth.roll_pitch_yaw[:, :2],
             height=truth.base_position_world[:, 2] - self.start_position[:, 2],
             power=truth.energy / step[:, 0],

@@ -1,0 +1,143 @@
+"""A robot that is driven: commands, parameters and pushes in a running simulation, and what is refused."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+pytest.importorskip("mujoco")
+
+from surefoot.cli.policies import find_policy, load_gait
+from surefoot.errors import SurefootError
+from surefoot.evaluate.driven import FIXED, DrivenRobot
+from surefoot.evaluate.worlds import find_world
+from surefoot.world.mujoco_engine import BULLET_ONLY
+
+
+def driven(name: str, **changes: object) -> DrivenRobot:
+    policy, _, task, _ = load_gait(find_policy(name), None)
+    return DrivenRobot(policy, replace(task, **changes), find_world("mujoco"))
+
+
+@pytest.fixture(scope="module")
+def go2() -> DrivenRobot:
+    return driven("go2-steer")
+
+
+@pytest.fixture
+def robot(go2: DrivenRobot) -> DrivenRobot:
+    go2.restart()
+    return go2
+
+
+def run(robot: DrivenRobot, seconds: float) -> np.ndarray:
+    """Return the velocities of some time [s]."""
+    return np.array([robot.step().velocity for _ in range(round(seconds / robot.step_time))])
+
+
+def test_a_command_is_cut_to_the_limits_and_followed(robot: DrivenRobot):
+    assert robot.limits is not None
+    top = robot.limits.forward[1]
+    robot.command([10.0, 0.0, 0.0])
+    run(robot, 2.0)
+    assert robot.rows[-1].command[0] == pytest.approx(top)
+    assert run(robot, 1.0)[:, 0].mean() == pytest.approx(top, abs=0.15)
+    # An episode that starts begins with standing.
+    robot.restart()
+    assert robot.step().command[0] == 0.0
+
+
+def test_turning_is_the_third_number(robot: DrivenRobot):
+    robot.command([0.0, 0.0, 0.8])
+    run(robot, 1.5)
+    before = robot.env.truth.roll_pitch_yaw[0, 2]
+    turned = run(robot, 1.0)[:, 2]
+    after = robot.env.truth.roll_pitch_yaw[0, 2]
+    assert turned.sum() * robot.step_time == pytest.approx((after - before) % (2 * np.pi), abs=1e-9)
+    assert turned.mean() == pytest.approx(0.8, abs=0.15)
+
+
+def test_a_push_lasts_as_long_as_it_should_and_goes_with_the_heading(robot: DrivenRobot):
+    robot.command([0.0, 0.0, 1.0])
+    run(robot, 1.6)
+    robot.command([0.0, 0.0, 0.0])
+    run(robot, 1.0)
+    yaw = robot.env.truth.roll_pitch_yaw[0, 2]
+    assert abs(yaw) > 0.8
+    robot.push([0.0, 100.0, 0.0], 0.1)
+    speed = run(robot, 0.1)[-1]
+    # 100 N for .1 s give 16 kg a sideways speed of .6 m/s, less what feet on the ground take.
+    assert 0.2 < speed[1] < 0.65
+    assert abs(speed[0]) < 0.15
+    # After its end the feet stop the robot.
+    assert np.abs(run(robot, 1.5)[-20:, 1]).mean() < 0.1
+
+
+@pytest.mark.parametrize("force", [[np.nan, 0, 0], [0, 0, 1e9], [1, 2]])
+def test_a_push_that_makes_no_sense_is_refused(robot: DrivenRobot, force: list[float]):
+    with pytest.raises(SurefootError, match="push: must be up to 2000 N"):
+        robot.push(force, 0.1)
+    with pytest.raises(SurefootError, match="up to 10 s"):
+        robot.push([1.0, 0.0, 0.0], 11.0)
+
+
+def test_every_knob_can_be_set_and_has_the_value_that_was_set(robot: DrivenRobot):
+    knobs = robot.knobs()
+    assert not {knob.name for knob in knobs} & set(FIXED)
+    for knob in knobs:
+        value = float(np.clip(1.1 * knob.value + 1e-3, knob.low, knob.high))
+        if knob.name in BULLET_ONLY:
+            with pytest.raises(SurefootError, match="MuJoCo does not model it"):
+                robot.set(knob.name, value)
+            value = 0.0
+        else:
+            robot.set(knob.name, value)
+        now = next(one.value for one in robot.knobs() if one.name == knob.name)
+        assert now == pytest.approx(value, rel=1e-9), knob.name
+        robot.set(knob.name, knob.value)
+    robot.step()
+
+
+@pytest.mark.parametrize(("name", "value"), [("speed", 1.0), ("control_step", 0.01), ("base_mass_ratio", 99.0)])
+def test_a_knob_that_is_none_or_a_value_that_is_not_allowed(robot: DrivenRobot, name: str, value: float):
+    before = robot.env.world.params
+    with pytest.raises(SurefootError, match=name):
+        robot.set(name, value)
+    assert robot.env.world.params is before or np.array_equal(
+        robot.env.world.params.base_mass_ratio, before.base_mass_ratio
+    )
+
+
+def test_motors_that_differ_keep_their_ratios():
+    robot = driven("pupper_v2-trot")
+    kp = robot.env.nominal.servo_kp[0]
+    robot.set("servo_kp", 2.0 * float(kp.mean()))
+    assert robot.env.world.params.servo_kp[0] == pytest.approx(2.0 * kp)
+
+
+def test_a_robot_that_fell_lies_for_a_while_and_starts_again(robot: DrivenRobot):
+    falls, restarts = robot.falls, robot.restarts
+    robot.push([0.0, 1500.0, 0.0], 0.3)
+    run(robot, 1.2)
+    assert robot.falls == falls + 1
+    assert robot.restarts == restarts
+    run(robot, 2.0)
+    assert robot.restarts == restarts + 1
+    assert np.abs(robot.env.truth.roll_pitch_yaw[0, :2]).max() < 0.2
+
+
+def test_neither_pushes_nor_ranges_of_the_task_act():
+    robot = driven("go2-trot-robust")
+    run(robot, 1.0)
+    assert not robot.env.randomizer.enabled
+    assert not np.any(robot.env.pusher.force)
+
+
+def test_a_policy_without_commands_takes_none():
+    robot = driven("go2-trot")
+    assert robot.limits is None
+    with pytest.raises(SurefootError, match="this policy follows no commands"):
+        robot.command([0.0, 0.0, 0.0])
+    assert np.isnan(robot.step().command).all()
