@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
@@ -219,3 +220,5 @@ def finish(run: TrainingRun, folder: RunFolder, console: Console) -> None:
     print_summaries({name.replace("_", " "): summary for name, summary in results.items()})
     console.print(f"Policy, table, figures and video are in {folder.path}", soft_wrap=True)
     console.print(how_to_show([figures / "episode.npz"]), soft_wrap=True, highlight=False, markup=False)
+    drive = f"to drive it: surefoot drive {shlex.quote(str(folder.path / 'policy.onnx'))}"
+    console.print(drive, soft_wrap=True, highlight=False, markup=False)
