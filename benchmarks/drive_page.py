@@ -11,9 +11,10 @@ import os
 import shutil
 import threading
 import time
+from pathlib import Path
 
 import numpy as np
-from playwright.sync_api import sync_playwright
+from playwright.sync_api import Page, sync_playwright
 
 from surefoot.cli.drive import Drive
 from surefoot.report.page_server import PageServer
@@ -22,11 +23,19 @@ from surefoot.report.page_view import RobotView
 _COUNT = "window.pictures = 0; const count = () => { ++window.pictures; requestAnimationFrame(count); }; count()"
 
 
+def held(tabs: list[Page]) -> str:
+    """Say how much memory this process and the pages' scripts hold."""
+    pages = [int(tab.evaluate("performance.memory.usedJSHeapSize")) / 1e6 for tab in tabs]
+    resident = next(line for line in Path("/proc/self/status").read_text().splitlines() if line.startswith("VmRSS"))
+    return f"{int(resident.split()[1]) / 1e3:.0f} MB; scripts of the tabs {', '.join(f'{one:.0f} MB' for one in pages)}"
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--policy", default="go2-steer", help="a policy with commands")
     parser.add_argument("--seconds", type=float, default=20.0)
     parser.add_argument("--tabs", type=int, default=1)
+    parser.add_argument("--hours", type=float, default=0.0, help="then simulate so long at full speed: memory")
     given = parser.parse_args()
     path = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
     if path is None:
@@ -55,6 +64,13 @@ def main() -> None:
             time.sleep(0.03)
         shown, passed = tabs[0].evaluate("window.pictures"), time.perf_counter() - begin
         kept, sent = (drive.robot.time - simulated) / passed, view.frames - sent
+        memory = [held(tabs)]
+        if given.hours:
+            end, drive.speed = drive.robot.time + 3600.0 * given.hours, 1e6
+            while drive.robot.time < end:
+                tabs[0].mouse.move(x + reach * math.sin(time.time()), y - reach * math.cos(time.time()))
+                time.sleep(0.03)
+            memory.append(held(tabs))
         browser.close()
     stop.set()
     thread.join()
@@ -66,6 +82,7 @@ def main() -> None:
     middle, late = np.quantile(delays, [0.5, 0.99])
     print(f"joystick to command, ms: median {middle:.1f}, 99 % {late:.1f}, of {len(delays)}")
     print(f"share of real time {kept:.3f}")
+    print("memory: " + f"; after {given.hours:g} h of simulated driving ".join(memory))
 
 
 if __name__ == "__main__":
