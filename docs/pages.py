@@ -10,8 +10,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from chromium import running_browser
-from playwright.sync_api import Page
+from chromium import hold_stick, running_browser
 
 FOLDER = Path(__file__).parent
 SUREFOOT = (sys.executable, "-m", "surefoot")
@@ -31,18 +30,6 @@ def running(*words: str) -> Iterator[str]:
         process.wait()
 
 
-def steer(page: Page, forward: float, left: float, seconds: float) -> None:
-    """Hold the joystick at shares of its reach."""
-    page.locator("#stick").scroll_into_view_if_needed()
-    box = page.locator("#stick").bounding_box()
-    assert box is not None
-    x, y, reach = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2, 0.4 * box["width"]
-    page.mouse.move(x, y)
-    page.mouse.down()
-    page.mouse.move(x - left * reach, y - forward * reach)
-    page.wait_for_timeout(1000 * seconds)
-
-
 if __name__ == "__main__":
     with tempfile.TemporaryDirectory() as folder, running_browser(gives_way=Path(folder)) as browser:
         with running("drive", "go2-steer", "--port", "0") as address:
@@ -50,7 +37,8 @@ if __name__ == "__main__":
                 page = browser.new_page(viewport=size)
                 page.goto(address)
                 page.wait_for_function("document.getElementById('state').textContent.includes('m/s')")
-                steer(page, 0.7, 0.4, 9.0)
+                hold_stick(page, 0.28, 0.16)
+                page.wait_for_timeout(9000)
                 page.screenshot(path=FOLDER / f"{name}.png")
                 page.close()
         with running("emulate", "--robot", "go2") as port:
@@ -59,5 +47,6 @@ if __name__ == "__main__":
                 page = browser.new_page(viewport=WIDE)
                 page.goto(address)
                 page.wait_for_function("document.getElementById('state').textContent.startsWith('run')", timeout=90_000)
-                steer(page, 0.7, 0.4, 9.0)
+                hold_stick(page, 0.28, 0.16)
+                page.wait_for_timeout(9000)
                 page.screenshot(path=FOLDER / "deploy-page.png")

@@ -46,3 +46,14 @@ def errors_of(page: Page) -> list[str]:
     page.on("pageerror", lambda error: wrong.append(str(error)))
     page.on("console", lambda said: wrong.append(said.text) if said.type == "error" else None)
     return wrong
+
+
+def hold_stick(page: Page, forward: float, left: float) -> None:
+    """Press the mouse on the page's joystick and move it by shares of its width; `page.mouse.up()` lets go."""
+    page.locator("#stick").scroll_into_view_if_needed()
+    box = page.locator("#stick").bounding_box()
+    assert box is not None
+    x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+    page.mouse.move(x, y)
+    page.mouse.down()
+    page.mouse.move(x - left * box["width"], y - forward * box["height"])

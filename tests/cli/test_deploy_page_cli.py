@@ -18,7 +18,7 @@ pytest.importorskip("mujoco")
 pytest.importorskip("viser")
 pytest.importorskip("playwright")
 
-from chromium import errors_of, in_browser, running_browser
+from chromium import errors_of, hold_stick, in_browser, running_browser
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page
@@ -49,13 +49,7 @@ def test_a_page_drives_the_robot_which_stands_once_it_is_closed(
         page.wait_for_function("document.getElementById('state').textContent.startsWith('run')", timeout=40_000)
         assert page.locator("#policy").is_hidden()
         assert page.locator("#push").is_hidden()
-        page.locator("#stick").scroll_into_view_if_needed()
-        box = page.locator("#stick").bounding_box()
-        assert box is not None
-        middle = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
-        page.mouse.move(*middle)
-        page.mouse.down()
-        page.mouse.move(middle[0], middle[1] - 0.2 * box["height"])
+        hold_stick(page, 0.2, 0.0)
         page.wait_for_timeout(2500)
         assert page.evaluate("points[points.length - 1].heat") > 20.0  # degC, as the robot tells it
         # No tab, no fresh command: the robot stands.

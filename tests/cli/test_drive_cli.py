@@ -23,7 +23,7 @@ pytest.importorskip("viser")
 pytest.importorskip("playwright")
 
 import websockets
-from chromium import errors_of, in_browser, running_browser
+from chromium import errors_of, hold_stick, in_browser, running_browser
 from websockets.sync.client import connect
 
 from surefoot.cli import play
@@ -245,13 +245,7 @@ def heat(rows: list[Row]) -> float:
 @in_browser
 @pytest.mark.realtime
 def test_the_joystick_moves_the_robot_and_lets_it_stand(running: Running, page: Page):
-    page.locator("#stick").scroll_into_view_if_needed()
-    box = page.locator("#stick").bounding_box()
-    assert box is not None
-    middle = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
-    page.mouse.move(*middle)
-    page.mouse.down()
-    page.mouse.move(middle[0], middle[1] - 0.4 * box["height"])
+    hold_stick(page, 0.4, 0.0)
     running.until(lambda: running.drive.robot.rows[-1].command[0] > 0.5)
     running.until(lambda: running.drive.robot.rows[-1].velocity[0] > 0.5)
     page.mouse.up()
@@ -282,13 +276,7 @@ def test_sticks_of_a_gamepad_are_commands(running: Running, page: Page):
 @pytest.mark.realtime
 def test_the_joystick_goes_sideways_if_it_is_told_to(running: Running, page: Page):
     page.locator("#strafe").check()
-    page.locator("#stick").scroll_into_view_if_needed()
-    box = page.locator("#stick").bounding_box()
-    assert box is not None
-    middle = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
-    page.mouse.move(*middle)
-    page.mouse.down()
-    page.mouse.move(middle[0] - 0.5 * box["width"], middle[1])
+    hold_stick(page, 0.0, 0.5)
     rows = running.drive.robot.rows
     running.until(lambda: rows[-1].command[1] == pytest.approx(0.5, abs=0.02) and rows[-1].velocity[1] > 0.2)
     page.mouse.up()
