@@ -6,6 +6,11 @@ function sheet(id) {
   const pen = canvas.getContext("2d"); pen.clearRect(0, 0, width, height); pen.font = "11px system-ui";
   return [pen, width, height];
 }
+// A text that can be read on top of lines; y is its base line.
+function label(pen, text, y, color) {
+  pen.fillStyle = "rgba(255, 255, 255, .8)"; pen.fillRect(2, y - 10, pen.measureText(text).width + 2, 13);
+  pen.fillStyle = color; pen.fillText(text, 3, y);
+}
 // Lines of a color; what is plotted reaches from `low` or below to `high` or above. `dash` is a pattern of a line.
 function drawLines(id, x, lines, low = 0, high = 0.1) {
   const [pen, width, height] = sheet(id), values = lines.flatMap(line => line.points.map(p => p[1])).filter(v => v !== null);
@@ -21,7 +26,7 @@ function drawLines(id, x, lines, low = 0, high = 0.1) {
     }
     pen.stroke();
   }
-  pen.fillStyle = "#6b7480"; pen.fillText(high.toFixed(2), 3, 12); pen.fillText(low.toFixed(2), 3, height - 4);
+  label(pen, high.toFixed(2), 12, "#6b7480"); label(pen, low.toFixed(2), height - 4, "#6b7480");
 }
 // Rows with a name, filled up to each time whose value is true.
 function drawSteps(id, x, rows) {
@@ -30,6 +35,6 @@ function drawSteps(id, x, rows) {
     pen.fillStyle = color;
     points.forEach(([time, on], i) => { if (i && on) pen.fillRect(width * x(points[i - 1][0]), k * tall + 2,
       width * (x(time) - x(points[i - 1][0])) + .5, Math.max(tall - 4, 1)); });
-    pen.fillStyle = "#22272e"; pen.fillText(name, 3, (k + .7) * tall);
+    label(pen, name, (k + .7) * tall, "#22272e");
   });
 }
