@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import signal
 import subprocess
+import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -38,6 +39,7 @@ TINY = (
 def page(tmp_path: Path) -> Iterator[Page]:
     with running_browser() as browser:
         page = browser.new_page(viewport={"width": 500, "height": 400})
+        page.set_default_timeout(60_000)  # the page gives way to the training
         # Without the 3D view, which would take the time that the training needs.
         page.route("**/view?*", lambda route: route.fulfill(body="", content_type="text/html"))
         yield page
@@ -50,6 +52,8 @@ def test_the_page_shows_newer_policies_until_the_training_stops(page: Page, tmp_
         [*SUREFOOT, "train", *words, "--browser", "--page-port", "0"],
         cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
     )  # fmt: skip
+    patience = threading.Timer(200.0, train.kill)
+    patience.start()
     try:
         assert train.stdout is not None
         address = next(line for line in train.stdout if line.startswith("http")).split()[0]
@@ -71,6 +75,7 @@ def test_the_page_shows_newer_policies_until_the_training_stops(page: Page, tmp_
         said, _ = train.communicate(timeout=60)
         assert train.returncode == 130, said
     finally:
+        patience.cancel()
         train.kill()
     assert not newest.exists()
     page.wait_for_function("document.getElementById('role').textContent.includes('has ended')")
