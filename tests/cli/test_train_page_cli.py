@@ -31,7 +31,7 @@ pytestmark = pytest.mark.slow
 
 TINY = (
     *("steer", "--task.robot", "go2", "--num-envs", "8", "--steps-per-update", "16", "--threads", "1"),
-    *("--learning-threads", "1", "--evaluate-every", "1000000", "--evaluation-episodes", "2"),
+    *("--learning-threads", "1", "--evaluate-every", "1000000", "--evaluation-episodes", "2", "--task.max-steps", "60"),
 )
 
 
