@@ -189,8 +189,8 @@ def test_a_training_takes_the_options():
     from surefoot.cli.train import _parse
 
     words = "trot --actuator constraint --control-latency=0 --task.max-steps 60 --runs r --servo_latency 3e-3 --pushes"
-    config, root = _parse(words.split())
-    assert (config.task.actuator, root) == ("constraint", Path("r"))
+    config, command = _parse(words.split())
+    assert (config.task.actuator, command.runs) == ("constraint", Path("r"))
     assert config.task.params == {"control_latency": 0.0, "servo_latency": 0.003}
     assert (config.task.max_steps, config.task.pushes.enabled) == (60, True)
     assert _parse(["trot"])[0].task.actuator == "dc"

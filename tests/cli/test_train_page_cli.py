@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import signal
 import subprocess
 import threading
 import time
@@ -46,7 +45,7 @@ def page(tmp_path: Path) -> Iterator[Page]:
 
 
 @in_browser
-def test_the_page_shows_newer_policies_until_the_training_stops(page: Page, tmp_path: Path):
+def test_the_page_shows_newer_policies_and_ends_with_the_training(page: Page, tmp_path: Path):
     words = [*TINY, "--steps", "10000000"]
     train = subprocess.Popen(
         [*SUREFOOT, "train", *words, "--browser", "--page-port", "0"],
@@ -71,13 +70,10 @@ def test_the_page_shows_newer_policies_until_the_training_stops(page: Page, tmp_
         page.wait_for_function(f"points[points.length - 1].time > {seen} + 1.5")
         assert newest.stat().st_mtime_ns > first
         assert wrong == []
-        train.send_signal(signal.SIGINT)
-        said, _ = train.communicate(timeout=60)
-        assert train.returncode == 130, said
     finally:
         patience.cancel()
         train.kill()
-    assert not newest.exists()
+    # The page's process does not outlive a training, not even one that is killed.
     page.wait_for_function("document.getElementById('role').textContent.includes('has ended')")
 
 

@@ -11,6 +11,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -44,7 +45,8 @@ class TrainingPage:
         self._run, self._file = run, run.folder.path / "newest.onnx"
         self._write()
         words = [sys.executable, "-m", __name__, str(self._file), run.config.world, str(port)]
-        self._process = subprocess.Popen(words)
+        # A session of its own: Ctrl-C is for the training. Its input ends with this process, however that ends.
+        self._process = subprocess.Popen(words, stdin=subprocess.PIPE, start_new_session=True)
 
     def update(self) -> None:
         """Write the policy, if the last one is old."""
@@ -61,7 +63,7 @@ class TrainingPage:
     def close(self) -> None:
         """End the page, and remove the file."""
         self._process.terminate()
-        self._process.wait()
+        self._process.communicate()
         self._file.unlink(missing_ok=True)
 
 
@@ -89,9 +91,14 @@ class NewestPolicy(Drive):
                 self.robot.policy, self._seen = PolicyRuntime.load(self._file), written
 
 
+def _end_with_input() -> None:
+    sys.stdin.read()
+    os.kill(os.getpid(), signal.SIGTERM)
+
+
 def main(argv: list[str]) -> int:
-    """Run the page's process, with the words FILE WORLD PORT, until it is terminated."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the training hears it too, and ends the page
+    """Run the page's process, with the words FILE WORLD PORT, until it is terminated or its input ends."""
+    threading.Thread(target=_end_with_input, daemon=True).start()
     with contextlib.suppress(OSError):
         os.nice(_NICE)
     file, world, port = argv
