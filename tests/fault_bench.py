@@ -464,6 +464,7 @@ def play(scenario: Scenario, folder: Path, policies: Path) -> Ended:
             ended = in_this_process(words, folder, scenario)
     finally:
         cable.close()
+        robot.hear_out(PATIENCE)
         summary = robot.stop()
     ended.record, ended.refusal, ended.summary = cable.record, refusals[-1], summary
     return ended

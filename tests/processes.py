@@ -95,6 +95,18 @@ class EmulatorHere:
     def unread(self) -> int:
         return self._pty.unread
 
+    def hear_out(self, patience: float) -> None:
+        """Wait [s] until it has heard, in lockstep, all that hosts said that have left."""
+        heard, deserted = threading.Event(), self._pty.deserted
+
+        def look() -> bool:
+            if left := deserted():
+                heard.set()
+            return left
+
+        with mock.patch.object(self._pty, "deserted", look):
+            assert heard.wait(patience)
+
     def stop(self) -> str:
         """End it; return the line that sums up."""
         self._summary.stop = True
