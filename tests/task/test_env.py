@@ -11,9 +11,11 @@ from gymnasium.vector import AutoresetMode
 from scripted import ScriptedWorld
 
 from surefoot.errors import SurefootError
+from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.task.config import FeedbackConfig, ReferenceConfig, TaskConfig, WaveConfig, load_task
 from surefoot.task.env import LocomotionEnv, has_fallen, locomotion_reward
 from surefoot.task.pushes import PushConfig
+from surefoot.world.interface import Truth
 from surefoot.world.sim_world import SimWorld
 
 FEEDBACK = FeedbackConfig(swing=(-0.5, 0.5), extension=(1.0, 2.0))
@@ -290,11 +292,30 @@ def test_target_speed_limits_the_progress_of_an_environments_reward():
     np.testing.assert_allclose(reward, [0.0024 - 0.00048, 0.003 - 0.00048])
 
 
+def at(angles: list[tuple[float, float, float]], height: float = 0.2) -> Truth:
+    """Truth of robots with roll, pitch and yaw [rad] and a base at a height [m]."""
+    robot = RobotDescription.load("minitaur")
+    world = ScriptedWorld(robot, len(angles), PhysicalParams.nominal(robot))
+    position = np.tile([0.0, 0.0, height], (len(angles), 1))
+    return replace(world.truth(), roll_pitch_yaw=np.array(angles), base_position_world=position)
+
+
 def test_fall():
     upright = [(0.0, 0.0, 0.0), (0.499, -0.499, 0.0), (0.5, 0.5, 0.0), (0.0, 0.0, 3.0)]
     fallen = [(0.501, 0.0, 0.0), (0.0, 0.501, 0.0), (-0.501, 0.0, 0.0), (0.0, -0.501, 0.0)]
-    assert has_fallen(np.array(upright + fallen), 0.5).tolist() == [False] * 4 + [True] * 4
-    assert has_fallen(np.array(upright), 0.4).tolist() == [False, True, True, False]
+    assert has_fallen(at(upright + fallen), 0.5).tolist() == [False] * 4 + [True] * 4
+    assert has_fallen(at(upright), 0.4).tolist() == [False, True, True, False]
+    assert has_fallen(at(upright, -0.1), 0.5).tolist() == [False] * 4
+    assert has_fallen(at(upright, 0.081), 0.5, 0.08).tolist() == [False] * 4
+    assert has_fallen(at(upright, 0.079), 0.5, 0.08).tolist() == [True] * 4
+
+
+@pytest.mark.parametrize(("height", "fallen"), [(0.0, False), (0.19, False), (0.21, True)])
+def test_a_base_below_the_fall_height_ends_the_episode(height, fallen):
+    # The scripted base is .2 m high.
+    env = LocomotionEnv(replace(load_task("trot")[0], fall_height=height), 2, ScriptedWorld, autoreset=False)
+    env.reset()
+    assert env.step(np.zeros((2, 8)))[2].tolist() == [fallen] * 2
 
 
 # --- commands ---------------------------------------------------------------------------------------------

@@ -168,6 +168,9 @@ class TaskConfig:
     """Speed forward [m/s] up to which the reward counts progress; beyond it only energy counts. None: any speed."""
     fall_angle: Annotated[float, Within(0, math.pi)] = 0.5
     """Roll or pitch [rad] beyond which an episode ends."""
+    fall_height: Annotated[float, Within(0, 10)] = 0.0
+    """Height of the base's origin over the floor's mean [m] below which an episode ends; 0: none. It keeps gaits from
+    crawling on the belly."""
     max_steps: Annotated[int, Within(1, MOST_STEPS)] = 1000
     """Control steps of an episode."""
     commands: CommandConfig = field(default_factory=CommandConfig)

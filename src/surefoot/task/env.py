@@ -38,12 +38,13 @@ def locomotion_reward(displacement: Array, energy: Array, energy_weight: float, 
     return np.minimum(displacement, most) - energy_weight * energy
 
 
-def has_fallen(roll_pitch_yaw: Array, limit: float) -> NDArray[np.bool_]:
-    """Return whether roll or pitch is beyond `limit` [rad] (N,), by true angles (N, 3).
+def has_fallen(truth: Truth, angle: float, height: float = 0.0) -> NDArray[np.bool_]:
+    """Return whether roll or pitch is beyond `angle` [rad], or the base's origin below `height` [m] if not 0, (N,).
 
     Tan et al. 2018, section IV-C: an episode ends when the base tilts by more than .5 rad; the axis is not stated.
     """
-    return np.any(np.abs(roll_pitch_yaw[:, :2]) > limit, axis=1)
+    tilted = np.any(np.abs(truth.roll_pitch_yaw[:, :2]) > angle, axis=1)
+    return tilted | (truth.base_position_world[:, 2] < height) if height else tilted
 
 
 def base_rates(before: Truth, after: Truth, step: Array | float) -> tuple[Array, Array]:
@@ -211,7 +212,7 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
         reward[diverged | self.over] = 0.0
         self.steps += ~self.over
         self.returns += reward
-        terminated = (has_fallen(self.truth.roll_pitch_yaw, task.fall_angle) | diverged) & ~self.over
+        terminated = (has_fallen(self.truth, task.fall_angle, task.fall_height) | diverged) & ~self.over
         truncated = ~terminated & ~self.over & (self.steps >= task.max_steps)
         done = terminated | truncated
         info: dict[str, Any] = {}
