@@ -32,7 +32,7 @@ def held(tabs: list[Page]) -> str:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--policy", default="go2-steer", help="a policy with commands")
+    parser.add_argument("--policy", default="go2-steer", help="one without commands has no delay to measure")
     parser.add_argument("--seconds", type=float, default=20.0)
     parser.add_argument("--tabs", type=int, default=1)
     parser.add_argument("--hours", type=float, default=0.0, help="then simulate so long at full speed: memory")
@@ -79,8 +79,9 @@ def main() -> None:
     delays = 1e3 * np.array(drive.delays)
     print(f"load of {os.cpu_count()} cores {os.getloadavg()[0]:.1f}, tabs {given.tabs}")
     print(f"pictures sent {sent / passed:.1f} /s, drawn in software {shown / passed:.1f} /s")
-    middle, late = np.quantile(delays, [0.5, 0.99])
-    print(f"joystick to command, ms: median {middle:.1f}, 99 % {late:.1f}, of {len(delays)}")
+    if delays.size:
+        middle, late = np.quantile(delays, [0.5, 0.99])
+        print(f"joystick to command, ms: median {middle:.1f}, 99 % {late:.1f}, of {len(delays)}")
     print(f"share of real time {kept:.3f}")
     print("memory: " + f"; after {given.hours:g} h of simulated driving ".join(memory))
 

@@ -1,4 +1,4 @@
-"""Take the pictures of the pages in docs/drive.md with a real browser: PYTHONPATH=tests python docs/pages.py."""
+"""Take the pictures of surefoot's pages with a real browser: PYTHONPATH=tests python docs/pages.py."""
 
 from __future__ import annotations
 
@@ -50,3 +50,9 @@ if __name__ == "__main__":
                 hold_stick(page, 0.28, 0.16)
                 page.wait_for_timeout(9000)
                 page.screenshot(path=FOLDER / "deploy-page.png")
+        written = Path(folder) / "paper.html"
+        subprocess.run([*SUREFOOT, "paper", "--out", written], check=True)
+        page = browser.new_page(viewport={"width": 985, "height": 1100})
+        page.goto(written.as_uri())
+        page.get_by_role("heading", name="galloping from scratch").evaluate("heading => heading.scrollIntoView()")
+        page.screenshot(path=FOLDER / "paper.png")

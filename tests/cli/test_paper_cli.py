@@ -168,7 +168,7 @@ def test_all_runs_are_commands_that_are_understood(repository: Path, tmp_path: P
     for stage in paper_runs.STAGES:
         stage.make(quick)
     told = {tuple(words) for words in said}
-    assert ("train", "trot", "--runs", "runs", "--steps", "200000") in told
+    assert ("train", "trot", "--runs", "runs", "--steps", "300000") in told
     assert (tmp_path / "policies/trot.onnx").exists()
     assert (tmp_path / "policies/trot/footfalls.png").exists()
     assert (tmp_path / "results/policies/trot.json").read_text() == "what policies/trot.onnx did\n"

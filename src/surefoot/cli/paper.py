@@ -25,7 +25,7 @@ class PaperCommand:
     out: Path = Path("paper.html")
     """File of the page (.html)."""
     quick: bool = False
-    """Make a small version of everything first: under an hour on two cores."""
+    """Make a small version of everything first: some twenty minutes on two cores."""
     full: bool = False
     """Make everything first: days on two cores, fewer on a cluster."""
     folder: Path | None = None

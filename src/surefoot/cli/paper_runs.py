@@ -180,7 +180,7 @@ def search(runs: Runs) -> None:
 
 STAGES = (
     Stage("docs/motor.png", motor_figure),
-    *(train(task, steps) for task, steps in zip(POLICIES, (300_000, 200_000, 200_000, 200_000), strict=True)),
+    *(train(task, steps) for task, steps in zip(POLICIES, (800_000, 300_000, 400_000, 800_000), strict=True)),
     *(evaluate(f"results/policies/{task}.json", task) for task in POLICIES),
     *(evaluate(f"results/policies/{task}-ensemble.json", task, "--world", "ensemble") for task in POLICIES),
     *(
