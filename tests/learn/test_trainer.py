@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import os
+import re
+import subprocess
+import sys
 from dataclasses import replace
 from typing import Any
 
@@ -56,3 +60,12 @@ def test_robust_presets_draw_table_1_and_feet_of_any_stiffness(preset):
     config: TrainConfig = load_train_config(preset)
     stiffness = {"contact_stiffness": (3000.0, 30000.0)}
     assert config.task.randomize.ranges == load_ranges("table1").ranges | stiffness
+
+
+def test_threads_of_torch_wait_asleep() -> None:
+    words = [sys.executable, "-c", "import surefoot.learn.trainer"]
+    # OpenMP prints its settings when it is loaded.
+    environment = {key: value for key, value in os.environ.items() if key != "OMP_WAIT_POLICY"}
+    environment["OMP_DISPLAY_ENV"] = "true"
+    printed = subprocess.run(words, env=environment, capture_output=True, text=True, check=True).stderr
+    assert re.findall(r"OMP_WAIT_POLICY\s*=\s*'(\w+)'", printed) == ["PASSIVE"]
