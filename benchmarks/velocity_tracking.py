@@ -4,6 +4,10 @@ The time runs from the start of training (models built, compiled code loaded) to
 is run on fresh commands, one for each robot: 8 s from standing, of which the first second does not count. Errors are
 root mean squares of speed forward and sideways [m/s] and yaw rate [rad/s], of every control step and averaged over a
 stride. Episodes that fell count up to the fall.
+
+    python benchmarks/velocity_tracking.py --robot go2 --minutes 8 --every 1 --seed 0 --out curves/reference-0.csv
+
+writes errors on the way too, for `velocity_curves.py`.
 """
 
 from __future__ import annotations
@@ -12,6 +16,7 @@ import argparse
 import json
 import time
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -22,6 +27,8 @@ from surefoot.evaluate.rollout import run_episodes
 from surefoot.evaluate.tracking import STRIDE, Tracking
 from surefoot.learn.config import load_train_config
 from surefoot.learn.trainer import Trainer
+from surefoot.robot.commands import COMMANDS
+from surefoot.tables import write_csv
 from surefoot.task.config import FeedbackConfig, ReferenceConfig, TaskConfig
 from surefoot.task.pushes import PushConfig
 from surefoot.world.sim_world import SimWorld
@@ -71,6 +78,19 @@ def measure(trainer: Trainer, episodes: int) -> dict[str, Any]:
     }
 
 
+def write_curve(path: Path, run: dict[str, Any], curve: list[dict[str, Any]]) -> None:
+    """Write a row for each point of the curve, after the columns that name the run."""
+    rows = []
+    for point in curve:
+        errors = {
+            f"{command}{ending}": error
+            for ending in ("", "_stride")
+            for command, error in zip(COMMANDS, point[f"rmse{ending}"], strict=True)
+        }
+        rows.append({**run, **{name: value for name, value in point.items() if "rmse" not in name}, **errors})
+    write_csv(path, rows)
+
+
 def main() -> int:
     """Train for some minutes and print the errors."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
@@ -82,11 +102,14 @@ def main() -> int:
     parser.add_argument("--every", type=float, default=0.0, help="minutes between errors on the way, outside the time")
     parser.add_argument("--threads", type=int, default=0, help="of simulation and learning; 0: one a core")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
+    parser.add_argument("--out", type=Path, help="CSV file for the errors on the way")
     options = parser.parse_args()
     config = replace(load_train_config("steer", options.robot), seed=options.seed, threads=options.threads)
     config = replace(config, learning_threads=options.threads)
     if options.scratch:
         config = replace(config, task=from_scratch(config.task))
+    run = {"robot": options.robot, "start": "scratch" if options.scratch else "reference"}
+    run |= {"seed": options.seed, "threads": options.threads}
     spent = 0.0
     curve: list[dict[str, Any]] = []
     start = time.perf_counter()
@@ -98,6 +121,8 @@ def main() -> int:
             curve.append(
                 {"seconds": round(spent, 1), "control_steps": trainer.steps, **measure(trainer, options.episodes)}
             )
+            if options.out:
+                write_curve(options.out, run, curve)
             if not options.json:
                 print(curve[-1], flush=True)
         start = time.perf_counter()

@@ -1,0 +1,120 @@
+"""Error of following commands over minutes of training, with a reference gait and from scratch.
+
+    python benchmarks/velocity_curves.py results/steer
+
+Reads the folder's CSV files, one for each run of `velocity_tracking.py --every MINUTES --out FILE`, draws curves.png
+there, and prints after how many minutes of training all three errors were first under some limits, with the factor
+between the geometric means of the two groups and its Welch interval of 95 % over seeds. Times are those of the
+points that were measured, so they are known to the minutes between two points.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+from itertools import chain
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import tyro
+
+from surefoot.arrays import Array
+from surefoot.evaluate.statistics import Interval, welch_interval
+from surefoot.report.style import COLORS, new_figure
+from surefoot.robot.commands import COMMANDS
+from surefoot.tables import print_table
+
+LIMITS = {"": ((0.10, 0.08, 0.20), (0.05, 0.05, 0.12)), "_stride": ((0.04, 0.04, 0.06),)}
+"""Errors forward and sideways [m/s] and of the yaw rate [rad/s] to get under, at once and over strides."""
+WINDOW = 300.0
+"""Training time at the end of a run over which errors are averaged [s]."""
+STARTS = {"reference": "reference and feedback", "scratch": "from scratch"}
+_NAMES = ("forward (m/s)", "sideways (m/s)", "yaw rate (rad/s)")
+
+Run = dict[str, Array]
+"""Columns of one run, each (points,)."""
+
+
+def read_runs(folder: Path) -> dict[str, list[Run]]:
+    """Return the runs of each start."""
+    runs: dict[str, list[Run]] = {start: [] for start in STARTS}
+    for path in sorted(folder.glob("*.csv")):
+        with path.open(newline="") as file:
+            rows = list(csv.DictReader(file))
+        columns = {name: np.array([row[name] for row in rows]) for name in rows[0]}
+        start = str(columns.pop("start")[0])
+        columns.pop("robot")
+        runs[start].append({name: np.asarray(column, np.float64) for name, column in columns.items()})
+    return runs
+
+
+def errors(run: Run, ending: str) -> Array:
+    """Return errors (points, 3) at once (ending "") or over strides ("_stride")."""
+    return np.stack([run[command + ending] for command in COMMANDS], axis=1)
+
+
+def first_under(run: Run, ending: str, limit: tuple[float, ...]) -> float:
+    """Return the minutes at the first point with all errors under their limits; NaN if there is none."""
+    under = (errors(run, ending) < limit).all(axis=1)
+    return float(run["seconds"][under.argmax()] / 60) if under.any() else math.nan
+
+
+def factor(times: list[float], base: list[float]) -> Interval:
+    """Return how many times longer, from the logarithms of times."""
+    found = welch_interval(np.log(times), np.log(base))
+    return Interval(math.exp(found.mean), math.exp(found.low), math.exp(found.high))
+
+
+def draw(runs: dict[str, list[Run]], path: Path) -> None:
+    """Draw every run's errors at once over minutes."""
+    with new_figure(path, (10.0, 3.4), 1, len(_NAMES), sharex=True) as (_, axes):
+        for k, (ax, name) in enumerate(zip(axes, _NAMES, strict=True)):
+            for color, (start, group) in zip(COLORS, runs.items(), strict=False):
+                for number, run in enumerate(group):
+                    label = STARTS[start] if number == 0 else None
+                    ax.loglog(run["seconds"] / 60, errors(run, "")[:, k], color=color, alpha=0.8, label=label)
+            ax.set_title(f"error {name}")
+            ax.set_xlabel("training (min)")
+            ax.set_xticks(ticks := [0.5, 1, 2, 4, 8, 15, 30, 60], [f"{tick:g}" for tick in ticks])
+            ax.set_yticks(ticks := [0.02, 0.05, 0.1, 0.2, 0.5], [f"{tick:g}" for tick in ticks])
+            ax.minorticks_off()
+        axes[0].legend()
+
+
+def main(folder: Annotated[Path, tyro.conf.Positional] = Path("results/steer")) -> None:
+    """Print the tables and draw the figure."""
+    runs = read_runs(folder)
+    table = []
+    for ending, limits in LIMITS.items():
+        for limit in limits:
+            times = {start: [first_under(run, ending, limit) for run in group] for start, group in runs.items()}
+            known = all(map(math.isfinite, chain(*times.values())))
+            texts = {STARTS[start]: ", ".join(f"{time:.1f}" for time in group) for start, group in times.items()}
+            table.append(
+                {
+                    "errors under": " ".join(f"{bound:.2f}" for bound in limit),
+                    "of": "strides" if ending else "every step",
+                    **texts,
+                    "factor": factor(times["scratch"], times["reference"]).text(1) if known else "",
+                }
+            )
+    print_table(table, "Minutes of training to errors, for each seed", text_columns=2)
+    table = []
+    for start, group in runs.items():
+        for run in group:
+            late = run["seconds"] > run["seconds"][-1] - WINDOW
+            means = {
+                f"{command}{' over strides' if ending else ''}": f"{mean:.3f}"
+                for ending in LIMITS
+                for command, mean in zip(COMMANDS, errors(run, ending)[late].mean(axis=0), strict=True)
+            }
+            whole = {name: f"{run[name][0]:.0f}" for name in ("seed", "episodes")}
+            minutes, falls = f"{run['seconds'][-1] / 60:.0f}", f"{run['falls'][late].sum():.0f}"
+            table.append({"start": STARTS[start], **whole, "minutes": minutes, **means, "falls": falls})
+    print_table(table, f"Mean errors of the last {WINDOW / 60:g} minutes of training", text_columns=1)
+    draw(runs, folder / "curves.png")
+
+
+if __name__ == "__main__":
+    tyro.cli(main)
