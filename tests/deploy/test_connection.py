@@ -6,51 +6,51 @@ import numpy as np
 import pytest
 
 from surefoot.deploy.clock import LockstepClock
-from surefoot.deploy.connection import LEAD, RobotConnection
 from surefoot.deploy.messages import Arm, Mode
+from surefoot.deploy.robot_link import LEAD, RobotLink
 from surefoot.deploy.serial.codec import Codec
-from surefoot.deploy.serial.serial_link import Link
+from surefoot.deploy.serial.serial_link import SerialLink
 from surefoot.emulator.firmware import Firmware
 from surefoot.errors import SurefootError
 
 
-def operator_of(toy, session: int) -> RobotConnection:
+def operator_of(toy, session: int) -> RobotLink:
     clock = LockstepClock()
-    return RobotConnection(Link(toy, toy.codec, clock), clock, session)
+    return SerialLink(toy, toy.codec, clock, session)
 
 
-def test_a_greeting_is_answered_and_states_follow(connection):
-    handshake = connection.connect(state_period=0.006)
+def test_a_greeting_is_answered_and_states_follow(link):
+    handshake = link.connect(state_period=0.006)
     assert handshake.session == 77
     assert handshake.robot == "minitaur"
-    assert connection.wait_for(lambda: connection.states >= 3, 0.1)
-    assert connection.state.mode == Mode.DISARMED
-    assert connection.state_age() <= 0.006 + 1e-9
+    assert link.wait_for(lambda: link.states >= 3, 0.1)
+    assert link.state.mode == Mode.DISARMED
+    assert link.state_age() <= 0.006 + 1e-9
 
 
-def test_a_robot_can_be_greeted_again_after_it_was_switched_on_anew(toy, connection):
-    connection.connect(state_period=0.006)
-    connection.wait_for(lambda: False, 0.1)
+def test_a_robot_can_be_greeted_again_after_it_was_switched_on_anew(toy, link):
+    link.connect(state_period=0.006)
+    link.wait_for(lambda: False, 0.1)
     toy.firmware = Firmware(toy.codec, toy.firmware.introduction, toy.firmware.limits)
-    again = connection.connect(state_period=0.006)
+    again = link.connect(state_period=0.006)
     assert again.session == 77
-    states = connection.states
-    assert connection.wait_for(lambda: connection.states >= states + 3, 0.1)
+    states = link.states
+    assert link.wait_for(lambda: link.states >= states + 3, 0.1)
 
 
-def test_what_a_robot_tells_another_operator_is_forgotten(toy, connection):
+def test_what_a_robot_tells_another_operator_is_forgotten(toy, link):
     before = operator_of(toy, 5)
     before.connect(state_period=0.006)
     toy.run_to(50_000)
-    connection.clock.wait_until(0.05)
-    connection.update()
-    assert connection.state.session == 5
+    link.clock.wait_until(0.05)
+    link.update()
+    assert link.state.session == 5
     toy.firmware.owner = 0
-    connection.connect(state_period=0.5)
-    assert connection.state is None
+    link.connect(state_period=0.5)
+    assert link.state is None
 
 
-def test_a_greeting_that_comes_twice_changes_nothing(toy, connection):
+def test_a_greeting_that_comes_twice_changes_nothing(toy, link):
     said = []
     say = toy._say
 
@@ -60,89 +60,89 @@ def test_a_greeting_that_comes_twice_changes_nothing(toy, connection):
         said.append(bytes(toy._out[before:]))
 
     toy._say = keep
-    first = connection.connect(state_period=0.006)
-    connection.wait_for(lambda: connection.states > 3, 0.1)
-    state, sync = connection.state, connection.sync.offset
+    first = link.connect(state_period=0.006)
+    link.wait_for(lambda: link.states > 3, 0.1)
+    state, sync = link.state, link.sync.offset
     for data in said:
         toy._out += data
-    connection.update()
-    assert connection.handshake is first
-    assert connection.state is state
-    assert connection.sync.offset == sync
+    link.update()
+    assert link.handshake is first
+    assert link.state is state
+    assert link.sync.offset == sync
 
 
 def test_silence_is_told_in_one_line(toy, monkeypatch):
-    connection = operator_of(toy, 5)
-    monkeypatch.setattr(connection.link, "send", lambda message: 0)
-    monkeypatch.setattr(connection.clock, "wait_until", lambda moment: setattr(connection.clock, "_now", moment))
+    link = operator_of(toy, 5)
+    monkeypatch.setattr(link, "send", lambda message: 0)
+    monkeypatch.setattr(link.clock, "wait_until", lambda moment: setattr(link.clock, "_now", moment))
     with pytest.raises(SurefootError, match="no robot answers within 2 s; check port, cable"):
-        connection.connect()
+        link.connect()
 
 
-def test_a_second_operator_is_refused_and_the_first_keeps_the_robot(toy, connection):
-    connection.connect()
-    connection.arm(Mode.POSITION, 0.006)
+def test_a_second_operator_is_refused_and_the_first_keeps_the_robot(toy, link):
+    link.connect()
+    link.arm(Mode.POSITION, 0.006)
     stranger = operator_of(toy, 78)
     with pytest.raises(SurefootError, match="the robot refuses: another operator has the robot"):
         stranger.connect()
     assert toy.firmware.owner == 77
 
 
-def test_a_robot_of_another_protocol_is_named(toy, connection):
-    connection.link.decoder.codec = Codec(8)
-    connection.link.decoder.codec.schema ^= 1
+def test_a_robot_of_another_protocol_is_named(toy, link):
+    link.decoder.codec = Codec(8)
+    link.decoder.codec.schema ^= 1
     with pytest.raises(SurefootError, match="speaks version 1 and schema 0x"):
-        connection.connect()
+        link.connect()
 
 
-def test_armed_states_come_when_the_next_command_is_due(connection):
-    connection.connect()
-    connection.arm(Mode.POSITION, 0.006)
-    start = connection.clock.now()
+def test_armed_states_come_when_the_next_command_is_due(link):
+    link.connect()
+    link.arm(Mode.POSITION, 0.006)
+    start = link.clock.now()
     for k in range(10):
-        connection.command(Mode.POSITION, np.full(8, 2.0))
-        before = connection.states
-        connection.clock.wait_until(start + (k + 1) * 0.006)
-        connection.update()
-        assert connection.states == before + 1
-        assert connection.state.mode == Mode.POSITION
-        assert connection.state_age() == pytest.approx(0.0, abs=1e-9)
+        link.command(Mode.POSITION, np.full(8, 2.0))
+        before = link.states
+        link.clock.wait_until(start + (k + 1) * 0.006)
+        link.update()
+        assert link.states == before + 1
+        assert link.state.mode == Mode.POSITION
+        assert link.state_age() == pytest.approx(0.0, abs=1e-9)
 
 
 @pytest.mark.parametrize("period", [0.006, 0.005, 1 / 180, 0.0070001])
-def test_a_state_is_never_due_after_the_next_command(period, connection):
+def test_a_state_is_never_due_after_the_next_command(period, link):
     """Times of sending are whole microseconds; a period need not be."""
-    connection.connect()
-    connection.arm(Mode.POSITION, period)
-    start = connection.clock.now()
+    link.connect()
+    link.arm(Mode.POSITION, period)
+    start = link.clock.now()
     for k in range(200):
-        connection.command(Mode.POSITION, np.full(8, 2.0))
-        before = connection.states
-        connection.clock.wait_until(start + (k + 1) * period)
-        connection.update()
-        assert connection.states >= before + 1
+        link.command(Mode.POSITION, np.full(8, 2.0))
+        before = link.states
+        link.clock.wait_until(start + (k + 1) * period)
+        link.update()
+        assert link.states >= before + 1
 
 
-def test_the_lead_is_what_the_robot_is_asked_for(toy, connection):
-    connection.connect()
-    connection.arm(Mode.POSITION, 0.006, lead=LEAD)
+def test_the_lead_is_what_the_robot_is_asked_for(toy, link):
+    link.connect()
+    link.arm(Mode.POSITION, 0.006, lead=LEAD)
     arm = next(message for _, message in toy.heard if isinstance(message, Arm))
     assert arm.command_period == pytest.approx(0.006)
     assert arm.report_after == pytest.approx(0.006 - LEAD)
 
 
-def test_the_newest_state_grows_old_when_the_robot_falls_silent(toy, connection):
-    connection.connect(state_period=0.006)
-    connection.wait_for(lambda: connection.states > 2, 0.1)
+def test_the_newest_state_grows_old_when_the_robot_falls_silent(toy, link):
+    link.connect(state_period=0.006)
+    link.wait_for(lambda: link.states > 2, 0.1)
     toy.sensors = lambda time, readings: readings
     toy.firmware.next_state = None
-    connection.wait_for(lambda: False, 0.03)
-    assert connection.state_age() > 0.024
+    link.wait_for(lambda: False, 0.03)
+    assert link.state_age() > 0.024
 
 
-def test_goodbye_frees_the_robot(toy, connection):
-    connection.connect()
-    connection.arm(Mode.POSITION, 0.006)
-    connection.close()
+def test_goodbye_frees_the_robot(toy, link):
+    link.connect()
+    link.arm(Mode.POSITION, 0.006)
+    link.close()
     assert toy.firmware.mode == Mode.DISARMED
     assert toy.firmware.owner == 0
