@@ -1,6 +1,6 @@
-/* surefoot wire protocol, version 1, for robots of 8 motors. docs/wire-protocol.md says how to speak it.
+/* surefoot wire protocol, version 1, for robots of 8 motors. docs/wire-protocol.md specifies it.
  *
- * Made by `python -m surefoot.deploy.wire.c_header --motors 8`: change the definitions, not this file.
+ * Made by `python -m surefoot.deploy.serial.c_header --motors 8`: change the definitions, not this file.
  *
  * A field's comment begins with what its number counts: [0.001 N m] makes 1500 stand for 1.5 N m. Texts are UTF-8, and
  * end at the first zero byte or at their full length. Structs go over the line as they lie in memory, so the

@@ -14,8 +14,9 @@ import pytest
 pytest.importorskip("mujoco")
 
 from surefoot.cli.main import main
-from surefoot.deploy.wire.frames import MAX_FRAME
-from surefoot.deploy.wire.messages import Arm, Codec, Fault, Handshake, Hello, Mode, Ping, Pong, Position, Reason, State
+from surefoot.deploy.messages import Arm, Fault, Handshake, Hello, Mode, Ping, Pong, Position, Reason, State
+from surefoot.deploy.serial.codec import Codec
+from surefoot.deploy.serial.frames import MAX_FRAME
 from surefoot.emulator.hardware import PowerConfig, SensorConfig
 from surefoot.emulator.plant import Plant
 from surefoot.emulator.process import Lockstep, Summary
