@@ -142,8 +142,8 @@ typedef struct {
     char motor_names[SUREFOOT_MOTORS][24]; /* motors, in motor order */
     int8_t motor_signs[SUREFOOT_MOTORS];   /* joint angle = sign * motor angle */
     uint32_t servo_period;                 /* [1e-6 s] time between two servo steps */
-    float servo_kp[SUREFOOT_MOTORS];       /* [1/rad] proportional gains, duty per angle; joint drives: N m/rad */
-    float servo_kd[SUREFOOT_MOTORS];       /* [s/rad] derivative gains, duty per speed; joint drives: N m s/rad */
+    float servo_kp[SUREFOOT_MOTORS];       /* [1/rad] proportional gains, duty per angle; joint actuators: N m/rad */
+    float servo_kd[SUREFOOT_MOTORS];       /* [s/rad] derivative gains, duty per speed; joint actuators: N m s/rad */
     uint32_t command_period_min;           /* [1e-6 s] shortest time between commands */
     uint32_t command_period_max;           /* [1e-6 s] longest time between commands */
     float angle_low[SUREFOOT_MOTORS];      /* [rad] least motor angles that a command may ask for */

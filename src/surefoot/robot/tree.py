@@ -302,9 +302,9 @@ class _Sheet:
 
     def _timing(self) -> list[str]:
         step = 0.001 if self.tree.mass < 5 else 0.002
-        lines = ["[timing]", self._guess(f"servo_step = {step}", "s, of the drives' controllers")]
+        lines = ["[timing]", self._guess(f"servo_step = {step}", "s, of the actuators' controllers")]
         lines.append(self._guess("control_step = 0.01", "s, between two commands of a policy"))
-        lines.append(self._guess("servo_latency = 0.002", "s, age of what the drives' controllers see"))
+        lines.append(self._guess("servo_latency = 0.002", "s, age of what the actuators' controllers see"))
         lines.append(self._guess("control_latency = 0.01", "s, age of what a policy sees"))
         return lines
 
