@@ -42,9 +42,9 @@ def test_the_robot_is_pinged_through_to_the_moment(toy):
     assert toy.heard == [(0.25, Ping(1))]
 
 
-def test_a_robot_that_does_not_follow_is_told_in_one_line():
+def test_a_robot_that_does_not_follow_is_told_in_one_line(toy, monkeypatch):
     clock = LockstepClock()
-    clock.ping_through = lambda patience: False
+    monkeypatch.setattr(SerialLink(toy, toy.codec, clock), "ping_through", lambda: False)
     with pytest.raises(SurefootError, match="emulator run with --lockstep"):
         clock.wait_until(0.1)
 

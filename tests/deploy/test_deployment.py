@@ -12,7 +12,7 @@ from surefoot.deploy.clock import LockstepClock
 from surefoot.deploy.controller import Controller
 from surefoot.deploy.deployment import PUNCTUAL, TRIES, Deployment
 from surefoot.deploy.messages import Arm, Ping, Position
-from surefoot.deploy.robot_link import RobotLink
+from surefoot.deploy.robot_link import LEAD, RobotLink
 from surefoot.errors import SurefootError
 from surefoot.policy.runtime import PolicyRuntime
 from surefoot.robot import RobotDescription
@@ -52,7 +52,7 @@ def computer(link: RobotLink) -> Computer:
     clock = link.clock
     assert isinstance(clock, LockstepClock)
     computer = Computer(clock)
-    link.clock = computer
+    link.clock, link.lockstep, link.lead = computer, False, LEAD
     return computer
 
 

@@ -51,8 +51,9 @@ def heard(link: SerialLink, count: int) -> list[int]:
 
 def test_frames_go_both_ways(pty):
     master, name = pty
-    link = SerialLink(SerialPort(name), CODEC, MonotonicClock())
-    assert link.send(Position(5, np.arange(8.0))) == 1
+    link = SerialLink(SerialPort(name), CODEC, MonotonicClock(), 7)
+    link.send(Position(5, np.arange(8.0)))
+    assert link.next_number == 2
     assert link.ping() == 1
     decoder, frames = Decoder(CODEC), []
     while len(frames) < 2:
@@ -66,7 +67,7 @@ def test_frames_go_both_ways(pty):
 
 
 def test_backward_repeated_and_missing_numbers_are_counted_and_dropped(pty):
-    link = SerialLink(SerialPort(pty[1]), CODEC, MonotonicClock())
+    link = SerialLink(SerialPort(pty[1]), CODEC, MonotonicClock(), 7)
     os.write(pty[0], b"".join(frame(number) for number in (1, 2, 2, 5, 4, 6)))
     assert heard(link, 4) == [1, 2, 5, 6]
     assert (link.statistics.repeated, link.statistics.missing) == (2, 2)
@@ -79,7 +80,7 @@ def greeting(toy, session: int, sequence: int) -> bytes:
 
 
 def test_a_robot_that_greets_counts_from_one_again(pty, toy):
-    link = SerialLink(SerialPort(pty[1]), CODEC, MonotonicClock())
+    link = SerialLink(SerialPort(pty[1]), CODEC, MonotonicClock(), 7)
     link.awaits_handshake = True
     os.write(pty[0], frame(900) + greeting(toy, 7, 1) + frame(2))
     assert heard(link, 3) == [900, 1, 2]
@@ -87,7 +88,7 @@ def test_a_robot_that_greets_counts_from_one_again(pty, toy):
 
 
 def test_a_handshake_that_comes_twice_or_late_lets_nothing_old_in(pty, toy):
-    link = SerialLink(SerialPort(pty[1]), CODEC, MonotonicClock())
+    link = SerialLink(SerialPort(pty[1]), CODEC, MonotonicClock(), 7)
     link.awaits_handshake = True
     once = greeting(toy, 7, 1)
     os.write(pty[0], frame(900) + once + frame(2) + frame(3) + once + frame(2) + frame(4))
@@ -96,7 +97,7 @@ def test_a_handshake_that_comes_twice_or_late_lets_nothing_old_in(pty, toy):
 
 
 def test_a_handshake_for_somebody_else_is_a_frame_like_any_other(pty, toy):
-    link = SerialLink(SerialPort(pty[1]), CODEC, MonotonicClock())
+    link = SerialLink(SerialPort(pty[1]), CODEC, MonotonicClock(), 7)
     link.awaits_handshake = True
     os.write(pty[0], frame(900) + greeting(toy, 8, 1) + frame(2) + greeting(toy, 8, 901))
     assert heard(link, 2) == [900, 901]
@@ -104,14 +105,14 @@ def test_a_handshake_for_somebody_else_is_a_frame_like_any_other(pty, toy):
 
 
 def test_garbage_between_frames_costs_no_frame(pty):
-    link = SerialLink(SerialPort(pty[1]), CODEC, MonotonicClock())
+    link = SerialLink(SerialPort(pty[1]), CODEC, MonotonicClock(), 7)
     os.write(pty[0], b"\x07garbage" + frame(1) + b"\xff\x00\x13" + frame(2))
     assert heard(link, 2) == [1, 2]
     assert link.decoder.statistics.damaged == 3
 
 
 def test_a_full_port_drops_frames_and_does_not_block(pty):
-    link = SerialLink(SerialPort(pty[1]), CODEC, MonotonicClock())
+    link = SerialLink(SerialPort(pty[1]), CODEC, MonotonicClock(), 7)
     started = time.monotonic()
     for _ in range(2000):
         link.send(Position(1, np.zeros(8)))
@@ -149,7 +150,7 @@ def test_a_port_that_is_none_is_told_in_one_line(tmp_path):
 
 
 def test_a_ping_is_waited_for_and_what_comes_before_is_kept(toy):
-    link = SerialLink(toy, CODEC, MonotonicClock())
+    link = SerialLink(toy, CODEC, MonotonicClock(), 7)
     assert link.ping_through((1.0,))
     assert [type(arrival.packet.message) for arrival in link.receive()] == [Pong]
     toy.silent = True
@@ -159,7 +160,7 @@ def test_a_ping_is_waited_for_and_what_comes_before_is_kept(toy):
 def test_in_lockstep_what_comes_is_taken_where_time_goes_on(toy):
     """Otherwise it would be chance whether an answer has come already when it is first looked for."""
     clock = LockstepClock()
-    link = SerialLink(toy, CODEC, clock)
+    link = SerialLink(toy, CODEC, clock, 7)
     link.send(Hello(7, 0.01))
     assert link.receive() == []
     clock.wait_until(0.01)
@@ -170,7 +171,7 @@ def test_in_lockstep_what_comes_is_taken_where_time_goes_on(toy):
 
 def test_in_lockstep_a_command_goes_with_the_next_ping(toy):
     clock = LockstepClock()
-    link = SerialLink(toy, CODEC, clock)
+    link = SerialLink(toy, CODEC, clock, 7)
     link.send(Position(7, np.zeros(8)))
     assert toy.heard == []
     clock.wait_until(0.01)
@@ -181,7 +182,7 @@ def test_in_lockstep_a_command_goes_with_the_next_ping(toy):
 
 
 def test_a_ping_that_is_sent_again_leaves_no_trace_in_the_numbers(toy):
-    link = SerialLink(toy, CODEC, LockstepClock())
+    link = SerialLink(toy, CODEC, LockstepClock(), 7)
     toy.silent = True
     assert not link.ping_through((0.01, 0.01, 0.01))
     assert [message for _, message in toy.heard] == 3 * [Ping(1)]

@@ -91,7 +91,7 @@ def test_a_second_operator_is_refused_and_the_first_keeps_the_robot(toy, link):
 def test_a_robot_of_another_protocol_is_named(toy, link):
     link.decoder.codec = Codec(8)
     link.decoder.codec.schema ^= 1
-    with pytest.raises(SurefootError, match="speaks version 1 and schema 0x"):
+    with pytest.raises(SurefootError, match="has version 1 and schema 0x"):
         link.connect()
 
 
