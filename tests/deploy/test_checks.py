@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from surefoot.check_result import CheckResult, first_failure
 from surefoot.cli.policies import find_policy
 from surefoot.deploy.checks import check_contract, contradiction, gains_of, near
 from surefoot.deploy.messages import Handshake
-from surefoot.check_result import CheckResult, first_failure
 from surefoot.policy.contract import Contract
 from surefoot.policy.runtime import PolicyRuntime
 from surefoot.robot import RobotDescription

@@ -11,6 +11,7 @@ from typing import Annotated
 from rich.console import Console
 from rich.text import Text
 
+from surefoot.check_result import CheckResult
 from surefoot.cli.options import Baud, Json, Lockstep, PolicyName, Port, Yes, ask_to_move, check_terminal
 from surefoot.cli.parsing import parse
 from surefoot.cli.policies import find_policy
@@ -21,7 +22,6 @@ from surefoot.deploy.doctor.link import PINGS
 from surefoot.deploy.robot_link import LinkLostError
 from surefoot.deploy.serial.port import BAUD
 from surefoot.errors import SurefootError
-from surefoot.check_result import CheckResult
 from surefoot.policy.runtime import PolicyRuntime
 from surefoot.robot import RobotDescription
 

@@ -12,11 +12,11 @@ from typing import Any
 import numpy as np
 
 from surefoot.arrays import Array
+from surefoot.check_result import CheckResult, fail_if, judge, skipped
 from surefoot.configuration import from_mapping
 from surefoot.deploy.controller import action_kind, contract_gait
 from surefoot.deploy.messages import Handshake
 from surefoot.errors import SurefootError, choices
-from surefoot.check_result import CheckResult, fail_if, judge, skipped
 from surefoot.policy.contract import Contract
 from surefoot.robot import RobotDescription
 from surefoot.task.commands import CommandConfig

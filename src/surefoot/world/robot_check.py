@@ -9,8 +9,8 @@ import mujoco
 import numpy as np
 
 from surefoot.arrays import Array
-from surefoot.errors import SurefootError, choices
 from surefoot.check_result import CheckResult, judge
+from surefoot.errors import SurefootError, choices
 from surefoot.robot import GRAVITY, RobotDescription
 from surefoot.robot.actuator import JointActuatorData
 from surefoot.robot.rigid_body import are_moments

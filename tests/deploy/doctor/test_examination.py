@@ -13,6 +13,7 @@ import pytest
 
 pytest.importorskip("numba")  # the toy robot runs the emulator's firmware
 
+from surefoot.check_result import CheckResult
 from surefoot.cli.policies import find_policy
 from surefoot.deploy.connection import RobotConnection
 from surefoot.deploy.doctor import rack as doctor_rack
@@ -25,7 +26,6 @@ from surefoot.deploy.doctor.rest import Sample, check_rest
 from surefoot.deploy.messages import Mode, State
 from surefoot.deploy.poses import sitting
 from surefoot.deploy.safety import SafetyLimits
-from surefoot.check_result import CheckResult
 from surefoot.policy.runtime import PolicyRuntime
 from surefoot.robot import RobotDescription
 

@@ -9,6 +9,7 @@ from functools import partial
 import numpy as np
 
 from surefoot.arrays import Array
+from surefoot.check_result import CheckResult, judge, skipped
 from surefoot.deploy.checks import check_contract
 from surefoot.deploy.clock import MonotonicClock
 from surefoot.deploy.connection import RobotConnection
@@ -19,7 +20,6 @@ from surefoot.deploy.pacer import Pacer, undisturbed
 from surefoot.deploy.robot_link import LinkLostError
 from surefoot.deploy.safety import SafetyLimits
 from surefoot.errors import SurefootError, choices
-from surefoot.check_result import CheckResult, judge, skipped
 from surefoot.policy.runtime import PolicyRuntime
 from surefoot.robot import RobotDescription
 from surefoot.stop_signals import StopSignals

@@ -12,11 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from surefoot.arrays import Array
+from surefoot.check_result import CheckResult, judge, skipped
 from surefoot.deploy.connection import RobotConnection
 from surefoot.deploy.doctor.leashed_robot import LeashedRobot, MotionStoppedError
 from surefoot.deploy.doctor.rest import Sample
 from surefoot.errors import choices
-from surefoot.check_result import CheckResult, judge, skipped
 from surefoot.policy.contract import Contract
 from surefoot.robot import RobotDescription
 from surefoot.stop_signals import StopSignals

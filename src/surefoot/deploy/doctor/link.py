@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from surefoot.arrays import Array
-from surefoot.deploy.connection import RobotConnection
 from surefoot.check_result import CheckResult, judge, skipped
+from surefoot.deploy.connection import RobotConnection
 
 PINGS, PING_PERIOD = 200, 0.005
 """Pings, and the time [s] between two: often enough to see an adapter that gathers bytes for 16 ms."""

@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.arrays import Array
+from surefoot.check_result import CheckResult, judge, skipped
 from surefoot.deploy.connection import RobotConnection
 from surefoot.deploy.doctor.leashed_robot import LeashedRobot, MotionStoppedError
 from surefoot.deploy.doctor.rest import Sample
-from surefoot.check_result import CheckResult, judge, skipped
 from surefoot.policy.contract import Contract
 from surefoot.robot import RobotDescription
 from surefoot.stop_signals import StopSignals

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from surefoot.arrays import Array
+from surefoot.check_result import CheckResult, judge
 from surefoot.deploy.connection import RobotConnection
 from surefoot.deploy.doctor.link import listen
 from surefoot.deploy.messages import Handshake, State
 from surefoot.deploy.safety import SafetyLimits
-from surefoot.check_result import CheckResult, judge
 from surefoot.robot import RobotDescription
 
 DURATION = 1.0
