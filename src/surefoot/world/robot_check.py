@@ -12,10 +12,9 @@ from surefoot.arrays import Array
 from surefoot.errors import SurefootError, choices
 from surefoot.findings import Finding, judged
 from surefoot.robot import GRAVITY, RobotDescription
-from surefoot.robot.actuator import JointDriveData
+from surefoot.robot.actuator import PLACEHOLDER_TORQUE, JointDriveData
+from surefoot.robot.fused_urdf import fuse_urdf
 from surefoot.robot.rigid_body import are_moments
-from surefoot.robot.tree import PLACEHOLDER
-from surefoot.world.fused_urdf import fuse_urdf
 from surefoot.world.mujoco_model import build_model, foot_geoms, resting_qpos
 from surefoot.world.sim_world import SimWorld
 
@@ -73,9 +72,11 @@ def _limits(robot: RobotDescription) -> Finding:
     torque = np.broadcast_to(robot.actuator.torque_limit, robot.num_motors)
     unit = robot.weight * robot.leg_geometry.length
     told = f"{_span(torque)} N m, {_span(torque / unit)} m g l"
-    rule = f"; over {PLACEHOLDER:g} m g l is a placeholder"
+    rule = f"; over {PLACEHOLDER_TORQUE:g} m g l is a placeholder"
     todo = "state the drive's real torque in actuator.torque_limit"
-    return judged("torque limits", bool((torque <= PLACEHOLDER * unit).all()), told, rule, todo, float(torque.max()))
+    return judged(
+        "torque limits", bool((torque <= PLACEHOLDER_TORQUE * unit).all()), told, rule, todo, float(torque.max())
+    )
 
 
 def _sides(robot: RobotDescription) -> Finding:
@@ -126,7 +127,7 @@ def _stand(robot: RobotDescription, model: mujoco.MjModel) -> Iterator[Finding]:
         yield judged("torque to stand", passed, told, rule, todo, float(share.max()))
 
 
-def step_to_shorten(robot: RobotDescription) -> float | None:
+def longest_servo_step(robot: RobotDescription) -> float | None:
     """Return the longest physics step [s] for a robot; None if its own is not longer."""
     *_, found = _dynamics(robot, build_model(robot))
     return float(found.value or 0.0) if found.passed is False else None
