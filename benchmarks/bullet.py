@@ -59,7 +59,7 @@ class Bench:
         targets, world = [], cast(Any, env.world)
         for _ in range(self.steps):
             observation, *_ = env.step(env.gait.action(self.policy.feedback(observation)))
-            targets.append(world.drive.target.copy())
+            targets.append(world.actuation.target.copy())
         return np.array(targets)
 
     def _make(self, make_world: SimulationFactory, threads: int) -> Simulation:
@@ -74,7 +74,7 @@ class Bench:
         for target in self.bullet_targets:
             for _ in range(self.servo_steps):
                 world.step(target)
-                torques.append(world.drive.torque * self.robot.motor_sign)
+                torques.append(world.actuation.torque * self.robot.motor_sign)
         return np.array(torques), world.truth().base_position_world
 
     def bare(self) -> tuple[int, float]:

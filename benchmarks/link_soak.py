@@ -19,9 +19,11 @@ from dataclasses import asdict, dataclass, field
 import numpy as np
 
 from surefoot.deploy.clock import MonotonicClock
-from surefoot.deploy.link import Link, SerialPort
-from surefoot.deploy.wire.frames import MAX_FRAME, Decoder, Frame, encode_frame
-from surefoot.deploy.wire.messages import Arm, Codec, Damp, Message, Ping, Position, Pwm, State
+from surefoot.deploy.messages import Arm, Damp, Message, Ping, Position, Pwm, State
+from surefoot.deploy.serial.codec import Codec
+from surefoot.deploy.serial.frames import MAX_FRAME, Decoder, Frame, encode_frame
+from surefoot.deploy.serial.port import SerialPort
+from surefoot.deploy.serial.serial_link import Link
 
 BLOCK = 1000
 """Frames that are sent, carried and compared at a time."""

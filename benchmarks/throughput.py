@@ -196,7 +196,7 @@ class Bench:
         targets = []
         for _ in range(self.steps):
             observation, *_ = self.servo_env.step(self._act(self.servo_env, observation))
-            targets.append(cast(Any, self.servo_env.world).drive.target.copy())
+            targets.append(cast(Any, self.servo_env.world).actuation.target.copy())
         self.servo_env.world.set_state(world_start)
         return np.array(targets)
 
@@ -297,9 +297,9 @@ class Bench:
         observation, _ = env.reset()
         physics, world = 0, cast(Any, env.world)
         for _ in range(self.steps):
-            servo_steps = world.drive.ticks.copy()
+            servo_steps = world.actuation.ticks.copy()
             observation, *_ = env.step(self._act(env, observation))
-            went = world.drive.ticks - servo_steps
+            went = world.actuation.ticks - servo_steps
             physics += int(went[went > 0].sum())
         return physics, self.clock() - start
 

@@ -1,6 +1,6 @@
-/* surefoot wire protocol, version 1, for robots of 8 motors. docs/wire-protocol.md says how to speak it.
+/* surefoot wire protocol, version 1, for robots of 8 motors. docs/wire-protocol.md specifies it.
  *
- * Made by `python -m surefoot.deploy.wire.c_header --motors 8`: change the definitions, not this file.
+ * Made by `python -m surefoot.deploy.serial.c_header --motors 8`: change the definitions, not this file.
  *
  * A field's comment begins with what its number counts: [0.001 N m] makes 1500 stand for 1.5 N m. Texts are UTF-8, and
  * end at the first zero byte or at their full length. Structs go over the line as they lie in memory, so the
@@ -142,8 +142,8 @@ typedef struct {
     char motor_names[SUREFOOT_MOTORS][24]; /* motors, in motor order */
     int8_t motor_signs[SUREFOOT_MOTORS];   /* joint angle = sign * motor angle */
     uint32_t servo_period;                 /* [1e-6 s] time between two servo steps */
-    float servo_kp[SUREFOOT_MOTORS];       /* [1/rad] proportional gains, duty per angle; joint drives: N m/rad */
-    float servo_kd[SUREFOOT_MOTORS];       /* [s/rad] derivative gains, duty per speed; joint drives: N m s/rad */
+    float servo_kp[SUREFOOT_MOTORS];       /* [1/rad] proportional gains, duty per angle; joint actuators: N m/rad */
+    float servo_kd[SUREFOOT_MOTORS];       /* [s/rad] derivative gains, duty per speed; joint actuators: N m s/rad */
     uint32_t command_period_min;           /* [1e-6 s] shortest time between commands */
     uint32_t command_period_max;           /* [1e-6 s] longest time between commands */
     float angle_low[SUREFOOT_MOTORS];      /* [rad] least motor angles that a command may ask for */

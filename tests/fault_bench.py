@@ -25,12 +25,9 @@ from processes import SUREFOOT, EmulatorHere
 
 from surefoot.cli.main import main
 from surefoot.deploy.connection import open_connection
-from surefoot.deploy.motion import UP
-from surefoot.deploy.wire.frames import Decoder, Frame, encode_frame
-from surefoot.deploy.wire.messages import (
+from surefoot.deploy.messages import (
     Arm,
     Bye,
-    Codec,
     Damp,
     Disarm,
     Fault,
@@ -44,6 +41,9 @@ from surefoot.deploy.wire.messages import (
     Reason,
     State,
 )
+from surefoot.deploy.motion import UP
+from surefoot.deploy.serial.codec import Codec
+from surefoot.deploy.serial.frames import Decoder, Frame, encode_frame
 from surefoot.errors import SurefootError
 from surefoot.policy.runtime import PolicyRuntime
 from surefoot.task.trace import EpisodeTrace

@@ -6,8 +6,8 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
-from surefoot.deploy.wire.frames import Decoder, Frame
-from surefoot.deploy.wire.messages import Codec
+from surefoot.deploy.serial.codec import Codec
+from surefoot.deploy.serial.frames import Decoder, Frame
 
 DOCUMENT = Path(__file__).resolve().parents[1] / "docs" / "wire-protocol.md"
 TEXT = DOCUMENT.read_text(encoding="utf-8")

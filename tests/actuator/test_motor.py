@@ -1,4 +1,4 @@
-"""Servo, DC motor and joint drive at points worked by hand; figures of the Minitaur's motor."""
+"""Servo, DC motor and joint actuator at points worked by hand; figures of the Minitaur's motor."""
 
 from __future__ import annotations
 
@@ -202,7 +202,7 @@ def test_torque_that_a_joint_drive_asks_for(target: float, angle: float, speed: 
     assert joint_torque(target, angle, speed, 30.0, 0.5) == pytest.approx(expected)
 
 
-# A drive of 20 N m up to 10 rad/s, with none at 30 rad/s: 1 N m less for each rad/s between.
+# An actuator of 20 N m up to 10 rad/s, with none at 30 rad/s: 1 N m less for each rad/s between.
 @pytest.mark.parametrize(
     ("torque", "speed", "expected"),
     [
@@ -218,7 +218,7 @@ def test_torque_that_a_joint_drive_asks_for(target: float, angle: float, speed: 
         (25.0, 30.0, 0.0),
         (25.0, 45.0, 0.0),  # not less than none: it does not brake by itself
         (-25.0, -45.0, 0.0),
-        # A drive that brakes has all its torque at any speed.
+        # An actuator that brakes has all its torque at any speed.
         (-25.0, 15.0, -20.0),
         (25.0, -15.0, 20.0),
         (-25.0, 45.0, -20.0),
@@ -245,7 +245,7 @@ def test_what_is_no_number_gives_no_joint_torque():
         assert np.isnan(joint_limit(np.nan, speed, 20.0, 10.0, 30.0))
 
 
-def test_joint_drives_broadcast_over_robots_and_motors(rng: np.random.Generator):
+def test_joint_actuators_broadcast_over_robots_and_motors(rng: np.random.Generator):
     target, angle, speed = rng.normal(size=(3, 5, 12))
     kp, kd = rng.uniform(10, 100, (5, 12)), rng.uniform(0, 2, 12)
     limit, full, none = rng.uniform(10, 40, 12), rng.uniform(0.1, 0.5, 12), rng.uniform(1, 2, 12)

@@ -337,7 +337,7 @@ def test_runs_that_were_recorded_tell_too(tmp_path: Path):
     refused(done, "traces do not tell 'contact_friction'; choices: motor_strength")
 
 
-def test_logs_of_a_robot_with_joint_drives_tell_and_one_is_held_out(tmp_path: Path):
+def test_logs_of_a_robot_with_joint_actuators_tell_and_one_is_held_out(tmp_path: Path):
     pytest.importorskip("mujoco")
     pytest.importorskip("matplotlib")
     from surefoot.identify.replay import Replayer, stretch_of_log
@@ -358,7 +358,7 @@ def test_logs_of_a_robot_with_joint_drives_tell_and_one_is_held_out(tmp_path: Pa
         told = replayer.run(stretch_of_log(blank, pupper), truth)
         np.savez(logs / f"{name}.npz", time=time, command=command, motor_angle=told.motor_angle[0])
     refused(identify(*words, "--hold-out", "quick"), "--hold-out names 'quick'; logs: fast, slow")
-    refused(identify("--from-trace", logs, "--rack", "slow"), "--rack is of logs of a robot with joint drives")
+    refused(identify("--from-trace", logs, "--rack", "slow"), "--rack is of logs of a robot with joint actuators")
     how = ("--rack", "fast", "slow", "--hold-out", "fast", "--fit", "control_latency", "--out", out)
     done = identify(*words, *how, "--json")
     assert done.returncode == 0, done.stderr

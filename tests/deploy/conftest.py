@@ -10,10 +10,12 @@ import pytest
 
 from surefoot.deploy.clock import LockstepClock
 from surefoot.deploy.connection import RobotConnection
-from surefoot.deploy.link import Link, LinkLostError
 from surefoot.deploy.loop import Snapshot, Watch
-from surefoot.deploy.wire.frames import Decoder, encode_frame
-from surefoot.deploy.wire.messages import Codec, Message, State
+from surefoot.deploy.messages import Message, State
+from surefoot.deploy.robot_link import LinkLostError
+from surefoot.deploy.serial.codec import Codec
+from surefoot.deploy.serial.frames import Decoder, encode_frame
+from surefoot.deploy.serial.serial_link import Link
 from surefoot.emulator.firmware import Firmware, MotorOrder, Sensors, Vitals
 from surefoot.emulator.limits import Limits, introduction
 from surefoot.robot import RobotDescription

@@ -12,7 +12,7 @@ import pytest
 
 from surefoot.cli.policies import find_policy
 from surefoot.deploy.checks import check_contract, contradiction, gains_of, near
-from surefoot.deploy.wire.messages import Handshake
+from surefoot.deploy.messages import Handshake
 from surefoot.findings import Finding, refusal
 from surefoot.policy.contract import Contract
 from surefoot.policy.runtime import PolicyRuntime

@@ -7,8 +7,8 @@ import math
 import pytest
 
 from surefoot.deploy.clock import WINDOW, ClockSync, LockstepClock, MonotonicClock
-from surefoot.deploy.link import Link
-from surefoot.deploy.wire.messages import Ping
+from surefoot.deploy.messages import Ping
+from surefoot.deploy.serial.serial_link import Link
 from surefoot.errors import SurefootError
 
 

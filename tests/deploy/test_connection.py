@@ -7,8 +7,9 @@ import pytest
 
 from surefoot.deploy.clock import LockstepClock
 from surefoot.deploy.connection import LEAD, RobotConnection
-from surefoot.deploy.link import Link
-from surefoot.deploy.wire.messages import Arm, Codec, Mode
+from surefoot.deploy.messages import Arm, Mode
+from surefoot.deploy.serial.codec import Codec
+from surefoot.deploy.serial.serial_link import Link
 from surefoot.emulator.firmware import Firmware
 from surefoot.errors import SurefootError
 

@@ -12,7 +12,7 @@ from surefoot.deploy.clock import LockstepClock
 from surefoot.deploy.connection import RobotConnection
 from surefoot.deploy.controller import Controller
 from surefoot.deploy.deployment import PUNCTUAL, TRIES, Deployment
-from surefoot.deploy.wire.messages import Arm, Ping, Position
+from surefoot.deploy.messages import Arm, Ping, Position
 from surefoot.errors import SurefootError
 from surefoot.policy.runtime import PolicyRuntime
 from surefoot.robot import RobotDescription

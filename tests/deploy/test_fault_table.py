@@ -27,8 +27,8 @@ import numpy as np
 import pytest
 from processes import Emulator, EmulatorHere, TooBusyError, emulators
 
+from surefoot.deploy.messages import Arm, Bye, Damp, Disarm, Fault, Hello, Mode, Position, Reason, State
 from surefoot.deploy.poses import sitting
-from surefoot.deploy.wire.messages import Arm, Bye, Damp, Disarm, Fault, Hello, Mode, Position, Reason, State
 from surefoot.policy.contract import METADATA_KEY
 from surefoot.policy.digest import DIGEST_KEY, stamped
 from surefoot.robot import RobotDescription

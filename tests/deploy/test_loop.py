@@ -13,12 +13,12 @@ from fault_bench import QUICK_UP as UP
 
 from surefoot.deploy.controller import Controller
 from surefoot.deploy.deployment import Deployment
+from surefoot.deploy.messages import Arm, Damp, Mode, Pong, Position, Reason
 from surefoot.deploy.motion import REST
 from surefoot.deploy.pacer import Timing
 from surefoot.deploy.poses import sitting
 from surefoot.deploy.recording.run_saver import RunSaver
-from surefoot.deploy.wire.frames import Decoder
-from surefoot.deploy.wire.messages import Arm, Damp, Mode, Pong, Position, Reason
+from surefoot.deploy.serial.frames import Decoder
 from surefoot.errors import SurefootError
 from surefoot.policy.runtime import PolicyRuntime
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from surefoot.deploy.messages import Mode, Reason
 from surefoot.deploy.safety import (
     GO,
     Act,
@@ -17,7 +18,6 @@ from surefoot.deploy.safety import (
     check_finite,
     is_finite,
 )
-from surefoot.deploy.wire.messages import Mode, Reason
 from surefoot.errors import SurefootError
 
 STEP = 0.006

@@ -12,8 +12,9 @@ from typing import Any
 import pytest
 from processes import Emulator, EmulatorHere, emulators
 
-from surefoot.deploy.wire.frames import Decoder, Frame, encode_frame
-from surefoot.deploy.wire.messages import Codec, Message, Ping, Pong
+from surefoot.deploy.messages import Message, Ping, Pong
+from surefoot.deploy.serial.codec import Codec
+from surefoot.deploy.serial.frames import Decoder, Frame, encode_frame
 
 
 class Bytes:

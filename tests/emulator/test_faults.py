@@ -12,8 +12,8 @@ import pytest
 
 pytest.importorskip("mujoco")
 
-from surefoot.deploy.wire.frames import Frame
-from surefoot.deploy.wire.messages import Arm, Fault, Handshake, Hello, Mode, Position, Reason, State
+from surefoot.deploy.messages import Arm, Fault, Handshake, Hello, Mode, Position, Reason, State
+from surefoot.deploy.serial.frames import Frame
 from surefoot.emulator.board import Board
 from surefoot.emulator.faults import FAULTS, describe, parse_faults
 from surefoot.emulator.hardware import PowerConfig, SensorConfig

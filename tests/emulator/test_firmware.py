@@ -10,11 +10,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from surefoot.deploy.wire.frames import Frame
-from surefoot.deploy.wire.messages import (
+from surefoot.deploy.messages import (
     Arm,
     Bye,
-    Codec,
     Damp,
     Disarm,
     Fault,
@@ -29,6 +27,8 @@ from surefoot.deploy.wire.messages import (
     Reason,
     State,
 )
+from surefoot.deploy.serial.codec import Codec
+from surefoot.deploy.serial.frames import Frame
 from surefoot.emulator.firmware import Firmware
 from surefoot.emulator.limits import Limits, introduction
 from surefoot.emulator.signals import MotorOrder, Sensors, Vitals

@@ -8,8 +8,9 @@ import math
 import numpy as np
 import pytest
 
-from surefoot.deploy.wire.frames import Decoder, encode_frame
-from surefoot.deploy.wire.messages import Codec, Ping
+from surefoot.deploy.messages import Ping
+from surefoot.deploy.serial.codec import Codec
+from surefoot.deploy.serial.frames import Decoder, encode_frame
 from surefoot.emulator.line import HARMS, Line
 
 

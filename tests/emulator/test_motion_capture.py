@@ -9,7 +9,7 @@ import pytest
 
 pytest.importorskip("mujoco")
 
-from surefoot.deploy.wire.messages import Mode
+from surefoot.deploy.messages import Mode
 from surefoot.emulator.motion_capture import MotionCapture
 from surefoot.emulator.plant import Plant
 from surefoot.emulator.signals import MotorOrder

@@ -9,12 +9,12 @@ import pytest
 
 pytest.importorskip("mujoco")
 
-from surefoot.deploy.wire.messages import Mode
+from surefoot.deploy.messages import Mode
 from surefoot.emulator.hardware import PowerConfig, SensorConfig, power_tick
 from surefoot.emulator.plant import Plant
 from surefoot.emulator.signals import MotorOrder
 from surefoot.robot import PhysicalParams, RobotDescription
-from surefoot.world.drive import new_drive, set_drive_params
+from surefoot.world.actuation import new_actuation, set_actuation_params
 from surefoot.world.interface import WorldConfig
 from surefoot.world.sim_world import SimWorld
 
@@ -35,7 +35,7 @@ def test_it_moves_and_reads_as_a_simulation_does_to_the_last_bit(robot):
     # A simulation that goes on from the same state, with its servo on.
     world = SimWorld(robot, 1, config=WorldConfig(rest=(0.0, 0.9)))
     world.set_state(plant.world.get_state())
-    set_drive_params(world.drive, np.arange(1), world.params)
+    set_actuation_params(world.actuation, np.arange(1), world.params)
     rng = np.random.default_rng(1)
     target = robot.pose_angles(0.0, 1.5)
     for _ in range(80):
@@ -49,7 +49,7 @@ def test_it_moves_and_reads_as_a_simulation_does_to_the_last_bit(robot):
         np.testing.assert_array_equal(seen.motor_velocity, readings.motor_velocity[0])
         np.testing.assert_array_equal(seen.roll_pitch_yaw, readings.roll_pitch_yaw[0])
         np.testing.assert_array_equal(seen.angular_velocity_base, readings.angular_velocity_base[0])
-        np.testing.assert_array_equal(seen.motor_torque, plant.world.drive.motor_torque[0])
+        np.testing.assert_array_equal(seen.motor_torque, plant.world.actuation.motor_torque[0])
         np.testing.assert_array_equal(plant.capture().position, world.truth().base_position_world[0])
 
 
@@ -62,7 +62,7 @@ def test_it_sits_when_switched_on_and_lies_down_damped(robot):
         plant.step(DAMPED)
     # The belly's box is .087 m high.
     assert plant.capture().position[2] == pytest.approx(0.0435, abs=0.002)
-    assert np.abs(plant.world.drive.now[0, 8:16]).max() < 1.0
+    assert np.abs(plant.world.actuation.sample[0, 8:16]).max() < 1.0
 
 
 @pytest.mark.parametrize("servo_latency", [0.001, 0.005])
@@ -71,7 +71,7 @@ def test_damped_motors_come_to_rest_whatever_the_servos_latency(robot, servo_lat
     plant = Plant(robot, params, rack=True)
     for _ in range(800):  # the legs sink until they hang
         plant.step(DAMPED, 10)
-    assert np.abs(plant.world.drive.now[0, 8:16]).max() < 0.05
+    assert np.abs(plant.world.actuation.sample[0, 8:16]).max() < 0.05
 
 
 def test_readings_are_as_old_as_the_policy_will_see_them(robot):
@@ -120,7 +120,7 @@ def test_torques_are_told_with_an_error_of_each_motors_own_and_noise(robot):
     constant = Plant(robot, sensors=replace(config, torque_noise=0.0), rack=True)
     torque = np.linspace(-3.5, 3.5, 8)
     for each in (plant, constant):
-        each.world.drive.motor_torque[0] = torque
+        each.world.actuation.motor_torque[0] = torque
     told = np.array([plant.read(0.0, 0.0).motor_torque for _ in range(4000)])
     np.testing.assert_allclose(told.std(0), config.torque_noise, rtol=0.1)
     # The mean of 4000 is known to .02 / sqrt(4000) = .0003 N m.
@@ -132,7 +132,7 @@ def test_the_error_of_a_motors_torque_is_constant_and_of_the_size_stated(robot):
     for seed in range(12):
         plant = Plant(robot, seed=seed, sensors=config, rack=True)
         for torque in (0.5, -2.0):
-            plant.world.drive.motor_torque[0] = torque
+            plant.world.actuation.motor_torque[0] = torque
             gains.append(plant.read(0.0, 0.0).motor_torque / torque)
         np.testing.assert_allclose(gains[-1], gains[-2], rtol=1e-12)
     # 96 motors: the standard deviation is known to 7 % of itself.
@@ -151,7 +151,7 @@ def test_the_torques_error_is_in_nothing_else(robot):
         told, true = vars(plant.read(0.0, 0.0)), vars(truth.read(0.0, 0.0))
         for name in told:
             assert np.array_equal(told[name], true[name]) == (name != "motor_torque"), name
-        np.testing.assert_array_equal(true["motor_torque"], truth.world.drive.motor_torque[0])
+        np.testing.assert_array_equal(true["motor_torque"], truth.world.actuation.motor_torque[0])
     np.testing.assert_array_equal(plant.capture().position, truth.capture().position)
 
 
@@ -161,13 +161,13 @@ def test_a_motor_that_gets_a_duty_turns_as_a_dc_motor_does(robot):
     duty[0] = 0.05
     plant.step(MotorOrder(Mode.PWM, duty))
     # At rest: I = duty V / R = .05 * 16 / .186 = 4.30 A, and the table gives .1 N m/A.
-    torque = plant.world.drive.motor_torque[0]
-    speed = plant.world.drive.now[0, 8:16]
+    torque = plant.world.actuation.motor_torque[0]
+    speed = plant.world.actuation.sample[0, 8:16]
     assert torque[0] == pytest.approx(0.05 * 16 / 0.186 * 0.1, rel=0.02)
     assert np.abs(torque[1:]).max() < 0.02
     assert speed[0] > 0
     plant.step(position(plant.vitals().motor_angle))
-    assert not plant.world.drive.duty.any()
+    assert not plant.world.actuation.duty.any()
 
 
 def test_viscous_friction_slows_a_motor_that_a_duty_turns(robot):
@@ -177,13 +177,13 @@ def test_viscous_friction_slows_a_motor_that_a_duty_turns(robot):
     duty = np.zeros(8)
     duty[0] = 0.05
     for _ in range(20):
-        speed = plant.world.drive.now[0, 8:16].copy()
+        speed = plant.world.actuation.sample[0, 8:16].copy()
         for each in (plant, free):
             each.step(MotorOrder(Mode.PWM, duty))
-    drive = plant.world.drive
-    assert 0.1 < drive.now[0, 8] < 0.8 * free.world.drive.now[0, 8]
-    np.testing.assert_allclose(drive.motor_torque[0, 0] - drive.torque[0, 0], 0.1 * speed[0], rtol=1e-9)
-    np.testing.assert_array_equal(drive.motor_torque[0, 1:], drive.torque[0, 1:])
+    actuation = plant.world.actuation
+    assert 0.1 < actuation.sample[0, 8] < 0.8 * free.world.actuation.sample[0, 8]
+    np.testing.assert_allclose(actuation.motor_torque[0, 0] - actuation.torque[0, 0], 0.1 * speed[0], rtol=1e-9)
+    np.testing.assert_array_equal(actuation.motor_torque[0, 1:], actuation.torque[0, 1:])
 
 
 def test_a_duty_is_part_of_a_worlds_state_and_gone_after_a_reset(robot):
@@ -196,19 +196,19 @@ def test_a_duty_is_part_of_a_worlds_state_and_gone_after_a_reset(robot):
     np.testing.assert_array_equal(plant.vitals().motor_angle, other.vitals().motor_angle)
     # What was saved before motors had a duty goes on without one.
     saved = plant.world.get_state()
-    del saved["drive"]["duty"]
+    del saved["actuation"]["duty"]
     other.world.set_state(saved)
-    assert not other.world.drive.duty.any()
+    assert not other.world.actuation.duty.any()
     plant.world.reset()
-    assert not plant.world.drive.duty.any()
+    assert not plant.world.actuation.duty.any()
 
 
 def test_battery_and_heat_by_hand(robot):
     temperature = np.array([25.0, 65.0])
     # 1.45 N m is 15 A of the nominal motor; with half the strength .725 N m is. Speed 10 rad/s, K_t .1, R .2.
-    drive = new_drive(robot, 1, 1, WorldConfig())._replace(
+    actuation = new_actuation(robot, 1, 1, WorldConfig())._replace(
         motor_torque=np.array([[0.725, -0.5]]),
-        now=np.array([[0.0, 0.0, 10.0, 0.0]]),
+        sample=np.array([[0.0, 0.0, 10.0, 0.0]]),
         strength=np.array([[0.5, 0.5]]),
         table_current=np.array([0.0, 10.0, 20.0]),
         table_torque=np.array([0.0, 1.0, 1.9]),
@@ -217,26 +217,26 @@ def test_battery_and_heat_by_hand(robot):
         voltage=np.array([16.0]),
     )
     power = PowerConfig(ambient=25.0, heat_capacity=80.0, heat_resistance=2.0)
-    current = power_tick(drive, power, 0.001, temperature)
+    current = power_tick(actuation, power, 0.001, temperature)
     # Motor 1: R I^2 = 45 W and K_t w I = 15 W. Motor 2 stands: -10 A, 20 W of heat. 80 W from 16 V.
     assert current == pytest.approx(5.0)
     # 45 W into 80 J/K; 20 W in and (65 - 25) / 2 W out.
     np.testing.assert_allclose(temperature, [25.0 + 45 / 80 * 0.001, 65.0])
 
 
-def test_heat_of_joint_drives_by_hand():
+def test_heat_of_joint_actuators_by_hand():
     go2, temperature = RobotDescription.load("go2"), np.array([25.0, 65.0])
-    drive = new_drive(go2, 1, 1, WorldConfig())
-    assert drive.joint[0]
-    drive = drive._replace(
+    actuation = new_actuation(go2, 1, 1, WorldConfig())
+    assert actuation.joint[0]
+    actuation = actuation._replace(
         motor_torque=np.array([[10.0, -10.0]]),
-        now=np.array([[0.0, 0.0, 4.0, 4.0]]),
-        greatest_torque=np.array([[20.0, 20.0]]),
+        sample=np.array([[0.0, 0.0, 4.0, 4.0]]),
+        max_torque=np.array([[20.0, 20.0]]),
         joint_limits=np.array([[30.0, 30.0]]),
         voltage=np.array([20.0]),
     )
     power = PowerConfig(ambient=25.0, heat_capacity=80.0, heat_resistance=2.0)
-    current = power_tick(drive, power, 0.001, temperature)
+    current = power_tick(actuation, power, 0.001, temperature)
     # At full torque half of 20 N m times 30 rad/s is heat, 300 W; at half torque a quarter of that. Motor 1 does 40 W
     # of work and motor 2 is driven by as much: 150 W in all, from 20 V.
     assert current == pytest.approx(7.5)
@@ -265,7 +265,7 @@ def test_a_slow_servo_holds_its_duty_between_two_steps(robot):
     duties = []
     for _ in range(50):
         slow.step(target)
-        duties.append(slow.world.drive.duty[0].copy())
+        duties.append(slow.world.actuation.duty[0].copy())
         one.step(target)
     rows = np.array(duties).reshape(10, 5, 8)
     np.testing.assert_array_equal(rows, np.repeat(rows[:, :1], 5, axis=1))

@@ -14,13 +14,14 @@ import pytest
 pytest.importorskip("mujoco")
 
 from surefoot.cli.main import main
-from surefoot.deploy.wire.frames import MAX_FRAME
-from surefoot.deploy.wire.messages import Arm, Codec, Fault, Handshake, Hello, Mode, Ping, Pong, Position, Reason, State
+from surefoot.deploy.messages import Arm, Fault, Handshake, Hello, Mode, Ping, Pong, Position, Reason, State
+from surefoot.deploy.serial.codec import Codec
+from surefoot.deploy.serial.frames import MAX_FRAME
 from surefoot.emulator.hardware import PowerConfig, SensorConfig
 from surefoot.emulator.plant import Plant
 from surefoot.emulator.process import Lockstep, Summary
 from surefoot.emulator.signals import MotorOrder
-from surefoot.world.drive import set_drive_params
+from surefoot.world.actuation import set_actuation_params
 from surefoot.world.interface import WorldConfig
 from surefoot.world.sim_world import SimWorld
 
@@ -142,7 +143,7 @@ def test_in_lockstep_the_robot_moves_as_a_simulation_does(emulate_here, robot):
         plant.step(MotorOrder(Mode.DISARMED, np.zeros(8)))
     world = SimWorld(robot, 1, config=WorldConfig(rest=(0.0, 0.9)))
     world.set_state(plant.world.get_state())
-    set_drive_params(world.drive, np.arange(1), world.params)
+    set_actuation_params(world.actuation, np.arange(1), world.params)
     host.send(Arm(ME, int(Mode.POSITION), STEP, STEP), 0.030)
     rng = np.random.default_rng(1)
     target = robot.pose_angles(0.0, 1.5)

@@ -11,8 +11,8 @@ from processes import EmulatorHere, emulators
 
 from surefoot.deploy.connection import open_connection
 from surefoot.deploy.display import PlainLines
-from surefoot.deploy.link import LinkLostError
-from surefoot.deploy.wire.messages import Mode
+from surefoot.deploy.messages import Mode
+from surefoot.deploy.robot_link import LinkLostError
 from surefoot.identify.experiment_runner import run_plan
 from surefoot.identify.plan import ExperimentLimits, Phase, Plan, chirps, go_to, steps
 from surefoot.identify.recording import COMPLETE, Recording

@@ -16,7 +16,7 @@ from processes import EmulatorHere, emulators
 
 from surefoot.deploy.connection import open_connection
 from surefoot.deploy.display import PlainLines
-from surefoot.deploy.wire.messages import Mode
+from surefoot.deploy.messages import Mode
 from surefoot.errors import SurefootError
 from surefoot.identify.experiment_runner import run_plan
 from surefoot.identify.plan import ExperimentLimits, Plan

@@ -84,7 +84,7 @@ def nodding(robot: RobotDescription) -> dict[float, Motion]:
             extension = 2.0 + (STANCE - 2.0) * share + min(time / 0.3, 1.0) * swell
             target = robot.pose_angles(np.zeros(4), extension)
             before = world.truth()
-            rate = world.drive.now[0, -3:].copy()
+            rate = world.actuation.sample[0, -3:].copy()
             world.step(target[None])
             after = world.truth()
             if time > 0.4:
@@ -92,7 +92,7 @@ def nodding(robot: RobotDescription) -> dict[float, Motion]:
                     (
                         before.motor_angle[0], before.motor_velocity[0],
                         (after.motor_velocity[0] - before.motor_velocity[0]) / STEP, after.motor_torque[0],
-                        before.roll_pitch_yaw[0, :2], rate, (world.drive.now[0, -3:] - rate) / STEP,
+                        before.roll_pitch_yaw[0, :2], rate, (world.actuation.sample[0, -3:] - rate) / STEP,
                     )
                 )  # fmt: skip
         motions[ratio] = Motion(*(np.array(column)[::3] for column in zip(*rows, strict=True)))

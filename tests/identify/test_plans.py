@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from surefoot.deploy.messages import Mode
 from surefoot.deploy.poses import sitting
-from surefoot.deploy.wire.messages import Mode
 from surefoot.emulator.limits import Limits, introduction
 from surefoot.identify.ground_plans import DRAG, ends, rocking, sides, standing_up
 from surefoot.identify.plan import FADE, Phase, Plan, chirps, go_to, hold, steps, sweep

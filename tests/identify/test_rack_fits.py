@@ -10,7 +10,7 @@ import pytest
 
 pytest.importorskip("mujoco")
 
-from surefoot.deploy.wire.messages import Mode
+from surefoot.deploy.messages import Mode
 from surefoot.identify.rack_fits import LEVEL, VOLTAGE, imu_estimates, measure_spikes, rest_voltage
 from surefoot.identify.recording import Recording
 

@@ -10,7 +10,7 @@ import pytest
 
 pytest.importorskip("mujoco")
 
-from surefoot.deploy.wire.messages import Mode
+from surefoot.deploy.messages import Mode
 from surefoot.errors import SurefootError
 from surefoot.identify.plan import Plan
 from surefoot.identify.recording import Recording

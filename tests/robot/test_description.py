@@ -121,7 +121,7 @@ def test_leg_space_and_poses_are_the_sheets(robot: RobotDescription):
 
 
 def test_the_minitaur_has_five_bars_and_dc_motors(robot: RobotDescription):
-    assert robot.drive == "dc"
+    assert robot.actuator.kind == "dc"
     assert robot.dc_motor is robot.actuator
     assert robot.five_bar is robot.leg_geometry
 

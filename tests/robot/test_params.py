@@ -72,7 +72,7 @@ def test_with_values_leaves_the_original_alone(robot, params):
         ({"motor_viscous_friction": 0.2}, ["motor_viscous_friction is 0.2", "allows 0 to 0.1", "unit: N m s/rad"]),
         ({"voltage": float("nan")}, ["voltage is nan", "allows 5 to 30", "unit: V"]),
         ({"voltage": [16, 16, 16, 16, 40]}, ["voltage is 40"]),
-        # Of joint drives only.
+        # Of joint actuators only.
         ({"load_friction": 0.1}, ["load_friction belongs to motors of kind joint", "the motors of minitaur are dc"]),
         ({"speed_filter": 0.001}, ["speed_filter belongs to motors of kind joint", "motors of minitaur are dc"]),
         ({"rotor_inertia": 0.0}, ["rotor_inertia belongs to motors of kind joint", "motors of minitaur are dc"]),

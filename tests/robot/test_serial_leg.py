@@ -340,9 +340,9 @@ def test_lists_of_a_leg_hold_for_every_leg(tmp_path: Path):
     np.testing.assert_array_equal(params.load_friction, np.full((2, 12), 0.05))
 
 
-def test_parameters_of_dc_motors_are_refused_for_joint_drives(tmp_path: Path):
+def test_parameters_of_dc_motors_are_refused_for_joint_actuators(tmp_path: Path):
     robot = RobotDescription.load(write_toy(tmp_path / "toy"))
-    assert robot.drive == "joint"
+    assert robot.actuator.kind == "joint"
     params = PhysicalParams.nominal(robot)
     assert params.with_values(robot, load_friction=0.2).load_friction.tolist() == [[0.2] * 12]
     with pytest.raises(SurefootError, match="voltage belongs to motors of kind dc; the motors of toy are joint"):

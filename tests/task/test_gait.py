@@ -155,7 +155,7 @@ def test_the_edge_of_the_legs_range_is_allowed(robot):
 
 @pytest.mark.parametrize("task", ["trot", "steer"])
 def test_a_damped_drive_follows_a_reference_that_leads_by_its_lag(task: str):
-    """A drive without inertia and load moves at (command - angle) k_p / k_d: it lags by T = k_d / k_p."""
+    """An actuator without inertia and load moves at (command - angle) k_p / k_d: it lags by T = k_d / k_p."""
     go2, lag, step = RobotDescription.load("go2"), 0.0286, 1e-3
     time = np.arange(0.0, 2.0, step)
     command, worst = np.tile([0.5, 0.0, 0.0], (len(time), 1)), {}

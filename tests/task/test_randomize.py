@@ -349,7 +349,7 @@ def test_every_reset_draws_anew_for_the_robots_that_restart():
 def test_a_robot_that_starts_anew_by_itself_draws_alone():
     env = make_env(TABLE_1)
     env.reset()
-    before, strength = kept(env), env.world.drive.strength.copy()
+    before, strength = kept(env), env.world.actuation.strength.copy()
     env.step(np.zeros((4, 8)))
     assert not changed(env, before).any()
     env.world.engine.datas[2].qpos[3:7] = np.cos(0.5), np.sin(0.5), 0.0, 0.0  # rolled by 1 rad
@@ -358,7 +358,7 @@ def test_a_robot_that_starts_anew_by_itself_draws_alone():
     assert changed(env, before).all(axis=1).tolist() == [False, False, True, False]
     assert changed(env, before).any(axis=1).tolist() == [False, False, True, False]
     # It arrived where the motors are computed.
-    assert np.array_equal(env.world.drive.strength != strength, np.repeat([[False, False, True, False]], 8, 0).T)
+    assert np.array_equal(env.world.actuation.strength != strength, np.repeat([[False, False, True, False]], 8, 0).T)
 
 
 def test_the_end_of_an_episode_draws_anew():

@@ -17,8 +17,8 @@ from surefoot.errors import SurefootError
 from surefoot.rotations import xyzw_matrix
 from surefoot.world import bullet_engine as module
 from surefoot.world.bullet_engine import BulletEngine
+from surefoot.world.bullet_kernels import pin_kernel, sole_kernel
 from surefoot.world.bullet_model import PUBLISHED, BulletModel, BulletSettings
-from surefoot.world.bullet_tick import pin_kernel, sole_kernel
 from surefoot.world.interface import WorldConfig
 from surefoot.world.sim_world import SimWorld
 
@@ -102,7 +102,7 @@ def test_base_velocity_is_that_of_the_links_origin_in_a_turned_robot(make_world,
     linear, angular = np.array([0.3, -0.2, 0.5]), np.array([1.0, -2.0, 3.0])
     engine.set_base_velocity(np.array([0]), linear[None], angular[None])
     engine.observe(np.array([0]))
-    np.testing.assert_allclose(world.drive.now[0, -3:], angular, atol=1e-12)
+    np.testing.assert_allclose(world.actuation.sample[0, -3:], angular, atol=1e-12)
     before = world.truth()
     assert np.abs(before.roll_pitch_yaw).max() > 0.01
     np.testing.assert_allclose(before.base_velocity_world[0], linear, atol=1e-12)

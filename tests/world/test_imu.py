@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from surefoot.world.drive import read_by_mounted_imu
+from surefoot.world.actuation import rotate_to_imu
 from surefoot.world.sim_world import SimWorld
 
 QUARTER = np.pi / 2
@@ -14,7 +14,7 @@ QUARTER = np.pi / 2
 def test_an_imu_turned_by_a_quarter_about_z_reads_pitch_for_roll():
     # Its x axis is the base's y axis: a base that rolls by .1 has an IMU that pitches by -.1.
     attitude, rates = np.array([[0.1, 0.0, 0.0]]), np.array([[1.0, 2.0, 3.0]])
-    read_by_mounted_imu(attitude, rates, np.array([[0.0, 0.0, QUARTER]]))
+    rotate_to_imu(attitude, rates, np.array([[0.0, 0.0, QUARTER]]))
     np.testing.assert_allclose(attitude, [[0.0, -0.1, QUARTER]], atol=1e-12)
     np.testing.assert_allclose(rates, [[2.0, -1.0, 3.0]], atol=1e-12)
 
@@ -22,7 +22,7 @@ def test_an_imu_turned_by_a_quarter_about_z_reads_pitch_for_roll():
 def test_small_errors_of_the_mount_add_to_a_level_attitude():
     mount = np.array([[0.01, 0.0, 0.0], [0.0, -0.02, 0.0], [0.0, 0.0, 0.03]])
     attitude = np.zeros((3, 3))
-    read_by_mounted_imu(attitude, np.zeros((3, 3)), mount)
+    rotate_to_imu(attitude, np.zeros((3, 3)), mount)
     np.testing.assert_allclose(attitude, mount, atol=1e-12)
 
 

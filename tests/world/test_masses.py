@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from surefoot.world.drive import OF_ALL_ROBOTS
+from surefoot.world.actuation import SHARED_ARRAYS
 from surefoot.world.interface import Readings, Truth
 from surefoot.world.mujoco_engine import MASS_FIELDS
 from surefoot.world.mujoco_model import build_model
@@ -147,10 +147,10 @@ def same_state(one: dict[str, Any], other: dict[str, Any], rows: list[int], with
     equal = [one["streams"][k] == other["streams"][k] for i in rows for k in (i, 4 + i)]
     for part in ("engine", "control_steps", "noise"):
         equal.append(np.array_equal(one[part][rows], other[part][rows]))
-    for part in ("drive", "params"):
+    for part in ("actuation", "params"):
         for name, array in one[part].items():
             if name not in without:
-                place = slice(None) if name in OF_ALL_ROBOTS else rows
+                place = slice(None) if name in SHARED_ARRAYS else rows
                 equal.append(np.array_equal(array[place], other[part][name][place]))
     return all(equal)
 

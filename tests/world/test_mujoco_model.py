@@ -29,7 +29,7 @@ class Rack:
     def angles(self) -> np.ndarray:
         return self.robot.motor_sign * [self.data.qpos[joint.qposadr[0]] for joint in self.motors]
 
-    def drive(self, target: np.ndarray) -> None:
+    def step(self, target: np.ndarray) -> None:
         """One step of a stiff servo."""
         speeds = self.robot.motor_sign * [self.data.qvel[joint.dofadr[0]] for joint in self.motors]
         torque = 20.0 * (target - self.angles) - 0.4 * speeds
@@ -75,7 +75,7 @@ def test_feet_follow_the_closed_form_over_the_legs_range(robot: RobotDescription
     path = np.concatenate([np.linspace(1.5, 2.6, 800), np.linspace(2.6, 0.7, 1400)])
     for k, extension in enumerate(path):
         angles = robot.pose_angles(np.full(4, swing * min(1, k / 300)), np.full(4, extension))
-        rack.drive(angles)
+        rack.step(angles)
         if k % 10 == 0:
             expected = foot_centre(robot, rack.angles[pair])
             worst = max(worst, float(np.abs(rack.feet_from_axes() - expected).max()))

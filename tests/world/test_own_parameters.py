@@ -1,4 +1,4 @@
-"""What single robots differ in: encoders that are off, a centre of mass elsewhere, drives that stick."""
+"""What single robots differ in: encoders that are off, a centre of mass elsewhere, actuators that stick."""
 
 from __future__ import annotations
 

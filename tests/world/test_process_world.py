@@ -17,9 +17,9 @@ import pytest
 
 from surefoot.errors import SurefootError
 from surefoot.robot import PhysicalParams, RobotDescription
-from surefoot.world.drive import new_drive
+from surefoot.world.actuation import new_actuation
 from surefoot.world.interface import WorldConfig
-from surefoot.world.process_world import OF_ALL_ROBOTS, ProcessWorld, bullet_world, kept_processes, processes_for
+from surefoot.world.process_world import SHARED_ARRAYS, ProcessWorld, bullet_world, processes_for, worker_pool
 from surefoot.world.sim_world import SimWorld, mujoco_engine
 
 # Most tests are of the processes, whatever they simulate: MuJoCo starts and steps faster.
@@ -57,7 +57,7 @@ def assert_same_state(one: dict[str, Any], other: dict[str, Any]) -> None:
     assert one["streams"] == other["streams"]
     for key in ("engine", "control_steps", "noise", "diverged", "divergences"):
         np.testing.assert_array_equal(one[key], other[key])
-    for part in ("drive", "params"):
+    for part in ("actuation", "params"):
         assert one[part].keys() == other[part].keys()
         for name in one[part]:
             np.testing.assert_array_equal(one[part][name], other[part][name], err_msg=name)
@@ -125,7 +125,7 @@ def test_a_state_is_that_of_one_world_and_goes_on_in_any(single, spread, trot, a
 def test_a_state_from_before_a_parameter_goes_on_with_its_nominal_value(robot, trot, assert_same, spread):
     one = SimWorld(robot, NUM)
     state = one.get_state()
-    del state["params"]["contact_stiffness"], state["params"]["motor_viscous_friction"], state["drive"]["viscous"]
+    del state["params"]["contact_stiffness"], state["params"]["motor_viscous_friction"], state["actuation"]["viscous"]
     spread.set_state(state)
     assert spread.params.contact_stiffness.tolist() == [3000.0] * NUM
     assert not spread.params.motor_viscous_friction.any()
@@ -135,10 +135,10 @@ def test_a_state_from_before_a_parameter_goes_on_with_its_nominal_value(robot, t
 
 def test_arrays_of_all_robots_are_known(robot):
     # A row each for 3 and for 7 robots, or the same whatever the number.
-    three, seven = (new_drive(robot, num, 5, WorldConfig())._asdict() for num in (3, 7))
+    three, seven = (new_actuation(robot, num, 5, WorldConfig())._asdict() for num in (3, 7))
     for name in three:
-        assert (len(three[name]), len(seven[name])) == (3, 7) or name in OF_ALL_ROBOTS, name
-    for name in OF_ALL_ROBOTS:
+        assert (len(three[name]), len(seven[name])) == (3, 7) or name in SHARED_ARRAYS, name
+    for name in SHARED_ARRAYS:
         np.testing.assert_array_equal(three[name], seven[name])
 
 
@@ -209,7 +209,7 @@ def test_kept_processes_serve_one_world_after_another_as_fresh_ones_do(robot, si
     def make() -> ProcessWorld:
         return ProcessWorld(robot, NUM, params, 3, WorldConfig(threads=2, **CONFIG), mujoco_engine)
 
-    with kept_processes():
+    with worker_pool():
         world = make()
         first = ids(world)
         play(world, trot)

@@ -106,7 +106,7 @@ def test_motors_of_one_robot_have_their_own_viscous_friction(make_world, trot):
     for k in range(60):
         speed = world.truth().motor_velocity[0]
         world.step(trot(k))
-        lost = world.drive.motor_torque[0] - world.drive.torque[0]
+        lost = world.actuation.motor_torque[0] - world.actuation.torque[0]
         np.testing.assert_allclose(lost, friction * speed, rtol=1e-9, atol=1e-12)
     assert np.abs(lost[1:]).min() > 1e-3
 
@@ -282,7 +282,7 @@ def test_a_state_from_before_a_parameter_goes_on_with_its_nominal_value(
     state = world.get_state()
     del state["params"][name]
     if in_drive:
-        del state["drive"][in_drive]
+        del state["actuation"][in_drive]
     again.set_state(state)
     assert np.all(getattr(again.params, name) == world.robot.nominal_params()[name])
     assert again.params.voltage.tolist() == [15.0, 16.0]
@@ -311,7 +311,7 @@ def test_refused_parameters_change_no_robot(make_world, values, rule):
         given.imu_noise[0] = 9.0
     with pytest.raises(SurefootError, match=rule):
         world.set_params([1], given)
-    assert world.params.voltage.tolist() == world.drive.voltage.tolist() == [16.0, 16.0]
+    assert world.params.voltage.tolist() == world.actuation.voltage.tolist() == [16.0, 16.0]
 
 
 # --- energy and heat --------------------------------------------------------------------------------------
@@ -354,7 +354,7 @@ def test_heat_is_that_of_the_currents_at_servo_rate(make_world, trot):
 
 
 def test_heat_of_a_drive_grows_with_the_square_of_its_torque():
-    # Pupper's drives have 1.1 N m up to 10 rad/s; half of these 11 W is heat at full torque.
+    # Pupper's actuators have 1.1 N m up to 10 rad/s; half of these 11 W is heat at full torque.
     robot = RobotDescription.load("pupper_v2")
     world = SimWorld(robot, 1, PhysicalParams.nominal(robot, 1).with_values(robot, control_step=0.001))
     world.step(np.zeros((1, 12)))

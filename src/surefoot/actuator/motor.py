@@ -149,11 +149,11 @@ def joint_torque_kernel(target: float, angle: float, speed: float, kp: float, kd
 
 @vectorize(cache=True)
 def joint_torque(target, angle, speed, kp, kd):  # type: ignore[no-untyped-def]
-    """Return the torque [N m] that the PD controller of a joint drive asks for: k_p (q_target - q) - k_d qdot.
+    """Return the torque [N m] that the PD controller of a joint actuator asks for: k_p (q_target - q) - k_d qdot.
 
     Args:
         target: commanded angle [rad].
-        angle: angle that the drive sees, `servo_latency` old [rad].
+        angle: angle that the actuator sees, `servo_latency` old [rad].
         speed: speed that it sees, equally old and filtered [rad/s].
         kp: proportional gain [N m/rad].
         kd: derivative gain [N m s/rad].
@@ -174,10 +174,10 @@ def joint_limit_kernel(torque: float, speed: float, limit: float, full: float, n
 
 @vectorize(cache=True)
 def joint_limit(torque, speed, limit, full, none):  # type: ignore[no-untyped-def]
-    """Return a joint drive's torque [N m] within what it can give at a speed.
+    """Return a joint actuator's torque [N m] within what it can give at a speed.
 
-    A drive that brakes has its whole torque; one that drives has it up to the speed `full`, and less in a straight line
-    to none at the speed `none`, where the supply's voltage is used up.
+    An actuator that brakes has its whole torque. One that drives has it up to the speed `full`; from there it falls in
+    a straight line to none at the speed `none`, where the supply's voltage is used up.
 
     Args:
         torque: torque asked for [N m].

@@ -29,14 +29,14 @@ from surefoot.cli.options import (
 )
 from surefoot.cli.parsing import parse
 from surefoot.configuration import Duration
-from surefoot.deploy.link import BAUD
+from surefoot.deploy.serial.port import BAUD
 from surefoot.errors import SurefootError
 
 if TYPE_CHECKING:
     from surefoot.deploy.deployment import Deployment, Outcome
+    from surefoot.deploy.messages import Handshake
     from surefoot.deploy.pacer import Timing
     from surefoot.deploy.recording.run_saver import SavedRun
-    from surefoot.deploy.wire.messages import Handshake
 
 _DRIVEN = 600.0
 """Length of a run that is driven from the page [s], if none is given."""

@@ -18,7 +18,8 @@ from surefoot.configuration import Within
 from surefoot.deploy.connection import open_connection
 from surefoot.deploy.doctor.examination import STEPS, examine
 from surefoot.deploy.doctor.link import PINGS
-from surefoot.deploy.link import BAUD, LinkLostError
+from surefoot.deploy.robot_link import LinkLostError
+from surefoot.deploy.serial.port import BAUD
 from surefoot.errors import SurefootError
 from surefoot.findings import Finding
 from surefoot.policy.runtime import PolicyRuntime

@@ -161,7 +161,7 @@ def main(argv: list[str]) -> int:
             raise SurefootError(f"{option} is given, but nothing is simulated on its side: {sides[0]}")
     from surefoot.evaluate.recorded import by_policy, find_traces, save_runs, world_of
     from surefoot.evaluate.sensitivity import episode_duration
-    from surefoot.world.process_world import kept_processes
+    from surefoot.world.process_world import worker_pool
 
     for side in (home, *away):
         if side.world:
@@ -178,7 +178,7 @@ def main(argv: list[str]) -> int:
         check_name("policy name", one.name)
     make_figures_folder(command.out)
     runs: dict[str, dict[str, Recorded]] = {one.name: {} for one in candidates}
-    with kept_processes():
+    with worker_pool():
         for one, (at_home, elsewhere) in zip(candidates, tasks, strict=True):
             for number, (side, label) in enumerate(zip((home, *away), named, strict=True)):
                 if side in recorded:

@@ -53,7 +53,7 @@ class TracesCommand:
     """
 
     from_trace: Path
-    """Trace file (.npz), or a folder of them. Of robots with joint drives: logs of commands and angles."""
+    """Trace file (.npz), or a folder of them. Of robots with joint actuators: logs of commands and angles."""
     fit: tuple[str, ...] = ()
     """Physical parameters to find; all that traces tell, if not given. The others are taken as they are known."""
     params: Path | None = None
@@ -76,7 +76,7 @@ class TracesCommand:
 
 def check_identifiable(robot: RobotDescription) -> None:
     """Refuse a robot that the experiments and fits are not made for."""
-    if robot.drive != "dc" or not isinstance(robot.leg_geometry, FiveBar):
+    if robot.actuator.kind != "dc" or not isinstance(robot.leg_geometry, FiveBar):
         raise SurefootError(f"identify takes robots with five-bar legs and DC motors; {robot.name} has others")
 
 
@@ -100,7 +100,7 @@ def main(argv: list[str]) -> int:
 def _usage() -> str:
     experiments = {name: f"{one.what} (on {'rack' if one.rack else 'ground'})" for name, one in EXPERIMENTS.items()}
     others = {
-        f"{FROM_TRACE} FOLDER": "motors and delays from traces of runs; a robot with joint drives from logs",
+        f"{FROM_TRACE} FOLDER": "motors and delays from traces of runs; a robot with joint actuators from logs",
         FIGURE: "one motor follows a sine: servo and DC motor, constraint motor, and a recording",
     }
     width = max(map(len, [*experiments, *others]))
@@ -110,11 +110,13 @@ def _usage() -> str:
 def _from_trace(argv: list[str]) -> int:
     command = parse(TracesCommand, argv, "surefoot identify")
     _check_files(command)
-    if command.robot is not None and (robot := RobotDescription.load(command.robot)).drive == "joint":
+    if command.robot is not None and (robot := RobotDescription.load(command.robot)).actuator.kind == "joint":
         return _from_logs(command, robot)
     for name in ("rack", "hold_out", "search"):
         if getattr(command, name):
-            raise SurefootError(f"--{name.replace('_', '-')} is of logs of a robot with joint drives; name it: --robot")
+            raise SurefootError(
+                f"--{name.replace('_', '-')} is of logs of a robot with joint actuators; name it: --robot"
+            )
     from surefoot.evaluate.recorded import find_traces
 
     traces = find_traces(command.from_trace)
@@ -135,7 +137,7 @@ def _from_trace(argv: list[str]) -> int:
 
 
 def _from_logs(command: TracesCommand, robot: RobotDescription) -> int:
-    """Fit a whole robot with joint drives to logs."""
+    """Fit a whole robot with joint actuators to logs."""
     from surefoot.identify.robot_log import read_log
 
     paths = sorted(command.from_trace.glob("*.npz")) if command.from_trace.is_dir() else [command.from_trace]

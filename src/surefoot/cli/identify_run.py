@@ -17,10 +17,11 @@ from rich.text import Text
 from surefoot.cli.options import Baud, Json, Lockstep, Yes, ask_to_move, check_terminal
 from surefoot.deploy.connection import RobotConnection, open_connection
 from surefoot.deploy.display import LiveDisplay, PlainLines
-from surefoot.deploy.link import BAUD, LinkLostError
 from surefoot.deploy.loop import Snapshot, Watch
+from surefoot.deploy.messages import Handshake
 from surefoot.deploy.pacer import undisturbed
-from surefoot.deploy.wire.messages import Handshake
+from surefoot.deploy.robot_link import LinkLostError
+from surefoot.deploy.serial.port import BAUD
 from surefoot.errors import SurefootError
 from surefoot.identify.experiment_runner import run_plan
 from surefoot.identify.plan import Plan

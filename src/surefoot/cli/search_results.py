@@ -33,7 +33,7 @@ def report(search: Search, command: str, console: Console) -> None:
     """
     from surefoot.evaluate.trials import SearchResult, best
     from surefoot.report.search_report import write_report
-    from surefoot.world.process_world import kept_processes
+    from surefoot.world.process_world import worker_pool
 
     make_figures_folder(search.folder)
     trials = _trials(search, console)
@@ -42,7 +42,7 @@ def report(search: Search, command: str, console: Console) -> None:
     if not complete:
         raise SurefootError(f"{search.folder}: no trial is complete; there is nothing to report yet")
     retests = []
-    with kept_processes():
+    with worker_pool():
         for trial in best(complete, TOP):
             with console.status(f"evaluating trial {trial.number} in fresh episodes"):
                 retests.append(_retest(search, trial))

@@ -37,12 +37,12 @@ def evaluate_runs(study: StudyConfig, runs: list[Training], threads: int, consol
     """Make every evaluation of every finished run that is not there yet."""
     from surefoot.evaluate.evaluations import EVALUATIONS, evaluate, evaluation_names, stored_result
     from surefoot.evaluate.statistics import decimal
-    from surefoot.world.process_world import kept_processes
+    from surefoot.world.process_world import worker_pool
 
     kinds = evaluation_names(study.evaluate)
     finished = [run for run in runs if run.state == "finished"]
     todo = [(run, kind) for run in finished for kind in kinds if stored_result(run.policy, kind) is None]
-    with kept_processes():
+    with worker_pool():
         for number, (run, kind) in enumerate(todo, start=1):
             start = time.perf_counter()
             with console.status(f"evaluating {run.name}: {kind} ({number} of {len(todo)})"):

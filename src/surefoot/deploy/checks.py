@@ -14,7 +14,7 @@ import numpy as np
 from surefoot.arrays import Array
 from surefoot.configuration import from_mapping
 from surefoot.deploy.controller import action_kind, contract_gait
-from surefoot.deploy.wire.messages import Handshake
+from surefoot.deploy.messages import Handshake
 from surefoot.errors import SurefootError, choices
 from surefoot.findings import Finding, compared, judged, undone
 from surefoot.policy.contract import Contract

@@ -8,12 +8,9 @@ from collections.abc import Callable
 
 from surefoot.arrays import Array
 from surefoot.deploy.clock import Clock, ClockSync, LockstepClock, MonotonicClock
-from surefoot.deploy.link import BAUD, Arrival, Link, SerialPort
-from surefoot.deploy.wire.messages import (
-    VERSION,
+from surefoot.deploy.messages import (
     Arm,
     Bye,
-    Codec,
     Damp,
     Disarm,
     Fault,
@@ -26,6 +23,9 @@ from surefoot.deploy.wire.messages import (
     Reason,
     State,
 )
+from surefoot.deploy.serial.codec import VERSION, Codec
+from surefoot.deploy.serial.port import BAUD, SerialPort
+from surefoot.deploy.serial.serial_link import Arrival, Link
 from surefoot.errors import SurefootError
 
 STATE_PERIOD = 0.010
@@ -111,7 +111,7 @@ class RobotConnection:
             raise SurefootError(
                 f"the robot speaks version {foreign[0]} and schema {foreign[1]:#010x} of the protocol; this surefoot "
                 f"speaks version {VERSION} and schema {codec.schema:#010x} (for {codec.motors} motors): "
-                f"build its firmware with python -m surefoot.deploy.wire.c_header --motors {codec.motors}"
+                f"build its firmware with python -m surefoot.deploy.serial.c_header --motors {codec.motors}"
             )
 
     def update(self) -> None:

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from surefoot.arrays import Array
+from surefoot.deploy.messages import State
 from surefoot.deploy.safety import check_finite
-from surefoot.deploy.wire.messages import State
 from surefoot.errors import SurefootError, choices
 from surefoot.policy.contract import Contract
 from surefoot.policy.runtime import PolicyRuntime

@@ -11,13 +11,13 @@ from surefoot.arrays import Array
 from surefoot.deploy.commands import CommandSource
 from surefoot.deploy.connection import RobotConnection
 from surefoot.deploy.controller import Controller
-from surefoot.deploy.link import LinkLostError
 from surefoot.deploy.loop import ControlLoop, Watch
+from surefoot.deploy.messages import Handshake, State
 from surefoot.deploy.motion import MotionRunner
 from surefoot.deploy.pacer import Timing
 from surefoot.deploy.recording.recorder import Recorder
+from surefoot.deploy.robot_link import LinkLostError
 from surefoot.deploy.safety import GO, Act, Guard, SafetyLimits, Verdict
-from surefoot.deploy.wire.messages import Handshake, State
 from surefoot.errors import SurefootError
 from surefoot.stop_signals import StopSignals
 

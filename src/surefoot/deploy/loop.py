@@ -12,10 +12,10 @@ from dataclasses import dataclass
 
 from surefoot.arrays import Array
 from surefoot.deploy.connection import RobotConnection
-from surefoot.deploy.link import LinkLostError
+from surefoot.deploy.messages import State
 from surefoot.deploy.pacer import Pacer, Timing
+from surefoot.deploy.robot_link import LinkLostError
 from surefoot.deploy.safety import GO, Act, Guard, NotFiniteError, Verdict
-from surefoot.deploy.wire.messages import State
 from surefoot.errors import SurefootError
 from surefoot.stop_signals import StopSignals
 

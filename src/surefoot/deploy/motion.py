@@ -13,10 +13,10 @@ import numpy as np
 from surefoot.arrays import Array
 from surefoot.deploy.connection import RobotConnection
 from surefoot.deploy.loop import ControlLoop, Watch
+from surefoot.deploy.messages import Fault, Handshake, Mode, Reason, State
 from surefoot.deploy.pacer import Timing
 from surefoot.deploy.poses import between, lying, sitting
 from surefoot.deploy.safety import GO, Act, Guard, SafetyLimits, Verdict
-from surefoot.deploy.wire.messages import Fault, Handshake, Mode, Reason, State
 from surefoot.errors import SurefootError
 from surefoot.robot import RobotDescription
 from surefoot.stop_signals import StopSignals

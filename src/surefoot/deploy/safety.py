@@ -13,7 +13,7 @@ from enum import Enum
 import numpy as np
 from numpy.typing import ArrayLike
 
-from surefoot.deploy.wire.messages import Mode, Reason, State
+from surefoot.deploy.messages import Mode, Reason, State
 from surefoot.errors import SurefootError
 from surefoot.robot import RobotDescription
 

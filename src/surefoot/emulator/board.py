@@ -6,8 +6,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from surefoot.deploy.wire.frames import encode_frame
-from surefoot.deploy.wire.messages import Codec, Handshake, Mode
+from surefoot.deploy.messages import Handshake, Mode
+from surefoot.deploy.serial.codec import Codec
+from surefoot.deploy.serial.frames import encode_frame
 from surefoot.emulator.faults import Fault, FaultInjector
 from surefoot.emulator.firmware import Firmware
 from surefoot.emulator.limits import Limits

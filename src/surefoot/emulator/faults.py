@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from surefoot.deploy.wire.frames import Frame
-from surefoot.deploy.wire.messages import Handshake, Mode, State
+from surefoot.deploy.messages import Handshake, Mode, State
+from surefoot.deploy.serial.frames import Frame
 from surefoot.emulator.line import HARMS
 from surefoot.emulator.signals import MotorOrder, Sensors
 from surefoot.errors import SurefootError, choices

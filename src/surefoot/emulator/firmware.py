@@ -21,11 +21,9 @@ from dataclasses import replace
 import numpy as np
 
 from surefoot.deploy.clock import ClockSync
-from surefoot.deploy.wire.frames import Decoder, Frame
-from surefoot.deploy.wire.messages import (
+from surefoot.deploy.messages import (
     Arm,
     Bye,
-    Codec,
     Damp,
     Disarm,
     Fault,
@@ -40,6 +38,8 @@ from surefoot.deploy.wire.messages import (
     Reason,
     State,
 )
+from surefoot.deploy.serial.codec import Codec
+from surefoot.deploy.serial.frames import Decoder, Frame
 from surefoot.emulator.limits import Limits
 from surefoot.emulator.signals import MotorOrder, Sensors, Vitals, microseconds
 

@@ -14,7 +14,7 @@ from numba import njit
 
 from surefoot.arrays import Array
 from surefoot.robot.actuator import HEAT_LOSS
-from surefoot.world.drive import Drive
+from surefoot.world.actuation import ActuationState
 
 
 @dataclass(frozen=True)
@@ -66,7 +66,7 @@ class PowerConfig(NamedTuple):
 
 
 @njit(cache=True)
-def power_tick(drive: Drive, power: PowerConfig, dt: float, temperature: Array) -> float:
+def power_tick(state: ActuationState, power: PowerConfig, dt: float, temperature: Array) -> float:
     """Warm the motors of a robot for one step, and return the current that they draw from the battery [A].
 
     A motor's current follows from its torque by the inverse of the torque table; with I and speed w it takes the power
@@ -74,30 +74,30 @@ def power_tick(drive: Drive, power: PowerConfig, dt: float, temperature: Array) 
 
         C dT/dt = R I^2 - (T - T_air) / R_heat
 
-    Where the table is flat, the least current that gives the torque is taken. Joint drives are known by their limits
+    Where the table is flat, the least current that gives the torque is taken. Joint actuators are known by their limits
     alone: their heat is `HEAT_LOSS` of the power at full torque and the speed up to which they have it, times the
     square of torque over limit.
 
     Args:
-        drive: a batch of one robot, after the step.
+        state: a batch of one robot, after the step.
         power: C, T_air and R_heat.
         dt: step [s].
         temperature: of the motors (M,) [degC]; updated.
     """
-    table_current, table_torque = drive.table_current, drive.table_torque
+    table_current, table_torque = state.table_current, state.table_torque
     motors = len(temperature)
     total = 0.0
-    if drive.joint[0]:
+    if state.joint[0]:
         for m in range(motors):
-            limit, full = drive.greatest_torque[0, m], drive.joint_limits[0, m]
-            torque = drive.motor_torque[0, m]
+            limit, full = state.max_torque[0, m], state.joint_limits[0, m]
+            torque = state.motor_torque[0, m]
             heat = HEAT_LOSS * limit * full * (torque / limit) ** 2
-            total += heat + torque * drive.now[0, motors + m]
+            total += heat + torque * state.sample[0, motors + m]
             cooling = (temperature[m] - power.ambient) / power.heat_resistance
             temperature[m] += dt / power.heat_capacity * (heat - cooling)
-        return total / drive.voltage[0]
+        return total / state.voltage[0]
     for m in range(motors):
-        torque, strength = drive.motor_torque[0, m], drive.strength[0, m]
+        torque, strength = state.motor_torque[0, m], state.strength[0, m]
         nominal = abs(torque) / strength if strength > 0.0 else 0.0
         current = table_current[-1]
         for k in range(len(table_torque) - 1):
@@ -107,7 +107,7 @@ def power_tick(drive: Drive, power: PowerConfig, dt: float, temperature: Array) 
                 current = table_current[k] + share * (table_current[k + 1] - table_current[k])
                 break
         current = math.copysign(current, torque)
-        heat = drive.resistance[0] * current * current
-        total += heat + current * drive.torque_constant[0] * drive.now[0, motors + m]
+        heat = state.resistance[0] * current * current
+        total += heat + current * state.torque_constant[0] * state.sample[0, motors + m]
         temperature[m] += dt / power.heat_capacity * (heat - (temperature[m] - power.ambient) / power.heat_resistance)
-    return total / drive.voltage[0]
+    return total / state.voltage[0]

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from surefoot.deploy.wire.messages import Handshake
+from surefoot.deploy.messages import Handshake
 from surefoot.robot import RobotDescription
 
 ANGLE_ROOM = 1.0

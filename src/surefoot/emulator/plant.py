@@ -8,13 +8,13 @@ import numpy as np
 
 from surefoot.actuator.motor import joint_torque, servo_duty
 from surefoot.arrays import Array
-from surefoot.deploy.wire.messages import Mode
+from surefoot.deploy.messages import Mode
 from surefoot.emulator.hardware import PowerConfig, SensorConfig, power_tick
 from surefoot.emulator.signals import MotorOrder, Sensors, Vitals
 from surefoot.errors import SurefootError
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.seeding import generator
-from surefoot.world.drive import read_delayed, read_imu
+from surefoot.world.actuation import read_delayed, read_imu
 from surefoot.world.interface import WorldConfig
 from surefoot.world.sim_world import EngineFactory, SimWorld, mujoco_engine
 
@@ -73,8 +73,8 @@ class Plant:
         self._torque_noise = generator(seed, "emulated torque sensors")
         self._torque_gain = 1.0 + self.sensors.torque_gain * self._torque_noise.standard_normal(motors)
         self._imu_noise = float(self.params.imu_noise[0])
-        self._voltage = float(self.params.voltage[0]) if robot.drive == "dc" else robot.battery.nominal
-        self.world.drive.voltage[0] = self._voltage
+        self._voltage = float(self.params.voltage[0]) if robot.actuator.kind == "dc" else robot.battery.nominal
+        self.world.actuation.voltage[0] = self._voltage
         self._count = np.ones(1, np.int64)
         self._row = np.empty(2 * motors + 6)
         self.temperature = np.full(motors, self.power.ambient)
@@ -88,17 +88,17 @@ class Plant:
     @property
     def _seconds(self) -> Array:
         """Time since the robot was switched on (1,) [s]."""
-        return np.asarray(self.world.drive.ticks * self.robot.timing.servo_step, np.float64)
+        return np.asarray(self.world.actuation.ticks * self.robot.timing.servo_step, np.float64)
 
     @property
     def ticks(self) -> int:
         """Servo steps since the robot was switched on."""
-        return int(self.world.drive.ticks[0])
+        return int(self.world.actuation.ticks[0])
 
     @property
     def voltage(self) -> float:
         """Battery voltage under load [V]."""
-        return float(self.world.drive.voltage[0])
+        return float(self.world.actuation.voltage[0])
 
     def step(self, order: MotorOrder, count: int = 1) -> None:
         """Run servo steps under one order; update battery and heat after the last one.
@@ -110,23 +110,23 @@ class Plant:
         Raises:
             SurefootError: the physics diverged.
         """
-        world, drive = self.world, self.world.drive
+        world, actuation = self.world, self.world.actuation
         if order is not self._order:
             self._obey(order)
         if self.servo_every > 1 and order.mode != Mode.PWM and self.ticks % self.servo_every == 0:
             seen = self._look(0.0, float(self.params.servo_latency[0]))
             motors = self.robot.num_motors
-            drive.duty[0] = self._duty(order.values, seen[:motors], seen[motors : 2 * motors])
+            actuation.duty[0] = self._duty(order.values, seen[:motors], seen[motors : 2 * motors])
         self._count[0] = count
         world.engine.advance(self._count)
         if world.engine.diverged[0]:
             raise SurefootError(f"the physics of the emulated robot broke down after {self.ticks} servo steps")
-        self.energy += float(drive.energy[0])
-        self._contact += drive.contact_ticks[0]
+        self.energy += float(actuation.energy[0])
+        self._contact += actuation.contact_ticks[0]
         self._draw_power(self.temperature, count)
 
     def _obey(self, order: MotorOrder) -> None:
-        drive, follows = self.world.drive, order.mode == Mode.POSITION
+        actuation, follows = self.world.actuation, order.mode == Mode.POSITION
         # Damped motors have the servo's own gain: with twice as much, and speeds some milliseconds old, they oscillate.
         none = np.zeros(self.robot.num_motors)
         self._order, self._gains = order, (none, np.asarray(self.robot.actuator.kd))
@@ -134,34 +134,34 @@ class Plant:
             self._gains = self.params.servo_kp[0], self.params.servo_kd[0]
         elif order.mode == Mode.PWM:
             self._gains = none, none
-        drive.duty[0] = order.values if order.mode == Mode.PWM else 0.0
-        drive.target[0] = order.values if follows else 0.0
+        actuation.duty[0] = order.values if order.mode == Mode.PWM else 0.0
+        actuation.target[0] = order.values if follows else 0.0
         # A servo that runs less often than the physics is computed in `step`; its duty holds in between.
-        drive.kp[0], drive.kd[0] = self._gains if self.servo_every == 1 else (none, none)
+        actuation.kp[0], actuation.kd[0] = self._gains if self.servo_every == 1 else (none, none)
 
     def _duty(self, target: Array, angle: Array, speed: Array) -> Array:
-        """Return what servos ask for: a duty of DC motors, a share of the torque limit of joint drives."""
-        if self.robot.drive == "dc":
+        """Return what servos ask for: a duty of DC motors, a share of the torque limit of joint actuators."""
+        if self.robot.actuator.kind == "dc":
             return np.asarray(servo_duty(target, angle, speed, *self._gains))
-        return np.asarray(joint_torque(target, angle, speed, *self._gains) / self.world.drive.greatest_torque[0])
+        return np.asarray(joint_torque(target, angle, speed, *self._gains) / self.world.actuation.max_torque[0])
 
     def _draw_power(self, temperature: Array, count: int = 1) -> None:
-        drive, power, dt = self.world.drive, self.power, count * self.robot.timing.servo_step
-        current = power_tick(drive, power, dt, temperature)
+        actuation, power, dt = self.world.actuation, self.power, count * self.robot.timing.servo_step
+        current = power_tick(actuation, power, dt, temperature)
         self._used += current * dt
         open_circuit = self._voltage - self.voltage_drop - power.battery_drop * self._used / power.battery_capacity
-        drive.voltage[0] = max(open_circuit - power.battery_resistance * current, 1.0)
+        actuation.voltage[0] = max(open_circuit - power.battery_resistance * current, 1.0)
 
     # Sensors.
 
     def _look(self, since_step: float, latency: float) -> Array:
         """Return the state `latency` [s] before now, which is `since_step` [s] after the last servo step."""
-        read_delayed(self.world.drive, np.array([latency - since_step]), self._row[None])
+        read_delayed(self.world.actuation, np.array([latency - since_step]), self._row[None])
         return self._row
 
     def vitals(self) -> Vitals:
         """Return the present readings that the microcontroller checks."""
-        now, motors = self.world.drive.now[0], self.robot.num_motors
+        now, motors = self.world.actuation.sample[0], self.robot.num_motors
         tilt, rate = now[-6:-3].copy(), now[-3:].copy()
         read_imu(tilt[None], rate[None], self._seconds, self.params)
         roll, pitch = tilt[:2].tolist()
@@ -193,7 +193,7 @@ class Plant:
         rate = rate + self._gyro_bias
         if config.gyro_noise:
             rate = rate + config.gyro_noise * noise.standard_normal(3)
-        torque = self._torque_gain * self.world.drive.motor_torque[0]
+        torque = self._torque_gain * self.world.actuation.motor_torque[0]
         if config.torque_noise:
             torque += config.torque_noise * self._torque_noise.standard_normal(motors)
         return Sensors(

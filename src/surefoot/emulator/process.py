@@ -9,8 +9,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 
-from surefoot.deploy.wire.frames import MAX_FRAME, Decoder
-from surefoot.deploy.wire.messages import Codec
+from surefoot.deploy.serial.codec import Codec
+from surefoot.deploy.serial.frames import MAX_FRAME, Decoder
 from surefoot.emulator.board import Board
 from surefoot.emulator.pty_port import PtyPort
 from surefoot.emulator.signals import microseconds

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from surefoot.arrays import Array
-from surefoot.deploy.wire.messages import Mode
+from surefoot.deploy.messages import Mode
 
 
 @dataclass(frozen=True)

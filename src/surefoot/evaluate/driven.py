@@ -119,7 +119,7 @@ class DrivenRobot:
         """Return what can be set."""
         found = []
         for name, declared in PhysicalParams.__dataclass_fields__.items():
-            if name in FIXED or declared.metadata["drive"] not in ("", self.robot.drive):
+            if name in FIXED or declared.metadata["actuator"] not in ("", self.robot.actuator.kind):
                 continue
             low, high = self.robot.allowed[name]
             about = (declared.metadata["unit"], declared.metadata["meaning"], low, high)

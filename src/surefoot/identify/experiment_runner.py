@@ -9,11 +9,11 @@ import numpy as np
 
 from surefoot.arrays import Array
 from surefoot.deploy.connection import RobotConnection
-from surefoot.deploy.link import LinkLostError
 from surefoot.deploy.loop import Watch
+from surefoot.deploy.messages import Handshake, Mode, State
 from surefoot.deploy.motion import MotionRunner
+from surefoot.deploy.robot_link import LinkLostError
 from surefoot.deploy.safety import Act, SafetyLimits
-from surefoot.deploy.wire.messages import Handshake, Mode, State
 from surefoot.errors import SurefootError
 from surefoot.identify.plan import Phase, Plan
 from surefoot.identify.recording import COMPLETE, SCHEMA, Recording, digest_of

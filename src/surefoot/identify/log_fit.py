@@ -1,4 +1,4 @@
-"""Physical parameters of a robot with joint drives from its logs: commands and angles, without torques or speeds.
+"""Physical parameters of a robot with joint actuators from its logs: commands and angles, without torques or speeds.
 
 The fit is least squares over whole simulated robots (`identify.log_model`); a search by CMA-ES may come before it,
 where the start is far off. Logs that are held out tell how well the found robot moves in ways that were not fitted.

@@ -1,4 +1,4 @@
-"""A robot with joint drives against its logs: the unknowns, and residuals of whole simulated robots.
+"""A robot with joint actuators against its logs: the unknowns, and residuals of whole simulated robots.
 
 Unlike `identify.trace_model`, which follows torques that motors told, this needs commands and angles alone. Robots are
 simulated on the ground, or on a rack, for the first seconds of each log; all candidates at once.
@@ -79,7 +79,7 @@ RULES = {
     "contact_stiffness": Rule(0.5, step=0.05),
     "contact_shear_ratio": Rule(0.7, step=0.05, begin=0.2),
 }
-"""Numbers that can be looked for. Masses are known to some percent, drives as their sheet or a first fit has them;
+"""Numbers that can be looked for. Masses are known to some percent, actuators as their sheet or a first fit has them;
 encoders to half a degree, which is less than a hand zeroes them to: with more, what two logs of some legs told of
 other legs was wrong, and logs held out were further off. Legs give way sideways: feet begin softer along the ground."""
 _LEAST = {"motor_viscous_friction": 0.005, "load_friction": 0.1, "speed_filter": 0.005}
@@ -246,7 +246,9 @@ def _noise(run: LogRun, rows: NDArray[np.int64]) -> Array:
 
 
 def check_robot(robot: RobotDescription) -> None:
-    """Refuse a robot with other motors than joint drives."""
-    if robot.drive != "joint":
-        raise SurefootError(f"the motors of {robot.name} are of kind {robot.drive}; logs tell of joint drives")
+    """Refuse a robot with other motors than joint actuators."""
+    if robot.actuator.kind != "joint":
+        raise SurefootError(
+            f"the motors of {robot.name} are of kind {robot.actuator.kind}; logs tell of joint actuators"
+        )
     WorldConfig()

@@ -10,8 +10,8 @@ from typing import Literal
 import numpy as np
 
 from surefoot.arrays import Array
+from surefoot.deploy.messages import Mode
 from surefoot.deploy.poses import between
-from surefoot.deploy.wire.messages import Mode
 
 Use = Literal["fit", "check", "way"]
 Signal = Callable[[float, Array], Array]

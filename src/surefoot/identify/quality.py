@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.arrays import Array
-from surefoot.deploy.wire.messages import Mode
+from surefoot.deploy.messages import Mode
 from surefoot.errors import SurefootError
 from surefoot.identify.recording import STILL, Recording
 from surefoot.robot import RobotDescription

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from surefoot.actuator.motor import motor_current, motor_torque
 from surefoot.arrays import Array
-from surefoot.deploy.wire.messages import Mode
+from surefoot.deploy.messages import Mode
 from surefoot.errors import SurefootError
 from surefoot.identify.fitting import GAIN, TORQUE_GAIN
 from surefoot.identify.rack_model import RackModel, fit_on_rack, rack_estimates

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from surefoot.arrays import Array
-from surefoot.deploy.wire.messages import Mode
+from surefoot.deploy.messages import Mode
 from surefoot.identify.plan import ExperimentLimits, Phase, Plan, Signal, chirps, go_to, hold, steps
 from surefoot.robot import RobotDescription
 from surefoot.seeding import generator

@@ -22,12 +22,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.arrays import Array
-from surefoot.deploy.wire.messages import Mode
+from surefoot.deploy.messages import Mode
 from surefoot.errors import SurefootError
 from surefoot.identify.recording import CLOCK, Recording
 from surefoot.identify.robot_log import RobotLog
 from surefoot.robot import PhysicalParams, RobotDescription
-from surefoot.world.drive import read_imu
+from surefoot.world.actuation import read_imu
 from surefoot.world.interface import WorldConfig
 from surefoot.world.sim_world import EngineFactory, SimWorld, mujoco_engine
 
@@ -215,38 +215,40 @@ def _go_through(world: SimWorld, stretch: Stretch, params: PhysicalParams, torqu
     given = params.rows(np.minimum(everyone, rows - 1))
     world.set_params(everyone, given)
     world.reset()
-    drive, advance = world.drive, world.engine.advance
+    actuation, advance = world.actuation, world.engine.advance
     active = np.where(everyone < rows, 1, 0)
-    drive.voltage[:] = stretch.voltage[0]
-    steps, begin = round(SETTLE / world.robot.timing.servo_step), drive.target.copy()
+    actuation.voltage[:] = stretch.voltage[0]
+    steps, begin = round(SETTLE / world.robot.timing.servo_step), actuation.target.copy()
     for k in range(steps):
-        drive.target[:] = begin + (stretch.start - begin) * min(2 * k / steps, 1.0)
+        actuation.target[:] = begin + (stretch.start - begin) * min(2 * k / steps, 1.0)
         advance(active)
-    ticks, kept = len(stretch.voltage), len(drive.times[0])
-    history = np.empty((ticks + 1, rows, drive.now.shape[1]))
-    torque = np.empty((ticks + 1 if torques else 0, rows, drive.target.shape[1]))
-    history[0], torque[:1] = drive.now[:rows], drive.motor_torque[:rows]
+    ticks, kept = len(stretch.voltage), len(actuation.times[0])
+    history = np.empty((ticks + 1, rows, actuation.sample.shape[1]))
+    torque = np.empty((ticks + 1 if torques else 0, rows, actuation.target.shape[1]))
+    history[0], torque[:1] = actuation.sample[:rows], actuation.motor_torque[:rows]
     order, tick = -1, 0
     changes = [*stretch.order_tick.tolist(), ticks]
     while tick < ticks:
         while changes[order + 1] <= tick and order + 1 < len(stretch.order_tick):
             order += 1
             _obey(world, int(stretch.kind[order]), stretch.order[order], given)
-        drive.voltage[:] = stretch.voltage[tick]
+        actuation.voltage[:] = stretch.voltage[tick]
         count = 1 if torques else min(changes[order + 1], ticks, tick + kept) - tick
         advance(count * active)
         if torques:
-            torque[tick + 1] = drive.motor_torque[:rows]
-        slots = np.arange(int(drive.ticks[0]) - count + 1, int(drive.ticks[0]) + 1) % kept
-        history[tick + 1 : tick + 1 + count] = np.moveaxis(drive.history[:rows, slots], 1, 0)
+            torque[tick + 1] = actuation.motor_torque[:rows]
+        slots = np.arange(int(actuation.ticks[0]) - count + 1, int(actuation.ticks[0]) + 1) % kept
+        history[tick + 1 : tick + 1 + count] = np.moveaxis(actuation.history[:rows, slots], 1, 0)
         tick += count
     return history, torque
 
 
 def _obey(world: SimWorld, kind: int, order: Array, params: PhysicalParams) -> None:
-    drive, follows = world.drive, kind in (Mode.POSITION, HELD)
-    drive.duty[:] = order if kind == Mode.PWM else 0.0
-    drive.kp[:] = params.servo_kp if follows else 0.0
+    actuation, follows = world.actuation, kind in (Mode.POSITION, HELD)
+    actuation.duty[:] = order if kind == Mode.PWM else 0.0
+    actuation.kp[:] = params.servo_kp if follows else 0.0
     # A robot that is not armed damps its motors with the derivative gain of its data sheet.
-    drive.kd[:] = params.servo_kd if follows else np.asarray(world.robot.actuator.kd) if kind == Mode.DISARMED else 0.0
-    drive.target[:] = drive.now[:, : world.robot.num_motors] if kind == HELD else order
+    actuation.kd[:] = (
+        params.servo_kd if follows else np.asarray(world.robot.actuator.kd) if kind == Mode.DISARMED else 0.0
+    )
+    actuation.target[:] = actuation.sample[:, : world.robot.num_motors] if kind == HELD else order

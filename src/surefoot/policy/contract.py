@@ -84,11 +84,11 @@ class Contract:
     control_latency: float
     """Assumed age of what the policy sees [s]."""
     servo_kp: float | tuple[float, ...]
-    """Assumed proportional gain, or one for each motor: duty/rad of DC motors, N m/rad of joint drives."""
+    """Assumed proportional gain, or one for each motor: duty/rad of DC motors, N m/rad of joint actuators."""
     servo_kd: float | tuple[float, ...]
     """Assumed derivative gain, or one for each motor, per speed."""
     voltage: float | None
-    """Assumed battery voltage [V]; None for joint drives."""
+    """Assumed battery voltage [V]; None for joint actuators."""
     task: dict[str, Any]
     """The task as configuration."""
     config_hash: str

@@ -1,4 +1,4 @@
-"""Data of motors as a sheet states them: DC motors with a servo, and torque-controlled joint drives."""
+"""Data of motors as a sheet states them: DC motors with a servo, and torque-controlled joint actuators."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from surefoot.configuration import Within
 from surefoot.errors import SurefootError
 
 _Positive = Annotated[float, Within(0, 1e9, above=True)]
-_OF_JOINT_DRIVES = ("load_friction", "presliding", "rotor_inertia", "torque_limit")
+_OF_JOINT_ACTUATORS = ("load_friction", "presliding", "rotor_inertia", "torque_limit")
 _NotNegative = Annotated[float, Within(0, 1e9)]
 _Each = Annotated[float | tuple[float, ...], Within(0, 1e9)]
 """One number for all motors, one for each motor of a leg, or one for each motor."""
@@ -22,7 +22,7 @@ _Each = Annotated[float | tuple[float, ...], Within(0, 1e9)]
 PLACEHOLDER_TORQUE = 5.0
 """A torque limit over this many m g l is a placeholder: no motor lifts the robot by five legs' lengths."""
 HEAT_LOSS = 0.5
-"""Heat of a joint drive at its full torque, over torque times the speed up to which it has it; assumed."""
+"""Heat of a joint actuator at its full torque, over torque times the speed up to which it has it; assumed."""
 
 
 @dataclass(frozen=True)
@@ -66,8 +66,8 @@ class DcMotorData:
 
 
 @dataclass(frozen=True)
-class JointDriveData:
-    """Torque-controlled joint drive with a PD controller of the joint's angle, nominal; all at the joint."""
+class JointActuatorData:
+    """Torque-controlled joint actuator with a PD controller of the joint's angle, nominal; all at the joint."""
 
     kp: _Each
     """N m/rad"""
@@ -86,7 +86,7 @@ class JointDriveData:
     viscous_friction: _Each = 0.0
     """N m s/rad"""
     load_friction: _Each = 0.0
-    """Friction over the drive's torque."""
+    """Friction over the actuator's torque."""
     presliding: _Each = 0.0
     """Angle [rad] over which friction builds up when a motor turns back: it sticks; 0: friction depends on the speed
     alone, and a motor at rest creeps."""
@@ -99,16 +99,16 @@ class JointDriveData:
     kind: ClassVar[str] = "joint"
 
     def nominal_params(self) -> dict[str, float | Array]:
-        """Return the nominal physical parameters of drives."""
+        """Return the nominal physical parameters of joint actuators."""
         return {
             **_servo(self.kp, self.kd, self.friction, self.viscous_friction),
             "speed_filter": self.speed_filter,
-            **{name: np.asarray(getattr(self, name)) for name in _OF_JOINT_DRIVES},
+            **{name: np.asarray(getattr(self, name)) for name in _OF_JOINT_ACTUATORS},
         }
 
 
-ActuatorData = DcMotorData | JointDriveData
-_Data = TypeVar("_Data", bound=DcMotorData | JointDriveData)
+ActuatorData = DcMotorData | JointActuatorData
+_Data = TypeVar("_Data", bound=DcMotorData | JointActuatorData)
 
 
 def _servo(kp: Any, kd: Any, friction: Any, viscous: Any) -> dict[str, Any]:

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from surefoot.arrays import Array
 from surefoot.configuration import Within, from_mapping, read_toml
 from surefoot.errors import SurefootError, check_name, choices, located, quoted
-from surefoot.robot.actuator import ActuatorData, DcMotorData, JointDriveData, per_motor
+from surefoot.robot.actuator import ActuatorData, DcMotorData, JointActuatorData, per_motor
 from surefoot.robot.experiments import Experiments, read_experiments
 from surefoot.robot.leg import FiveBar, Legs
 from surefoot.robot.params import PhysicalParams
@@ -49,7 +49,7 @@ _SWING = 1.0
 _ABDUCTION = 0.5
 """Swing and abduction that a command may ask of a serial leg to either side [rad], where the sheet does not say."""
 _VOLTAGE = 24.0
-"""Nominal battery voltage [V] of joint drives, where the sheet does not say."""
+"""Nominal battery voltage [V] of joint actuators, where the sheet does not say."""
 _SINK = 0.01
 """How far a foot sinks in under its share of the weight, in leg lengths, where the sheet gives no stiffness."""
 
@@ -296,7 +296,7 @@ class RobotDescription:
                     "and a leg can't have every extension in it; narrow it or check leg_geometry"
                 )
         for name, value in self.nominal_params().items():
-            if PhysicalParams.drive(name) in ("", self.drive):
+            if PhysicalParams.actuator_kind(name) in ("", self.actuator.kind):
                 self.check_allowed(name, np.asarray(value), source="nominal ")
 
     @property
@@ -320,11 +320,6 @@ class RobotDescription:
         return GRAVITY * self.urdf.total_mass
 
     @property
-    def drive(self) -> str:
-        """Kind of the motors: dc or joint."""
-        return self.actuator.kind
-
-    @property
     def torque_table(self) -> tuple[Array, Array]:
         """Points of a DC motor's torque-current curve: currents [A] and torques [N m]."""
         return np.array(self.dc_motor.torque_table_current), np.array(self.dc_motor.torque_table_torque)
@@ -337,7 +332,7 @@ class RobotDescription:
             SurefootError: the robot has other motors.
         """
         if not isinstance(self.actuator, DcMotorData):
-            raise SurefootError(f"the motors of {self.name} are of kind {self.drive}; this takes DC motors")
+            raise SurefootError(f"the motors of {self.name} are of kind {self.actuator.kind}; this takes DC motors")
         return self.actuator
 
     @property
@@ -573,7 +568,7 @@ def _actuator(table: dict[str, Any], order: Sequence[str], legs: Sequence[Leg]) 
     """Return the motors' data; a list with one number for each motor of a leg holds for every leg."""
     data = dict(table)
     kind = data.pop("kind", "dc")
-    kinds: dict[str, type[DcMotorData] | type[JointDriveData]] = {"dc": DcMotorData, "joint": JointDriveData}
+    kinds: dict[str, type[DcMotorData] | type[JointActuatorData]] = {"dc": DcMotorData, "joint": JointActuatorData}
     if kind not in kinds:
         raise SurefootError(f"actuator.kind is {quoted(kind)}; choices: {choices(kinds)}")
     return per_motor(from_mapping(kinds[kind], data, "actuator"), order, [leg.motors for leg in legs])

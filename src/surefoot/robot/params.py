@@ -20,18 +20,18 @@ class _Described(Protocol):
     @property
     def num_motors(self) -> int: ...
     @property
-    def drive(self) -> str: ...
+    def actuator(self) -> Any: ...
     def nominal_params(self) -> dict[str, Any]: ...
     def check_allowed(self, name: str, values: Array) -> None: ...
 
 
-def _row(unit: str, meaning: str, bounds: tuple[float, float], width: str = "one", drive: str = "") -> Any:
+def _row(unit: str, meaning: str, bounds: tuple[float, float], width: str = "one", actuator: str = "") -> Any:
     """Declare a parameter.
 
-    `bounds` hold where a robot's sheet does not say what is allowed; with `drive`, only robots with motors of that kind
-    have it, for others it is 0.
+    `bounds` hold where a robot's sheet does not say what is allowed. With `actuator`, only robots with motors of that
+    kind have it; for others it is 0.
     """
-    return field(metadata={"unit": unit, "meaning": meaning, "width": width, "bounds": bounds, "drive": drive})
+    return field(metadata={"unit": unit, "meaning": meaning, "width": width, "bounds": bounds, "actuator": actuator})
 
 
 @dataclass(frozen=True)
@@ -49,18 +49,20 @@ class PhysicalParams:
     motor_strength: Array = _row("1", "motor torque, over the motor model's", (0.0, 2.0), "motors")
     motor_friction: Array = _row("N m", "Coulomb friction in each motor", (0.0, 20.0), "motors")
     motor_viscous_friction: Array = _row("N m s/rad", "viscous friction in each motor", (0.0, 10.0), "motors")
-    torque_constant: Array = _row("N m/A", "torque constant K_t, also the back-EMF constant", (0.01, 1.0), drive="dc")
-    resistance: Array = _row("Ohm", "armature resistance R", (0.02, 5.0), drive="dc")
-    voltage: Array = _row("V", "battery voltage", (5.0, 30.0), drive="dc")
+    torque_constant: Array = _row(
+        "N m/A", "torque constant K_t, also the back-EMF constant", (0.01, 1.0), actuator="dc"
+    )
+    resistance: Array = _row("Ohm", "armature resistance R", (0.02, 5.0), actuator="dc")
+    voltage: Array = _row("V", "battery voltage", (5.0, 30.0), actuator="dc")
     servo_kp: Array = _row(
         "1/rad, N m/rad",
-        "proportional gain: duty of a DC motor's servo, torque of a joint drive",
+        "proportional gain: duty of a DC motor's servo, torque of a joint actuator",
         (0.0, 2000.0),
         "motors",
     )
     servo_kd: Array = _row(
         "s/rad, N m s/rad",
-        "derivative gain: duty of a DC motor's servo, torque of a joint drive",
+        "derivative gain: duty of a DC motor's servo, torque of a joint actuator",
         (0.0, 100.0),
         "motors",
     )
@@ -78,15 +80,20 @@ class PhysicalParams:
     imu_bias: Array = _row("rad", "constant error of roll and pitch", (-0.5, 0.5), "roll, pitch")
     imu_noise: Array = _row("rad", "standard deviation of the white noise on roll and pitch", (0.0, 0.5))
     imu_mount: Array = _row("rad", "roll, pitch and yaw of the IMU against the base", (-0.5, 0.5), "roll, pitch, yaw")
-    load_friction: Array = _row("1", "friction of a joint drive over its torque", (0.0, 0.9), "motors", "joint")
+    load_friction: Array = _row("1", "friction of a joint actuator over its torque", (0.0, 0.9), "motors", "joint")
     speed_filter: Array = _row(
-        "s", "time constant of the first-order filter on the speed that a joint drive uses", (0.0, 0.1), drive="joint"
+        "s",
+        "time constant of the first-order filter on the speed that a joint actuator uses",
+        (0.0, 0.1),
+        actuator="joint",
     )
     rotor_inertia: Array = _row("kg m2", "inertia of each rotor, at its joint", (0.0, 1.0), "motors", "joint")
-    torque_limit: Array = _row("N m", "greatest torque of a joint drive at low speed", (1e-6, 1e9), "motors", "joint")
+    torque_limit: Array = _row(
+        "N m", "greatest torque of a joint actuator at low speed", (1e-6, 1e9), "motors", "joint"
+    )
     presliding: Array = _row(
         "rad",
-        "angle over which a joint drive's friction builds up; 0: it depends on the speed alone",
+        "angle over which a joint actuator's friction builds up; 0: it depends on the speed alone",
         (0.0, 0.2),
         "motors",
         "joint",
@@ -112,9 +119,9 @@ class PhysicalParams:
         return str(cls.__dataclass_fields__[name].metadata["unit"])
 
     @classmethod
-    def drive(cls, name: str) -> str:
+    def actuator_kind(cls, name: str) -> str:
         """Return the kind of motors that have a parameter; empty if all have it."""
-        return str(cls.__dataclass_fields__[name].metadata["drive"])
+        return str(cls.__dataclass_fields__[name].metadata["actuator"])
 
     @classmethod
     def nominal(cls, robot: _Described, num_envs: int = 1) -> PhysicalParams:
@@ -140,9 +147,9 @@ class PhysicalParams:
         for name, value in values.items():
             if name not in self.names():
                 raise SurefootError(f"'{name}' is not a physical parameter; choices: {choices(self.names())}")
-            if (drive := self.drive(name)) not in ("", robot.drive):
+            if (kind := self.actuator_kind(name)) not in ("", robot.actuator.kind):
                 raise SurefootError(
-                    f"{name} belongs to motors of kind {drive}; the motors of {robot.name} are {robot.drive}"
+                    f"{name} belongs to motors of kind {kind}; the motors of {robot.name} are {robot.actuator.kind}"
                 )
             now = getattr(self, name)
             given = np.asarray(value, dtype=np.float64)
@@ -162,7 +169,7 @@ class PhysicalParams:
     def check(self, robot: _Described) -> None:
         """Raise `SurefootError` for a value outside what the robot's description allows."""
         for name in self.names():
-            if self.drive(name) in ("", robot.drive):
+            if self.actuator_kind(name) in ("", robot.actuator.kind):
                 robot.check_allowed(name, getattr(self, name))
 
     def set_rows(self, index: ArrayLike, params: PhysicalParams) -> None:

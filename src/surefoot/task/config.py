@@ -94,7 +94,7 @@ class ReferenceConfig:
     """Time [s] by which commands lead along the velocity of the reference, for kinds foot and follow."""
     relative: bool = False
     """Lengths of `foot` count lengths l of the straight leg, its frequency natural frequencies sqrt(g / l) / 2 pi, and
-    `velocity_feedforward` the drives' k_d / k_p."""
+    `velocity_feedforward` the actuators' k_d / k_p."""
     rows: dict[str, dict[str, tuple[float, ...]]] | None = None
     """The table itself, in place of `file`: under each coordinate of leg space, each leg's poses."""
 

@@ -67,7 +67,7 @@ class FootReference:
     depth: Array
     """How far it is pressed below that height in the middle of its stance [m]."""
     velocity_feedforward: float = 0.0
-    """Time [s] by which commands lead along the velocity of the pose; k_d / k_p makes up for a drive's damping."""
+    """Time [s] by which commands lead along the velocity of the pose; k_d / k_p makes up for an actuator's damping."""
     _extent: tuple[tuple[float, float], ...] = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:

@@ -39,7 +39,7 @@ def narrowed_bounds(bounds: Sequence[Range], reference: Reference, robot: RobotD
 class HybridGait:
     """Reference plus bounded feedback (Tan et al. 2018, eq. 3).
 
-    With `velocity_feedforward` T of the reference, commands are T dq/dt ahead of it, as far as legs allow: a drive
+    With `velocity_feedforward` T of the reference, commands are T dq/dt ahead of it, as far as legs allow: an actuator
     with T = k_d / k_p then damps the difference to the reference's velocity, not the velocity.
 
     Feedback is in leg space, C numbers a leg, or, with `action` joint, an angle for each of the M motors; A = C L or M.

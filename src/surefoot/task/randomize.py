@@ -124,13 +124,13 @@ class RandomizeConfig:
     viscous_friction: Range = _around("motor_viscous_friction")
     """Viscous friction of the motors, to the nominal one."""
     load_friction: Range = _around("load_friction")
-    """Friction of joint drives that grows with their torque, to the nominal one."""
+    """Friction of joint actuators that grows with their torque, to the nominal one."""
     speed_filter: Range = _around("speed_filter")
-    """Time constant of the joint drives' filter on the speed, to the nominal one."""
+    """Time constant of the joint actuators' filter on the speed, to the nominal one."""
     rotor_inertia: Range = _around("rotor_inertia")
-    """Inertia of the joint drives' rotors, to the nominal one."""
+    """Inertia of the joint actuators' rotors, to the nominal one."""
     torque_limit: Range = _around("torque_limit")
-    """Greatest torque of joint drives, to the nominal one."""
+    """Greatest torque of joint actuators, to the nominal one."""
     motor_offset: Range = _around("motor_offset", each=True, how="plus")
     """Error of the encoders, less the nominal one [rad]; each motor draws its own."""
     base_offset: Range = _around("base_offset", each=True, how="plus")
@@ -241,8 +241,8 @@ def check_ranges(config: RandomizeConfig, robot: RobotDescription) -> None:
     for row, given in config.ranges.items():
         for name in ROWS[row].params:
             low, high = robot.allowed[name]
-            if (drive := PhysicalParams.drive(name)) not in ("", robot.drive):
-                rule = f"it belongs to motors of kind {drive}, those of {robot.name} are {robot.drive}"
+            if (kind := PhysicalParams.actuator_kind(name)) not in ("", robot.actuator.kind):
+                rule = f"it belongs to motors of kind {kind}, those of {robot.name} are {robot.actuator.kind}"
                 raise SurefootError(f"randomize.{row} is given; {rule}")
             if ROWS[row].how != "set":
                 if ROWS[row].how == "times" and given[0] < 0:
@@ -366,7 +366,7 @@ def draw_hidden(robot: RobotDescription, ranges: Mapping[str, tuple[float, float
     """
     nominal = PhysicalParams.nominal(robot)
     known: dict[str, tuple[float, float]] = {"servo_latency": SERVO_LATENCY}
-    if robot.drive == "dc":
+    if robot.actuator.kind == "dc":
         for name in ("torque_constant", "resistance"):
             value = getattr(robot.dc_motor, name)
             known[name] = (value * (1 - RELATIVE_RANGE), value * (1 + RELATIVE_RANGE))

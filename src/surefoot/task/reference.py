@@ -146,7 +146,7 @@ def make_reference(
     table` with `period` and either `file` (CSV or NPZ) or the rows themselves under each coordinate; `kind:
     foot` with `foot`: `frequency`, and the quantities of a `FootReference`, each a number or a mapping from leg to
     number; with `relative`, lengths count lengths of the straight leg l, the frequency natural frequencies
-    sqrt(g / l) / 2 pi, and `velocity_feedforward` the drives' k_d / k_p; `kind: follow` with `foot` as before, whose
+    sqrt(g / l) / 2 pi, and `velocity_feedforward` the actuators' k_d / k_p; `kind: follow` with `foot` as before, whose
     stroke is the longest stride, `stride_gain`, `frequency_rise` and, if it is not 1, `turn_gain`, for a robot with
     commands.
 

@@ -20,9 +20,9 @@ from surefoot.arrays import Array
 from surefoot.errors import SurefootError
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.rotations import quat_matrix, xyzw_matrix
+from surefoot.world.actuation import RACK_HEIGHT, SPEED_LIMIT, ActuationState, bases_on_rack
+from surefoot.world.bullet_kernels import JOINTS, OMEGA, VELOCITY, Layout, base_links, observe, substep
 from surefoot.world.bullet_model import PARAMETERS, BulletModel, BulletSettings, import_pybullet
-from surefoot.world.bullet_tick import JOINTS, OMEGA, VELOCITY, Layout, base_links, between, observe
-from surefoot.world.drive import RACK_HEIGHT, SPEED_LIMIT, Drive, racked_bases
 from surefoot.world.interface import WorldConfig
 from surefoot.world.self_collision import collision_pairs
 
@@ -45,13 +45,13 @@ class BulletEngine:
     def __init__(
         self,
         robot: RobotDescription,
-        drive: Drive,
+        actuation: ActuationState,
         config: WorldConfig,
         settings: BulletSettings = BulletSettings(),  # noqa: B008, it is frozen
     ) -> None:
-        self.robot, self.drive, self._config, self._settings = robot, drive, config, settings
+        self.robot, self.actuation, self._config, self._settings = robot, actuation, config, settings
         self.gravity = settings.gravity
-        num_envs = len(drive.ticks)
+        num_envs = len(actuation.ticks)
         if num_envs > MAX_ROBOTS:
             raise SurefootError(f"num_envs is {num_envs}; one process holds up to {MAX_ROBOTS} robots in Bullet")
         self._p = import_pybullet()
@@ -113,25 +113,25 @@ class BulletEngine:
 
         All take a step before any takes the next, so that what is compiled is called once for all of them.
         """
-        drive, seen, applied, layout = self.drive, self._seen, self._applied, self._layout
-        drive.energy[servo_steps > 0] = 0.0
-        drive.heat[servo_steps > 0] = 0.0
-        drive.contact_ticks[servo_steps > 0] = 0.0
+        actuation, seen, applied, layout = self.actuation, self._seen, self._applied, self._layout
+        actuation.energy[servo_steps > 0] = 0.0
+        actuation.heat[servo_steps > 0] = 0.0
+        actuation.contact_ticks[servo_steps > 0] = 0.0
         left = np.where(self.diverged, 0, servo_steps)
         rows = np.flatnonzero(left).tolist()
-        constraint = bool(drive.constraint[0])
-        between(layout, drive, seen, applied, left, self.diverged, False)
+        constraint = bool(actuation.constraint[0])
+        substep(layout, actuation, seen, applied, left, self.diverged, False)
         for i in rows:
             self._look(i)
             if constraint:
                 self._set_constraint_motors(i)
-        turned = np.asarray(drive.friction.any(axis=1) | drive.viscous.any(axis=1) | (not constraint))
+        turned = np.asarray(actuation.friction.any(axis=1) | actuation.viscous.any(axis=1) | (not constraint))
         pushed = np.asarray(self._force.any(axis=1))
         while going := np.flatnonzero(left).tolist():
             torques = applied.tolist()
             for i in going:
                 self._step(i, torques[i] if turned[i] else None, pushed[i])
-            between(layout, drive, seen, applied, left, self.diverged, True)
+            substep(layout, actuation, seen, applied, left, self.diverged, True)
         for i in rows:
             self._end(i)
 
@@ -153,7 +153,7 @@ class BulletEngine:
         if model.soles:
             model.move_soles(points)
         for leg in {self._feet[point[3]] for point in points if point[9] > 0.0 and point[3] in self._feet}:
-            self.drive.contact_ticks[i, leg] += 1.0
+            self.actuation.contact_ticks[i, leg] += 1.0
 
     def _end(self, i: int) -> None:
         """Read robot `i`'s whole state from Bullet, and write it back."""
@@ -181,27 +181,27 @@ class BulletEngine:
         At the end of a step they turn at k (q_target - q) / dt; for k = k_p dt / (k_p dt + k_d) that is
         `constraint_speed_kernel`.
         """
-        p, drive, model = self._p, self.drive, self.models[i]
+        p, actuation, model = self._p, self.actuation, self.models[i]
         motors = model.motors
-        dt = drive.limits[3]
-        stiff = drive.kp[i] * dt
-        gains = np.divide(stiff, stiff + drive.kd[i], out=np.zeros_like(stiff), where=stiff > 0)
+        dt = actuation.constants[3]
+        stiff = actuation.kp[i] * dt
+        gains = np.divide(stiff, stiff + actuation.kd[i], out=np.zeros_like(stiff), where=stiff > 0)
         p.setJointMotorControlArray(
             model.body,
             motors,
             p.POSITION_CONTROL,
-            targetPositions=(self._layout.sign * (drive.target[i] - drive.motor_offset[i])).tolist(),
+            targetPositions=(self._layout.sign * (actuation.target[i] - actuation.motor_offset[i])).tolist(),
             targetVelocities=[0.0] * len(motors),
             positionGains=gains.tolist(),
             velocityGains=[1.0] * len(motors),
-            forces=drive.torque_limit[i].tolist(),
+            forces=actuation.constraint_torque[i].tolist(),
             physicsClientId=model.client,
         )
 
     def observe(self, rows: Index) -> None:
-        """Write states to `drive.now`."""
+        """Write states to `actuation.sample`."""
         for i in rows:
-            observe(self._layout, self.drive, i, self._look(i))
+            observe(self._layout, self.actuation, i, self._look(i))
 
     def get_state(self, rows: Index) -> Array:
         """Return the whole states (n, size); contacts are forgotten and pins centred, as `set_state` does."""
@@ -284,7 +284,7 @@ class BulletEngine:
     def base(self) -> Array:
         """Return the base position [m], quaternion (w x y z) and velocity [m/s], all in the world frame, (N, 10)."""
         if self._config.rack:
-            return racked_bases(len(self.models))
+            return bases_on_rack(len(self.models))
         centres = np.array([model.base_centre for model in self.models])
         return base_links(self._rows, self.models[0].base_quat, centres)
 

@@ -22,8 +22,8 @@ from surefoot.robot import GRAVITY, RobotDescription
 from surefoot.robot.fused_urdf import fuse_urdf
 from surefoot.robot.urdf import frame_of
 from surefoot.rotations import matrix_quat
-from surefoot.world.bullet_tick import pin_kernel, sole_kernel
-from surefoot.world.drive import BULLET_ONLY, CONTACT, RACK_HEIGHT, RATIOS
+from surefoot.world.actuation import BULLET_ONLY, CONTACT, RACK_HEIGHT, RATIOS
+from surefoot.world.bullet_kernels import pin_kernel, sole_kernel
 from surefoot.world.interface import WorldConfig
 from surefoot.world.self_collision import collision_pairs
 
@@ -183,7 +183,7 @@ class BulletModel:
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / "fused.urdf"
             text = fused.text if settings.feet == "sphere" else self._with_shanks()
-            path.write_text(self._with_rotors(text) if robot.drive == "joint" else text, encoding="utf-8")
+            path.write_text(self._with_rotors(text) if robot.actuator.kind == "joint" else text, encoding="utf-8")
             try:
                 self.body = p.loadURDF(
                     str(path),

@@ -57,7 +57,7 @@ class Truth:
     energy: Array
     """Integral of |tau . qdot| over the last control step, at servo rate [J], (N,)."""
     heat: Array
-    """Heat of each motor over the last control step, at servo rate [J], (N, M): R I^2 of DC motors; of joint drives,
+    """Heat of each motor over the last control step, at servo rate [J], (N, M): R I^2 of DC motors; of joint actuators,
     which are known by their limits, `HEAT_LOSS` says of what; 0 for constraint motors, which have no current."""
     foot_contact: Array
     """Fraction of the last control step's servo steps in which each foot touched the ground, (N, L)."""

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from surefoot.arrays import Array
 from surefoot.errors import SurefootError
 from surefoot.robot import GRAVITY, PhysicalParams, RobotDescription
-from surefoot.world.drive import BULLET_ONLY, RATIOS, Drive, racked_bases
+from surefoot.world.actuation import BULLET_ONLY, RATIOS, ActuationState, bases_on_rack
 from surefoot.world.interface import WorldConfig
 from surefoot.world.mujoco_loop import DATA_FIELDS, Native, advance, gather_base, observe
 from surefoot.world.mujoco_model import build_model, foot_geoms, resting_qpos
@@ -49,11 +49,11 @@ class MujocoEngine:
     name = "mujoco"
     gravity = GRAVITY
 
-    def __init__(self, robot: RobotDescription, drive: Drive, config: WorldConfig) -> None:
-        self.robot, self.drive = robot, drive
+    def __init__(self, robot: RobotDescription, actuation: ActuationState, config: WorldConfig) -> None:
+        self.robot, self.actuation = robot, actuation
         # The Python package times MuJoCo's stages with a clock call each, some 3 % of a step; the times are not used.
         mujoco.set_mjcb_time(None)
-        num_envs = len(drive.ticks)
+        num_envs = len(actuation.ticks)
         self._nominal = build_model(robot, config)
         self._scratch_model = copy.copy(self._nominal)
         self._scratch = mujoco.MjData(self._scratch_model)
@@ -136,7 +136,7 @@ class MujocoEngine:
     def advance(self, servo_steps: Index) -> None:
         """Run every robot for its number of servo steps (N,); those that diverge stop and are marked."""
         counter = np.zeros(1, np.int64)
-        work = partial(advance, self._native, self.drive, servo_steps, self.diverged)
+        work = partial(advance, self._native, self.actuation, servo_steps, self.diverged)
         if self._pool is None:
             work(0, counter)
             return
@@ -150,9 +150,9 @@ class MujocoEngine:
             other.result()
 
     def observe(self, rows: Index) -> None:
-        """Write states to `drive.now`."""
+        """Write states to `actuation.sample`."""
         for i in rows:
-            observe(self._native, self.drive, i)
+            observe(self._native, self.actuation, i)
 
     def get_state(self, rows: Index) -> Array:
         """Return the whole states (n, size) in the engine."""
@@ -226,7 +226,7 @@ class MujocoEngine:
     def base(self) -> Array:
         """Return the base position [m], quaternion (w x y z) and velocity [m/s], all in the world frame, (N, 10)."""
         if self._native.base_qpos < 0:
-            return racked_bases(len(self.datas))
+            return bases_on_rack(len(self.datas))
         rows = np.empty((len(self.datas), 10))
         gather_base(self._native, rows)
         return rows

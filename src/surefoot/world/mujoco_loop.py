@@ -13,8 +13,15 @@ from numpy.typing import NDArray
 
 from surefoot.actuator.compiled import kernel
 from surefoot.arrays import Array
+from surefoot.world.actuation import (
+    SPEED_LIMIT,
+    ActuationState,
+    add_constraint_work,
+    compute_torque,
+    record_sample,
+    roll_pitch_yaw,
+)
 from surefoot.world.contact import foot_force_kernel, spinning_torque_kernel
-from surefoot.world.drive import SPEED_LIMIT, Drive, constraint_tick, record, roll_pitch_yaw, servo_tick
 from surefoot.world.native import call_step, doubles, pointers, take_number
 
 Index = NDArray[np.int64]
@@ -76,8 +83,8 @@ def _load_masses(native: Native, worker: int, i: int) -> None:
 
 
 @kernel
-def observe(native: Native, drive: Drive, i: int) -> bool:
-    """Write robot `i`'s state to `drive.now`; return false, and write nothing, if it is not finite."""
+def observe(native: Native, state: ActuationState, i: int) -> bool:
+    """Write robot `i`'s state to `state.sample`; return false, and write nothing, if it is not finite."""
     qpos, qvel = doubles(native.qpos[i]), doubles(native.qvel[i])
     for k in range(native.num_qvel):
         if not abs(qvel[k]) < SPEED_LIMIT:
@@ -85,9 +92,9 @@ def observe(native: Native, drive: Drive, i: int) -> bool:
     for k in range(native.num_qpos):
         if not np.isfinite(qpos[k]):
             return False
-    now, motors = drive.now[i], len(native.motor_qpos)
+    now, motors = state.sample[i], len(native.motor_qpos)
     for m in range(motors):
-        now[m] = native.motor_sign[m] * qpos[native.motor_qpos[m]] + drive.motor_offset[i, m]
+        now[m] = native.motor_sign[m] * qpos[native.motor_qpos[m]] + state.motor_offset[i, m]
         now[motors + m] = native.motor_sign[m] * qvel[native.motor_dof[m]]
     if native.base_qpos < 0:  # on a rack
         now[2 * motors :] = 0.0
@@ -101,7 +108,7 @@ def observe(native: Native, drive: Drive, i: int) -> bool:
 
 
 @kernel
-def _feet_on_ground(native: Native, drive: Drive, i: int, velocity: Array, force: Array) -> None:
+def _feet_on_ground(native: Native, state: ActuationState, i: int, velocity: Array, force: Array) -> None:
     """Apply the ground's forces on robot `i`'s feet, from the positions and velocities that MuJoCo has computed."""
     xpos, xipos = doubles(native.geom_xpos[i]), doubles(native.xipos[i])
     cvel, com = doubles(native.cvel[i]), doubles(native.subtree_com[i])
@@ -126,11 +133,11 @@ def _feet_on_ground(native: Native, drive: Drive, i: int, velocity: Array, force
             native.stiffness[i],
             native.shear[i],
             native.damping,
-            drive.limits[3],
+            state.constants[3],
             force,
         )
         if force[2] > 0.0:
-            drive.contact_ticks[i, leg] += 1.0
+            state.contact_ticks[i, leg] += 1.0
         # MuJoCo takes a force at the body's centre of mass and a torque.
         x, y, z = (
             xpos[g] - xipos[3 * b],
@@ -147,8 +154,8 @@ def _feet_on_ground(native: Native, drive: Drive, i: int, velocity: Array, force
 
 
 @kernel
-def _seek_speeds(native: Native, drive: Drive, i: int) -> None:
-    """Make the friction that MuJoCo has just set up for robot `i`'s motor joints drive towards `drive.end_speed`.
+def _seek_speeds(native: Native, state: ActuationState, i: int) -> None:
+    """Make the friction that MuJoCo has set up for robot `i`'s motor joints accelerate to `state.constraint_speed`.
 
     Bounded joint friction is a constraint on the joint's acceleration, which for speed 0 at the step's end is
     -qdot / dt; another acceleration gives another speed.
@@ -158,45 +165,52 @@ def _seek_speeds(native: Native, drive: Drive, i: int) -> None:
     qvel = doubles(native.qvel[i])
     for m in range(len(native.motor_dof)):
         row = native.motor_row[m]
-        end_speed = native.motor_sign[m] * drive.end_speed[i, m]
-        aref[row] = (end_speed - qvel[native.motor_dof[m]]) / drive.limits[3]
-        limit[row] = drive.torque_limit[i, m]
+        end_speed = native.motor_sign[m] * state.constraint_speed[i, m]
+        aref[row] = (end_speed - qvel[native.motor_dof[m]]) / state.constants[3]
+        limit[row] = state.constraint_torque[i, m]
 
 
 @kernel
-def _run(native: Native, drive: Drive, i: int, servo_steps: int, model: int, velocity: Array, force: Array) -> bool:
+def _run(
+    native: Native, state: ActuationState, i: int, servo_steps: int, model: int, velocity: Array, force: Array
+) -> bool:
     """Run robot `i` for some servo steps on a thread's model; return false if it diverges."""
-    drive.energy[i] = 0.0
-    drive.heat[i] = 0.0
-    drive.contact_ticks[i] = 0.0
+    state.energy[i] = 0.0
+    state.heat[i] = 0.0
+    state.contact_ticks[i] = 0.0
     applied, data = doubles(native.qfrc_applied[i]), native.data[i]
     for _ in range(servo_steps):
-        servo_tick(drive, i)
+        compute_torque(state, i)
         for m in range(len(native.motor_dof)):
-            torque = drive.torque[i, m]
+            torque = state.torque[i, m]
             if not np.isfinite(torque):
                 return False
             applied[native.motor_dof[m]] = native.motor_sign[m] * torque
         call_step(native.step1, model, data)
-        _feet_on_ground(native, drive, i, velocity, force)
-        if drive.constraint[0]:
-            _seek_speeds(native, drive, i)
+        _feet_on_ground(native, state, i, velocity, force)
+        if state.constraint[0]:
+            _seek_speeds(native, state, i)
         call_step(native.step2, model, data)
-        drive.ticks[i] += 1
-        if not observe(native, drive, i):
+        state.ticks[i] += 1
+        if not observe(native, state, i):
             return False
-        if drive.constraint[0]:
+        if state.constraint[0]:
             forces = doubles(pointers(data + native.force_row)[0])
             for m in range(len(native.motor_dof)):
-                drive.motor_torque[i, m] = native.motor_sign[m] * forces[native.motor_row[m]]
-            constraint_tick(drive, i)
-        record(drive, i)
+                state.motor_torque[i, m] = native.motor_sign[m] * forces[native.motor_row[m]]
+            add_constraint_work(state, i)
+        record_sample(state, i)
     return True
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def advance(
-    native: Native, drive: Drive, servo_steps: Index, diverged: NDArray[np.bool_], worker: int, counter: Index
+    native: Native,
+    state: ActuationState,
+    servo_steps: Index,
+    diverged: NDArray[np.bool_],
+    worker: int,
+    counter: Index,
 ) -> None:
     """Run robots for their number of servo steps on a thread's model, until none is left.
 
@@ -211,7 +225,7 @@ def advance(
             continue
         _load_masses(native, worker, i)
         if not diverged[i]:
-            diverged[i] = not _run(native, drive, i, servo_steps[i], native.model[worker], velocity, force)
+            diverged[i] = not _run(native, state, i, servo_steps[i], native.model[worker], velocity, force)
 
 
 @njit(cache=True)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from surefoot.arrays import Array
 from surefoot.errors import SurefootError
 from surefoot.robot import GRAVITY, RobotDescription
-from surefoot.world.drive import RACK_HEIGHT
+from surefoot.world.actuation import RACK_HEIGHT
 from surefoot.world.interface import WorldConfig
 from surefoot.world.self_collision import collision_pairs
 

@@ -25,7 +25,7 @@ from numpy.typing import ArrayLike, NDArray
 from surefoot.arrays import Array
 from surefoot.errors import SurefootError
 from surefoot.robot import PhysicalParams, RobotDescription
-from surefoot.world.drive import OF_ALL_ROBOTS
+from surefoot.world.actuation import SHARED_ARRAYS
 from surefoot.world.interface import Readings, Simulation, Truth, WorldConfig
 from surefoot.world.sim_world import EngineFactory, SimWorld, check_batch, saved_params
 
@@ -40,7 +40,7 @@ _kept: list[subprocess.Popen[bytes]] | None = None
 
 
 @contextlib.contextmanager
-def kept_processes() -> Iterator[None]:
+def worker_pool() -> Iterator[None]:
     """Let the processes of a world serve the next one: to start one and load the physics takes seconds.
 
     With the context end those that no world has then.
@@ -106,21 +106,21 @@ def _join(parts: Sequence[Rows]) -> Rows:
 def _joined(parts: Sequence[dict[str, Array]]) -> dict[str, Array]:
     """Join arrays of a state by name, of consecutive robots."""
     return {
-        name: array if name in OF_ALL_ROBOTS else np.concatenate([part[name] for part in parts])
+        name: array if name in SHARED_ARRAYS else np.concatenate([part[name] for part in parts])
         for name, array in parts[0].items()
     }
 
 
 def _cut(arrays: dict[str, Array], share: slice) -> dict[str, Array]:
     """Return of arrays of a state by name the rows of some robots."""
-    return {name: array if name in OF_ALL_ROBOTS else array[share] for name, array in arrays.items()}
+    return {name: array if name in SHARED_ARRAYS else array[share] for name, array in arrays.items()}
 
 
 class ProcessWorld:
     """A `Simulation` whose robots are stepped by several processes; arguments and errors are those of `SimWorld`.
 
     The engine is a function at the top of a module. The processes, `config.threads` of them, end with this object, when
-    it is closed, or with the process that owns it, but for `kept_processes`; a `SurefootError` tells that one has ended
+    it is closed, or with the process that owns it, but for `worker_pool`; a `SurefootError` tells that one has ended
     on its own.
     """
 
@@ -163,7 +163,7 @@ class ProcessWorld:
             raise
 
     def close(self) -> None:
-        """End the processes, or keep them as `kept_processes` says; the world cannot be used afterwards."""
+        """End the processes, or keep them as `worker_pool` says; the world cannot be used afterwards."""
         self._finalizer()
 
     def _break(self) -> None:
@@ -265,7 +265,7 @@ class ProcessWorld:
         starts = [stream for state, n in zip(states, own, strict=True) for stream in state["streams"][n:]]
         return {
             **_joined([{key: state[key] for key in _ROWS} for state in states]),
-            **{part: _joined([state[part] for state in states]) for part in ("drive", "params")},
+            **{part: _joined([state[part] for state in states]) for part in ("actuation", "params")},
             "streams": sensors + starts,
             "divergences": sum(state["divergences"] for state in states),
         }
@@ -280,7 +280,7 @@ class ProcessWorld:
             sensors, starts = state["streams"][:count][share], state["streams"][count:][share]
             own = {
                 **_cut({key: state[key] for key in _ROWS}, share),
-                **{part: _cut(state[part], share) for part in ("drive", "params")},
+                **{part: _cut(state[part], share) for part in ("actuation", "params")},
                 "streams": [*sensors, *starts],
                 "divergences": state["divergences"] if number == 0 else 0,
             }

@@ -12,7 +12,7 @@ from surefoot.arrays import Array
 from surefoot.errors import SurefootError, choices
 from surefoot.findings import Finding, judged
 from surefoot.robot import GRAVITY, RobotDescription
-from surefoot.robot.actuator import PLACEHOLDER_TORQUE, JointDriveData
+from surefoot.robot.actuator import PLACEHOLDER_TORQUE, JointActuatorData
 from surefoot.robot.fused_urdf import fuse_urdf
 from surefoot.robot.rigid_body import are_moments
 from surefoot.world.mujoco_model import build_model, foot_geoms, resting_qpos
@@ -67,16 +67,15 @@ def _masses(robot: RobotDescription) -> Finding:
 
 
 def _limits(robot: RobotDescription) -> Finding:
-    if not isinstance(robot.actuator, JointDriveData):
+    if not isinstance(robot.actuator, JointActuatorData):
         return Finding("torque limits", True, "DC motors: by voltage and the torque-current curve")
     torque = np.broadcast_to(robot.actuator.torque_limit, robot.num_motors)
     unit = robot.weight * robot.leg_geometry.length
     told = f"{_span(torque)} N m, {_span(torque / unit)} m g l"
     rule = f"; over {PLACEHOLDER_TORQUE:g} m g l is a placeholder"
-    todo = "state the drive's real torque in actuator.torque_limit"
-    return judged(
-        "torque limits", bool((torque <= PLACEHOLDER_TORQUE * unit).all()), told, rule, todo, float(torque.max())
-    )
+    todo = "state the actuator's real torque in actuator.torque_limit"
+    real = bool((torque <= PLACEHOLDER_TORQUE * unit).all())
+    return judged("torque limits", real, told, rule, todo, float(torque.max()))
 
 
 def _sides(robot: RobotDescription) -> Finding:
@@ -118,7 +117,7 @@ def _stand(robot: RobotDescription, model: mujoco.MjModel) -> Iterator[Finding]:
     told = f"after {STAND_TIME:g} s: tilt {tilt:.2f} rad, base at {height:.3f} m of {expected:.3f} m"
     rule = f"; tilt must stay under {TILT:g} rad, the base above {1 - SINK:.0%}"
     yield judged("stands", stands, told, rule, todo, tilt)
-    if stands and isinstance(robot.actuator, JointDriveData):
+    if stands and isinstance(robot.actuator, JointActuatorData):
         share = np.abs(truth.motor_torque[0]) / np.broadcast_to(robot.actuator.torque_limit, robot.num_motors)
         worst = int(np.argmax(share))
         told = f"{robot.motor_names[worst]} has {share[worst]:.0%} of its limit"
@@ -147,7 +146,7 @@ def _dynamics(robot: RobotDescription, model: mujoco.MjModel) -> Iterator[Findin
     dofs = [int(model.joint(name).dofadr[0]) for name in robot.motor_names]
     felt = 1.0 / np.diag(np.linalg.inv(inertia))[dofs]
     limits = {}
-    if isinstance(robot.actuator, JointDriveData):
+    if isinstance(robot.actuator, JointActuatorData):
         kp, kd, friction = (
             np.broadcast_to(value, robot.num_motors)
             for value in (robot.actuator.kp, robot.actuator.kd, robot.actuator.friction)

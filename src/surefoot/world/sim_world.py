@@ -13,7 +13,14 @@ from surefoot.arrays import Array
 from surefoot.errors import SurefootError
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.seeding import generators
-from surefoot.world.drive import Drive, new_drive, read_delayed, read_imu, record, set_drive_params
+from surefoot.world.actuation import (
+    ActuationState,
+    new_actuation,
+    read_delayed,
+    read_imu,
+    record_sample,
+    set_actuation_params,
+)
 from surefoot.world.interface import Readings, Truth, WorldConfig
 
 Index = NDArray[np.int64]
@@ -22,13 +29,13 @@ SETTLE_TIME = 0.5
 """Time [s] for which a robot settles before an episode (the robot's published environment)."""
 _NOISE_BLOCK = 256
 _ZERO_AT_START = (
-    *("ticks", "duty", "torque", "motor_torque", "energy", "heat", "hot_time", "switched_off", "contact_ticks"),
+    *("ticks", "duty", "torque", "motor_torque", "energy", "heat", "overheated_time", "switched_off", "contact_ticks"),
     *("filtered_speed", "friction_stretch"),
 )
 
 
 class Engine(Protocol):
-    """Physics of a batch of robots; it shares the `Drive` arrays with the world.
+    """Physics of a batch of robots; it shares the `ActuationState` arrays with the world.
 
     Rows are indices of robots, (n,); other arrays have a row for each of these.
     """
@@ -39,10 +46,10 @@ class Engine(Protocol):
     diverged: NDArray[np.bool_]
 
     def advance(self, servo_steps: Index) -> None:
-        """Run each robot for its number of servo steps, `servo_tick` before and `record` after each."""
+        """Run each robot for its number of servo steps, `compute_torque` before and `record_sample` after each."""
 
     def observe(self, rows: Index) -> None:
-        """Write states to `drive.now`."""
+        """Write states to `actuation.sample`."""
 
     def get_state(self, rows: Index) -> Array:
         """Return the whole states (n, size) in the engine."""
@@ -69,15 +76,15 @@ class Engine(Protocol):
         """Return the foot centres in the world, (N, L, 3)."""
 
 
-EngineFactory = Callable[[RobotDescription, Drive, WorldConfig], Engine]
+EngineFactory = Callable[[RobotDescription, ActuationState, WorldConfig], Engine]
 """Makes the physics of as many robots as the shared arrays of servos, motors and sensors have rows."""
 
 
-def mujoco_engine(robot: RobotDescription, drive: Drive, config: WorldConfig) -> Engine:
+def mujoco_engine(robot: RobotDescription, actuation: ActuationState, config: WorldConfig) -> Engine:
     """Return the MuJoCo engine, imported on first use."""
     from surefoot.world.mujoco_engine import MujocoEngine
 
-    return MujocoEngine(robot, drive, config)
+    return MujocoEngine(robot, actuation, config)
 
 
 def check_batch(num_envs: int, params: PhysicalParams | None) -> None:
@@ -128,8 +135,8 @@ class SimWorld:
         self.robot, self.num_envs, self.config = robot, num_envs, config or WorldConfig()
         longest = max(robot.allowed["control_latency"][1], robot.allowed["servo_latency"][1])
         self._history = int(np.ceil(longest / robot.timing.servo_step)) + 2
-        self.drive = new_drive(robot, num_envs, self._history, self.config)
-        self.engine = engine(robot, self.drive, self.config)
+        self.actuation = new_actuation(robot, num_envs, self._history, self.config)
+        self.engine = engine(robot, self.actuation, self.config)
         self.params = PhysicalParams.nominal(robot, num_envs)
         self.resting_angles = robot.pose_angles(*(self.config.rest or robot.rest))
         # How deep nominal feet stand in the ground: weight over stiffness of all feet [m].
@@ -149,13 +156,13 @@ class SimWorld:
     def _settle(self, engine: EngineFactory) -> Array:
         """Return the state of one nominal robot after it has settled."""
         config = replace(self.config, thermal_protection=False, threads=1)
-        drive = new_drive(self.robot, 1, self._history, config)
-        single = engine(self.robot, drive, config)
-        drive.target[:] = self.resting_angles
+        actuation = new_actuation(self.robot, 1, self._history, config)
+        single = engine(self.robot, actuation, config)
+        actuation.target[:] = self.resting_angles
         only = np.zeros(1, np.int64)
         single.set_state(only, single.initial_state)
         single.observe(only)
-        record(drive, 0)
+        record_sample(actuation, 0)
         single.advance(np.array([round(SETTLE_TIME / self.robot.timing.servo_step)]))
         if single.diverged[0]:
             raise SurefootError(
@@ -172,10 +179,10 @@ class SimWorld:
         return self.readings()
 
     def _reset(self, rows: Index) -> None:
-        drive, config = self.drive, self.config
+        actuation, config = self.actuation, self.config
         for name in _ZERO_AT_START:
-            getattr(drive, name)[rows] = 0
-        drive.target[rows] = self.resting_angles
+            getattr(actuation, name)[rows] = 0
+        actuation.target[rows] = self.resting_angles
         self._control_steps[rows] = 0
         self._draw_noise(rows)
         self.engine.set_state(rows, self._settled)
@@ -187,7 +194,7 @@ class SimWorld:
             self.engine.set_base_velocity(rows, *speeds)
         self.engine.observe(rows)
         for i in rows:
-            record(drive, i)
+            record_sample(actuation, i)
 
     def step(self, target: ArrayLike, active: NDArray[np.bool_] | None = None) -> Readings:
         """Hold motor angles (N, M) [rad] for one control step of each robot; return readings at its end.
@@ -199,16 +206,16 @@ class SimWorld:
         finite, is put back to its resting pose, counted in `divergences` and marked in `truth().diverged`.
         """
         if active is None:
-            self.drive.target[...] = target
+            self.actuation.target[...] = target
         else:
-            np.copyto(self.drive.target, target, where=active[:, None])
+            np.copyto(self.actuation.target, target, where=active[:, None])
         period = self.params.control_step / self.robot.timing.servo_step
         before = np.round(self._control_steps * period)
         self._control_steps += 1 if active is None else active
         due = self._control_steps % _NOISE_BLOCK == 0
         if due.any():
             self._draw_noise(np.flatnonzero(due if active is None else due & active))
-        finite = np.isfinite(self.drive.target)
+        finite = np.isfinite(self.actuation.target)
         if not finite.all():
             self.engine.diverged |= ~finite.all(axis=1)
         self.engine.advance((np.round(self._control_steps * period) - before).astype(np.int64))
@@ -222,10 +229,10 @@ class SimWorld:
     def readings(self) -> Readings:
         """Return what the control computer receives: `control_latency` old, roll and pitch with bias and noise."""
         motors = self.robot.num_motors
-        out = np.empty_like(self.drive.now)
-        read_delayed(self.drive, self.params.control_latency, out)
+        out = np.empty_like(self.actuation.sample)
+        read_delayed(self.actuation, self.params.control_latency, out)
         angles, rates = out[:, 2 * motors : 2 * motors + 3], out[:, 2 * motors + 3 :]
-        time = np.asarray(self.drive.ticks * self.robot.timing.servo_step, np.float64)
+        time = np.asarray(self.actuation.ticks * self.robot.timing.servo_step, np.float64)
         read_imu(angles, rates, time, self.params)
         if self.params.imu_noise.any():
             noise = self._noise[np.arange(self.num_envs), self._control_steps % _NOISE_BLOCK]
@@ -246,19 +253,19 @@ class SimWorld:
     def truth(self) -> Truth:
         """Return the true state, with energy, heat and contacts over the last control step."""
         base, motors = self.engine.base(), self.robot.num_motors
-        now = self.drive.now
+        now = self.actuation.sample
         ticks = np.maximum(np.round(self.params.control_step / self.robot.timing.servo_step), 1)
         return Truth(
             base_position_world=base[:, :3],
             base_quat_world=base[:, 3:7],
             base_velocity_world=base[:, 7:],
             roll_pitch_yaw=now[:, 2 * motors : 2 * motors + 3].copy(),
-            motor_angle=now[:, :motors] - self.drive.motor_offset,
+            motor_angle=now[:, :motors] - self.actuation.motor_offset,
             motor_velocity=now[:, motors : 2 * motors].copy(),
-            motor_torque=self.drive.motor_torque.copy(),
-            energy=self.drive.energy.copy(),
-            heat=self.drive.heat.copy(),
-            foot_contact=np.minimum(self.drive.contact_ticks / ticks[:, None], 1.0),
+            motor_torque=self.actuation.motor_torque.copy(),
+            energy=self.actuation.energy.copy(),
+            heat=self.actuation.heat.copy(),
+            foot_contact=np.minimum(self.actuation.contact_ticks / ticks[:, None], 1.0),
             diverged=self._diverged.copy(),
         )
 
@@ -277,7 +284,7 @@ class SimWorld:
         params.check(self.robot)
         self.engine.set_params(rows, params)
         self.params.set_rows(rows, params)
-        set_drive_params(self.drive, rows, params)
+        set_actuation_params(self.actuation, rows, params)
 
     def push(self, force_world: ArrayLike) -> None:
         """Set the force (N, 3) [N] on each base's centre of mass from now on, in the world frame."""
@@ -287,7 +294,7 @@ class SimWorld:
         """Return the whole state of the world, for an exact resume."""
         return {
             "engine": self.engine.get_state(np.arange(self.num_envs)),
-            "drive": {name: array.copy() for name, array in self.drive._asdict().items()},
+            "actuation": {name: array.copy() for name, array in self.actuation._asdict().items()},
             "params": {name: getattr(self.params, name).copy() for name in PhysicalParams.names()},
             "control_steps": self._control_steps.copy(),
             "noise": self._noise.copy(),
@@ -299,8 +306,8 @@ class SimWorld:
     def set_state(self, state: dict[str, Any]) -> None:
         """Go on from `get_state`, exactly; a parameter that an earlier version did not have is nominal."""
         self.set_params(np.arange(self.num_envs), saved_params(self.robot, state))
-        for name, array in self.drive._asdict().items():
-            saved = state["drive"].get(name)
+        for name, array in self.actuation._asdict().items():
+            saved = state["actuation"].get(name)
             # What states of earlier versions do not have, or have with one number a robot, is as it was just set.
             if saved is not None and saved.shape == array.shape:
                 array[...] = saved

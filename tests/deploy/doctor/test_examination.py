@@ -22,9 +22,9 @@ from surefoot.deploy.doctor.leashed_robot import LeashedRobot, MotionStoppedErro
 from surefoot.deploy.doctor.link import LinkFigures, bursts, check_link, measure_link, rate
 from surefoot.deploy.doctor.rack import Wiggle, check_motors, check_response, fit_response, trained_latencies
 from surefoot.deploy.doctor.rest import Sample, check_rest
+from surefoot.deploy.messages import Mode, State
 from surefoot.deploy.poses import sitting
 from surefoot.deploy.safety import SafetyLimits
-from surefoot.deploy.wire.messages import Mode, State
 from surefoot.findings import Finding
 from surefoot.policy.runtime import PolicyRuntime
 from surefoot.robot import RobotDescription

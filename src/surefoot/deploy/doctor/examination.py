@@ -15,8 +15,8 @@ from surefoot.deploy.connection import RobotConnection
 from surefoot.deploy.doctor import ground, rack
 from surefoot.deploy.doctor.link import PINGS, check_link, measure_link
 from surefoot.deploy.doctor.rest import check_rest, watch
-from surefoot.deploy.link import LinkLostError
 from surefoot.deploy.pacer import Pacer, undisturbed
+from surefoot.deploy.robot_link import LinkLostError
 from surefoot.deploy.safety import SafetyLimits
 from surefoot.errors import SurefootError, choices
 from surefoot.findings import Finding, judged, undone

@@ -10,9 +10,9 @@ import numpy as np
 from surefoot.arrays import Array
 from surefoot.deploy.connection import RobotConnection
 from surefoot.deploy.doctor.rest import Sample
+from surefoot.deploy.messages import Mode, State
 from surefoot.deploy.motion import MotionRunner
 from surefoot.deploy.safety import Act, Verdict
-from surefoot.deploy.wire.messages import Mode, State
 from surefoot.robot import RobotDescription
 from surefoot.stop_signals import StopSignals
 

@@ -10,8 +10,8 @@ import numpy as np
 from surefoot.arrays import Array
 from surefoot.deploy.connection import RobotConnection
 from surefoot.deploy.doctor.link import listen
+from surefoot.deploy.messages import Handshake, State
 from surefoot.deploy.safety import SafetyLimits
-from surefoot.deploy.wire.messages import Handshake, State
 from surefoot.findings import Finding, judged
 from surefoot.robot import RobotDescription
 

@@ -10,8 +10,8 @@ from __future__ import annotations
 import numpy as np
 
 from surefoot.arrays import Array
+from surefoot.deploy.messages import State
 from surefoot.deploy.safety import is_finite
-from surefoot.deploy.wire.messages import State
 from surefoot.task.partial_trace import Layout
 
 

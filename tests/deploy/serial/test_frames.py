@@ -12,18 +12,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from wire_vectors import EXAMPLES, Example
 
-from surefoot.deploy.wire.frames import MAX_FRAME, Counts, Decoder, Frame, encode_frame, frame_bytes
-from surefoot.deploy.wire.messages import (
-    HEADER,
-    MESSAGES,
-    VERSION,
-    Codec,
-    Fault,
-    Handshake,
-    Ping,
-    Pong,
-    State,
-)
+from surefoot.deploy.messages import Fault, Handshake, Ping, Pong, State
+from surefoot.deploy.serial.codec import HEADER, MESSAGES, NUMBERS, VERSION, Codec
+from surefoot.deploy.serial.frames import MAX_FRAME, Counts, Decoder, Frame, encode_frame, frame_bytes
 
 CODEC = Codec(8)
 PING = encode_frame(CODEC, Ping(1), 2, 0.001)
@@ -119,7 +110,7 @@ def test_a_ping_has_the_bytes_worked_by_hand():
 @pytest.mark.parametrize("example", EXAMPLES, ids=lambda example: type(example.message).__name__)
 def test_every_kind_of_frame_is_as_documented(example: Example):
     message = example.message
-    body = HEADER.pack(VERSION, message.CODE, CODEC.schema, example.sequence, round(example.time * 1e6))
+    body = HEADER.pack(VERSION, NUMBERS[type(message)], CODEC.schema, example.sequence, round(example.time * 1e6))
     body += CODEC.pack(message)
     assert example.data == frame_of(body) == encode_frame(CODEC, message, example.sequence, example.time)
 
@@ -130,7 +121,7 @@ def test_a_frame_without_zeros_over_254_bytes():
     message = Handshake(
         0x1111, "r" * 24, "f" * 40, names, np.ones(8), 0.12, full, full, 0.1, 0.1, full, full, *([1.2345] * 5)
     )
-    body = header(Handshake.CODE) + CODEC.pack(message)
+    body = header(NUMBERS[Handshake]) + CODEC.pack(message)
     assert max(map(len, (body + crc32(body)).split(b"\0"))) > 254
     data = encode_frame(CODEC, message, 5, 6e-6)
     assert data == frame_of(body)
@@ -269,7 +260,7 @@ def test_a_checksum_alone_makes_no_frame(body: bytes):
 def test_a_frame_of_another_version_or_schema_is_foreign(version: int, schema: int):
     decoder = Decoder(CODEC)
     assert decoder.foreign is None
-    stream = frame_of(header(Ping.CODE, version, schema) + b"whatever") + PONG
+    stream = frame_of(header(NUMBERS[Ping], version, schema) + b"whatever") + PONG
     assert numbers(decoder.feed(stream)) == [3]
     assert decoder.counts == Counts(frames=1, foreign=1)
     assert decoder.foreign == (version, schema)
@@ -277,7 +268,7 @@ def test_a_frame_of_another_version_or_schema_is_foreign(version: int, schema: i
 
 def test_a_foreign_frame_is_known_as_such_up_to_the_longest():
     for size in range(980, 1010):
-        data = frame_of(header(Ping.CODE, version=2) + b"\7" * size)
+        data = frame_of(header(NUMBERS[Ping], version=2) + b"\7" * size)
         whole = len(data) - 2 <= MAX_FRAME
         found, counts = heard(data + PONG)
         assert found == [3]
@@ -291,11 +282,11 @@ def test_a_foreign_frame_is_known_as_such_up_to_the_longest():
         header(0),
         header(9) + bytes(4),
         header(255) + bytes(300),
-        header(Ping.CODE),
-        header(Ping.CODE) + bytes(3),
-        header(Ping.CODE) + bytes(5),
-        header(State.CODE) + bytes(129),
-        header(Fault.CODE) + b"\1\0\1" + b"\xff" * 80,
+        header(NUMBERS[Ping]),
+        header(NUMBERS[Ping]) + bytes(3),
+        header(NUMBERS[Ping]) + bytes(5),
+        header(NUMBERS[State]) + bytes(129),
+        header(NUMBERS[Fault]) + b"\1\0\1" + b"\xff" * 80,
     ],
 )
 def test_a_type_a_length_or_a_text_that_does_not_exist_is_unknown(body: bytes):
@@ -345,7 +336,7 @@ PIECES = st.one_of(
     st.binary(max_size=60),
     st.sampled_from([example.data for example in EXAMPLES]),
     st.builds(lambda size, byte: bytes([byte]) * size, st.integers(0, 3000), st.integers(0, 255)),
-    st.sampled_from(MESSAGES).map(lambda kind: frame_of(header(kind.CODE) + bytes(CODEC.size(kind)))),
+    st.sampled_from(MESSAGES).map(lambda kind: frame_of(header(NUMBERS[kind]) + bytes(CODEC.size(kind)))),
     st.binary(max_size=40).map(lambda body: frame_of(header(1) + body)),
     st.binary(max_size=40).map(frame_of),
 )

@@ -1,6 +1,6 @@
 """The wire protocol as a C header, for a robot's firmware.
 
-    python -m surefoot.deploy.wire.c_header --motors 8 --out docs/surefoot_wire.h
+    python -m surefoot.deploy.serial.c_header --motors 8 --out docs/surefoot_wire.h
 
 C99, nothing but the standard library's headers, no memory of its own: structs and constants from the definitions in
 `wire`, and the functions of functions.h, which encode frames and find them in a stream.
@@ -14,9 +14,10 @@ import textwrap
 from collections.abc import Sequence
 from pathlib import Path
 
-from surefoot.deploy.wire.fields import MOTORS, Wire
-from surefoot.deploy.wire.frames import CRC_BYTES, MAX_FRAME, frame_bytes
-from surefoot.deploy.wire.messages import HEADER, MESSAGES, VERSION, Codec, DescribedEnum, Message, Mode, Reason
+from surefoot.deploy.messages import DescribedEnum, Message, Mode, Reason
+from surefoot.deploy.serial.codec import HEADER, MESSAGES, NUMBERS, VERSION, Codec
+from surefoot.deploy.serial.fields import MOTORS, Wire
+from surefoot.deploy.serial.frames import CRC_BYTES, MAX_FRAME, frame_bytes
 from surefoot.errors import SurefootError
 from surefoot.files import whole_file
 
@@ -27,9 +28,9 @@ _TYPES = {
     **{"f32": "float", "text": "char"},
 }
 _TOP = """\
-/* surefoot wire protocol, version {version}, for robots of {motors} motors. docs/wire-protocol.md says how to speak it.
+/* surefoot wire protocol, version {version}, for robots of {motors} motors. docs/wire-protocol.md specifies it.
  *
- * Made by `python -m surefoot.deploy.wire.c_header --motors {motors}`: change the definitions, not this file.
+ * Made by `python -m surefoot.deploy.serial.c_header --motors {motors}`: change the definitions, not this file.
  *
  * A field's comment begins with what its number counts: [0.001 N m] makes 1500 stand for 1.5 N m. Texts are UTF-8, and
  * end at the first zero byte or at their full length. Structs go over the line as they lie in memory, so the
@@ -107,7 +108,7 @@ def c_header(motors: int = DEFAULT_MOTORS) -> str:
         _enum(
             "surefoot_type",
             "What a payload is.",
-            [(f"SUREFOOT_{kind.__name__.upper()}", kind.CODE, "") for kind in MESSAGES],
+            [(f"SUREFOOT_{kind.__name__.upper()}", NUMBERS[kind], "") for kind in MESSAGES],
         ),
         *(_described_enum(numbers) for numbers in (Mode, Reason)),
         _HEADER,
@@ -187,7 +188,7 @@ def _payload_size() -> str:
 def main(argv: Sequence[str] | None = None) -> int:
     """Print the header, or write it to a file."""
     parser = argparse.ArgumentParser(
-        prog="python -m surefoot.deploy.wire.c_header", description=__doc__.splitlines()[0]
+        prog="python -m surefoot.deploy.serial.c_header", description=__doc__.splitlines()[0]
     )
     parser.add_argument("--motors", type=int, default=DEFAULT_MOTORS, help="number of motors")
     parser.add_argument("--out", type=Path, help="file to write; printed, if not given")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import struct
-from dataclasses import dataclass
+from dataclasses import make_dataclass
 from typing import Any
 
 import numpy as np
@@ -12,27 +12,24 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from surefoot.deploy.wire.fields import MOTORS, Layout, Wire, wire
+from surefoot.deploy.serial.fields import MOTORS, Layout, Wire
 
-
-@dataclass(frozen=True)
-class Sample:
-    """One field of every sort."""
-
-    small: int = wire("u8", "1", "")
-    sign: int = wire("i8", "1", "")
-    medium: int = wire("u16", "1", "")
-    large: int = wire("u32", "1", "")
-    real: float = wire("f32", "m", "")
-    time: float = wire("u32", "s", "", scale=1e-6)
-    torque: np.ndarray = wire("i16", "N m", "", count=MOTORS, scale=1e-3)
-    signs: np.ndarray = wire("i8", "1", "", count=MOTORS)
-    angles: np.ndarray = wire("f32", "rad", "", count=3)
-    name: str = wire("text", "", "", length=4)
-    names: tuple[str, ...] = wire("text", "", "", length=2, count=MOTORS)
-    words: str = wire("text", "", "", length=5, cut=True)
-
-
+WIRES = dict(
+    small=Wire("u8"),
+    sign=Wire("i8"),
+    medium=Wire("u16"),
+    large=Wire("u32"),
+    real=Wire("f32"),
+    time=Wire("u32", scale=1e-6),
+    torque=Wire("i16", MOTORS, scale=1e-3),
+    signs=Wire("i8", MOTORS),
+    angles=Wire("f32", 3),
+    name=Wire("text", length=4),
+    names=Wire("text", MOTORS, length=2),
+    words=Wire("text", length=5, cut=True),
+)
+Sample = make_dataclass("Sample", WIRES)
+"""One field of every sort."""
 SAMPLE: dict[str, Any] = dict(
     small=7,
     sign=-2,
@@ -61,10 +58,10 @@ BYTES = bytes.fromhex(
     "78 00 79 7A"
     "68 65 6C 6C 6F"
 )
-LAYOUT = Layout(Sample, 2)
+LAYOUT = Layout(Sample, WIRES, 2)
 
 
-def sample(**changes: Any) -> Sample:
+def sample(**changes: Any) -> Any:
     return Sample(**{**SAMPLE, **changes})
 
 
@@ -98,11 +95,11 @@ def test_arrays_come_as_doubles_that_may_be_written_to():
 @pytest.mark.parametrize(
     ("spec", "entries", "size", "format"),
     [
-        (Wire("u8", "1", ""), 1, 1, "1B"),
-        (Wire("i16", "1", "", count=3), 3, 6, "3h"),
-        (Wire("f32", "1", "", count=MOTORS), 8, 32, "8f"),
-        (Wire("text", "", "", length=24), 1, 24, "24s"),
-        (Wire("text", "", "", length=2, count=3), 3, 6, "2s2s2s"),
+        (Wire("u8"), 1, 1, "1B"),
+        (Wire("i16", count=3), 3, 6, "3h"),
+        (Wire("f32", count=MOTORS), 8, 32, "8f"),
+        (Wire("text", length=24), 1, 24, "24s"),
+        (Wire("text", length=2, count=3), 3, 6, "2s2s2s"),
     ],
 )
 def test_a_field_knows_its_size(spec: Wire, entries: int, size: int, format: str):

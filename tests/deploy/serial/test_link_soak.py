@@ -6,8 +6,8 @@ from types import ModuleType, SimpleNamespace
 
 import pytest
 
-import surefoot.deploy.wire.frames
-from surefoot.deploy.wire.messages import Codec
+import surefoot.deploy.serial.frames
+from surefoot.deploy.serial.codec import Codec
 
 
 def test_no_wrong_frame_is_taken_and_no_whole_one_is_lost(link_soak: ModuleType):
@@ -25,7 +25,7 @@ def test_no_wrong_frame_is_taken_and_no_whole_one_is_lost(link_soak: ModuleType)
 
 
 def test_the_soak_notices_a_receiver_without_a_checksum(link_soak: ModuleType, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(surefoot.deploy.wire.frames, "zlib", SimpleNamespace(crc32=lambda data: 0))
+    monkeypatch.setattr(surefoot.deploy.serial.frames, "zlib", SimpleNamespace(crc32=lambda data: 0))
     result = link_soak.soak(3000, seed=0)
     assert result.wrong > 50
     assert not result.good

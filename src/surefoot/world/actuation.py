@@ -1,7 +1,7 @@
 """Code that all simulated worlds share between two physics steps: sensors, delays, servo and motor.
 
-One robot, one servo step: an engine calls `servo_tick`, applies `drive.torque` for the step, adds one to
-`drive.ticks`, writes the robot's new state to `drive.now` and calls `record`.
+One robot, one servo step: an engine calls `compute_torque`, applies `state.torque` for the step, adds one to
+`state.ticks`, writes the robot's new state to `state.sample` and calls `record_sample`.
 
 Times of readings, with a servo step dt, servo latency L_s and control latency L_c:
 
@@ -49,8 +49,8 @@ RACK_HEIGHT = 1.0
 """Height [m] of the base on a rack."""
 SPEED_LIMIT = 1e5
 """A generalized speed beyond this [m/s, rad/s] counts as diverged, before an engine itself would complain."""
-OF_ALL_ROBOTS = ("table_current", "table_torque", "limits", "constraint", "joint", "joint_limits")
-"""Arrays of `Drive` that have no row for each robot."""
+SHARED_ARRAYS = ("table_current", "table_torque", "constants", "constraint", "joint", "joint_limits")
+"""Arrays of `ActuationState` that have no row for each robot."""
 CONTACT = ("contact_friction", "contact_stiffness", "contact_spinning_friction", "contact_shear_ratio")
 """Physical parameters of the feet's contact."""
 RATIOS = ("base_mass_ratio", "leg_mass_ratio", "base_inertia_ratio", "leg_inertia_ratio")
@@ -66,24 +66,24 @@ _PARAMS = {
         )
     },
     **{name: f"servo_{name}" for name in ("kp", "kd")},
-    "greatest_torque": "torque_limit",
+    "max_torque": "torque_limit",
     **{"strength": "motor_strength", "friction": "motor_friction", "viscous": "motor_viscous_friction"},
 }
-"""Arrays of `Drive` that hold a physical parameter, and its name."""
+"""Arrays of `ActuationState` that hold a physical parameter, and its name."""
 _ROBOTS = ("torque_constant", "resistance", "voltage", "servo_latency", "speed_filter", "energy")
-"""Arrays of `Drive` with a number for each robot."""
+"""Arrays of `ActuationState` with a number for each robot."""
 _MOTORS = (
-    *("strength", "friction", "viscous", "kp", "kd", "load_friction", "target", "duty", "torque", "end_speed"),
-    *("torque_limit", "motor_torque", "heat", "hot_time", "filtered_speed"),
-    *("greatest_torque", "presliding", "friction_stretch", "motor_offset"),
+    *("strength", "friction", "viscous", "kp", "kd", "load_friction", "target", "duty", "torque", "constraint_speed"),
+    *("constraint_torque", "motor_torque", "heat", "overheated_time", "filtered_speed"),
+    *("max_torque", "presliding", "friction_stretch", "motor_offset"),
 )
-"""Arrays of `Drive` with a number for each motor."""
+"""Arrays of `ActuationState` with a number for each motor."""
 IMU_WIDTH = 6
 """Numbers of the IMU in a reading: roll, pitch, yaw [rad], and angular velocity in the base frame [rad/s]."""
 _rpy_quat = njit(cache=True)(rpy_quat)
 
 
-class Drive(NamedTuple):
+class ActuationState(NamedTuple):
     """Arrays of a batch of robots with M motors and L legs; first axis `num_envs` unless said otherwise."""
 
     strength: Array  # (N, M)
@@ -92,43 +92,43 @@ class Drive(NamedTuple):
     torque_constant: Array  # (N,)
     resistance: Array  # (N,)
     voltage: Array  # (N,)
-    kp: Array  # (N, M) duty/rad of DC motors, N m/rad of joint drives
+    kp: Array  # (N, M) duty/rad of DC motors, N m/rad of joint actuators
     kd: Array  # (N, M) per speed
     servo_latency: Array  # (N,) s
-    load_friction: Array  # (N, M) of joint drives
-    speed_filter: Array  # (N,) s, time constant, of joint drives
-    greatest_torque: Array  # (N, M) N m at low speed, of joint drives
-    presliding: Array  # (N, M) rad, of joint drives
-    motor_offset: Array  # (N, M) rad, what encoders tell less the true angles
+    load_friction: Array  # (N, M) of joint actuators
+    speed_filter: Array  # (N,) s, time constant, of joint actuators
+    max_torque: Array  # (N, M) N m at low speed, of joint actuators
+    presliding: Array  # (N, M) rad, of joint actuators
+    motor_offset: Array  # (N, M) rad, readings of encoders less the true angles
     table_current: Array  # (points,) A, all robots
     table_torque: Array  # (points,) N m, all robots
-    joint: NDArray[np.bool_]  # (1,) all robots: whether motors are joint drives instead of DC motors
+    joint: NDArray[np.bool_]  # (1,) all robots: whether motors are joint actuators instead of DC motors
     joint_limits: Array  # (3, M) all robots: speeds of full and of no torque, overheat torque
-    limits: Array  # (4,) all robots: voltage clip V, overheat torque N m and time s (inf: off), servo step s
+    constants: Array  # (4,) all robots: voltage clip V, overheat torque N m and time s (inf: off), servo step s
     constraint: NDArray[np.bool_]  # (1,) all robots: whether motors are constraints instead of DC motors
     ticks: NDArray[np.int64]  # (N,) servo steps since reset
     times: Array  # (N, H) s, of the history
     history: Array  # (N, H, 2 M + 6)
-    now: (
-        Array  # (N, 2 M + 6) angles as encoders tell them, speeds, roll, pitch, yaw, angular velocity in the base frame
+    sample: (
+        Array  # (N, 2 M + 6) angles that encoders read, speeds, roll, pitch, yaw, angular velocity in the base frame
     )
-    seen: Array  # (N, 2 M) delayed angles and speeds for the servo
+    servo_sample: Array  # (N, 2 M) delayed angles and speeds for the servo
     target: Array  # (N, M) rad
     duty: Array  # (N, M) added to the servo's duty: 0 in simulations, set by PWM commands on a robot
     torque: Array  # (N, M) N m on the motor shaft, friction included
-    end_speed: Array  # (N, M) rad/s, target of constraint motors at the step's end
-    torque_limit: Array  # (N, M) N m at most, of constraint motors
+    constraint_speed: Array  # (N, M) rad/s, target of constraint motors at the step's end
+    constraint_torque: Array  # (N, M) N m at most, of constraint motors
     motor_torque: Array  # (N, M) N m of the motor itself
     energy: Array  # (N,) J, integral of |tau . qdot| since it was set to zero
     heat: Array  # (N, M) J, of windings since it was set to zero; 0 for constraint motors, which have no current
-    hot_time: Array  # (N, M) s
-    filtered_speed: Array  # (N, M) rad/s, speeds that joint drives use
-    friction_stretch: Array  # (N, M) rad, of joint drives that stick
+    overheated_time: Array  # (N, M) s
+    filtered_speed: Array  # (N, M) rad/s, speeds that joint actuators use
+    friction_stretch: Array  # (N, M) rad, of joint actuators that stick
     switched_off: NDArray[np.bool_]  # (N, M)
     contact_ticks: Array  # (N, L) servo steps with the foot on the ground since it was set to zero
 
 
-def new_drive(robot: RobotDescription, num_envs: int, history: int, config: WorldConfig) -> Drive:
+def new_actuation(robot: RobotDescription, num_envs: int, history: int, config: WorldConfig) -> ActuationState:
     """Return the arrays for `num_envs` robots with nominal parameters and an empty history of that many samples."""
     motors, data = robot.num_motors, robot.actuator
     width = 2 * motors + IMU_WIDTH
@@ -137,8 +137,8 @@ def new_drive(robot: RobotDescription, num_envs: int, history: int, config: Worl
         **dict.fromkeys(_MOTORS, (motors,)),
         "times": (history,),
         "history": (history, width),
-        "now": (width,),
-        "seen": (2 * motors,),
+        "sample": (width,),
+        "servo_sample": (2 * motors,),
         "contact_ticks": (len(robot.legs),),
     }
     current, torque, clip, hot_torque, joint_limits = np.zeros(1), np.zeros(1), 0.0, 0.0, np.zeros((3, motors))
@@ -148,28 +148,28 @@ def new_drive(robot: RobotDescription, num_envs: int, history: int, config: Worl
         each = (data.full_torque_speed, data.speed_limit, data.overheat_torque)
         joint_limits = np.array([np.broadcast_to(values, motors) for values in each], float)
     overheat_time = data.overheat_time if config.thermal_protection else math.inf
-    drive = Drive(
+    state = ActuationState(
         **{name: np.zeros((num_envs, *shape)) for name, shape in shapes.items()},
         table_current=current,
         table_torque=torque,
-        joint=np.array([robot.drive == "joint"]),
+        joint=np.array([robot.actuator.kind == "joint"]),
         joint_limits=joint_limits,
-        limits=np.array([clip, hot_torque, overheat_time, robot.timing.servo_step]),
+        constants=np.array([clip, hot_torque, overheat_time, robot.timing.servo_step]),
         constraint=np.array([config.actuator == "constraint"]),
         ticks=np.zeros(num_envs, np.int64),
         switched_off=np.zeros((num_envs, motors), np.bool_),
     )
-    set_drive_params(drive, np.arange(num_envs), PhysicalParams.nominal(robot, num_envs))
-    return drive
+    set_actuation_params(state, np.arange(num_envs), PhysicalParams.nominal(robot, num_envs))
+    return state
 
 
-def set_drive_params(drive: Drive, index: NDArray[np.int64], params: PhysicalParams) -> None:
+def set_actuation_params(state: ActuationState, index: NDArray[np.int64], params: PhysicalParams) -> None:
     """Apply the parameters of servo and motor to the robots at `index`, one row each."""
     for name, parameter in _PARAMS.items():
-        getattr(drive, name)[index] = getattr(params, parameter)
+        getattr(state, name)[index] = getattr(params, parameter)
 
 
-def racked_bases(num_envs: int) -> Array:
+def bases_on_rack(num_envs: int) -> Array:
     """Return an engine's `base` of robots on a rack, (N, 10): level, `RACK_HEIGHT` up, and at rest."""
     return np.tile([0.0, 0.0, RACK_HEIGHT, 1.0, *[0.0] * 6], (num_envs, 1))
 
@@ -196,7 +196,7 @@ def quat_product(a: Quat, b: Quat) -> Quat:
 
 
 @kernel
-def turned_back(quat: Quat, vector: Vector) -> Vector:
+def rotate_inverse(quat: Quat, vector: Vector) -> Vector:
     """Return a vector of the world in the frame of a body with a unit quaternion w x y z in it.
 
     By the conjugate q* = (w, -u): v - 2 u x (w v - u x v).
@@ -207,125 +207,146 @@ def turned_back(quat: Quat, vector: Vector) -> Vector:
 
 
 @kernel
-def record(drive: Drive, i: int) -> None:
+def record_sample(state: ActuationState, i: int) -> None:
     """Append the present state of robot `i` to its history, stamped with the robot's own time."""
-    push_kernel(drive.times[i], drive.history[i], drive.ticks[i], drive.ticks[i] * drive.limits[3], drive.now[i])
+    push_kernel(
+        state.times[i],
+        state.history[i],
+        state.ticks[i],
+        state.ticks[i] * state.constants[3],
+        state.sample[i],
+    )
 
 
 @kernel
-def protected(drive: Drive, i: int, m: int, torque: float, hot_torque: float) -> float:
+def protect_motor(state: ActuationState, i: int, m: int, torque: float, hot_torque: float) -> float:
     """Return a motor's torque [N m], 0 once its thermal protection has switched it off; kept as `motor_torque`."""
-    _, _, hot_limit, dt = drive.limits
+    _, _, hot_limit, dt = state.constants
     if hot_limit < math.inf:
-        hot = overheat_kernel(torque, drive.hot_time[i, m], dt, hot_torque)
-        drive.hot_time[i, m] = hot
+        hot = overheat_kernel(torque, state.overheated_time[i, m], dt, hot_torque)
+        state.overheated_time[i, m] = hot
         if hot > hot_limit:
-            drive.switched_off[i, m] = True
-        if drive.switched_off[i, m]:
+            state.switched_off[i, m] = True
+        if state.switched_off[i, m]:
             torque = 0.0
-    drive.motor_torque[i, m] = torque
+    state.motor_torque[i, m] = torque
     return torque
 
 
 @kernel
-def joint_tick(drive: Drive, i: int) -> None:
-    """Compute `drive.torque` of robot `i` by joint drives, from the angles and speeds that they see."""
-    motors = drive.target.shape[1]
-    dt = drive.limits[3]
-    follow = dt / (drive.speed_filter[i] + dt)
+def compute_joint_torque(state: ActuationState, i: int) -> None:
+    """Compute `state.torque` of robot `i` by joint actuators, from the angles and speeds that they see."""
+    motors = state.target.shape[1]
+    dt = state.constants[3]
+    follow = dt / (state.speed_filter[i] + dt)
     power = 0.0
     for m in range(motors):
-        speed = drive.now[i, motors + m]
-        drive.filtered_speed[i, m] += follow * (drive.seen[i, motors + m] - drive.filtered_speed[i, m])
+        speed = state.sample[i, motors + m]
+        state.filtered_speed[i, m] += follow * (state.servo_sample[i, motors + m] - state.filtered_speed[i, m])
         wanted = joint_torque_kernel(
-            drive.target[i, m], drive.seen[i, m], drive.filtered_speed[i, m], drive.kp[i, m], drive.kd[i, m]
+            state.target[i, m],
+            state.servo_sample[i, m],
+            state.filtered_speed[i, m],
+            state.kp[i, m],
+            state.kd[i, m],
         )
-        full, none, hot_torque = drive.joint_limits[:, m]
-        limit = drive.greatest_torque[i, m]
-        torque = joint_limit_kernel(wanted + drive.duty[i, m] * limit, speed, limit, full, none) * drive.strength[i, m]
-        torque = protected(drive, i, m, torque, hot_torque)
+        full, none, hot_torque = state.joint_limits[:, m]
+        limit = state.max_torque[i, m]
+        torque = joint_limit_kernel(wanted + state.duty[i, m] * limit, speed, limit, full, none) * state.strength[i, m]
+        torque = protect_motor(state, i, m, torque, hot_torque)
         power += torque * speed
-        drive.heat[i, m] += dt * HEAT_LOSS * full * torque * torque / limit
-        coulomb = drive.friction[i, m] + drive.load_friction[i, m] * abs(torque)
-        if drive.presliding[i, m] > 0.0:
-            stretch = presliding_kernel(drive.friction_stretch[i, m] + speed * dt, drive.presliding[i, m])
-            drive.friction_stretch[i, m] = stretch
-            torque -= coulomb * stretch / drive.presliding[i, m]
+        state.heat[i, m] += dt * HEAT_LOSS * full * torque * torque / limit
+        coulomb = state.friction[i, m] + state.load_friction[i, m] * abs(torque)
+        if state.presliding[i, m] > 0.0:
+            stretch = presliding_kernel(state.friction_stretch[i, m] + speed * dt, state.presliding[i, m])
+            state.friction_stretch[i, m] = stretch
+            torque -= coulomb * stretch / state.presliding[i, m]
             coulomb = 0.0
-        drive.torque[i, m] = torque + motor_friction_kernel(speed, coulomb, drive.viscous[i, m])
-    drive.energy[i] += dt * abs(power)
+        state.torque[i, m] = torque + motor_friction_kernel(speed, coulomb, state.viscous[i, m])
+    state.energy[i] += dt * abs(power)
 
 
 @kernel
-def servo_tick(drive: Drive, i: int) -> None:
-    """Compute `drive.torque` of robot `i` by servo and motor from the state in the history.
+def compute_torque(state: ActuationState, i: int) -> None:
+    """Compute `state.torque` of robot `i` by servo and motor from the state in the history.
 
-    Constraint motors set their target speed, `drive.end_speed`; the engine finds their torque,
-    at most `drive.torque_limit`, and `constraint_tick` takes it after the step.
+    Constraint motors set their target speed, `state.constraint_speed`; the engine finds their torque,
+    at most `state.constraint_torque`, and `add_constraint_work` takes it after the step.
     """
-    motors = drive.target.shape[1]
-    if drive.constraint[0]:
+    motors = state.target.shape[1]
+    if state.constraint[0]:
         for m in range(motors):
-            drive.end_speed[i, m] = constraint_speed_kernel(
-                drive.target[i, m], drive.now[i, m], drive.kp[i, m], drive.kd[i, m], drive.limits[3]
+            state.constraint_speed[i, m] = constraint_speed_kernel(
+                state.target[i, m],
+                state.sample[i, m],
+                state.kp[i, m],
+                state.kd[i, m],
+                state.constants[3],
             )
-            if drive.joint[0]:
-                drive.torque_limit[i, m] = drive.greatest_torque[i, m] * drive.strength[i, m]
+            if state.joint[0]:
+                state.constraint_torque[i, m] = state.max_torque[i, m] * state.strength[i, m]
             else:
-                drive.torque_limit[i, m] = constraint_torque_kernel(
-                    drive.voltage[i], drive.torque_constant[i], drive.resistance[i], drive.strength[i, m]
+                state.constraint_torque[i, m] = constraint_torque_kernel(
+                    state.voltage[i],
+                    state.torque_constant[i],
+                    state.resistance[i],
+                    state.strength[i, m],
                 )
-            drive.torque[i, m] = motor_friction_kernel(
-                drive.now[i, motors + m], drive.friction[i, m], drive.viscous[i, m]
+            state.torque[i, m] = motor_friction_kernel(
+                state.sample[i, motors + m], state.friction[i, m], state.viscous[i, m]
             )
         return
-    voltage_clip, hot_torque, _, dt = drive.limits
-    time = drive.ticks[i] * dt
-    read_at = time - drive.servo_latency[i]
-    read_kernel(drive.times[i], drive.history[i], drive.ticks[i] + 1, read_at, 2 * motors, drive.seen[i])
-    if drive.joint[0]:
-        joint_tick(drive, i)
+    voltage_clip, hot_torque, _, dt = state.constants
+    time = state.ticks[i] * dt
+    read_at = time - state.servo_latency[i]
+    read_kernel(state.times[i], state.history[i], state.ticks[i] + 1, read_at, 2 * motors, state.servo_sample[i])
+    if state.joint[0]:
+        compute_joint_torque(state, i)
         return
     power = 0.0
     for m in range(motors):
-        speed = drive.now[i, motors + m]
+        speed = state.sample[i, motors + m]
         duty = servo_duty_kernel(
-            drive.target[i, m], drive.seen[i, m], drive.seen[i, motors + m], drive.kp[i, m], drive.kd[i, m]
+            state.target[i, m],
+            state.servo_sample[i, m],
+            state.servo_sample[i, motors + m],
+            state.kp[i, m],
+            state.kd[i, m],
         )
-        duty += drive.duty[i, m]
+        duty += state.duty[i, m]
         duty = 1.0 if duty > 1.0 else -1.0 if duty < -1.0 else duty
         current = motor_current_kernel(
-            duty, speed, drive.voltage[i], drive.torque_constant[i], drive.resistance[i], voltage_clip
+            duty, speed, state.voltage[i], state.torque_constant[i], state.resistance[i], voltage_clip
         )
-        torque = motor_torque_kernel(current, drive.strength[i, m], drive.table_current, drive.table_torque)
-        torque = protected(drive, i, m, torque, hot_torque)
+        torque = motor_torque_kernel(current, state.strength[i, m], state.table_current, state.table_torque)
+        torque = protect_motor(state, i, m, torque, hot_torque)
         power += torque * speed
-        if not drive.switched_off[i, m]:
-            drive.heat[i, m] += dt * drive.resistance[i] * current * current
-        drive.torque[i, m] = torque + motor_friction_kernel(speed, drive.friction[i, m], drive.viscous[i, m])
-    drive.energy[i] += dt * abs(power)
+        if not state.switched_off[i, m]:
+            state.heat[i, m] += dt * state.resistance[i] * current * current
+        state.torque[i, m] = torque + motor_friction_kernel(speed, state.friction[i, m], state.viscous[i, m])
+    state.energy[i] += dt * abs(power)
 
 
 @kernel
-def constraint_tick(drive: Drive, i: int) -> None:
+def add_constraint_work(state: ActuationState, i: int) -> None:
     """Add up the work of robot `i`'s constraint motors over the last step.
 
-    The engine has set their torques, `drive.motor_torque`, and `drive.now`, whose speeds are those of the step's end:
-    positions move by them, so that torque times speed times step is the work done.
+    The engine has set `state.motor_torque`, and `state.sample` with the speeds at the step's end. Positions move by
+    these speeds, so torque times speed times step is the work done.
     """
-    motors = drive.target.shape[1]
+    motors = state.target.shape[1]
     power = 0.0
     for m in range(motors):
-        power += drive.motor_torque[i, m] * drive.now[i, motors + m]
-    drive.energy[i] += drive.limits[3] * abs(power)
+        power += state.motor_torque[i, m] * state.sample[i, motors + m]
+    state.energy[i] += state.constants[3] * abs(power)
 
 
 @njit(cache=True)
-def read_delayed(drive: Drive, latency: Array, out: Array) -> None:
+def read_delayed(state: ActuationState, latency: Array, out: Array) -> None:
     """Write the readings (N, width) that are `latency` (N,) [s] old to `out`."""
     for i in range(len(latency)):
-        at = drive.ticks[i] * drive.limits[3] - latency[i]
-        read_kernel(drive.times[i], drive.history[i], drive.ticks[i] + 1, at, out.shape[1], out[i])
+        at = state.ticks[i] * state.constants[3] - latency[i]
+        read_kernel(state.times[i], state.history[i], state.ticks[i] + 1, at, out.shape[1], out[i])
 
 
 def read_imu(attitude: Array, rates: Array, time: Array, params: PhysicalParams, rows: Any = slice(None)) -> None:
@@ -340,7 +361,7 @@ def read_imu(attitude: Array, rates: Array, time: Array, params: PhysicalParams,
     """
     mount = params.imu_mount[rows]
     if mount.any():
-        read_by_mounted_imu(attitude, rates, mount)
+        rotate_to_imu(attitude, rates, mount)
     attitude[:, :2] += params.imu_bias[rows]
     drift = params.imu_yaw_drift[rows]
     if drift.any():
@@ -349,7 +370,7 @@ def read_imu(attitude: Array, rates: Array, time: Array, params: PhysicalParams,
 
 
 @njit(cache=True)
-def read_by_mounted_imu(attitude: Array, rates: Array, mount: Array) -> None:
+def rotate_to_imu(attitude: Array, rates: Array, mount: Array) -> None:
     """Transform attitudes and rates of bases into readings of IMUs with other orientations.
 
     With the rotation R_b of the base in the world and R_m of the IMU in the base, the IMU's attitude is R_b R_m, and
@@ -364,4 +385,4 @@ def read_by_mounted_imu(attitude: Array, rates: Array, mount: Array) -> None:
         base = _rpy_quat(attitude[i, 0], attitude[i, 1], attitude[i, 2])
         imu = _rpy_quat(mount[i, 0], mount[i, 1], mount[i, 2])
         attitude[i, 0], attitude[i, 1], attitude[i, 2] = roll_pitch_yaw(*quat_product(base, imu))
-        rates[i, 0], rates[i, 1], rates[i, 2] = turned_back(imu, (rates[i, 0], rates[i, 1], rates[i, 2]))
+        rates[i, 0], rates[i, 1], rates[i, 2] = rotate_inverse(imu, (rates[i, 0], rates[i, 1], rates[i, 2]))

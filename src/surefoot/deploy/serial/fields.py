@@ -1,10 +1,10 @@
-"""Fields of wire messages: how a number or a text stands in a frame."""
+"""Fields of a message as bytes: how a number or a text stands in a frame."""
 
 from __future__ import annotations
 
 import math
 import struct
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -24,10 +24,6 @@ class Wire:
 
     kind: str
     """One of `CODES` (f32 is IEEE 754), or text (UTF-8, ends at the first zero byte or at its full length)."""
-    unit: str
-    """Unit of the value in Python, SI."""
-    meaning: str
-    """What it is."""
     count: int = 1
     """How many; `MOTORS` for one a motor."""
     scale: float = 0.0
@@ -36,6 +32,10 @@ class Wire:
     """Bytes of a text."""
     cut: bool = False
     """A text that is too long loses its end; otherwise it is refused."""
+    unit: str = ""
+    """SI unit of the value, as the message states it."""
+    meaning: str = ""
+    """The value's meaning, as the message states it."""
 
     def entries(self, motors: int) -> int:
         """How many entries a robot of that many motors has."""
@@ -48,16 +48,6 @@ class Wire:
         return f"{self.entries(motors)}{CODES[self.kind]}"
 
 
-def wire(kind: str, unit: str, meaning: str, **more: Any) -> Any:
-    """A dataclass field that stands in a frame; see `Wire`."""
-    return field(metadata={"wire": Wire(kind, unit, meaning, **more)})
-
-
-def wires(message: type) -> dict[str, Wire]:
-    """The fields of a message, by name, in the order of the frame."""
-    return {item.name: item.metadata["wire"] for item in fields(message)}
-
-
 class Layout:
     """The fields of one kind of message as bytes and back, for robots of a number of motors.
 
@@ -66,12 +56,13 @@ class Layout:
     go as they are, and what is too large becomes infinite.
 
     Args:
-        message: the dataclass, all of its fields made by `wire`.
+        message: the dataclass.
+        wires: how each of its fields stands in a frame, in the order of the fields.
         motors: number of motors.
     """
 
-    def __init__(self, message: type, motors: int) -> None:
-        self.fields = wires(message)
+    def __init__(self, message: type, wires: dict[str, Wire], motors: int) -> None:
+        self.fields = wires
         self.struct = struct.Struct("<" + "".join(spec.format(motors) for spec in self.fields.values()))
         self._message = message
         self._plan: list[tuple[str, Wire, int, int, int]] = []

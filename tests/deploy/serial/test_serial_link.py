@@ -12,9 +12,12 @@ import numpy as np
 import pytest
 
 from surefoot.deploy.clock import LockstepClock, MonotonicClock
-from surefoot.deploy.link import Link, LinkLostError, SerialPort
-from surefoot.deploy.wire.frames import Decoder, encode_frame
-from surefoot.deploy.wire.messages import Codec, Handshake, Hello, Ping, Pong, Position, State
+from surefoot.deploy.messages import Handshake, Hello, Ping, Pong, Position, State
+from surefoot.deploy.robot_link import LinkLostError
+from surefoot.deploy.serial.codec import Codec
+from surefoot.deploy.serial.frames import Decoder, encode_frame
+from surefoot.deploy.serial.port import SerialPort
+from surefoot.deploy.serial.serial_link import Link
 from surefoot.errors import SurefootError
 
 CODEC = Codec(8)

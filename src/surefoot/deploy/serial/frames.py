@@ -14,7 +14,8 @@ from dataclasses import dataclass
 
 from cobs import cobs
 
-from surefoot.deploy.wire.messages import HEADER, VERSION, Codec, Message
+from surefoot.deploy.messages import Message
+from surefoot.deploy.serial.codec import HEADER, NUMBERS, VERSION, Codec
 
 MAX_FRAME = 1024
 """Bytes between two zeros beyond which nothing can be a frame: `MAX_PAYLOAD`, header, CRC-32, and what COBS adds."""
@@ -69,7 +70,7 @@ def encode_frame(codec: Codec, message: Message, sequence: int, time: float) -> 
     if not math.isfinite(time):
         raise ValueError(f"the time of a frame is {time}; it must be finite")
     microseconds = min(max(round(time * 1e6), 0), 2**64 - 1)
-    body = HEADER.pack(VERSION, message.CODE, codec.schema, sequence, microseconds) + codec.pack(message)
+    body = HEADER.pack(VERSION, NUMBERS[type(message)], codec.schema, sequence, microseconds) + codec.pack(message)
     stuffed = cobs.encode(body + zlib.crc32(body).to_bytes(CRC_BYTES, "little"))
     return b"\0" + stuffed + b"\0"
 

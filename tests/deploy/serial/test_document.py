@@ -10,10 +10,10 @@ import struct
 import pytest
 from wire_vectors import DOCUMENT, EXAMPLES, TEXT, part
 
-from surefoot.deploy.link import BAUD
-from surefoot.deploy.wire.fields import wires
-from surefoot.deploy.wire.frames import MAX_FRAME, frame_bytes
-from surefoot.deploy.wire.messages import HEADER, MESSAGES, VERSION, Codec, Mode, Position, Reason, State
+from surefoot.deploy.messages import Mode, Position, Reason, State
+from surefoot.deploy.serial.codec import HEADER, MESSAGES, NUMBERS, VERSION, Codec, wires
+from surefoot.deploy.serial.frames import MAX_FRAME, frame_bytes
+from surefoot.deploy.serial.port import BAUD
 
 
 def rows(text: str) -> list[list[str]]:
@@ -91,7 +91,9 @@ def test_offsets_go_without_gaps_to_the_size_in_the_title():
     for kind in MESSAGES:
         block = part("messages").partition(f"### {kind.__name__}: ")[2].partition("\n### ")[0]
         size = Codec(8).size(kind)
-        assert block.startswith(f"type {kind.CODE}, {'to' if kind.CODE < 64 else 'from'} the robot, {size} bytes\n")
+        assert block.startswith(
+            f"type {NUMBERS[kind]}, {'to' if NUMBERS[kind] < 64 else 'from'} the robot, {size} bytes\n"
+        )
         offsets = [int(offset) for offset in re.findall(r"^\| (\d+) \|", block, re.M)]
         sizes = [struct.calcsize("<" + spec.format(8)) for spec in wires(kind).values()]
         assert [end - start for start, end in zip(offsets, [*offsets[1:], size], strict=True)] == sizes

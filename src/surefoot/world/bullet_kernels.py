@@ -16,17 +16,17 @@ from numpy.typing import NDArray
 
 from surefoot.arrays import Array
 from surefoot.rotations import quat_matrix
-from surefoot.world.contact import sliding_force_kernel
-from surefoot.world.drive import (
+from surefoot.world.actuation import (
     SPEED_LIMIT,
-    Drive,
-    constraint_tick,
+    ActuationState,
+    add_constraint_work,
+    compute_torque,
     quat_product,
-    record,
+    record_sample,
     roll_pitch_yaw,
-    servo_tick,
-    turned_back,
+    rotate_inverse,
 )
+from surefoot.world.contact import sliding_force_kernel
 
 Index = NDArray[np.int64]
 
@@ -47,8 +47,8 @@ class Layout(NamedTuple):
 
 
 @njit(cache=True)
-def observe(layout: Layout, drive: Drive, i: int, seen: Array) -> bool:
-    """Write robot `i`'s state to `drive.now`; return false, and write nothing, if it is not finite.
+def observe(layout: Layout, state: ActuationState, i: int, seen: Array) -> bool:
+    """Write robot `i`'s state to `state.sample`; return false, and write nothing, if it is not finite.
 
     Seen are the first 13 numbers of its row, then angles and speeds of its motors' joints.
     """
@@ -58,26 +58,26 @@ def observe(layout: Layout, drive: Drive, i: int, seen: Array) -> bool:
             return False
         if (VELOCITY <= k < JOINTS or k >= JOINTS + motors) and not abs(seen[k]) < SPEED_LIMIT:
             return False
-    now = drive.now[i]
+    now = state.sample[i]
     for m in range(2 * motors):
         now[m] = layout.sign[m % motors] * seen[JOINTS + m]
     for m in range(motors):
-        now[m] += drive.motor_offset[i, m]
+        now[m] += state.motor_offset[i, m]
     if layout.rack:
         now[2 * motors :] = 0.0
         return True
     b = layout.base_quat
     quat = quat_product((seen[6], seen[3], seen[4], seen[5]), (b[0], -b[1], -b[2], -b[3]))
     now[2 * motors], now[2 * motors + 1], now[2 * motors + 2] = roll_pitch_yaw(*quat)
-    omega = turned_back(quat, (seen[OMEGA], seen[OMEGA + 1], seen[OMEGA + 2]))
+    omega = rotate_inverse(quat, (seen[OMEGA], seen[OMEGA + 1], seen[OMEGA + 2]))
     now[2 * motors + 3], now[2 * motors + 4], now[2 * motors + 5] = omega
     return True
 
 
 @njit(cache=True)
-def between(
+def substep(
     layout: Layout,
-    drive: Drive,
+    state: ActuationState,
     seen: Array,
     applied: Array,
     left: Index,
@@ -88,7 +88,7 @@ def between(
 
     Args:
         layout: see there.
-        drive: servos, motors and sensors of N robots.
+        state: servos, motors and sensors of N robots.
         seen: their states after the step, see `observe`, then the torques of Bullet's own joint motors [N m], (N, ...).
         applied: output, joint torques (N, M) [N m] for the next step.
         left: steps that each has to go, the one that has ended included (N,); updated, 0 where a robot diverges.
@@ -100,23 +100,23 @@ def between(
         if left[i] == 0:
             continue
         if ended:
-            drive.ticks[i] += 1
-            if not observe(layout, drive, i, seen[i]):
+            state.ticks[i] += 1
+            if not observe(layout, state, i, seen[i]):
                 diverged[i], left[i] = True, 0
                 continue
-            if drive.constraint[0]:
+            if state.constraint[0]:
                 for m in range(motors):
                     # A motor without strength is left out of the solver, and keeps the torque that it had before.
-                    limit = drive.torque_limit[i, m]
+                    limit = state.constraint_torque[i, m]
                     torque = layout.sign[m] * seen[i, JOINTS + 2 * motors + m]
-                    drive.motor_torque[i, m] = min(max(torque, -limit), limit)
-                constraint_tick(drive, i)
-            record(drive, i)
+                    state.motor_torque[i, m] = min(max(torque, -limit), limit)
+                add_constraint_work(state, i)
+            record_sample(state, i)
             left[i] -= 1
         if left[i] > 0:
-            servo_tick(drive, i)
+            compute_torque(state, i)
             for m in range(motors):
-                applied[i, m] = layout.sign[m] * drive.torque[i, m]
+                applied[i, m] = layout.sign[m] * state.torque[i, m]
                 if not np.isfinite(applied[i, m]):
                     diverged[i], left[i] = True, 0
 
@@ -137,7 +137,7 @@ def pin_kernel(quats: Array, forces: Array, axes: Array, play: float, shift: Arr
     """
     for k in range(len(quats)):
         quat = (quats[k, 3], quats[k, 0], quats[k, 1], quats[k, 2])
-        fx, fy, fz = turned_back(quat, (forces[k, 0], forces[k, 1], forces[k, 2]))
+        fx, fy, fz = rotate_inverse(quat, (forces[k, 0], forces[k, 1], forces[k, 2]))
         along = fx * axes[k, 0] + fy * axes[k, 1] + fz * axes[k, 2]
         fx, fy, fz = fx - along * axes[k, 0], fy - along * axes[k, 1], fz - along * axes[k, 2]
         reach = play / (math.sqrt(fx * fx + fy * fy + fz * fz) + PIN_LOAD)
@@ -179,7 +179,7 @@ def sole_kernel(
             stretch[k] = 0.0
             continue
         quat = (links[k, 6], -links[k, 3], -links[k, 4], -links[k, 5])
-        arm[0], arm[1], arm[2] = turned_back(quat, (centres[k, 0], centres[k, 1], centres[k, 2]))
+        arm[0], arm[1], arm[2] = rotate_inverse(quat, (centres[k, 0], centres[k, 1], centres[k, 2]))
         along = 0.0
         for c in range(3):
             normal[c] = loads[k, c] / load

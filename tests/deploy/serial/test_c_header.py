@@ -18,10 +18,10 @@ import pytest
 from cobs import cobs
 from wire_vectors import EXAMPLES
 
-from surefoot.deploy.wire.c_header import c_header, main
-from surefoot.deploy.wire.fields import wires
-from surefoot.deploy.wire.frames import CRC_BYTES, MAX_FRAME, Decoder, encode_frame
-from surefoot.deploy.wire.messages import HEADER, MESSAGES, VERSION, Codec, Fault, Handshake, Message
+from surefoot.deploy.messages import Fault, Handshake, Message
+from surefoot.deploy.serial.c_header import c_header, main
+from surefoot.deploy.serial.codec import HEADER, MESSAGES, NUMBERS, VERSION, Codec, wires
+from surefoot.deploy.serial.frames import CRC_BYTES, MAX_FRAME, Decoder, encode_frame
 from surefoot.errors import SurefootError
 
 HERE = Path(__file__).resolve().parent
@@ -118,7 +118,7 @@ def run(program: Path, mode: str, data: bytes = b"") -> tuple[bytes, str]:
 
 def test_the_header_in_docs_is_the_one_that_is_made():
     committed = (ROOT / "docs" / "surefoot_wire.h").read_text(encoding="utf-8")
-    assert committed == c_header(8), "run: python -m surefoot.deploy.wire.c_header --out docs/surefoot_wire.h"
+    assert committed == c_header(8), "run: python -m surefoot.deploy.serial.c_header --out docs/surefoot_wire.h"
 
 
 def test_the_command_prints_or_writes_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
@@ -238,7 +238,7 @@ def random_frames(count: int, seed: int) -> list[bytes]:
             firmware = "f" * rng.randrange(41)
             message = Handshake(7, "r" * 24, firmware, names, np.ones(8), 0.3, kp, kd, 0.3, 0.3, low, high, *[0.7] * 5)
         else:
-            message = CODEC.unpack(kind.CODE, rng.randbytes(CODEC.size(kind)))
+            message = CODEC.unpack(NUMBERS[kind], rng.randbytes(CODEC.size(kind)))
         frames.append(encode_frame(CODEC, message, rng.randrange(1, 2**32), rng.uniform(0, 1e6)))
     return frames
 
@@ -284,7 +284,7 @@ def test_both_find_the_same_frames_in_a_damaged_stream(program: Path, link_soak:
         foreign = decoder.counts.foreign
         for frame in decoder.feed(stream[at : at + 1]):
             payload = CODEC.pack(frame.message)
-            expected.append((frame.message.CODE, frame.sequence, round(frame.time * 1e6), payload))
+            expected.append((NUMBERS[type(frame.message)], frame.sequence, round(frame.time * 1e6), payload))
         if decoder.counts.foreign > foreign:
             expected.append(("foreign", *decoder.foreign))
     said, counts = run(program, "list", stream)

@@ -1,0 +1,153 @@
+"""Messages as little-endian packed structs; docs/wire-protocol.md specifies them for a firmware's author.
+
+Schema hash and C header are made from `SCHEMA` and the messages; tests compare the tables of the document with them.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import struct
+from dataclasses import fields, replace
+
+from surefoot.deploy.messages import (
+    Arm,
+    Bye,
+    Damp,
+    Disarm,
+    Fault,
+    Handshake,
+    Hello,
+    Message,
+    Ping,
+    Pong,
+    Position,
+    Pwm,
+    State,
+)
+from surefoot.deploy.serial.fields import MOTORS, Layout, Wire
+from surefoot.errors import SurefootError
+
+VERSION = 1
+"""Version of the framing and the header."""
+HEADER = struct.Struct("<BBIIQ")
+"""Version, type, schema hash, sequence number, time [us]."""
+MAX_PAYLOAD = 997
+"""Bytes of a message that still fit a frame; see `frames.MAX_FRAME`."""
+_U8, _U16, _U32, _F32 = Wire("u8"), Wire("u16"), Wire("u32"), Wire("f32")
+_TIME = Wire("u32", scale=1e-6)
+_MOTORS, _VECTOR = Wire("f32", MOTORS), Wire("f32", 3)
+SCHEMA: dict[type[Message], tuple[int, dict[str, Wire]]] = {
+    Hello: (1, {"session": _U16, "state_period": _TIME}),
+    Ping: (2, {"token": _U32}),
+    Arm: (3, {"session": _U16, "mode": _U8, "command_period": _TIME, "report_after": _TIME}),
+    Position: (4, {"session": _U16, "target": _MOTORS}),
+    Pwm: (5, {"session": _U16, "duty": _MOTORS}),
+    Damp: (6, {"session": _U16}),
+    Disarm: (7, {"session": _U16}),
+    Bye: (8, {"session": _U16}),
+    Handshake: (
+        65,
+        {
+            "session": _U16,
+            "robot": Wire("text", length=24),
+            "firmware": Wire("text", length=40),
+            "motor_names": Wire("text", MOTORS, length=24),
+            "motor_signs": Wire("i8", MOTORS),
+            "servo_period": _TIME,
+            "servo_kp": _MOTORS,
+            "servo_kd": _MOTORS,
+            "command_period_min": _TIME,
+            "command_period_max": _TIME,
+            "angle_low": _MOTORS,
+            "angle_high": _MOTORS,
+            "tilt_limit": _F32,
+            "voltage_min": _F32,
+            "temperature_max": _F32,
+            "command_timeout": _TIME,
+            "rearm_after": _TIME,
+        },
+    ),
+    Pong: (66, {"token": _U32}),
+    State: (
+        67,
+        {
+            "session": _U16,
+            "mode": _U8,
+            "reason": _U8,
+            "command": _U32,
+            "command_age": Wire("u16", scale=1e-5),
+            "dropped": _U16,
+            "motor_angle": _MOTORS,
+            "motor_velocity": _MOTORS,
+            "motor_torque": Wire("i16", MOTORS, scale=1e-3),
+            "roll_pitch_yaw": _VECTOR,
+            "angular_velocity_base": _VECTOR,
+            "energy": _F32,
+            "voltage": Wire("u16", scale=1e-3),
+            "temperature": Wire("u8", MOTORS, scale=1.0),
+        },
+    ),
+    Fault: (68, {"session": _U16, "reason": _U8, "text": Wire("text", length=80, cut=True)}),
+}
+"""Number of each kind of message, and how its fields stand in a frame."""
+MESSAGES = tuple(SCHEMA)
+NUMBERS = {kind: number for kind, (number, _) in SCHEMA.items()}
+
+
+def wires(kind: type[Message]) -> dict[str, Wire]:
+    """Return how the fields of a message stand in a frame, with their units and meanings."""
+    _, encodings = SCHEMA[kind]
+    return {item.name: replace(encodings[item.name], **item.metadata) for item in fields(kind)}  # type: ignore[arg-type]
+
+
+class Codec:
+    """Messages to payloads and back, for robots of a number of motors.
+
+    Raises:
+        SurefootError: no motors, or more than fit a frame.
+    """
+
+    def __init__(self, motors: int) -> None:
+        self.motors = motors
+        self.kinds = {number: kind for kind, number in NUMBERS.items()}
+        self.layouts = {kind: Layout(kind, wires(kind), max(motors, 1)) for kind in MESSAGES}
+        largest = max(map(self.size, MESSAGES))
+        if motors < 1 or largest > MAX_PAYLOAD:
+            raise SurefootError(f"motors is {motors}; it must be 1 or more, and messages at most {MAX_PAYLOAD} bytes")
+        digest = hashlib.sha256(self.describe().encode()).digest()
+        self.schema = int.from_bytes(digest[:4], "little")
+        """First four bytes of the SHA-256 of `describe`, little-endian."""
+
+    def describe(self) -> str:
+        """Return all messages in canonical form: a line for each message, and one for each of its fields."""
+        lines = [f"surefoot {VERSION} motors {self.motors}"]
+        for kind, layout in self.layouts.items():
+            lines.append(f"{NUMBERS[kind]} {kind.__name__}")
+            lines += [
+                f"{name} {spec.kind} {spec.entries(self.motors)} {spec.length} {spec.scale:g} {spec.unit or '-'}"
+                for name, spec in layout.fields.items()
+            ]
+        return "\n".join(lines) + "\n"
+
+    def size(self, kind: type[Message]) -> int:
+        """Return the number of bytes of a message's payload."""
+        return self.layouts[kind].struct.size
+
+    def pack(self, message: Message) -> bytes:
+        """Return the payload of a message.
+
+        Raises:
+            ValueError: an array of another length, a text too long, or a whole number that does not fit.
+        """
+        return self.layouts[type(message)].pack(message)
+
+    def unpack(self, number: int, payload: bytes) -> Message | None:
+        """Return the message of a payload; None for an unknown kind, another length, or bytes that are no text."""
+        kind = self.kinds.get(number)
+        if kind is None:
+            return None
+        try:
+            message: Message = self.layouts[kind].unpack(payload)
+        except ValueError:
+            return None
+        return message

@@ -1,0 +1,80 @@
+"""A serial port that never blocks and that one program has at a time."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import select
+
+import serial
+
+from surefoot.deploy.robot_link import LinkLostError
+from surefoot.errors import SurefootError
+
+BAUD = 921_600
+_CHUNK = 65_536
+
+
+class SerialPort:
+    """A serial port, or a pseudo-terminal, that no one else may open meanwhile.
+
+    Args:
+        path: such as /dev/ttyUSB0.
+        baud: bits a second; 10 make a byte.
+
+    Raises:
+        SurefootError: no such port, no right to it, or another program has it.
+    """
+
+    def __init__(self, path: str, baud: int = BAUD) -> None:
+        self.path = path
+        try:
+            self._serial = serial.Serial(path, baud, timeout=0, write_timeout=0, exclusive=True)
+        except (serial.SerialException, OSError, ValueError) as error:
+            number = getattr(error, "errno", None)
+            if number == errno.EAGAIN or "exclusively lock" in str(error):
+                raise SurefootError(f"port {path}: another program has it; one operator at a time") from error
+            reason = os.strerror(number) if number else str(error)
+            raise SurefootError(f"port {path}: can't be opened: {reason}") from error
+        self._file = self._serial.fileno()
+        os.set_blocking(self._file, False)
+        self._poll = select.poll()
+        self._poll.register(self._file, select.POLLIN)
+        # USB adapters otherwise hold bytes back for up to 16 ms; pseudo-terminals and some adapters have no such mode.
+        with contextlib.suppress(OSError, ValueError, NotImplementedError):
+            self._serial.set_low_latency_mode(True)
+
+    def read(self) -> bytes:
+        """What has come since, maybe nothing; never waits."""
+        parts = []
+        try:
+            while part := os.read(self._file, _CHUNK):
+                parts.append(part)
+                if len(part) < _CHUNK:
+                    break
+            else:
+                if any(event & ~select.POLLIN for _, event in self._poll.poll(0)):
+                    raise LinkLostError(f"port {self.path} is gone")
+        except BlockingIOError:
+            pass
+        except OSError as error:
+            raise LinkLostError(f"port {self.path} is gone: {error.strerror}") from error
+        return b"".join(parts)
+
+    def write(self, data: bytes) -> int:
+        """Hand over bytes, never wait; returns how many the line took."""
+        try:
+            return os.write(self._file, data)
+        except BlockingIOError:
+            return 0
+        except OSError as error:
+            raise LinkLostError(f"port {self.path} is gone: {error.strerror}") from error
+
+    def wait(self, timeout: float) -> None:
+        """Wait until something can be read, at most `timeout` [s]."""
+        self._poll.poll(max(timeout, 0.0) * 1e3)
+
+    def close(self) -> None:
+        """Give the port back."""
+        self._serial.close()
