@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import os
 import signal
+from types import SimpleNamespace
 
 import pytest
 
+from surefoot.cli import main
 from surefoot.stop_signals import StopSignals
 
 
@@ -49,3 +51,14 @@ def test_signals_are_counted_told_and_those_that_nohup_ignores_stay_ignored():
         assert (stop.count, told) == (2, [1, 2])
     finally:
         signal.signal(signal.SIGHUP, before)
+
+
+@pytest.mark.parametrize("name", ["show", "drive", "evaluate"])
+def test_ctrl_c_ends_a_command_whose_parent_ignores_it(name: str, monkeypatch: pytest.MonkeyPatch):
+    command = SimpleNamespace(main=lambda words: os.kill(os.getpid(), signal.SIGINT))
+    monkeypatch.setattr(main.importlib, "import_module", lambda name: command)
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        assert main.main([name]) == 130
+    finally:
+        signal.signal(signal.SIGINT, before)

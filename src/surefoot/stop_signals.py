@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import signal
+import threading
 from collections.abc import Callable
 from types import FrameType
 from typing import Any, Self
@@ -10,8 +11,17 @@ from typing import Any, Self
 ALL = ("SIGINT", "SIGTERM", "SIGHUP")
 
 
+def enable_interrupt() -> None:
+    """Let Ctrl-C raise `KeyboardInterrupt`, also if this process was started with SIGINT ignored.
+
+    Shells do so for jobs in the background, and many runners of tests for everything.
+    """
+    if threading.current_thread() is threading.main_thread() and signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
 class StopSignals:
-    """Counts signals instead of dying of them, while it is entered.
+    """Count signals instead of being ended by them, while entered.
 
     Args:
         names: of the signals.

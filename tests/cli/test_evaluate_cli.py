@@ -188,8 +188,6 @@ def test_an_interrupt_ends_with_130():
         stdout=subprocess.PIPE,
         stderr=other_end,
         env=os.environ | {"TERM": "xterm", "COLUMNS": "100"},
-        # A shell that runs the tests in the background lets all that it starts ignore interrupts.
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )
     os.close(other_end)
     errors, interrupted = b"", False

@@ -94,14 +94,21 @@ def page(shared: Page) -> Page:
 
 @contextmanager
 def served(trace: Path, *words: str) -> Iterator[str]:
-    """Run the command with a trace, and give the address that it prints; Ctrl-C ends it without a word."""
-    whole = [sys.executable, "-m", "surefoot", "show", str(trace), "--port", "0", *words]
-    with subprocess.Popen(whole, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+    """Serve a trace and give the page's address. Ctrl-C ends the command, though its parent ignores SIGINT."""
+    process = subprocess.Popen(
+        [sys.executable, "-m", "surefoot", "show", str(trace), "--port", "0", *words],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_IGN),
+    )
+    try:
         assert process.stdout is not None
         yield process.stdout.readline().split()[0]
         process.send_signal(signal.SIGINT)
-        _, said = process.communicate(timeout=20)
-    assert said == "surefoot: interrupted\n"
+        assert process.communicate(timeout=20)[1] == "surefoot: interrupted\n"
+    finally:
+        process.kill()
 
 
 def place(page: Page, node: str) -> list[float]:

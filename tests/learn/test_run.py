@@ -122,6 +122,21 @@ def test_networks_that_do_not_fit_are_refused(whole: TrainingRun, tmp_path: Path
         TrainingRun(config, RunFolder.create(config, tmp_path), SimWorld)
 
 
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        ({"num_envs": 128}, "it has the states of 16 robots; num_envs is 128"),
+        ({"ppo": {"policy_hidden": [16]}}, "its networks do not fit the configuration: Unexpected key"),
+    ],
+)
+def test_resume_refuses_a_configuration_that_does_not_fit_the_checkpoint(
+    whole: TrainingRun, change: dict, reason: str
+) -> None:
+    with pytest.raises(SurefootError, match=rf"latest\.ckpt: does not fit the run's config\.yaml: {reason}") as caught:
+        TrainingRun(tiny_config(**change), whole.folder, SimWorld, resume=True)
+    assert "\n" not in str(caught.value)
+
+
 def test_folder_holds_what_the_run_was_made_with(whole: TrainingRun) -> None:
     about = json.loads((whole.folder.path / "run.json").read_text())
     assert about["seed"] == 0

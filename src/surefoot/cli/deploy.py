@@ -88,6 +88,7 @@ def main(argv: list[str]) -> int:
         raise SurefootError("--drive and --lockstep are given; a page drives in real time")
     if command.drive:
         import_module("viser")  # what is not installed is told before the robot is asked
+    from surefoot.check_result import first_failure
     from surefoot.cli.policies import find_policy
     from surefoot.deploy.checks import check_contract
     from surefoot.deploy.commands import ChannelCommands, CommandSource, open_commands
@@ -97,7 +98,6 @@ def main(argv: list[str]) -> int:
     from surefoot.deploy.display import LiveDisplay, PlainLines, Watches
     from surefoot.deploy.loop import Watch
     from surefoot.deploy.pacer import undisturbed
-    from surefoot.findings import refusal
     from surefoot.policy.runtime import PolicyRuntime
     from surefoot.robot import RobotDescription
     from surefoot.stop_signals import StopSignals
@@ -108,7 +108,7 @@ def main(argv: list[str]) -> int:
     controller = Controller(policy, robot)
 
     def check(handshake: Handshake) -> None:
-        why = refusal(check_contract(contract, handshake, robot, policy.digest))
+        why = first_failure(check_contract(contract, handshake, robot, policy.digest))
         if why is not None:
             raise SurefootError(f"policy '{contract.name}' must not run on this robot: {why}")
 

@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 
 from surefoot import __version__
 from surefoot.errors import SurefootError, choices
+from surefoot.stop_signals import enable_interrupt
 
 COMMANDS = {
     "train": ("surefoot.cli.train", "learn a gait in simulation"),
@@ -67,6 +68,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     # Such words could be neither printed nor kept in a file.
     if not all(word.isprintable() for word in words):
         return _fail("the arguments hold characters that can't be printed; use UTF-8 without control characters")
+    enable_interrupt()
     try:
         code: int = importlib.import_module(COMMANDS[words[0]][0]).main(words[1:])
         sys.stdout.flush()

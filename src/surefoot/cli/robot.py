@@ -13,7 +13,7 @@ import tyro
 from rich.console import Console
 from rich.prompt import Prompt
 
-from surefoot.cli.doctor import FAILED, print_finding
+from surefoot.cli.doctor import FAILED, print_result
 from surefoot.cli.main import table_lines
 from surefoot.cli.options import Json, check_folder
 from surefoot.cli.parsing import parse
@@ -119,9 +119,9 @@ def _check(command: CheckCommand) -> int:
         return _report(robot, Console(highlight=False, soft_wrap=True, emoji=False))
     from surefoot.world.robot_check import check_robot
 
-    findings = list(check_robot(robot))
-    failed = any(finding.passed is False for finding in findings)
-    print(json.dumps({"robot": robot.name, "passed": not failed, "findings": [asdict(item) for item in findings]}))
+    results = list(check_robot(robot))
+    failed = any(result.passed is False for result in results)
+    print(json.dumps({"robot": robot.name, "passed": not failed, "checks": [asdict(item) for item in results]}))
     return FAILED if failed else 0
 
 
@@ -129,8 +129,8 @@ def _report(robot: RobotDescription, console: Console) -> int:
     from surefoot.world.robot_check import check_robot
 
     counts: Counter[bool | None] = Counter()
-    for finding in check_robot(robot):
-        counts[finding.passed] += 1
-        print_finding(console, finding)
+    for result in check_robot(robot):
+        counts[result.passed] += 1
+        print_result(console, result)
     console.print(f"{counts[True]} passed, {counts[False]} failed", markup=False)
     return FAILED if counts[False] else 0

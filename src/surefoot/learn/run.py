@@ -11,6 +11,7 @@ from typing import Any
 
 from torch.utils.tensorboard import SummaryWriter
 
+from surefoot.errors import SurefootError
 from surefoot.evaluate.rollout import run_to_end
 from surefoot.learn.config import TrainConfig
 from surefoot.learn.run_folder import RunFolder, write_checkpoint
@@ -83,7 +84,13 @@ class TrainingRun:
         self._saved_steps = -1
         if resume:
             state = folder.load()
-            self.trainer.set_state(state["trainer"])
+            try:
+                self.trainer.set_state(state["trainer"])
+            except (SurefootError, LookupError, TypeError, ValueError) as error:
+                raise SurefootError(
+                    f"{folder.latest}: does not fit the run's config.yaml: {error}; restore the file with which the "
+                    "run was started"
+                ) from error
             self.best = Evaluation(**state["best"]) if state["best"] else None
             self.best_actor, self.seconds = state["best_actor"], state["seconds"]
             self._saved_steps = self.trainer.steps

@@ -193,8 +193,9 @@ class Trainer:
         try:
             self.algorithm.load(algorithm, {"actor": True, "critic": True}, strict=True)
         except RuntimeError as error:
-            reason = " ".join(str(error).split("\n", 2)[1].split())
-            raise SurefootError(f"start_from: the other run's networks do not fit this run: {reason}") from None
+            raise SurefootError(
+                f"start_from: the other run's networks do not fit this run: {_first_mismatch(error)}"
+            ) from None
 
     def get_state(self) -> dict[str, Any]:
         """Return the whole state of the run, for an exact resume."""
@@ -208,8 +209,18 @@ class Trainer:
         }
 
     def set_state(self, state: dict[str, Any]) -> None:
-        """Continue from `get_state`, exactly."""
-        self.algorithm.load(state["algorithm"], None, strict=True)
+        """Continue from `get_state`, exactly.
+
+        Raises:
+            SurefootError: the state of another number of robots, or of networks of other shapes.
+        """
+        num_envs = len(state["observation"]["policy"])
+        if num_envs != self.config.num_envs:
+            raise SurefootError(f"it has the states of {num_envs} robots; num_envs is {self.config.num_envs}")
+        try:
+            self.algorithm.load(state["algorithm"], None, strict=True)
+        except (RuntimeError, ValueError) as error:
+            raise SurefootError(f"its networks do not fit the configuration: {_first_mismatch(error)}") from None
         self.algorithm.learning_rate = state["learning_rate"]
         self.env.set_state(state["env"])
         self.observation = TensorDict(
@@ -218,3 +229,9 @@ class Trainer:
         )
         self.update_count = state["update_count"]
         torch.set_rng_state(state["torch"])
+
+
+def _first_mismatch(error: Exception) -> str:
+    """Return the first parameter that does not fit, from torch's message, which has a line for each."""
+    lines = str(error).split("\n")
+    return " ".join(lines[min(1, len(lines) - 1)].split())

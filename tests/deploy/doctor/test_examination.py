@@ -13,6 +13,7 @@ import pytest
 
 pytest.importorskip("numba")  # the toy robot runs the emulator's firmware
 
+from surefoot.check_result import CheckResult
 from surefoot.cli.policies import find_policy
 from surefoot.deploy.connection import RobotConnection
 from surefoot.deploy.doctor import rack as doctor_rack
@@ -25,7 +26,6 @@ from surefoot.deploy.doctor.rest import Sample, check_rest
 from surefoot.deploy.messages import Mode, State
 from surefoot.deploy.poses import sitting
 from surefoot.deploy.safety import SafetyLimits
-from surefoot.findings import Finding
 from surefoot.policy.runtime import PolicyRuntime
 from surefoot.robot import RobotDescription
 
@@ -68,7 +68,7 @@ def figures(trips: Any = 0.001, **changed: Any) -> LinkFigures:
     return LinkFigures(np.broadcast_to(trips, 200).astype(float), **(plain | changed))
 
 
-def link_failures(measured: LinkFigures) -> dict[str, Finding]:
+def link_failures(measured: LinkFigures) -> dict[str, CheckResult]:
     found = check_link(measured, lead=0.003, control_step=0.006, lockstep=False)
     assert [one.name for one in found] == ["link, losses", "link, bursts", "link, round trip", "robot's clock"]
     return {one.name: one for one in found if one.passed is False}
@@ -94,8 +94,8 @@ def test_a_good_link_passes():
 def test_a_bad_link_is_found(measured: LinkFigures, check: str, why: str):
     failed = link_failures(measured)
     assert list(failed) == [check]
-    assert why in failed[check].why
-    assert failed[check].what_to_do
+    assert why in failed[check].message
+    assert failed[check].remedy
 
 
 def test_a_line_that_answers_nothing_fails_once():
@@ -124,7 +124,9 @@ def samples_of(state: State, rng: np.random.Generator, count: int = 100, **chang
     return made
 
 
-def rest_failures(samples: list[Sample], robot: RobotDescription, connection: RobotConnection) -> dict[str, Finding]:
+def rest_failures(
+    samples: list[Sample], robot: RobotDescription, connection: RobotConnection
+) -> dict[str, CheckResult]:
     handshake = connection.connect()
     found = check_rest(samples, robot, handshake, SafetyLimits.of(robot))
     assert [one.name for one in found] == ["battery", "temperature", "encoders", "IMU"]
@@ -181,8 +183,8 @@ def test_what_is_wrong_at_rest_is_found(
 ):
     failed = rest_failures(samples_of(a_state, rng, **changed), robot, connection)
     assert list(failed) == [check]
-    assert why in failed[check].why
-    assert failed[check].what_to_do
+    assert why in failed[check].message
+    assert failed[check].remedy
 
 
 @pytest.mark.parametrize("motor", range(8))
@@ -193,8 +195,8 @@ def test_a_mirrored_encoder_is_found_at_rest(
     angles[motor] *= -1
     failed = rest_failures(samples_of(replace(a_state, motor_angle=angles), rng), robot, connection)
     leg = next(leg for leg in robot.legs if NAMES[motor] in leg.motors)
-    assert failed["encoders"].why.startswith(leg.name)
-    assert NAMES[motor] in failed["encoders"].why
+    assert failed["encoders"].message.startswith(leg.name)
+    assert NAMES[motor] in failed["encoders"].message
 
 
 def test_a_robot_that_sends_no_states_fails(robot: RobotDescription, connection: RobotConnection):
@@ -247,9 +249,9 @@ RIGHT = 0.048 * np.eye(8)
 
 
 def test_motors_that_go_where_they_are_sent_pass(robot: RobotDescription):
-    finding = check_motors(wiggles(RIGHT), robot)
-    assert finding.passed
-    assert "96 to 96 % of the 0.05 rad" in finding.why
+    result = check_motors(wiggles(RIGHT), robot)
+    assert result.passed
+    assert "96 to 96 % of the 0.05 rad" in result.message
 
 
 def moved(**changes: Any) -> np.ndarray:
@@ -274,15 +276,15 @@ def moved(**changes: Any) -> np.ndarray:
     ids=["exchanged", "mirrored", "still", "coupled"],
 )
 def test_a_motor_that_goes_wrong_is_named(robot: RobotDescription, went: np.ndarray, why: str, todo: str):
-    finding = check_motors(wiggles(went), robot)
-    assert finding.passed is False
-    assert why in finding.why
-    assert todo in finding.what_to_do
+    result = check_motors(wiggles(went), robot)
+    assert result.passed is False
+    assert why in result.message
+    assert todo in result.remedy
 
 
 def test_many_faults_are_told_in_one_line(robot: RobotDescription):
-    finding = check_motors(wiggles(-RIGHT), robot)
-    assert finding.why.endswith("(and 6 more)")
+    result = check_motors(wiggles(-RIGHT), robot)
+    assert result.message.endswith("(and 6 more)")
 
 
 @pytest.mark.parametrize(
@@ -295,8 +297,8 @@ def test_latency_is_the_readings_age_and_the_lead(delay: float, passed: bool, po
     assert latency.passed is passed
     assert servo.passed
     if not passed:
-        assert "the policy was trained with 20 ms" in latency.why
-        assert "or train with control_latency 0.0" in latency.what_to_do
+        assert "the policy was trained with 20 ms" in latency.message
+        assert "or train with control_latency 0.0" in latency.remedy
 
 
 def test_latency_within_the_range_that_a_policy_was_trained_in_passes(policy: PolicyRuntime):
@@ -305,7 +307,7 @@ def test_latency_within_the_range_that_a_policy_was_trained_in_passes(policy: Po
     assert trained_latencies(contract) == (0.0, 0.04)
     latency, _ = check_response(wiggles(RIGHT[:3], 0.037), contract, 0.001, 0.003)
     assert latency.passed
-    assert "trained with 0 to 40 ms" in latency.why
+    assert "trained with 0 to 40 ms" in latency.message
 
 
 def test_a_slow_servo_is_found(policy: PolicyRuntime):
@@ -342,7 +344,7 @@ def test_an_imu_that_is_mounted_wrong_is_found(mounted: np.ndarray, failed: list
     front, left = mounted @ [0.001, 0.07], mounted @ [-0.17, 0.01]
     found = check_tilts(Tilted(front, front), Tilted(left, left))
     assert [index for index, one in enumerate(found) if one.passed is False] == failed
-    assert all(todo in found[index].what_to_do for index in failed)
+    assert all(todo in found[index].remedy for index in failed)
 
 
 def test_rates_in_degrees_or_mirrored_are_found():
@@ -501,9 +503,9 @@ def test_a_cable_that_is_pulled_ends_the_checks_with_a_finding(
     connection: RobotConnection, robot: RobotDescription, policy: PolicyRuntime, toy: Any
 ):
     found = []
-    for finding in examine(connection, policy, robot, **QUICK):
-        found.append(finding)
-        toy.cut = finding.name == "angle limits"
+    for result in examine(connection, policy, robot, **QUICK):
+        found.append(result)
+        toy.cut = result.name == "angle limits"
     assert found[-2].name == "angle limits"
     assert (found[-1].name, found[-1].passed) == ("link", False)
 
@@ -522,5 +524,7 @@ def test_a_wiggle_that_is_stopped_says_which_motor(
     assert connection.wait_for(lambda: connection.state is not None, 1.0)
     found = doctor_rack.wiggle_motors(connection, policy.contract, robot, Never())  # type: ignore[arg-type]
     assert found[0].passed is False
-    assert "back_left_2_motor went -0.25 rad from where it was sent while back_left_2_motor was asked" in found[0].why
+    assert (
+        "back_left_2_motor went -0.25 rad from where it was sent while back_left_2_motor was asked" in found[0].message
+    )
     assert [one.passed for one in found[1:]] == [None, None]
