@@ -581,7 +581,7 @@ def warm_up() -> None:
         *("cli.study_results", "learn.run", "learn.progress", "learn.export"),
         *("world.sim_world", "report.video", "report.figures", "report.study_figures", "report.parameter_figures"),
         *("evaluate.gap", "identify.from_trace", "cli.identify"),
-        *("cli.identify_motor_figure", "cli.identify_results", "emulator.process"),
+        *("cli.identify_motor_figure", "cli.identify_results", "emulator.real_time"),
     ):
         importlib.import_module(f"surefoot.{module}")
 

@@ -8,8 +8,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-HARMS = ("garbage", "drop", "cut-frames", "corrupt", "reorder", "duplicate")
-"""What can happen to a frame, in the order in which it is drawn; `faults.FAULTS` describes each."""
+from surefoot.emulator.faults import HARMS
+
 BITS_PER_BYTE = 10
 """Start bit, eight data bits, stop bit."""
 _LONGEST = 4096
