@@ -364,7 +364,7 @@ def test_row_3_a_policy_that_breaks(ended, reason, text):
         ("other-robot", "the policy is for 'minitaur', the robot says 'not-minitaur'"),
         ("other-order", "names and order must be the same"),
         ("other-gains", "the robot's servos have kp 1.5"),
-        ("other-schema", "the robot speaks version 1 and schema"),
+        ("other-schema", "the robot has version 1 and schema"),
     ],
 )
 def test_row_3_a_robot_that_does_not_fit(ended, text):
