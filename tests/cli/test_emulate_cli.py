@@ -58,7 +58,7 @@ def test_a_viewer_needs_a_display():
 
 
 def test_a_missing_engine_is_told_before_anything_runs(monkeypatch):
-    monkeypatch.setattr("surefoot.evaluate.worlds.find_spec", lambda name: None)
+    monkeypatch.setattr("surefoot.world.registry.find_spec", lambda name: None)
     refused(surefoot("emulate", "--world", "bullet"), "pip install 'surefoot[bullet]'")
 
 

@@ -28,8 +28,8 @@ from surefoot.task.randomize import (
     load_ranges,
     range_names,
 )
-from surefoot.world.mujoco_engine import BULLET_ONLY
 from surefoot.world.mujoco_model import build_model
+from surefoot.world.registry import WORLDS
 from surefoot.world.sim_world import SimWorld
 
 SET = {row: what for row, what in ROWS.items() if what.how == "set"}
@@ -414,7 +414,7 @@ def test_a_robots_episodes_do_not_depend_on_the_batch():
 
 
 def test_a_state_taken_and_given_back_goes_on_alike():
-    table = {row: bounds for row, bounds in {**TABLE_1, **MORE}.items() if row not in BULLET_ONLY}
+    table = {row: bounds for row, bounds in {**TABLE_1, **MORE}.items() if row not in WORLDS["bullet"].models}
     env, other = (make_env(table, num_envs=2, seed=seed, **PUSHED) for seed in (1, 2))
     run(env, 30)
     state = env.get_state()

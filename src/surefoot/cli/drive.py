@@ -18,8 +18,8 @@ import tyro
 from surefoot.cli.options import PAGE_PORT, PagePort, PolicyName, World
 from surefoot.cli.parsing import parse
 from surefoot.errors import SurefootError, choices
-from surefoot.evaluate.worlds import WORLDS, find_world
 from surefoot.robot.commands import COMMANDS, STAND
+from surefoot.world.registry import WORLDS, find_world
 
 if TYPE_CHECKING:
     from surefoot.deploy.commands import CommandSource

@@ -83,7 +83,7 @@ def main(argv: list[str]) -> int:
         return 0
     _check(command)
     from surefoot.emulator.faults import parse_faults
-    from surefoot.evaluate.worlds import find_world
+    from surefoot.world.registry import check_takes_params
 
     robot = RobotDescription.load(command.robot)
     faults = parse_faults(words, command.lockstep, robot.num_motors)
@@ -95,7 +95,7 @@ def main(argv: list[str]) -> int:
         servo_every = round(period / step)
         if servo_every < 1 or abs(period / step - servo_every) > 1e-6:
             raise SurefootError(f"fault slow-servo is {period:g}; it must be whole servo steps of {step:g} s")
-    find_world(command.world)
+    check_takes_params(command.world)
     if command.viewer:
         from surefoot.cli.play import has_display
 
@@ -137,12 +137,10 @@ def _build(command: EmulateCommand, robot: RobotDescription, faults: dict[str, F
     from surefoot.emulator.hardware import PowerConfig, SensorConfig
     from surefoot.emulator.limits import Limits, introduction
     from surefoot.emulator.plant import Plant
-    from surefoot.world.engines import engine_of
 
-    engine = engine_of(command.world)
     sensors, power = (SensorConfig.ideal(), PowerConfig.ideal()) if command.ideal_sensors else (None, None)
     params = _params(command, robot)
-    plant = Plant(robot, params, command.seed, sensors, power, command.rack, engine, servo_every=servo_every)
+    plant = Plant(robot, params, command.seed, sensors, power, command.rack, command.world, servo_every=servo_every)
     limits = Limits.of(robot)
     said = introduction(robot, limits, f"surefoot emulator {__version__}", robot.timing.servo_step)
     if command.lockstep:

@@ -88,7 +88,7 @@ def _simulated(
 ) -> tuple[list[EpisodeTrace], RobotDescription, dict[str, Any]]:
     """Run the policy; returns its traces, the robot, and how it was run."""
     from surefoot.cli.policies import adjust_task, described, find_policy, load_gait, run_policy
-    from surefoot.evaluate.worlds import find_world
+    from surefoot.world.registry import find_world
 
     path = find_policy(str(command.policy))
     find_world(command.world)

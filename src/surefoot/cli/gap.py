@@ -144,7 +144,7 @@ def main(argv: list[str]) -> int:
     """Run the command with the words after its name; returns the exit code."""
     command = parse(GapCommand, argv, "surefoot gap")
     from surefoot.cli.policies import find_policies, load_policies, run_policy
-    from surefoot.evaluate.worlds import find_world
+    from surefoot.world.registry import find_world
 
     paths = find_policies(command.policies)
     home, away = Side.of_words("--from", command.home), [Side.of_words("--to", words) for words in command.away]

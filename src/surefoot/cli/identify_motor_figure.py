@@ -49,10 +49,10 @@ def main(argv: list[str]) -> int:
     command = parse(MotorFigureCommand, argv, "surefoot identify motor-figure")
     check_suffix("figure", command.out, ".png")
     import_module("matplotlib")
-    from surefoot.evaluate.worlds import find_world
     from surefoot.identify.motor_figure import MotorLog, motor_index, run_motor_experiment
     from surefoot.report.figures import STYLES, motor_figure
     from surefoot.robot import RobotDescription, parse_settings
+    from surefoot.world.registry import find_world
 
     robot = RobotDescription.load(command.robot)
     make_world = find_world(command.world)

@@ -15,7 +15,7 @@ import tyro
 from surefoot import configuration
 from surefoot.configuration import Within
 from surefoot.errors import SurefootError, choices
-from surefoot.evaluate.worlds import WORLDS
+from surefoot.world.registry import WORLDS
 
 PolicyName = Annotated[
     str,

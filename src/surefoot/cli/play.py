@@ -41,7 +41,7 @@ def main(argv: list[str]) -> int:
     command = parse(PlayCommand, argv, "surefoot play")
     check_suffix("video", command.out, ".mp4")
     from surefoot.cli.policies import adjust_task, find_policy, lasting, load_gait, run_policy
-    from surefoot.evaluate.worlds import find_world
+    from surefoot.world.registry import find_world
 
     path = find_policy(command.policy)
     find_world(command.world)

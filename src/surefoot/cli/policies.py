@@ -17,7 +17,6 @@ from surefoot.cli.simulator import Simulator
 from surefoot.configuration import to_mapping
 from surefoot.deploy.checks import contradiction, other_gains, unreadable_observation
 from surefoot.errors import SurefootError, choices
-from surefoot.evaluate.worlds import find_world
 from surefoot.policy.contract import Contract, check_robot, config_hash
 from surefoot.policy.runtime import PolicyRuntime
 from surefoot.robot import RobotDescription, parse_settings
@@ -26,6 +25,7 @@ from surefoot.task.config import TaskConfig
 from surefoot.task.handcrafted import HandcraftedGait
 from surefoot.task.randomize import RandomizeConfig, check_ranges
 from surefoot.task.trace import EpisodeTrace
+from surefoot.world.registry import find_world
 
 if TYPE_CHECKING:
     from surefoot.evaluate.rollout import Policy

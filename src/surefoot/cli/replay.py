@@ -55,12 +55,12 @@ def main(argv: list[str]) -> int:
     from surefoot.identify.log_errors import errors_of_recorded, replay_log
     from surefoot.identify.replay import Replayer
     from surefoot.identify.robot_log import read_log
-    from surefoot.world.engines import engine_of
+    from surefoot.world.registry import check_takes_params
 
-    engine = engine_of(command.world)
+    check_takes_params(command.world)
     log = read_log(command.trace, robot)
     other = None if command.beside is None else errors_of_recorded(log, read_log(command.beside, robot))
-    replayer = Replayer(robot, 1, command.rack, engine, torques=False)
+    replayer = Replayer(robot, 1, command.rack, command.world, torques=False)
     errors = replay_log(log, robot, params, replayer)
     told: dict[str, Any] = {
         "rms": errors.rms,

@@ -11,9 +11,9 @@ from rich.console import Console
 
 from surefoot.cli.options import make_figures_folder
 from surefoot.errors import SurefootError
-from surefoot.evaluate.worlds import find_world
 from surefoot.learn.search import Search
 from surefoot.learn.search_space import get
+from surefoot.world.registry import find_world
 
 if TYPE_CHECKING:
     from surefoot.evaluate.trials import Retest, TrialResult

@@ -52,8 +52,8 @@ def main(argv: list[str]) -> int:
     """Run the command with the words after its name; returns the exit code."""
     command = parse(SensitivityCommand, argv, "surefoot sensitivity")
     from surefoot.cli.policies import described, find_policies, load_policies, progress_bar
-    from surefoot.evaluate.worlds import WORLDS, find_world
     from surefoot.task.randomize import check_ranges, load_ranges
+    from surefoot.world.registry import WORLDS, find_world
 
     paths = find_policies(command.policies)
     make_world = find_world(command.world)
@@ -71,7 +71,7 @@ def main(argv: list[str]) -> int:
     duration = command.duration or max(episode_duration(task) for task in tasks)
     names = ("values", "episodes", "pushes", "push_force", "seed")
     told = {name: getattr(command, name) for name in names} | {"duration": duration}
-    how = told | {"ranges": ranges, "threads": command.threads, "robots": WORLDS[command.world].side_by_side}
+    how = told | {"ranges": ranges, "threads": command.threads, "robots": WORLDS[command.world].robots_side_by_side}
     results = []
     for one, task in zip(loaded, tasks, strict=True):
         with progress_bar(one.name) as progress:

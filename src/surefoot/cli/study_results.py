@@ -10,9 +10,9 @@ from rich.console import Console
 
 from surefoot.cli.options import make_figures_folder
 from surefoot.errors import SurefootError
-from surefoot.evaluate.worlds import find_world
 from surefoot.learn.study_config import StudyConfig, study_runs
 from surefoot.learn.training import Training
+from surefoot.world.registry import find_world
 
 if TYPE_CHECKING:
     from surefoot.evaluate.comparison import Comparison, SeedResult

@@ -112,11 +112,11 @@ def _robot(argv: list[str]) -> str | None:
 
 
 def _train(config: TrainConfig | None, path: Path, page_port: int | None) -> int:
-    from surefoot.evaluate.worlds import find_world
     from surefoot.learn.progress import TrainingProgress
     from surefoot.learn.run import TrainingRun
     from surefoot.learn.run_folder import RunFolder
     from surefoot.learn.run_lock import alone
+    from surefoot.world.registry import find_world
 
     console = Console()
     resume = config is None
@@ -161,8 +161,8 @@ def _listen(console: Console) -> StopSignals:
 
 def check_config(config: TrainConfig) -> None:
     """Refuse an invalid task or an invalid run to start from, before a run folder is made."""
-    from surefoot.evaluate.worlds import find_world
     from surefoot.task.env import LocomotionEnv
+    from surefoot.world.registry import find_world
 
     LocomotionEnv(config.task, 1, find_world(config.world), threads=1)
     if config.start_from is not None:
@@ -183,11 +183,11 @@ def finish(run: TrainingRun, folder: RunFolder, console: Console) -> None:
     from surefoot.evaluate.gap import home_task
     from surefoot.evaluate.rollout import run_episodes
     from surefoot.evaluate.runs import summarize
-    from surefoot.evaluate.worlds import find_world
     from surefoot.learn.export import export_run
     from surefoot.policy.runtime import PolicyRuntime
     from surefoot.report.study_figures import learning_curves
     from surefoot.robot import RobotDescription
+    from surefoot.world.registry import find_world
 
     export_run(run, folder.policy)
     world, make_world = run.config.world, find_world(run.config.world)

@@ -41,7 +41,7 @@ def train_many(
     Raises:
         SurefootError: no cluster at the address.
     """
-    from surefoot.evaluate.worlds import find_world
+    from surefoot.world.registry import find_world
 
     def say(count: int) -> None:
         if count == 1:

@@ -77,7 +77,7 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
     Args:
         task: its configuration, which must fit its robot.
         num_envs: number of robots.
-        make_world: makes the simulation, such as `surefoot.world.sim_world.SimWorld`.
+        make_world: makes the simulation, such as `surefoot.world.registry.find_world` returns.
         seed: seeds every stream of random numbers.
         autoreset: whether robots start anew by themselves.
         threads: threads of the simulation; 0 means one a core.
