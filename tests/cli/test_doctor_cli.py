@@ -35,17 +35,17 @@ def port_of() -> Iterator[Callable[..., str]]:
 def doctor(
     policy: object, port: object, *words: str, run: Callable[..., subprocess.CompletedProcess[str]] = surefoot
 ) -> tuple[int, dict[str, dict[str, Any]]]:
-    """Exit code and findings by name."""
+    """Exit code and checks by name."""
     done = run("doctor", policy, "--port", port, *QUICK, "--json", *words)
     assert done.returncode in (0, 3), done.stderr
     data = json.loads(done.stdout)
-    findings = {one["name"]: one for one in data["findings"]}
-    assert data["passed"] == (done.returncode == 0) == all(one["passed"] is not False for one in findings.values())
-    return done.returncode, findings
+    checks = {one["name"]: one for one in data["checks"]}
+    assert data["passed"] == (done.returncode == 0) == all(one["passed"] is not False for one in checks.values())
+    return done.returncode, checks
 
 
-def failed(findings: dict[str, dict[str, Any]]) -> list[str]:
-    return [name for name, one in findings.items() if one["passed"] is False]
+def failed(checks: dict[str, dict[str, Any]]) -> list[str]:
+    return [name for name, one in checks.items() if one["passed"] is False]
 
 
 # A robot that is well.
@@ -67,27 +67,27 @@ def test_a_healthy_robot_passes_all_on_its_rack(port_of: Callable[..., str]):
 
 
 def test_a_healthy_robot_passes_all_on_the_ground(port_of: Callable[..., str]):
-    code, findings = doctor("trot", port_of(), "--lockstep", "--ground", "--yes")
-    assert (code, failed(findings)) == (0, [])
-    assert findings["IMU, nose down"]["value"] == pytest.approx(0.075, abs=0.02)
-    assert findings["IMU, left side down"]["value"] == pytest.approx(-0.17, abs=0.03)
-    assert findings["IMU, rates"]["passed"]
+    code, checks = doctor("trot", port_of(), "--lockstep", "--ground", "--yes")
+    assert (code, failed(checks)) == (0, [])
+    assert checks["IMU, nose down"]["value"] == pytest.approx(0.075, abs=0.02)
+    assert checks["IMU, left side down"]["value"] == pytest.approx(-0.17, abs=0.03)
+    assert checks["IMU, rates"]["passed"]
 
 
 @pytest.mark.realtime
 @pytest.mark.slow
 def test_a_healthy_robot_passes_in_real_time(emulate: Callable[..., Emulator], tmp_path: Path):
     emulator = emulate("--rack")
-    _, findings = doctor("trot", emulator.port, "--rack", "--yes", "--steps", "300", run=run_surefoot)
-    why = {name: findings[name]["why"] for name in failed(findings)}
+    _, checks = doctor("trot", emulator.port, "--rack", "--yes", "--steps", "300", run=run_surefoot)
+    why = {name: checks[name]["message"] for name in failed(checks)}
     if why and set(why) <= {"inference", "control loop"}:
         raise TooBusyError(f"this computer's own speed: {why}")
     assert not why
-    if findings["control latency"]["passed"] is None:
-        raise TooBusyError(findings["control latency"]["why"])  # motors that answered too late to be told apart
-    assert findings["link, round trip"]["value"] < 0.003
-    assert findings["control latency"]["value"] == pytest.approx(0.02, abs=0.006)
-    assert findings["inference"]["value"] < 0.001
+    if checks["control latency"]["passed"] is None:
+        raise TooBusyError(checks["control latency"]["message"])  # motors that answered too late to be told apart
+    assert checks["link, round trip"]["value"] < 0.003
+    assert checks["control latency"]["value"] == pytest.approx(0.02, abs=0.006)
+    assert checks["inference"]["value"] < 0.001
 
 
 # Policies that are not what they say.
@@ -114,11 +114,11 @@ def test_a_policy_that_does_not_fit_is_found_by_the_doctor_and_refused_by_deploy
     change: Callable[[dict[str, Any]], None] | None, check: str, why: str, port_of: Callable[..., str], tmp_path: Path
 ):
     policy = edited_policy(tmp_path / "edited.onnx", change or (lambda _: None), signed=change is not None)
-    code, findings = doctor(policy, port_of("--rack"), "--lockstep", "--rack", "--yes")
+    code, checks = doctor(policy, port_of("--rack"), "--lockstep", "--rack", "--yes")
     assert code == 3
-    assert failed(findings) == [check]
-    assert why in findings[check]["why"]
-    assert findings["motors, one by one"]["why"] == f"nothing moves while a check fails ({check})"
+    assert failed(checks) == [check]
+    assert why in checks[check]["message"]
+    assert checks["motors, one by one"]["message"] == f"nothing moves while a check fails ({check})"
     done = surefoot("deploy", policy, "--port", port_of("--rack"), "--lockstep", "--out", tmp_path / "trace.npz")
     assert done.returncode == 2
     refusal = done.stderr.splitlines()[-1]
@@ -160,9 +160,9 @@ def test_a_stale_policy_is_refused_before_the_port_is_opened(command: str, edit:
 def test_a_robot_that_does_not_fit_is_found_before_it_moves(
     fault: str, check: str, why: str, port_of: Callable[..., str]
 ):
-    _, findings = doctor("trot", port_of("--fault", fault), "--lockstep")
-    assert failed(findings) == [check]
-    assert why in findings[check]["why"]
+    _, checks = doctor("trot", port_of("--fault", fault), "--lockstep")
+    assert failed(checks) == [check]
+    assert why in checks[check]["message"]
 
 
 @pytest.mark.parametrize(
@@ -181,41 +181,41 @@ def test_a_robot_that_does_not_fit_is_found_before_it_moves(
 def test_what_is_wrong_with_motors_is_found_on_the_rack(
     fault: str, check: str, why: str, todo: str, port_of: Callable[..., str]
 ):
-    _, findings = doctor("trot", port_of("--rack", "--fault", fault), "--lockstep", "--rack", "--yes")
-    assert failed(findings) == [check]
-    assert why in findings[check]["why"]
-    assert todo in findings[check]["what_to_do"]
+    _, checks = doctor("trot", port_of("--rack", "--fault", fault), "--lockstep", "--rack", "--yes")
+    assert failed(checks) == [check]
+    assert why in checks[check]["message"]
+    assert todo in checks[check]["remedy"]
 
 
 def test_a_mirrored_encoder_is_found_at_rest_or_as_soon_as_motors_hold(port_of: Callable[..., str]):
     """On the ground the legs are folded, and one that reads otherwise stands out; hanging ones may not."""
-    _, findings = doctor("trot", port_of("--fault", "flip-encoder=3"), "--lockstep")
-    assert failed(findings) == ["encoders"]
-    assert findings["encoders"]["why"].startswith("back_left reads")
-    _, findings = doctor("trot", port_of("--rack", "--fault", "flip-encoder=3"), "--lockstep", "--rack", "--yes")
-    assert failed(findings) in (["encoders"], ["motors, one by one"])
+    _, checks = doctor("trot", port_of("--fault", "flip-encoder=3"), "--lockstep")
+    assert failed(checks) == ["encoders"]
+    assert checks["encoders"]["message"].startswith("back_left reads")
+    _, checks = doctor("trot", port_of("--rack", "--fault", "flip-encoder=3"), "--lockstep", "--rack", "--yes")
+    assert failed(checks) in (["encoders"], ["motors, one by one"])
 
 
 def test_an_imu_that_is_mounted_otherwise_is_found_on_the_ground(port_of: Callable[..., str]):
-    _, findings = doctor("trot", port_of("--fault", "imu-flip=0"), "--lockstep", "--ground", "--yes")
-    assert failed(findings) == ["IMU, nose down", "IMU, left side down"]
-    assert all("the IMU's x and y are exchanged" in findings[check]["what_to_do"] for check in failed(findings))
+    _, checks = doctor("trot", port_of("--fault", "imu-flip=0"), "--lockstep", "--ground", "--yes")
+    assert failed(checks) == ["IMU, nose down", "IMU, left side down"]
+    assert all("the IMU's x and y are exchanged" in checks[check]["remedy"] for check in failed(checks))
 
 
 def test_a_line_that_damages_frames_is_found(port_of: Callable[..., str]):
-    _, findings = doctor("trot", port_of("--fault", "corrupt=0.05"), "--lockstep")
-    assert findings["link, losses"]["passed"] is False
-    assert "frames damaged" in findings["link, losses"]["why"]
+    _, checks = doctor("trot", port_of("--fault", "corrupt=0.05"), "--lockstep")
+    assert checks["link, losses"]["passed"] is False
+    assert "frames damaged" in checks["link, losses"]["message"]
 
 
 @pytest.mark.realtime
 def test_an_adapter_that_gathers_bytes_is_found_in_real_time(emulate: Callable[..., Emulator]):
     port = emulate("--fault", "batching").port
-    code, findings = doctor("trot", port, "--pings", "200", "--steps", "10")
+    code, checks = doctor("trot", port, "--pings", "200", "--steps", "10")
     assert code == 3
-    assert findings["link, bursts"]["passed"] is False
-    assert findings["link, bursts"]["value"] == pytest.approx(16 / 5, rel=0.25)
-    assert "latency_timer" in findings["link, bursts"]["what_to_do"]
+    assert checks["link, bursts"]["passed"] is False
+    assert checks["link, bursts"]["value"] == pytest.approx(16 / 5, rel=0.25)
+    assert "latency_timer" in checks["link, bursts"]["remedy"]
 
 
 # Words.

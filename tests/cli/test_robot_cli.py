@@ -53,18 +53,18 @@ def test_check_finds_what_is_wrong(tmp_path: Path) -> None:
     assert result.returncode == 3, result.stderr
     found = json.loads(result.stdout)
     assert found["passed"] is False
-    wrong = {item["name"]: item for item in found["findings"] if item["passed"] is False}
+    wrong = {item["name"]: item for item in found["checks"] if item["passed"] is False}
     assert set(wrong) == {"torque limits", "left and right"}
-    assert "placeholder" in wrong["torque limits"]["why"]
-    assert "front_left, front_right" in wrong["left and right"]["why"]
-    assert all(item["what_to_do"] for item in wrong.values())
+    assert "placeholder" in wrong["torque limits"]["message"]
+    assert "front_left, front_right" in wrong["left and right"]["message"]
+    assert all(item["remedy"] for item in wrong.values())
 
 
 @pytest.mark.parametrize("name", RobotDescription.available())
 def test_robots_that_ship_pass(name: str, tmp_path: Path) -> None:
     result = surefoot("robot", "check", name, "--json", cwd=tmp_path)
     assert result.returncode == 0, result.stdout + result.stderr
-    assert len(json.loads(result.stdout)["findings"]) >= 7
+    assert len(json.loads(result.stdout)["checks"]) >= 7
 
 
 def test_a_step_that_light_rotors_do_not_bear_is_shortened(tmp_path: Path) -> None:

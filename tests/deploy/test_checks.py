@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from surefoot.check_result import CheckResult, first_failure
 from surefoot.cli.policies import find_policy
 from surefoot.deploy.checks import check_contract, contradiction, gains_of, near
 from surefoot.deploy.messages import Handshake
-from surefoot.findings import Finding, refusal
 from surefoot.policy.contract import Contract
 from surefoot.policy.runtime import PolicyRuntime
 from surefoot.robot import RobotDescription
@@ -56,22 +56,24 @@ def contract_of(policy: str = "trot") -> Contract:
     return PolicyRuntime.load(find_policy(policy)).contract
 
 
-def failures(contract: Contract, handshake: Handshake = HANDSHAKE, digest: str | None = "abc") -> dict[str, Finding]:
-    findings = check_contract(contract, handshake, ROBOT, digest)
-    assert [finding.name for finding in findings] == CHECKS
-    for finding in findings:
+def failures(
+    contract: Contract, handshake: Handshake = HANDSHAKE, digest: str | None = "abc"
+) -> dict[str, CheckResult]:
+    results = check_contract(contract, handshake, ROBOT, digest)
+    assert [result.name for result in results] == CHECKS
+    for result in results:
         # A line each; who has something to mend is told how.
-        assert finding.why
-        assert "\n" not in finding.why + finding.what_to_do
-        assert bool(finding.what_to_do) == (finding.passed is not True)
-    return {finding.name: finding for finding in findings if not finding.passed}
+        assert result.message
+        assert "\n" not in result.message + result.remedy
+        assert bool(result.remedy) == (result.passed is not True)
+    return {result.name: result for result in results if not result.passed}
 
 
 @pytest.mark.parametrize("policy", ["trot", "trot-robust", "gallop", "gallop-robust"])
 def test_a_policy_that_ships_passes_on_its_robot(policy: str):
-    findings = check_contract(contract_of(policy), HANDSHAKE, ROBOT, "abc")
-    assert [finding.name for finding in findings if not finding.passed] == []
-    assert refusal(findings) is None
+    results = check_contract(contract_of(policy), HANDSHAKE, ROBOT, "abc")
+    assert [result.name for result in results if not result.passed] == []
+    assert first_failure(results) is None
 
 
 def swapped(names: tuple[Any, ...], one: int, other: int) -> tuple[Any, ...]:
@@ -125,8 +127,8 @@ def test_a_robot_that_differs_is_found(change: dict[str, Any], check: str, why: 
     failed = failures(contract_of(), replace(HANDSHAKE, **change))
     assert list(failed) == [check]
     assert failed[check].passed is False
-    assert why in failed[check].why
-    assert refusal(list(failed.values())) == f"{check}: {failed[check].why}; {failed[check].what_to_do}"
+    assert why in failed[check].message
+    assert first_failure(list(failed.values())) == f"{check}: {failed[check].message}; {failed[check].remedy}"
 
 
 def test_a_servo_period_of_zero_is_refused():
@@ -145,7 +147,7 @@ def test_the_pose_that_it_stands_in_must_be_within_the_limits_too():
     # Standing at 0.6 rad, below all that the trot asks for.
     contract = replace(contract_of(), rest=(0.0, 0.6))
     failed = failures(contract, replace(HANDSHAKE, angle_low=np.full(8, 0.8)))
-    assert "can be sent to 0.600 to 3.150 rad" in failed["angle limits"].why
+    assert "can be sent to 0.600 to 3.150 rad" in failed["angle limits"].message
     assert failed["angle limits"].value == pytest.approx(-0.2)
 
 
@@ -153,7 +155,7 @@ def test_one_leg_that_has_less_room_is_named():
     high = np.full(8, 3.7)
     high[3] = 3.0
     failed = failures(contract_of(), replace(HANDSHAKE, angle_high=high))
-    assert failed["angle limits"].why.startswith("back_left_1_motor can be sent to")
+    assert failed["angle limits"].message.startswith("back_left_1_motor can be sent to")
 
 
 def edited(change: dict[str, Any], policy: str = "trot") -> Contract:
@@ -194,7 +196,7 @@ def edited(change: dict[str, Any], policy: str = "trot") -> Contract:
 )
 def test_a_contract_that_contradicts_itself_is_found(change: dict[str, Any], why: str):
     failed = failures(edited(change))
-    assert why in failed["contract"].why
+    assert why in failed["contract"].message
 
 
 def test_the_rate_may_differ_from_the_data_sheet_if_the_policy_was_trained_so():
@@ -204,7 +206,7 @@ def test_the_rate_may_differ_from_the_data_sheet_if_the_policy_was_trained_so():
 def test_actions_in_another_order_are_found():
     names = contract_of().action_names
     failed = failures(replace(contract_of(), action_names=(*names[4:], *names[:4])))
-    assert "its actions are ['extension.front_left'" in failed["contract"].why
+    assert "its actions are ['extension.front_left'" in failed["contract"].message
 
 
 def with_part(index: int, **changes: str) -> Contract:
@@ -247,8 +249,8 @@ GALLOP, TROT = contract_of("gallop"), contract_of()
 )
 def test_a_policy_that_differs_is_refused(contract: Contract, check: str, why: str):
     failed = failures(contract)
-    assert why in failed[check].why
-    assert f"{check}: " in (refusal(list(failed.values())) or "")
+    assert why in failed[check].message
+    assert f"{check}: " in (first_failure(list(failed.values())) or "")
     # Angles are compared only where legs and motors are the robot's.
     assert check != "legs" or failed["angle limits"].passed is None
 
@@ -256,24 +258,24 @@ def test_a_policy_that_differs_is_refused(contract: Contract, check: str, why: s
 def test_a_policy_without_a_digest_is_refused():
     failed = failures(contract_of(), digest=None)
     assert list(failed) == ["policy file"]
-    assert "python -m surefoot.policy.digest FILE" in failed["policy file"].what_to_do
+    assert "python -m surefoot.policy.digest FILE" in failed["policy file"].remedy
 
 
 def test_a_refusal_of_several_is_one_line_that_names_them_all():
-    findings = check_contract(
+    results = check_contract(
         contract_of(), replace(HANDSHAKE, servo_kp=np.full(8, 2.0), command_timeout=0.01), ROBOT, "abc"
     )
-    said = refusal(findings)
+    said = first_failure(results)
     assert said is not None
     assert said.startswith("servo gains: the robot's servos have kp 2 and kd 0.015;")
-    assert said.endswith("(watchdog also failed; surefoot doctor tells all)")
+    assert said.endswith("(also failed: watchdog; surefoot doctor lists every check)")
     assert "\n" not in said
 
 
 def test_corners_of_leg_space_are_the_extremes_of_motor_angles():
     """Known answers: the gallop swings -0.5 to 0.5 and extends 1.0708 to 2.0708 rad, without a reference."""
-    finding = {one.name: one for one in check_contract(contract_of("gallop"), HANDSHAKE, ROBOT, "a")}["angle limits"]
-    assert "0.571 to 2.571 rad" in finding.why
+    result = {one.name: one for one in check_contract(contract_of("gallop"), HANDSHAKE, ROBOT, "a")}["angle limits"]
+    assert "0.571 to 2.571 rad" in result.message
     poses = [ROBOT.pose_angles(s, e) for s in (-0.5, 0.0, 0.5) for e in (1.0707963, 1.5, 2.0707963)]
     assert np.min(poses) == pytest.approx(0.5707963)
     assert np.max(poses) == pytest.approx(2.5707963)

@@ -11,17 +11,17 @@ from typing import Annotated
 from rich.console import Console
 from rich.text import Text
 
+from surefoot.check_result import CheckResult
 from surefoot.cli.options import Baud, Json, Lockstep, PolicyName, Port, Yes, ask_to_move, check_terminal
 from surefoot.cli.parsing import parse
 from surefoot.cli.policies import find_policy
 from surefoot.configuration import Within
-from surefoot.deploy.connection import open_connection
 from surefoot.deploy.doctor.examination import STEPS, examine
 from surefoot.deploy.doctor.link import PINGS
+from surefoot.deploy.links import open_link
 from surefoot.deploy.robot_link import LinkLostError
 from surefoot.deploy.serial.port import BAUD
 from surefoot.errors import SurefootError
-from surefoot.findings import Finding
 from surefoot.policy.runtime import PolicyRuntime
 from surefoot.robot import RobotDescription
 
@@ -71,24 +71,24 @@ def main(argv: list[str]) -> int:
     console = Console(highlight=False, soft_wrap=True, emoji=False)
     if not command.json:
         console.print(f"policy '{contract.name}' for {contract.robot}, port {command.port}", markup=False)
-    connection = open_connection(command.port, robot.num_motors, command.lockstep, command.baud)
-    findings = []
+    link = open_link(command.port, robot.num_motors, command.lockstep, command.baud)
+    results = []
     try:
-        for finding in examine(connection, policy, robot, command.rack, command.ground, command.pings, command.steps):
-            findings.append(finding)
+        for result in examine(link, policy, robot, command.rack, command.ground, command.pings, command.steps):
+            results.append(result)
             if not command.json:
-                print_finding(console, finding)
+                print_result(console, result)
     finally:
         with contextlib.suppress(LinkLostError, OSError):
-            connection.close()
-    counts = Counter(finding.passed for finding in findings)
+            link.close()
+    counts = Counter(result.passed for result in results)
     if command.json:
         data = {
             "policy": contract.name,
             "robot": contract.robot,
             "port": command.port,
             "passed": not counts[False],
-            "findings": [asdict(finding) for finding in findings],
+            "checks": [asdict(result) for result in results],
         }
         print(json.dumps(data))
     else:
@@ -96,10 +96,10 @@ def main(argv: list[str]) -> int:
     return FAILED if counts[False] else 0
 
 
-def print_finding(console: Console, finding: Finding) -> None:
-    """Print a finding in a line, and what to do in another one if it failed."""
-    word, style = _WORDS[finding.passed]
-    undone = f": {finding.what_to_do}" if finding.passed is None else ""
-    console.print(Text.assemble((f"{word:<8}", style), f"  {finding.name:<20}  {finding.why}{undone}"))
-    if finding.passed is False:
-        console.print(Text(f"{'':<32}to do: {finding.what_to_do}"))
+def print_result(console: Console, result: CheckResult) -> None:
+    """Print a result in one line. The remedy of a failed check gets a second one."""
+    word, style = _WORDS[result.passed]
+    remedy = f": {result.remedy}" if result.passed is None else ""
+    console.print(Text.assemble((f"{word:<8}", style), f"  {result.name:<20}  {result.message}{remedy}"))
+    if result.passed is False:
+        console.print(Text(f"{'':<32}to do: {result.remedy}"))

@@ -12,11 +12,11 @@ from typing import Any
 import numpy as np
 
 from surefoot.arrays import Array
+from surefoot.check_result import CheckResult, fail_if, judge, skipped
 from surefoot.configuration import from_mapping
 from surefoot.deploy.controller import action_kind, contract_gait
 from surefoot.deploy.messages import Handshake
 from surefoot.errors import SurefootError, choices
-from surefoot.findings import Finding, compared, judged, undone
 from surefoot.policy.contract import Contract
 from surefoot.robot import RobotDescription
 from surefoot.task.commands import CommandConfig
@@ -41,8 +41,8 @@ ASSUMED = ("control_step", "servo_latency", "control_latency", "servo_kp", "serv
 
 def check_contract(
     contract: Contract, handshake: Handshake, robot: RobotDescription, digest: str | None = None
-) -> list[Finding]:
-    """Compare a policy's contract with the robot that answers and with its data sheet; one finding a rule.
+) -> list[CheckResult]:
+    """Compare a policy's contract with the robot that answers and with its data sheet; one result a rule.
 
     Args:
         contract: the policy's.
@@ -58,7 +58,7 @@ def check_contract(
         _signs(contract, handshake, robot),
         _legs(contract, robot),
         _observation(contract, robot),
-        compared(
+        fail_if(
             "contract",
             contradiction(contract, robot),
             "agrees with its task and the data sheet",
@@ -72,8 +72,8 @@ def check_contract(
     ]
 
 
-def _digest(digest: str | None) -> Finding:
-    return compared(
+def _digest(digest: str | None) -> CheckResult:
+    return fail_if(
         "policy file",
         None if digest is not None else "has no digest, so nothing shows that network and contract belong together",
         "network and contract are those that were exported together",
@@ -83,17 +83,17 @@ def _digest(digest: str | None) -> Finding:
     )
 
 
-def _robot(contract: Contract, handshake: Handshake, robot: RobotDescription) -> Finding:
+def _robot(contract: Contract, handshake: Handshake, robot: RobotDescription) -> CheckResult:
     policys, name, sheets = contract.robot, handshake.robot, robot.name
     why = (
         f"the policy is for '{policys}', the robot says '{name}', the data sheet is of '{sheets}'; all must be the same"
     )
     todo = f"run a policy that was trained for '{name}', or connect the robot that this one is for"
     same = policys == name == sheets
-    return compared("robot", None if same else why, f"{name}, firmware '{handshake.firmware}'", todo, name)
+    return fail_if("robot", None if same else why, f"{name}, firmware '{handshake.firmware}'", todo, name)
 
 
-def _motors(contract: Contract, handshake: Handshake, robot: RobotDescription) -> Finding:
+def _motors(contract: Contract, handshake: Handshake, robot: RobotDescription) -> CheckResult:
     who = {"policy": contract.motor_names, "robot": handshake.motor_names, "data sheet": robot.motor_names}
     todo = "put the motors in the policy's order in the firmware, or train with a data sheet that has the robot's order"
     why = None
@@ -106,78 +106,78 @@ def _motors(contract: Contract, handshake: Handshake, robot: RobotDescription) -
                 told = ", ".join(f"'{name}' ({one})" for one, name in zip(who, names, strict=True))
                 why = f"motor {index} is {told}; names and order must be the same"
                 break
-    return compared("motors", why, f"{len(robot.motor_names)}, same names in the same order", todo)
+    return fail_if("motors", why, f"{len(robot.motor_names)}, same names in the same order", todo)
 
 
-def _signs(contract: Contract, handshake: Handshake, robot: RobotDescription) -> Finding:
+def _signs(contract: Contract, handshake: Handshake, robot: RobotDescription) -> CheckResult:
     signs = (contract.motor_signs, handshake.motor_signs, robot.motor_sign)
     todo = "set the sign in the firmware, or train with a data sheet that has the robot's signs"
     for name, *three in zip(contract.motor_names, *signs, strict=False):
         if len(set(map(float, three))) > 1:
             told = "{:+g} (policy), {:+g} (robot), {:+g} (data sheet)".format(*three)
-            return Finding("motor signs", False, f"{name} has {told}; all must be the same", todo)
-    return Finding("motor signs", True, "same for every motor")
+            return CheckResult("motor signs", False, f"{name} has {told}; all must be the same", todo)
+    return CheckResult("motor signs", True, "same for every motor")
 
 
-def _legs(contract: Contract, robot: RobotDescription) -> Finding:
+def _legs(contract: Contract, robot: RobotDescription) -> CheckResult:
     theirs, ours = choices(contract.leg_names), choices(robot.leg_names)
     why = f"the policy's are {theirs}, the data sheet's {ours}; names and order must be the same"
     same = contract.leg_names == robot.leg_names
-    return compared("legs", None if same else why, ours, "export the policy again with the data sheet of this robot")
+    return fail_if("legs", None if same else why, ours, "export the policy again with the data sheet of this robot")
 
 
-def _observation(contract: Contract, robot: RobotDescription) -> Finding:
+def _observation(contract: Contract, robot: RobotDescription) -> CheckResult:
     names = choices(part.name for part in contract.observation)
     why = unreadable_observation(contract, robot)
     todo = "export the policy with a surefoot of this version"
-    return compared("observation", why, f"{names}: all can be read from the robot's states", todo)
+    return fail_if("observation", why, f"{names}: all can be read from the robot's states", todo)
 
 
-def _gains(contract: Contract, handshake: Handshake) -> Finding:
+def _gains(contract: Contract, handshake: Handshake) -> CheckResult:
     kp, kd = handshake.servo_kp, handshake.servo_kd
     asked = gains_of(contract.servo_kp, contract.servo_kd)
     todo = f"set {asked} in the firmware, or train with the robot's, servo_kp and servo_kd of its data sheet"
-    return compared("servo gains", other_gains(contract, kp, kd), gains_of(kp, kd), todo, float(np.mean(kp)))
+    return fail_if("servo gains", other_gains(contract, kp, kd), gains_of(kp, kd), todo, float(np.mean(kp)))
 
 
-def _servo_period(handshake: Handshake, robot: RobotDescription) -> Finding:
+def _servo_period(handshake: Handshake, robot: RobotDescription) -> CheckResult:
     theirs, ours = handshake.servo_period, robot.timing.servo_step
     why = (
         f"the robot's servos step every {1e3 * theirs:g} ms; the data sheet says {1e3 * ours:g} ms, and it must be "
         f"within {GAIN_TOLERANCE:.0%}"
     )
     todo = "set the firmware's servo rate, or train with a data sheet that has the robot's"
-    return compared("servo period", None if near(theirs, ours) else why, f"{1e3 * theirs:g} ms", todo, theirs)
+    return fail_if("servo period", None if near(theirs, ours) else why, f"{1e3 * theirs:g} ms", todo, theirs)
 
 
-def _control_step(contract: Contract, handshake: Handshake) -> Finding:
+def _control_step(contract: Contract, handshake: Handshake) -> CheckResult:
     step, servo = contract.control_step, handshake.servo_period
     least, most = handshake.command_period_min, handshake.command_period_max
     name, todo = "control step", "train with a control_step that this robot takes"
     if not least - 1e-9 <= step <= most + 1e-9:
         why = f"{1e3 * step:g} ms; the robot takes commands every {1e3 * least:g} to {1e3 * most:g} ms"
-        return Finding(name, False, why, todo, step)
+        return CheckResult(name, False, why, todo, step)
     periods = step / servo if servo > 0 else 0.0
     whole = round(periods) >= 1 and abs(periods - round(periods)) <= _STEP_SHARE
     why = f"{1e3 * step:g} ms is {periods:.2f} servo periods of {1e3 * servo:g} ms; it must be a whole number"
-    return compared(name, None if whole else why, f"{1e3 * step:g} ms, {round(periods)} servo periods", todo, step)
+    return fail_if(name, None if whole else why, f"{1e3 * step:g} ms, {round(periods)} servo periods", todo, step)
 
 
-def _watchdog(contract: Contract, handshake: Handshake) -> Finding:
+def _watchdog(contract: Contract, handshake: Handshake) -> CheckResult:
     timeout, least = handshake.command_timeout, WATCHDOG_STEPS * contract.control_step
     told = f"the robot damps its motors after {1e3 * timeout:g} ms without a command"
     rule = f"; it must bear {WATCHDOG_STEPS} control steps, {1e3 * least:g} ms"
-    return judged("watchdog", timeout >= least - 1e-9, told, rule, "raise the firmware's command timeout", timeout)
+    return judge("watchdog", timeout >= least - 1e-9, told, rule, "raise the firmware's command timeout", timeout)
 
 
-def _angles(contract: Contract, handshake: Handshake, robot: RobotDescription) -> Finding:
+def _angles(contract: Contract, handshake: Handshake, robot: RobotDescription) -> CheckResult:
     name = "angle limits"
     if contract.leg_names != robot.leg_names or len(handshake.angle_low) != robot.num_motors:
-        return undone([name], "the policy's legs and motors are not the robot's")[0]
+        return skipped([name], "the policy's legs and motors are not the robot's")[0]
     try:
         gait = contract_gait(contract, robot)
     except SurefootError as error:
-        return Finding(name, False, f"the policy's reference can't be read: {error}", "export the policy again")
+        return CheckResult(name, False, f"the policy's reference can't be read: {error}", "export the policy again")
     rest = robot.pose_angles(*contract.rest)
     least, most = gait.angle_extent()
     least, most = np.minimum(least, rest), np.maximum(most, rest)
@@ -186,7 +186,7 @@ def _angles(contract: Contract, handshake: Handshake, robot: RobotDescription) -
     asked = f"{robot.motor_names[worst]} can be sent to {least[worst]:.3f} to {most[worst]:.3f} rad"
     allowed = f"; the robot takes {handshake.angle_low[worst]:.3f} to {handshake.angle_high[worst]:.3f}"
     todo = "widen the firmware's limits if the legs allow it, or train with narrower feedback"
-    return judged(name, bool(room[worst] >= -_ANGLE), asked + allowed, "", todo, float(room[worst]))
+    return judge(name, bool(room[worst] >= -_ANGLE), asked + allowed, "", todo, float(room[worst]))
 
 
 def contradiction(contract: Contract, robot: RobotDescription) -> str | None:

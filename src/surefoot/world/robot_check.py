@@ -9,13 +9,12 @@ import mujoco
 import numpy as np
 
 from surefoot.arrays import Array
+from surefoot.check_result import CheckResult, judge
 from surefoot.errors import SurefootError, choices
-from surefoot.findings import Finding, judged
 from surefoot.robot import GRAVITY, RobotDescription
-from surefoot.robot.actuator import JointActuatorData
+from surefoot.robot.actuator import PLACEHOLDER_TORQUE, JointActuatorData
+from surefoot.robot.fused_urdf import fuse_urdf
 from surefoot.robot.rigid_body import are_moments
-from surefoot.robot.tree import PLACEHOLDER
-from surefoot.world.fused_urdf import fuse_urdf
 from surefoot.world.mujoco_model import build_model, foot_geoms, resting_qpos
 from surefoot.world.sim_world import SimWorld
 
@@ -35,16 +34,16 @@ STAND_TIME = 2.0
 """How long it must stand [s]."""
 
 
-def check_robot(robot: RobotDescription) -> Iterator[Finding]:
+def check_robot(robot: RobotDescription) -> Iterator[CheckResult]:
     """Yield what is found of a robot's masses, limits, feet, sides, stand, frequencies and physics step."""
     yield _masses(robot)
     yield _limits(robot)
     yield _sides(robot)
     try:
         model = build_model(robot)
-        yield Finding("feet", True, f"{len(robot.legs)} spheres of {1e3 * _radii(robot, model).mean():.0f} mm")
+        yield CheckResult("feet", True, f"{len(robot.legs)} spheres of {1e3 * _radii(robot, model).mean():.0f} mm")
     except (SurefootError, KeyError) as error:
-        yield Finding("feet", False, str(error), "give each foot's link one collision sphere")
+        yield CheckResult("feet", False, str(error), "give each foot's link one collision sphere")
         return
     yield from _stand(robot, model)
     yield from _dynamics(robot, model)
@@ -55,7 +54,7 @@ def _radii(robot: RobotDescription, model: mujoco.MjModel) -> Array:
     return radii
 
 
-def _masses(robot: RobotDescription) -> Finding:
+def _masses(robot: RobotDescription) -> CheckResult:
     odd = []
     bodies = fuse_urdf(robot.urdf).bodies
     for name, body in bodies.items():
@@ -64,21 +63,22 @@ def _masses(robot: RobotDescription) -> Finding:
     share = max(body.mass for body in bodies.values()) / robot.urdf.total_mass
     told = f"{robot.urdf.total_mass:.2f} kg, {share:.0%} in one body"
     rule = f"; no rigid body has the inertia of {choices(odd)}: none of the moments may be over the sum of the others"
-    return judged("masses", not odd, told, rule, "correct these inertias in the URDF", robot.urdf.total_mass)
+    return judge("masses", not odd, told, rule, "correct these inertias in the URDF", robot.urdf.total_mass)
 
 
-def _limits(robot: RobotDescription) -> Finding:
+def _limits(robot: RobotDescription) -> CheckResult:
     if not isinstance(robot.actuator, JointActuatorData):
-        return Finding("torque limits", True, "DC motors: by voltage and the torque-current curve")
+        return CheckResult("torque limits", True, "DC motors: by voltage and the torque-current curve")
     torque = np.broadcast_to(robot.actuator.torque_limit, robot.num_motors)
     unit = robot.weight * robot.leg_geometry.length
     told = f"{_span(torque)} N m, {_span(torque / unit)} m g l"
-    rule = f"; over {PLACEHOLDER:g} m g l is a placeholder"
+    rule = f"; over {PLACEHOLDER_TORQUE:g} m g l is a placeholder"
     todo = "state the actuator's real torque in actuator.torque_limit"
-    return judged("torque limits", bool((torque <= PLACEHOLDER * unit).all()), told, rule, todo, float(torque.max()))
+    real = bool((torque <= PLACEHOLDER_TORQUE * unit).all())
+    return judge("torque limits", real, told, rule, todo, float(torque.max()))
 
 
-def _sides(robot: RobotDescription) -> Finding:
+def _sides(robot: RobotDescription) -> CheckResult:
     """Compare what is left with what is right of the middle plane."""
     fused = fuse_urdf(robot.urdf)
     bodies, place = fused.bodies, fused.place
@@ -98,15 +98,15 @@ def _sides(robot: RobotDescription) -> Finding:
     if differing:
         told = f"{choices(differing)}: no mirror image within {ALIKE:.0%} of the leg's length and mass"
     todo = "correct the places of the hips and the masses of the legs, or go on if the robot is built so"
-    return judged("left and right", not differing, told, "", todo)
+    return judge("left and right", not differing, told, "", todo)
 
 
-def _stand(robot: RobotDescription, model: mujoco.MjModel) -> Iterator[Finding]:
+def _stand(robot: RobotDescription, model: mujoco.MjModel) -> Iterator[CheckResult]:
     todo = "choose another leg_space.rest, stiffer gains or the right masses"
     try:
         world = SimWorld(robot, 1)
     except SurefootError as error:
-        yield Finding("stands", False, str(error), todo)
+        yield CheckResult("stands", False, str(error), todo)
         return
     expected = float(resting_qpos(robot, model)[2])
     for _ in range(round(STAND_TIME / robot.timing.control_step)):
@@ -116,23 +116,23 @@ def _stand(robot: RobotDescription, model: mujoco.MjModel) -> Iterator[Finding]:
     stands = not world.divergences and tilt < TILT and height > (1 - SINK) * expected
     told = f"after {STAND_TIME:g} s: tilt {tilt:.2f} rad, base at {height:.3f} m of {expected:.3f} m"
     rule = f"; tilt must stay under {TILT:g} rad, the base above {1 - SINK:.0%}"
-    yield judged("stands", stands, told, rule, todo, tilt)
+    yield judge("stands", stands, told, rule, todo, tilt)
     if stands and isinstance(robot.actuator, JointActuatorData):
         share = np.abs(truth.motor_torque[0]) / np.broadcast_to(robot.actuator.torque_limit, robot.num_motors)
         worst = int(np.argmax(share))
         told = f"{robot.motor_names[worst]} has {share[worst]:.0%} of its limit"
         rule = f"; at most {STANDING_SHARE:.0%}, as a trot stands on half of the legs"
         passed, todo = bool(share.max() <= STANDING_SHARE), "stand with straighter legs"
-        yield judged("torque to stand", passed, told, rule, todo, float(share.max()))
+        yield judge("torque to stand", passed, told, rule, todo, float(share.max()))
 
 
-def step_to_shorten(robot: RobotDescription) -> float | None:
+def longest_servo_step(robot: RobotDescription) -> float | None:
     """Return the longest physics step [s] for a robot; None if its own is not longer."""
     *_, found = _dynamics(robot, build_model(robot))
     return float(found.value or 0.0) if found.passed is False else None
 
 
-def _dynamics(robot: RobotDescription, model: mujoco.MjModel) -> Iterator[Finding]:
+def _dynamics(robot: RobotDescription, model: mujoco.MjModel) -> Iterator[CheckResult]:
     """Compare the frequencies of legs, servos and feet with the physics step."""
     length, step = robot.leg_geometry.length, robot.timing.servo_step
     natural = math.sqrt(GRAVITY / length) / (2 * math.pi)
@@ -162,12 +162,12 @@ def _dynamics(robot: RobotDescription, model: mujoco.MjModel) -> Iterator[Findin
     told += f", feet on the ground {contact / (2 * math.pi):.0f} Hz"
     limits["the feet's stiffness"] = 0.5 / contact
     limits["the feet's damping"] = _DAMPER * mass / robot.contact.damping
-    yield Finding("frequencies", True, told, value=natural)
+    yield CheckResult("frequencies", True, told, value=natural)
     what = min(limits, key=lambda name: limits[name])
     told = f"{1e3 * step:g} ms; at most {1e3 * limits[what]:.2g} ms by {what}"
     # Rounded down, to hundredths of a millisecond.
     longest = max(math.floor(1e5 * limits[what]), 1) / 1e5
-    yield judged(STEP, step <= limits[what], told, "", f"set timing.servo_step to {longest:g}", longest)
+    yield judge(STEP, step <= limits[what], told, "", f"set timing.servo_step to {longest:g}", longest)
 
 
 def _foot_mass(model: mujoco.MjModel, data: mujoco.MjData, inertia: Array, geom: int) -> float:

@@ -13,8 +13,8 @@ import pytest
 
 pytest.importorskip("numba")  # the toy robot runs the emulator's firmware
 
+from surefoot.check_result import CheckResult
 from surefoot.cli.policies import find_policy
-from surefoot.deploy.connection import RobotConnection
 from surefoot.deploy.doctor import rack as doctor_rack
 from surefoot.deploy.doctor.examination import check_computer, examine, time_inference
 from surefoot.deploy.doctor.ground import Tilted, check_tilts, tilted
@@ -24,8 +24,8 @@ from surefoot.deploy.doctor.rack import Wiggle, check_motors, check_response, fi
 from surefoot.deploy.doctor.rest import Sample, check_rest
 from surefoot.deploy.messages import Mode, State
 from surefoot.deploy.poses import sitting
+from surefoot.deploy.robot_link import RobotLink
 from surefoot.deploy.safety import SafetyLimits
-from surefoot.findings import Finding
 from surefoot.policy.runtime import PolicyRuntime
 from surefoot.robot import RobotDescription
 
@@ -68,7 +68,7 @@ def figures(trips: Any = 0.001, **changed: Any) -> LinkFigures:
     return LinkFigures(np.broadcast_to(trips, 200).astype(float), **(plain | changed))
 
 
-def link_failures(measured: LinkFigures) -> dict[str, Finding]:
+def link_failures(measured: LinkFigures) -> dict[str, CheckResult]:
     found = check_link(measured, lead=0.003, control_step=0.006, lockstep=False)
     assert [one.name for one in found] == ["link, losses", "link, bursts", "link, round trip", "robot's clock"]
     return {one.name: one for one in found if one.passed is False}
@@ -94,8 +94,8 @@ def test_a_good_link_passes():
 def test_a_bad_link_is_found(measured: LinkFigures, check: str, why: str):
     failed = link_failures(measured)
     assert list(failed) == [check]
-    assert why in failed[check].why
-    assert failed[check].what_to_do
+    assert why in failed[check].message
+    assert failed[check].remedy
 
 
 def test_a_line_that_answers_nothing_fails_once():
@@ -103,12 +103,12 @@ def test_a_line_that_answers_nothing_fails_once():
     assert [one.passed for one in found] == [False, None, None, None]
 
 
-def test_pings_that_are_lost_are_counted(connection: RobotConnection, toy: Any):
-    connection.connect()
+def test_pings_that_are_lost_are_counted(link: RobotLink, toy: Any):
+    link.connect()
     toy.silent = True
     # Time in lockstep needs answers; what is lost is lost for the doctor's own pings.
-    connection.clock.wait_until = lambda moment: setattr(connection.clock, "_now", moment)  # type: ignore[method-assign]
-    assert measure_link(connection, 20).lost == 20
+    link.clock.wait_until = lambda moment: setattr(link.clock, "_now", moment)  # type: ignore[method-assign]
+    assert measure_link(link, 20).lost == 20
 
 
 # At rest.
@@ -124,8 +124,8 @@ def samples_of(state: State, rng: np.random.Generator, count: int = 100, **chang
     return made
 
 
-def rest_failures(samples: list[Sample], robot: RobotDescription, connection: RobotConnection) -> dict[str, Finding]:
-    handshake = connection.connect()
+def rest_failures(samples: list[Sample], robot: RobotDescription, link: RobotLink) -> dict[str, CheckResult]:
+    handshake = link.connect()
     found = check_rest(samples, robot, handshake, SafetyLimits.of(robot))
     assert [one.name for one in found] == ["battery", "temperature", "encoders", "IMU"]
     return {one.name: one for one in found if not one.passed}
@@ -137,10 +137,10 @@ def pose_of(robot: RobotDescription, swing: Any, extension: Any) -> np.ndarray:
 
 @pytest.mark.parametrize(("swing", "extension"), [(0.0, 0.9), (-1.3, 1.0), (0.12, 2.98), (0.0, 2.0)])
 def test_a_robot_at_rest_passes_in_any_pose_that_is_alike(
-    swing: float, extension: float, a_state: State, robot: RobotDescription, connection: RobotConnection, rng: Any
+    swing: float, extension: float, a_state: State, robot: RobotDescription, link: RobotLink, rng: Any
 ):
     state = replace(a_state, motor_angle=pose_of(robot, swing, extension))
-    assert rest_failures(samples_of(state, rng), robot, connection) == {}
+    assert rest_failures(samples_of(state, rng), robot, link) == {}
 
 
 @pytest.mark.parametrize(
@@ -176,29 +176,29 @@ def test_what_is_wrong_at_rest_is_found(
     why: str,
     a_state: State,
     robot: RobotDescription,
-    connection: RobotConnection,
+    link: RobotLink,
     rng: Any,
 ):
-    failed = rest_failures(samples_of(a_state, rng, **changed), robot, connection)
+    failed = rest_failures(samples_of(a_state, rng, **changed), robot, link)
     assert list(failed) == [check]
-    assert why in failed[check].why
-    assert failed[check].what_to_do
+    assert why in failed[check].message
+    assert failed[check].remedy
 
 
 @pytest.mark.parametrize("motor", range(8))
 def test_a_mirrored_encoder_is_found_at_rest(
-    motor: int, a_state: State, robot: RobotDescription, connection: RobotConnection, rng: Any
+    motor: int, a_state: State, robot: RobotDescription, link: RobotLink, rng: Any
 ):
     angles = pose_of(robot, 0.0, 0.9)
     angles[motor] *= -1
-    failed = rest_failures(samples_of(replace(a_state, motor_angle=angles), rng), robot, connection)
+    failed = rest_failures(samples_of(replace(a_state, motor_angle=angles), rng), robot, link)
     leg = next(leg for leg in robot.legs if NAMES[motor] in leg.motors)
-    assert failed["encoders"].why.startswith(leg.name)
-    assert NAMES[motor] in failed["encoders"].why
+    assert failed["encoders"].message.startswith(leg.name)
+    assert NAMES[motor] in failed["encoders"].message
 
 
-def test_a_robot_that_sends_no_states_fails(robot: RobotDescription, connection: RobotConnection):
-    assert len(rest_failures([], robot, connection)) == 4
+def test_a_robot_that_sends_no_states_fails(robot: RobotDescription, link: RobotLink):
+    assert len(rest_failures([], robot, link)) == 4
 
 
 # On the rack.
@@ -247,9 +247,9 @@ RIGHT = 0.048 * np.eye(8)
 
 
 def test_motors_that_go_where_they_are_sent_pass(robot: RobotDescription):
-    finding = check_motors(wiggles(RIGHT), robot)
-    assert finding.passed
-    assert "96 to 96 % of the 0.05 rad" in finding.why
+    result = check_motors(wiggles(RIGHT), robot)
+    assert result.passed
+    assert "96 to 96 % of the 0.05 rad" in result.message
 
 
 def moved(**changes: Any) -> np.ndarray:
@@ -274,15 +274,15 @@ def moved(**changes: Any) -> np.ndarray:
     ids=["exchanged", "mirrored", "still", "coupled"],
 )
 def test_a_motor_that_goes_wrong_is_named(robot: RobotDescription, went: np.ndarray, why: str, todo: str):
-    finding = check_motors(wiggles(went), robot)
-    assert finding.passed is False
-    assert why in finding.why
-    assert todo in finding.what_to_do
+    result = check_motors(wiggles(went), robot)
+    assert result.passed is False
+    assert why in result.message
+    assert todo in result.remedy
 
 
 def test_many_faults_are_told_in_one_line(robot: RobotDescription):
-    finding = check_motors(wiggles(-RIGHT), robot)
-    assert finding.why.endswith("(and 6 more)")
+    result = check_motors(wiggles(-RIGHT), robot)
+    assert result.message.endswith("(and 6 more)")
 
 
 @pytest.mark.parametrize(
@@ -295,8 +295,8 @@ def test_latency_is_the_readings_age_and_the_lead(delay: float, passed: bool, po
     assert latency.passed is passed
     assert servo.passed
     if not passed:
-        assert "the policy was trained with 20 ms" in latency.why
-        assert "or train with control_latency 0.0" in latency.what_to_do
+        assert "the policy was trained with 20 ms" in latency.message
+        assert "or train with control_latency 0.0" in latency.remedy
 
 
 def test_latency_within_the_range_that_a_policy_was_trained_in_passes(policy: PolicyRuntime):
@@ -305,7 +305,7 @@ def test_latency_within_the_range_that_a_policy_was_trained_in_passes(policy: Po
     assert trained_latencies(contract) == (0.0, 0.04)
     latency, _ = check_response(wiggles(RIGHT[:3], 0.037), contract, 0.001, 0.003)
     assert latency.passed
-    assert "trained with 0 to 40 ms" in latency.why
+    assert "trained with 0 to 40 ms" in latency.message
 
 
 def test_a_slow_servo_is_found(policy: PolicyRuntime):
@@ -342,7 +342,7 @@ def test_an_imu_that_is_mounted_wrong_is_found(mounted: np.ndarray, failed: list
     front, left = mounted @ [0.001, 0.07], mounted @ [-0.17, 0.01]
     found = check_tilts(Tilted(front, front), Tilted(left, left))
     assert [index for index, one in enumerate(found) if one.passed is False] == failed
-    assert all(todo in found[index].what_to_do for index in failed)
+    assert all(todo in found[index].remedy for index in failed)
 
 
 def test_rates_in_degrees_or_mirrored_are_found():
@@ -394,16 +394,16 @@ def test_every_inference_is_timed(policy: PolicyRuntime):
 # Motion.
 
 
-def move(connection: RobotConnection, robot: RobotDescription, operator: Any = Never, **options: Any) -> LeashedRobot:
-    if connection.handshake is None:
-        connection.connect()
-        assert connection.wait_for(lambda: connection.state is not None, 1.0)
-    return LeashedRobot(connection, robot, 0.006, operator, options.pop("leash", 0.15), **options)
+def move(link: RobotLink, robot: RobotDescription, operator: Any = Never, **options: Any) -> LeashedRobot:
+    if link.handshake is None:
+        link.connect()
+        assert link.wait_for(lambda: link.state is not None, 1.0)
+    return LeashedRobot(link, robot, 0.006, operator, options.pop("leash", 0.15), **options)
 
 
-def test_a_motion_is_smooth_and_ends_disarmed(connection: RobotConnection, robot: RobotDescription, toy: Any):
+def test_a_motion_is_smooth_and_ends_disarmed(link: RobotLink, robot: RobotDescription, toy: Any):
     end = toy.angle + 0.3
-    with move(connection, robot, leash=1.0) as leashed:
+    with move(link, robot, leash=1.0) as leashed:
         leashed.go(end, 0.6)
     assert np.allclose(toy.angle, end, atol=1e-6)
     targets = np.array([message.target[0] for _, message in toy.heard if type(message).__name__ == "Position"])
@@ -411,19 +411,17 @@ def test_a_motion_is_smooth_and_ends_disarmed(connection: RobotConnection, robot
     assert len(leashed.samples) >= 100
     assert toy.kinds() == ["Hello", "Arm", "Position", "Disarm"]
     assert toy.firmware.mode == Mode.DISARMED
-    assert connection.on_state is None
+    assert link.on_state is None
 
 
-def test_a_robot_on_the_ground_sits_before_it_is_disarmed(
-    connection: RobotConnection, robot: RobotDescription, toy: Any
-):
-    with move(connection, robot, sits=True) as leashed:
+def test_a_robot_on_the_ground_sits_before_it_is_disarmed(link: RobotLink, robot: RobotDescription, toy: Any):
+    with move(link, robot, sits=True) as leashed:
         leashed.go(pose_of(robot, 0.0, 1.5), 0.5)
     assert np.allclose(toy.angle, sitting(robot), atol=1e-6)
     assert toy.firmware.mode == Mode.DISARMED
 
 
-def test_a_motor_that_strays_damps_all(connection: RobotConnection, robot: RobotDescription, toy: Any):
+def test_a_motor_that_strays_damps_all(link: RobotLink, robot: RobotDescription, toy: Any):
     def stray(time: float, readings: Any) -> Any:
         angle = readings.motor_angle.copy()
         angle[3] += 0.4 if toy.firmware.armed else 0.0
@@ -431,7 +429,7 @@ def test_a_motor_that_strays_damps_all(connection: RobotConnection, robot: Robot
 
     toy.sensors = stray
     start = toy.angle.copy()
-    leashed = move(connection, robot)
+    leashed = move(link, robot)
     with pytest.raises(MotionStoppedError, match=r"back_left_1_motor is .0.40 rad from where it was sent"), leashed:
         leashed.hold(start, 0.5)
     assert leashed.strayed == (3, pytest.approx(0.4))
@@ -441,15 +439,15 @@ def test_a_motor_that_strays_damps_all(connection: RobotConnection, robot: Robot
 
 @pytest.mark.parametrize(("stops", "last", "mode"), [(1, "Disarm", Mode.DISARMED), (2, "Damp", Mode.FAULT)])
 def test_ctrl_c_sits_and_once_more_damps(
-    stops: int, last: str, mode: Mode, connection: RobotConnection, robot: RobotDescription, toy: Any
+    stops: int, last: str, mode: Mode, link: RobotLink, robot: RobotDescription, toy: Any
 ):
     class Impatient:
         @property
         def stops(self) -> int:
-            return stops if connection.clock.now() > 0.3 else 0
+            return stops if link.clock.now() > 0.3 else 0
 
     stand = pose_of(robot, 0.0, 1.5)
-    leashed = move(connection, robot, Impatient(), sits=True)
+    leashed = move(link, robot, Impatient(), sits=True)
     with pytest.raises(MotionStoppedError) as stopped, leashed:
         leashed.go(stand, 5.0)
     assert stopped.value.verdict.reason == "operator"
@@ -458,14 +456,14 @@ def test_ctrl_c_sits_and_once_more_damps(
     assert np.allclose(toy.angle, sitting(robot), atol=1e-6) == (stops == 1)
 
 
-def test_an_exception_in_the_middle_damps(connection: RobotConnection, robot: RobotDescription, toy: Any):
+def test_an_exception_in_the_middle_damps(link: RobotLink, robot: RobotDescription, toy: Any):
     def fail(leashed: LeashedRobot) -> None:
         with leashed:
             leashed.hold(toy.angle.copy(), 0.1)
             raise ZeroDivisionError
 
     with pytest.raises(ZeroDivisionError):
-        fail(move(connection, robot))
+        fail(move(link, robot))
     assert toy.kinds()[-1] == "Damp"
     assert toy.firmware.mode == Mode.FAULT
 
@@ -486,10 +484,10 @@ def delayed(seconds: float) -> Callable[[float, Any], Any]:
 
 
 def test_a_toy_that_is_as_old_as_the_policy_expects_passes_all(
-    connection: RobotConnection, robot: RobotDescription, policy: PolicyRuntime, toy: Any
+    link: RobotLink, robot: RobotDescription, policy: PolicyRuntime, toy: Any
 ):
     toy.sensors = delayed(0.018)
-    found = list(examine(connection, policy, robot, on_rack=True, **QUICK))
+    found = list(examine(link, policy, robot, on_rack=True, **QUICK))
     assert [one.name for one in found if one.passed is False] == []
     by_name = {one.name: one for one in found}
     assert all(by_name[name].passed for name in doctor_rack.NAMES)
@@ -498,18 +496,18 @@ def test_a_toy_that_is_as_old_as_the_policy_expects_passes_all(
 
 
 def test_a_cable_that_is_pulled_ends_the_checks_with_a_finding(
-    connection: RobotConnection, robot: RobotDescription, policy: PolicyRuntime, toy: Any
+    link: RobotLink, robot: RobotDescription, policy: PolicyRuntime, toy: Any
 ):
     found = []
-    for finding in examine(connection, policy, robot, **QUICK):
-        found.append(finding)
-        toy.cut = finding.name == "angle limits"
+    for result in examine(link, policy, robot, **QUICK):
+        found.append(result)
+        toy.cut = result.name == "angle limits"
     assert found[-2].name == "angle limits"
     assert (found[-1].name, found[-1].passed) == ("link", False)
 
 
 def test_a_wiggle_that_is_stopped_says_which_motor(
-    connection: RobotConnection, robot: RobotDescription, policy: PolicyRuntime, toy: Any
+    link: RobotLink, robot: RobotDescription, policy: PolicyRuntime, toy: Any
 ):
     def runaway(time: float, readings: Any) -> Any:
         moved = readings.motor_angle - sitting(robot)
@@ -518,9 +516,11 @@ def test_a_wiggle_that_is_stopped_says_which_motor(
         return replace(readings, motor_angle=angle)
 
     toy.sensors = runaway
-    connection.connect()
-    assert connection.wait_for(lambda: connection.state is not None, 1.0)
-    found = doctor_rack.wiggle_motors(connection, policy.contract, robot, Never())  # type: ignore[arg-type]
+    link.connect()
+    assert link.wait_for(lambda: link.state is not None, 1.0)
+    found = doctor_rack.wiggle_motors(link, policy.contract, robot, Never())  # type: ignore[arg-type]
     assert found[0].passed is False
-    assert "back_left_2_motor went -0.25 rad from where it was sent while back_left_2_motor was asked" in found[0].why
+    assert (
+        "back_left_2_motor went -0.25 rad from where it was sent while back_left_2_motor was asked" in found[0].message
+    )
     assert [one.passed for one in found[1:]] == [None, None]

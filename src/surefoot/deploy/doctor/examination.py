@@ -9,17 +9,16 @@ from functools import partial
 import numpy as np
 
 from surefoot.arrays import Array
+from surefoot.check_result import CheckResult, judge, skipped
 from surefoot.deploy.checks import check_contract
 from surefoot.deploy.clock import MonotonicClock
-from surefoot.deploy.connection import RobotConnection
 from surefoot.deploy.doctor import ground, rack
 from surefoot.deploy.doctor.link import PINGS, check_link, measure_link
 from surefoot.deploy.doctor.rest import check_rest, watch
 from surefoot.deploy.pacer import Pacer, undisturbed
-from surefoot.deploy.robot_link import LinkLostError
+from surefoot.deploy.robot_link import LinkLostError, RobotLink
 from surefoot.deploy.safety import SafetyLimits
 from surefoot.errors import SurefootError, choices
-from surefoot.findings import Finding, judged, undone
 from surefoot.policy.runtime import PolicyRuntime
 from surefoot.robot import RobotDescription
 from surefoot.stop_signals import StopSignals
@@ -38,18 +37,18 @@ _WARM_UP = 50
 
 
 def examine(
-    connection: RobotConnection,
+    link: RobotLink,
     policy: PolicyRuntime,
     robot: RobotDescription,
     on_rack: bool = False,
     on_ground: bool = False,
     pings: int = PINGS,
     steps: int = STEPS,
-) -> Iterator[Finding]:
+) -> Iterator[CheckResult]:
     """Do all checks, one after another; nothing moves unless everything before it passed.
 
     Args:
-        connection: to the robot, not greeted yet.
+        link: to the robot, not greeted yet.
         policy: the policy.
         robot: the data sheet that it is for.
         on_rack: wiggle the motors: the robot hangs free, its legs in the air.
@@ -63,28 +62,28 @@ def examine(
     contract = policy.contract
     failed: list[str] = []
 
-    def kept(findings: list[Finding]) -> list[Finding]:
-        failed.extend(finding.name for finding in findings if finding.passed is False)
-        return findings
+    def kept(results: list[CheckResult]) -> list[CheckResult]:
+        failed.extend(result.name for result in results if result.passed is False)
+        return results
 
     try:
-        handshake = connection.connect()
+        handshake = link.connect()
         yield from kept(check_contract(contract, handshake, robot, policy.digest))
-        figures = measure_link(connection, pings)
-        yield from kept(check_link(figures, connection.lead, contract.control_step, connection.lockstep))
+        figures = measure_link(link, pings)
+        yield from kept(check_link(figures, link.lead, contract.control_step, link.lockstep))
         for _ in range(PATIENCE):
             # A robot that was just put down, or switched on, is given some time to come to rest.
-            samples = watch(connection)
+            samples = watch(link)
             at_rest = check_rest(samples, robot, handshake, SafetyLimits.of(robot))
-            if all(finding.passed for finding in at_rest):
+            if all(result.passed for result in at_rest):
                 break
         yield from kept(at_rest)
-        if connection.lockstep:
+        if link.lockstep:
             why = "in lockstep nothing depends on how fast this computer is"
-            yield from undone(("inference", "control loop"), why, "run without --lockstep")
+            yield from skipped(("inference", "control loop"), why, "run without --lockstep")
         else:
             inference = time_inference(policy, steps)
-            late, missed = time_loop(policy, connection, steps)
+            late, missed = time_loop(policy, link, steps)
             yield from kept(check_computer(inference, late, missed, contract.control_step))
         tilt_robot = partial(ground.tilt_robot, at_rest=samples)
         for wanted, names, need, motion in (
@@ -92,20 +91,22 @@ def examine(
             (on_ground, ground.NAMES, _ON_GROUND, tilt_robot),
         ):
             if not wanted:
-                yield from undone(names, "needs motors that move", need)
+                yield from skipped(names, "needs motors that move", need)
             elif failed:
-                yield from undone(names, f"nothing moves while a check fails ({choices(failed)})")
+                yield from skipped(names, f"nothing moves while a check fails ({choices(failed)})")
             else:
                 with undisturbed(), StopSignals() as operator:
                     try:
-                        found = motion(connection, contract, robot, operator)
+                        found = motion(link, contract, robot, operator)
                     except SurefootError as error:
-                        first = Finding(names[0], False, str(error), "switch the robot off and on, and run it again")
-                        found = [first, *undone(names[1:], "nothing has moved")]
+                        first = CheckResult(
+                            names[0], False, str(error), "switch the robot off and on, and run it again"
+                        )
+                        found = [first, *skipped(names[1:], "nothing has moved")]
                 yield from found
     except LinkLostError as error:
         todo = "check plug and cable; the robot damps its motors by itself"
-        yield Finding("link", False, f"{error}; all further checks are left out", todo)
+        yield CheckResult("link", False, f"{error}; all further checks are left out", todo)
 
 
 def time_inference(policy: PolicyRuntime, count: int = STEPS) -> Array:
@@ -121,7 +122,7 @@ def time_inference(policy: PolicyRuntime, count: int = STEPS) -> Array:
     return taken
 
 
-def time_loop(policy: PolicyRuntime, connection: RobotConnection, steps: int = STEPS) -> tuple[Array, int]:
+def time_loop(policy: PolicyRuntime, link: RobotLink, steps: int = STEPS) -> tuple[Array, int]:
     """Lateness [s] of the steps of a control loop in real time, and how many steps were missed.
 
     The loop reads the port, runs the policy at its control step and sends a frame, as a deployment does; the frame is
@@ -137,36 +138,36 @@ def time_loop(policy: PolicyRuntime, connection: RobotConnection, steps: int = S
         pacer = Pacer(MonotonicClock(), step)
         while pacer.index < steps - 1:
             tick = pacer.next()
-            connection.update()
+            link.update()
             policy.feedback(observation)
-            connection.link.ping()
+            link.ping()
             late[done] = tick.late
             missed += tick.missed
             done += 1
     return late[:done], missed
 
 
-def check_computer(inference: Array, late: Array, missed: int, control_step: float) -> list[Finding]:
+def check_computer(inference: Array, late: Array, missed: int, control_step: float) -> list[CheckResult]:
     """Judge the times of `time_inference` and `time_loop`."""
     return [_inference(inference, control_step), _loop(late, missed, control_step)]
 
 
-def _inference(taken: Array, control_step: float) -> Finding:
+def _inference(taken: Array, control_step: float) -> CheckResult:
     median, slow = map(float, np.percentile(taken, (50, 99.9)))
     step = f"a control step has {1e3 * control_step:g}"
     told = f"median {1e3 * median:.3f} ms, 99.9th percentile {1e3 * slow:.3f} ms; {step}"
     todo = "close other programs, take a faster computer, or train a smaller network"
-    return judged("inference", slow <= SHARE * control_step, told, f"; at most {SHARE:.0%} of it", todo, median)
+    return judge("inference", slow <= SHARE * control_step, told, f"; at most {SHARE:.0%} of it", todo, median)
 
 
-def _loop(late: Array, missed: int, control_step: float) -> Finding:
+def _loop(late: Array, missed: int, control_step: float) -> CheckResult:
     median, worst = map(float, np.percentile(late, (50, 99.9)))
     steps = len(late) + missed
     told = (
         f"lateness: median {1e3 * median:.3f} ms, 99.9th percentile {1e3 * worst:.3f} ms; "
         f"{missed} of {steps} steps missed"
     )
-    return judged(
+    return judge(
         "control loop",
         worst <= SHARE * control_step and missed <= MISSED * steps,
         told,

@@ -12,11 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from surefoot.arrays import Array
-from surefoot.deploy.connection import RobotConnection
+from surefoot.check_result import CheckResult, judge, skipped
 from surefoot.deploy.doctor.leashed_robot import LeashedRobot, MotionStoppedError
 from surefoot.deploy.doctor.rest import Sample
+from surefoot.deploy.robot_link import RobotLink
 from surefoot.errors import choices
-from surefoot.findings import Finding, judged, undone
 from surefoot.policy.contract import Contract
 from surefoot.robot import RobotDescription
 from surefoot.stop_signals import StopSignals
@@ -49,16 +49,16 @@ class Tilted:
 
 
 def tilt_robot(
-    connection: RobotConnection,
+    link: RobotLink,
     contract: Contract,
     robot: RobotDescription,
     operator: StopSignals,
     at_rest: Sequence[Sample],
-) -> list[Finding]:
+) -> list[CheckResult]:
     """Let a robot stand up and tilt itself to the front and to the left, sit down and disarm, and judge its IMU.
 
     Args:
-        connection: to a robot that sits on flat ground.
+        link: to a robot that sits on flat ground.
         contract: says how it stands.
         robot: as of `MotionRunner`.
         operator: as of `MotionRunner`.
@@ -70,10 +70,10 @@ def tilt_robot(
     """
     if not all(0 < sum(side in leg for leg in robot.leg_names) < len(robot.legs) for side in SIDES):
         why = f"the names of the legs ({choices(robot.leg_names)}) do not say which stand in front and which left"
-        return undone(NAMES, why, "name them so in the data sheet")
+        return skipped(NAMES, why, "name them so in the data sheet")
     gyro_bias = np.mean([sample.state.angular_velocity_base for sample in at_rest], axis=0)
     stand = robot.pose_angles(*contract.rest)
-    leashed = LeashedRobot(connection, robot, contract.control_step, operator, LEASH, sits=True)
+    leashed = LeashedRobot(link, robot, contract.control_step, operator, LEASH, sits=True)
     try:
         with leashed:
             leashed.go(stand, RISE)
@@ -88,9 +88,9 @@ def tilt_robot(
                 leashed.go(stand, TILT_TIME)
     except MotionStoppedError as stopped:
         if stopped.verdict.reason == "operator":
-            return undone(NAMES, "stopped by the operator", "run it again")
-        failed = Finding(NAMES[0], False, stopped.verdict.text, "mend that, and run the doctor again")
-        return [failed, *undone(NAMES[1:], "the robot did not get so far")]
+            return skipped(NAMES, "stopped by the operator", "run it again")
+        failed = CheckResult(NAMES[0], False, stopped.verdict.text, "mend that, and run the doctor again")
+        return [failed, *skipped(NAMES[1:], "the robot did not get so far")]
     return check_tilts(*tilts)
 
 
@@ -113,7 +113,7 @@ def tilted(samples: Sequence[Sample], gyro_bias: Array) -> Tilted:
     return Tilted(angles[-count:].mean(axis=0) - angles[:count].mean(axis=0), turned)
 
 
-def check_tilts(front: Tilted, left: Tilted) -> list[Finding]:
+def check_tilts(front: Tilted, left: Tilted) -> list[CheckResult]:
     """Judge what the IMU said when the nose, and when the left side, went down."""
     return [
         _tilt(NAMES[0], "front legs shorter", front.angles, 1, 1.0),
@@ -122,7 +122,7 @@ def check_tilts(front: Tilted, left: Tilted) -> list[Finding]:
     ]
 
 
-def _tilt(name: str, what: str, angles: Array, axis: int, sign: float) -> Finding:
+def _tilt(name: str, what: str, angles: Array, axis: int, sign: float) -> CheckResult:
     main, other = float(angles[axis]), float(angles[1 - axis])
     told = f"{what}: {AXES[axis]} {main:+.3f}, {AXES[1 - axis]} {other:+.3f} rad"
     way = "grow" if sign > 0 else "fall"
@@ -137,10 +137,10 @@ def _tilt(name: str, what: str, angles: Array, axis: int, sign: float) -> Findin
         todo = (
             "the legs did not tilt the robot: check the ground, the legs' cables, and that the IMU is fixed to the body"
         )
-    return judged(name, sign * main >= LEAST and abs(other) <= OTHER * abs(main), told, rule, todo, main)
+    return judge(name, sign * main >= LEAST and abs(other) <= OTHER * abs(main), told, rule, todo, main)
 
 
-def _rates(front: Tilted, left: Tilted) -> Finding:
+def _rates(front: Tilted, left: Tilted) -> CheckResult:
     """The gyro's integral against the change of the angles; for tilts this small both are the same to a few percent."""
     name, told, wrong = NAMES[2], [], False
     for axis, one in ((1, front), (0, left)):
@@ -148,4 +148,4 @@ def _rates(front: Tilted, left: Tilted) -> Finding:
         told.append(f"{AXES[axis]} changed by {angle:+.3f} rad, its rate says {turned:+.3f}")
         wrong |= abs(turned - angle) > max(RATE_SHARE * abs(angle), RATE_LEAST)
     todo = "check axes, signs and units (rad/s) of the gyro in the firmware"
-    return judged(name, not wrong, "; ".join(told), f"; they must agree within {RATE_SHARE:.0%}", todo)
+    return judge(name, not wrong, "; ".join(told), f"; they must agree within {RATE_SHARE:.0%}", todo)

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from surefoot.arrays import Array
-from surefoot.deploy.connection import RobotConnection
-from surefoot.findings import Finding, judged, undone
+from surefoot.check_result import CheckResult, judge, skipped
+from surefoot.deploy.robot_link import RobotLink
 
 PINGS, PING_PERIOD = 200, 0.005
 """Pings, and the time [s] between two: often enough to see an adapter that gathers bytes for 16 ms."""
@@ -49,48 +49,48 @@ class LinkFigures:
     """Seconds on the robot's clock for one of this computer's."""
 
 
-def listen(connection: RobotConnection, until: float) -> None:
+def listen(link: RobotLink, until: float) -> None:
     """Take what comes until a moment [s] on this computer's clock, each frame when it comes."""
-    clock, port = connection.clock, connection.link.port
-    if connection.lockstep:
+    clock = link.clock
+    if link.lockstep:
         clock.wait_until(until)
-        connection.update()
+        link.update()
         return
     while (left := until - clock.now()) > 0:
-        port.wait(left)
-        connection.update()
+        link.wait(left)
+        link.update()
 
 
-def measure_link(connection: RobotConnection, pings: int = PINGS) -> LinkFigures:
+def measure_link(link: RobotLink, pings: int = PINGS) -> LinkFigures:
     """Send pings, one every `PING_PERIOD`, and take the answers.
 
     Raises:
         LinkLostError: the port is gone.
     """
-    link, clock = connection.link, connection.clock
-    connection.update()
-    connection.pongs.clear()
-    before = (link.decoder.counts.damaged, link.counts.missing, link.counts.unsent)
+    clock, statistics = link.clock, link.statistics
+    link.update()
+    link.pongs.clear()
+    before = (statistics.damaged, statistics.missing, statistics.unsent)
     start, sent = clock.now(), {}
     for index in range(pings):
-        listen(connection, start + index * PING_PERIOD)
+        listen(link, start + index * PING_PERIOD)
         sent[link.ping()] = clock.now()
-    listen(connection, clock.now() + PING_PERIOD)
+    listen(link, clock.now() + PING_PERIOD)
     end = clock.now() + _PATIENCE
-    while len(connection.pongs.keys() & sent.keys()) < pings and clock.now() < end:
-        listen(connection, min(clock.now() + PING_PERIOD, end))
-    found = {token: arrival for token, arrival in connection.pongs.items() if token in sent}
+    while len(link.pongs.keys() & sent.keys()) < pings and clock.now() < end:
+        listen(link, min(clock.now() + PING_PERIOD, end))
+    found = {token: arrival for token, arrival in link.pongs.items() if token in sent}
     arrivals = np.array([arrival.time for arrival in found.values()])
     burst, gap = bursts(arrivals)
     return LinkFigures(
         round_trips=np.array([arrival.time - sent[token] for token, arrival in found.items()]),
         lost=pings - len(found),
-        damaged=link.decoder.counts.damaged - before[0],
-        missing=link.counts.missing - before[1],
-        unsent=link.counts.unsent - before[2],
+        damaged=statistics.damaged - before[0],
+        missing=statistics.missing - before[1],
+        unsent=statistics.unsent - before[2],
         burst=burst,
         gap=gap,
-        clock_rate=rate(np.array([arrival.frame.time for arrival in found.values()]), arrivals),
+        clock_rate=rate(np.array([arrival.packet.time for arrival in found.values()]), arrivals),
     )
 
 
@@ -116,7 +116,7 @@ def rate(robot: Array, here: Array) -> float:
     return float((robot[last] - robot[first]) / (here[last] - here[first]))
 
 
-def check_link(figures: LinkFigures, lead: float, control_step: float, lockstep: bool) -> list[Finding]:
+def check_link(figures: LinkFigures, lead: float, control_step: float, lockstep: bool) -> list[CheckResult]:
     """Judge what was measured.
 
     Args:
@@ -127,25 +127,25 @@ def check_link(figures: LinkFigures, lead: float, control_step: float, lockstep:
     """
     if lockstep or not len(figures.round_trips):
         why = "in lockstep frames take no time" if lockstep else "no ping was answered"
-        todo = "run without --lockstep" if lockstep else "mend that first"
-        return [_losses(figures), *undone(TIMED, why, todo)]
+        todo = "run without --lockstep" if lockstep else "repair that first"
+        return [_losses(figures), *skipped(TIMED, why, todo)]
     return [_losses(figures), _bursts(figures), _trips(figures, lead, control_step), _clock(figures)]
 
 
-def _losses(figures: LinkFigures) -> Finding:
+def _losses(figures: LinkFigures) -> CheckResult:
     pings = figures.lost + len(figures.round_trips)
     counts = (figures.lost, figures.damaged, figures.missing, figures.unsent)
     told = "{} of {} pings lost, {} frames damaged, {} missing, {} not sent".format(counts[0], pings, *counts[1:])
     todo = "check the plug, a shorter or shielded cable, the same baud rate on both sides, and the robot's ground"
     passed = max(counts) <= LOSS * pings
-    return judged("link, losses", passed, told, f"; at most {LOSS:.1%} may be", todo, figures.lost / pings)
+    return judge("link, losses", passed, told, f"; at most {LOSS:.1%} may be", todo, figures.lost / pings)
 
 
-def _trips(figures: LinkFigures, lead: float, control_step: float) -> Finding:
+def _trips(figures: LinkFigures, lead: float, control_step: float) -> CheckResult:
     median, late = map(float, np.percentile(figures.round_trips, (50, 99)))
     jitter = float(np.std(figures.round_trips))
     told = f"median {1e3 * median:.2f} ms, 99th percentile {1e3 * late:.2f} ms, jitter {1e3 * jitter:.2f} ms"
-    return judged(
+    return judge(
         "link, round trip",
         median <= lead and late <= LATE_STEPS * control_step,
         told,
@@ -156,9 +156,9 @@ def _trips(figures: LinkFigures, lead: float, control_step: float) -> Finding:
     )
 
 
-def _bursts(figures: LinkFigures) -> Finding:
+def _bursts(figures: LinkFigures) -> CheckResult:
     told = f"{figures.burst:.1f} answers together on average, every {1e3 * figures.gap:.1f} ms"
-    return judged(
+    return judge(
         "link, bursts",
         figures.burst < BURST,
         told,
@@ -170,10 +170,10 @@ def _bursts(figures: LinkFigures) -> Finding:
     )
 
 
-def _clock(figures: LinkFigures) -> Finding:
+def _clock(figures: LinkFigures) -> CheckResult:
     off = figures.clock_rate - 1
     told = f"runs {abs(off):.2%} too {'fast' if off > 0 else 'slow'}"
-    return judged(
+    return judge(
         "robot's clock",
         abs(off) <= CLOCK_RATE,
         told,

@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.arrays import Array
-from surefoot.deploy.connection import RobotConnection
+from surefoot.check_result import CheckResult, judge, skipped
 from surefoot.deploy.doctor.leashed_robot import LeashedRobot, MotionStoppedError
 from surefoot.deploy.doctor.rest import Sample
-from surefoot.findings import Finding, judged, undone
+from surefoot.deploy.robot_link import RobotLink
 from surefoot.policy.contract import Contract
 from surefoot.robot import RobotDescription
 from surefoot.stop_signals import StopSignals
@@ -68,20 +68,20 @@ class Wiggle:
 
 
 def wiggle_motors(
-    connection: RobotConnection, contract: Contract, robot: RobotDescription, operator: StopSignals
-) -> list[Finding]:
+    link: RobotLink, contract: Contract, robot: RobotDescription, operator: StopSignals
+) -> list[CheckResult]:
     """Arm a robot on its rack, wiggle each motor, disarm, and judge.
 
     Raises:
         SurefootError: the robot does not arm.
         LinkLostError: the port is gone.
     """
-    state, handshake = connection.state, connection.handshake
+    state, handshake = link.state, link.handshake
     if state is None or handshake is None:
-        return [Finding(NAMES[0], False, "the robot tells nothing of its state", "switch it off and on")]
+        return [CheckResult(NAMES[0], False, "the robot tells nothing of its state", "switch it off and on")]
     start = np.clip(state.motor_angle, handshake.angle_low, handshake.angle_high)
     wiggles: list[Wiggle] = []
-    leashed = LeashedRobot(connection, robot, contract.control_step, operator, LEASH)
+    leashed = LeashedRobot(link, robot, contract.control_step, operator, LEASH)
     asked: int | None = None
     try:
         with leashed:
@@ -93,8 +93,8 @@ def wiggle_motors(
                 step = STEP if start[motor] <= middle else -STEP
                 wiggles.append(_wiggle(leashed, start, motor, step))
     except MotionStoppedError as stopped:
-        return [_stopped(stopped, leashed, asked, robot), *undone(NAMES[1:], "the wiggle did not come to its end")]
-    return [check_motors(wiggles, robot), *check_response(wiggles, contract, handshake.servo_period, connection.lead)]
+        return [_stopped(stopped, leashed, asked, robot), *skipped(NAMES[1:], "the wiggle did not come to its end")]
+    return [check_motors(wiggles, robot), *check_response(wiggles, contract, handshake.servo_period, link.lead)]
 
 
 def _wiggle(leashed: LeashedRobot, start: Array, motor: int, step: float) -> Wiggle:
@@ -134,7 +134,7 @@ def _points(
     return [point for point in points if 0 <= point[0] <= WINDOW]
 
 
-def check_motors(wiggles: Sequence[Wiggle], robot: RobotDescription) -> Finding:
+def check_motors(wiggles: Sequence[Wiggle], robot: RobotDescription) -> CheckResult:
     """Whether each motor that was asked moved, by as much, and no other did."""
     name, names, wrong = NAMES[0], robot.motor_names, []
     goes: dict[int, int] = {}
@@ -157,7 +157,7 @@ def check_motors(wiggles: Sequence[Wiggle], robot: RobotDescription) -> Finding:
     if not wrong:
         least, most = (100 * f(w.moved[w.motor] / w.step for w in wiggles) for f in (min, max))
         why = f"each went its own way, {least:.0f} to {most:.0f} % of the {STEP:g} rad asked for, no other with it"
-        return Finding(name, True, why, value=float(least) / 100)
+        return CheckResult(name, True, why, value=float(least) / 100)
     pairs = [(a, b) for a, b in goes.items() if goes.get(b) == a and a < b]
     if pairs:
         told = ", ".join(f"{names[a]} with {names[b]}" for a, b in pairs)
@@ -167,10 +167,12 @@ def check_motors(wiggles: Sequence[Wiggle], robot: RobotDescription) -> Finding:
     else:
         todo = "check cables, servo gains and what blocks the leg"
     more = f" (and {len(wrong) - 2} more)" if len(wrong) > 2 else ""
-    return Finding(name, False, "; ".join(wrong[:2]) + more, todo)
+    return CheckResult(name, False, "; ".join(wrong[:2]) + more, todo)
 
 
-def check_response(wiggles: Sequence[Wiggle], contract: Contract, servo_period: float, lead: float) -> list[Finding]:
+def check_response(
+    wiggles: Sequence[Wiggle], contract: Contract, servo_period: float, lead: float
+) -> list[CheckResult]:
     """Judge when the motors began to move, and how fast they went.
 
     The delay between a command's arrival and the first motion in readings, as they are sent, is the age of these
@@ -186,7 +188,7 @@ def check_response(wiggles: Sequence[Wiggle], contract: Contract, servo_period: 
     clear = [w for w in wiggles if len(w.age) >= _FEWEST and abs(w.moved[w.motor]) > OTHERS * STEP]
     fits = [fit for fit in (fit_response(w.age, w.share) for w in clear) if fit.error < _FIT_ERROR]
     if len(fits) < max(len(wiggles) // 2, 1):
-        return undone(NAMES[1:], f"only {len(fits)} of {len(wiggles)} motors answered clearly")
+        return skipped(NAMES[1:], f"only {len(fits)} of {len(wiggles)} motors answered clearly")
     latency = float(np.median([fit.delay for fit in fits])) - servo_period / 2 + lead
     return [_latency(latency, contract, lead), _servo(float(np.median([fit.rise for fit in fits])))]
 
@@ -272,13 +274,13 @@ def trained_latencies(contract: Contract) -> tuple[float, float]:
     return min(low, contract.control_latency), max(high, contract.control_latency)
 
 
-def _latency(latency: float, contract: Contract, lead: float) -> Finding:
+def _latency(latency: float, contract: Contract, lead: float) -> CheckResult:
     low, high = trained_latencies(contract)
     trained = f"{1e3 * low:g}" if low == high else f"{1e3 * low:g} to {1e3 * high:g}"
     told = (
         f"{1e3 * latency:.1f} ms (with {1e3 * lead:g} ms from sending to use); the policy was trained with {trained} ms"
     )
-    return judged(
+    return judge(
         NAMES[1],
         low - LATENCY_TOLERANCE <= latency <= high + LATENCY_TOLERANCE,
         told,
@@ -288,21 +290,23 @@ def _latency(latency: float, contract: Contract, lead: float) -> Finding:
     )
 
 
-def _servo(rise: float) -> Finding:
+def _servo(rise: float) -> CheckResult:
     told = f"63 % of a step in {1e3 * rise:.0f} ms"
     todo = "check servo gains, battery and friction in the legs"
-    return judged(NAMES[2], rise <= RISE, told, f"; at most {1e3 * RISE:g} ms", todo, rise)
+    return judge(NAMES[2], rise <= RISE, told, f"; at most {1e3 * RISE:g} ms", todo, rise)
 
 
-def _stopped(stopped: MotionStoppedError, leashed: LeashedRobot, asked: int | None, robot: RobotDescription) -> Finding:
+def _stopped(
+    stopped: MotionStoppedError, leashed: LeashedRobot, asked: int | None, robot: RobotDescription
+) -> CheckResult:
     name = NAMES[0]
     if stopped.verdict.reason == "operator":
-        return undone([name], "stopped by the operator", "run it again")[0]
+        return skipped([name], "stopped by the operator", "run it again")[0]
     if leashed.strayed is None:
-        return Finding(name, False, stopped.verdict.text, "mend that, and run the doctor again")
+        return CheckResult(name, False, stopped.verdict.text, "mend that, and run the doctor again")
     motor, off = leashed.strayed
     when = "while all were asked to hold" if asked is None else f"while {robot.motor_names[asked]} was asked to move"
-    return Finding(
+    return CheckResult(
         name,
         False,
         f"{robot.motor_names[motor]} went {off:+.2f} rad from where it was sent {when}; motors were damped",

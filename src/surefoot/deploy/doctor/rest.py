@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from surefoot.arrays import Array
-from surefoot.deploy.connection import RobotConnection
+from surefoot.check_result import CheckResult, judge
 from surefoot.deploy.doctor.link import listen
 from surefoot.deploy.messages import Handshake, State
+from surefoot.deploy.robot_link import RobotLink
 from surefoot.deploy.safety import SafetyLimits
-from surefoot.findings import Finding, judged
 from surefoot.robot import RobotDescription
 
 DURATION = 1.0
@@ -40,33 +40,33 @@ class Sample:
     state: State
 
 
-def watch(connection: RobotConnection, duration: float = DURATION) -> list[Sample]:
+def watch(link: RobotLink, duration: float = DURATION) -> list[Sample]:
     """States of a while, with pings to keep the session.
 
     Raises:
         LinkLostError: the port is gone.
     """
     samples: list[Sample] = []
-    connection.update()
-    connection.on_state = lambda state, sent, _: samples.append(Sample(sent, state))
-    end = connection.clock.now() + duration
+    link.update()
+    link.on_state = lambda state, sent, _: samples.append(Sample(sent, state))
+    end = link.clock.now() + duration
     try:
-        while (now := connection.clock.now()) < end:
-            connection.link.ping()
-            listen(connection, min(now + _PING_EVERY, end))
+        while (now := link.clock.now()) < end:
+            link.ping()
+            listen(link, min(now + _PING_EVERY, end))
     finally:
-        connection.on_state = None
+        link.on_state = None
     return samples
 
 
 def check_rest(
     samples: Sequence[Sample], robot: RobotDescription, handshake: Handshake, limits: SafetyLimits
-) -> list[Finding]:
+) -> list[CheckResult]:
     """Judge a robot that nobody moves, from states of about a second, by the limits of a deployment."""
     names = ("battery", "temperature", "encoders", "IMU")
     if len(samples) < 2:
         why = f"{len(samples)} states in {DURATION:g} s; the robot must send them by itself after the greeting"
-        return [Finding(name, False, why, "check the firmware's state period") for name in names]
+        return [CheckResult(name, False, why, "check the firmware's state period") for name in names]
     states = [sample.state for sample in samples]
     angles = np.mean([state.motor_angle for state in states], axis=0)
     times = np.array([sample.time for sample in samples])
@@ -80,20 +80,20 @@ def check_rest(
     ]
 
 
-def _battery(voltage: float, handshake: Handshake, limits: SafetyLimits) -> Finding:
+def _battery(voltage: float, handshake: Handshake, limits: SafetyLimits) -> CheckResult:
     told = f"{voltage:.2f} V"
     least = max(limits.battery_warn, handshake.voltage_min)
     rule = f"; it must be {least:g} V to begin with, and the robot damps itself at {handshake.voltage_min:g} V"
-    return judged("battery", voltage >= least, told, rule, "charge the battery", voltage)
+    return judge("battery", voltage >= least, told, rule, "charge the battery", voltage)
 
 
-def _temperature(temperature: Array, robot: RobotDescription, limits: SafetyLimits) -> Finding:
+def _temperature(temperature: Array, robot: RobotDescription, limits: SafetyLimits) -> CheckResult:
     hottest = int(np.argmax(temperature))
     value = float(temperature[hottest])
     told = f"hottest motor: {robot.motor_names[hottest]}, {value:.0f} degC"
     rule = f"; at most {limits.temperature_warn:g} to begin with"
     todo = "let the motors cool; if they are cold, check the sensor"
-    return judged("temperature", value <= limits.temperature_warn, told, rule, todo, value)
+    return judge("temperature", value <= limits.temperature_warn, told, rule, todo, value)
 
 
 def _span(name: str, values: Array, unit: str) -> str:
@@ -102,13 +102,13 @@ def _span(name: str, values: Array, unit: str) -> str:
     return f"{name} {numbers}{'' if unit == '1' else f' {unit}'}"
 
 
-def _encoders(angles: Array, robot: RobotDescription) -> Finding:
+def _encoders(angles: Array, robot: RobotDescription) -> CheckResult:
     # Legs of a robot that lies, sits or hangs without force are in about the same pose, whichever that is; they may be
     # folded far beyond what a gait asks for. A mirrored or misplaced encoder makes one differ, or keeps its loop open.
     name = "encoders"
     if not np.isfinite(angles).all():
         bad = robot.motor_names[int(np.argmin(np.isfinite(angles)))]
-        return Finding(name, False, f"the angle of {bad} is not finite", "check its encoder and the firmware")
+        return CheckResult(name, False, f"the angle of {bad} is not finite", "check its encoder and the firmware")
     parts = list(zip(robot.coordinates, robot.to_pose(angles), robot.leg_geometry.units, strict=True))
 
     def told_pose(of: slice) -> str:
@@ -118,12 +118,12 @@ def _encoders(angles: Array, robot: RobotDescription) -> Finding:
     closes = robot.leg_geometry.closes(angles[robot.leg_motor_index])
     spread = told_pose(slice(None))
     if closes.all() and off.max() <= ALIKE:
-        return Finding(name, True, f"legs are alike: {spread}", value=float(off.max()))
+        return CheckResult(name, True, f"legs are alike: {spread}", value=float(off.max()))
     worst = int(np.argmax(np.where(closes, off, np.inf)))
     told = " and ".join(f"{robot.motor_names[i]} {angles[i]:.2f}" for i in robot.leg_motor_index[worst])
     legs_pose = told_pose(slice(worst, worst + 1))
     rule = f"all must be alike to {ALIKE:g} rad ({spread})" if closes[worst] else "its loop can't close so"
-    return Finding(
+    return CheckResult(
         name,
         False,
         f"{robot.leg_names[worst]} reads {told}: {legs_pose}; {rule}",
@@ -133,10 +133,12 @@ def _encoders(angles: Array, robot: RobotDescription) -> Finding:
     )
 
 
-def _imu(times: Array, tilt: Array, rate: Array) -> Finding:
+def _imu(times: Array, tilt: Array, rate: Array) -> CheckResult:
     name, todo = "IMU", "let the robot lie still, calibrate the gyro, and check how the IMU is mounted and its units"
     if not (np.isfinite(tilt).all() and np.isfinite(rate).all()):
-        return Finding(name, False, "roll, pitch or a rate is not finite", "check the IMU's wiring and the firmware")
+        return CheckResult(
+            name, False, "roll, pitch or a rate is not finite", "check the IMU's wiring and the firmware"
+        )
     bias, mean = rate.mean(axis=0), tilt.mean(axis=0)
     drift = (np.polyfit(times - times[0], tilt, 1)[0] - bias[:2]) if len(times) > 2 else np.zeros(2)
     measured = (
@@ -150,9 +152,9 @@ def _imu(times: Array, tilt: Array, rate: Array) -> Finding:
     for what, value, most, unit in measured:
         if value > most:
             why = f"{what} is {value:.3f} {unit} at rest; at most {most:g}"
-            return Finding(name, False, why, todo, float(value))
+            return CheckResult(name, False, why, todo, float(value))
     why = (
         f"roll {mean[0]:+.3f}, pitch {mean[1]:+.3f} rad; gyro's mean at most {measured[2][1]:.4f}, "
         f"noise {measured[3][1]:.4f} rad/s"
     )
-    return Finding(name, True, why, value=measured[2][1])
+    return CheckResult(name, True, why, value=measured[2][1])
