@@ -9,7 +9,7 @@ import numpy as np
 from surefoot.robot import RobotDescription
 from surefoot.world.interface import WorldConfig
 from surefoot.world.mujoco_model import build_model
-from surefoot.world.self_collision import meeting_links
+from surefoot.world.self_collision import collision_pairs
 from surefoot.world.sim_world import EngineFactory, SimWorld
 
 GO2 = RobotDescription.load("go2")
@@ -55,7 +55,7 @@ def test_joints_stop_at_their_limits(engine: EngineFactory) -> None:
 
 
 def test_pairs_are_of_different_legs_and_can_meet() -> None:
-    pairs = meeting_links(RobotDescription.load("solo8"))
+    pairs = collision_pairs(RobotDescription.load("solo8"))
     # Solo's legs turn in planes on both sides: left and right never meet, nor a foot the base between them.
     assert pairs
     for one, other in pairs:
@@ -64,17 +64,17 @@ def test_pairs_are_of_different_legs_and_can_meet() -> None:
 
 
 def test_a_foot_meets_the_base_and_what_touches_at_rest_never_collides() -> None:
-    pairs = meeting_links(GO2)
+    pairs = collision_pairs(GO2)
     assert ("base", "front_left_foot") in pairs
     # Legs that cross while the robot sits have shapes that are too coarse.
     crossed = replace(GO2, poses=replace(GO2.poses, sit=(-0.34, 0.0, 0.9)))
     feet = {("front_left_foot", "front_right_foot"), ("back_left_foot", "back_right_foot")}
     assert feet <= set(pairs)
-    assert not feet & set(meeting_links(crossed))
+    assert not feet & set(collision_pairs(crossed))
 
 
 def test_the_minitaur_collides_with_the_ground_only() -> None:
     robot = RobotDescription.load("minitaur")
-    assert meeting_links(robot) == []
+    assert collision_pairs(robot) == []
     assert build_model(robot).npair == 0
-    assert build_model(GO2).npair == len(meeting_links(GO2))
+    assert build_model(GO2).npair == len(collision_pairs(GO2))

@@ -132,7 +132,7 @@ def _params(command: EmulateCommand, robot: RobotDescription) -> PhysicalParams:
 def _build(command: EmulateCommand, robot: RobotDescription, faults: dict[str, Fault], servo_every: int = 1) -> Board:
     """Return the robot, warmed up."""
     from surefoot import __version__
-    from surefoot.deploy.connection import LEAD
+    from surefoot.deploy.robot_link import LEAD
     from surefoot.emulator.board import Board
     from surefoot.emulator.hardware import PowerConfig, SensorConfig
     from surefoot.emulator.limits import Limits, introduction

@@ -15,12 +15,12 @@ from rich.table import Table
 from rich.text import Text
 
 from surefoot.cli.options import Baud, Json, Lockstep, Yes, ask_to_move, check_terminal
-from surefoot.deploy.connection import RobotConnection, open_connection
 from surefoot.deploy.display import LiveDisplay, PlainLines
+from surefoot.deploy.links import open_link
 from surefoot.deploy.loop import Snapshot, Watch
 from surefoot.deploy.messages import Handshake
 from surefoot.deploy.pacer import undisturbed
-from surefoot.deploy.robot_link import LinkLostError
+from surefoot.deploy.robot_link import LinkLostError, RobotLink
 from surefoot.deploy.serial.port import BAUD
 from surefoot.errors import SurefootError
 from surefoot.identify.experiment_runner import run_plan
@@ -69,26 +69,26 @@ def run_experiment(command: ExperimentCommand, plan: Plan, robot: RobotDescripti
     """
     if not command.yes:
         check_terminal(PLACES[plan.rack])
-    with _greeted(command, robot) as (connection, said):
+    with _greeted(command, robot) as (link, said):
         _show_plan(plan, said, Console(stderr=command.json, highlight=False, soft_wrap=True, emoji=False))
         if command.yes:
-            return _run(command, connection, plan, robot, path)
+            return _run(command, link, plan, robot, path)
     # A robot does not wait for slow answers: it is greeted anew.
     ask_to_move(PLACES[plan.rack])
-    with _greeted(command, robot) as (connection, _):
-        return _run(command, connection, plan, robot, path)
+    with _greeted(command, robot) as (link, _):
+        return _run(command, link, plan, robot, path)
 
 
 @contextlib.contextmanager
-def _greeted(command: ExperimentCommand, robot: RobotDescription) -> Iterator[tuple[RobotConnection, Handshake]]:
-    connection = open_connection(str(command.port), robot.num_motors, command.lockstep, command.baud)
+def _greeted(command: ExperimentCommand, robot: RobotDescription) -> Iterator[tuple[RobotLink, Handshake]]:
+    link = open_link(str(command.port), robot.num_motors, command.lockstep, command.baud)
     try:
-        handshake = connection.connect()
+        handshake = link.connect()
         check_robot(handshake, robot)
-        yield connection, handshake
+        yield link, handshake
     finally:
         with contextlib.suppress(LinkLostError, OSError):
-            connection.close()
+            link.close()
 
 
 def check_robot(handshake: Handshake, robot: RobotDescription) -> None:
@@ -143,15 +143,13 @@ def _show_plan(plan: Plan, handshake: Handshake, console: Console) -> None:
     )
 
 
-def _run(
-    command: ExperimentCommand, connection: RobotConnection, plan: Plan, robot: RobotDescription, path: Path
-) -> Recording:
+def _run(command: ExperimentCommand, link: RobotLink, plan: Plan, robot: RobotDescription, path: Path) -> Recording:
     with contextlib.ExitStack() as stack:
         watch = Progress(plan, f"{plan.experiment} experiment, {robot.name}, {command.port}", sys.stderr)
         stack.callback(watch.close)
         if not command.lockstep:
             stack.enter_context(undisturbed())
-        recording = run_plan(connection, plan, robot, watch)
+        recording = run_plan(link, plan, robot, watch)
     recording.save(path)
     return recording
 

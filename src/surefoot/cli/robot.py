@@ -19,7 +19,8 @@ from surefoot.cli.options import Json, check_folder
 from surefoot.cli.parsing import parse
 from surefoot.errors import SurefootError, check_name, choices
 from surefoot.robot import RobotDescription
-from surefoot.robot.tree import Knees, Tree, shorten_step, write_robot
+from surefoot.robot.importing.imported import ImportedRobot, Knees
+from surefoot.robot.importing.writer import set_servo_step, write_robot
 
 ACTIONS = {
     "new": "read a robot from a URDF or MJCF, and write its folder",
@@ -77,10 +78,10 @@ def main(argv: list[str]) -> int:
 
 def _new(command: NewCommand) -> int:
     from surefoot.report.robot_picture import save_robot_picture
-    from surefoot.world.import_robot import read_tree
-    from surefoot.world.robot_check import step_to_shorten
+    from surefoot.robot.importing.reader import read_robot
+    from surefoot.world.robot_check import longest_servo_step
 
-    tree = read_tree(command.file, command.forward, command.meshes)
+    tree = read_robot(command.file, command.forward, command.meshes)
     name = command.name or tree.name
     check_name("name", name)
     folder = command.out or Path(name)
@@ -93,8 +94,8 @@ def _new(command: NewCommand) -> int:
     )
     guesses = write_robot(tree, folder, name, command.knees or _ask_knees(tree))
     robot = RobotDescription.load(folder)
-    if (step := step_to_shorten(robot)) is not None:
-        guesses = [line for line in guesses if not line.startswith("servo_step")] + [shorten_step(folder, step)]
+    if (step := longest_servo_step(robot)) is not None:
+        guesses = [line for line in guesses if not line.startswith("servo_step")] + [set_servo_step(folder, step)]
         robot = RobotDescription.load(folder)
     for line in guesses:
         console.print(f"guessed  {line}", markup=False)
@@ -103,7 +104,7 @@ def _new(command: NewCommand) -> int:
     return _report(robot, console)
 
 
-def _ask_knees(tree: Tree) -> Knees | None:
+def _ask_knees(tree: ImportedRobot) -> Knees | None:
     """Ask where knees point, if limits do not say and there is somebody to ask."""
     _, known = tree.knee_signs(None)
     if known or not sys.stdin.isatty():

@@ -22,7 +22,7 @@ import numpy as np
 
 from surefoot.actuator import motor_friction
 from surefoot.arrays import Array
-from surefoot.deploy.connection import LEAD
+from surefoot.deploy.robot_link import LEAD
 from surefoot.errors import SurefootError, choices
 from surefoot.identify.fitting import GAIN, Fit, Unknown, fit_least_squares
 from surefoot.identify.inverse_dynamics import InverseDynamics, Motion

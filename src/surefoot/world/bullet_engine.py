@@ -24,7 +24,7 @@ from surefoot.world.actuation import RACK_HEIGHT, SPEED_LIMIT, ActuationState, b
 from surefoot.world.bullet_kernels import JOINTS, OMEGA, VELOCITY, Layout, base_links, observe, substep
 from surefoot.world.bullet_model import PARAMETERS, BulletModel, BulletSettings, import_pybullet
 from surefoot.world.interface import WorldConfig
-from surefoot.world.self_collision import meeting_links
+from surefoot.world.self_collision import collision_pairs
 
 Index = NDArray[np.int64]
 
@@ -55,7 +55,7 @@ class BulletEngine:
         if num_envs > MAX_ROBOTS:
             raise SurefootError(f"num_envs is {num_envs}; one process holds up to {MAX_ROBOTS} robots in Bullet")
         self._p = import_pybullet()
-        self._meeting = meeting_links(robot)
+        self._meeting = collision_pairs(robot)
         self.models = [BulletModel(robot, config, settings, self._meeting) for _ in range(num_envs)]
         model = self.models[0]
         self._joints = list(model.joints.values())

@@ -19,13 +19,13 @@ from surefoot.arrays import Array
 from surefoot.errors import SurefootError
 from surefoot.native_output import quiet
 from surefoot.robot import GRAVITY, RobotDescription
+from surefoot.robot.fused_urdf import fuse_urdf
 from surefoot.robot.urdf import frame_of
 from surefoot.rotations import matrix_quat
 from surefoot.world.actuation import BULLET_ONLY, CONTACT, RACK_HEIGHT, RATIOS
 from surefoot.world.bullet_kernels import pin_kernel, sole_kernel
-from surefoot.world.fused_urdf import fuse_urdf
 from surefoot.world.interface import WorldConfig
-from surefoot.world.self_collision import meeting_links
+from surefoot.world.self_collision import collision_pairs
 
 SOLVER_ITERATIONS = 50
 """With 50, loops stay closed within .02 mm on a slow trot (.09 mm with constraint motors) and .4 mm at a gallop of
@@ -87,7 +87,7 @@ def import_pybullet() -> ModuleType:
 class BulletModel:
     """A robot in a Bullet client of its own, over a ground plane at z = 0, motors off; the client ends with the object.
 
-    With `meeting`, links that may collide, as `meeting_links` returns them: it takes a tenth of a second.
+    With `meeting`, links that may collide, as `collision_pairs` returns them: it takes a tenth of a second.
 
     Bullet's link frames are inertial frames. L links besides the base, each with one joint; M motors, F feet, P pins
     that close loops. Indices of links and joints are the same in all clients.
@@ -145,7 +145,7 @@ class BulletModel:
         meeting: Sequence[tuple[str, str]] | None = None,
         base_offset: Array = _NO_OFFSET,
     ) -> None:
-        self._meeting = meeting_links(robot) if meeting is None else meeting
+        self._meeting = collision_pairs(robot) if meeting is None else meeting
         self.robot, self.rack, self._p = robot, config.rack, import_pybullet()
         self.base_offset = base_offset.copy()
         self._fused = fuse_urdf(robot.urdf, {robot.base: base_offset})

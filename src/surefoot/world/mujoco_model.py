@@ -13,7 +13,7 @@ from surefoot.errors import SurefootError
 from surefoot.robot import GRAVITY, RobotDescription
 from surefoot.world.actuation import RACK_HEIGHT
 from surefoot.world.interface import WorldConfig
-from surefoot.world.self_collision import meeting_links
+from surefoot.world.self_collision import collision_pairs
 
 LOOP_SOLREF = (0.004, 1.0)
 LOOP_SOLIMP = (0.99, 0.99, 0.001, 0.5, 2.0)
@@ -27,7 +27,8 @@ def build_model(robot: RobotDescription, config: WorldConfig | None = None) -> m
     """Return the robot over a ground plane at z = 0, its base free or on a rack.
 
     Feet meet the ground by the law in `surefoot.world.contact`, so their geoms collide with nothing here; the
-    other collision shapes of the URDF meet the ground by MuJoCo's own contacts, and each other as `meeting_links` says.
+    other collision shapes of the URDF meet the ground by MuJoCo's own contacts, and each other in the
+    pairs of `collision_pairs`.
     """
     try:
         spec = mujoco.MjSpec.from_file(str(robot.urdf.path))
@@ -83,7 +84,7 @@ def build_model(robot: RobotDescription, config: WorldConfig | None = None) -> m
             solref=LOOP_SOLREF,
             solimp=LOOP_SOLIMP,
         )
-    for pair in meeting_links(robot):
+    for pair in collision_pairs(robot):
         for one, other in product(*(spec.body(link).geoms for link in pair)):
             spec.add_pair(geomname1=one.name, geomname2=other.name)
     return spec.compile()

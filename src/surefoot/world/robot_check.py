@@ -12,10 +12,9 @@ from surefoot.arrays import Array
 from surefoot.check_result import CheckResult, judge
 from surefoot.errors import SurefootError, choices
 from surefoot.robot import GRAVITY, RobotDescription
-from surefoot.robot.actuator import JointActuatorData
+from surefoot.robot.actuator import PLACEHOLDER_TORQUE, JointActuatorData
+from surefoot.robot.fused_urdf import fuse_urdf
 from surefoot.robot.rigid_body import are_moments
-from surefoot.robot.tree import PLACEHOLDER
-from surefoot.world.fused_urdf import fuse_urdf
 from surefoot.world.mujoco_model import build_model, foot_geoms, resting_qpos
 from surefoot.world.sim_world import SimWorld
 
@@ -73,9 +72,10 @@ def _limits(robot: RobotDescription) -> CheckResult:
     torque = np.broadcast_to(robot.actuator.torque_limit, robot.num_motors)
     unit = robot.weight * robot.leg_geometry.length
     told = f"{_span(torque)} N m, {_span(torque / unit)} m g l"
-    rule = f"; over {PLACEHOLDER:g} m g l is a placeholder"
+    rule = f"; over {PLACEHOLDER_TORQUE:g} m g l is a placeholder"
     todo = "state the actuator's real torque in actuator.torque_limit"
-    return judge("torque limits", bool((torque <= PLACEHOLDER * unit).all()), told, rule, todo, float(torque.max()))
+    real = bool((torque <= PLACEHOLDER_TORQUE * unit).all())
+    return judge("torque limits", real, told, rule, todo, float(torque.max()))
 
 
 def _sides(robot: RobotDescription) -> CheckResult:
@@ -126,7 +126,7 @@ def _stand(robot: RobotDescription, model: mujoco.MjModel) -> Iterator[CheckResu
         yield judge("torque to stand", passed, told, rule, todo, float(share.max()))
 
 
-def step_to_shorten(robot: RobotDescription) -> float | None:
+def longest_servo_step(robot: RobotDescription) -> float | None:
     """Return the longest physics step [s] for a robot; None if its own is not longer."""
     *_, found = _dynamics(robot, build_model(robot))
     return float(found.value or 0.0) if found.passed is False else None

@@ -102,7 +102,7 @@ def _gap(one: _Shape, other: _Shape, frames: tuple[Array, Array]) -> float:
     return float(np.linalg.norm(outside, axis=1).min()) - one.radius
 
 
-def meeting_links(robot: RobotDescription) -> list[tuple[str, str]]:
+def collision_pairs(robot: RobotDescription) -> list[tuple[str, str]]:
     """Return the pairs of links that may collide with each other, none if the sheet has `self_collision` off."""
     if not robot.contact.self_collision:
         return []

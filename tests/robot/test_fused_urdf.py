@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from surefoot.robot import RobotDescription
+from surefoot.robot.fused_urdf import RigidBody, fuse_urdf
 from surefoot.robot.urdf import read_urdf
 from surefoot.rotations import matrix_rpy, rpy_matrix
-from surefoot.world.fused_urdf import RigidBody, fuse_urdf
 from surefoot.world.mujoco_model import build_model
 
 # 1 kg at the origin and, .4 m along x, .1 m up and turned a quarter about z, 3 kg whose centre is .2 m along its y:

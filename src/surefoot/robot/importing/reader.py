@@ -15,8 +15,8 @@ from surefoot.arrays import Array
 from surefoot.errors import SurefootError, accessible, choices
 from surefoot.files import read_configuration
 from surefoot.native_output import quiet
+from surefoot.robot.importing.imported import ImportedJoint, ImportedLeg, ImportedRobot
 from surefoot.robot.rigid_body import RigidBody, are_moments, fuse
-from surefoot.robot.tree import ImportedLeg, MotorJoint, Tree
 from surefoot.robot.urdf import attribute
 
 FORWARD = {"+x": 0.0, "-x": np.pi, "+y": -np.pi / 2, "-y": np.pi / 2}
@@ -30,7 +30,7 @@ _MESH = (".stl", ".obj", ".msh")
 """Kinds of mesh that MuJoCo reads."""
 
 
-def read_tree(path: Path, forward: str | None = None, meshes: bool = True) -> Tree:
+def read_robot(path: Path, forward: str | None = None, meshes: bool = True) -> ImportedRobot:
     """Read a quadruped from a URDF or MJCF.
 
     Args:
@@ -188,7 +188,7 @@ class _Reader:
             group[body] = body if kinds or top else group[model.body_parentid[body]]
         return group
 
-    def tree(self, forward: str | None) -> Tree:
+    def tree(self, forward: str | None) -> ImportedRobot:
         model, data = self.model, self.data
         mujoco.mj_resetData(model, data)
         chains, base = self._chains()
@@ -200,13 +200,13 @@ class _Reader:
         self.turn, chosen = self._forward(chains, forward)
         legs = [self._leg(chain) for chain in chains]
         names = self._order(legs)
-        for how in dict.fromkeys(leg.foot_from for leg in legs):
-            found = [leg for leg in legs if leg.foot_from == how]
+        for how in dict.fromkeys(leg.foot_source for leg in legs):
+            found = [leg for leg in legs if leg.foot_source == how]
             which = "feet" if found == legs else f"feet of {choices(leg.joints[-1].name for leg in found)}"
             radii = choices(dict.fromkeys(f"{leg.foot_radius:.3g}" for leg in found))
             self.notes.append(f"{which}: {how}, radius {radii} m")
         centre, half = self._box(base)
-        return Tree(
+        return ImportedRobot(
             name=re.sub(
                 r"[^a-z0-9]+", "_", (self.path.stem if self.path.stem != "robot" else self.path.parent.name).lower()
             ).strip("_"),
@@ -321,7 +321,7 @@ class _Reader:
             limited, span = bool(model.jnt_limited[number]), model.jnt_range[number]
             dof = int(model.jnt_dofadr[number])
             joints.append(
-                MotorJoint(
+                ImportedJoint(
                     name=name,
                     place=self._place(self.data.xanchor[number]),
                     axis=exact,

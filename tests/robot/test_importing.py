@@ -10,8 +10,9 @@ import pytest
 
 from surefoot.errors import SurefootError
 from surefoot.robot import RobotDescription, SerialLegs
-from surefoot.robot.tree import LEGS, Tree, write_robot
-from surefoot.world.import_robot import read_tree
+from surefoot.robot.importing.imported import LEGS, ImportedRobot
+from surefoot.robot.importing.reader import read_robot
+from surefoot.robot.importing.writer import write_robot
 from surefoot.world.mujoco_model import build_model, foot_geoms
 
 SHIPPED = {name: RobotDescription.load(name) for name in ("go2", "solo8", "pupper_v2")}
@@ -48,7 +49,7 @@ def write(tmp_path: Path, text: str, name: str = "dog.xml") -> Path:
 
 
 def test_a_tree_has_what_the_file_says(tmp_path: Path) -> None:
-    tree = read_tree(write(tmp_path, quadruped()))
+    tree = read_robot(write(tmp_path, quadruped()))
     assert tree.name == "dog"
     assert tree.mass == pytest.approx(6 + 4 * 1.3)
     assert tree.length == pytest.approx(0.4)
@@ -64,12 +65,12 @@ def test_a_tree_has_what_the_file_says(tmp_path: Path) -> None:
     assert "feet: the last link's sphere, radius 0.02 m" in tree.notes
     toe = '<body name="FL_toe" pos="0 0 -.2"/>'
     text = quadruped().replace('<geom type="sphere" size=".02" pos="0 0 -.2"/>', toe, 1)
-    notes = read_tree(write(tmp_path, text)).notes
+    notes = read_robot(write(tmp_path, text)).notes
     assert any(note.startswith("feet of FL_knee: a link named so") for note in notes)
 
 
 def test_what_is_written_loads_and_keeps_masses_and_kinematics(tmp_path: Path) -> None:
-    tree = read_tree(write(tmp_path, quadruped()))
+    tree = read_robot(write(tmp_path, quadruped()))
     guesses = write_robot(tree, tmp_path / "dog", "dog")
     robot = RobotDescription.load(tmp_path / "dog")
     assert robot.urdf.total_mass == pytest.approx(tree.mass, abs=1e-4)
@@ -129,7 +130,7 @@ def test_a_robot_that_faces_elsewhere_is_turned(tmp_path: Path) -> None:
         )
         for name, (x, y) in CORNERS.items()
     )
-    tree = read_tree(write(tmp_path, mjcf(legs)))
+    tree = read_robot(write(tmp_path, mjcf(legs)))
     assert tree.forward == "-y"
     np.testing.assert_allclose(tree.legs[0].foot, [0.2, 0.14, -0.4], atol=1e-9)
     # The file's x axis is the robot's left: knees turned about it as about +y.
@@ -140,7 +141,7 @@ def test_axes_that_point_the_other_way_are_kept_in_the_signs(tmp_path: Path) -> 
     legs = "".join(
         leg(name, 0.2 * x, 0.08 * y, axes=("1 0 0", f"0 {y} 0", f"0 {y} 0")) for name, (x, y) in CORNERS.items()
     ).replace('axis="0 -1 0" range="-2.6 -.5"', 'axis="0 -1 0" range=".5 2.6"')
-    tree = read_tree(write(tmp_path, mjcf(legs)))
+    tree = read_robot(write(tmp_path, mjcf(legs)))
     write_robot(tree, tmp_path / "dog", "dog")
     robot = RobotDescription.load(tmp_path / "dog")
     assert isinstance(robot.leg_geometry, SerialLegs)
@@ -152,7 +153,7 @@ def test_axes_that_point_the_other_way_are_kept_in_the_signs(tmp_path: Path) -> 
 
 def test_a_meshless_urdf_with_two_motors_a_leg(tmp_path: Path) -> None:
     robot = SHIPPED["solo8"]
-    tree = read_tree(robot.urdf.path)
+    tree = read_robot(robot.urdf.path)
     assert [len(one.joints) for one in tree.legs] == [2] * 4
     assert tree.knee_signs("inward") == ([-1, -1, 1, 1], True)
     assert tree.knee_signs(None) == ([-1] * 4, False)
@@ -252,7 +253,7 @@ BAD = {
 def test_what_is_no_quadruped_is_refused_in_one_line(what: str, tmp_path: Path) -> None:
     text, name, said = BAD[what]
     with pytest.raises(SurefootError) as caught:
-        read_tree(write(tmp_path, text, name))
+        read_robot(write(tmp_path, text, name))
     assert said in str(caught.value)
     assert name in str(caught.value)
     assert "\n" not in str(caught.value)
@@ -263,15 +264,15 @@ def test_a_missing_mesh_can_be_left_out(tmp_path: Path) -> None:
     text = text.replace('<link name="base">', f'<link name="base">{MESH}', 1)
     path = write(tmp_path, text, "solo.urdf")
     with pytest.raises(SurefootError, match="leave out meshes"):
-        read_tree(path)
-    assert isinstance(read_tree(path, meshes=False), Tree)
+        read_robot(path)
+    assert isinstance(read_robot(path, meshes=False), ImportedRobot)
 
 
 def test_inertias_that_no_body_has_are_noted(tmp_path: Path) -> None:
     text = SHIPPED["solo8"].urdf.path.read_text()
     extra = link("camera").replace('ixx="1"', 'ixx="9"')
     fixed = '<joint name="mount" type="fixed"><parent link="base"/><child link="camera"/></joint>'
-    tree = read_tree(write(tmp_path, text.replace("</robot>", f"{extra}{fixed}</robot>"), "solo.urdf"))
+    tree = read_robot(write(tmp_path, text.replace("</robot>", f"{extra}{fixed}</robot>"), "solo.urdf"))
     assert any("camera" in note and "no rigid body" in note for note in tree.notes)
 
 
@@ -279,7 +280,7 @@ def test_a_tail_is_held_still_and_adds_to_the_base(tmp_path: Path) -> None:
     tail = f'<body name="tail" pos="-.2 0 0"><joint name="wag" axis="0 0 1"/>{LINK}</body>'
     poses = '<keyframe><key name="home" qpos="0 0 1 1 0 0 0 0 0 0 0 0 0 0 0 0 0 0 0 0"/></keyframe>'
     legs = "".join(leg(name, 0.2 * x, 0.08 * y) for name, (x, y) in CORNERS.items())
-    tree = read_tree(write(tmp_path, mjcf(tail + legs, poses)))
+    tree = read_robot(write(tmp_path, mjcf(tail + legs, poses)))
     assert "joint 'wag' and what hangs from it are held still: no leg's" in tree.notes
     assert tree.base.mass == pytest.approx(6.5)
     # The tail's centre is .1 m below its joint.
@@ -292,7 +293,7 @@ def test_torques_are_limited_by_joints_or_by_their_actuators(tmp_path: Path) -> 
       <position joint="FR_hip" kp="20" ctrlrange="-2 2"/></actuator>"""
     text = quadruped(extra=motors)
     text = text.replace('<joint name="FL_abduction"', '<joint name="FL_abduction" actuatorfrcrange="-24 20"')
-    tree = read_tree(write(tmp_path, text))
+    tree = read_robot(write(tmp_path, text))
     assert [joint.torque for joint in tree.legs[LEGS.index("front_left")].joints] == [24.0, 27.0, 9.0]
     # What a position servo is sent are angles.
     assert [joint.torque for joint in tree.legs[LEGS.index("front_right")].joints] == [None] * 3
@@ -301,7 +302,7 @@ def test_torques_are_limited_by_joints_or_by_their_actuators(tmp_path: Path) -> 
 def test_feet_without_spheres_are_the_far_ends_of_boxes(tmp_path: Path) -> None:
     box = '<geom type="box" size=".015 .01 .1" pos=".005 0 -.1"/>'
     legs = "".join(leg(name, 0.2 * x, 0.08 * y, foot=box) for name, (x, y) in CORNERS.items())
-    tree = read_tree(write(tmp_path, mjcf(legs)))
+    tree = read_robot(write(tmp_path, mjcf(legs)))
     radius = tree.legs[0].foot_radius
     # Half of the box's thinnest side.
     assert radius == pytest.approx(0.01)
@@ -314,7 +315,7 @@ def test_a_base_without_a_shape_is_a_box_of_its_inertia(tmp_path: Path) -> None:
     half = np.array([0.3, 0.15, 0.1])
     inertia = 6 / 3 * (np.sum(half**2) - half**2)  # of a solid box with half sides
     body = f'<inertial pos=".01 0 0" mass="6" diaginertia="{" ".join(map(str, inertia))}"/>'
-    tree = read_tree(write(tmp_path, quadruped().replace(BODY, body)))
+    tree = read_robot(write(tmp_path, quadruped().replace(BODY, body)))
     centre, found = tree.base_box
     np.testing.assert_allclose(centre, [0.01, 0, 0], atol=1e-12)
     np.testing.assert_allclose(found, half, rtol=1e-6)
@@ -324,10 +325,10 @@ def test_a_base_without_a_shape_is_a_box_of_its_inertia(tmp_path: Path) -> None:
 def test_forward_is_guessed_where_no_name_tells(tmp_path: Path) -> None:
     legs = "".join(leg(f"leg{k}", 0.2 * x, 0.08 * y) for k, (x, y) in enumerate(CORNERS.values()))
     path = write(tmp_path, mjcf(legs))
-    tree = read_tree(path)
+    tree = read_robot(path)
     assert tree.forward == "+x"
     assert "forward is guessed: the joints' names do not say which legs are in front" in tree.notes
-    back = read_tree(path, "-x")
+    back = read_robot(path, "-x")
     assert (back.forward, [note for note in back.notes if "guessed" in note]) == ("-x", [])
     # Turned by half: the last leg of the file is the front left one.
     assert back.legs[LEGS.index("front_left")].joints[0].name == "leg3_abduction"
@@ -348,8 +349,8 @@ def test_meshes_are_found_as_packages_have_them_and_unreadable_ones_are_noted(tm
     )
     text = text.replace('<link name="base">', f'<link name="base">{meshes}', 1)
     (tmp_path / "pack" / "urdf").mkdir()
-    tree = read_tree(write(tmp_path, text, "pack/urdf/solo.urdf"))
-    plain = read_tree(SHIPPED["solo8"].urdf.path)
+    tree = read_robot(write(tmp_path, text, "pack/urdf/solo.urdf"))
+    plain = read_robot(SHIPPED["solo8"].urdf.path)
     assert "shapes that MuJoCo can't read are left out: legs.dae" in tree.notes
     (low, high), (was_low, was_high) = ((box[0] - box[1], box[0] + box[1]) for box in (tree.base_box, plain.base_box))
     np.testing.assert_allclose(low, np.minimum(was_low, 0.0), atol=1e-6)
@@ -363,7 +364,7 @@ def test_links_add_their_mass_with_or_without_inertia(mass: str, moment: str, mo
         extra = extra.replace(f'{axis}="1"', f'{axis}="{moment}"')
     extra += '<joint name="mount" type="fixed"><parent link="base"/><child link="frame"/></joint>'
     path = write(tmp_path, SHIPPED["solo8"].urdf.path.read_text().replace("</robot>", extra + "</robot>"), "solo.urdf")
-    tree, plain = read_tree(path), read_tree(SHIPPED["solo8"].urdf.path)
+    tree, plain = read_robot(path), read_robot(SHIPPED["solo8"].urdf.path)
     assert tree.base.mass == pytest.approx(plain.base.mass + more)
     assert tree.base.centre == pytest.approx(plain.base.centre * plain.base.mass / tree.base.mass, abs=1e-9)
     # Inertia about the base's frame, where the link is.
