@@ -20,6 +20,8 @@ from surefoot.robot import RobotDescription
 from surefoot.task.trace import EpisodeTrace
 
 if TYPE_CHECKING:
+    from _pytest.terminal import TerminalReporter
+
     from surefoot.evaluate.comparison import Comparison
 
 os.environ.setdefault("MPLBACKEND", "Agg")
@@ -37,6 +39,21 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """
     slow, realtime = ({item.path for item in items if item.get_closest_marker(name)} for name in ("slow", "realtime"))
     items.sort(key=lambda item: (item.path in realtime, item.path not in slow))
+
+
+@pytest.hookimpl(wrapper=True, tryfirst=True)
+def pytest_terminal_summary(terminalreporter: TerminalReporter) -> Generator[None]:
+    """Say which tests were left out for want of a browser, and how to install one."""
+    from chromium import INSTALL, NO_CHROMIUM
+
+    yield
+    skipped = [report for report in terminalreporter.stats.get("skipped", []) if NO_CHROMIUM in str(report.longrepr)]
+    if skipped:
+        python = os.path.relpath(INSTALL[0])
+        command = " ".join([python if not python.startswith("..") else INSTALL[0], *INSTALL[1:]])
+        terminalreporter.write_line(
+            f"surefoot: {len(skipped)} tests of pages were left out: {NO_CHROMIUM}. This installs it: {command}"
+        )
 
 
 @pytest.hookimpl(wrapper=True, tryfirst=True)

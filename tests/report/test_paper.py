@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from chromium import CHROMIUM, in_browser
 
 pytest.importorskip("matplotlib")
 
@@ -18,8 +19,6 @@ from surefoot.errors import SurefootError
 from surefoot.evaluate.runs import Estimate
 from surefoot.evaluate.statistics import Interval
 from surefoot.report.paper import Counts, Source, difference, find_counts, find_number, load_content, write_page
-
-CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 
 
 @pytest.fixture
@@ -247,7 +246,7 @@ def test_results_that_are_not_there_are_named_and_not_made_up(tmp_path: Path):
     assert "not measured" in (tmp_path / "paper.html").read_text(encoding="utf-8")
 
 
-@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this computer; the page is not tried in a browser")
+@in_browser
 def test_a_browser_shows_every_picture_without_an_error(page: Path, root: Path):
     script = (
         "<script>addEventListener('load', () => { const all = [...document.images];"
