@@ -49,8 +49,6 @@ def test_a_world_with_parameters_of_its_own_is_refused_where_others_are_set():
 @pytest.mark.parametrize("name", sorted(WORLDS["bullet"].models))
 def test_a_parameter_that_the_engine_does_not_model_is_refused(make_world, name):
     world = make_world(2)
-    with pytest.raises(
-        SurefootError, match=f"{name} is 0.001; world mujoco does not model it: set 0, or use"
-    ):
+    with pytest.raises(SurefootError, match=f"{name} is 0.001; world mujoco does not model it: set 0, or use"):
         world.set_params([1], world.params.rows([1]).with_values(world.robot, **{name: 0.001}))
     assert not np.any(getattr(world.params, name))
