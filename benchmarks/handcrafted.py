@@ -28,10 +28,10 @@ from surefoot.evaluate.statistics import t_interval
 from surefoot.report.figures import footfall_diagram
 from surefoot.report.style import COLORS, MARKERS, new_figure
 from surefoot.robot import GRAVITY, RobotDescription
+from surefoot.robot.randomization import load_ranges
+from surefoot.studies.handcrafted import HandcraftedGait
 from surefoot.tables import markdown, print_table, write_csv
 from surefoot.task.config import TaskConfig
-from surefoot.task.handcrafted import HandcraftedGait
-from surefoot.task.randomize import load_ranges
 from surefoot.world.registry import find_world
 
 SHIPPED = ("trot", "trot-robust", "gallop", "gallop-robust")

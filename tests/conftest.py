@@ -22,7 +22,7 @@ from surefoot.task.trace import EpisodeTrace
 if TYPE_CHECKING:
     from _pytest.terminal import TerminalReporter
 
-    from surefoot.evaluate.comparison import Comparison
+    from surefoot.studies.comparison import Comparison
 
 os.environ.setdefault("MPLBACKEND", "Agg")
 
@@ -177,8 +177,8 @@ def gap_comparison() -> Callable[..., Comparison]:
     Gaps of group a's policies are 1 m, 1.1 m, ...; b's policies have none and go three metres; c's fall at home.
     """
     pytest.importorskip("gymnasium")
-    from surefoot.evaluate.comparison import Comparison, Curve, GroupResult, SeedResult
     from surefoot.evaluate.runs import Runs
+    from surefoot.studies.comparison import Comparison, Curve, GroupResult, SeedResult
 
     steady, at = (True, True, True), np.arange(1, 11) * 1e5
     curve = Curve(at, at * 1e-6, at * 1e-7, np.zeros(10), np.ones(10))

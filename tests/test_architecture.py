@@ -30,6 +30,7 @@ ARROWS: dict[str, set[str]] = {
     },
     "emulator": {"deploy", "world", "actuator", "robot"},
     "report": {"evaluate", "task", "robot", "identify.result", "identify.log_errors"},
+    "studies": {"report", "learn", "evaluate", "task", "policy", "world", "robot"},
 }
 WIRING = "cli"  # the one room that may import anything, and that only `python -m surefoot` imports
 

@@ -22,7 +22,7 @@ from surefoot.learn.config import load_train_config  # noqa: E402
 from surefoot.learn.export import export_trainer  # noqa: E402
 from surefoot.learn.trainer import Trainer  # noqa: E402
 from surefoot.robot import PhysicalParams, RobotDescription  # noqa: E402
-from surefoot.task.randomize import draw_hidden, load_ranges  # noqa: E402
+from surefoot.robot.randomization import draw_hidden, load_ranges  # noqa: E402
 from surefoot.world.interface import WorldConfig  # noqa: E402
 from surefoot.world.mujoco_model import build_model  # noqa: E402
 from surefoot.world.sim_world import SimWorld  # noqa: E402

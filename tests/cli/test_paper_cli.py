@@ -110,7 +110,7 @@ def test_a_command_that_fails_ends_the_runs_in_one_line(
 
 
 def test_every_file_that_the_page_reads_is_made_by_a_run_or_is_of_the_clone(repository: Path):
-    from surefoot.report.paper import load_content
+    from surefoot.studies.paper import load_content
 
     folders = {Path(stage.makes).parts[:2] for stage in paper_runs.STAGES}
     sections = load_content().sections

@@ -12,7 +12,7 @@ from processes import surefoot
 
 from surefoot.cli.simulator import ranges_help, take_ranges
 from surefoot.errors import SurefootError
-from surefoot.task.randomize import ROWS, RandomizeConfig, load_ranges
+from surefoot.robot.randomization import ROWS, RandomizeConfig, load_ranges
 
 pytest.importorskip("torch")
 pytest.importorskip("mujoco")

@@ -8,7 +8,7 @@ import pytest
 from surefoot.errors import SurefootError
 from surefoot.evaluate.ensemble import ROBOTS, ensemble_params
 from surefoot.robot import PhysicalParams, RobotDescription
-from surefoot.task.randomize import ROWS, SERVO_LATENCY, draw_hidden, load_ranges
+from surefoot.robot.randomization import ROWS, SERVO_LATENCY, draw_hidden, load_ranges
 from surefoot.world.interface import WorldConfig
 from surefoot.world.registry import make_world
 

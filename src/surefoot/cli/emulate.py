@@ -121,7 +121,7 @@ def _check(command: EmulateCommand) -> None:
 def _params(command: EmulateCommand, robot: RobotDescription) -> PhysicalParams:
     if command.hidden_seed is None:
         return given_params(robot, command.params, command.settings)
-    from surefoot.task.randomize import draw_hidden, load_ranges
+    from surefoot.robot.randomization import draw_hidden, load_ranges
 
     params = draw_hidden(robot, load_ranges(command.hidden_ranges, robot=robot.folder).ranges, command.hidden_seed)
     if command.hidden_out is not None:

@@ -222,7 +222,7 @@ def _report(
     from surefoot.evaluate.gap import PolicyGap
     from surefoot.evaluate.runs import Runs
     from surefoot.report.figures import side_by_side
-    from surefoot.report.study_figures import gap_figure
+    from surefoot.studies.study_figures import gap_figure
     from surefoot.tables import plain_rows, print_files, print_table, write_csv
 
     gaps, episodes = [], []

@@ -20,10 +20,10 @@ from surefoot.errors import SurefootError, choices
 from surefoot.policy.contract import Contract, check_robot, config_hash
 from surefoot.policy.runtime import PolicyRuntime
 from surefoot.robot import RobotDescription, parse_settings
+from surefoot.robot.randomization import RandomizeConfig, check_ranges
+from surefoot.studies.handcrafted import HandcraftedGait
 from surefoot.task.commands import read_schedule
 from surefoot.task.config import TaskConfig
-from surefoot.task.handcrafted import HandcraftedGait
-from surefoot.task.randomize import RandomizeConfig, check_ranges
 from surefoot.task.trace import EpisodeTrace
 from surefoot.world.registry import find_world
 

@@ -17,9 +17,9 @@ from surefoot.cli.trainings import train_many
 from surefoot.configuration import Within
 from surefoot.errors import located
 from surefoot.learn.config import Steps
-from surefoot.learn.search import Search, SearchConfig, check_there, make_config
-from surefoot.learn.search_space import put
-from surefoot.learn.workers import check_address
+from surefoot.studies.search import Search, SearchConfig, check_there, make_config
+from surefoot.studies.search_space import put
+from surefoot.studies.workers import check_address
 
 
 @dataclass(frozen=True)

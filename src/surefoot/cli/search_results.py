@@ -11,12 +11,12 @@ from rich.console import Console
 
 from surefoot.cli.options import make_figures_folder
 from surefoot.errors import SurefootError
-from surefoot.learn.search import Search
-from surefoot.learn.search_space import get
+from surefoot.studies.search import Search
+from surefoot.studies.search_space import get
 from surefoot.world.registry import find_world
 
 if TYPE_CHECKING:
-    from surefoot.evaluate.trials import Retest, TrialResult
+    from surefoot.studies.trials import Retest, TrialResult
 
 TOP = 3
 """Best trials that are evaluated anew."""
@@ -31,8 +31,8 @@ def report(search: Search, command: str, console: Console) -> None:
     Raises:
         SurefootError: no trial is complete.
     """
-    from surefoot.evaluate.trials import SearchResult, best
-    from surefoot.report.search_report import write_report
+    from surefoot.studies.search_report import write_report
+    from surefoot.studies.trials import SearchResult, best
     from surefoot.world.process_world import worker_pool
 
     make_figures_folder(search.folder)
@@ -59,8 +59,8 @@ def report(search: Search, command: str, console: Console) -> None:
 
 
 def _trials(search: Search, console: Console) -> list[TrialResult]:
-    from surefoot.evaluate.evaluations import evaluate
-    from surefoot.evaluate.trials import TrialResult
+    from surefoot.studies.evaluations import evaluate
+    from surefoot.studies.trials import TrialResult
 
     found = []
     for trial in search.study.trials:
@@ -100,12 +100,12 @@ def _retest(search: Search, trial: TrialResult) -> Retest:
 
     Runs are stored beside the policy: a report without new trials among the best simulates nothing.
     """
-    from surefoot.evaluate.evaluations import Result, made_once
     from surefoot.evaluate.gap import away_task
     from surefoot.evaluate.rollout import run_episodes, task_from_contract
     from surefoot.evaluate.runs import Runs
-    from surefoot.evaluate.trials import Retest
     from surefoot.policy.runtime import PolicyRuntime
+    from surefoot.studies.evaluations import Result, made_once
+    from surefoot.studies.trials import Retest
 
     assert trial.policy is not None
     path, weight = trial.policy, search.config.train.task.energy_weight

@@ -52,7 +52,7 @@ def main(argv: list[str]) -> int:
     """Run the command with the words after its name; returns the exit code."""
     command = parse(SensitivityCommand, argv, "surefoot sensitivity")
     from surefoot.cli.policies import described, find_policies, load_policies, progress_bar
-    from surefoot.task.randomize import check_ranges, load_ranges
+    from surefoot.robot.randomization import check_ranges, load_ranges
     from surefoot.world.registry import WORLDS, find_world
 
     paths = find_policies(command.policies)

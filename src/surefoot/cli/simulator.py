@@ -18,8 +18,8 @@ from surefoot.cli.options import Pushes, PushForce, Seed, Settings, World
 from surefoot.errors import SurefootError, choices
 from surefoot.robot import RobotDescription
 from surefoot.robot.params_file import ParamValue, find_params, read_params
+from surefoot.robot.randomization import ROWS, RandomizeConfig, load_ranges, range_names
 from surefoot.task.config import TaskConfig
-from surefoot.task.randomize import ROWS, RandomizeConfig, load_ranges, range_names
 from surefoot.world.interface import WorldConfig
 
 _RANGES_HELP = """--randomize NAME           ranges that an episode draws its parameters from: {names}, or a YAML file

@@ -17,9 +17,9 @@ from surefoot.cli.trainings import train_many
 from surefoot.configuration import Seed
 from surefoot.errors import SurefootError, located
 from surefoot.learn.config import Steps
-from surefoot.learn.study_config import StudyConfig, load_study, study_runs
-from surefoot.learn.training import Training
-from surefoot.learn.workers import Outcome, check_address
+from surefoot.studies.study_config import StudyConfig, load_study, study_runs
+from surefoot.studies.training import Training
+from surefoot.studies.workers import Outcome, check_address
 
 
 @dataclass(frozen=True)

@@ -10,12 +10,12 @@ from rich.console import Console
 
 from surefoot.cli.options import make_figures_folder
 from surefoot.errors import SurefootError
-from surefoot.learn.study_config import StudyConfig, study_runs
-from surefoot.learn.training import Training
+from surefoot.studies.study_config import StudyConfig, study_runs
+from surefoot.studies.training import Training
 from surefoot.world.registry import find_world
 
 if TYPE_CHECKING:
-    from surefoot.evaluate.comparison import Comparison, SeedResult
+    from surefoot.studies.comparison import Comparison, SeedResult
 
 
 def check_kinds(study: StudyConfig, worlds: bool) -> None:
@@ -24,7 +24,7 @@ def check_kinds(study: StudyConfig, worlds: bool) -> None:
     Raises:
         SurefootError: with what can't be made.
     """
-    from surefoot.evaluate.evaluations import EVALUATIONS, evaluation_names
+    from surefoot.studies.evaluations import EVALUATIONS, evaluation_names
 
     kinds = evaluation_names(study.evaluate)
     if study.bars and "gap" not in kinds:
@@ -35,8 +35,8 @@ def check_kinds(study: StudyConfig, worlds: bool) -> None:
 
 def evaluate_runs(study: StudyConfig, runs: list[Training], threads: int, console: Console) -> None:
     """Make every evaluation of every finished run that is not there yet."""
-    from surefoot.evaluate.evaluations import EVALUATIONS, evaluate, evaluation_names, stored_result
     from surefoot.evaluate.statistics import decimal
+    from surefoot.studies.evaluations import EVALUATIONS, evaluate, evaluation_names, stored_result
     from surefoot.world.process_world import worker_pool
 
     kinds = evaluation_names(study.evaluate)
@@ -60,7 +60,7 @@ def report(study: StudyConfig, root: Path, out: Path, command: str, console: Con
     """Write tables, figures and README of all runs that are finished and evaluated, whichever were asked for now."""
     comparison = _collect(study, root)
     make_figures_folder(out)
-    from surefoot.report.study_report import write_report
+    from surefoot.studies.study_report import write_report
 
     readme = write_report(comparison, out, command)
     if comparison.missing:
@@ -70,8 +70,8 @@ def report(study: StudyConfig, root: Path, out: Path, command: str, console: Con
 
 def _collect(study: StudyConfig, root: Path) -> Comparison:
     """Return all runs of a study that are finished and have every evaluation; one or more."""
-    from surefoot.evaluate.comparison import Comparison, GroupResult
-    from surefoot.evaluate.evaluations import evaluation_names
+    from surefoot.studies.comparison import Comparison, GroupResult
+    from surefoot.studies.evaluations import evaluation_names
 
     kinds = evaluation_names(study.evaluate)
     found: dict[str, list[SeedResult]] = {name: [] for name in study.groups}
@@ -99,9 +99,9 @@ def _collect(study: StudyConfig, root: Path) -> Comparison:
 
 def _result(run: Training, kinds: tuple[str, ...]) -> SeedResult | None:
     """What is known of a run; None if it is not finished, not evaluated, or not what the study asks for."""
-    from surefoot.evaluate.comparison import Curve, SeedResult
-    from surefoot.evaluate.evaluations import stored_result
     from surefoot.policy.runtime import PolicyRuntime
+    from surefoot.studies.comparison import Curve, SeedResult
+    from surefoot.studies.evaluations import stored_result
 
     if run.state != "finished":
         return None

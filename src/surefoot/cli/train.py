@@ -179,14 +179,14 @@ def finish(run: TrainingRun, folder: RunFolder, console: Console) -> None:
     from surefoot.cli.evaluate import draw_episode, print_summaries
     from surefoot.cli.options import how_to_show
     from surefoot.cli.play import film
-    from surefoot.evaluate.comparison import Curve
     from surefoot.evaluate.gap import home_task
     from surefoot.evaluate.rollout import run_episodes
     from surefoot.evaluate.runs import summarize
     from surefoot.learn.export import export_run
     from surefoot.policy.runtime import PolicyRuntime
-    from surefoot.report.study_figures import learning_curves
     from surefoot.robot import RobotDescription
+    from surefoot.studies.comparison import Curve
+    from surefoot.studies.study_figures import learning_curves
     from surefoot.world.registry import find_world
 
     export_run(run, folder.policy)

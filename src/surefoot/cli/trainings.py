@@ -11,9 +11,9 @@ from rich.console import Console
 from rich.live import Live
 from rich.table import Table
 
-from surefoot.learn.training import Training
-from surefoot.learn.workers import Outcome, Told, ray_cluster, run_trainings
 from surefoot.stop_signals import StopSignals
+from surefoot.studies.training import Training
+from surefoot.studies.workers import Outcome, Told, ray_cluster, run_trainings
 
 _LINE_EVERY = 60.0
 

@@ -10,8 +10,8 @@ from surefoot.cli.options import Count, check_suffix
 from surefoot.cli.parsing import parse
 from surefoot.cli.policies import progress_bar, run_policy
 from surefoot.errors import SurefootError
-from surefoot.learn.tune import TuneConfig, Tuner
-from surefoot.task.handcrafted import HandcraftedGait
+from surefoot.studies.handcrafted import HandcraftedGait
+from surefoot.studies.tune import TuneConfig, Tuner
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ import numpy as np
 
 from surefoot.errors import SurefootError
 from surefoot.robot import PhysicalParams, RobotDescription
-from surefoot.task.randomize import draw_hidden, load_ranges
+from surefoot.robot.randomization import draw_hidden, load_ranges
 
 RANGES = "ensemble"
 ROBOTS = 20

@@ -15,9 +15,9 @@ from surefoot.configuration import from_mapping, read_yaml, to_mapping
 from surefoot.errors import SurefootError, located
 from surefoot.files import whole_file
 from surefoot.robot import RobotDescription
+from surefoot.studies.raibert import RaibertConfig, RaibertController
 from surefoot.task.config import TaskConfig, load_task
 from surefoot.task.foot import FootReference
-from surefoot.task.raibert import RaibertConfig, RaibertController
 from surefoot.task.reference import make_reference
 
 KEY = "handcrafted"

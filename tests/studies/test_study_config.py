@@ -13,9 +13,9 @@ import yaml
 from surefoot.configuration import write_yaml
 from surefoot.errors import SurefootError
 from surefoot.learn.config import TrainConfig, load_train_config
-from surefoot.learn.study_config import GroupConfig, StudyConfig, group_config, load_study, study_runs
-from surefoot.learn.training import CHECKPOINT_EVERY, Training, difference
-from surefoot.task.randomize import load_ranges
+from surefoot.robot.randomization import load_ranges
+from surefoot.studies.study_config import GroupConfig, StudyConfig, group_config, load_study, study_runs
+from surefoot.studies.training import CHECKPOINT_EVERY, Training, difference
 
 STUDY = """
 task: trot
@@ -192,7 +192,7 @@ def test_difference_finds_the_first_field_by_its_whole_name() -> None:
 
 
 def test_how_far_a_study_is_can_be_told_without_torch() -> None:
-    script = "import sys, surefoot.learn.study_config, surefoot.learn.workers; sys.exit('torch' in sys.modules)"
+    script = "import sys, surefoot.studies.study_config, surefoot.studies.workers; sys.exit('torch' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", script], timeout=60, check=False).returncode == 0
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from surefoot.errors import SurefootError
 from surefoot.learn.config import TrainConfig, load_train_config
-from surefoot.learn.search_space import Dimension, as_params, get, load_space, put
+from surefoot.studies.search_space import Dimension, as_params, get, load_space, put
 
 SPACE = """
 ppo.learning_rate: {low: 0.0001, high: 0.01, log: true}

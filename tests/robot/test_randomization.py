@@ -15,11 +15,7 @@ from surefoot.configuration import from_mapping
 from surefoot.errors import SurefootError
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.robot.params_file import read_params
-from surefoot.seeding import generators
-from surefoot.task.config import FeedbackConfig, TaskConfig, load_task
-from surefoot.task.env import LocomotionEnv
-from surefoot.task.pushes import PushConfig
-from surefoot.task.randomize import (
+from surefoot.robot.randomization import (
     ROWS,
     RandomizeConfig,
     Randomizer,
@@ -28,6 +24,10 @@ from surefoot.task.randomize import (
     load_ranges,
     range_names,
 )
+from surefoot.seeding import generators
+from surefoot.task.config import FeedbackConfig, TaskConfig, load_task
+from surefoot.task.env import LocomotionEnv
+from surefoot.task.pushes import PushConfig
 from surefoot.world.mujoco_model import build_model
 from surefoot.world.registry import WORLDS
 from surefoot.world.sim_world import SimWorld

@@ -14,12 +14,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from surefoot.arrays import Array
-from surefoot.evaluate.evaluations import EVALUATIONS, Figure, Result, gap_of
 from surefoot.evaluate.gap import PolicyGap, gap_difference
 from surefoot.evaluate.runs import Estimate
 from surefoot.evaluate.sensitivity import Sensitivity
 from surefoot.evaluate.statistics import CONFIDENCE, Interval, t_interval, welch_interval
 from surefoot.files import whole_file
+from surefoot.studies.evaluations import EVALUATIONS, Figure, Result, gap_of
 from surefoot.tables import plain_rows, write_csv
 
 FAR = 3.0

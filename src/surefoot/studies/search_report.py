@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from surefoot.evaluate.evaluations import gait_trace
 from surefoot.evaluate.runs import Runs
 from surefoot.evaluate.statistics import CONFIDENCE, Interval, decimal, t_interval
-from surefoot.evaluate.trials import Retest, SearchResult, TrialResult, best
 from surefoot.files import whole_file
 from surefoot.report.figures import footfall_diagram
 from surefoot.report.style import BLUE, GREEN, ORANGE, QUIET, heading, new_figure, place_labels
+from surefoot.studies.evaluations import gait_trace
+from surefoot.studies.trials import Retest, SearchResult, TrialResult, best
 from surefoot.tables import markdown, write_csv
 
 if TYPE_CHECKING:

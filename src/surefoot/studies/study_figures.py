@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from surefoot.errors import SurefootError
-from surefoot.evaluate.comparison import Comparison, Curve, GroupResult
 from surefoot.evaluate.gap import PolicyGap
 from surefoot.evaluate.runs import Runs
 from surefoot.report.style import INK, QUIET, capital, heading, new_figure, place_labels, scattered
+from surefoot.studies.comparison import Comparison, Curve, GroupResult
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -14,10 +14,10 @@ pytest.importorskip("optuna")
 
 from surefoot.configuration import write_yaml
 from surefoot.errors import SurefootError
-from surefoot.learn.search import Search, SearchConfig, make_config
-from surefoot.learn.search_space import get
-from surefoot.learn.training import Training
-from surefoot.learn.workers import Told
+from surefoot.studies.search import Search, SearchConfig, make_config
+from surefoot.studies.search_space import get
+from surefoot.studies.training import Training
+from surefoot.studies.workers import Told
 
 SPACE = """
 ppo.learning_rate: {low: 0.0001, high: 0.01, log: true}

@@ -8,8 +8,8 @@ import pytest
 
 pytest.importorskip("torch")
 
-from surefoot.learn.training import Training, base_config
-from surefoot.learn.workers import _FILES, Told, _take
+from surefoot.studies.training import Training, base_config
+from surefoot.studies.workers import _FILES, Told, _take
 
 
 def test_files_of_a_computer_that_shares_no_folder_are_kept_and_the_policy_comes_last(tmp_path: Path):

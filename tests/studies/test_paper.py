@@ -18,7 +18,7 @@ pytest.importorskip("matplotlib")
 from surefoot.errors import SurefootError
 from surefoot.evaluate.runs import Estimate
 from surefoot.evaluate.statistics import Interval
-from surefoot.report.paper import Counts, Source, difference, find_counts, find_number, load_content, write_page
+from surefoot.studies.paper import Counts, Source, difference, find_counts, find_number, load_content, write_page
 
 
 @pytest.fixture

@@ -8,14 +8,14 @@ from pathlib import Path
 
 import numpy as np
 
-from surefoot.evaluate.comparison import CONTENTS, FAR, Comparison, GroupResult, difference, write_tables
-from surefoot.evaluate.evaluations import EVALUATIONS, gait_trace
 from surefoot.evaluate.gap import gap_difference
 from surefoot.evaluate.statistics import CONFIDENCE, Interval, decimal, t_interval
 from surefoot.files import whole_file
 from surefoot.report.figures import footfall_diagram
 from surefoot.report.parameter_figures import parameter_figure, parameters_figure
-from surefoot.report.study_figures import gap_figure, group_figure, learning_curves
+from surefoot.studies.comparison import CONTENTS, FAR, Comparison, GroupResult, difference, write_tables
+from surefoot.studies.evaluations import EVALUATIONS, gait_trace
+from surefoot.studies.study_figures import gap_figure, group_figure, learning_curves
 from surefoot.tables import markdown
 
 _BARS = ("nominal_speed", "table1_falls", "sensitivity_mean", "sensitivity_std", "gap", "gap_balanced")

@@ -10,8 +10,8 @@ import pytest
 
 from surefoot.errors import SurefootError
 from surefoot.robot import RobotDescription
+from surefoot.studies.raibert import OBSERVATIONS, RaibertConfig, RaibertController
 from surefoot.task.foot import FootReference
-from surefoot.task.raibert import OBSERVATIONS, RaibertConfig, RaibertController
 from surefoot.task.reference import make_reference
 
 ROBOT = RobotDescription.load("minitaur")

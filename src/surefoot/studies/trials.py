@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from surefoot.evaluate.evaluations import Result
 from surefoot.evaluate.runs import Runs
 from surefoot.evaluate.statistics import Interval, t_interval
+from surefoot.studies.evaluations import Result
 from surefoot.tables import plain_value
 
 

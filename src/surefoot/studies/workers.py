@@ -20,12 +20,12 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 from surefoot.errors import SurefootError, accessible
-from surefoot.learn.training import Training
+from surefoot.studies.training import Training
 
 if TYPE_CHECKING:
-    from surefoot.evaluate.evaluations import FindWorld
     from surefoot.learn.run import TrainingRun
     from surefoot.learn.run_folder import RunFolder
+    from surefoot.studies.evaluations import FindWorld
 
 PATIENCE = 120.0
 """How long [s] a worker waits for another process to leave a folder: one that lost its parent may need an update."""

@@ -15,11 +15,11 @@ import pytest
 pytest.importorskip("gymnasium")
 
 from surefoot.errors import SurefootError
-from surefoot.evaluate import evaluations
-from surefoot.evaluate.evaluations import EVALUATIONS, evaluate, evaluation_names, gap_of, made_once, stored_result
 from surefoot.evaluate.runs import Runs
+from surefoot.robot.randomization import load_ranges
+from surefoot.studies import evaluations
+from surefoot.studies.evaluations import EVALUATIONS, evaluate, evaluation_names, gap_of, made_once, stored_result
 from surefoot.task.config import TaskConfig, load_task
-from surefoot.task.randomize import load_ranges
 from surefoot.task.trace import EpisodeTrace
 
 POLICY: Any = SimpleNamespace(contract=SimpleNamespace(name="walker"))

@@ -26,9 +26,9 @@ from surefoot.evaluate.sensitivity import Sensitivity, run_sensitivity
 from surefoot.files import whole_file
 from surefoot.policy.runtime import PolicyRuntime
 from surefoot.robot import RobotDescription
+from surefoot.robot.randomization import load_ranges
 from surefoot.tables import plain_value
 from surefoot.task.config import TaskConfig
-from surefoot.task.randomize import load_ranges
 from surefoot.task.trace import EpisodeTrace
 from surefoot.world.interface import SimulationFactory
 

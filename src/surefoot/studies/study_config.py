@@ -11,9 +11,9 @@ from typing import Annotated, Any
 from surefoot.configuration import Seed, Within, check_bounds, from_mapping, read_yaml
 from surefoot.errors import SurefootError, check_name, choices, located
 from surefoot.learn.config import TrainConfig
-from surefoot.learn.training import Training, base_config
+from surefoot.robot.randomization import with_ranges
+from surefoot.studies.training import Training, base_config
 from surefoot.task.config import preset_names
-from surefoot.task.randomize import with_ranges
 
 
 @dataclass(frozen=True)

@@ -22,13 +22,13 @@ from surefoot.evaluate.footfalls import FEET
 from surefoot.evaluate.rollout import run_to_end
 from surefoot.robot import DEFAULT_ROBOT, GRAVITY, RobotDescription
 from surefoot.seeding import generator
+from surefoot.studies.handcrafted import HandcraftedGait, OpenLoop
+from surefoot.studies.raibert import HISTORY, OBSERVATIONS, RaibertConfig, RaibertController
 from surefoot.task.config import FeedbackConfig, FootConfig, ReferenceConfig, TaskConfig
 from surefoot.task.env import LocomotionEnv
 from surefoot.task.foot import FootReference
 from surefoot.task.gait import HybridGait
-from surefoot.task.handcrafted import HandcraftedGait, OpenLoop
 from surefoot.task.observation import IMU_4D
-from surefoot.task.raibert import HISTORY, OBSERVATIONS, RaibertConfig, RaibertController
 from surefoot.task.reference import make_reference
 from surefoot.world.interface import SimulationFactory
 

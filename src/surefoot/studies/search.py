@@ -20,10 +20,10 @@ from surefoot.configuration import Seed, from_mapping, read_yaml, write_yaml
 from surefoot.errors import SurefootError, accessible, located
 from surefoot.files import whole_file
 from surefoot.learn.config import Steps, TrainConfig
-from surefoot.learn.search_space import Dimension, as_params, load_space, put, suggest
-from surefoot.learn.training import Training, base_config, difference
-from surefoot.learn.workers import Told
 from surefoot.seeding import generator
+from surefoot.studies.search_space import Dimension, as_params, load_space, put, suggest
+from surefoot.studies.training import Training, base_config, difference
+from surefoot.studies.workers import Told
 
 EVALUATIONS = 10
 """Evaluations of a trial, evenly spread; pruning compares trials at each."""

@@ -15,9 +15,9 @@ import pytest
 pytest.importorskip("matplotlib")
 
 from surefoot.evaluate.runs import Runs
-from surefoot.evaluate.trials import Retest, SearchResult, TrialResult, best
-from surefoot.report.paper import Counts, Source, find_counts, find_number, load_content
-from surefoot.report.search_report import write_report
+from surefoot.studies.paper import Counts, Source, find_counts, find_number, load_content
+from surefoot.studies.search_report import write_report
+from surefoot.studies.trials import Retest, SearchResult, TrialResult, best
 from surefoot.task.trace import EpisodeTrace
 
 

@@ -13,10 +13,10 @@ import pytest
 
 pytest.importorskip("matplotlib")
 
-from surefoot.evaluate.comparison import Comparison, Curve, GroupResult, SeedResult, study_tables
 from surefoot.evaluate.sensitivity import make_test_worlds
-from surefoot.report.study_report import write_report
-from surefoot.task.randomize import RandomizeConfig
+from surefoot.robot.randomization import RandomizeConfig
+from surefoot.studies.comparison import Comparison, Curve, GroupResult, SeedResult, study_tables
+from surefoot.studies.study_report import write_report
 from surefoot.task.trace import EpisodeTrace
 
 MakeRun = Callable[..., EpisodeTrace]
