@@ -10,15 +10,15 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from surefoot.cli.options import Repeated, Settings, check_suffix
-from surefoot.cli.parsing import parse
+from surefoot.cli.helpers.options import Repeated, Settings, check_suffix
+from surefoot.cli.helpers.parsing import parse
 from surefoot.configuration import Seed, Within
 from surefoot.errors import SurefootError
 from surefoot.robot import DEFAULT_ROBOT, PhysicalParams, RobotDescription
 from surefoot.robot.params_file import given_params, write_params
 
 if TYPE_CHECKING:
-    from surefoot.cli.viewer import EmulateViewer
+    from surefoot.cli.helpers.viewer import EmulateViewer
     from surefoot.emulator.board import Board
     from surefoot.emulator.faults import Fault
 
@@ -167,7 +167,7 @@ def _run(command: EmulateCommand, board: Board, faults: dict[str, Fault]) -> int
             if command.motion_capture is not None:
                 onlookers.append(MotionCapture(command.motion_capture, board.plant, later=not command.lockstep))
             if command.viewer:
-                from surefoot.cli.viewer import EmulateViewer
+                from surefoot.cli.helpers.viewer import EmulateViewer
 
                 onlookers.append(EmulateViewer(command.robot, board.plant))
             board.on_step = [onlooker.see for onlooker in onlookers]
