@@ -76,7 +76,7 @@ class EmulatorHere:
 
     def __init__(self, *words: object) -> None:
         from surefoot.cli.emulate import EmulateCommand, make_loop
-        from surefoot.cli.parsing import parse
+        from surefoot.cli.helpers.parsing import parse
         from surefoot.emulator.faults import parse_faults
         from surefoot.emulator.real_time import Summary
         from surefoot.emulator.serial.pty_port import PtyPort

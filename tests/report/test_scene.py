@@ -12,8 +12,8 @@ import pytest
 pytest.importorskip("PIL.Image")
 
 from surefoot.errors import SurefootError
-from surefoot.report.drawing import Camera, Mesh, View
-from surefoot.report.scene import extent, poses, scene, trace_poses
+from surefoot.report.drawing.renderer import Camera, Mesh, View
+from surefoot.report.drawing.scene import extent, poses, scene, trace_poses
 from surefoot.robot import RobotDescription
 from surefoot.task.trace import EpisodeTrace
 
@@ -132,7 +132,7 @@ def test_readings_are_drawn_where_the_truth_is_not_known(trace: EpisodeTrace):
 
 def test_the_viewer_puts_every_body_where_the_poses_say(trace: EpisodeTrace):
     mujoco = pytest.importorskip("mujoco")
-    from surefoot.cli.viewer import build_stage, set_stage
+    from surefoot.cli.helpers.viewer import build_stage, set_stage
 
     shapes, found = scene(ROBOT), trace_poses(ROBOT, trace)
     model = build_stage(shapes)

@@ -10,15 +10,15 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from surefoot.cli.options import Repeated, Settings, check_suffix
-from surefoot.cli.parsing import parse
+from surefoot.cli.helpers.options import Repeated, Settings, check_suffix
+from surefoot.cli.helpers.parsing import parse
 from surefoot.configuration import Seed, Within
 from surefoot.errors import SurefootError
 from surefoot.robot import DEFAULT_ROBOT, PhysicalParams, RobotDescription
 from surefoot.robot.params_file import given_params, write_params
 
 if TYPE_CHECKING:
-    from surefoot.cli.viewer import EmulateViewer
+    from surefoot.cli.helpers.viewer import EmulateViewer
     from surefoot.emulator.faults import InjectedFault
     from surefoot.emulator.real_time import RealTime, Summary
     from surefoot.emulator.serial.lockstep import Lockstep
@@ -85,7 +85,7 @@ def main(argv: list[str]) -> int:
         return 0
     _check(command)
     from surefoot.emulator.faults import parse_faults
-    from surefoot.evaluate.worlds import find_world
+    from surefoot.world.registry import check_takes_params
 
     robot = RobotDescription.load(command.robot)
     faults = parse_faults(words, command.lockstep, robot.num_motors)
@@ -97,7 +97,7 @@ def main(argv: list[str]) -> int:
         servo_every = round(period / step)
         if servo_every < 1 or abs(period / step - servo_every) > 1e-6:
             raise SurefootError(f"fault slow-servo is {period:g}; it must be whole servo steps of {step:g} s")
-    find_world(command.world)
+    check_takes_params(command.world)
     if command.viewer:
         from surefoot.cli.play import has_display
 
@@ -123,7 +123,7 @@ def _check(command: EmulateCommand) -> None:
 def _params(command: EmulateCommand, robot: RobotDescription) -> PhysicalParams:
     if command.hidden_seed is None:
         return given_params(robot, command.params, command.settings)
-    from surefoot.task.randomize import draw_hidden, load_ranges
+    from surefoot.robot.randomization import draw_hidden, load_ranges
 
     params = draw_hidden(robot, load_ranges(command.hidden_ranges, robot=robot.folder).ranges, command.hidden_seed)
     if command.hidden_out is not None:
@@ -149,12 +149,10 @@ def make_loop(
     from surefoot.emulator.real_time import RealTime
     from surefoot.emulator.serial.lockstep import PATIENCE, Lockstep
     from surefoot.emulator.serial.serial_host_link import SerialHostLink
-    from surefoot.world.engines import engine_of
 
-    engine = engine_of(command.world)
     sensors, power = (SensorConfig.ideal(), PowerConfig.ideal()) if command.ideal_sensors else (None, None)
     params = _params(command, robot)
-    plant = Plant(robot, params, command.seed, sensors, power, command.rack, engine, servo_every=servo_every)
+    plant = Plant(robot, params, command.seed, sensors, power, command.rack, command.world, servo_every=servo_every)
     limits = Limits.of(robot)
     handshake = introduction(robot, limits, f"surefoot emulator {__version__}", robot.timing.servo_step)
     if command.lockstep:
@@ -186,7 +184,7 @@ def _run(command: EmulateCommand, robot: RobotDescription, faults: dict[str, Inj
             if command.motion_capture is not None:
                 observers.append(MotionCapture(command.motion_capture, board.plant, later=not command.lockstep))
             if command.viewer:
-                from surefoot.cli.viewer import EmulateViewer
+                from surefoot.cli.helpers.viewer import EmulateViewer
 
                 observers.append(EmulateViewer(command.robot, board.plant))
             board.on_step = [observer.see for observer in observers]
