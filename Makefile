@@ -5,6 +5,7 @@ VENV   := .venv
 BIN    := $(VENV)/bin
 READY  := $(VENV)/.ready
 DOCS   := $(VENV)/.ready-docs
+BROWSER := $(VENV)/.browser
 CODE   := src tests examples benchmarks docs
 
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
@@ -45,7 +46,12 @@ setup: $(READY) ## Make .venv with everything for training, reports and tests
 demo: $(READY) ## Run the demonstration
 	@$(BIN)/python examples/demo.py $(ARGS)
 
-test: lint ## Check style and types, then run the tests (ARGS="-k gait" for some)
+# Tried once: without a browser, pytest's summary says which tests are left out.
+$(BROWSER): $(READY)
+	@$(BIN)/python tests/chromium.py
+	@touch $(BROWSER)
+
+test: lint $(BROWSER) ## Check style and types, then run the tests (ARGS="-k gait" for some)
 	@$(BIN)/python -m pytest -n auto --maxprocesses 4 --dist loadfile --no-loadscope-reorder $(ARGS)
 
 lint: $(READY) ## Check style and types

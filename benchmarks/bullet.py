@@ -23,15 +23,14 @@ from typing import Any, cast
 import numpy as np
 from rounds import measure, median_ratio
 
-from surefoot.cli.policies import find_policy
+from surefoot.cli.helpers.policies import find_policy
 from surefoot.evaluate.rollout import task_from_contract
 from surefoot.policy.runtime import PolicyRuntime
 from surefoot.robot import PhysicalParams
 from surefoot.task.env import LocomotionEnv
 from surefoot.world.bullet_model import import_pybullet
 from surefoot.world.interface import Simulation, SimulationFactory, WorldConfig
-from surefoot.world.process_world import bullet_world
-from surefoot.world.sim_world import SimWorld
+from surefoot.world.registry import find_world
 
 
 class Bench:
@@ -40,15 +39,16 @@ class Bench:
     def __init__(self, num_envs: int, steps: int, processes: int) -> None:
         self.num_envs, self.steps = num_envs, steps
         self.policy = PolicyRuntime.load(find_policy("gallop"))
-        self.bullet_targets = self._targets(bullet_world)
-        self.mujoco_targets = self._targets(SimWorld)
-        self.one_world = self._make(bullet_world, 1)
-        self.all_world = self._make(bullet_world, processes)
-        self.mujoco_one = self._make(SimWorld, 1)
-        self.mujoco_all = self._make(SimWorld, processes)
+        mujoco, bullet = find_world("mujoco"), find_world("bullet")
+        self.bullet_targets = self._targets(bullet)
+        self.mujoco_targets = self._targets(mujoco)
+        self.one_world = self._make(bullet, 1)
+        self.all_world = self._make(bullet, processes)
+        self.mujoco_one = self._make(mujoco, 1)
+        self.mujoco_all = self._make(mujoco, processes)
         self.servo_steps = round(self.policy.contract.control_step / self.robot.timing.servo_step)
         self.torques, self.final = self._record_torques()
-        self.bare_world = self._make(bullet_world, 1)
+        self.bare_world = self._make(bullet, 1)
 
     def _targets(self, make_world: SimulationFactory) -> np.ndarray:
         """Motor angles (steps, N, M) that the policy commands in a world."""
@@ -68,7 +68,7 @@ class Bench:
 
     def _record_torques(self) -> tuple[np.ndarray, np.ndarray]:
         """Joint torques (control steps x servo steps, N, M) of the Bullet world, and where its robots end."""
-        world: Any = self._make(bullet_world, 1)
+        world: Any = self._make(find_world("bullet"), 1)
         world.params.control_step[:] = self.robot.timing.servo_step
         torques = []
         for target in self.bullet_targets:

@@ -20,19 +20,19 @@ from typing import Annotated, Any
 import numpy as np
 import tyro
 
-from surefoot.cli.policies import adjust_task, find_policy, load_gait
+from surefoot.cli.helpers.policies import adjust_task, find_policy, load_gait
 from surefoot.evaluate.footfalls import analyze_footfalls
 from surefoot.evaluate.rollout import Policy, run_episodes
 from surefoot.evaluate.runs import Runs
 from surefoot.evaluate.statistics import t_interval
-from surefoot.evaluate.worlds import find_world
-from surefoot.report.figures import footfall_diagram
-from surefoot.report.style import COLORS, MARKERS, new_figure
+from surefoot.report.figures.runs import footfall_diagram
+from surefoot.report.figures.style import COLORS, MARKERS, new_figure
 from surefoot.robot import GRAVITY, RobotDescription
+from surefoot.robot.randomization import load_ranges
+from surefoot.studies.handcrafted import HandcraftedGait
 from surefoot.tables import markdown, print_table, write_csv
 from surefoot.task.config import TaskConfig
-from surefoot.task.handcrafted import HandcraftedGait
-from surefoot.task.randomize import load_ranges
+from surefoot.world.registry import find_world
 
 SHIPPED = ("trot", "trot-robust", "gallop", "gallop-robust")
 CONDITIONS = {"mujoco": ("mujoco", "none"), "table1": ("mujoco", "table1"), "bullet": ("bullet", "none")}

@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 
 from surefoot.actuator.motor import motor_torque
-from surefoot.deploy.connection import open_connection
+from surefoot.deploy.links import open_link
 from surefoot.deploy.loop import Watch
 from surefoot.identify.experiment_runner import PERIOD, run_plan
 from surefoot.identify.recording import COMPLETE
@@ -62,10 +62,10 @@ def one_draw(robot: RobotDescription, world: str, seed: int) -> dict[str, Any]:
             )  # fmt: skip
             try:
                 port = process.stdout.readline().split()[-1] if process.stdout is not None else ""
-                connection = open_connection(port, robot.num_motors, lockstep=True)
-                connection.connect(state_period=PERIOD)
-                recording = run_plan(connection, experiment.plan(robot), robot, Watch())
-                connection.close()
+                link = open_link(port, robot.num_motors, lockstep=True)
+                link.connect(state_period=PERIOD)
+                recording = run_plan(link, experiment.plan(robot), robot, Watch())
+                link.close()
             finally:
                 process.send_signal(signal.SIGINT)
                 process.wait()

@@ -19,11 +19,11 @@ from dataclasses import asdict, dataclass, field
 import numpy as np
 
 from surefoot.deploy.clock import MonotonicClock
-from surefoot.deploy.messages import Arm, Damp, Message, Ping, Position, Pwm, State
+from surefoot.deploy.messages import Arm, Damp, Message, Packet, Ping, Position, Pwm, State
 from surefoot.deploy.serial.codec import Codec
-from surefoot.deploy.serial.frames import MAX_FRAME, Decoder, Frame, encode_frame
+from surefoot.deploy.serial.frames import MAX_FRAME, Decoder, encode_frame
 from surefoot.deploy.serial.port import SerialPort
-from surefoot.deploy.serial.serial_link import Link
+from surefoot.deploy.serial.serial_link import SerialLink
 
 BLOCK = 1000
 """Frames that are sent, carried and compared at a time."""
@@ -150,9 +150,9 @@ class Listener(Decoder):
 
     def __init__(self) -> None:
         super().__init__(CODEC)
-        self.heard: list[Frame] = []
+        self.heard: list[Packet] = []
 
-    def feed(self, data: bytes) -> list[Frame]:
+    def feed(self, data: bytes) -> list[Packet]:
         found = super().feed(data)
         self.heard += found
         return found
@@ -213,7 +213,7 @@ def soak(count: int, seed: int) -> Result:
     pool = traffic(rng, 512)
     payloads = [CODEC.pack(message) for message in pool]
     line, tape, listener = BadLine(rng), Tape(rng), Listener()
-    link = Link(tape, CODEC, MonotonicClock())
+    link = SerialLink(tape, CODEC, MonotonicClock())
     link.decoder = listener
     before: dict[bytes, int] = {}
     rest, last = b"", 0
@@ -251,13 +251,13 @@ def soak(count: int, seed: int) -> Result:
             extra, missing = Counter(heard) - Counter(whole), Counter(whole) - Counter(heard)
             result.wrong += extra.total() if extra or missing else 1  # all there, but in another order
             result.lost += missing.total()
-        numbers_taken = [arrival.frame.sequence for arrival in arrivals]
+        numbers_taken = [arrival.packet.sequence for arrival in arrivals]
         result.taken += len(numbers_taken)
         result.wrongly_taken += (Counter(numbers_taken) - Counter(taken)).total()
         result.wrongly_dropped += (Counter(taken) - Counter(numbers_taken)).total()
         before = sent
-    result.frames, result.fates, result.repeated = count, dict(line.fates), link.counts.repeated
-    counts = listener.counts
+    result.frames, result.fates, result.repeated = count, dict(line.fates), link.statistics.repeated
+    counts = listener.statistics
     result.damaged_pieces, result.foreign_pieces, result.unknown_pieces = counts.damaged, counts.foreign, counts.unknown
     result.seconds = time.perf_counter() - start
     return result

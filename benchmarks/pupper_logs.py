@@ -11,13 +11,12 @@ from pathlib import Path
 
 import numpy as np
 
-from surefoot.identify.log_errors import replay_log
-from surefoot.identify.log_fit import fit_logs
-from surefoot.identify.log_model import RULES, LogRun
+from surefoot.identify.logs.errors import replay_log
+from surefoot.identify.logs.fit import fit_logs
+from surefoot.identify.logs.model import RULES, LogRun
+from surefoot.identify.logs.robot_log import read_log
 from surefoot.identify.replay import Replayer
-from surefoot.identify.robot_log import read_log
 from surefoot.robot import PhysicalParams, RobotDescription
-from surefoot.world.engines import engine_of
 
 DATA = Path(__file__).parents[1] / "data" / "pupper_v2"
 RACKED = ("one_hip_200hz",)
@@ -51,7 +50,7 @@ def main() -> None:
             found = fit_logs(robot, [run for name, run in runs.items() if name != held], [], names, known)
             params = found.params(robot, known)
             for world in ("mujoco", "bullet")[: 1 + given.bullet]:
-                replayer = Replayer(robot, 1, runs[held].rack, engine_of(world), torques=False)
+                replayer = Replayer(robot, 1, runs[held].rack, world, torques=False)
                 error = replay_log(logs[held], robot, params.rows(np.zeros(1, np.int64)), replayer).rms
                 told.append(f"{held} {world} {error:.4f} (1/{PUBLISHED[held] / error:.1f})")
         print(f"{what:<36} {'   '.join(told)}", flush=True)

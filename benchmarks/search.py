@@ -21,12 +21,12 @@ from pathlib import Path
 
 from rounds import measure, ratio_quartiles
 
-from surefoot.evaluate.worlds import find_world
 from surefoot.learn.export import export_run
 from surefoot.learn.run import TrainingRun
 from surefoot.learn.run_folder import RunFolder
-from surefoot.learn.training import Training, base_config
-from surefoot.learn.workers import ray_cluster, run_trainings
+from surefoot.studies.training import Training, base_config
+from surefoot.studies.workers import ray_cluster, run_trainings
+from surefoot.world.registry import find_world
 from surefoot.world.sim_world import SimWorld
 
 

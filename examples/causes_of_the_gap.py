@@ -20,13 +20,13 @@ from typing import Annotated, Any, cast
 import numpy as np
 import tyro
 
-from surefoot.cli.policies import find_policy, load_policy
+from surefoot.cli.helpers.policies import find_policy, load_policy
 from surefoot.evaluate.gap import away_task
 from surefoot.evaluate.rollout import run_episodes
 from surefoot.evaluate.runs import Runs
-from surefoot.evaluate.worlds import find_world
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.world.interface import SimulationFactory, WorldConfig
+from surefoot.world.registry import find_world
 
 FOOT_RADIUS = 0.02  # m, in place of .0085
 

@@ -28,12 +28,11 @@ from matplotlib.figure import Figure
 
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.rotations import xyzw_matrix
-from surefoot.world.bullet_engine import BulletEngine
 from surefoot.world.bullet_model import import_pybullet
 from surefoot.world.interface import WorldConfig
-from surefoot.world.sim_world import EngineFactory, SimWorld, mujoco_engine
+from surefoot.world.sim_world import SimWorld
 
-ENGINES: dict[str, EngineFactory] = {"MuJoCo": mujoco_engine, "Bullet": BulletEngine}
+ENGINES = {"MuJoCo": "mujoco", "Bullet": "bullet"}
 COLOURS = {"MuJoCo": "#1f6f8b", "Bullet": "#d1495b", "asked": "#555555"}
 MotorPath = Callable[[float], np.ndarray]
 

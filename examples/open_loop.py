@@ -15,10 +15,10 @@ import tyro
 from surefoot.evaluate.gap import away_task
 from surefoot.evaluate.rollout import run_episodes
 from surefoot.evaluate.runs import Runs
-from surefoot.evaluate.worlds import WORLDS, find_world
 from surefoot.robot import RobotDescription
+from surefoot.studies.handcrafted import OpenLoop
 from surefoot.task.config import load_task
-from surefoot.task.handcrafted import OpenLoop
+from surefoot.world.registry import WORLDS, find_world
 
 
 @dataclass(frozen=True)

@@ -1,8 +1,15 @@
-"""A real browser: Chromium of the system's packages, without a window; tests that need one are skipped without it."""
+"""Chromium without a window: the system's, or one that Playwright has fetched. Without it, tests of pages are skipped.
+
+`python tests/chromium.py` has Playwright fetch one, if there is none.
+"""
 
 from __future__ import annotations
 
+import contextlib
+import os
 import shutil
+import subprocess
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -13,8 +20,30 @@ import pytest
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
 
-CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
-in_browser = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this computer; the page is not tried in one")
+INSTALL = (sys.executable, "-m", "playwright", "install", "chromium")
+_FETCH_TIMEOUT = 300
+"""Longest time [s] of a download."""
+
+
+def find_chromium() -> str | None:
+    """Return the path of a Chromium that runs; None if there is none."""
+    for name in ("chromium", "chromium-browser", "google-chrome"):
+        if path := shutil.which(name):
+            return path
+    with contextlib.suppress(ImportError, OSError, subprocess.SubprocessError):
+        from playwright.sync_api import sync_playwright
+
+        with sync_playwright() as playwright:
+            path = playwright.chromium.executable_path
+        # One that lacks libraries of the system does not even print its version.
+        subprocess.run([path, "--version"], check=True, capture_output=True, timeout=30)
+        return path
+    return None
+
+
+CHROMIUM = find_chromium()
+NO_CHROMIUM = "no Chromium on this computer"
+in_browser = pytest.mark.skipif(CHROMIUM is None, reason=NO_CHROMIUM)
 
 
 @contextmanager
@@ -22,8 +51,8 @@ def running_browser(gives_way: Path | None = None) -> Iterator[Browser]:
     """Start Chromium, and end it.
 
     Args:
-        gives_way: folder for a script that starts it with low priority, where a control loop runs beside it: it draws
-            with the processor here.
+        gives_way: folder for a script that starts it with low priority, for tests with a control loop beside it:
+            Chromium draws in software.
     """
     from playwright.sync_api import sync_playwright
 
@@ -41,11 +70,11 @@ def running_browser(gives_way: Path | None = None) -> Iterator[Browser]:
 
 
 def errors_of(page: Page) -> list[str]:
-    """Return a list that gets what goes wrong in a tab from now on."""
-    wrong: list[str] = []
-    page.on("pageerror", lambda error: wrong.append(str(error)))
-    page.on("console", lambda said: wrong.append(said.text) if said.type == "error" else None)
-    return wrong
+    """Return a list that collects the errors of a tab from now on."""
+    errors: list[str] = []
+    page.on("pageerror", lambda error: errors.append(str(error)))
+    page.on("console", lambda message: errors.append(message.text) if message.type == "error" else None)
+    return errors
 
 
 def hold_stick(page: Page, forward: float, left: float) -> None:
@@ -57,3 +86,19 @@ def hold_stick(page: Page, forward: float, left: float) -> None:
     page.mouse.move(x, y)
     page.mouse.down()
     page.mouse.move(x - left * box["width"], y - forward * box["height"])
+
+
+def main() -> None:
+    """Fetch a Chromium, if there is none and its server can be reached."""
+    if CHROMIUM is not None:
+        return
+    print("surefoot: fetching Chromium for the tests of pages, once", flush=True)
+    environment = os.environ | {"PLAYWRIGHT_DOWNLOAD_CONNECTION_TIMEOUT": "5000"}  # [ms]
+    with contextlib.suppress(OSError, subprocess.SubprocessError):
+        subprocess.run(INSTALL, capture_output=True, timeout=_FETCH_TIMEOUT, env=environment)
+    if find_chromium() is None:
+        print("surefoot: no Chromium could be fetched; tests of pages are left out")
+
+
+if __name__ == "__main__":
+    main()

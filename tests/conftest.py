@@ -15,12 +15,14 @@ from _pytest.runner import runtestprotocol
 from hypothesis import settings
 from processes import BUSY, Emulator, TooBusyError, Watchman, emulators
 
-from surefoot.report import style
+from surefoot.report.figures import style
 from surefoot.robot import RobotDescription
 from surefoot.task.trace import EpisodeTrace
 
 if TYPE_CHECKING:
-    from surefoot.evaluate.comparison import Comparison
+    from _pytest.terminal import TerminalReporter
+
+    from surefoot.studies.comparison import Comparison
 
 os.environ.setdefault("MPLBACKEND", "Agg")
 
@@ -37,6 +39,21 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """
     slow, realtime = ({item.path for item in items if item.get_closest_marker(name)} for name in ("slow", "realtime"))
     items.sort(key=lambda item: (item.path in realtime, item.path not in slow))
+
+
+@pytest.hookimpl(wrapper=True, tryfirst=True)
+def pytest_terminal_summary(terminalreporter: TerminalReporter) -> Generator[None]:
+    """Say which tests were left out for want of a browser, and how to install one."""
+    from chromium import INSTALL, NO_CHROMIUM
+
+    yield
+    skipped = [report for report in terminalreporter.stats.get("skipped", []) if NO_CHROMIUM in str(report.longrepr)]
+    if skipped:
+        python = os.path.relpath(INSTALL[0])
+        command = " ".join([python if not python.startswith("..") else INSTALL[0], *INSTALL[1:]])
+        terminalreporter.write_line(
+            f"surefoot: {len(skipped)} tests of pages were left out: {NO_CHROMIUM}. This installs it: {command}"
+        )
 
 
 @pytest.hookimpl(wrapper=True, tryfirst=True)
@@ -160,8 +177,8 @@ def gap_comparison() -> Callable[..., Comparison]:
     Gaps of group a's policies are 1 m, 1.1 m, ...; b's policies have none and go three metres; c's fall at home.
     """
     pytest.importorskip("gymnasium")
-    from surefoot.evaluate.comparison import Comparison, Curve, GroupResult, SeedResult
     from surefoot.evaluate.runs import Runs
+    from surefoot.studies.comparison import Comparison, Curve, GroupResult, SeedResult
 
     steady, at = (True, True, True), np.arange(1, 11) * 1e5
     curve = Curve(at, at * 1e-6, at * 1e-7, np.zeros(10), np.ones(10))

@@ -24,7 +24,7 @@ import numpy as np
 from processes import SUREFOOT, EmulatorHere
 
 from surefoot.cli.main import main
-from surefoot.deploy.connection import open_connection
+from surefoot.deploy.links import open_link
 from surefoot.deploy.messages import (
     Arm,
     Bye,
@@ -35,6 +35,7 @@ from surefoot.deploy.messages import (
     Hello,
     Message,
     Mode,
+    Packet,
     Ping,
     Pong,
     Position,
@@ -43,7 +44,7 @@ from surefoot.deploy.messages import (
 )
 from surefoot.deploy.motion import UP
 from surefoot.deploy.serial.codec import Codec
-from surefoot.deploy.serial.frames import Decoder, Frame, encode_frame
+from surefoot.deploy.serial.frames import Decoder, encode_frame
 from surefoot.errors import SurefootError
 from surefoot.policy.runtime import PolicyRuntime
 from surefoot.task.trace import EpisodeTrace
@@ -66,18 +67,18 @@ RUNNING = QUICK_UP + 0.3
 class Record:
     """What went over a cable."""
 
-    said: list[Frame] = field(default_factory=list)
+    said: list[Packet] = field(default_factory=list)
     """Frames of the host, oldest first."""
-    told: list[Frame] = field(default_factory=list)
+    told: list[Packet] = field(default_factory=list)
     """Frames of the robot."""
     armed: float | None = None
     """When the host asked to arm first [s], on its own clock."""
 
-    def of_host(self, kind: type[Message], since: float = -1.0) -> list[Frame]:
+    def of_host(self, kind: type[Message], since: float = -1.0) -> list[Packet]:
         """The host's frames of a kind, from a time [s] of its clock on."""
         return [frame for frame in self.said if isinstance(frame.message, kind) and frame.time >= since]
 
-    def of_robot(self, kind: type[Message], since: float = -1.0) -> list[Frame]:
+    def of_robot(self, kind: type[Message], since: float = -1.0) -> list[Packet]:
         """The robot's frames of a kind, from a time [s] of its clock on."""
         return [frame for frame in self.told if isinstance(frame.message, kind) and frame.time >= since]
 
@@ -98,7 +99,7 @@ class Record:
         return self.of_robot(Handshake)[0].time - self.of_host(Hello)[0].time
 
 
-def reasons(frames: list[Frame]) -> list[Reason]:
+def reasons(frames: list[Packet]) -> list[Reason]:
     """What a robot complained about."""
     return [Reason(frame.message.reason) for frame in frames if isinstance(frame.message, Fault)]
 
@@ -168,7 +169,7 @@ class Cable:
                 if not self.silent:
                     _write(self._host, data)
 
-    def _hear(self, frames: list[Frame]) -> None:
+    def _hear(self, frames: list[Packet]) -> None:
         record = self.record
         if frames and not record.said:
             _write(self._host, self._chatter)
@@ -295,7 +296,7 @@ class Client:
         self.session, self.now, self.number = session, 0.0, 0
         self.last = 0
         """Number of the last message besides pings: those the robot does not count."""
-        self.told: list[Frame] = []
+        self.told: list[Packet] = []
         self._decoder = Decoder(CODEC)
 
     def send(self, message: Message, number: int | None = None, at: float | None = None) -> None:
@@ -306,7 +307,7 @@ class Client:
                 self.last = number
         os.write(self.file, encode_frame(CODEC, message, number, self.now if at is None else at))
 
-    def pass_time(self, seconds: float) -> list[Frame]:
+    def pass_time(self, seconds: float) -> list[Packet]:
         """Let time go on, without a word before its end; what the robot has said until then."""
         self.now += seconds
         before, token = len(self.told), 1 + len(self.told)
@@ -319,7 +320,7 @@ class Client:
                 return self.told[before:]
         raise AssertionError("the robot does not answer")
 
-    def talk(self, seconds: float) -> list[Frame]:
+    def talk(self, seconds: float) -> list[Packet]:
         """Let time go on, with a word now and then: a clean link."""
         return [frame for _ in range(round(seconds / 0.02)) for frame in self.pass_time(0.02)]
 
@@ -440,7 +441,7 @@ def play(scenario: Scenario, folder: Path, policies: Path) -> Ended:
 
     def come_second() -> None:
         try:
-            open_connection(cable.path, 8, lockstep=True)
+            open_link(cable.path, 8, lockstep=True)
         except SurefootError as error:
             refusals.append(str(error))
         _signal(signal.SIGINT)

@@ -76,7 +76,7 @@ class EmulatorHere:
 
     def __init__(self, *words: object) -> None:
         from surefoot.cli.emulate import EmulateCommand, _build
-        from surefoot.cli.parsing import parse
+        from surefoot.cli.helpers.parsing import parse
         from surefoot.emulator.faults import parse_faults
         from surefoot.emulator.process import Lockstep, RealTime, Summary
         from surefoot.emulator.pty_port import PtyPort

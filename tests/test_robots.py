@@ -22,10 +22,10 @@ from surefoot.learn.config import load_train_config  # noqa: E402
 from surefoot.learn.export import export_trainer  # noqa: E402
 from surefoot.learn.trainer import Trainer  # noqa: E402
 from surefoot.robot import PhysicalParams, RobotDescription  # noqa: E402
-from surefoot.task.randomize import draw_hidden, load_ranges  # noqa: E402
+from surefoot.robot.randomization import draw_hidden, load_ranges  # noqa: E402
 from surefoot.world.interface import WorldConfig  # noqa: E402
 from surefoot.world.mujoco_model import build_model  # noqa: E402
-from surefoot.world.sim_world import SimWorld, mujoco_engine  # noqa: E402
+from surefoot.world.sim_world import SimWorld  # noqa: E402
 
 
 @pytest.fixture(scope="module", params=RobotDescription.available())
@@ -50,10 +50,8 @@ def test_leg_space_goes_to_motors_and_back(robot: RobotDescription, rng: np.rand
 
 def test_it_stands_alike_in_both_engines(robot: RobotDescription) -> None:
     pytest.importorskip("pybullet")
-    from surefoot.world.bullet_engine import BulletEngine
-
     stood = []
-    for world in (SimWorld(robot, 1, engine=engine) for engine in (mujoco_engine, BulletEngine)):
+    for world in (SimWorld(robot, 1, engine=engine) for engine in ("mujoco", "bullet")):
         for _ in range(round(0.5 / robot.timing.control_step)):
             world.step(world.resting_angles[None])
         truth = world.truth()

@@ -6,8 +6,9 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
+from surefoot.deploy.messages import Packet
 from surefoot.deploy.serial.codec import Codec
-from surefoot.deploy.serial.frames import Decoder, Frame
+from surefoot.deploy.serial.frames import Decoder
 
 DOCUMENT = Path(__file__).resolve().parents[1] / "docs" / "wire-protocol.md"
 TEXT = DOCUMENT.read_text(encoding="utf-8")
@@ -19,7 +20,7 @@ def part(name: str) -> str:
 
 
 @dataclass(frozen=True)
-class Example(Frame):
+class Example(Packet):
     """A frame of the document, with its bytes; every value is one that the numbers on the line tell exactly."""
 
     data: bytes

@@ -12,10 +12,10 @@ from processes import refused, surefoot
 pytest.importorskip("matplotlib")
 pytest.importorskip("mujoco")
 
-from surefoot.cli import paper_runs
 from surefoot.cli.evaluate import EvaluateCommand
-from surefoot.cli.paper_runs import Runs, Stage, command, evaluate
-from surefoot.cli.parsing import parse
+from surefoot.cli.helpers import paper_runs
+from surefoot.cli.helpers.paper_runs import Runs, Stage, command, evaluate
+from surefoot.cli.helpers.parsing import parse
 from surefoot.cli.search import SearchCommand
 from surefoot.cli.sensitivity import SensitivityCommand
 from surefoot.cli.study import StudyCommand
@@ -110,7 +110,7 @@ def test_a_command_that_fails_ends_the_runs_in_one_line(
 
 
 def test_every_file_that_the_page_reads_is_made_by_a_run_or_is_of_the_clone(repository: Path):
-    from surefoot.report.paper import load_content
+    from surefoot.studies.paper import load_content
 
     folders = {Path(stage.makes).parts[:2] for stage in paper_runs.STAGES}
     sections = load_content().sections

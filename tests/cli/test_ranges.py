@@ -10,9 +10,9 @@ import pytest
 import yaml
 from processes import surefoot
 
-from surefoot.cli.simulator import ranges_help, take_ranges
+from surefoot.cli.helpers.simulator import ranges_help, take_ranges
 from surefoot.errors import SurefootError
-from surefoot.task.randomize import ROWS, RandomizeConfig, load_ranges
+from surefoot.robot.randomization import ROWS, RandomizeConfig, load_ranges
 
 pytest.importorskip("torch")
 pytest.importorskip("mujoco")

@@ -64,7 +64,7 @@ def test_what_an_import_found_is_told_as_json(tmp_path: Path, capsys: pytest.Cap
     ("words", "said"),
     [
         (["--params", "nothing"], "params is 'nothing'; it must be a file (.toml), or a name; those of pupper_v2: id"),
-        (["--world", "newton"], "world is 'newton'; choices: mujoco, bullet"),
+        (["--world", "newton"], "world 'newton' does not exist; choices: mujoco, bullet"),
         (["--out", "figure.svg"], "out figure.svg: the name must end in .png"),
         (["--set", "mass=1"], "'mass' is not a physical parameter"),
     ],

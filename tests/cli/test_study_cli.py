@@ -15,8 +15,8 @@ from pathlib import Path
 import pytest
 from processes import SUREFOOT, refused, surefoot
 
-from surefoot.learn.training import Training
 from surefoot.policy.runtime import PolicyRuntime
+from surefoot.studies.training import Training
 from surefoot.task.trace import EpisodeTrace
 
 TINY = """
@@ -165,9 +165,10 @@ def test_a_study_of_the_reality_gap(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Training, runs in two worlds and the report; MuJoCo stands in for the other world."""
-    from surefoot.cli import study, study_results
+    from surefoot.cli import study
+    from surefoot.cli.helpers import study_results
     from surefoot.cli.main import main
-    from surefoot.learn.workers import Outcome, Worker
+    from surefoot.studies.workers import Outcome, Worker
     from surefoot.world.sim_world import SimWorld
 
     def train_here(title: str, trainings: list[Training], *_: object) -> Outcome:
@@ -232,7 +233,7 @@ def test_a_study_of_the_reality_gap(
 def test_a_world_that_there_is_not_is_refused_before_training(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from surefoot.cli import study_results
+    from surefoot.cli.helpers import study_results
     from surefoot.cli.main import main
 
     def find_world(name: str) -> object:

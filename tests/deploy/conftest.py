@@ -9,13 +9,12 @@ import numpy as np
 import pytest
 
 from surefoot.deploy.clock import LockstepClock
-from surefoot.deploy.connection import RobotConnection
 from surefoot.deploy.loop import Snapshot, Watch
 from surefoot.deploy.messages import Message, State
-from surefoot.deploy.robot_link import LinkLostError
+from surefoot.deploy.robot_link import LinkLostError, RobotLink
 from surefoot.deploy.serial.codec import Codec
 from surefoot.deploy.serial.frames import Decoder, encode_frame
-from surefoot.deploy.serial.serial_link import Link
+from surefoot.deploy.serial.serial_link import SerialLink
 from surefoot.emulator.firmware import Firmware, MotorOrder, Sensors, Vitals
 from surefoot.emulator.limits import Limits, introduction
 from surefoot.robot import RobotDescription
@@ -140,9 +139,9 @@ def toy(robot: RobotDescription) -> ToyRobot:
 
 
 @pytest.fixture
-def connection(toy: ToyRobot) -> RobotConnection:
+def link(toy: ToyRobot) -> RobotLink:
     clock = LockstepClock()
-    return RobotConnection(Link(toy, toy.codec, clock), clock, session=77)
+    return SerialLink(toy, toy.codec, clock, session=77)
 
 
 @pytest.fixture

@@ -8,7 +8,7 @@ import pytest
 
 from surefoot.deploy.clock import WINDOW, ClockSync, LockstepClock, MonotonicClock
 from surefoot.deploy.messages import Ping
-from surefoot.deploy.serial.serial_link import Link
+from surefoot.deploy.serial.serial_link import SerialLink
 from surefoot.errors import SurefootError
 
 
@@ -37,14 +37,14 @@ def test_time_in_lockstep_passes_only_while_waiting():
 
 def test_the_robot_is_pinged_through_to_the_moment(toy):
     clock = LockstepClock()
-    Link(toy, toy.codec, clock)
+    SerialLink(toy, toy.codec, clock)
     clock.wait_until(0.25)
     assert toy.heard == [(0.25, Ping(1))]
 
 
-def test_a_robot_that_does_not_follow_is_told_in_one_line():
+def test_a_robot_that_does_not_follow_is_told_in_one_line(toy, monkeypatch):
     clock = LockstepClock()
-    clock.ping_through = lambda patience: False
+    monkeypatch.setattr(SerialLink(toy, toy.codec, clock), "ping_through", lambda: False)
     with pytest.raises(SurefootError, match="emulator run with --lockstep"):
         clock.wait_until(0.1)
 

@@ -41,8 +41,8 @@ def test_a_simulated_episode_gets_the_same_targets(path, a_state):
     pytest.importorskip("mujoco")
     pytest.importorskip("gymnasium")
     from surefoot.evaluate.rollout import task_from_contract
+    from surefoot.robot.randomization import RandomizeConfig
     from surefoot.task.env import LocomotionEnv
-    from surefoot.task.randomize import RandomizeConfig
     from surefoot.world.sim_world import SimWorld
 
     policy = PolicyRuntime.load(path)

@@ -9,10 +9,10 @@ from pathlib import Path
 import pytest
 
 from surefoot.deploy.clock import LockstepClock
-from surefoot.deploy.connection import RobotConnection
 from surefoot.deploy.controller import Controller
 from surefoot.deploy.deployment import PUNCTUAL, TRIES, Deployment
 from surefoot.deploy.messages import Arm, Ping, Position
+from surefoot.deploy.robot_link import LEAD, RobotLink
 from surefoot.errors import SurefootError
 from surefoot.policy.runtime import PolicyRuntime
 from surefoot.robot import RobotDescription
@@ -48,17 +48,17 @@ def controller(repository: Path) -> Controller:
 
 
 @pytest.fixture
-def computer(connection: RobotConnection) -> Computer:
-    clock = connection.clock
+def computer(link: RobotLink) -> Computer:
+    clock = link.clock
     assert isinstance(clock, LockstepClock)
     computer = Computer(clock)
-    connection.clock = computer
+    link.clock, link.lockstep, link.lead = computer, False, LEAD
     return computer
 
 
 @pytest.fixture
-def deployment(connection, computer, controller, watch) -> Deployment:
-    return Deployment(connection, controller, Operator(), watch)
+def deployment(link, computer, controller, watch) -> Deployment:
+    return Deployment(link, controller, Operator(), watch)
 
 
 def greet(deployment: Deployment) -> None:

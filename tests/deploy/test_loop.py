@@ -74,11 +74,11 @@ def stop(toy):
 
 
 @pytest.fixture
-def deploy(toy, connection, robot, policy, stop, watch, tmp_path):
+def deploy(toy, link, robot, policy, stop, watch, tmp_path):
     """Make a deployment, greet the robot, run; returns outcome, what was kept, and timing."""
 
     def make(policy=policy, steps=STEPS, dry_run=False, prepare=None):
-        deployment = Deployment(connection, Controller(policy, robot), stop, watch, dry_run)
+        deployment = Deployment(link, Controller(policy, robot), stop, watch, dry_run)
         deployment.greet(lambda handshake: None)
         keeper, timing = RunSaver(deployment, tmp_path / "run_000.npz", steps), Timing(5000)
         keeper.begin()
@@ -341,9 +341,9 @@ def test_a_cable_that_is_pulled_ends_the_run_and_the_trace_is_kept(deploy, toy):
     deploy.deployment.close()
 
 
-def late_by(connection, steps, at):
+def late_by(link, steps, at):
     """Let the clock be late once: the program slept through so many steps."""
-    clock = connection.clock
+    clock = link.clock
     wait, done = clock.wait_until, []
 
     def wait_until(moment):
@@ -356,8 +356,8 @@ def late_by(connection, steps, at):
 
 
 @pytest.mark.parametrize("steps", [1, 2])
-def test_missed_steps_are_held_and_counted(steps, deploy, toy, connection):
-    late_by(connection, steps, UP + 0.2)
+def test_missed_steps_are_held_and_counted(steps, deploy, toy, link):
+    late_by(link, steps, UP + 0.2)
     outcome, kept, timing = deploy()
     assert outcome.ended == "time"
     assert timing.missed == steps
@@ -376,8 +376,8 @@ def test_missed_steps_are_held_and_counted(steps, deploy, toy, connection):
     )
 
 
-def test_more_than_two_missed_steps_in_a_row_are_damped(deploy, toy, connection):
-    late_by(connection, 3, UP + 0.2)
+def test_more_than_two_missed_steps_in_a_row_are_damped(deploy, toy, link):
+    late_by(link, 3, UP + 0.2)
     outcome, kept, timing = deploy()
     assert (outcome.ended, outcome.reason) == ("fault", "late")
     assert toy.firmware.reason == Reason.HOST
@@ -428,7 +428,7 @@ def test_a_robot_that_does_not_arm_is_refused(deploy, toy):
     assert not sent(toy, Position)
 
 
-def test_a_robot_that_does_not_arm_again_ends_its_second_run(deploy, toy, connection, watch):
+def test_a_robot_that_does_not_arm_again_ends_its_second_run(deploy, toy, link, watch):
     deploy()
     deployment = deploy.deployment
     toy.firmware._vitals = replace(toy.firmware._vitals, temperature=95.0)

@@ -12,9 +12,9 @@ from typing import Any
 import pytest
 from processes import Emulator, EmulatorHere, emulators
 
-from surefoot.deploy.messages import Message, Ping, Pong
+from surefoot.deploy.messages import Message, Packet, Ping, Pong
 from surefoot.deploy.serial.codec import Codec
-from surefoot.deploy.serial.frames import Decoder, Frame, encode_frame
+from surefoot.deploy.serial.frames import Decoder, encode_frame
 
 
 class Bytes:
@@ -42,7 +42,7 @@ class Host:
         self.bytes = Bytes()
         self.start = time.monotonic()
         self.token = 0
-        self.frames: list[Frame] = []
+        self.frames: list[Packet] = []
         """All frames received, oldest first."""
 
     def close(self) -> None:
@@ -54,7 +54,7 @@ class Host:
     def send(self, message: Message, at: float | None = None) -> None:
         os.write(self.file, self.bytes.frame(message, self.now() if at is None else at))
 
-    def look(self, wait: float = 0.0) -> list[Frame]:
+    def look(self, wait: float = 0.0) -> list[Packet]:
         """Wait for something, at most so long, and return what has arrived."""
         if wait > 0:
             select.select([self.file], [], [], wait)
@@ -65,7 +65,7 @@ class Host:
         self.frames += found
         return found
 
-    def of(self, kind: type[Any], condition: Callable[[Any], bool] = lambda message: True) -> Frame:
+    def of(self, kind: type[Any], condition: Callable[[Any], bool] = lambda message: True) -> Packet:
         """Return the first frame to arrive of a kind for which a condition holds."""
         end = time.monotonic() + 20.0
         while time.monotonic() < end:
@@ -74,7 +74,7 @@ class Host:
                     return frame
         raise AssertionError(f"no such frame; last {self.frames[-3:]}")
 
-    def run_to(self, at: float, kind: type[Message] = Message) -> list[Frame]:
+    def run_to(self, at: float, kind: type[Message] = Message) -> list[Packet]:
         """In lockstep: let the robot run to a time, and return all frames of a kind that it sends until then."""
         self.token += 1
         self.send(Ping(self.token), at)

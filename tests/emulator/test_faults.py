@@ -12,8 +12,7 @@ import pytest
 
 pytest.importorskip("mujoco")
 
-from surefoot.deploy.messages import Arm, Fault, Handshake, Hello, Mode, Position, Reason, State
-from surefoot.deploy.serial.frames import Frame
+from surefoot.deploy.messages import Arm, Fault, Handshake, Hello, Mode, Packet, Position, Reason, State
 from surefoot.emulator.board import Board
 from surefoot.emulator.faults import FAULTS, describe, parse_faults
 from surefoot.emulator.hardware import PowerConfig, SensorConfig
@@ -33,14 +32,14 @@ class Rig:
         said = introduction(robot, Limits.of(robot), "test 1", 0.001)
         self.robot, self.wire = robot, encoder
         self.board = Board(plant, said, faults=parse_faults(words), seed=1)
-        self.frames: list[Frame] = []
+        self.frames: list[Packet] = []
         self.angles = robot.pose_angles(0.0, 1.5)
 
     def send(self, message) -> None:
         self.board.hear(self.board.now, self.wire.frame(message, self.board.now / 1e6))
         self.run(0)
 
-    def run(self, microseconds: int) -> list[Frame]:
+    def run(self, microseconds: int) -> list[Packet]:
         self.board.run_to(self.board.now + microseconds)
         found = self.wire.decoder.feed(self.board.said())
         self.frames += found
@@ -51,7 +50,7 @@ class Rig:
         self.run(10_000)
         self.send(Arm(ME, int(Mode.POSITION), 0.006, 0.006))
 
-    def walk(self, steps: int, angles=None) -> list[Frame]:
+    def walk(self, steps: int, angles=None) -> list[Packet]:
         """Send commands, by default of one pose; what came."""
         before = len(self.frames)
         for _ in range(steps):
@@ -60,11 +59,11 @@ class Rig:
         return self.frames[before:]
 
     @property
-    def states(self) -> list[Frame]:
+    def states(self) -> list[Packet]:
         return [frame for frame in self.frames if isinstance(frame.message, State)]
 
     @property
-    def faults(self) -> list[Frame]:
+    def faults(self) -> list[Packet]:
         return [frame for frame in self.frames if isinstance(frame.message, Fault)]
 
     @property

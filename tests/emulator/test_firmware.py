@@ -20,6 +20,7 @@ from surefoot.deploy.messages import (
     Hello,
     Message,
     Mode,
+    Packet,
     Ping,
     Pong,
     Position,
@@ -28,7 +29,6 @@ from surefoot.deploy.messages import (
     State,
 )
 from surefoot.deploy.serial.codec import Codec
-from surefoot.deploy.serial.frames import Frame
 from surefoot.emulator.firmware import Firmware
 from surefoot.emulator.limits import Limits, introduction
 from surefoot.emulator.signals import MotorOrder, Sensors, Vitals
@@ -48,13 +48,13 @@ class Bench:
         self.now = 0
         self.vitals = Vitals(np.arange(8) / 10, 0.0, 16.0, 25.0)
         self.order: MotorOrder | None = None
-        self.said: list[Frame] = []
+        self.said: list[Packet] = []
         self.sensors = Sensors(*(np.zeros(8),) * 3, np.zeros(3), np.zeros(3), 5.0, 16.0, np.full(8, 25.0))
 
     def read(self) -> Sensors:
         return self.sensors
 
-    def run(self, milliseconds: int) -> list[Frame]:
+    def run(self, milliseconds: int) -> list[Packet]:
         """Let time pass; what was said."""
         before = len(self.said)
         for _ in range(milliseconds):
@@ -106,7 +106,7 @@ def armed(owned) -> Bench:
     return owned
 
 
-def kinds(frames: list[Frame]) -> list[str]:
+def kinds(frames: list[Packet]) -> list[str]:
     return [type(frame.message).__name__ for frame in frames]
 
 

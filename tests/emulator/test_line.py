@@ -88,7 +88,7 @@ def test_each_harm_strikes_at_its_rate_and_only_its_own_frames(harm):
         assert not in_order
     else:
         assert heard == list(range(1, count + 1))
-    assert (decoder.counts.damaged > 0) == (harm in ("corrupt", "cut-frames", "garbage"))
+    assert (decoder.statistics.damaged > 0) == (harm in ("corrupt", "cut-frames", "garbage"))
 
 
 def test_the_same_generator_does_the_same_again():

@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from surefoot.errors import SurefootError
-from surefoot.evaluate.ensemble import ROBOTS, ensemble_params, ensemble_world
+from surefoot.evaluate.ensemble import ROBOTS, ensemble_params
 from surefoot.robot import PhysicalParams, RobotDescription
-from surefoot.task.randomize import ROWS, SERVO_LATENCY, draw_hidden, load_ranges
+from surefoot.robot.randomization import ROWS, SERVO_LATENCY, draw_hidden, load_ranges
 from surefoot.world.interface import WorldConfig
+from surefoot.world.registry import make_world
 
 RANGES = load_ranges("table1").ranges
 DRAWN = (*RANGES, "torque_constant", "resistance", "servo_latency")
@@ -41,11 +42,11 @@ def test_robots_keep_the_policys_control_step_and_take_no_other_parameters(robot
     pytest.importorskip("pybullet")
     nominal = PhysicalParams.nominal(robot, 2)
     config = WorldConfig(threads=1)
-    world = ensemble_world(robot, 2, nominal.with_values(robot, control_step=0.010), 0, config)
+    world = make_world("ensemble", robot, 2, nominal.with_values(robot, control_step=0.010), 0, config)
     assert np.all(world.params.control_step == 0.010)
     np.testing.assert_array_equal(world.params.knee_play, ensemble_params(robot, 2).knee_play)
     with pytest.raises(SurefootError, match="voltage is given; robots of the ensemble have their own"):
-        ensemble_world(robot, 2, nominal.with_values(robot, voltage=15.0), 0, config)
+        make_world("ensemble", robot, 2, nominal.with_values(robot, voltage=15.0), 0, config)
 
 
 def test_every_number_is_within_its_range_and_the_rest_is_nominal(robot):

@@ -75,9 +75,7 @@ def test_a_trace_is_what_the_environment_did_step_by_step():
 
 def test_the_return_is_that_of_the_trace_in_another_engine():
     pytest.importorskip("pybullet")
-    from surefoot.world.bullet_engine import BulletEngine
-
-    make, policy = partial(SimWorld, engine=BulletEngine), Constant(0.05, -0.02)
+    make, policy = partial(SimWorld, engine="bullet"), Constant(0.05, -0.02)
     (trace,) = run_episodes(policy, trot(40), 1, make, seed=3)
     env = LocomotionEnv(trot(40), 1, make, 3, autoreset=False)
     env.reset()

@@ -18,9 +18,9 @@ from surefoot.errors import SurefootError
 from surefoot.evaluate.footfalls import FEET
 from surefoot.evaluate.gap import PolicyGap, away_task, home_task
 from surefoot.evaluate.runs import Estimate, Runs, summarize
+from surefoot.robot.randomization import RandomizeConfig
 from surefoot.tables import plain_value, write_csv
 from surefoot.task.config import TaskConfig
-from surefoot.task.randomize import RandomizeConfig
 from surefoot.task.trace import EpisodeTrace
 
 MakeRun = Callable[..., EpisodeTrace]

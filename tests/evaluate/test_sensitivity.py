@@ -32,9 +32,9 @@ from surefoot.evaluate.sensitivity import (
     run_sensitivity,
 )
 from surefoot.robot import PhysicalParams
+from surefoot.robot.randomization import RandomizeConfig, load_ranges
 from surefoot.tables import write_csv
 from surefoot.task.config import TaskConfig, load_task
-from surefoot.task.randomize import RandomizeConfig, load_ranges
 from surefoot.world.interface import Readings
 from surefoot.world.sim_world import SimWorld
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from processes import EmulatorHere, emulators
 
-from surefoot.deploy.connection import open_connection
 from surefoot.deploy.display import PlainLines
+from surefoot.deploy.links import open_link
 from surefoot.deploy.messages import Mode
 from surefoot.deploy.robot_link import LinkLostError
 from surefoot.identify.experiment_runner import run_plan
@@ -59,13 +59,13 @@ def run_on(robot: RobotDescription) -> Callable[..., Recording]:
     """Take a robot at a port through a plan."""
 
     def run(port: str, plan: Plan, watch: PlainLines | None = None) -> Recording:
-        connection = open_connection(port, robot.num_motors, lockstep=True)
+        link = open_link(port, robot.num_motors, lockstep=True)
         try:
-            connection.connect()
-            return run_plan(connection, plan, robot, watch or PlainLines())
+            link.connect()
+            return run_plan(link, plan, robot, watch or PlainLines())
         finally:
             with suppress(LinkLostError, OSError):
-                connection.close()
+                link.close()
 
     return run
 

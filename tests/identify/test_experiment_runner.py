@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 from processes import EmulatorHere, emulators
 
-from surefoot.deploy.connection import open_connection
 from surefoot.deploy.display import PlainLines
+from surefoot.deploy.links import open_link
 from surefoot.deploy.messages import Mode
 from surefoot.errors import SurefootError
 from surefoot.identify.experiment_runner import run_plan
@@ -85,13 +85,13 @@ def ended(healthy: Any, robot: RobotDescription, tmp_path: Path) -> Callable[...
     """Why an experiment ended early; what it recorded until then is kept, and the robot is damped."""
 
     def run(plan: Plan, watch: PlainLines | None = None) -> str:
-        connection = open_connection(healthy.port, robot.num_motors, lockstep=True)
-        connection.connect()
-        recording = run_plan(connection, plan, robot, watch or PlainLines())
+        link = open_link(healthy.port, robot.num_motors, lockstep=True)
+        link.connect()
+        recording = run_plan(link, plan, robot, watch or PlainLines())
         assert len(recording.time) > 50
-        connection.wait_for(lambda: connection.last_state().mode != Mode.POSITION, 0.1)
-        assert connection.last_state().mode in (Mode.FAULT, Mode.DISARMED)
-        connection.close()
+        link.wait_for(lambda: link.last_state().mode != Mode.POSITION, 0.1)
+        assert link.last_state().mode in (Mode.FAULT, Mode.DISARMED)
+        link.close()
         with pytest.raises(SurefootError, match="did not come to its end"):
             load_recording(recording.save(tmp_path / "recording.npz"), robot)
         assert "\n" not in recording.meta["ended"]
@@ -123,10 +123,10 @@ def test_the_operator_stops_it(ended: Callable[..., str], make_plan: MakePlan):
 
 
 def test_the_robot_damps_itself(healthy: Any, robot: RobotDescription, make_plan: MakePlan):
-    connection = open_connection(healthy.port, robot.num_motors, lockstep=True)
-    connection.connect()
-    recording = run_plan(connection, make_plan(), robot, Doing("sweep", connection.damp))
-    connection.close()
+    link = open_link(healthy.port, robot.num_motors, lockstep=True)
+    link.connect()
+    recording = run_plan(link, make_plan(), robot, Doing("sweep", link.damp))
+    link.close()
     assert recording.meta["ended"] == "the robot has damped its motors (host) (in phase 'sweep')"
 
 
@@ -139,9 +139,9 @@ def test_the_port_closes(emulate: Callable[..., Any], make_plan: MakePlan, run_o
 
 
 def test_a_robot_that_was_not_greeted(healthy: Any, robot: RobotDescription, make_plan: MakePlan):
-    connection = open_connection(healthy.port, 8, lockstep=True)
+    link = open_link(healthy.port, 8, lockstep=True)
     try:
         with pytest.raises(SurefootError, match="the robot was not greeted"):
-            run_plan(connection, make_plan(), robot, PlainLines())
+            run_plan(link, make_plan(), robot, PlainLines())
     finally:
-        connection.close()
+        link.close()

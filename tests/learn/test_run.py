@@ -18,7 +18,7 @@ from surefoot.errors import SurefootError
 from surefoot.learn.config import TrainConfig, load_train_config
 from surefoot.learn.run import TrainingRun
 from surefoot.learn.run_folder import RunFolder, read_checkpoint, write_checkpoint
-from surefoot.task.randomize import load_ranges
+from surefoot.robot.randomization import load_ranges
 from surefoot.world.sim_world import SimWorld
 
 # Noise, pushes, ends of episodes and an evaluation all fall into these few updates.

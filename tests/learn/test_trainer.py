@@ -14,7 +14,7 @@ import torch
 
 from surefoot.learn.config import TrainConfig, load_train_config
 from surefoot.learn.trainer import Trainer
-from surefoot.task.randomize import load_ranges
+from surefoot.robot.randomization import load_ranges
 from surefoot.world.sim_world import SimWorld
 
 

@@ -10,8 +10,8 @@ import pytest
 pytest.importorskip("PIL.Image")
 
 from surefoot.errors import SurefootError
-from surefoot.report.drawing import Camera, Mesh, View
-from surefoot.report.scene import extent, poses, scene, trace_poses
+from surefoot.report.drawing.renderer import Camera, Mesh, View
+from surefoot.report.drawing.scene import extent, poses, scene, trace_poses
 from surefoot.robot import RobotDescription
 from surefoot.task.trace import EpisodeTrace
 
@@ -134,7 +134,7 @@ def test_poses_of_a_trace_without_true_angles_are_those_of_its_readings(trace: E
 
 def test_the_viewer_places_every_link_by_its_pose(trace: EpisodeTrace):
     mujoco = pytest.importorskip("mujoco")
-    from surefoot.cli.viewer import build_stage, set_stage
+    from surefoot.cli.helpers.viewer import build_stage, set_stage
 
     shapes, found = scene(ROBOT), trace_poses(ROBOT, trace)
     model = build_stage(shapes)

@@ -16,8 +16,8 @@ imageio_ffmpeg = pytest.importorskip("imageio_ffmpeg")
 pytest.importorskip("PIL.Image")
 from PIL import Image  # noqa: E402
 
-from surefoot.report.drawing import Camera, Mesh, View, draw  # noqa: E402
-from surefoot.report.video import interpolate_poses, render_video  # noqa: E402
+from surefoot.report.drawing.renderer import Camera, Mesh, View, draw  # noqa: E402
+from surefoot.report.drawing.video import interpolate_poses, render_video  # noqa: E402
 from surefoot.robot.urdf import Shape  # noqa: E402
 
 RED, GREEN, BLUE = (230, 30, 30), (30, 200, 30), (30, 30, 230)

@@ -13,12 +13,12 @@ from surefoot.rotations import xyzw_matrix
 from surefoot.world.bullet_engine import BulletEngine
 from surefoot.world.interface import WorldConfig
 from surefoot.world.mujoco_engine import MujocoEngine
-from surefoot.world.sim_world import SimWorld, mujoco_engine
+from surefoot.world.sim_world import SimWorld
 
 pytest.importorskip("pybullet")
 
 WEIGHT = 7.473 * 9.81
-ENGINES = {"mujoco": mujoco_engine, "bullet": BulletEngine}
+ENGINES = ("mujoco", "bullet")
 
 
 def both(
@@ -26,7 +26,7 @@ def both(
 ) -> list[SimWorld]:
     """The same robots in MuJoCo and in Bullet."""
     params = PhysicalParams.nominal(robot, num_envs).with_values(robot, **values)
-    return [SimWorld(robot, num_envs, params, config=config, engine=engine) for engine in ENGINES.values()]
+    return [SimWorld(robot, num_envs, params, config=config, engine=engine) for engine in ENGINES]
 
 
 def follow(world: SimWorld, path: Callable[[int], np.ndarray], steps: int) -> np.ndarray:

@@ -15,10 +15,8 @@ import pytest
 
 from surefoot.errors import SurefootError
 from surefoot.rotations import xyzw_matrix
-from surefoot.world import bullet_engine as module
-from surefoot.world.bullet_engine import BulletEngine
 from surefoot.world.bullet_kernels import pin_kernel, sole_kernel
-from surefoot.world.bullet_model import PUBLISHED, BulletModel, BulletSettings
+from surefoot.world.bullet_model import BulletModel, BulletSettings
 from surefoot.world.interface import WorldConfig
 from surefoot.world.sim_world import SimWorld
 
@@ -27,7 +25,7 @@ pybullet = pytest.importorskip("pybullet")
 
 @pytest.fixture
 def make_world(make_world) -> Callable[..., SimWorld]:
-    return partial(make_world, engine=BulletEngine)
+    return partial(make_world, engine="bullet")
 
 
 def loop_gap(world: SimWorld) -> float:
@@ -263,7 +261,7 @@ def test_robots_stand_on_feet_of_any_stiffness_from_the_start(make_world):
 
 
 def test_the_published_settings_reach_bullet(robot):
-    world = SimWorld(robot, 1, engine=partial(BulletEngine, settings=PUBLISHED))
+    world = SimWorld(robot, 1, engine="bullet-published")
     model = world.engine.models[0]
     found = pybullet.getPhysicsEngineParameters(model.client)
     assert found["gravityAccelerationZ"] == -10.0
@@ -316,12 +314,6 @@ def test_clients_end_with_the_world(make_world):
     assert not any(pybullet.isConnected(client) for client in clients)
 
 
-def test_more_robots_than_a_process_holds_are_refused(robot, monkeypatch):
-    monkeypatch.setattr(module, "MAX_ROBOTS", 2)
-    with pytest.raises(SurefootError, match="num_envs is 3; one process holds up to 2 robots in Bullet"):
-        SimWorld(robot, 3, engine=BulletEngine)
-
-
 def test_no_room_for_another_client_is_told(robot, monkeypatch):
     def full(_mode: int) -> int:
         raise pybullet.error("Can not connect")
@@ -345,9 +337,8 @@ def test_a_robot_whose_feet_are_no_spheres_is_refused(robot, tmp_path):
 def test_nothing_is_printed_but_what_the_user_prints():
     script = """
 from surefoot.robot import RobotDescription
-from surefoot.world.bullet_engine import BulletEngine
 from surefoot.world.sim_world import SimWorld
-SimWorld(RobotDescription.load("minitaur"), 1, engine=BulletEngine)
+SimWorld(RobotDescription.load("minitaur"), 1, engine="bullet")
 print("mine")
 """
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=250, env=os.environ)

@@ -5,15 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from surefoot.world.sim_world import mujoco_engine
-
 START = {"start_linear_speed": 0.05, "start_angular_speed": 0.1}
 
 
 @pytest.mark.parametrize("place", [0, 3])
 def test_a_robot_moves_alike_alone_and_in_a_batch(make_world, trot, assert_same, varied, engine, place):
-    num_envs = 64 if engine is mujoco_engine else 4
-    values = varied(num_envs, bullet=engine is not mujoco_engine)
+    num_envs = 64 if engine == "mujoco" else 4
+    values = varied(num_envs, bullet=engine != "mujoco")
     if place:
         values["imu_noise"][:] = 0.0  # its stream is that of the place
     crowd = make_world(num_envs, config={"threads": 2}, engine=engine, **values)
@@ -39,7 +37,7 @@ def test_the_same_seed_gives_the_same_world(make_world, trot, assert_same, engin
 @pytest.mark.parametrize("actuator", ["dc", "constraint"])
 def test_a_state_goes_on_exactly_in_a_world_with_another_past(make_world, trot, assert_same, varied, engine, actuator):
     config = {"actuator": actuator, "thermal_protection": actuator == "dc", **START}
-    values = varied(2, bullet=engine is not mujoco_engine)
+    values = varied(2, bullet=engine != "mujoco")
     world = make_world(2, seed=1, config=config, engine=engine, **values)
     other = make_world(2, seed=2, config=config, engine=engine)
     for k in range(20):

@@ -9,7 +9,6 @@ pytest.importorskip("mujoco")
 
 from surefoot.actuator.motor import presliding_kernel
 from surefoot.robot import PhysicalParams, RobotDescription
-from surefoot.world.engines import engine_of
 from surefoot.world.interface import WorldConfig
 from surefoot.world.sim_world import SimWorld
 
@@ -25,7 +24,7 @@ def world(robot: RobotDescription, engine: str, rack: bool = False, **values: ob
     if engine == "bullet":
         pytest.importorskip("pybullet")
     params = PhysicalParams.nominal(robot).with_values(robot, **values)
-    return SimWorld(robot, 1, params, config=WorldConfig(rack=rack, threads=1), engine=engine_of(engine))
+    return SimWorld(robot, 1, params, config=WorldConfig(rack=rack, threads=1), engine=engine)
 
 
 @pytest.mark.parametrize("engine", ENGINES)

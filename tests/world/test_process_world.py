@@ -17,10 +17,11 @@ import pytest
 
 from surefoot.errors import SurefootError
 from surefoot.robot import PhysicalParams, RobotDescription
-from surefoot.world.actuation import new_actuation
+from surefoot.world import registry
+from surefoot.world.actuation import SHARED_ARRAYS, new_actuation
 from surefoot.world.interface import WorldConfig
-from surefoot.world.process_world import SHARED_ARRAYS, ProcessWorld, bullet_world, processes_for, worker_pool
-from surefoot.world.sim_world import SimWorld, mujoco_engine
+from surefoot.world.process_world import ProcessWorld, processes_for, worker_pool
+from surefoot.world.sim_world import SimWorld
 
 # Most tests are of the processes, whatever they simulate: MuJoCo starts and steps faster.
 NUM = 5
@@ -39,7 +40,7 @@ def single(make_world, varied) -> SimWorld:
 def processes(robot: RobotDescription, varied) -> Iterator[tuple[ProcessWorld, dict[str, Any]]]:
     """The same in three processes, and its state in the beginning."""
     params = PhysicalParams.nominal(robot, NUM).with_values(robot, **varied(NUM))
-    world = ProcessWorld(robot, NUM, params, 3, WorldConfig(threads=3, **CONFIG), mujoco_engine)
+    world = ProcessWorld(robot, NUM, params, 3, WorldConfig(threads=3, **CONFIG), "mujoco")
     yield world, world.get_state()
     world.close()
 
@@ -122,17 +123,6 @@ def test_a_state_is_that_of_one_world_and_goes_on_in_any(single, spread, trot, a
     assert_same(spread.truth(), single.truth())
 
 
-def test_a_state_from_before_a_parameter_goes_on_with_its_nominal_value(robot, trot, assert_same, spread):
-    one = SimWorld(robot, NUM)
-    state = one.get_state()
-    del state["params"]["contact_stiffness"], state["params"]["motor_viscous_friction"], state["actuation"]["viscous"]
-    spread.set_state(state)
-    assert spread.params.contact_stiffness.tolist() == [3000.0] * NUM
-    assert not spread.params.motor_viscous_friction.any()
-    for k in range(10):
-        assert_same(spread.step(trot(k)), one.step(trot(k)))
-
-
 def test_arrays_of_all_robots_are_known(robot):
     # A row each for 3 and for 7 robots, or the same whatever the number.
     three, seven = (new_actuation(robot, num, 5, WorldConfig())._asdict() for num in (3, 7))
@@ -167,13 +157,13 @@ def test_an_error_in_a_process_is_raised_here_and_the_world_goes_on(robot, sprea
 @pytest.mark.parametrize("num_envs", [0, 2])
 def test_a_world_of_no_or_of_other_robots_is_refused(robot, num_envs):
     with pytest.raises(SurefootError, match=r"num_envs is 0|params are for 5 robots; the world has 2"):
-        ProcessWorld(robot, num_envs, PhysicalParams.nominal(robot, 5), 0, WorldConfig(), mujoco_engine)
+        ProcessWorld(robot, num_envs, PhysicalParams.nominal(robot, 5), 0, WorldConfig(), "mujoco")
 
 
 def test_an_error_while_it_is_made_is_raised_and_ends_all_processes(robot):
     before = set(Path("/proc").glob("[0-9]*"))
     with pytest.raises(SurefootError, match="does not settle at its resting pose"):
-        ProcessWorld(robot, 2, None, 0, WorldConfig(threads=2, rest=(0.0, float("nan"))), mujoco_engine)
+        ProcessWorld(robot, 2, None, 0, WorldConfig(threads=2, rest=(0.0, float("nan"))), "mujoco")
     ours = f"PPid:\t{os.getpid()}\n"
     for process in set(Path("/proc").glob("[0-9]*")) - before:
         assert ours not in (process / "status").read_text()
@@ -181,7 +171,7 @@ def test_an_error_while_it_is_made_is_raised_and_ends_all_processes(robot):
 
 @pytest.fixture
 def pair(robot: RobotDescription) -> ProcessWorld:
-    return ProcessWorld(robot, 2, None, 0, WorldConfig(threads=2), mujoco_engine)
+    return ProcessWorld(robot, 2, None, 0, WorldConfig(threads=2), "mujoco")
 
 
 def test_a_process_that_dies_is_one_clear_error(pair, trot):
@@ -195,7 +185,7 @@ def test_a_process_that_dies_is_one_clear_error(pair, trot):
 
 
 def test_processes_end_with_the_world(robot):
-    world = ProcessWorld(robot, 1, None, 0, WorldConfig(threads=1), mujoco_engine)
+    world = ProcessWorld(robot, 1, None, 0, WorldConfig(threads=1), "mujoco")
     (pid,) = ids(world)
     assert not gone(pid, 0.1)
     del world
@@ -207,7 +197,7 @@ def test_kept_processes_serve_one_world_after_another_as_fresh_ones_do(robot, si
     params = PhysicalParams.nominal(robot, NUM).with_values(robot, **varied(NUM))
 
     def make() -> ProcessWorld:
-        return ProcessWorld(robot, NUM, params, 3, WorldConfig(threads=2, **CONFIG), mujoco_engine)
+        return ProcessWorld(robot, NUM, params, 3, WorldConfig(threads=2, **CONFIG), "mujoco")
 
     with worker_pool():
         world = make()
@@ -236,10 +226,10 @@ OWNER = """
 import sys, time
 import numpy as np
 from surefoot.robot import RobotDescription
+from surefoot.world import registry
 from surefoot.world.interface import WorldConfig
 from surefoot.world.process_world import ProcessWorld
-from surefoot.world.sim_world import mujoco_engine
-world = ProcessWorld(RobotDescription.load("minitaur"), 2, None, 0, WorldConfig(threads=2), mujoco_engine)
+world = ProcessWorld(RobotDescription.load("minitaur"), 2, None, 0, WorldConfig(threads=2), "mujoco")
 print(*(process.pid for process in world._processes), flush=True)
 while True:
     world.step(np.full(8, 2.0))
@@ -266,7 +256,9 @@ def test_never_more_processes_than_robots(threads, num_envs, expected):
 
 def test_bullet_in_processes_is_bullet_in_one(robot, trot, assert_same):
     pytest.importorskip("pybullet")
-    one, two = (bullet_world(robot, 3, None, 1, WorldConfig(threads=threads, **CONFIG)) for threads in (1, 2))
+    one, two = (
+        registry.make_world("bullet", robot, 3, None, 1, WorldConfig(threads=threads, **CONFIG)) for threads in (1, 2)
+    )
     assert isinstance(one, SimWorld)
     assert isinstance(two, ProcessWorld)
     for k in range(15):
@@ -278,5 +270,5 @@ def test_bullet_in_processes_is_bullet_in_one(robot, trot, assert_same):
 
 
 def test_more_robots_than_the_processes_hold_are_refused_at_once(robot):
-    with pytest.raises(SurefootError, match="num_envs is 513; Bullet holds up to 256 robots in each of 2 processes"):
-        bullet_world(robot, 513, config=WorldConfig(threads=2))
+    with pytest.raises(SurefootError, match="num_envs is 513; world bullet holds up to 256 robots in each of 2"):
+        registry.make_world("bullet", robot, 513, config=WorldConfig(threads=2))

@@ -15,7 +15,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from surefoot.cli.options import (
+from surefoot.cli.helpers.options import (
     PAGE_PORT,
     Baud,
     Count,
@@ -27,7 +27,7 @@ from surefoot.cli.options import (
     check_folder,
     how_to_show,
 )
-from surefoot.cli.parsing import parse
+from surefoot.cli.helpers.parsing import parse
 from surefoot.configuration import Duration
 from surefoot.deploy.serial.port import BAUD
 from surefoot.errors import SurefootError
@@ -89,13 +89,13 @@ def main(argv: list[str]) -> int:
     if command.drive:
         import_module("viser")  # what is not installed is told before the robot is asked
     from surefoot.check_result import first_failure
-    from surefoot.cli.policies import find_policy
+    from surefoot.cli.helpers.policies import find_policy
     from surefoot.deploy.checks import check_contract
     from surefoot.deploy.commands import ChannelCommands, CommandSource, open_commands
-    from surefoot.deploy.connection import open_connection
     from surefoot.deploy.controller import Controller
     from surefoot.deploy.deployment import Deployment
     from surefoot.deploy.display import LiveDisplay, PlainLines, Watches
+    from surefoot.deploy.links import open_link
     from surefoot.deploy.loop import Watch
     from surefoot.deploy.pacer import undisturbed
     from surefoot.policy.runtime import PolicyRuntime
@@ -113,7 +113,7 @@ def main(argv: list[str]) -> int:
             raise SurefootError(f"policy '{contract.name}' must not run on this robot: {why}")
 
     with StopSignals() as stop, contextlib.ExitStack() as stack:
-        connection = open_connection(command.port, len(contract.motor_names), command.lockstep, command.baud)
+        link = open_link(command.port, len(contract.motor_names), command.lockstep, command.baud)
         title = f"{contract.name} on {robot.name}, {command.port}" + (", dry run" if command.dry_run else "")
         commands: CommandSource | None = None
         if command.commands is not None:
@@ -124,7 +124,7 @@ def main(argv: list[str]) -> int:
         watch: Watch = LiveDisplay(title) if sys.stderr.isatty() and not command.drive else PlainLines()
         stack.callback(watch.close)
         if command.drive:
-            from surefoot.cli.deploy_page import DeployPage
+            from surefoot.cli.helpers.deploy_page import DeployPage
 
             channel = ChannelCommands(0)
             stack.callback(channel.close)
@@ -134,7 +134,7 @@ def main(argv: list[str]) -> int:
             stack.callback(page.close)
             print(f"{page.address}   (Ctrl-C: the robot sits)", file=sys.stderr, flush=True)
             watch, commands = Watches(page, watch), channel if contract.commands is not None else None
-        deployment = Deployment(connection, controller, stop, watch, dry_run=command.dry_run, commands=commands)
+        deployment = Deployment(link, controller, stop, watch, dry_run=command.dry_run, commands=commands)
         stack.callback(deployment.close)
         if not command.lockstep:
             stack.enter_context(undisturbed())
@@ -194,19 +194,18 @@ def _result(outcome: Outcome, timing: Timing, kept: SavedRun, steps: int) -> dic
 
 def _tell(command: DeployCommand, deployment: Deployment, results: list[dict[str, Any]], code: int) -> int:
     """Print what happened; whether anybody reads it or not, the exit code says it too."""
-    link = deployment.connection.link
-    state = deployment.connection.state
+    statistics, state = deployment.link.statistics, deployment.link.state
     told = {
         "policy": deployment.contract.name,
         "robot": deployment.robot.name,
         "exit_code": code,
         "runs": results,
         "frames": {
-            "received": link.decoder.counts.frames,
-            "damaged": link.decoder.counts.damaged,
-            "missing": link.counts.missing,
-            "repeated": link.counts.repeated,
-            "unsent": link.counts.unsent,
+            "received": statistics.received,
+            "damaged": statistics.damaged,
+            "missing": statistics.missing,
+            "repeated": statistics.repeated,
+            "unsent": statistics.unsent,
             "commands_refused": state.dropped if state is not None else None,
         },
     }

@@ -12,13 +12,13 @@ from rich.console import Console
 from rich.text import Text
 
 from surefoot.check_result import CheckResult
-from surefoot.cli.options import Baud, Json, Lockstep, PolicyName, Port, Yes, ask_to_move, check_terminal
-from surefoot.cli.parsing import parse
-from surefoot.cli.policies import find_policy
+from surefoot.cli.helpers.options import Baud, Json, Lockstep, PolicyName, Port, Yes, ask_to_move, check_terminal
+from surefoot.cli.helpers.parsing import parse
+from surefoot.cli.helpers.policies import find_policy
 from surefoot.configuration import Within
-from surefoot.deploy.connection import open_connection
 from surefoot.deploy.doctor.examination import STEPS, examine
 from surefoot.deploy.doctor.link import PINGS
+from surefoot.deploy.links import open_link
 from surefoot.deploy.robot_link import LinkLostError
 from surefoot.deploy.serial.port import BAUD
 from surefoot.errors import SurefootError
@@ -71,16 +71,16 @@ def main(argv: list[str]) -> int:
     console = Console(highlight=False, soft_wrap=True, emoji=False)
     if not command.json:
         console.print(f"policy '{contract.name}' for {contract.robot}, port {command.port}", markup=False)
-    connection = open_connection(command.port, robot.num_motors, command.lockstep, command.baud)
+    link = open_link(command.port, robot.num_motors, command.lockstep, command.baud)
     results = []
     try:
-        for result in examine(connection, policy, robot, command.rack, command.ground, command.pings, command.steps):
+        for result in examine(link, policy, robot, command.rack, command.ground, command.pings, command.steps):
             results.append(result)
             if not command.json:
                 print_result(console, result)
     finally:
         with contextlib.suppress(LinkLostError, OSError):
-            connection.close()
+            link.close()
     counts = Counter(result.passed for result in results)
     if command.json:
         data = {

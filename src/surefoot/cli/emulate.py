@@ -10,15 +10,15 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from surefoot.cli.options import Repeated, Settings, check_suffix
-from surefoot.cli.parsing import parse
+from surefoot.cli.helpers.options import Repeated, Settings, check_suffix
+from surefoot.cli.helpers.parsing import parse
 from surefoot.configuration import Seed, Within
 from surefoot.errors import SurefootError
 from surefoot.robot import DEFAULT_ROBOT, PhysicalParams, RobotDescription
 from surefoot.robot.params_file import given_params, write_params
 
 if TYPE_CHECKING:
-    from surefoot.cli.viewer import EmulateViewer
+    from surefoot.cli.helpers.viewer import EmulateViewer
     from surefoot.emulator.board import Board
     from surefoot.emulator.faults import Fault
 
@@ -83,7 +83,7 @@ def main(argv: list[str]) -> int:
         return 0
     _check(command)
     from surefoot.emulator.faults import parse_faults
-    from surefoot.evaluate.worlds import find_world
+    from surefoot.world.registry import check_takes_params
 
     robot = RobotDescription.load(command.robot)
     faults = parse_faults(words, command.lockstep, robot.num_motors)
@@ -95,7 +95,7 @@ def main(argv: list[str]) -> int:
         servo_every = round(period / step)
         if servo_every < 1 or abs(period / step - servo_every) > 1e-6:
             raise SurefootError(f"fault slow-servo is {period:g}; it must be whole servo steps of {step:g} s")
-    find_world(command.world)
+    check_takes_params(command.world)
     if command.viewer:
         from surefoot.cli.play import has_display
 
@@ -121,7 +121,7 @@ def _check(command: EmulateCommand) -> None:
 def _params(command: EmulateCommand, robot: RobotDescription) -> PhysicalParams:
     if command.hidden_seed is None:
         return given_params(robot, command.params, command.settings)
-    from surefoot.task.randomize import draw_hidden, load_ranges
+    from surefoot.robot.randomization import draw_hidden, load_ranges
 
     params = draw_hidden(robot, load_ranges(command.hidden_ranges, robot=robot.folder).ranges, command.hidden_seed)
     if command.hidden_out is not None:
@@ -132,17 +132,15 @@ def _params(command: EmulateCommand, robot: RobotDescription) -> PhysicalParams:
 def _build(command: EmulateCommand, robot: RobotDescription, faults: dict[str, Fault], servo_every: int = 1) -> Board:
     """Return the robot, warmed up."""
     from surefoot import __version__
-    from surefoot.deploy.connection import LEAD
+    from surefoot.deploy.robot_link import LEAD
     from surefoot.emulator.board import Board
     from surefoot.emulator.hardware import PowerConfig, SensorConfig
     from surefoot.emulator.limits import Limits, introduction
     from surefoot.emulator.plant import Plant
-    from surefoot.world.engines import engine_of
 
-    engine = engine_of(command.world)
     sensors, power = (SensorConfig.ideal(), PowerConfig.ideal()) if command.ideal_sensors else (None, None)
     params = _params(command, robot)
-    plant = Plant(robot, params, command.seed, sensors, power, command.rack, engine, servo_every=servo_every)
+    plant = Plant(robot, params, command.seed, sensors, power, command.rack, command.world, servo_every=servo_every)
     limits = Limits.of(robot)
     said = introduction(robot, limits, f"surefoot emulator {__version__}", robot.timing.servo_step)
     if command.lockstep:
@@ -169,7 +167,7 @@ def _run(command: EmulateCommand, board: Board, faults: dict[str, Fault]) -> int
             if command.motion_capture is not None:
                 onlookers.append(MotionCapture(command.motion_capture, board.plant, later=not command.lockstep))
             if command.viewer:
-                from surefoot.cli.viewer import EmulateViewer
+                from surefoot.cli.helpers.viewer import EmulateViewer
 
                 onlookers.append(EmulateViewer(command.robot, board.plant))
             board.on_step = [onlooker.see for onlooker in onlookers]

@@ -45,7 +45,6 @@ _EXTRAS = {
     "sim": ("mujoco", "numba", "llvmlite", "gymnasium", "scipy"),
     "train": ("torch", "tensordict", "rsl_rl", "onnx", "tensorboard"),
     "report": ("matplotlib", "imageio_ffmpeg", "PIL"),
-    "bullet": ("pybullet",),
     "search": ("optuna", "ray", "grpc"),
     "tune": ("cma",),
     "bags": ("rosbags",),
@@ -84,13 +83,20 @@ def main(argv: Sequence[str] | None = None) -> int:
         return _fail(f"{where}{error.strerror or error}")
     except ModuleNotFoundError as error:
         module = (error.name or "").split(".")[0]
-        for extra, modules in _EXTRAS.items():
-            if module in modules:
-                return _fail(f"this needs {module}, which is not installed: pip install 'surefoot[{extra}]'")
+        if extra := _find_extra(module):
+            return _fail(f"this needs {module}, which is not installed: pip install 'surefoot[{extra}]'")
         raise
     except KeyboardInterrupt:
         print("surefoot: interrupted", file=sys.stderr)
         return 130
+
+
+def _find_extra(module: str) -> str | None:
+    """Return the extra of surefoot that installs a module, or None."""
+    from surefoot.world.registry import WORLDS
+
+    engines = [(entry.extra, (entry.package,)) for entry in WORLDS.values()]
+    return next((extra for extra, modules in [*_EXTRAS.items(), *engines] if module in modules), None)
 
 
 def _fail(message: str) -> int:

@@ -6,8 +6,8 @@ import shlex
 from dataclasses import dataclass
 from pathlib import Path
 
-from surefoot.cli.options import Ray, Workers, check_folder, check_suffix
-from surefoot.cli.parsing import parse
+from surefoot.cli.helpers.options import Ray, Workers, check_folder, check_suffix
+from surefoot.cli.helpers.parsing import parse
 from surefoot.errors import SurefootError
 
 
@@ -42,12 +42,12 @@ def main(argv: list[str]) -> int:
         raise SurefootError(f"root is {command.root}; it must be a clone of surefoot, with the folder results")
     if command.quick and command.full:
         raise SurefootError("--quick and --full are given; give one of them, or neither")
-    from surefoot.report.paper import write_page
+    from surefoot.studies.paper import write_page
 
     root, note = command.root, ""
     if command.quick or command.full:
-        from surefoot.cli.paper_runs import QUICK_NOTE, Runs, make_all
-        from surefoot.learn.workers import check_address
+        from surefoot.cli.helpers.paper_runs import QUICK_NOTE, Runs, make_all
+        from surefoot.studies.workers import check_address
 
         check_address(command.ray)
         root = (command.folder or Path("paper-quick" if command.quick else "paper-full")).resolve()

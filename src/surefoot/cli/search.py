@@ -11,15 +11,15 @@ from typing import Annotated
 import tyro
 from rich.console import Console
 
-from surefoot.cli.options import Ray, Seed, Workers, check_folder
-from surefoot.cli.parsing import parse
-from surefoot.cli.trainings import train_many
+from surefoot.cli.helpers.options import Ray, Seed, Workers, check_folder
+from surefoot.cli.helpers.parsing import parse
+from surefoot.cli.helpers.training_queue import train_many
 from surefoot.configuration import Within
 from surefoot.errors import located
 from surefoot.learn.config import Steps
-from surefoot.learn.search import Search, SearchConfig, check_there, make_config
-from surefoot.learn.search_space import put
-from surefoot.learn.workers import check_address
+from surefoot.studies.search import Search, SearchConfig, check_there, make_config
+from surefoot.studies.search_space import put
+from surefoot.studies.workers import check_address
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ class SearchCommand:
 def main(argv: list[str]) -> int:
     """Run the command with the words after its name; returns the exit code."""
     command = parse(SearchCommand, argv, "surefoot search")
-    from surefoot.cli.search_results import report
+    from surefoot.cli.helpers.search_results import report
     from surefoot.learn.run_lock import alone
 
     config = make_config(command.task, command.space, command.seed, command.steps)

@@ -7,9 +7,19 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from surefoot.cli.options import Count, Json, PolicyNames, Pushes, PushForce, Seed, Threads, World, make_figures_folder
-from surefoot.cli.parsing import parse
-from surefoot.cli.simulator import Simulator, SimulatorOptions
+from surefoot.cli.helpers.options import (
+    Count,
+    Json,
+    PolicyNames,
+    Pushes,
+    PushForce,
+    Seed,
+    Threads,
+    World,
+    make_figures_folder,
+)
+from surefoot.cli.helpers.parsing import parse
+from surefoot.cli.helpers.simulator import Simulator, SimulatorOptions
 from surefoot.configuration import Duration, Within
 
 if TYPE_CHECKING:
@@ -51,9 +61,9 @@ class SensitivityCommand:
 def main(argv: list[str]) -> int:
     """Run the command with the words after its name; returns the exit code."""
     command = parse(SensitivityCommand, argv, "surefoot sensitivity")
-    from surefoot.cli.policies import described, find_policies, load_policies, progress_bar
-    from surefoot.evaluate.worlds import WORLDS, find_world
-    from surefoot.task.randomize import check_ranges, load_ranges
+    from surefoot.cli.helpers.policies import described, find_policies, load_policies, progress_bar
+    from surefoot.robot.randomization import check_ranges, load_ranges
+    from surefoot.world.registry import WORLDS, find_world
 
     paths = find_policies(command.policies)
     make_world = find_world(command.world)
@@ -65,13 +75,13 @@ def main(argv: list[str]) -> int:
         task.nominal(robot)  # refuses parameters that the robot does not allow
     make_figures_folder(command.out)
     from surefoot.evaluate.sensitivity import episode_duration, run_sensitivity, trained_ranges
-    from surefoot.report.parameter_figures import aggregate_figure, parameter_figure
+    from surefoot.report.figures.parameters import aggregate_figure, parameter_figure
     from surefoot.tables import write_csv
 
     duration = command.duration or max(episode_duration(task) for task in tasks)
     names = ("values", "episodes", "pushes", "push_force", "seed")
     told = {name: getattr(command, name) for name in names} | {"duration": duration}
-    how = told | {"ranges": ranges, "threads": command.threads, "robots": WORLDS[command.world].side_by_side}
+    how = told | {"ranges": ranges, "threads": command.threads, "robots": WORLDS[command.world].robots_side_by_side}
     results = []
     for one, task in zip(loaded, tasks, strict=True):
         with progress_bar(one.name) as progress:

@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 
-from surefoot.cli.options import PAGE_PORT, PagePort
-from surefoot.cli.parsing import parse
-from surefoot.cli.simulator import Simulator, SimulatorOptions, ranges_help, take_ranges
+from surefoot.cli.helpers.options import PAGE_PORT, PagePort
+from surefoot.cli.helpers.parsing import parse
+from surefoot.cli.helpers.simulator import Simulator, SimulatorOptions, ranges_help, take_ranges
 from surefoot.errors import SurefootError, choices
 from surefoot.learn.config import TrainConfig, load_train_config
 from surefoot.stop_signals import StopSignals
@@ -112,11 +112,11 @@ def _robot(argv: list[str]) -> str | None:
 
 
 def _train(config: TrainConfig | None, path: Path, page_port: int | None) -> int:
-    from surefoot.evaluate.worlds import find_world
     from surefoot.learn.progress import TrainingProgress
     from surefoot.learn.run import TrainingRun
     from surefoot.learn.run_folder import RunFolder
     from surefoot.learn.run_lock import alone
+    from surefoot.world.registry import find_world
 
     console = Console()
     resume = config is None
@@ -130,7 +130,7 @@ def _train(config: TrainConfig | None, path: Path, page_port: int | None) -> int
             stop = stack.enter_context(_listen(console))
             after: Callable[..., None] = progress.update
             if page_port is not None:
-                from surefoot.cli.train_page import TrainingPage
+                from surefoot.cli.helpers.train_page import TrainingPage
 
                 page = TrainingPage(run, page_port)
                 stack.callback(page.close)
@@ -161,8 +161,8 @@ def _listen(console: Console) -> StopSignals:
 
 def check_config(config: TrainConfig) -> None:
     """Refuse an invalid task or an invalid run to start from, before a run folder is made."""
-    from surefoot.evaluate.worlds import find_world
     from surefoot.task.env import LocomotionEnv
+    from surefoot.world.registry import find_world
 
     LocomotionEnv(config.task, 1, find_world(config.world), threads=1)
     if config.start_from is not None:
@@ -177,17 +177,17 @@ def finish(run: TrainingRun, folder: RunFolder, console: Console) -> None:
     Tables, figures and a video of the median episode go to the run folder.
     """
     from surefoot.cli.evaluate import draw_episode, print_summaries
-    from surefoot.cli.options import how_to_show
+    from surefoot.cli.helpers.options import how_to_show
     from surefoot.cli.play import film
-    from surefoot.evaluate.comparison import Curve
     from surefoot.evaluate.gap import home_task
     from surefoot.evaluate.rollout import run_episodes
     from surefoot.evaluate.runs import summarize
-    from surefoot.evaluate.worlds import find_world
     from surefoot.learn.export import export_run
     from surefoot.policy.runtime import PolicyRuntime
-    from surefoot.report.study_figures import learning_curves
     from surefoot.robot import RobotDescription
+    from surefoot.studies.comparison import Curve
+    from surefoot.studies.study_figures import learning_curves
+    from surefoot.world.registry import find_world
 
     export_run(run, folder.policy)
     world, make_world = run.config.world, find_world(run.config.world)

@@ -5,17 +5,12 @@ from __future__ import annotations
 import math
 import time
 from collections import deque
-from collections.abc import Callable, Sequence
-
-from surefoot.errors import SurefootError
+from collections.abc import Callable
 
 SPIN = 150e-6
 """A wait's last part [s] is spent looking at the clock: a sleeping process is woken too late by up to so much."""
 WINDOW = 10.0
 """Time [s] over which the quickest frame counts: within it clocks that run 50 ppm apart part by half a millisecond."""
-_PATIENCE = (0.05, 0.15, 0.5, 1.3, 3.0)
-"""Real time [s] after which a ping is sent again, and at last given up. A robot in lockstep answers within a few
-milliseconds, unless the line lost the ping or its pong: then waiting is for nothing."""
 
 
 class MonotonicClock:
@@ -25,7 +20,7 @@ class MonotonicClock:
         self._start = time.monotonic()
 
     def now(self) -> float:
-        """Time since the clock was made [s]."""
+        """Return the time since the clock was made [s]."""
         return time.monotonic() - self._start
 
     def wait_until(self, moment: float) -> None:
@@ -38,31 +33,27 @@ class MonotonicClock:
 
 
 class LockstepClock:
-    """Time that passes only while the program waits; the robot is told, and runs as far.
-
-    For emulated robots in lockstep: nothing depends on how fast the computer is.
-    """
+    """Time that passes only while the program waits; an emulated robot follows it, however fast the computer is."""
 
     def __init__(self) -> None:
         self._now = 0.0
-        self.ping_through: Callable[[Sequence[float]], bool] | None = None
-        """`Link.ping_through` of the link whose other end follows this clock."""
+        self.follow: Callable[[], None] | None = None
+        """Lets the robot run to the present and receives what it sends until then; set by the link."""
 
     def now(self) -> float:
-        """The time [s]."""
+        """Return the time [s]."""
         return self._now
 
     def wait_until(self, moment: float) -> None:
-        """Let time go to `moment` [s], and take all that the robot says until then.
+        """Let time go to `moment` [s], and receive what the robot sends until then.
 
         Raises:
             SurefootError: the robot does not follow.
         """
-        if moment <= self._now:
-            return
-        self._now = moment
-        if self.ping_through is not None and not self.ping_through(_PATIENCE):
-            raise SurefootError("the robot does not answer; a clock in lockstep needs an emulator run with --lockstep")
+        if moment > self._now:
+            self._now = moment
+            if self.follow is not None:
+                self.follow()
 
 
 Clock = MonotonicClock | LockstepClock

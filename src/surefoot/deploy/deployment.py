@@ -9,14 +9,13 @@ from dataclasses import dataclass, replace
 
 from surefoot.arrays import Array
 from surefoot.deploy.commands import CommandSource
-from surefoot.deploy.connection import RobotConnection
 from surefoot.deploy.controller import Controller
 from surefoot.deploy.loop import ControlLoop, Watch
 from surefoot.deploy.messages import Handshake, State
 from surefoot.deploy.motion import MotionRunner
 from surefoot.deploy.pacer import Timing
 from surefoot.deploy.recording.recorder import Recorder
-from surefoot.deploy.robot_link import LinkLostError
+from surefoot.deploy.robot_link import LinkLostError, RobotLink
 from surefoot.deploy.safety import GO, Act, Guard, SafetyLimits, Verdict
 from surefoot.errors import SurefootError
 from surefoot.stop_signals import StopSignals
@@ -47,7 +46,7 @@ class Deployment:
     """One operator's time with a robot.
 
     Args:
-        connection: to the robot.
+        link: to the robot.
         controller: the policy on it.
         operator: may ask to stop.
         watch: is told how it goes.
@@ -57,7 +56,7 @@ class Deployment:
 
     def __init__(
         self,
-        connection: RobotConnection,
+        link: RobotLink,
         controller: Controller,
         operator: StopSignals,
         watch: Watch,
@@ -65,7 +64,7 @@ class Deployment:
         commands: CommandSource | None = None,
     ) -> None:
         self.commands = commands
-        self.connection, self.controller, self.operator, self.watch = connection, controller, operator, watch
+        self.link, self.controller, self.operator, self.watch = link, controller, operator, watch
         self.contract, self.robot = controller.contract, controller.robot
         self.limits, self.dry_run = SafetyLimits.of(self.robot), dry_run
         self._moved = False
@@ -82,11 +81,11 @@ class Deployment:
         """
         self.watch.phase("greet", 0.0)
         try:
-            check(self.connection.connect(state_period=self.contract.control_step))
-            if not self.connection.wait_for(lambda: self.connection.state is not None, 1.0):
+            check(self.link.connect(state_period=self.contract.control_step))
+            if not self.link.wait_for(lambda: self.link.state is not None, 1.0):
                 raise SurefootError("the robot tells nothing of itself within 1 s; switch it off and on again")
             self._warm_up()
-            if not self.connection.lockstep:
+            if not self.link.lockstep:
                 self._keep_time()
         except LinkLostError as error:
             raise SurefootError(f"the robot was lost before it was armed: {error}") from error
@@ -96,7 +95,7 @@ class Deployment:
         """Ask the policy some times: a network's first runs are slow, and what fails is best found now."""
         try:
             for _ in range(_WARM_UP):
-                self.controller.command(0.0, self.controller.observe(0.0, self.connection.last_state()))
+                self.controller.command(0.0, self.controller.observe(0.0, self.link.last_state()))
         except SurefootError:
             raise
         except Exception as error:
@@ -120,10 +119,8 @@ class Deployment:
             return self.controller.command(k * step, self.controller.observe(k * step, state, missed))
 
         for _ in range(TRIES):
-            guard = Guard(self.limits, step, self.connection.session, math.inf)
-            loop = ControlLoop(
-                self.connection, step, guard, self.operator, self.watch, Timing(PUNCTUAL + 1), dry_run=True
-            )
+            guard = Guard(self.limits, step, self.link.session, math.inf)
+            loop = ControlLoop(self.link, step, guard, self.operator, self.watch, Timing(PUNCTUAL + 1), dry_run=True)
             verdict = loop.follow("keep time", PUNCTUAL, compute)
             if verdict.act in (Act.GO, Act.SIT):
                 # The operator's wish to stop is for `run` to heed; a battery or a motor that is at its limit is not.
@@ -145,7 +142,7 @@ class Deployment:
         """
         contract = self.contract
         runner = MotionRunner(
-            self.connection,
+            self.link,
             self.robot,
             contract.control_step,
             self.operator,
@@ -190,9 +187,9 @@ class Deployment:
 
         def after(k: int, state: State, computed: bool) -> None:
             if k == 0:
-                begun(loop.pacer.due(0) - self.connection.sync.offset)
+                begun(loop.pacer.due(0) - self.link.sync.offset)
                 recorder.begin(state)
-            rows = recorder.close(k, state, self.connection.state_sent)
+            rows = recorder.close(k, state, self.link.state_sent)
             if len(rows):
                 keep(rows)
             if computed:
@@ -228,7 +225,7 @@ class Deployment:
     def close(self) -> None:
         """Give the robot back."""
         with contextlib.suppress(LinkLostError, OSError):
-            self.connection.close()
+            self.link.close()
 
 
 def _outcome(verdict: Verdict) -> Outcome:

@@ -11,10 +11,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from surefoot.arrays import Array
-from surefoot.deploy.connection import RobotConnection
 from surefoot.deploy.messages import State
 from surefoot.deploy.pacer import Pacer, Timing
-from surefoot.deploy.robot_link import LinkLostError
+from surefoot.deploy.robot_link import LinkLostError, RobotLink
 from surefoot.deploy.safety import GO, Act, Guard, NotFiniteError, Verdict
 from surefoot.errors import SurefootError
 from surefoot.stop_signals import StopSignals
@@ -78,7 +77,7 @@ class ControlLoop:
     """Ticks of one run.
 
     Args:
-        connection: to the robot.
+        link: to the robot.
         control_step: time between two commands [s].
         guard: judges each tick.
         operator: may ask to stop.
@@ -89,7 +88,7 @@ class ControlLoop:
 
     def __init__(
         self,
-        connection: RobotConnection,
+        link: RobotLink,
         control_step: float,
         guard: Guard,
         operator: StopSignals,
@@ -97,15 +96,15 @@ class ControlLoop:
         timing: Timing,
         dry_run: bool = False,
     ) -> None:
-        self.connection, self.guard, self.operator, self.watch = connection, guard, operator, watch
+        self.link, self.guard, self.operator, self.watch = link, guard, operator, watch
         self.timing, self.dry_run, self.control_step = timing, dry_run, control_step
-        self.pacer = Pacer(connection.clock, control_step)
+        self.pacer = Pacer(link.clock, control_step)
         self.target: Array | None = None
         """Motor angles (M,) [rad] that were sent last, or duties if the guard's mode is that of duties."""
         self.inference = math.nan
         """How long the policy took in this step [s]; whoever asks it says so here."""
         self._phase, self._steps = "", 0
-        self._states = connection.states
+        self._states = link.states
         self._told, self._told_steps, self._told_warnings, self._worst = -math.inf, 0, 0, math.nan
 
     def steps_of(self, duration: float) -> int:
@@ -145,25 +144,25 @@ class ControlLoop:
     def _tick(
         self, steps: int, compute: Compute, after: After | None, upright: bool, sitting: bool
     ) -> tuple[Verdict, int]:
-        connection, clock = self.connection, self.connection.clock
+        link, clock = self.link, self.link.clock
         try:
-            if not connection.lockstep:
+            if not link.lockstep:
                 # What has come by then is taken apart before it is needed.
                 clock.wait_until(self.pacer.due(self.pacer.index + 1) - EARLY)
-                connection.update()
+                link.update()
             tick = self.pacer.next()
-            connection.update()
+            link.update()
         except (LinkLostError, SurefootError) as error:
             self.damp()
             return Verdict(Act.GONE, "link", str(error)), steps
-        state = connection.state
+        state = link.state
         if state is None:
             return Verdict(Act.GONE, "link", "the robot has said nothing yet"), steps
         self.inference = math.nan
         computed = False
         try:
             verdict = self.guard.judge(
-                clock.now(), state, connection.state_age(), tick.missed, self.operator.stops, not self.dry_run, upright
+                clock.now(), state, link.state_age(), tick.missed, self.operator.stops, not self.dry_run, upright
             )
             if sitting and verdict.act is Act.SIT:
                 verdict = GO
@@ -177,8 +176,8 @@ class ControlLoop:
             self.damp()
             verdict = _failure(error)
         sent = clock.now() - tick.due
-        fresh = connection.states > self._states
-        self._states = connection.states
+        fresh = link.states > self._states
+        self._states = link.states
         self.timing.add(tick.late, sent, self.inference, tick.missed, fresh)
         if after is not None:
             after(tick.index, state, computed and verdict.act is Act.GO)
@@ -189,27 +188,27 @@ class ControlLoop:
         if self.dry_run:
             # Whoever says nothing for a second may lose the robot to another operator.
             if self.timing.steps % 16 == 0:
-                self.connection.link.ping()
+                self.link.ping()
         elif self.target is not None:
-            self.connection.command(self.guard.mode, self.target)
+            self.link.command(self.guard.mode, self.target)
 
     def damp(self) -> None:
         """Ask for damped motors, if there is still somebody to ask."""
         if not self.dry_run:
             with contextlib.suppress(LinkLostError):
-                self.connection.damp()
+                self.link.damp()
 
     def _tell(self, index: int, state: State) -> None:
         if not math.isnan(self.inference):
             self._worst = max(self.inference, self._worst) if not math.isnan(self._worst) else self.inference
-        now = self.connection.clock.now()
+        now = self.link.clock.now()
         if now - self._told < self.watch.period:
             return
         for text in self.guard.warnings[self._told_warnings :]:
             self.watch.warn(text)
         self._told_warnings = len(self.guard.warnings)
         done = self.timing.steps - self._told_steps
-        counts = self.connection.link.counts
+        statistics = self.link.statistics
         self.watch.tick(
             Snapshot(
                 phase=self._phase,
@@ -218,9 +217,9 @@ class ControlLoop:
                 lateness=tuple(self.timing.last(min(done, 100)).tolist()),
                 inference=self._worst,
                 missed=self.timing.missed,
-                state_age=self.connection.state_age(),
+                state_age=self.link.state_age(),
                 state=state,
-                dropped=counts.missing + self.connection.link.decoder.counts.damaged,
+                dropped=statistics.missing + statistics.damaged,
             )
         )
         self._told, self._told_steps, self._worst = now, self.timing.steps, math.nan

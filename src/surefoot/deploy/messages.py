@@ -176,3 +176,14 @@ class Fault(Message):
     session: int = quantity("1", "operator that it is meant for; 0: whoever listens")
     reason: int = quantity("1", "see Reason")
     text: str = quantity("", "in plain words")
+
+
+@dataclass(frozen=True)
+class Packet:
+    """A message as it is sent."""
+
+    message: Message
+    sequence: int
+    """Its number; each sender counts its own from 1."""
+    time: float
+    """When it was sent, on the sender's clock [s]."""

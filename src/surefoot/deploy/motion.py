@@ -11,11 +11,11 @@ from collections.abc import Callable
 import numpy as np
 
 from surefoot.arrays import Array
-from surefoot.deploy.connection import RobotConnection
 from surefoot.deploy.loop import ControlLoop, Watch
 from surefoot.deploy.messages import Fault, Handshake, Mode, Reason, State
 from surefoot.deploy.pacer import Timing
 from surefoot.deploy.poses import between, lying, sitting
+from surefoot.deploy.robot_link import RobotLink
 from surefoot.deploy.safety import GO, Act, Guard, SafetyLimits, Verdict
 from surefoot.errors import SurefootError
 from surefoot.robot import RobotDescription
@@ -43,7 +43,7 @@ class MotionRunner:
     """A greeted robot whose motors can be armed, moved and let go; each motion is smooth and watched by the guard.
 
     Args:
-        connection: to the robot.
+        link: to the robot.
         robot: its data sheet.
         control_step: time between two commands [s].
         operator: may ask to stop.
@@ -51,7 +51,7 @@ class MotionRunner:
         limits: when a motion ends early.
         tilt: roll or pitch [rad] that is a fall; the limits', if not given.
         mode: what the commands are.
-        lead: how long before the next command the robot is to send its state [s]; the connection's, if not given.
+        lead: how long before the next command the robot is to send its state [s]; the link's, if not given.
         timing: keeps lateness.
         dry_run: compute everything and send nothing.
 
@@ -61,7 +61,7 @@ class MotionRunner:
 
     def __init__(
         self,
-        connection: RobotConnection,
+        link: RobotLink,
         robot: RobotDescription,
         control_step: float,
         operator: StopSignals,
@@ -73,14 +73,14 @@ class MotionRunner:
         timing: Timing | None = None,
         dry_run: bool = False,
     ) -> None:
-        if connection.handshake is None:
+        if link.handshake is None:
             raise SurefootError("the robot was not greeted")
-        self.connection, self.robot, self.control_step, self.lead = connection, robot, control_step, lead
-        self.handshake: Handshake = connection.handshake
+        self.link, self.robot, self.control_step, self.lead = link, robot, control_step, lead
+        self.handshake: Handshake = link.handshake
         self.mode = mode
-        guard = Guard(limits or SafetyLimits.of(robot), control_step, connection.session, tilt, mode)
+        guard = Guard(limits or SafetyLimits.of(robot), control_step, link.session, tilt, mode)
         watch, timing = watch or Watch(), timing or Timing(0)
-        self.loop = ControlLoop(connection, control_step, guard, operator, watch, timing, dry_run)
+        self.loop = ControlLoop(link, control_step, guard, operator, watch, timing, dry_run)
         self.clean_time = self.handshake.rearm_after + _CLEAN_MARGIN
         """Time [s] for which a damped robot wants a clean link, and a little more."""
         self.risen = False
@@ -89,7 +89,7 @@ class MotionRunner:
     @property
     def state(self) -> State:
         """The newest state."""
-        return self.connection.last_state()
+        return self.link.last_state()
 
     @property
     def target(self) -> Array:
@@ -109,22 +109,22 @@ class MotionRunner:
             self.keep_talking(lambda: False, self.clean_time)
             refusal = self._ask_to_arm()
         if self.state.mode != self.mode:
-            self.connection.disarm()
+            self.link.disarm()
             raise SurefootError(f"the robot does not arm: {refusal.text if refusal is not None else 'no answer'}")
 
     def _ask_to_arm(self) -> Fault | None:
         """Return what the robot has against it, if it says so."""
-        faults = self.connection.faults
+        faults = self.link.faults
         asked = len(faults)
         self._ask_until(
-            lambda: self.connection.arm(self.mode, self.control_step, self.lead),
+            lambda: self.link.arm(self.mode, self.control_step, self.lead),
             lambda: self.state.mode == self.mode or len(faults) > asked,
         )
         return faults[-1] if len(faults) > asked else None
 
     def release(self, damp: bool = False) -> bool:
         """Disarm the robot, or damp its motors, until it says that it has; return whether it did."""
-        ask = self.loop.damp if damp else self.connection.disarm
+        ask = self.loop.damp if damp else self.link.disarm
         if self._ask_until(ask, lambda: self.state.mode in (Mode.DISARMED, Mode.FAULT)):
             return True
         self.loop.damp()
@@ -132,21 +132,21 @@ class MotionRunner:
 
     def keep_talking(self, condition: Callable[[], bool], timeout: float) -> bool:
         """Wait until a condition holds, and ping meanwhile, so that the link is seen to be clean."""
-        clock, last = self.connection.clock, -math.inf
+        clock, last = self.link.clock, -math.inf
 
         def ping() -> None:
             nonlocal last
             if clock.now() - last >= _PING:
                 last = clock.now()
-                self.connection.link.ping()
+                self.link.ping()
 
-        return self.connection.wait_for(condition, timeout, ping)
+        return self.link.wait_for(condition, timeout, ping)
 
     def _ask_until(self, ask: Callable[[], None], condition: Callable[[], bool]) -> bool:
         """Ask again and again until a condition holds; return whether it did."""
         for _ in range(_ATTEMPTS):
             ask()
-            if self.connection.wait_for(condition, _ANSWER / _ATTEMPTS):
+            if self.link.wait_for(condition, _ANSWER / _ATTEMPTS):
                 return True
         return False
 
@@ -232,7 +232,7 @@ class MotionRunner:
         """
         self.release(damp=True)
         self.loop.watch.phase("lie still", _STILL_PATIENCE)
-        clock = self.connection.clock
+        clock = self.link.clock
         earliest = clock.now() + self.clean_time
 
         def still() -> bool:

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from surefoot.deploy.messages import Handshake, Mode, State
-from surefoot.deploy.serial.frames import Frame
+from surefoot.deploy.messages import Handshake, Mode, Packet, State
 from surefoot.emulator.line import HARMS
 from surefoot.emulator.signals import MotorOrder, Sensors
 from surefoot.errors import SurefootError, choices
@@ -190,7 +189,7 @@ class FaultInjector:
         self._now = 0
         self._given: MotorOrder | None = None
         self._changed: MotorOrder | None = None
-        self._old: Frame | None = None
+        self._old: Packet | None = None
         self._number = 0
         if "late-states" in faults:
             plant.extra_latency = faults["late-states"].value
@@ -281,7 +280,7 @@ class FaultInjector:
             seen = replace(seen, roll_pitch_yaw=angles, angular_velocity_base=rates)
         return seen
 
-    def frame(self, frame: Frame) -> Frame:
+    def frame(self, frame: Packet) -> Packet:
         """Return what is sent instead of a frame."""
         if isinstance(frame.message, State):
             if self.began("stale-state"):

@@ -31,6 +31,7 @@ from surefoot.deploy.messages import (
     Hello,
     Message,
     Mode,
+    Packet,
     Ping,
     Pong,
     Position,
@@ -39,7 +40,7 @@ from surefoot.deploy.messages import (
     State,
 )
 from surefoot.deploy.serial.codec import Codec
-from surefoot.deploy.serial.frames import Decoder, Frame
+from surefoot.deploy.serial.frames import Decoder
 from surefoot.emulator.limits import Limits
 from surefoot.emulator.signals import MotorOrder, Sensors, Vitals, microseconds
 
@@ -118,7 +119,7 @@ class Firmware:
         """When the next state is due."""
         self.stale = 0
         """Commands dropped because they were too old."""
-        self._out: list[Frame] = []
+        self._out: list[Packet] = []
         self._sent = 0
         self._order = self._damped = MotorOrder(Mode.DISARMED, np.zeros(codec.motors))
         self._fresh = False
@@ -141,20 +142,20 @@ class Firmware:
         silent = now - self.watch.last_heard > microseconds(self.limits.owner_timeout)
         return bool(self.owner) and (self.armed or not silent)
 
-    def take(self) -> list[Frame]:
+    def take(self) -> list[Packet]:
         """Return and forget the frames to send, oldest first."""
         said, self._out = self._out, []
         return said
 
     def _say(self, now: int, message: Message) -> None:
         self._sent += 1
-        self._out.append(Frame(message, self._sent, now / 1e6))
+        self._out.append(Packet(message, self._sent, now / 1e6))
 
     # Messages.
 
     def receive(self, now: int, data: bytes) -> None:
         """Take bytes from the link."""
-        counts = self.decoder.counts
+        counts = self.decoder.statistics
         damaged, foreign = counts.damaged + counts.unknown, counts.foreign
         frames = self.decoder.feed(data)
         if counts.damaged + counts.unknown > damaged:
@@ -165,7 +166,7 @@ class Firmware:
         for frame in frames:
             self._handle(now, frame)
 
-    def _handle(self, now: int, frame: Frame) -> None:
+    def _handle(self, now: int, frame: Packet) -> None:
         message = frame.message
         if isinstance(message, Ping):
             # A ping has no session and changes nothing: it is answered whatever its number.
@@ -201,7 +202,7 @@ class Firmware:
             self._disarm(now)
             self.owner, self.next_state = 0, math.inf
 
-    def _greet_stranger(self, now: int, frame: Frame, hello: Hello) -> None:
+    def _greet_stranger(self, now: int, frame: Packet, hello: Hello) -> None:
         if self.is_taken(now):
             self._refuse(now, hello.session, Reason.BUSY, "another operator has the robot")
             return

@@ -16,7 +16,8 @@ from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.seeding import generator
 from surefoot.world.actuation import read_delayed, read_imu
 from surefoot.world.interface import WorldConfig
-from surefoot.world.sim_world import EngineFactory, SimWorld, mujoco_engine
+from surefoot.world.registry import DEFAULT_WORLD
+from surefoot.world.sim_world import SimWorld
 
 
 @dataclass(frozen=True)
@@ -41,7 +42,7 @@ class Plant:
         sensors: encoders, IMU and current sensors.
         power: battery and heat.
         rack: hold the base in the air.
-        engine: makes the physics.
+        engine: name of the physics engine in the registry of worlds.
         servo_every: physics steps between two of the servo.
 
     Raises:
@@ -56,7 +57,7 @@ class Plant:
         sensors: SensorConfig | None = None,
         power: PowerConfig | None = None,
         rack: bool = False,
-        engine: EngineFactory = mujoco_engine,
+        engine: str = DEFAULT_WORLD,
         servo_every: int = 1,
     ) -> None:
         self.robot, self.params = robot, params or PhysicalParams.nominal(robot)

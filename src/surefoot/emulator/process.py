@@ -53,14 +53,14 @@ class Summary:
 
     def text(self, board: Board, port: PtyPort) -> str:
         """Return one line for the end."""
-        counts, firmware = board.firmware.decoder.counts, board.firmware
+        counts, firmware = board.firmware.decoder.statistics, board.firmware
         share = self.processor_time / self.real_time if self.real_time > 0 else 0.0
         words = [
             f"{self.robot_time:.3f} s of robot time in {self.real_time:.1f} s",
             f"{100 * share:.0f} % of a processor",
             f"behind {self.behind} times (by {1e3 * self.worst:.1f} ms at worst)",
             f"slipped {self.slips} times ({self.slipped:.3f} s)",
-            f"frames heard {counts.frames}, damaged {counts.damaged}, foreign {counts.foreign}",
+            f"frames heard {counts.received}, damaged {counts.damaged}, foreign {counts.foreign}",
             f"repeated {firmware.watch.old_numbers}, stale {firmware.stale}, not read {port.unread}",
             f"mode {firmware.mode.name}, reason {firmware.reason.name}",
         ]

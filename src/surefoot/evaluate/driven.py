@@ -12,11 +12,11 @@ from surefoot.arrays import Array
 from surefoot.errors import SurefootError
 from surefoot.evaluate.rollout import Policy
 from surefoot.robot import PhysicalParams
+from surefoot.robot.randomization import RandomizeConfig
 from surefoot.rotations import in_heading_frame
 from surefoot.task.commands import HeldCommand
 from surefoot.task.config import TaskConfig
 from surefoot.task.env import LocomotionEnv, base_rates
-from surefoot.task.randomize import RandomizeConfig
 from surefoot.world.interface import SimulationFactory
 
 FIXED = ("control_step",)

@@ -1,4 +1,4 @@
-"""An ensemble of robots that nobody has seen: what stands for reality where there is no robot.
+"""An ensemble of simulated robots that no policy was trained with: it stands for reality where there is no robot.
 
 Robot k of a batch is the same one in every batch, drawn once from the table of ranges `ensemble`: all of table I of the
 paper, motors, servo and feet, and friction and play in the knees, an uneven floor and an IMU that is not mounted along
@@ -13,8 +13,7 @@ import numpy as np
 
 from surefoot.errors import SurefootError
 from surefoot.robot import PhysicalParams, RobotDescription
-from surefoot.task.randomize import draw_hidden, load_ranges
-from surefoot.world.interface import Simulation, WorldConfig
+from surefoot.robot.randomization import draw_hidden, load_ranges
 
 RANGES = "ensemble"
 ROBOTS = 20
@@ -30,17 +29,12 @@ def ensemble_params(robot: RobotDescription, num_envs: int) -> PhysicalParams:
     return PhysicalParams(**rows).rows(np.arange(num_envs) % ROBOTS)
 
 
-def ensemble_world(
-    robot: RobotDescription, num_envs: int, params: PhysicalParams, seed: int, config: WorldConfig
-) -> Simulation:
-    """Return robots of the ensemble in Bullet, with the control steps of `params`; all else must be nominal there."""
-    from surefoot.world.process_world import bullet_world
-
-    nominal = PhysicalParams.nominal(robot, num_envs)
+def draw_ensemble(robot: RobotDescription, params: PhysicalParams) -> PhysicalParams:
+    """Return the parameters of the ensemble with the control steps of `params`; all else must be nominal there."""
+    nominal = PhysicalParams.nominal(robot, params.num_envs)
     for name in PhysicalParams.names():
         if name != "control_step" and not np.array_equal(getattr(params, name), getattr(nominal, name)):
             raise SurefootError(
                 f"{name} is given; robots of the ensemble have their own: leave it out, or world bullet"
             )
-    hidden = replace(ensemble_params(robot, num_envs), control_step=params.control_step)
-    return bullet_world(robot, num_envs, hidden, seed, config)
+    return replace(ensemble_params(robot, params.num_envs), control_step=params.control_step)

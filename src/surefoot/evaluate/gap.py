@@ -22,8 +22,8 @@ from surefoot.arrays import Array
 from surefoot.errors import SurefootError, choices
 from surefoot.evaluate.runs import Estimate, Runs
 from surefoot.evaluate.statistics import Interval, crossed_interval
+from surefoot.robot.randomization import RandomizeConfig
 from surefoot.task.config import TaskConfig
-from surefoot.task.randomize import RandomizeConfig
 
 
 @dataclass(frozen=True)

@@ -20,9 +20,9 @@ from surefoot.errors import SurefootError, at_least
 from surefoot.evaluate.rollout import Policy, Progress, run_to_end
 from surefoot.evaluate.runs import Runs
 from surefoot.robot import PhysicalParams, RobotDescription
+from surefoot.robot.randomization import ROWS, RandomizeConfig, check_ranges
 from surefoot.task.config import MOST_STEPS, TaskConfig
 from surefoot.task.env import LocomotionEnv
-from surefoot.task.randomize import ROWS, RandomizeConfig, check_ranges
 from surefoot.world.interface import Simulation, SimulationFactory, WorldConfig
 
 Flags = NDArray[np.bool_]

@@ -8,11 +8,10 @@ from dataclasses import fields, replace
 import numpy as np
 
 from surefoot.arrays import Array
-from surefoot.deploy.connection import RobotConnection
 from surefoot.deploy.loop import Watch
 from surefoot.deploy.messages import Handshake, Mode, State
 from surefoot.deploy.motion import MotionRunner
-from surefoot.deploy.robot_link import LinkLostError
+from surefoot.deploy.robot_link import LinkLostError, RobotLink
 from surefoot.deploy.safety import Act, SafetyLimits
 from surefoot.errors import SurefootError
 from surefoot.identify.plan import Phase, Plan
@@ -38,15 +37,15 @@ class _ExperimentRunner:
     """An experiment on a greeted robot; see `run_plan`."""
 
     def __init__(
-        self, connection: RobotConnection, plan: Plan, robot: RobotDescription, operator: StopSignals, watch: Watch
+        self, link: RobotLink, plan: Plan, robot: RobotDescription, operator: StopSignals, watch: Watch
     ) -> None:
-        if connection.handshake is None:
+        if link.handshake is None:
             raise SurefootError("the robot was not greeted")
-        self.connection, self.plan, self.robot, self.operator = connection, plan, robot, operator
-        self.handshake: Handshake = connection.handshake
+        self.link, self.plan, self.robot, self.operator = link, plan, robot, operator
+        self.handshake: Handshake = link.handshake
         self.period = min(max(PERIOD, self.handshake.command_period_min), self.handshake.command_period_max)
         # Commands that come a little early must not put off a state that is due.
-        self.lead = 0.0 if connection.lockstep else self.period / 4
+        self.lead = 0.0 if link.lockstep else self.period / 4
         steps = LATE / self.period
         # Batteries sag under what an experiment asks for, and recover: only what would stop the robot itself counts.
         low = self.handshake.voltage_min + BATTERY_ROOM
@@ -62,16 +61,16 @@ class _ExperimentRunner:
         self._why = ""
 
     def run(self) -> Recording:
-        connection, ended, resting = self.connection, COMPLETE, 0
-        counts, decoded = connection.link.counts, connection.link.decoder.counts
-        before = counts.missing, decoded.damaged
-        connection.on_state = lambda state, sent, came: self._states.append((state, sent, came))
-        self._started = connection.clock.now()
+        link, ended, resting = self.link, COMPLETE, 0
+        statistics = link.statistics
+        before = statistics.missing, statistics.damaged
+        link.on_state = lambda state, sent, came: self._states.append((state, sent, came))
+        self._started = link.clock.now()
         try:
             self._runner(self.plan.phases[0].mode).keep_talking(lambda: False, REST)
             resting = len(self._states)
             # Legs on a rack hang down, and those of a robot that lies are folded: there the way to the plan begins.
-            angle = connection.last_state().motor_angle
+            angle = link.last_state().motor_angle
             self._low, self._high = np.minimum(self._low, angle), np.maximum(self._high, angle)
             self._run_phases()
         except (ExperimentStoppedError, LinkLostError) as stopped:
@@ -82,14 +81,14 @@ class _ExperimentRunner:
                 raise
             ended = str(refused)
         finally:
-            connection.on_state = None
-        frames = {"missing": counts.missing - before[0], "damaged": decoded.damaged - before[1]}
+            link.on_state = None
+        frames = {"missing": statistics.missing - before[0], "damaged": statistics.damaged - before[1]}
         return self._recording(ended, frames, resting)
 
     def _runner(self, mode: Mode) -> MotionRunner:
         tilt = self.handshake.tilt_limit
         return MotionRunner(
-            self.connection, self.robot, self.period, self.operator, self._watch, self._limits, tilt, mode, self.lead
+            self.link, self.robot, self.period, self.operator, self._watch, self._limits, tilt, mode, self.lead
         )
 
     def _run_phases(self) -> None:
@@ -99,7 +98,7 @@ class _ExperimentRunner:
                 if runner is not None:
                     self._disarm(runner)
                 runner = self._runner(phase.mode)
-                self._changes.append((self.connection.clock.now(), int(phase.mode)))
+                self._changes.append((self.link.clock.now(), int(phase.mode)))
                 runner.arm()
                 self._target = None
             self._follow(runner, index, phase)
@@ -107,7 +106,7 @@ class _ExperimentRunner:
             self._disarm(runner)
 
     def _disarm(self, runner: MotionRunner) -> None:
-        self._changes.append((self.connection.clock.now(), int(Mode.DISARMED)))
+        self._changes.append((self.link.clock.now(), int(Mode.DISARMED)))
         if not runner.release():
             raise ExperimentStoppedError("the robot does not say that it has disarmed")
 
@@ -127,7 +126,7 @@ class _ExperimentRunner:
 
         def after(k: int, state: State, computed: bool) -> None:
             if loop.target is not None:
-                self._sent.append((self.connection.link.counts.sent, self.connection.clock.now(), index, loop.target))
+                self._sent.append((self.link.next_number - 1, self.link.clock.now(), index, loop.target))
 
         verdict = loop.follow(phase.name, loop.steps_of(phase.duration), target, after)
         self._target = loop.target
@@ -155,7 +154,7 @@ class _ExperimentRunner:
         worst = int(np.argmax(state.temperature))
         if state.temperature[worst] > limits.temperature:
             return f"{names[worst]} has {state.temperature[worst]:.0f} degC; at most {limits.temperature:g}"
-        if self.connection.clock.now() - self._started > limits.duration:
+        if self.link.clock.now() - self._started > limits.duration:
             return f"it took more than {limits.duration:g} s"
         return ""
 
@@ -188,7 +187,7 @@ class _ExperimentRunner:
             "mode_changes": self._changes,
             "ended": ended,
             "period": self.period,
-            "lead": self.connection.lead,
+            "lead": self.link.lead,
             "servo_period": self.handshake.servo_period,
             "resting_states": resting,
             "frames": {"received": len(states), **frames},
@@ -198,7 +197,7 @@ class _ExperimentRunner:
         return Recording(**arrays, meta=meta)
 
 
-def run_plan(connection: RobotConnection, plan: Plan, robot: RobotDescription, watch: Watch) -> Recording:
+def run_plan(link: RobotLink, plan: Plan, robot: RobotDescription, watch: Watch) -> Recording:
     """Watch a greeted robot at rest, go through all phases, let it go; return what was recorded, however it ended.
 
     Nothing is raised once motors may have moved: `meta["ended"]` tells why an experiment did not come to its end, such
@@ -208,4 +207,4 @@ def run_plan(connection: RobotConnection, plan: Plan, robot: RobotDescription, w
         SurefootError: the robot was not greeted, or does not arm.
     """
     with StopSignals() as operator:
-        return _ExperimentRunner(connection, plan, robot, operator, watch).run()
+        return _ExperimentRunner(link, plan, robot, operator, watch).run()

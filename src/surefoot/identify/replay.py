@@ -24,12 +24,13 @@ from numpy.typing import NDArray
 from surefoot.arrays import Array
 from surefoot.deploy.messages import Mode
 from surefoot.errors import SurefootError
+from surefoot.identify.logs.robot_log import RobotLog
 from surefoot.identify.recording import CLOCK, Recording
-from surefoot.identify.robot_log import RobotLog
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.world.actuation import read_imu
 from surefoot.world.interface import WorldConfig
-from surefoot.world.sim_world import EngineFactory, SimWorld, mujoco_engine
+from surefoot.world.registry import DEFAULT_WORLD, WORLDS
+from surefoot.world.sim_world import SimWorld
 
 SETTLE = 0.6
 """Time [s] for which simulated robots hold the first command before the recording begins."""
@@ -149,7 +150,7 @@ class Replayer:
         robot: what to simulate.
         num_envs: how many go at once.
         rack: hold their bases in the air.
-        engine: makes the physics; MuJoCo runs on all cores.
+        engine: name of the physics engine in the registry of worlds; one that uses threads runs on all cores.
         torques: tell motors' torques too, and follow the voltage, with a call of the engine in every servo step.
     """
 
@@ -158,11 +159,11 @@ class Replayer:
         robot: RobotDescription,
         num_envs: int,
         rack: bool = True,
-        engine: EngineFactory = mujoco_engine,
+        engine: str = DEFAULT_WORLD,
         torques: bool = True,
     ) -> None:
         self.robot, self.num_envs, self._torques = robot, num_envs, torques
-        cores = min(os.cpu_count() or 1, num_envs) if engine is mujoco_engine else 1
+        cores = min(os.cpu_count() or 1, num_envs) if WORLDS[engine].uses_threads else 1
         # A world that steps on several threads would have them wait for each other in every servo step.
         config = WorldConfig(rack=rack, threads=1)
         self._worlds = [SimWorld(robot, -(-num_envs // cores), config=config, engine=engine) for _ in range(cores)]

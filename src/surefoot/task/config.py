@@ -12,11 +12,11 @@ from surefoot.configuration import Within, check_bounds, from_mapping, is_number
 from surefoot.errors import SurefootError, check_name, choices, located, quoted
 from surefoot.robot import DEFAULT_ROBOT, PhysicalParams, RobotDescription
 from surefoot.robot.params_file import ParamValue
+from surefoot.robot.randomization import RandomizeConfig, with_ranges
 from surefoot.task.commands import CommandConfig
 from surefoot.task.gait import ActionKind, HybridGait, narrowed_bounds
 from surefoot.task.observation import IMU_AND_MOTORS_12D
 from surefoot.task.pushes import PushConfig
-from surefoot.task.randomize import RandomizeConfig, with_ranges
 from surefoot.task.reference import make_reference
 from surefoot.task.reward import check_terms
 from surefoot.task.trace import ENERGY_WEIGHT

@@ -12,12 +12,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from surefoot.arrays import Array
 from surefoot.robot import RobotDescription
+from surefoot.robot.randomization import Randomizer
 from surefoot.rotations import in_heading_frame
 from surefoot.task.commands import CommandFilter, CommandSource, CommandState
 from surefoot.task.config import TaskConfig
 from surefoot.task.observation import Moment, Observer, gait_phase
 from surefoot.task.pushes import Pusher
-from surefoot.task.randomize import Randomizer
 from surefoot.task.reward import Scales, StepMotion, reward_rate
 from surefoot.world.interface import Readings, Simulation, SimulationFactory, Truth, WorldConfig
 
@@ -77,7 +77,7 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
     Args:
         task: its configuration, which must fit its robot.
         num_envs: number of robots.
-        make_world: makes the simulation, such as `surefoot.world.sim_world.SimWorld`.
+        make_world: makes the simulation, such as `surefoot.world.registry.find_world` returns.
         seed: seeds every stream of random numbers.
         autoreset: whether robots start anew by themselves.
         threads: threads of the simulation; 0 means one a core.

@@ -55,8 +55,6 @@ CONTACT = ("contact_friction", "contact_stiffness", "contact_spinning_friction",
 """Physical parameters of the feet's contact."""
 RATIOS = ("base_mass_ratio", "leg_mass_ratio", "base_inertia_ratio", "leg_inertia_ratio")
 """Physical parameters of masses and inertias."""
-BULLET_ONLY = ("knee_friction", "knee_play", "floor_unevenness")
-"""Physical parameters that MuJoCo's engine does not model."""
 _PARAMS = {
     **{
         name: name

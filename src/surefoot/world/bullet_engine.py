@@ -17,43 +17,37 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.arrays import Array
-from surefoot.errors import SurefootError
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.rotations import quat_matrix, xyzw_matrix
 from surefoot.world.actuation import RACK_HEIGHT, SPEED_LIMIT, ActuationState, bases_on_rack
 from surefoot.world.bullet_kernels import JOINTS, OMEGA, VELOCITY, Layout, base_links, observe, substep
-from surefoot.world.bullet_model import PARAMETERS, BulletModel, BulletSettings, import_pybullet
+from surefoot.world.bullet_model import PARAMETERS, PUBLISHED, BulletModel, BulletSettings, import_pybullet
 from surefoot.world.interface import WorldConfig
 from surefoot.world.self_collision import collision_pairs
 
 Index = NDArray[np.int64]
 
-MAX_ROBOTS = 256
-"""Robots in one process; PyBullet has room for 1024 clients. Each takes some 33 MB of memory."""
-
 
 class BulletEngine:
-    """Bullet behind the interface `sim_world.Engine`, one robot after another; `process_world` takes several cores.
+    """Bullet as an `Engine`, one robot after another.
+
+    With `published`, it has the settings of the simulator that was published with the description of the paper's robot.
 
     Raises:
-        SurefootError: more robots than a process can hold, or a robot that Bullet reads with other masses.
-        ModuleNotFoundError: PyBullet is not installed.
+        SurefootError: a robot that Bullet reads with other masses, or more robots than Bullet has room for.
     """
-
-    name = "bullet"
 
     def __init__(
         self,
         robot: RobotDescription,
         actuation: ActuationState,
         config: WorldConfig,
-        settings: BulletSettings = BulletSettings(),  # noqa: B008, it is frozen
+        published: bool = False,
     ) -> None:
+        settings = PUBLISHED if published else BulletSettings()
         self.robot, self.actuation, self._config, self._settings = robot, actuation, config, settings
         self.gravity = settings.gravity
         num_envs = len(actuation.ticks)
-        if num_envs > MAX_ROBOTS:
-            raise SurefootError(f"num_envs is {num_envs}; one process holds up to {MAX_ROBOTS} robots in Bullet")
         self._p = import_pybullet()
         self._meeting = collision_pairs(robot)
         self.models = [BulletModel(robot, config, settings, self._meeting) for _ in range(num_envs)]

@@ -22,7 +22,7 @@ from surefoot.robot import GRAVITY, RobotDescription
 from surefoot.robot.fused_urdf import fuse_urdf
 from surefoot.robot.urdf import read_frame
 from surefoot.rotations import matrix_quat
-from surefoot.world.actuation import BULLET_ONLY, CONTACT, RACK_HEIGHT, RATIOS
+from surefoot.world.actuation import CONTACT, RACK_HEIGHT, RATIOS
 from surefoot.world.bullet_kernels import pin_kernel, sole_kernel
 from surefoot.world.interface import WorldConfig
 from surefoot.world.self_collision import collision_pairs
@@ -70,7 +70,7 @@ PUBLISHED = BulletSettings(cone_friction=False, gravity=10.0, feet="shank", grou
 """The simulator that was published with the description of the paper's robot (pybullet_envs): no cone friction,
 300 solver iterations over 6 steps, gravity 10 m/s2, lower links as boxes on a box (on a plane, `trot` falls in 5 of 10
 episodes; there it never does)."""
-PARAMETERS = (*CONTACT, *RATIOS, *BULLET_ONLY)
+PARAMETERS = (*CONTACT, *RATIOS, "knee_friction", "knee_play", "floor_unevenness")
 """Physical parameters that are a client's own; servo, motors and sensors have the others."""
 
 

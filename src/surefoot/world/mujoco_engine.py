@@ -18,9 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.arrays import Array
-from surefoot.errors import SurefootError
 from surefoot.robot import GRAVITY, PhysicalParams, RobotDescription
-from surefoot.world.actuation import BULLET_ONLY, RATIOS, ActuationState, bases_on_rack
+from surefoot.world.actuation import RATIOS, ActuationState, bases_on_rack
 from surefoot.world.interface import WorldConfig
 from surefoot.world.mujoco_loop import DATA_FIELDS, Native, advance, gather_base, observe
 from surefoot.world.mujoco_model import build_model, foot_geoms, resting_qpos
@@ -29,8 +28,8 @@ from surefoot.world.native import function_address, struct_offset
 Index = NDArray[np.int64]
 
 _STATE = mujoco.mjtState.mjSTATE_INTEGRATION
-_LEAST = 8
-"""Robots a thread is worth its start for."""
+MIN_ROBOTS_PER_THREAD = 8
+"""A thread with fewer robots does not pay for its start."""
 MASS_FIELDS = (
     *("body_mass", "body_inertia", "body_subtreemass", "body_invweight0", "dof_M0", "dof_invweight0"),
     *("dof_armature", "body_ipos"),
@@ -44,9 +43,8 @@ def _masses(model: mujoco.MjModel) -> Array:
 
 
 class MujocoEngine:
-    """MuJoCo behind the interface `sim_world.Engine`; it steps robots on `config.threads` threads."""
+    """MuJoCo as an `Engine`; it steps robots on `config.threads` threads."""
 
-    name = "mujoco"
     gravity = GRAVITY
 
     def __init__(self, robot: RobotDescription, actuation: ActuationState, config: WorldConfig) -> None:
@@ -57,7 +55,7 @@ class MujocoEngine:
         self._nominal = build_model(robot, config)
         self._scratch_model = copy.copy(self._nominal)
         self._scratch = mujoco.MjData(self._scratch_model)
-        self.threads = min(config.threads or os.cpu_count() or 1, -(-num_envs // _LEAST))
+        self.threads = min(config.threads or os.cpu_count() or 1, -(-num_envs // MIN_ROBOTS_PER_THREAD))
         self.models = [copy.copy(self._nominal) for _ in range(self.threads)]
         self.datas = [mujoco.MjData(self._nominal) for _ in range(num_envs)]
         self._base = self._nominal.body(robot.base).id
@@ -187,11 +185,7 @@ class MujocoEngine:
             data.xfrc_applied[self._base, :3] = force
 
     def set_params(self, rows: Index, params: PhysicalParams) -> None:
-        """Apply masses, inertias and the feet's contact, a row for each robot, if MuJoCo models all else."""
-        for name in BULLET_ONLY:
-            if (values := getattr(params, name)).any():
-                value = values[np.flatnonzero(values)[0]]
-                raise SurefootError(f"{name} is {value:g}; MuJoCo does not model it: set 0, or use world bullet")
+        """Apply masses, inertias and the feet's contact, a row for each robot."""
         native = self._native
         native.friction[rows] = params.contact_friction
         native.stiffness[rows] = params.contact_stiffness

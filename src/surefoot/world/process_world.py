@@ -15,7 +15,6 @@ import sys
 import weakref
 from collections.abc import Iterator, Sequence
 from dataclasses import fields, replace
-from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -27,7 +26,8 @@ from surefoot.errors import SurefootError
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.world.actuation import SHARED_ARRAYS
 from surefoot.world.interface import Readings, Simulation, Truth, WorldConfig
-from surefoot.world.sim_world import EngineFactory, SimWorld, check_batch, saved_params
+from surefoot.world.registry import WORLDS
+from surefoot.world.sim_world import SimWorld, check_batch
 
 Rows = TypeVar("Rows", Readings, Truth)
 
@@ -119,9 +119,8 @@ def _cut(arrays: dict[str, Array], share: slice) -> dict[str, Array]:
 class ProcessWorld:
     """A `Simulation` whose robots are stepped by several processes; arguments and errors are those of `SimWorld`.
 
-    The engine is a function at the top of a module. The processes, `config.threads` of them, end with this object, when
-    it is closed, or with the process that owns it, but for `worker_pool`; a `SurefootError` tells that one has ended
-    on its own.
+    The processes, `config.threads` of them, end with this object, when it is closed, or with the process that owns it;
+    with `worker_pool` they wait for the next world. One that ends on its own causes a `SurefootError`.
     """
 
     def __init__(
@@ -131,7 +130,7 @@ class ProcessWorld:
         params: PhysicalParams | None,
         seed: int,
         config: WorldConfig,
-        engine: EngineFactory,
+        engine: str,
     ) -> None:
         check_batch(num_envs, params)
         self.robot, self.num_envs, self.config = robot, num_envs, config
@@ -272,7 +271,7 @@ class ProcessWorld:
 
     def set_state(self, state: dict[str, Any]) -> None:
         """Continue from `get_state`, exactly; the state may come from any number of processes, or from a `SimWorld`."""
-        params = saved_params(self.robot, state)
+        params = PhysicalParams(**state["params"])
         params.check(self.robot)
         self.params.set_rows(np.arange(self.num_envs), params)
         count, parts = self.num_envs, []
@@ -294,32 +293,18 @@ def processes_for(num_envs: int, config: WorldConfig) -> int:
     return max(1, min(config.threads or os.cpu_count() or 1, num_envs))
 
 
-def bullet_world(
-    robot: RobotDescription,
-    num_envs: int,
-    params: PhysicalParams | None = None,
-    seed: int = 0,
-    config: WorldConfig | None = None,
-    published: bool = False,
+def spread_world(
+    robot: RobotDescription, num_envs: int, params: PhysicalParams | None, seed: int, config: WorldConfig, engine: str
 ) -> Simulation:
-    """Return simulated robots in Bullet: in this process if one is enough, else on `config.threads` processes.
-
-    With `published`, Bullet has the settings of the simulator that was published with its description.
+    """Return simulated robots: in this process if one is enough, else on `config.threads` processes.
 
     Raises:
         SurefootError: as `SimWorld`, or more robots than so many processes can hold.
-        ModuleNotFoundError: PyBullet is not installed.
     """
-    from surefoot.world.bullet_engine import MAX_ROBOTS, BulletEngine
-    from surefoot.world.bullet_model import PUBLISHED
-
-    engine = partial(BulletEngine, settings=PUBLISHED) if published else BulletEngine
-    config = config or WorldConfig()
-    processes = processes_for(num_envs, config)
-    if num_envs > MAX_ROBOTS * processes:
+    processes, most = processes_for(num_envs, config), WORLDS[engine].max_robots
+    if most is not None and num_envs > most * processes:
         raise SurefootError(
-            f"num_envs is {num_envs}; Bullet holds up to {MAX_ROBOTS} robots in each of {processes} processes"
+            f"num_envs is {num_envs}; world {engine} holds up to {most} robots in each of {processes} processes"
         )
-    if processes == 1:
-        return SimWorld(robot, num_envs, params, seed, config, engine)
-    return ProcessWorld(robot, num_envs, params, seed, config, engine)
+    make = SimWorld if processes == 1 else ProcessWorld
+    return make(robot, num_envs, params, seed, config, engine)

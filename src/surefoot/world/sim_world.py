@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,17 +12,10 @@ from surefoot.arrays import Array
 from surefoot.errors import SurefootError
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.seeding import generators
-from surefoot.world.actuation import (
-    ActuationState,
-    new_actuation,
-    read_delayed,
-    read_imu,
-    record_sample,
-    set_actuation_params,
-)
+from surefoot.world.actuation import new_actuation, read_delayed, read_imu, record_sample, set_actuation_params
+from surefoot.world.engine import EngineFactory, Index
 from surefoot.world.interface import Readings, Truth, WorldConfig
-
-Index = NDArray[np.int64]
+from surefoot.world.registry import DEFAULT_WORLD, check_modelled, find_engine
 
 SETTLE_TIME = 0.5
 """Time [s] for which a robot settles before an episode (the robot's published environment)."""
@@ -34,74 +26,12 @@ _ZERO_AT_START = (
 )
 
 
-class Engine(Protocol):
-    """Physics of a batch of robots; it shares the `ActuationState` arrays with the world.
-
-    Rows are indices of robots, (n,); other arrays have a row for each of these.
-    """
-
-    name: str
-    gravity: float
-    initial_state: Array
-    diverged: NDArray[np.bool_]
-
-    def advance(self, servo_steps: Index) -> None:
-        """Run each robot for its number of servo steps, `compute_torque` before and `record_sample` after each."""
-
-    def observe(self, rows: Index) -> None:
-        """Write states to `actuation.sample`."""
-
-    def get_state(self, rows: Index) -> Array:
-        """Return the whole states (n, size) in the engine."""
-
-    def set_state(self, rows: Index, states: Array) -> None:
-        """Put robots into states (n, size), or all into one (size,), and clear their marks of divergence."""
-
-    def raise_base(self, rows: Index, height: Array) -> None:
-        """Move bases up by heights (n,) [m]."""
-
-    def set_base_velocity(self, rows: Index, linear_world: Array, angular_base: Array) -> None:
-        """Set velocities (n, 3) [m/s] and angular velocities (n, 3) [rad/s] of bases."""
-
-    def set_force(self, force_world: Array) -> None:
-        """Set the forces (N, 3) [N] on all robots' bases, at their centres of mass."""
-
-    def set_params(self, rows: Index, params: PhysicalParams) -> None:
-        """Apply masses, inertias and the feet's contact, a row for each robot; states stay as they are."""
-
-    def base(self) -> Array:
-        """Return the base position, quaternion and velocity in the world, (N, 10)."""
-
-    def foot_positions(self) -> Array:
-        """Return the foot centres in the world, (N, L, 3)."""
-
-
-EngineFactory = Callable[[RobotDescription, ActuationState, WorldConfig], Engine]
-"""Makes the physics of as many robots as the shared arrays of servos, motors and sensors have rows."""
-
-
-def mujoco_engine(robot: RobotDescription, actuation: ActuationState, config: WorldConfig) -> Engine:
-    """Return the MuJoCo engine, imported on first use."""
-    from surefoot.world.mujoco_engine import MujocoEngine
-
-    return MujocoEngine(robot, actuation, config)
-
-
 def check_batch(num_envs: int, params: PhysicalParams | None) -> None:
     """Refuse a world without robots, or parameters for another number of them."""
     if num_envs < 1:
         raise SurefootError(f"num_envs is {num_envs}; a world needs 1 robot or more")
     if params is not None and params.num_envs != num_envs:
         raise SurefootError(f"params are for {params.num_envs} robots; the world has {num_envs}")
-
-
-def saved_params(robot: RobotDescription, state: dict[str, Any]) -> PhysicalParams:
-    """Return the physical parameters of a saved state; one that an earlier version did not have is nominal."""
-    given = PhysicalParams.nominal(robot, len(state["control_steps"]))
-    for name, values in state["params"].items():
-        # Gains were one number a robot in states of earlier versions.
-        getattr(given, name)[...] = values if values.ndim == getattr(given, name).ndim else values[:, None]
-    return given
 
 
 class SimWorld:
@@ -113,7 +43,7 @@ class SimWorld:
         params: their physical parameters; nominal, if none are given.
         seed: seeds sensor noise and starting velocities, one stream a robot.
         config: see `WorldConfig`.
-        engine: makes the physics; MuJoCo by default.
+        engine: name in the registry of worlds of the physics engine.
         first: number of the first robot, for one of several worlds that share a batch: robot k draws what it would
             draw as robot `first` + k of a single world.
 
@@ -128,7 +58,7 @@ class SimWorld:
         params: PhysicalParams | None = None,
         seed: int = 0,
         config: WorldConfig | None = None,
-        engine: EngineFactory = mujoco_engine,
+        engine: str = DEFAULT_WORLD,
         first: int = 0,
     ) -> None:
         check_batch(num_envs, params)
@@ -136,13 +66,14 @@ class SimWorld:
         longest = max(robot.allowed["control_latency"][1], robot.allowed["servo_latency"][1])
         self._history = int(np.ceil(longest / robot.timing.servo_step)) + 2
         self.actuation = new_actuation(robot, num_envs, self._history, self.config)
-        self.engine = engine(robot, self.actuation, self.config)
+        self._engine_name, make_engine = engine, find_engine(engine)
+        self.engine = make_engine(robot, self.actuation, self.config)
         self.params = PhysicalParams.nominal(robot, num_envs)
         self.resting_angles = robot.pose_angles(*(self.config.rest or robot.rest))
         # How deep nominal feet stand in the ground: weight over stiffness of all feet [m].
         self._weight = self.engine.gravity * robot.urdf.total_mass / len(robot.legs)
         self._sunk = self._weight / robot.contact.stiffness
-        self._settled = self._settle(engine)
+        self._settled = self._settle(make_engine)
         self._imu_streams = generators(seed, "imu noise", first + num_envs)[first:]
         self._start_streams = generators(seed, "start", first + num_envs)[first:]
         self._noise = np.zeros((num_envs, _NOISE_BLOCK, 2))
@@ -153,11 +84,11 @@ class SimWorld:
             self.set_params(np.arange(num_envs), params)
         self.reset()
 
-    def _settle(self, engine: EngineFactory) -> Array:
+    def _settle(self, make_engine: EngineFactory) -> Array:
         """Return the state of one nominal robot after it has settled."""
         config = replace(self.config, thermal_protection=False, threads=1)
         actuation = new_actuation(self.robot, 1, self._history, config)
-        single = engine(self.robot, actuation, config)
+        single = make_engine(self.robot, actuation, config)
         actuation.target[:] = self.resting_angles
         only = np.zeros(1, np.int64)
         single.set_state(only, single.initial_state)
@@ -282,6 +213,7 @@ class SimWorld:
         """
         rows = np.atleast_1d(np.asarray(index, np.int64))
         params.check(self.robot)
+        check_modelled(self._engine_name, params)
         self.engine.set_params(rows, params)
         self.params.set_rows(rows, params)
         set_actuation_params(self.actuation, rows, params)
@@ -291,7 +223,7 @@ class SimWorld:
         self.engine.set_force(np.asarray(force_world, float))
 
     def get_state(self) -> dict[str, Any]:
-        """Return the whole state of the world, for an exact resume."""
+        """Return the whole state of the world."""
         return {
             "engine": self.engine.get_state(np.arange(self.num_envs)),
             "actuation": {name: array.copy() for name, array in self.actuation._asdict().items()},
@@ -304,15 +236,10 @@ class SimWorld:
         }
 
     def set_state(self, state: dict[str, Any]) -> None:
-        """Go on from `get_state`, exactly; a parameter that an earlier version did not have is nominal."""
-        self.set_params(np.arange(self.num_envs), saved_params(self.robot, state))
+        """Continue from `get_state`, exactly."""
+        self.set_params(np.arange(self.num_envs), PhysicalParams(**state["params"]))
         for name, array in self.actuation._asdict().items():
-            saved = state["actuation"].get(name)
-            # What states of earlier versions do not have, or have with one number a robot, is as it was just set.
-            if saved is not None and saved.shape == array.shape:
-                array[...] = saved
-            elif name == "duty":
-                array[...] = 0.0
+            array[...] = state["actuation"][name]
         self.engine.set_state(np.arange(self.num_envs), state["engine"])
         self._control_steps[:] = state["control_steps"]
         self._noise[:] = state["noise"]

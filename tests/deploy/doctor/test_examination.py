@@ -14,8 +14,7 @@ import pytest
 pytest.importorskip("numba")  # the toy robot runs the emulator's firmware
 
 from surefoot.check_result import CheckResult
-from surefoot.cli.policies import find_policy
-from surefoot.deploy.connection import RobotConnection
+from surefoot.cli.helpers.policies import find_policy
 from surefoot.deploy.doctor import rack as doctor_rack
 from surefoot.deploy.doctor.examination import check_computer, examine, time_inference
 from surefoot.deploy.doctor.ground import Tilted, check_tilts, tilted
@@ -25,6 +24,7 @@ from surefoot.deploy.doctor.rack import Wiggle, check_motors, check_response, fi
 from surefoot.deploy.doctor.rest import Sample, check_rest
 from surefoot.deploy.messages import Mode, State
 from surefoot.deploy.poses import sitting
+from surefoot.deploy.robot_link import RobotLink
 from surefoot.deploy.safety import SafetyLimits
 from surefoot.policy.runtime import PolicyRuntime
 from surefoot.robot import RobotDescription
@@ -103,12 +103,12 @@ def test_a_line_that_answers_nothing_fails_once():
     assert [one.passed for one in found] == [False, None, None, None]
 
 
-def test_pings_that_are_lost_are_counted(connection: RobotConnection, toy: Any):
-    connection.connect()
+def test_pings_that_are_lost_are_counted(link: RobotLink, toy: Any):
+    link.connect()
     toy.silent = True
     # Time in lockstep needs answers; what is lost is lost for the doctor's own pings.
-    connection.clock.wait_until = lambda moment: setattr(connection.clock, "_now", moment)  # type: ignore[method-assign]
-    assert measure_link(connection, 20).lost == 20
+    link.clock.wait_until = lambda moment: setattr(link.clock, "_now", moment)  # type: ignore[method-assign]
+    assert measure_link(link, 20).lost == 20
 
 
 # At rest.
@@ -124,10 +124,8 @@ def samples_of(state: State, rng: np.random.Generator, count: int = 100, **chang
     return made
 
 
-def rest_failures(
-    samples: list[Sample], robot: RobotDescription, connection: RobotConnection
-) -> dict[str, CheckResult]:
-    handshake = connection.connect()
+def rest_failures(samples: list[Sample], robot: RobotDescription, link: RobotLink) -> dict[str, CheckResult]:
+    handshake = link.connect()
     found = check_rest(samples, robot, handshake, SafetyLimits.of(robot))
     assert [one.name for one in found] == ["battery", "temperature", "encoders", "IMU"]
     return {one.name: one for one in found if not one.passed}
@@ -139,10 +137,10 @@ def pose_of(robot: RobotDescription, swing: Any, extension: Any) -> np.ndarray:
 
 @pytest.mark.parametrize(("swing", "extension"), [(0.0, 0.9), (-1.3, 1.0), (0.12, 2.98), (0.0, 2.0)])
 def test_a_robot_at_rest_passes_in_any_pose_that_is_alike(
-    swing: float, extension: float, a_state: State, robot: RobotDescription, connection: RobotConnection, rng: Any
+    swing: float, extension: float, a_state: State, robot: RobotDescription, link: RobotLink, rng: Any
 ):
     state = replace(a_state, motor_angle=pose_of(robot, swing, extension))
-    assert rest_failures(samples_of(state, rng), robot, connection) == {}
+    assert rest_failures(samples_of(state, rng), robot, link) == {}
 
 
 @pytest.mark.parametrize(
@@ -178,10 +176,10 @@ def test_what_is_wrong_at_rest_is_found(
     why: str,
     a_state: State,
     robot: RobotDescription,
-    connection: RobotConnection,
+    link: RobotLink,
     rng: Any,
 ):
-    failed = rest_failures(samples_of(a_state, rng, **changed), robot, connection)
+    failed = rest_failures(samples_of(a_state, rng, **changed), robot, link)
     assert list(failed) == [check]
     assert why in failed[check].message
     assert failed[check].remedy
@@ -189,18 +187,18 @@ def test_what_is_wrong_at_rest_is_found(
 
 @pytest.mark.parametrize("motor", range(8))
 def test_a_mirrored_encoder_is_found_at_rest(
-    motor: int, a_state: State, robot: RobotDescription, connection: RobotConnection, rng: Any
+    motor: int, a_state: State, robot: RobotDescription, link: RobotLink, rng: Any
 ):
     angles = pose_of(robot, 0.0, 0.9)
     angles[motor] *= -1
-    failed = rest_failures(samples_of(replace(a_state, motor_angle=angles), rng), robot, connection)
+    failed = rest_failures(samples_of(replace(a_state, motor_angle=angles), rng), robot, link)
     leg = next(leg for leg in robot.legs if NAMES[motor] in leg.motors)
     assert failed["encoders"].message.startswith(leg.name)
     assert NAMES[motor] in failed["encoders"].message
 
 
-def test_a_robot_that_sends_no_states_fails(robot: RobotDescription, connection: RobotConnection):
-    assert len(rest_failures([], robot, connection)) == 4
+def test_a_robot_that_sends_no_states_fails(robot: RobotDescription, link: RobotLink):
+    assert len(rest_failures([], robot, link)) == 4
 
 
 # On the rack.
@@ -396,16 +394,16 @@ def test_every_inference_is_timed(policy: PolicyRuntime):
 # Motion.
 
 
-def move(connection: RobotConnection, robot: RobotDescription, operator: Any = Never, **options: Any) -> LeashedRobot:
-    if connection.handshake is None:
-        connection.connect()
-        assert connection.wait_for(lambda: connection.state is not None, 1.0)
-    return LeashedRobot(connection, robot, 0.006, operator, options.pop("leash", 0.15), **options)
+def move(link: RobotLink, robot: RobotDescription, operator: Any = Never, **options: Any) -> LeashedRobot:
+    if link.handshake is None:
+        link.connect()
+        assert link.wait_for(lambda: link.state is not None, 1.0)
+    return LeashedRobot(link, robot, 0.006, operator, options.pop("leash", 0.15), **options)
 
 
-def test_a_motion_is_smooth_and_ends_disarmed(connection: RobotConnection, robot: RobotDescription, toy: Any):
+def test_a_motion_is_smooth_and_ends_disarmed(link: RobotLink, robot: RobotDescription, toy: Any):
     end = toy.angle + 0.3
-    with move(connection, robot, leash=1.0) as leashed:
+    with move(link, robot, leash=1.0) as leashed:
         leashed.go(end, 0.6)
     assert np.allclose(toy.angle, end, atol=1e-6)
     targets = np.array([message.target[0] for _, message in toy.heard if type(message).__name__ == "Position"])
@@ -413,19 +411,17 @@ def test_a_motion_is_smooth_and_ends_disarmed(connection: RobotConnection, robot
     assert len(leashed.samples) >= 100
     assert toy.kinds() == ["Hello", "Arm", "Position", "Disarm"]
     assert toy.firmware.mode == Mode.DISARMED
-    assert connection.on_state is None
+    assert link.on_state is None
 
 
-def test_a_robot_on_the_ground_sits_before_it_is_disarmed(
-    connection: RobotConnection, robot: RobotDescription, toy: Any
-):
-    with move(connection, robot, sits=True) as leashed:
+def test_a_robot_on_the_ground_sits_before_it_is_disarmed(link: RobotLink, robot: RobotDescription, toy: Any):
+    with move(link, robot, sits=True) as leashed:
         leashed.go(pose_of(robot, 0.0, 1.5), 0.5)
     assert np.allclose(toy.angle, sitting(robot), atol=1e-6)
     assert toy.firmware.mode == Mode.DISARMED
 
 
-def test_a_motor_that_strays_damps_all(connection: RobotConnection, robot: RobotDescription, toy: Any):
+def test_a_motor_that_strays_damps_all(link: RobotLink, robot: RobotDescription, toy: Any):
     def stray(time: float, readings: Any) -> Any:
         angle = readings.motor_angle.copy()
         angle[3] += 0.4 if toy.firmware.armed else 0.0
@@ -433,7 +429,7 @@ def test_a_motor_that_strays_damps_all(connection: RobotConnection, robot: Robot
 
     toy.sensors = stray
     start = toy.angle.copy()
-    leashed = move(connection, robot)
+    leashed = move(link, robot)
     with pytest.raises(MotionStoppedError, match=r"back_left_1_motor is .0.40 rad from where it was sent"), leashed:
         leashed.hold(start, 0.5)
     assert leashed.strayed == (3, pytest.approx(0.4))
@@ -443,15 +439,15 @@ def test_a_motor_that_strays_damps_all(connection: RobotConnection, robot: Robot
 
 @pytest.mark.parametrize(("stops", "last", "mode"), [(1, "Disarm", Mode.DISARMED), (2, "Damp", Mode.FAULT)])
 def test_ctrl_c_sits_and_once_more_damps(
-    stops: int, last: str, mode: Mode, connection: RobotConnection, robot: RobotDescription, toy: Any
+    stops: int, last: str, mode: Mode, link: RobotLink, robot: RobotDescription, toy: Any
 ):
     class Impatient:
         @property
         def stops(self) -> int:
-            return stops if connection.clock.now() > 0.3 else 0
+            return stops if link.clock.now() > 0.3 else 0
 
     stand = pose_of(robot, 0.0, 1.5)
-    leashed = move(connection, robot, Impatient(), sits=True)
+    leashed = move(link, robot, Impatient(), sits=True)
     with pytest.raises(MotionStoppedError) as stopped, leashed:
         leashed.go(stand, 5.0)
     assert stopped.value.verdict.reason == "operator"
@@ -460,14 +456,14 @@ def test_ctrl_c_sits_and_once_more_damps(
     assert np.allclose(toy.angle, sitting(robot), atol=1e-6) == (stops == 1)
 
 
-def test_an_exception_in_the_middle_damps(connection: RobotConnection, robot: RobotDescription, toy: Any):
+def test_an_exception_in_the_middle_damps(link: RobotLink, robot: RobotDescription, toy: Any):
     def fail(leashed: LeashedRobot) -> None:
         with leashed:
             leashed.hold(toy.angle.copy(), 0.1)
             raise ZeroDivisionError
 
     with pytest.raises(ZeroDivisionError):
-        fail(move(connection, robot))
+        fail(move(link, robot))
     assert toy.kinds()[-1] == "Damp"
     assert toy.firmware.mode == Mode.FAULT
 
@@ -488,10 +484,10 @@ def delayed(seconds: float) -> Callable[[float, Any], Any]:
 
 
 def test_a_toy_that_is_as_old_as_the_policy_expects_passes_all(
-    connection: RobotConnection, robot: RobotDescription, policy: PolicyRuntime, toy: Any
+    link: RobotLink, robot: RobotDescription, policy: PolicyRuntime, toy: Any
 ):
     toy.sensors = delayed(0.018)
-    found = list(examine(connection, policy, robot, on_rack=True, **QUICK))
+    found = list(examine(link, policy, robot, on_rack=True, **QUICK))
     assert [one.name for one in found if one.passed is False] == []
     by_name = {one.name: one for one in found}
     assert all(by_name[name].passed for name in doctor_rack.NAMES)
@@ -500,10 +496,10 @@ def test_a_toy_that_is_as_old_as_the_policy_expects_passes_all(
 
 
 def test_a_cable_that_is_pulled_ends_the_checks_with_a_finding(
-    connection: RobotConnection, robot: RobotDescription, policy: PolicyRuntime, toy: Any
+    link: RobotLink, robot: RobotDescription, policy: PolicyRuntime, toy: Any
 ):
     found = []
-    for result in examine(connection, policy, robot, **QUICK):
+    for result in examine(link, policy, robot, **QUICK):
         found.append(result)
         toy.cut = result.name == "angle limits"
     assert found[-2].name == "angle limits"
@@ -511,7 +507,7 @@ def test_a_cable_that_is_pulled_ends_the_checks_with_a_finding(
 
 
 def test_a_wiggle_that_is_stopped_says_which_motor(
-    connection: RobotConnection, robot: RobotDescription, policy: PolicyRuntime, toy: Any
+    link: RobotLink, robot: RobotDescription, policy: PolicyRuntime, toy: Any
 ):
     def runaway(time: float, readings: Any) -> Any:
         moved = readings.motor_angle - sitting(robot)
@@ -520,9 +516,9 @@ def test_a_wiggle_that_is_stopped_says_which_motor(
         return replace(readings, motor_angle=angle)
 
     toy.sensors = runaway
-    connection.connect()
-    assert connection.wait_for(lambda: connection.state is not None, 1.0)
-    found = doctor_rack.wiggle_motors(connection, policy.contract, robot, Never())  # type: ignore[arg-type]
+    link.connect()
+    assert link.wait_for(lambda: link.state is not None, 1.0)
+    found = doctor_rack.wiggle_motors(link, policy.contract, robot, Never())  # type: ignore[arg-type]
     assert found[0].passed is False
     assert (
         "back_left_2_motor went -0.25 rad from where it was sent while back_left_2_motor was asked" in found[0].message

@@ -281,11 +281,11 @@ def test_both_find_the_same_frames_in_a_damaged_stream(program: Path, link_soak:
     )
     decoder, expected = Decoder(CODEC), []
     for at in range(len(stream)):
-        foreign = decoder.counts.foreign
+        foreign = decoder.statistics.foreign
         for frame in decoder.feed(stream[at : at + 1]):
             payload = CODEC.pack(frame.message)
             expected.append((NUMBERS[type(frame.message)], frame.sequence, round(frame.time * 1e6), payload))
-        if decoder.counts.foreign > foreign:
+        if decoder.statistics.foreign > foreign:
             expected.append(("foreign", *decoder.foreign))
     said, counts = run(program, "list", stream)
     found = []
@@ -297,9 +297,9 @@ def test_both_find_the_same_frames_in_a_damaged_stream(program: Path, link_soak:
             message = CODEC.unpack(int(first), bytes.fromhex(rest[2]))
             found.append((int(first), int(rest[0]), int(rest[1]), CODEC.pack(message)))
     assert found == expected
-    seen = decoder.counts
-    assert counts.split() == [str(count) for count in (seen.frames, seen.damaged, seen.foreign, seen.unknown)]
-    assert seen.frames > 400
+    seen = decoder.statistics
+    assert counts.split() == [str(count) for count in (seen.received, seen.damaged, seen.foreign, seen.unknown)]
+    assert seen.received > 400
     assert min(seen.damaged, seen.foreign, seen.unknown) > 15
 
 

@@ -12,9 +12,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from wire_vectors import EXAMPLES, Example
 
-from surefoot.deploy.messages import Fault, Handshake, Ping, Pong, State
+from surefoot.deploy.messages import Fault, Handshake, Packet, Ping, Pong, State
+from surefoot.deploy.robot_link import LinkStatistics
 from surefoot.deploy.serial.codec import HEADER, MESSAGES, NUMBERS, VERSION, Codec
-from surefoot.deploy.serial.frames import MAX_FRAME, Counts, Decoder, Frame, encode_frame, frame_bytes
+from surefoot.deploy.serial.frames import MAX_FRAME, Decoder, encode_frame, frame_bytes
 
 CODEC = Codec(8)
 PING = encode_frame(CODEC, Ping(1), 2, 0.001)
@@ -53,14 +54,14 @@ def header(code: int, version: int = VERSION, schema: int = CODEC.schema) -> byt
     return HEADER.pack(version, code, schema, 5, 6)
 
 
-def numbers(frames: list[Frame]) -> list[int]:
+def numbers(frames: list[Packet]) -> list[int]:
     return [frame.sequence for frame in frames]
 
 
-def heard(data: bytes) -> tuple[list[int], Counts]:
+def heard(data: bytes) -> tuple[list[int], LinkStatistics]:
     """Numbers of the frames in a stream, and the counts."""
     decoder = Decoder(CODEC)
-    return numbers(decoder.feed(data)), decoder.counts
+    return numbers(decoder.feed(data)), decoder.statistics
 
 
 # Known bytes.
@@ -104,7 +105,7 @@ def test_a_ping_has_the_bytes_worked_by_hand():
     )
     assert bytes.fromhex(on_the_line) == PING
     (frame,) = Decoder(CODEC).feed(PING)
-    assert frame == Frame(Ping(1), 2, 0.001)
+    assert frame == Packet(Ping(1), 2, 0.001)
 
 
 @pytest.mark.parametrize("example", EXAMPLES, ids=lambda example: type(example.message).__name__)
@@ -181,12 +182,12 @@ def test_a_time_is_rounded_and_clipped(time: float, arrives: float):
 
 def test_frames_may_stand_close_or_far_or_share_their_zeros():
     for stream in (PING + PONG, PING + bytes(1000) + PONG, PING[:-1] + PONG, PING[1:] + PONG[:-1] + b"\0"):
-        assert heard(stream) == ([2, 3], Counts(frames=2))
+        assert heard(stream) == ([2, 3], LinkStatistics(received=2))
 
 
 def test_zeros_and_nothing_are_no_frames():
-    assert heard(b"") == ([], Counts())
-    assert heard(bytes(5000)) == ([], Counts())
+    assert heard(b"") == ([], LinkStatistics())
+    assert heard(bytes(5000)) == ([], LinkStatistics())
 
 
 @pytest.mark.parametrize("cut", range(len(PING) + 1))
@@ -241,7 +242,7 @@ def test_a_byte_lost_doubled_or_swapped_anywhere_does_not_pass():
 def test_garbage_between_frames_is_counted_and_costs_no_frame():
     found, counts = heard(PING + b"garbage" + PONG + b"\x01\0more" + PING)
     assert found == [2, 3, 2]
-    assert counts == Counts(frames=3, damaged=3)
+    assert counts == LinkStatistics(received=3, damaged=3)
 
 
 @pytest.mark.parametrize("body", [b"", b"\0" * 17, header(2)[:17]])
@@ -262,7 +263,7 @@ def test_a_frame_of_another_version_or_schema_is_foreign(version: int, schema: i
     assert decoder.foreign is None
     stream = frame_of(header(NUMBERS[Ping], version, schema) + b"whatever") + PONG
     assert numbers(decoder.feed(stream)) == [3]
-    assert decoder.counts == Counts(frames=1, foreign=1)
+    assert decoder.statistics == LinkStatistics(received=1, foreign=1)
     assert decoder.foreign == (version, schema)
 
 
@@ -306,7 +307,7 @@ def test_a_piece_beyond_the_limit_is_not_kept(size: int, held: bool):
             decoder.feed(b"x" * min(step, size - at))
         assert len(decoder._held) == (size if held else 0)
         assert numbers(decoder.feed(PONG)) == [3]
-        assert decoder.counts.damaged == 1
+        assert decoder.statistics.damaged == 1
 
 
 def test_a_line_that_never_ends_is_one_damaged_piece_and_takes_no_memory():
@@ -314,9 +315,9 @@ def test_a_line_that_never_ends_is_one_damaged_piece_and_takes_no_memory():
     for size in (1, 100, 1000, 5_000_000, 7, 1024, 1025):
         assert decoder.feed(b"\xaa" * size) == []
         assert sys.getsizeof(decoder._held) < 2 * MAX_FRAME
-    assert decoder.counts.damaged == 0
+    assert decoder.statistics.damaged == 0
     assert numbers(decoder.feed(PING + PONG)) == [2, 3]
-    assert decoder.counts.damaged == 1
+    assert decoder.statistics.damaged == 1
 
 
 def test_a_frame_behind_too_much_without_a_zero_is_lost_with_it():
@@ -347,7 +348,7 @@ def test_no_bytes_raise_or_pass(data: bytes):
     decoder = Decoder(CODEC)
     decoder.feed(data)
     assert len(decoder._held) <= MAX_FRAME
-    assert decoder.counts.frames == 0
+    assert decoder.statistics.received == 0
 
 
 @given(st.lists(PIECES, max_size=12), st.data())
@@ -364,7 +365,7 @@ def test_how_a_stream_is_split_changes_nothing(pieces: list[bytes], data: st.Dat
         alone += single.feed(bytes([byte]))
     for frames, decoder in ((found, parts), (alone, single)):
         assert [(frame.sequence, frame.time, CODEC.pack(frame.message)) for frame in frames] == expected
-        assert decoder.counts == whole.counts
+        assert decoder.statistics == whole.statistics
         assert decoder.foreign == whole.foreign
 
 

@@ -40,7 +40,7 @@ def test_the_soak_notices_a_receiver_that_loses_a_frame(link_soak: ModuleType, m
 
 
 def test_the_soak_notices_a_link_that_takes_repeated_frames(link_soak: ModuleType, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(link_soak.Link, "_is_next", lambda self, frame: True)
+    monkeypatch.setattr(link_soak.SerialLink, "_is_next", lambda self, frame: True)
     result = link_soak.soak(1000, seed=0)
     assert result.wrongly_taken > 50
     assert not result.good

@@ -17,7 +17,7 @@ from surefoot.deploy.robot_link import LinkLostError
 from surefoot.deploy.serial.codec import Codec
 from surefoot.deploy.serial.frames import Decoder, encode_frame
 from surefoot.deploy.serial.port import SerialPort
-from surefoot.deploy.serial.serial_link import Link
+from surefoot.deploy.serial.serial_link import SerialLink
 from surefoot.errors import SurefootError
 
 CODEC = Codec(8)
@@ -39,20 +39,21 @@ def frame(sequence: int, token: int = 0) -> bytes:
     return encode_frame(CODEC, Pong(token), sequence, 1.0)
 
 
-def heard(link: Link, count: int) -> list[int]:
+def heard(link: SerialLink, count: int) -> list[int]:
     """Numbers of the frames that come, `count` at least or whatever comes within 5 s."""
     found: list[int] = []
     end = time.monotonic() + 5.0
     while len(found) < count and time.monotonic() < end:
         link.port.wait(0.05)
-        found += [arrival.frame.sequence for arrival in link.receive()]
+        found += [arrival.packet.sequence for arrival in link.receive()]
     return found
 
 
 def test_frames_go_both_ways(pty):
     master, name = pty
-    link = Link(SerialPort(name), CODEC, MonotonicClock())
-    assert link.send(Position(5, np.arange(8.0))) == 1
+    link = SerialLink(SerialPort(name), CODEC, MonotonicClock(), 7)
+    link.send(Position(5, np.arange(8.0)))
+    assert link.next_number == 2
     assert link.ping() == 1
     decoder, frames = Decoder(CODEC), []
     while len(frames) < 2:
@@ -66,10 +67,10 @@ def test_frames_go_both_ways(pty):
 
 
 def test_backward_repeated_and_missing_numbers_are_counted_and_dropped(pty):
-    link = Link(SerialPort(pty[1]), CODEC, MonotonicClock())
+    link = SerialLink(SerialPort(pty[1]), CODEC, MonotonicClock(), 7)
     os.write(pty[0], b"".join(frame(number) for number in (1, 2, 2, 5, 4, 6)))
     assert heard(link, 4) == [1, 2, 5, 6]
-    assert (link.counts.repeated, link.counts.missing) == (2, 2)
+    assert (link.statistics.repeated, link.statistics.missing) == (2, 2)
 
 
 def greeting(toy, session: int, sequence: int) -> bytes:
@@ -79,45 +80,45 @@ def greeting(toy, session: int, sequence: int) -> bytes:
 
 
 def test_a_robot_that_greets_counts_from_one_again(pty, toy):
-    link = Link(SerialPort(pty[1]), CODEC, MonotonicClock())
-    link.greeted = 7
+    link = SerialLink(SerialPort(pty[1]), CODEC, MonotonicClock(), 7)
+    link.awaits_handshake = True
     os.write(pty[0], frame(900) + greeting(toy, 7, 1) + frame(2))
     assert heard(link, 3) == [900, 1, 2]
-    assert link.counts.repeated == 0
+    assert link.statistics.repeated == 0
 
 
 def test_a_handshake_that_comes_twice_or_late_lets_nothing_old_in(pty, toy):
-    link = Link(SerialPort(pty[1]), CODEC, MonotonicClock())
-    link.greeted = 7
+    link = SerialLink(SerialPort(pty[1]), CODEC, MonotonicClock(), 7)
+    link.awaits_handshake = True
     once = greeting(toy, 7, 1)
     os.write(pty[0], frame(900) + once + frame(2) + frame(3) + once + frame(2) + frame(4))
     assert heard(link, 5) == [900, 1, 2, 3, 4]
-    assert link.counts.repeated == 2
+    assert link.statistics.repeated == 2
 
 
 def test_a_handshake_for_somebody_else_is_a_frame_like_any_other(pty, toy):
-    link = Link(SerialPort(pty[1]), CODEC, MonotonicClock())
-    link.greeted = 7
+    link = SerialLink(SerialPort(pty[1]), CODEC, MonotonicClock(), 7)
+    link.awaits_handshake = True
     os.write(pty[0], frame(900) + greeting(toy, 8, 1) + frame(2) + greeting(toy, 8, 901))
     assert heard(link, 2) == [900, 901]
-    assert link.counts.repeated == 2
+    assert link.statistics.repeated == 2
 
 
 def test_garbage_between_frames_costs_no_frame(pty):
-    link = Link(SerialPort(pty[1]), CODEC, MonotonicClock())
+    link = SerialLink(SerialPort(pty[1]), CODEC, MonotonicClock(), 7)
     os.write(pty[0], b"\x07garbage" + frame(1) + b"\xff\x00\x13" + frame(2))
     assert heard(link, 2) == [1, 2]
-    assert link.decoder.counts.damaged == 3
+    assert link.decoder.statistics.damaged == 3
 
 
 def test_a_full_port_drops_frames_and_does_not_block(pty):
-    link = Link(SerialPort(pty[1]), CODEC, MonotonicClock())
+    link = SerialLink(SerialPort(pty[1]), CODEC, MonotonicClock(), 7)
     started = time.monotonic()
     for _ in range(2000):
         link.send(Position(1, np.zeros(8)))
     assert time.monotonic() - started < 10.0
-    assert link.counts.sent == 2000
-    assert link.counts.unsent > 0
+    assert link.statistics.sent == 2000
+    assert link.statistics.unsent > 0
 
 
 def test_a_port_whose_other_end_closes_is_lost(pty):
@@ -149,9 +150,9 @@ def test_a_port_that_is_none_is_told_in_one_line(tmp_path):
 
 
 def test_a_ping_is_waited_for_and_what_comes_before_is_kept(toy):
-    link = Link(toy, CODEC, MonotonicClock())
+    link = SerialLink(toy, CODEC, MonotonicClock(), 7)
     assert link.ping_through((1.0,))
-    assert [type(arrival.frame.message) for arrival in link.receive()] == [Pong]
+    assert [type(arrival.packet.message) for arrival in link.receive()] == [Pong]
     toy.silent = True
     assert not link.ping_through((0.01,))
 
@@ -159,18 +160,18 @@ def test_a_ping_is_waited_for_and_what_comes_before_is_kept(toy):
 def test_in_lockstep_what_comes_is_taken_where_time_goes_on(toy):
     """Otherwise it would be chance whether an answer has come already when it is first looked for."""
     clock = LockstepClock()
-    link = Link(toy, CODEC, clock)
+    link = SerialLink(toy, CODEC, clock, 7)
     link.send(Hello(7, 0.01))
     assert link.receive() == []
     clock.wait_until(0.01)
     taken = link.receive()
-    assert [type(arrival.frame.message) for arrival in taken] == [Handshake, State, Pong]
+    assert [type(arrival.packet.message) for arrival in taken] == [Handshake, State, Pong]
     assert {arrival.time for arrival in taken} == {0.01}
 
 
 def test_in_lockstep_a_command_goes_with_the_next_ping(toy):
     clock = LockstepClock()
-    link = Link(toy, CODEC, clock)
+    link = SerialLink(toy, CODEC, clock, 7)
     link.send(Position(7, np.zeros(8)))
     assert toy.heard == []
     clock.wait_until(0.01)
@@ -181,11 +182,11 @@ def test_in_lockstep_a_command_goes_with_the_next_ping(toy):
 
 
 def test_a_ping_that_is_sent_again_leaves_no_trace_in_the_numbers(toy):
-    link = Link(toy, CODEC, LockstepClock())
+    link = SerialLink(toy, CODEC, LockstepClock(), 7)
     toy.silent = True
     assert not link.ping_through((0.01, 0.01, 0.01))
     assert [message for _, message in toy.heard] == 3 * [Ping(1)]
-    assert link.counts.sent == 1
+    assert link.statistics.sent == 1
     toy.silent = False
     assert link.ping_through((1.0,))
-    assert link.counts.sent == 2
+    assert link.statistics.sent == 2

@@ -12,12 +12,11 @@ from surefoot.arrays import Array
 from surefoot.check_result import CheckResult, judge, skipped
 from surefoot.deploy.checks import check_contract
 from surefoot.deploy.clock import MonotonicClock
-from surefoot.deploy.connection import RobotConnection
 from surefoot.deploy.doctor import ground, rack
 from surefoot.deploy.doctor.link import PINGS, check_link, measure_link
 from surefoot.deploy.doctor.rest import check_rest, watch
 from surefoot.deploy.pacer import Pacer, undisturbed
-from surefoot.deploy.robot_link import LinkLostError
+from surefoot.deploy.robot_link import LinkLostError, RobotLink
 from surefoot.deploy.safety import SafetyLimits
 from surefoot.errors import SurefootError, choices
 from surefoot.policy.runtime import PolicyRuntime
@@ -38,7 +37,7 @@ _WARM_UP = 50
 
 
 def examine(
-    connection: RobotConnection,
+    link: RobotLink,
     policy: PolicyRuntime,
     robot: RobotDescription,
     on_rack: bool = False,
@@ -49,7 +48,7 @@ def examine(
     """Do all checks, one after another; nothing moves unless everything before it passed.
 
     Args:
-        connection: to the robot, not greeted yet.
+        link: to the robot, not greeted yet.
         policy: the policy.
         robot: the data sheet that it is for.
         on_rack: wiggle the motors: the robot hangs free, its legs in the air.
@@ -68,23 +67,23 @@ def examine(
         return results
 
     try:
-        handshake = connection.connect()
+        handshake = link.connect()
         yield from kept(check_contract(contract, handshake, robot, policy.digest))
-        figures = measure_link(connection, pings)
-        yield from kept(check_link(figures, connection.lead, contract.control_step, connection.lockstep))
+        figures = measure_link(link, pings)
+        yield from kept(check_link(figures, link.lead, contract.control_step, link.lockstep))
         for _ in range(PATIENCE):
             # A robot that was just put down, or switched on, is given some time to come to rest.
-            samples = watch(connection)
+            samples = watch(link)
             at_rest = check_rest(samples, robot, handshake, SafetyLimits.of(robot))
             if all(result.passed for result in at_rest):
                 break
         yield from kept(at_rest)
-        if connection.lockstep:
+        if link.lockstep:
             why = "in lockstep nothing depends on how fast this computer is"
             yield from skipped(("inference", "control loop"), why, "run without --lockstep")
         else:
             inference = time_inference(policy, steps)
-            late, missed = time_loop(policy, connection, steps)
+            late, missed = time_loop(policy, link, steps)
             yield from kept(check_computer(inference, late, missed, contract.control_step))
         tilt_robot = partial(ground.tilt_robot, at_rest=samples)
         for wanted, names, need, motion in (
@@ -98,7 +97,7 @@ def examine(
             else:
                 with undisturbed(), StopSignals() as operator:
                     try:
-                        found = motion(connection, contract, robot, operator)
+                        found = motion(link, contract, robot, operator)
                     except SurefootError as error:
                         first = CheckResult(
                             names[0], False, str(error), "switch the robot off and on, and run it again"
@@ -123,7 +122,7 @@ def time_inference(policy: PolicyRuntime, count: int = STEPS) -> Array:
     return taken
 
 
-def time_loop(policy: PolicyRuntime, connection: RobotConnection, steps: int = STEPS) -> tuple[Array, int]:
+def time_loop(policy: PolicyRuntime, link: RobotLink, steps: int = STEPS) -> tuple[Array, int]:
     """Lateness [s] of the steps of a control loop in real time, and how many steps were missed.
 
     The loop reads the port, runs the policy at its control step and sends a frame, as a deployment does; the frame is
@@ -139,9 +138,9 @@ def time_loop(policy: PolicyRuntime, connection: RobotConnection, steps: int = S
         pacer = Pacer(MonotonicClock(), step)
         while pacer.index < steps - 1:
             tick = pacer.next()
-            connection.update()
+            link.update()
             policy.feedback(observation)
-            connection.link.ping()
+            link.ping()
             late[done] = tick.late
             missed += tick.missed
             done += 1

@@ -13,9 +13,9 @@ import numpy as np
 
 from surefoot.arrays import Array
 from surefoot.check_result import CheckResult, judge, skipped
-from surefoot.deploy.connection import RobotConnection
 from surefoot.deploy.doctor.leashed_robot import LeashedRobot, MotionStoppedError
 from surefoot.deploy.doctor.rest import Sample
+from surefoot.deploy.robot_link import RobotLink
 from surefoot.errors import choices
 from surefoot.policy.contract import Contract
 from surefoot.robot import RobotDescription
@@ -49,7 +49,7 @@ class Tilted:
 
 
 def tilt_robot(
-    connection: RobotConnection,
+    link: RobotLink,
     contract: Contract,
     robot: RobotDescription,
     operator: StopSignals,
@@ -58,7 +58,7 @@ def tilt_robot(
     """Let a robot stand up and tilt itself to the front and to the left, sit down and disarm, and judge its IMU.
 
     Args:
-        connection: to a robot that sits on flat ground.
+        link: to a robot that sits on flat ground.
         contract: says how it stands.
         robot: as of `MotionRunner`.
         operator: as of `MotionRunner`.
@@ -73,7 +73,7 @@ def tilt_robot(
         return skipped(NAMES, why, "name them so in the data sheet")
     gyro_bias = np.mean([sample.state.angular_velocity_base for sample in at_rest], axis=0)
     stand = robot.pose_angles(*contract.rest)
-    leashed = LeashedRobot(connection, robot, contract.control_step, operator, LEASH, sits=True)
+    leashed = LeashedRobot(link, robot, contract.control_step, operator, LEASH, sits=True)
     try:
         with leashed:
             leashed.go(stand, RISE)

@@ -8,10 +8,10 @@ from typing import Self
 import numpy as np
 
 from surefoot.arrays import Array
-from surefoot.deploy.connection import RobotConnection
 from surefoot.deploy.doctor.rest import Sample
 from surefoot.deploy.messages import Mode, State
 from surefoot.deploy.motion import MotionRunner
+from surefoot.deploy.robot_link import RobotLink
 from surefoot.deploy.safety import Act, Verdict
 from surefoot.robot import RobotDescription
 from surefoot.stop_signals import StopSignals
@@ -38,7 +38,7 @@ class LeashedRobot(MotionRunner):
     """A robot that is armed while this is entered; afterwards it is disarmed, or damped if anything went wrong.
 
     Args:
-        connection: to the robot, greeted.
+        link: to the robot, greeted.
         robot: its description.
         control_step: of the commands [s].
         operator: whoever may stop it.
@@ -52,14 +52,14 @@ class LeashedRobot(MotionRunner):
 
     def __init__(
         self,
-        connection: RobotConnection,
+        link: RobotLink,
         robot: RobotDescription,
         control_step: float,
         operator: StopSignals,
         leash: float,
         sits: bool = False,
     ) -> None:
-        super().__init__(connection, robot, control_step, operator)
+        super().__init__(link, robot, control_step, operator)
         self.leash, self.sits = leash, sits
         self.strayed: tuple[int, float] | None = None
         """Motor that left its way, and by how much [rad]."""
@@ -69,11 +69,11 @@ class LeashedRobot(MotionRunner):
 
     def __enter__(self) -> Self:
         """Arm: the servos hold the angles that they find."""
-        self.connection.on_state = lambda state, sent, _: self.samples.append(Sample(sent, state))
+        self.link.on_state = lambda state, sent, _: self.samples.append(Sample(sent, state))
         try:
             self.arm()
         except BaseException:
-            self.connection.on_state = None
+            self.link.on_state = None
             raise
         return self
 
@@ -91,7 +91,7 @@ class LeashedRobot(MotionRunner):
             damp = not _may_sit(failed)
             raise
         finally:
-            self.connection.on_state = None
+            self.link.on_state = None
             if self.state.mode != Mode.FAULT:
                 self.release(damp)
 
@@ -116,7 +116,7 @@ class LeashedRobot(MotionRunner):
     def check_state(self, state: State) -> None:
         """Raise `LeashError` when a motor is not where it was sent."""
         if self._first_command is None:
-            self._first_command = self.connection.link.counts.sent + 1
+            self._first_command = self.link.next_number
         off = state.motor_angle - self.target
         worst = int(np.argmax(np.abs(off)))
         if abs(off[worst]) > self.leash:

@@ -8,7 +8,7 @@ import numpy as np
 
 from surefoot.arrays import Array
 from surefoot.check_result import CheckResult, judge, skipped
-from surefoot.deploy.connection import RobotConnection
+from surefoot.deploy.robot_link import RobotLink
 
 PINGS, PING_PERIOD = 200, 0.005
 """Pings, and the time [s] between two: often enough to see an adapter that gathers bytes for 16 ms."""
@@ -49,48 +49,48 @@ class LinkFigures:
     """Seconds on the robot's clock for one of this computer's."""
 
 
-def listen(connection: RobotConnection, until: float) -> None:
+def listen(link: RobotLink, until: float) -> None:
     """Take what comes until a moment [s] on this computer's clock, each frame when it comes."""
-    clock, port = connection.clock, connection.link.port
-    if connection.lockstep:
+    clock = link.clock
+    if link.lockstep:
         clock.wait_until(until)
-        connection.update()
+        link.update()
         return
     while (left := until - clock.now()) > 0:
-        port.wait(left)
-        connection.update()
+        link.wait(left)
+        link.update()
 
 
-def measure_link(connection: RobotConnection, pings: int = PINGS) -> LinkFigures:
+def measure_link(link: RobotLink, pings: int = PINGS) -> LinkFigures:
     """Send pings, one every `PING_PERIOD`, and take the answers.
 
     Raises:
         LinkLostError: the port is gone.
     """
-    link, clock = connection.link, connection.clock
-    connection.update()
-    connection.pongs.clear()
-    before = (link.decoder.counts.damaged, link.counts.missing, link.counts.unsent)
+    clock, statistics = link.clock, link.statistics
+    link.update()
+    link.pongs.clear()
+    before = (statistics.damaged, statistics.missing, statistics.unsent)
     start, sent = clock.now(), {}
     for index in range(pings):
-        listen(connection, start + index * PING_PERIOD)
+        listen(link, start + index * PING_PERIOD)
         sent[link.ping()] = clock.now()
-    listen(connection, clock.now() + PING_PERIOD)
+    listen(link, clock.now() + PING_PERIOD)
     end = clock.now() + _PATIENCE
-    while len(connection.pongs.keys() & sent.keys()) < pings and clock.now() < end:
-        listen(connection, min(clock.now() + PING_PERIOD, end))
-    found = {token: arrival for token, arrival in connection.pongs.items() if token in sent}
+    while len(link.pongs.keys() & sent.keys()) < pings and clock.now() < end:
+        listen(link, min(clock.now() + PING_PERIOD, end))
+    found = {token: arrival for token, arrival in link.pongs.items() if token in sent}
     arrivals = np.array([arrival.time for arrival in found.values()])
     burst, gap = bursts(arrivals)
     return LinkFigures(
         round_trips=np.array([arrival.time - sent[token] for token, arrival in found.items()]),
         lost=pings - len(found),
-        damaged=link.decoder.counts.damaged - before[0],
-        missing=link.counts.missing - before[1],
-        unsent=link.counts.unsent - before[2],
+        damaged=statistics.damaged - before[0],
+        missing=statistics.missing - before[1],
+        unsent=statistics.unsent - before[2],
         burst=burst,
         gap=gap,
-        clock_rate=rate(np.array([arrival.frame.time for arrival in found.values()]), arrivals),
+        clock_rate=rate(np.array([arrival.packet.time for arrival in found.values()]), arrivals),
     )
 
 

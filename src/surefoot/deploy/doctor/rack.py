@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from surefoot.arrays import Array
 from surefoot.check_result import CheckResult, judge, skipped
-from surefoot.deploy.connection import RobotConnection
 from surefoot.deploy.doctor.leashed_robot import LeashedRobot, MotionStoppedError
 from surefoot.deploy.doctor.rest import Sample
+from surefoot.deploy.robot_link import RobotLink
 from surefoot.policy.contract import Contract
 from surefoot.robot import RobotDescription
 from surefoot.stop_signals import StopSignals
@@ -68,7 +68,7 @@ class Wiggle:
 
 
 def wiggle_motors(
-    connection: RobotConnection, contract: Contract, robot: RobotDescription, operator: StopSignals
+    link: RobotLink, contract: Contract, robot: RobotDescription, operator: StopSignals
 ) -> list[CheckResult]:
     """Arm a robot on its rack, wiggle each motor, disarm, and judge.
 
@@ -76,12 +76,12 @@ def wiggle_motors(
         SurefootError: the robot does not arm.
         LinkLostError: the port is gone.
     """
-    state, handshake = connection.state, connection.handshake
+    state, handshake = link.state, link.handshake
     if state is None or handshake is None:
         return [CheckResult(NAMES[0], False, "the robot tells nothing of its state", "switch it off and on")]
     start = np.clip(state.motor_angle, handshake.angle_low, handshake.angle_high)
     wiggles: list[Wiggle] = []
-    leashed = LeashedRobot(connection, robot, contract.control_step, operator, LEASH)
+    leashed = LeashedRobot(link, robot, contract.control_step, operator, LEASH)
     asked: int | None = None
     try:
         with leashed:
@@ -94,7 +94,7 @@ def wiggle_motors(
                 wiggles.append(_wiggle(leashed, start, motor, step))
     except MotionStoppedError as stopped:
         return [_stopped(stopped, leashed, asked, robot), *skipped(NAMES[1:], "the wiggle did not come to its end")]
-    return [check_motors(wiggles, robot), *check_response(wiggles, contract, handshake.servo_period, connection.lead)]
+    return [check_motors(wiggles, robot), *check_response(wiggles, contract, handshake.servo_period, link.lead)]
 
 
 def _wiggle(leashed: LeashedRobot, start: Array, motor: int, step: float) -> Wiggle:

@@ -9,9 +9,9 @@ import numpy as np
 
 from surefoot.arrays import Array
 from surefoot.check_result import CheckResult, judge
-from surefoot.deploy.connection import RobotConnection
 from surefoot.deploy.doctor.link import listen
 from surefoot.deploy.messages import Handshake, State
+from surefoot.deploy.robot_link import RobotLink
 from surefoot.deploy.safety import SafetyLimits
 from surefoot.robot import RobotDescription
 
@@ -40,22 +40,22 @@ class Sample:
     state: State
 
 
-def watch(connection: RobotConnection, duration: float = DURATION) -> list[Sample]:
+def watch(link: RobotLink, duration: float = DURATION) -> list[Sample]:
     """States of a while, with pings to keep the session.
 
     Raises:
         LinkLostError: the port is gone.
     """
     samples: list[Sample] = []
-    connection.update()
-    connection.on_state = lambda state, sent, _: samples.append(Sample(sent, state))
-    end = connection.clock.now() + duration
+    link.update()
+    link.on_state = lambda state, sent, _: samples.append(Sample(sent, state))
+    end = link.clock.now() + duration
     try:
-        while (now := connection.clock.now()) < end:
-            connection.link.ping()
-            listen(connection, min(now + _PING_EVERY, end))
+        while (now := link.clock.now()) < end:
+            link.ping()
+            listen(link, min(now + _PING_EVERY, end))
     finally:
-        connection.on_state = None
+        link.on_state = None
     return samples
 
 

@@ -138,14 +138,14 @@ class RunSaver:
         run: int = 0,
     ) -> None:
         contract, robot = deployment.contract, deployment.robot
-        self.path, self.connection, self._watch = path, deployment.connection, deployment.watch
+        self.path, self.link, self._watch = path, deployment.link, deployment.watch
         controller = deployment.controller
         actions = len(controller.contract.action_names)
         layout = Layout(
             robot.num_motors, len(robot.legs), controller.observer.width, actions, 3 if contract.commands else 0
         )
         self.recorder = Recorder(layout, contract.control_step, max_steps)
-        handshake = self.connection.handshake
+        handshake = self.link.handshake
         self.meta: dict[str, Any] = {
             "robot": robot.name,
             "world": world,
@@ -214,7 +214,7 @@ class RunSaver:
             "what": outcome.text,
             "missed_steps": self.recorder.missed,
             "timing": timing.figures(),
-            "frames_missing": self.connection.link.counts.missing,
+            "frames_missing": self.link.statistics.missing,
         }
         if not self.recorder.steps:
             if partial is not None:

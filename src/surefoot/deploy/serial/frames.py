@@ -10,41 +10,16 @@ from __future__ import annotations
 
 import math
 import zlib
-from dataclasses import dataclass
 
 from cobs import cobs
 
-from surefoot.deploy.messages import Message
+from surefoot.deploy.messages import Message, Packet
+from surefoot.deploy.robot_link import LinkStatistics
 from surefoot.deploy.serial.codec import HEADER, NUMBERS, VERSION, Codec
 
 MAX_FRAME = 1024
 """Bytes between two zeros beyond which nothing can be a frame: `MAX_PAYLOAD`, header, CRC-32, and what COBS adds."""
 CRC_BYTES = 4
-
-
-@dataclass(frozen=True)
-class Frame:
-    """One message as it came."""
-
-    message: Message
-    sequence: int
-    """Number of the frame; each sender counts its own from 1."""
-    time: float
-    """When it was sent, on the sender's clock [s]."""
-
-
-@dataclass
-class Counts:
-    """What a receiver has seen since it was made."""
-
-    frames: int = 0
-    """Frames that were whole and known."""
-    damaged: int = 0
-    """Pieces between zeros that were no whole frame."""
-    foreign: int = 0
-    """Whole frames of another version or schema."""
-    unknown: int = 0
-    """Whole frames of a kind or a length that this schema does not have, or with a text that is not UTF-8."""
 
 
 def frame_bytes(codec: Codec, kind: type[Message]) -> int:
@@ -78,25 +53,25 @@ def encode_frame(codec: Codec, message: Message, sequence: int, time: float) -> 
 class Decoder:
     """Finds whole frames in whatever bytes come. Keeps `MAX_FRAME` bytes at most, and never raises."""
 
-    def __init__(self, codec: Codec) -> None:
+    def __init__(self, codec: Codec, statistics: LinkStatistics | None = None) -> None:
         self.codec = codec
-        self.counts = Counts()
+        self.statistics = statistics or LinkStatistics()
         self.foreign: tuple[int, int] | None = None
         """Version and schema of the last whole frame that was of others."""
         self._held = bytearray()
         self._overlong = False
 
-    def feed(self, data: bytes) -> list[Frame]:
-        """Take bytes, give the frames that they complete, in order."""
-        found: list[Frame] = []
+    def feed(self, data: bytes) -> list[Packet]:
+        """Take bytes; return the packets whose frames they complete, in order."""
+        packets: list[Packet] = []
         *ended, rest = bytes(data).split(b"\0")
         for piece in ended:
             self._hold(piece)
-            frame = self._take()
-            if frame is not None:
-                found.append(frame)
+            packet = self._take()
+            if packet is not None:
+                packets.append(packet)
         self._hold(rest)
-        return found
+        return packets
 
     def _hold(self, piece: bytes) -> None:
         if len(self._held) + len(piece) > MAX_FRAME:
@@ -105,8 +80,8 @@ class Decoder:
         elif not self._overlong:
             self._held += piece
 
-    def _take(self) -> Frame | None:
-        """The frame that a zero has just ended, if it is one."""
+    def _take(self) -> Packet | None:
+        """Return the packet of the frame that a zero has just ended, if it is one."""
         stuffed, overlong = bytes(self._held), self._overlong
         self._held.clear()
         self._overlong = False
@@ -114,23 +89,23 @@ class Decoder:
             return None
         body = b"" if overlong else _unstuffed(stuffed)
         if len(body) < HEADER.size:
-            self.counts.damaged += 1
+            self.statistics.damaged += 1
             return None
         version, code, schema, sequence, time = HEADER.unpack_from(body)
         if version != VERSION or schema != self.codec.schema:
-            self.counts.foreign += 1
+            self.statistics.foreign += 1
             self.foreign = version, schema
             return None
         message = self.codec.unpack(code, body[HEADER.size :])
         if message is None:
-            self.counts.unknown += 1
+            self.statistics.unknown += 1
             return None
-        self.counts.frames += 1
-        return Frame(message, sequence, time / 1_000_000)
+        self.statistics.received += 1
+        return Packet(message, sequence, time / 1_000_000)
 
 
 def _unstuffed(stuffed: bytes) -> bytes:
-    """Header and payload, or nothing if the frame is damaged."""
+    """Return header and payload, or nothing if the frame is damaged."""
     try:
         whole = cobs.decode(stuffed)
     except cobs.DecodeError:

@@ -1,79 +1,75 @@
-"""The link: messages out and in over a port that never blocks, with everything counted."""
+"""A link over a serial line: COBS frames, numbered, through a port that never blocks."""
 
 from __future__ import annotations
 
+import math
+import secrets
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
 
+from surefoot.arrays import Array
 from surefoot.deploy.clock import Clock, LockstepClock
-from surefoot.deploy.messages import Handshake, Message, Ping, Pong, Position, Pwm
-from surefoot.deploy.serial.codec import Codec
-from surefoot.deploy.serial.frames import Decoder, Frame, encode_frame
+from surefoot.deploy.messages import (
+    Arm,
+    Bye,
+    Damp,
+    Disarm,
+    Handshake,
+    Hello,
+    Message,
+    Mode,
+    Packet,
+    Ping,
+    Pong,
+    Position,
+    Pwm,
+    Reason,
+)
+from surefoot.deploy.robot_link import STATE_PERIOD, Arrival, RobotLink
+from surefoot.deploy.serial.codec import VERSION, Codec
+from surefoot.deploy.serial.frames import Decoder, encode_frame
 from surefoot.deploy.serial.port import SerialPort
+from surefoot.errors import SurefootError
+
+_PATIENCE = (0.05, 0.15, 0.5, 1.3, 3.0)
+"""Real time [s] after which a ping is sent again, and at last given up. A robot in lockstep answers within a few
+milliseconds, unless the line lost the ping or its pong: then waiting is in vain."""
 
 
-@dataclass(frozen=True)
-class Arrival:
-    """A frame, and when it was read [s], on this computer's clock."""
+class SerialLink(RobotLink):
+    """A link over a serial port. Frames whose numbers repeat or decrease are dropped and counted.
 
-    frame: Frame
-    time: float
-
-
-@dataclass
-class LinkCounts:
-    """What went over the link, frames damaged on the way aside: `Link.decoder.counts` has those."""
-
-    sent: int = 0
-    """Frames sent; one that is sent again counts once."""
-    unsent: int = 0
-    """Frames that the port did not take."""
-    repeated: int = 0
-    """Frames dropped because their number was not above the last one's."""
-    missing: int = 0
-    """Numbers left out between frames that came."""
-
-
-class Link:
-    """Messages over a port. Frames whose numbers go backward or repeat are dropped and counted.
-
-    In lockstep what comes is taken where time goes on, never before: otherwise it would be chance whether the answer
-    to a message is seen at once or a step later. Nor do commands go before the ping that lets time go on, in one piece
-    with it: two pieces would wake the other end twice.
+    In lockstep, frames are received only where time goes on: otherwise it would be chance whether the answer to a
+    message is seen at once or a step later. Commands are sent with the ping that lets time go on, in one piece: two
+    pieces would wake the other end twice.
 
     Args:
         port: the line.
         codec: of the robot.
         clock: stamps what is sent and received; in lockstep the other end follows it.
+        session: number of the operator's session; drawn, if not given.
     """
 
-    def __init__(self, port: SerialPort, codec: Codec, clock: Clock) -> None:
-        self.port, self.codec, self.clock = port, codec, clock
-        self.decoder = Decoder(codec)
-        self.counts = LinkCounts()
-        self.greeted = 0
-        """Session whose handshake is waited for; 0: none. It is the one frame that is taken whatever its number."""
+    def __init__(self, port: SerialPort, codec: Codec, clock: Clock, session: int | None = None) -> None:
+        super().__init__(clock, session or 1 + secrets.randbelow(2**16 - 1))
+        self.port, self.codec = port, codec
+        self.decoder = Decoder(codec, self.statistics)
+        self.awaits_handshake = False
+        """Whether the session's handshake is awaited. It is the one frame that is taken whatever its number."""
         self._sequence = 0
         self._last = 0
         self._inbox: list[Arrival] = []
         self._tokens = 0
         self._held, self._unread = b"", b""
-        self._lockstep = isinstance(clock, LockstepClock)
         if isinstance(clock, LockstepClock):
-            clock.ping_through = self.ping_through
+            clock.follow = self._follow
 
-    def send(self, message: Message) -> int:
-        """Send a message; returns the number of its frame."""
-        self._send(message)
-        return self._sequence
-
-    def _send(self, message: Message) -> bytes:
-        """Send a message; returns its frame."""
+    def send(self, message: Message) -> bytes:
+        """Send a message; return its frame."""
         self._sequence += 1
         data = encode_frame(self.codec, message, self._sequence, self.clock.now())
-        self.counts.sent += 1
-        if self._lockstep and isinstance(message, Position | Pwm):
+        self.statistics.sent += 1
+        if self.lockstep and isinstance(message, Position | Pwm):
             self._held += data
         else:
             self._write(data)
@@ -83,11 +79,11 @@ class Link:
         data, self._held = self._held + data, b""
         if self.port.write(data) < len(data):
             # Half a frame is no frame; the zero in front of the next one ends it.
-            self.counts.unsent += 1
+            self.statistics.unsent += 1
 
     def receive(self) -> list[Arrival]:
-        """All frames that have come since, in order; never waits."""
-        if self._lockstep:
+        """Return all packets that have come since, in order; never waits."""
+        if self.lockstep:
             self._unread += self.port.read()
         else:
             self._gather()
@@ -97,32 +93,36 @@ class Link:
     def _gather(self) -> list[Arrival]:
         data, now = self._unread + self.port.read(), self.clock.now()
         self._unread = b""
-        found = [Arrival(frame, now) for frame in self.decoder.feed(data) if self._is_next(frame)]
-        self._inbox += found
-        return found
+        arrivals = [Arrival(packet, now) for packet in self.decoder.feed(data) if self._is_next(packet)]
+        self._inbox += arrivals
+        return arrivals
 
-    def _is_next(self, frame: Frame) -> bool:
-        message = frame.message
-        if self.greeted and isinstance(message, Handshake) and message.session == self.greeted:
+    def _is_next(self, packet: Packet) -> bool:
+        message = packet.message
+        if self.awaits_handshake and isinstance(message, Handshake) and message.session == self.session:
             # The robot may have been switched on anew, and counts from one again. Only once: were each handshake taken
             # so, one that came twice or late would let old states in.
-            self.greeted, self._last = 0, 0
-        if frame.sequence <= self._last:
-            self.counts.repeated += 1
+            self.awaits_handshake, self._last = False, 0
+        if packet.sequence <= self._last:
+            self.statistics.repeated += 1
             return False
-        if frame.sequence > self._last + 1 and self._last:
-            self.counts.missing += frame.sequence - self._last - 1
-        self._last = frame.sequence
+        if packet.sequence > self._last + 1 and self._last:
+            self.statistics.missing += packet.sequence - self._last - 1
+        self._last = packet.sequence
         return True
 
+    def wait(self, timeout: float) -> None:
+        """Wait until something can be received, at most `timeout` [s]."""
+        self.port.wait(timeout)
+
     def ping(self) -> int:
-        """Send a ping; returns its token."""
+        """Send a ping, which keeps the session; return its token."""
         self._tokens += 1
         self.send(Ping(self._tokens))
         return self._tokens
 
-    def ping_through(self, patience: Sequence[float]) -> bool:
-        """Send a ping and wait for its pong, whatever else comes before it is kept; return whether it came.
+    def ping_through(self, patience: Sequence[float] = _PATIENCE) -> bool:
+        """Send a ping and wait for its pong, keep what else comes before it; return whether it came.
 
         Args:
             patience: seconds of real time to wait before the ping is sent again, and at last given up. It is the same
@@ -134,20 +134,84 @@ class Link:
             if frame:
                 self._write(frame)
             else:
-                frame = self._send(Ping(token))
+                frame = self.send(Ping(token))
             end = time.monotonic() + seconds
             while (left := end - time.monotonic()) > 0:
                 self.port.wait(left)
                 for arrival in self._gather():
-                    message = arrival.frame.message
+                    message = arrival.packet.message
                     if isinstance(message, Pong) and message.token == token:
                         return True
         return False
 
+    def _follow(self) -> None:
+        if not self.ping_through():
+            raise SurefootError("the robot does not answer; a clock in lockstep needs an emulator run with --lockstep")
+
+    def connect(self, timeout: float = 2.0, state_period: float = STATE_PERIOD) -> Handshake:
+        """Start or continue a session; see `RobotLink.connect`."""
+        end = self.clock.now() + timeout
+        self.handshake = None
+        while self.clock.now() < end:
+            self.awaits_handshake = True
+            self.send(Hello(self.session, state_period))
+            try:
+                answered = self.wait_for(lambda: self.handshake is not None or self._refusal() is not None, 0.1)
+            except SurefootError:
+                # In lockstep a robot of another protocol does not answer pings either: say so, if it was heard.
+                self._check_protocol()
+                raise
+            if answered:
+                if self.handshake is not None:
+                    return self.handshake
+                raise SurefootError(f"the robot refuses: {self._refusal()}")
+            self._check_protocol()
+        raise SurefootError(
+            f"no robot answers within {timeout:g} s; check port, cable and baud rate, and that it is switched on"
+        )
+
+    def _refusal(self) -> str | None:
+        return next((fault.text for fault in self.faults if fault.reason == Reason.BUSY), None)
+
+    def _check_protocol(self) -> None:
+        foreign, codec = self.decoder.foreign, self.codec
+        if foreign is not None:
+            raise SurefootError(
+                f"the robot has version {foreign[0]} and schema {foreign[1]:#010x} of the protocol; this surefoot "
+                f"has version {VERSION} and schema {codec.schema:#010x} (for {codec.motors} motors): "
+                f"build its firmware with python -m surefoot.deploy.serial.c_header --motors {codec.motors}"
+            )
+
+    @property
+    def next_number(self) -> int:
+        """Number of the next frame."""
+        return self._sequence + 1
+
+    def arm(self, mode: Mode, command_period: float, lead: float | None = None) -> None:
+        """Ask the robot to follow commands that come every `command_period` [s].
+
+        Times of sending are rounded to a microsecond: a state that is due so much before the next command, rounded
+        down, is never due after it.
+        """
+        report_after = max(command_period - (self.lead if lead is None else lead), 0.0)
+        report_after = math.floor(1e6 * report_after + 1e-3) * 1e-6
+        self.send(Arm(self.session, int(mode), command_period, report_after))
+
+    def command(self, mode: Mode, values: Array) -> None:
+        """Send motor angles (M,) [rad], or a duty for each motor (M,) in the mode of duties."""
+        self.send((Pwm if mode == Mode.PWM else Position)(self.session, values))
+
+    def damp(self) -> None:
+        """Ask the robot to damp its motors at once."""
+        self.send(Damp(self.session))
+
+    def disarm(self) -> None:
+        """End commands in good order."""
+        self.send(Disarm(self.session))
+
     def close(self) -> None:
-        """Give the port back."""
+        """End the session and give the port back."""
         try:
-            if self._held:
-                self._write(b"")
+            self.send(Bye(self.session))
         finally:
             self.port.close()

@@ -1,0 +1,100 @@
+"""Handcrafted gaits: foot trajectories with or without Raibert's controller, as files and as policies."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from numpy.typing import ArrayLike
+
+from surefoot.arrays import Array
+from surefoot.configuration import from_mapping, read_yaml, to_mapping
+from surefoot.errors import SurefootError, located
+from surefoot.files import whole_file
+from surefoot.robot import RobotDescription
+from surefoot.studies.raibert import RaibertConfig, RaibertController
+from surefoot.task.config import TaskConfig, load_task
+from surefoot.task.foot import FootReference
+from surefoot.task.reference import make_reference
+
+KEY = "handcrafted"
+"""Key of a task's file that holds what is not the task's."""
+
+
+@dataclass(frozen=True)
+class OpenLoop:
+    """A policy that adds nothing to the reference."""
+
+    width: int
+    """Numbers of the feedback, A."""
+
+    def feedback(self, observation: ArrayLike) -> Array:
+        """Return feedback (N, A) of zero for observations (N, O)."""
+        return np.zeros((len(np.asarray(observation)), self.width))
+
+
+@dataclass(frozen=True)
+class _Rest:
+    """What a file has under `KEY`."""
+
+    raibert: RaibertConfig | None = None
+    about: dict[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class HandcraftedGait:
+    """A task whose reference is of kind foot, and what controls it."""
+
+    task: TaskConfig
+    """Robot, foot trajectories, observations and bounds of the feedback."""
+    raibert: RaibertConfig | None = None
+    """Gains of Raibert's controller; the trajectories alone, if none are given."""
+    about: dict[str, Any] = field(default_factory=dict)
+    """How it was found."""
+
+    def __post_init__(self) -> None:
+        """Refuse a task with another reference."""
+        if self.task.reference.kind != "foot":
+            raise SurefootError(
+                f"task.reference.kind is {self.task.reference.kind!r}; a handcrafted gait has a reference of kind foot"
+            )
+
+    def policy(self) -> OpenLoop | RaibertController:
+        """Return what gives the feedback.
+
+        Raises:
+            SurefootError: foot trajectories that the robot does not allow.
+        """
+        robot = RobotDescription.load(self.task.robot)
+        reference = make_reference(self.task.reference.to_mapping(), robot)
+        if self.raibert is None:
+            return OpenLoop(len(self.task.gait(robot).action_names))
+        assert isinstance(reference, FootReference)
+        return RaibertController(robot, reference, self.raibert, self.task.observations, self.task.history)
+
+    def save(self, path: Path) -> None:
+        """Write a task's file, of which `surefoot train` takes the task: what is not as in every task."""
+        given, usual = to_mapping(self.task), to_mapping(TaskConfig())
+        task = {name: value for name, value in given.items() if value != usual[name]}
+        task["reference"] = {"kind": "foot", "foot": given["reference"]["foot"]}
+        gains = None if self.raibert is None else to_mapping(self.raibert)
+        with whole_file(path) as file:
+            text = yaml.safe_dump({**task, KEY: {"raibert": gains, "about": self.about}}, sort_keys=False)
+            file.write(text.encode())
+
+    @classmethod
+    def load(cls, path: Path) -> HandcraftedGait:
+        """Read a file.
+
+        Raises:
+            SurefootError: it can't be read, is a task without a handcrafted gait, or does not fit.
+        """
+        data = read_yaml(path)
+        with located(path):
+            if KEY not in data:
+                raise SurefootError(f"{KEY} is missing; the file is of a task, not of a handcrafted gait")
+            rest = from_mapping(_Rest, data[KEY] or {}, KEY)
+            return cls(load_task(str(path))[0], rest.raibert, rest.about)

@@ -1,0 +1,288 @@
+"""The paper on one page: each of its tables, figures and numbers beside surefoot's, read from files of results."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+import re
+from collections import Counter
+from dataclasses import dataclass, field
+from html import escape
+from pathlib import Path
+from typing import Any
+
+from surefoot.configuration import from_mapping, read_yaml
+from surefoot.errors import SurefootError, accessible, located
+from surefoot.evaluate.runs import Estimate
+from surefoot.evaluate.statistics import Interval
+from surefoot.files import check_readable, whole_file
+from surefoot.report.pages.html import page, picture, row
+
+CONTENT = Path(__file__).with_name("paper.yaml")
+NOT_MEASURED = "not measured"
+_FOLDED = 30
+"""Characters from which on a cell beside numbers is folded as text is."""
+
+
+@dataclass(frozen=True)
+class Source:
+    """Where a number of surefoot stands: in a row of a CSV file, or at a place in a JSON file."""
+
+    file: str
+    """Path from the root of the repository."""
+    value: str
+    """Column, or keys with dots between them."""
+    where: dict[str, str] = field(default_factory=dict)
+    """Columns that tell the row, and what they hold."""
+    error: str = ""
+    """Column or key of what stands behind a +-."""
+    low: str = ""
+    """Column or key of an interval's lower end."""
+    high: str = ""
+    """Column or key of its upper end."""
+    scale: float = 1.0
+    """Factor from the file's unit to the page's."""
+
+
+@dataclass(frozen=True)
+class Counts:
+    """How often each value stands in a column of a CSV file; empty cells do not count."""
+
+    file: str
+    """Path from the root of the repository."""
+    count: str
+    """The column."""
+    where: dict[str, str] = field(default_factory=dict)
+    """Columns that tell the rows, and what they hold."""
+
+
+@dataclass(frozen=True)
+class Item:
+    """One line of the comparison."""
+
+    what: str
+    """The quantity."""
+    paper: float | str
+    """The paper's number, or its words."""
+    ours: Source | Counts | str
+    """surefoot's number, counts or words."""
+    unit: str = ""
+    digits: int = 2
+    """Digits behind the point."""
+    how: str = ""
+    """How surefoot's was measured: episodes, seeds, what the interval is over."""
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A picture of surefoot beside a figure of the paper."""
+
+    file: str
+    """Path from the root of the repository; with a * in it, there is a picture for each file that it fits."""
+    caption: str
+    """What it shows; a * is what that of the path stands for."""
+
+    def found(self, root: Path) -> list[tuple[Path, str]]:
+        """Return the files that are there, each with its caption."""
+        start, _, end = self.file.partition("*")
+        paths = [path for path in sorted(root.glob(self.file)) if path.is_file()]
+        names = [path.relative_to(root).as_posix().removeprefix(start).removesuffix(end) for path in paths]
+        return [(path, self.caption.replace("*", name)) for path, name in zip(paths, names, strict=True)]
+
+
+@dataclass(frozen=True)
+class Section:
+    """A table, figure or claim of the paper."""
+
+    title: str
+    paper: str
+    """What the paper did and found."""
+    ours: str = ""
+    """What surefoot did otherwise and found."""
+    commands: tuple[str, ...] = ()
+    """Commands that make surefoot's numbers again."""
+    items: tuple[Item, ...] = ()
+    pictures: tuple[Picture, ...] = ()
+
+
+@dataclass(frozen=True)
+class Content:
+    """Everything that the page says besides the numbers."""
+
+    title: str
+    about: str
+    differences: tuple[str, ...]
+    """The main differences between paper and surefoot."""
+    sections: tuple[Section, ...]
+
+
+def load_content() -> Content:
+    """Return what the page says."""
+    with located(CONTENT):
+        return from_mapping(Content, read_yaml(CONTENT))
+
+
+def write_page(root: Path, path: Path, note: str = "") -> list[str]:
+    """Write the page; return the files that it wanted and that are not there.
+
+    Args:
+        root: folder with `results`, `docs` and `policies`.
+        path: the page (.html).
+        note: what holds for all results, told at the top.
+
+    Raises:
+        SurefootError: a file of results that can't be read, or has no such row or number.
+    """
+    content = load_content()
+    missing: list[str] = []
+    parts = [f"<h1>{escape(content.title)}</h1>", f"<p>{escape(content.about)}</p>", "<h2>Main differences</h2>"]
+    if note:
+        parts.insert(2, f"<p><b>{escape(note)}</b></p>")
+    parts += ["<ul>", *(f"<li>{escape(text)}</li>" for text in content.differences), "</ul>"]
+    parts += _all_differences(root)
+    for section in content.sections:
+        parts += [f"<h2>{escape(section.title)}</h2>", f"<p><b>Paper:</b> {escape(section.paper)}</p>"]
+        if section.ours:
+            parts.append(f"<p><b>surefoot:</b> {escape(section.ours)}</p>")
+        if section.items:
+            lines: list[tuple[str, ...]] = [("", "paper", "surefoot", "difference", "how measured")]
+            lines += [_line(root, item, missing) for item in section.items]
+            shown = [k for k in range(len(lines[0])) if any(line[k] for line in lines[1:])]
+            kept = [[line[k] for k in shown] for line in lines]
+            kinds = ["".join("n" if k in (1, 2) and len(line[k]) < _FOLDED else "t" for k in shown) for line in lines]
+            rows = [row(*both, "td" if i else "th") for i, both in enumerate(zip(kept, kinds, strict=True))]
+            parts.append(f"<div class=wide><table>{''.join(rows)}</table></div>")
+        for one in section.pictures:
+            for drawn, caption in one.found(root):
+                image = picture(drawn.read_bytes(), caption)
+                parts.append(f"<figure>{image}<figcaption class=quiet>{escape(caption)}</figcaption></figure>")
+            if not one.found(root):
+                missing.append(one.file)
+        parts += [f"<p><code>{escape(command)}</code></p>" for command in section.commands]
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with whole_file(path) as file:
+        file.write(page(content.title, parts).encode())
+    return list(dict.fromkeys(missing))
+
+
+def _line(root: Path, item: Item, missing: list[str]) -> tuple[str, ...]:
+    """Return the cells of an item's line."""
+    number = None
+    if isinstance(item.ours, str):
+        text = item.ours
+    elif not (root / item.ours.file).is_file():
+        text = NOT_MEASURED
+        missing.append(item.ours.file)
+    elif isinstance(item.ours, Counts):
+        text = find_counts(root, item.ours)
+    else:
+        number = find_number(root, item.ours)
+        text = number.text(item.digits)
+    paper = f"{item.paper:.{item.digits}f}" if isinstance(item.paper, float) else item.paper
+    with_unit = (f"{one} {item.unit}".strip() if any(map(str.isdigit, one)) else one for one in (paper, text))
+    return (item.what, *with_unit, difference(item.paper, number), item.how)
+
+
+def find_number(root: Path, source: Source) -> Interval | Estimate:
+    """Read a number of surefoot, with its error if the source names one, else with its interval if it names that.
+
+    Error and ends of an interval may be empty, as they are for a single policy.
+
+    Raises:
+        SurefootError: a file that can't be read, without such a row, or without a number there.
+    """
+    path = root / source.file
+    with located(path):
+        content = _read(path)
+        data = _row(content, source.where) if path.suffix == ".csv" else _parsed(content)
+        keys = filter(None, (source.error,) if source.error else (source.low, source.high))
+        mean, *spread = (number * source.scale for number in (_at(data, source.value), *(_end(data, k) for k in keys)))
+    return Estimate(mean, *spread) if source.error else Interval(mean, *spread)
+
+
+def find_counts(root: Path, counts: Counts) -> str:
+    """Return how often each value is there, the most frequent first, such as `3 trot, 1 pace`.
+
+    Raises:
+        SurefootError: a file that can't be read, or without such a column in such rows.
+    """
+    path = root / counts.file
+    with located(path):
+        rows = _rows(_read(path), counts.where)
+        if not rows or rows[0].get(counts.count) is None:
+            raise SurefootError(f"has no column {counts.count} in rows of {_told(counts.where)}")
+    found = Counter(filter(None, (row[counts.count] for row in rows)))
+    return ", ".join(f"{number} {value}" for value, number in found.most_common())
+
+
+def _read(path: Path) -> str:
+    with accessible(path.name):
+        check_readable(path)
+        return path.read_text(encoding="utf-8")
+
+
+def _parsed(content: str) -> Any:
+    try:
+        return json.loads(content)
+    except (ValueError, RecursionError):
+        raise SurefootError("is not JSON") from None
+
+
+def _row(content: str, where: dict[str, str]) -> dict[str, str]:
+    rows = _rows(content, where)
+    if len(rows) != 1:
+        raise SurefootError(f"has {len(rows)} rows of {_told(where)}; there must be one")
+    return rows[0]
+
+
+def _rows(content: str, where: dict[str, str]) -> list[dict[str, str]]:
+    return [one for one in csv.DictReader(content.splitlines()) if all(one.get(k) == v for k, v in where.items())]
+
+
+def _told(where: dict[str, str]) -> str:
+    return ", ".join(f"{key} {value}" for key, value in where.items()) or "any kind"
+
+
+def _at(data: Any, key: str) -> float:
+    """Return a number: a column of a row, or at keys with dots between them."""
+    for part in [key] if isinstance(data, dict) and key in data else key.split("."):
+        data = data.get(part) if isinstance(data, dict) else None
+    try:
+        return float(data)
+    except (TypeError, ValueError):
+        raise SurefootError(f"has no number {key}") from None
+
+
+def _end(data: Any, key: str) -> float:
+    """Return a number as `_at` does; NaN for an empty cell."""
+    return math.nan if isinstance(data, dict) and data.get(key) == "" else _at(data, key)
+
+
+def difference(paper: float | str, ours: Interval | Estimate | None) -> str:
+    """Return the difference in words; nothing where there are not two numbers."""
+    if ours is None or isinstance(paper, str):
+        return ""
+    if isinstance(ours, Interval) and ours.low <= paper <= ours.high:
+        return "the interval holds the paper's"
+    change = ours.mean / paper - 1 if paper else 0.0
+    if abs(change) < 0.005:
+        return "the same"
+    return f"{abs(change):.0%} {'more' if change > 0 else 'less'}" if change < 2 else f"{1 + change:.1f} times as much"
+
+
+def _all_differences(root: Path) -> list[str]:
+    """Return the table of `docs/paper.md`, folded up."""
+    path = root / "docs" / "paper.md"
+    if not path.is_file():
+        return []
+    lines = [line.strip("|").split("|") for line in path.read_text(encoding="utf-8").splitlines() if line[:2] == "| "]
+    cells = [[_inline(cell.strip()) for cell in line] for line in lines]
+    rows = row(cells[0], "hhhh", "th") + "".join(row(line, "hhhh") for line in cells[1:] if len(line) == 4)
+    return [f"<details><summary>Every difference</summary><table>{rows}</table></details>"]
+
+
+def _inline(markdown: str) -> str:
+    """Turn the bold type and code of a cell into HTML."""
+    text = re.sub(r"\*\*(.+?)\*\*", r"<b>\1</b>", escape(markdown))
+    return re.sub(r"`(.+?)`", r"<code>\1</code>", text)

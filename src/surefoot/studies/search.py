@@ -1,0 +1,283 @@
+"""A search: many trainings whose settings Optuna proposes, prunes where they fall behind, and keeps in a journal.
+
+A trial's training depends on the search's seed, the trial's number and its settings. What Optuna proposes depends on
+what it has been told by then: with one worker that is the same every time, with more it is the first trials, which are
+drawn at random.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from surefoot.configuration import Seed, from_mapping, read_yaml, write_yaml
+from surefoot.errors import SurefootError, accessible, located
+from surefoot.files import whole_file
+from surefoot.learn.config import Steps, TrainConfig
+from surefoot.seeding import generator
+from surefoot.studies.search_space import Dimension, as_params, load_space, put, suggest
+from surefoot.studies.training import Training, base_config, difference
+from surefoot.studies.workers import Told
+
+EVALUATIONS = 10
+"""Evaluations of a trial, evenly spread; pruning compares trials at each."""
+EVALUATION_EPISODES = 8
+RANDOM_TRIALS = 12
+"""Trials whose settings are drawn at random, before the sampler learns from them."""
+PRUNING_FROM = 1 / 3
+"""Share of a trial's steps before which it is not pruned."""
+FOR_IMPORTANCE = 8
+"""Complete trials that the importance of fields takes at least."""
+SETTINGS = "search.yaml"
+"""File of a search's folder."""
+_NAME = "search"
+
+
+@dataclass(frozen=True)
+class SearchConfig:
+    """Everything that the trials of a search depend on."""
+
+    train: TrainConfig
+    """What holds for all fields that are not searched."""
+    space: dict[str, Dimension] = field(default_factory=dict)
+    """The fields that are searched, by dotted name."""
+    seed: Seed = 0
+    """The one seed of the search."""
+
+    @property
+    def evaluations(self) -> int:
+        """Evaluations of a trial."""
+        return -(-self.train.steps // self.train.evaluate_every)
+
+
+def check_there(folder: Path) -> None:
+    """Refuse a folder that holds no search."""
+    if not (folder / SETTINGS).is_file():
+        raise SurefootError(f"{folder}: holds no search to go on with; leave --resume out to begin one")
+
+
+def make_config(task: str, space: Path | None, seed: int, steps: Steps) -> SearchConfig:
+    """Return the search of a task.
+
+    Args:
+        task: a preset, or the path of a task's file.
+        space: file of the space; the one that ships, if None.
+        seed: of the search.
+        steps: control steps of a trial.
+
+    Raises:
+        SurefootError: a task or a space that does not fit.
+    """
+    base = base_config(task)
+    train = replace(
+        base,
+        steps=steps,
+        evaluate_every=max(1, steps // EVALUATIONS),
+        evaluation_episodes=EVALUATION_EPISODES,
+        # Trials may learn by weights of their own; they are compared by the task's.
+        evaluation_energy_weight=base.task.energy_weight,
+    )
+    return SearchConfig(train, load_space(space, train), seed)
+
+
+class Search:
+    """A search in its folder: `search.yaml`, the journal `trials.log`, and a run folder for each trial in `trials/`.
+
+    Args:
+        config: the search.
+        folder: its folder, which this process holds alone.
+        resume: go on with the search that is there.
+
+    Raises:
+        SurefootError: a search is there and is not to be resumed, or none is; it is another one; it is damaged.
+    """
+
+    def __init__(self, config: SearchConfig, folder: Path, resume: bool) -> None:
+        import optuna
+        from optuna.storages.journal import JournalFileBackend, JournalStorage
+
+        optuna.logging.set_verbosity(optuna.logging.ERROR)
+        self.config, self.folder = config, folder
+        self.journal, self.notes = folder / "trials.log", list[str]()
+        self._trials: dict[str, Any] = {}
+        settings = folder / SETTINGS
+        if resume:
+            check_there(folder)
+            self._check_same(settings)
+            self._mend()
+        elif settings.exists():
+            raise SurefootError(f"{folder}: holds a search; go on with it by --resume, or give another --out")
+        else:
+            with accessible(settings, "written"):
+                write_yaml(settings, config)
+        # This process holds the folder: a lock that is there was left by one that was killed.
+        Path(f"{self.journal}.lock").unlink(missing_ok=True)
+        warm = math.ceil(PRUNING_FROM * config.evaluations)
+        with _readable(self.journal):
+            self.study = optuna.create_study(
+                storage=JournalStorage(JournalFileBackend(str(self.journal))),
+                pruner=optuna.pruners.MedianPruner(n_startup_trials=8, n_warmup_steps=warm),
+                study_name=_NAME,
+                direction="maximize",
+                load_if_exists=True,
+            )
+
+    def _check_same(self, settings: Path) -> None:
+        data = read_yaml(settings)
+        with located(settings):
+            stored = from_mapping(SearchConfig, data)
+        found = difference(stored, self.config)
+        if found is not None:
+            name, was, now = found
+            if name == "space":
+                name = next(key for key in {**was, **now} if was.get(key) != now.get(key))
+                was, now = was.get(name), now.get(name)
+            raise SurefootError(
+                f"{self.folder}: was searched with {name} {was!r}, and now it is {now!r}; give the same, or another "
+                "--out"
+            )
+
+    def _mend(self) -> None:
+        """Leave out a last record that was cut off; refuse a journal that is damaged elsewhere, and change nothing."""
+        if not self.journal.exists():
+            return
+        with accessible(self.journal):
+            content = self.journal.read_bytes()
+        *lines, rest = content.split(b"\n")
+        for number, line in enumerate(lines, start=1):
+            try:
+                whole = isinstance(json.loads(line), dict)
+            except ValueError:
+                whole = False
+            if not whole:
+                raise SurefootError(
+                    f"{self.journal}: line {number} of {len(lines)} is not a record of a search; restore the file, or "
+                    "move it away: the same command takes up every trial from its folder"
+                )
+        if rest:
+            with whole_file(self.journal) as file:
+                file.write(b"".join(line + b"\n" for line in lines))
+            self.notes.append(
+                f"{self.journal}: the last record was cut off and is left out; what it told is taken from the trials' "
+                "folders"
+            )
+
+    def training(self, number: int, config: TrainConfig | None = None) -> Training:
+        """Return the training of a trial, which depends on its settings, its number and the search's seed alone."""
+        group = f"trial_{number:04d}"
+        seed = int(generator(self.config.seed, "trial", number).integers(2**32))
+        config = replace(config or self.config.train, name=group, seed=seed)
+        return Training(group, config, self.folder / "trials" / group, trial=True)
+
+    def importance(self) -> dict[str, float]:
+        """Return how much each field tells the best trials from the others (PED-ANOVA), all together 1.
+
+        Watanabe et al. 2023, "PED-ANOVA: efficiently quantifying hyperparameter importance in arbitrary subspaces".
+        Empty where too few trials are complete.
+        """
+        import optuna
+
+        complete = [trial for trial in self.study.trials if trial.state == optuna.trial.TrialState.COMPLETE]
+        return optuna.importance.get_param_importances(self.study) if len(complete) >= FOR_IMPORTANCE else {}
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Number of trials of each state: complete, pruned, fail, running."""
+        states = [trial.state.name.lower() for trial in self.study.get_trials(deepcopy=False)]
+        return {state: states.count(state) for state in dict.fromkeys(states)}
+
+    def trainings(self, trials: int) -> Iterator[Training]:
+        """Yield the trainings of trials until there are so many, those that were under way first."""
+        import optuna
+
+        for frozen in self.study.trials:
+            if frozen.state == optuna.trial.TrialState.RUNNING:
+                self.study.sampler = self._sampler(frozen.number)
+                # There is no public way to go on with a trial that another process began.
+                yield from self._training(optuna.trial.Trial(self.study, frozen._trial_id))
+        while (number := len(self.study.get_trials(deepcopy=False))) < trials:
+            self.study.sampler = self._sampler(number)
+            yield from self._training(self.study.ask())
+
+    def _sampler(self, number: int) -> Any:
+        """Return the sampler of a trial: what it draws depends on the trial's number, not on how often it was stopped.
+
+        A trial that has a folder has its settings from there, whether or not the journal knows them.
+        """
+        import optuna
+
+        seed = int(generator(self.config.seed, "sampler", number).integers(2**32))
+        sampler = optuna.samplers.TPESampler(seed=seed, n_startup_trials=RANDOM_TRIALS)
+        path = self.training(number).path / "config.yaml"
+        if not path.exists():
+            return sampler
+        with located(path):
+            params = as_params(self.config.space, from_mapping(TrainConfig, read_yaml(path)))
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
+            return optuna.samplers.PartialFixedSampler(params, sampler)
+
+    def _training(self, trial: Any) -> Iterator[Training]:
+        """Yield the training of a trial; none where the configuration refuses the settings."""
+        try:
+            config = put(self.config.train, self.config.space, suggest(self.config.space, trial))
+        except SurefootError as error:
+            self._fail(trial, str(error))
+            return
+        training = self.training(trial.number, config)
+        self._trials[training.group] = trial
+        yield training
+
+    def _fail(self, trial: Any, why: str) -> None:
+        import optuna
+
+        trial.set_user_attr("why", why)
+        self.study.tell(trial, state=optuna.trial.TrialState.FAIL)
+
+    def told(self, training: Training, told: Told) -> bool:
+        """Keep what a trial's evaluations say; return whether it is to be pruned."""
+        import optuna
+
+        trial, every = self._trials[training.group], self.config.train.evaluate_every
+        known = self.study.trials[trial.number].intermediate_values
+        for evaluation in told.evaluations:
+            step = min(evaluation["steps"] // every, self.config.evaluations)
+            if step not in known and math.isfinite(evaluation["return_mean"]):
+                trial.report(evaluation["return_mean"], step)
+        if not told.finished:
+            # A trial that goes on from a checkpoint is judged at its next evaluation.
+            new = told.evaluations and told.evaluations[-1]["steps"] == told.steps
+            return bool(new and trial.should_prune())
+        last = told.evaluations[-1]["return_mean"] if told.evaluations else math.nan
+        if told.steps < self.config.train.steps:
+            self.study.tell(trial, state=optuna.trial.TrialState.PRUNED)
+        elif math.isfinite(last):
+            self.study.tell(trial, last)
+        else:
+            self._fail(trial, f"its return is {last}")
+        return False
+
+    def changed(self, training: Training, what: str, why: str) -> None:
+        """Keep that a trial failed, and why; `told` keeps all else."""
+        if what == "failed":
+            self._fail(self._trials[training.group], why)
+
+
+@contextmanager
+def _readable(journal: Path) -> Iterator[None]:
+    """Turn what Optuna raises for records that are none of its own into one line."""
+    try:
+        yield
+    except (SurefootError, OSError):
+        raise
+    except Exception as error:  # Optuna's records are not checked: any error may come of them.
+        raise SurefootError(
+            f"{journal}: Optuna can't read it ({type(error).__name__}: {error}); restore the file, or move it away: "
+            "the same command takes up every trial from its folder"
+        ) from error

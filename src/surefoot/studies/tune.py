@@ -1,0 +1,292 @@
+"""Tuning of handcrafted gaits: CMA-ES over foot trajectories, and over the gains of Raibert's controller.
+
+Covariance matrix adaptation (Hansen 2016, "The CMA Evolution Strategy: A Tutorial", as the package `cma` has it)
+searches for the least mean power at a given speed without falls. All candidates of a generation run side by side, each
+on some robots of one world. Lengths are searched in parts of the legs' reach, and frequencies in multiples of
+sqrt(g / reach) / (2 pi), so that the ranges hold for robots of other sizes too.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Annotated, Any, Literal
+
+import numpy as np
+
+from surefoot.arrays import Array
+from surefoot.configuration import Seed, Threads, Within, check_bounds, is_number, to_mapping
+from surefoot.errors import SurefootError, choices, quoted
+from surefoot.evaluate.footfalls import FEET
+from surefoot.evaluate.rollout import run_to_end
+from surefoot.robot import DEFAULT_ROBOT, GRAVITY, RobotDescription
+from surefoot.seeding import generator
+from surefoot.studies.handcrafted import HandcraftedGait, OpenLoop
+from surefoot.studies.raibert import HISTORY, OBSERVATIONS, RaibertConfig, RaibertController
+from surefoot.task.config import FeedbackConfig, FootConfig, ReferenceConfig, TaskConfig
+from surefoot.task.env import LocomotionEnv
+from surefoot.task.foot import FootReference
+from surefoot.task.gait import HybridGait
+from surefoot.task.observation import IMU_4D
+from surefoot.task.reference import make_reference
+from surefoot.world.interface import SimulationFactory
+
+Gait = Literal["trot", "bound", "gallop", "free"]
+Ranges = dict[str, tuple[float, float, float]]
+"""Least and greatest value of each parameter that is searched, and the one to begin with."""
+
+PATH: Ranges = {
+    "frequency": (1.0, 9.0, 2.5),
+    "duty_factor": (0.2, 0.8, 0.5),
+    "stride": (0.5, 3.0, 1.3),
+    "clearance": (0.02, 0.3, 0.12),
+    "front_height": (0.5, 0.95, 0.72),
+    "back_height": (0.5, 0.95, 0.72),
+    "front_offset": (-0.3, 0.3, 0.0),
+    "back_offset": (-0.3, 0.3, 0.0),
+    "depth": (0.0, 0.15, 0.02),
+}
+"""Foot trajectories. `stride` is how far feet go backward in stance, in multiples of what the speed asks for without
+slip; `frequency` is in multiples of the legs' natural one; all other lengths are in parts of the legs' reach."""
+PHASES: dict[Gait, Ranges] = {
+    "trot": {},
+    "bound": {"back_phase": (0.25, 0.75, 0.5)},
+    "gallop": {"back_phase": (0.3, 0.7, 0.5), "front_lead": (0.08, 0.22, 0.12), "back_lead": (-0.22, 0.22, 0.12)},
+    "free": {"back_phase": (0.0, 1.0, 0.5), "front_lead": (-0.5, 0.5, 0.5), "back_lead": (-0.5, 0.5, -0.5)},
+}
+"""Phases that a gait leaves open [cycles]: of the hind legs after the fore legs, of the right ones after the left; of a
+gallop from the middle of one pair to that of the other, so that pairs do not mix, else from left to left."""
+GAINS: Ranges = {
+    "speed": (-0.15, 0.3, 0.0),
+    "pitch": (0.0, 3.0, 0.3),
+    "pitch_rate": (0.0, 0.3, 0.03),
+    "roll": (0.0, 3.0, 0.3),
+    "roll_rate": (0.0, 0.3, 0.03),
+}
+"""Gains of Raibert's controller."""
+LONGEST_STROKE = 0.5
+"""In parts of the reach; a start that would need more is in reach all the same."""
+FEEDBACK = {
+    "rad": FeedbackConfig(swing=(-0.25, 0.25), extension=(-0.25, 0.25)),
+    "1": FeedbackConfig(swing=(-0.25, 0.25), extension=(-0.1, 0.1)),
+}
+"""Bounds of the controller's feedback [rad]; the paper's for the learned trot."""
+_SLOW = 300.0
+"""Power [W] that a speed of zero costs in the search, in proportion to what is missing."""
+_FALL = 1000.0
+"""Power [W] that a fall costs, and once more in proportion to the time that is missing."""
+_TRIES = 200
+
+
+@dataclass(frozen=True)
+class TuneConfig:
+    """Settings of a search."""
+
+    gait: Gait = "trot"
+    """trot: diagonal legs together; bound: fore legs together, and hind legs; gallop: both pairs a little apart;
+    free: any phases."""
+    speed: Annotated[float, Within(0.05, 10)] = 0.6
+    """Speed that the gait must reach [m/s]."""
+    raibert: bool = False
+    """Tune Raibert's controller too."""
+    robot: str = DEFAULT_ROBOT
+    """Name of the robot, or the folder of its description."""
+    generations: Annotated[int, Within(1, 10_000)] = 40
+    """Generations of the search."""
+    population: Annotated[int, Within(4, 1000)] = 16
+    """Candidates of a generation."""
+    starts: Annotated[int, Within(1, 100)] = 3
+    """Episodes of each candidate, from different starts."""
+    seconds: Annotated[float, Within(0.5, 60)] = 4.0
+    """Length of an episode."""
+    sigma: Annotated[float, Within(0, 1, above=True)] = 0.2
+    """First standard deviation, in parts of each parameter's range."""
+    seed: Seed = 0
+    """The one seed of the search."""
+    threads: Threads = 0
+    """Threads of the simulation; 0 means one a core. The result does not depend on it."""
+
+    def __post_init__(self) -> None:
+        """Refuse values out of bounds."""
+        check_bounds(self)
+
+    @property
+    def ranges(self) -> Ranges:
+        """What is searched."""
+        return {**PATH, **PHASES[self.gait], **(GAINS if self.raibert else {})}
+
+
+def foot_config(values: Mapping[str, float], gait: Gait, speed: float, reach: float) -> FootConfig:
+    """Return foot trajectories.
+
+    Args:
+        values: the parameters by name, in the units of `PATH` and `PHASES`.
+        gait: says which legs go together.
+        speed: the one asked for [m/s].
+        reach: longest distance of a foot from its motor axis [m].
+    """
+    frequency = values["frequency"] * math.sqrt(GRAVITY / reach) / (2 * math.pi)
+    fore, back, hind = (values.get(name, 0.0) for name in ("front_lead", "back_lead", "back_phase"))
+    phase = {
+        "trot": (0.0, 0.5, 0.5, 0.0),
+        "bound": (0.0, 0.0, hind, hind),
+        "gallop": (-fore / 2, fore / 2, hind - back / 2, hind + back / 2),
+        "free": (0.0, fore, hind, hind + back),
+    }[gait]
+    legs = ("front_left", "front_right", "back_left", "back_right")
+
+    def of_ends(name: str) -> dict[str, float]:
+        return {leg: reach * values[f"{leg.split('_')[0]}_{name}"] for leg in legs}
+
+    return FootConfig(
+        frequency=frequency,
+        stroke=min(values["stride"] * speed * values["duty_factor"] / frequency, LONGEST_STROKE * reach),
+        clearance=reach * values["clearance"],
+        duty_factor=values["duty_factor"],
+        phase=dict(zip(legs, phase, strict=True)),
+        height=of_ends("height"),
+        offset=of_ends("offset"),
+        depth=reach * values["depth"],
+    )
+
+
+class Tuner:
+    """A search; `step` runs a generation, `gait` is the best gait so far.
+
+    Args:
+        config: its settings.
+        make_world: makes the simulation.
+        start: parameters to begin with, by name, where they are not the usual ones; as near as the ranges allow.
+
+    Raises:
+        SurefootError: a robot whose legs are not fore and hind, left and right, or a start out of the legs' reach.
+    """
+
+    def __init__(
+        self, config: TuneConfig, make_world: SimulationFactory, start: Mapping[str, float] | None = None
+    ) -> None:
+        self.config, self.ranges, self.robot = config, config.ranges, RobotDescription.load(config.robot)
+        if set(self.robot.leg_names) != set(FEET):
+            raise SurefootError(
+                f"{self.robot.name} has legs {choices(self.robot.leg_names)}; gaits are of {choices(FEET)}"
+            )
+        self.feedback = FEEDBACK[self.robot.leg_geometry.units[-1]]
+        straight = self.robot.pose_angles(
+            *[0.0] * (len(self.robot.coordinates) - 1), self.robot.leg_space["extension"][1]
+        )
+        feet = self.robot.leg_geometry.foot_in_plane(straight[self.robot.leg_motor_index])
+        self.reach = float(np.linalg.norm(feet, axis=-1).mean())
+        given = start or {}
+        for name, value in given.items():
+            if not is_number(value):
+                raise SurefootError(
+                    f"parameter {name} of the gait to start from is {quoted(value)}; it must be a number"
+                )
+        # What is in reach at one speed may not be at another one: then the search begins nearer to the usual gait.
+        for share in np.linspace(1.0, 0.0, 21).tolist():
+            self.best = {
+                name: usual + share * (min(max(given.get(name, usual), low), high) - usual)
+                for name, (low, high, usual) in self.ranges.items()
+            }
+            """Parameters of the best gait so far."""
+            if not self._refusal(self.best):
+                break
+        self.cost, self.generation = math.inf, 0
+        self._firsts: list[dict[str, float]] = []
+        self._low, high, _ = np.array(list(self.ranges.values())).T
+        self._width = high - self._low
+        inside = np.clip((np.array(list(self.best.values())) - self._low) / self._width, 0.02, 0.98)
+        seed = int(generator(config.seed, "tune").integers(1, 2**31))
+        options = {"bounds": [0, 1], "popsize": config.population, "seed": seed, "verbose": -9}
+        # It takes seconds, for SciPy's statistics and Matplotlib; what a user gets wrong is told before.
+        import cma
+
+        self._search = cma.CMAEvolutionStrategy(inside, config.sigma, options)
+        task, count = self.gait().task, config.population * config.starts
+        steps = round(config.seconds / float(task.nominal(self.robot).control_step[0]))
+        task = replace(task, max_steps=max(steps, 1))
+        self._env = LocomotionEnv(task, count, make_world, config.seed, autoreset=False, threads=config.threads)
+
+    def gait(self) -> HandcraftedGait:
+        """Return the best gait so far, with the settings and the parameters that it came from."""
+        config = self.config
+        foot = foot_config(self.best, config.gait, config.speed, self.reach)
+        name = f"{config.gait}-{round(100 * config.speed)}{'-raibert' if config.raibert else ''}"
+        seen = (OBSERVATIONS, HISTORY) if config.raibert else (IMU_4D, 1)
+        task = TaskConfig(
+            name=name,
+            robot=config.robot,
+            observations=seen[0],
+            history=seen[1],
+            reference=ReferenceConfig(kind="foot", foot=foot),
+            feedback=self.feedback,
+            rest=self.robot.rest,
+        )
+        gains = RaibertConfig(**{name: self.best[name] for name in GAINS}) if config.raibert else None
+        return HandcraftedGait(task, gains, {**to_mapping(config), "parameters": dict(self.best)})
+
+    def step(self) -> None:
+        """Run a generation."""
+        points = [self._within_reach(point) for point in self._search.ask()]
+        candidates = [self._values(point) for point in points]
+        costs = self.costs(candidates).mean(axis=1)
+        self._search.tell(points, costs.tolist())
+        first = int(np.argmin(costs))
+        self.generation += 1
+        self._firsts.append(candidates[first])
+        if costs[first] < self.cost:
+            self.cost, self.best = float(costs[first]), candidates[first]
+
+    def finish(self) -> None:
+        """Choose among the best candidates of the last generations again, from other starts, by their worst episode.
+
+        The least of many numbers that vary by chance flatters itself.
+        """
+        again = [*self._firsts[-self.config.population :], self.best]
+        again = (again * self.config.population)[-self.config.population :]
+        costs = self.costs(again).max(axis=1)
+        self.cost, self.best = float(costs.min()), again[int(np.argmin(costs))]
+
+    def costs(self, candidates: Sequence[Mapping[str, float]]) -> Array:
+        """Return what each candidate's episodes cost (C, starts) [W]: power, and what speed or time is missing."""
+        config, env, starts = self.config, self._env, self.config.starts
+        references = [self._reference(values) for values in candidates for _ in range(starts)]
+        stacked = FootReference.stacked(references)
+        env.gait = HybridGait(self.robot, stacked, *self.feedback.of(self.robot.coordinates))
+        policy: OpenLoop | RaibertController = OpenLoop(len(env.gait.action_names))
+        if config.raibert:
+            gains: dict[str, Any] = {
+                name: np.repeat([values[name] for values in candidates], starts)[:, None] for name in GAINS
+            }
+            policy = RaibertController(self.robot, stacked, RaibertConfig(**gains))
+        observation, _ = env.reset()
+        runs = run_to_end(lambda given: env.gait.action(policy.feedback(given)), env, observation)
+        done = runs.power + _SLOW * np.maximum(1.0 - runs.speed / config.speed, 0.0)
+        return np.where(runs.balanced, done, _FALL * (2.0 - runs.steps / env.task.max_steps)).reshape(-1, starts)
+
+    def _within_reach(self, point: Array) -> Array:
+        """Return a point of the search, or another one in its place if feet would leave the legs' reach."""
+        for _ in range(_TRIES):
+            why = self._refusal(self._values(point))
+            if not why:
+                return point
+            point = self._search.ask(1)[0]
+        raise SurefootError(f"{_TRIES} gaits in a row were refused, the last one because {why}; ask for less speed")
+
+    def _refusal(self, values: Mapping[str, float]) -> str:
+        """Return why a robot's legs refuse a gait; empty if they do not."""
+        try:
+            HybridGait(self.robot, self._reference(values), *self.feedback.of(self.robot.coordinates))
+        except SurefootError as error:
+            return str(error)
+        return ""
+
+    def _values(self, point: Array) -> dict[str, float]:
+        return dict(zip(self.ranges, (self._low + self._width * point).tolist(), strict=True))
+
+    def _reference(self, values: Mapping[str, float]) -> FootReference:
+        foot = foot_config(values, self.config.gait, self.config.speed, self.reach)
+        found = make_reference({"kind": "foot", "foot": vars(foot)}, self.robot)
+        assert isinstance(found, FootReference)
+        return found

@@ -1,0 +1,136 @@
+"""The registry of worlds: one entry for each name that `--world` takes, with everything that depends on its engine.
+
+A further engine is a class that keeps to `sim_world.Engine`, an entry here, and an extra of the package in
+pyproject.toml.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from functools import partial
+from importlib import import_module
+from importlib.util import find_spec
+from typing import TYPE_CHECKING, Any
+
+from surefoot.errors import SurefootError, choices
+from surefoot.robot import PhysicalParams, RobotDescription
+from surefoot.world.interface import Simulation, SimulationFactory, WorldConfig
+
+if TYPE_CHECKING:
+    from surefoot.world.engine import EngineFactory
+
+
+@dataclass(frozen=True)
+class WorldEntry:
+    """A simulated world. Functions and classes are named as "module:name" and imported on first use."""
+
+    engine: str
+    """Class of the physics engine, a `world.engine.Engine`."""
+    package: str
+    """Package that the engine needs, by the name of its import."""
+    extra: str
+    """Extra of surefoot that installs this package."""
+    options: Mapping[str, Any] = field(default_factory=dict)
+    """Options of the engine's class."""
+    models: frozenset[str] = frozenset()
+    """Physical parameters that this engine models and some others do not."""
+    uses_threads: bool = True
+    """The engine steps its robots on several threads; where it does not, processes share the robots."""
+    max_robots: int | None = None
+    """Robots that one process can hold; None for any number."""
+    robots_side_by_side: int = 0
+    """Robots to simulate at a time where there are many episodes; 0 for all."""
+    draw_params: str = ""
+    """Function that returns the parameters of the robots in this world, from those of the caller."""
+
+
+_BULLET = WorldEntry(
+    "surefoot.world.bullet_engine:BulletEngine",
+    package="pybullet",
+    extra="bullet",
+    models=frozenset({"knee_friction", "knee_play", "floor_unevenness"}),
+    uses_threads=False,
+    max_robots=256,  # of the 1024 clients that PyBullet has room for; each takes some 33 MB
+    robots_side_by_side=128,
+)
+WORLDS = {
+    "mujoco": WorldEntry("surefoot.world.mujoco_engine:MujocoEngine", package="mujoco", extra="sim"),
+    "bullet": _BULLET,
+    "bullet-published": replace(_BULLET, options={"published": True}),
+    "ensemble": replace(_BULLET, draw_params="surefoot.evaluate.ensemble:draw_ensemble"),
+}
+DEFAULT_WORLD = "mujoco"
+
+
+def find_entry(name: str) -> WorldEntry:
+    """Return the entry of a world.
+
+    Raises:
+        SurefootError: no such world.
+        ModuleNotFoundError: its physics engine is not installed.
+    """
+    if name not in WORLDS:
+        raise SurefootError(f"world '{name}' does not exist; choices: {choices(WORLDS)}")
+    entry = WORLDS[name]
+    # Engines are imported in other processes too, where it would be too late for a message.
+    if find_spec(entry.package) is None:
+        raise ModuleNotFoundError(f"No module named '{entry.package}'", name=entry.package)
+    return entry
+
+
+def find_engine(name: str) -> EngineFactory:
+    """Return what makes the physics of a world; errors are those of `find_entry`."""
+    entry = find_entry(name)
+    factory: EngineFactory = partial(_load(entry.engine), **entry.options)
+    return factory
+
+
+def find_world(name: str) -> SimulationFactory:
+    """Return what makes simulations in a world; errors are those of `find_entry`."""
+    find_entry(name)
+    return partial(make_world, name)
+
+
+def make_world(
+    name: str,
+    robot: RobotDescription,
+    num_envs: int,
+    params: PhysicalParams | None = None,
+    seed: int = 0,
+    config: WorldConfig | None = None,
+) -> Simulation:
+    """Return simulated robots: in this process, or spread over `config.threads` processes if the engine needs that.
+
+    Raises:
+        SurefootError: as `SimWorld`, or more robots than so many processes can hold.
+    """
+    entry, config = find_entry(name), config or WorldConfig()
+    if entry.draw_params:
+        params = _load(entry.draw_params)(robot, PhysicalParams.nominal(robot, num_envs) if params is None else params)
+    make = "surefoot.world.sim_world:SimWorld" if entry.uses_threads else "surefoot.world.process_world:spread_world"
+    world: Simulation = _load(make)(robot, num_envs, params, seed, config, name)
+    return world
+
+
+def check_takes_params(name: str) -> None:
+    """Raise `SurefootError` for a world whose robots have parameters of their own; else as `find_entry`."""
+    if find_entry(name).draw_params:
+        raise SurefootError(f"world is '{name}'; choices: {choices(k for k, e in WORLDS.items() if not e.draw_params)}")
+
+
+def check_modelled(name: str, params: PhysicalParams) -> None:
+    """Raise `SurefootError` for a physical parameter other than 0 that the engine of a world does not model."""
+    for world, entry in WORLDS.items():
+        for parameter in sorted(entry.models - WORLDS[name].models):
+            if (values := getattr(params, parameter)).any():
+                value = values[values != 0][0]
+                raise SurefootError(
+                    f"{parameter} is {value:g}; world {name} does not model it: set 0, or use world {world}"
+                )
+
+
+def _load(path: str) -> Callable[..., Any]:
+    module, _, name = path.partition(":")
+    loaded: Callable[..., Any] = getattr(import_module(module), name)
+    return loaded

@@ -1,0 +1,148 @@
+"""Greeting a robot, refusals, and what is known of it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from surefoot.deploy.clock import LockstepClock
+from surefoot.deploy.messages import Arm, Mode
+from surefoot.deploy.robot_link import LEAD, RobotLink
+from surefoot.deploy.serial.codec import Codec
+from surefoot.deploy.serial.serial_link import SerialLink
+from surefoot.emulator.firmware import Firmware
+from surefoot.errors import SurefootError
+
+
+def operator_of(toy, session: int) -> RobotLink:
+    clock = LockstepClock()
+    return SerialLink(toy, toy.codec, clock, session)
+
+
+def test_a_greeting_is_answered_and_states_follow(link):
+    handshake = link.connect(state_period=0.006)
+    assert handshake.session == 77
+    assert handshake.robot == "minitaur"
+    assert link.wait_for(lambda: link.states >= 3, 0.1)
+    assert link.state.mode == Mode.DISARMED
+    assert link.state_age() <= 0.006 + 1e-9
+
+
+def test_a_robot_can_be_greeted_again_after_it_was_switched_on_anew(toy, link):
+    link.connect(state_period=0.006)
+    link.wait_for(lambda: False, 0.1)
+    toy.firmware = Firmware(toy.codec, toy.firmware.introduction, toy.firmware.limits)
+    again = link.connect(state_period=0.006)
+    assert again.session == 77
+    states = link.states
+    assert link.wait_for(lambda: link.states >= states + 3, 0.1)
+
+
+def test_what_a_robot_tells_another_operator_is_forgotten(toy, link):
+    before = operator_of(toy, 5)
+    before.connect(state_period=0.006)
+    toy.run_to(50_000)
+    link.clock.wait_until(0.05)
+    link.update()
+    assert link.state.session == 5
+    toy.firmware.owner = 0
+    link.connect(state_period=0.5)
+    assert link.state is None
+
+
+def test_a_greeting_that_comes_twice_changes_nothing(toy, link):
+    said = []
+    say = toy._say
+
+    def keep():
+        before = len(toy._out)
+        say()
+        said.append(bytes(toy._out[before:]))
+
+    toy._say = keep
+    first = link.connect(state_period=0.006)
+    link.wait_for(lambda: link.states > 3, 0.1)
+    state, sync = link.state, link.sync.offset
+    for data in said:
+        toy._out += data
+    link.update()
+    assert link.handshake is first
+    assert link.state is state
+    assert link.sync.offset == sync
+
+
+def test_silence_is_told_in_one_line(toy, monkeypatch):
+    link = operator_of(toy, 5)
+    monkeypatch.setattr(link, "send", lambda message: 0)
+    monkeypatch.setattr(link.clock, "wait_until", lambda moment: setattr(link.clock, "_now", moment))
+    with pytest.raises(SurefootError, match="no robot answers within 2 s; check port, cable"):
+        link.connect()
+
+
+def test_a_second_operator_is_refused_and_the_first_keeps_the_robot(toy, link):
+    link.connect()
+    link.arm(Mode.POSITION, 0.006)
+    stranger = operator_of(toy, 78)
+    with pytest.raises(SurefootError, match="the robot refuses: another operator has the robot"):
+        stranger.connect()
+    assert toy.firmware.owner == 77
+
+
+def test_a_robot_of_another_protocol_is_named(toy, link):
+    link.decoder.codec = Codec(8)
+    link.decoder.codec.schema ^= 1
+    with pytest.raises(SurefootError, match="has version 1 and schema 0x"):
+        link.connect()
+
+
+def test_armed_states_come_when_the_next_command_is_due(link):
+    link.connect()
+    link.arm(Mode.POSITION, 0.006)
+    start = link.clock.now()
+    for k in range(10):
+        link.command(Mode.POSITION, np.full(8, 2.0))
+        before = link.states
+        link.clock.wait_until(start + (k + 1) * 0.006)
+        link.update()
+        assert link.states == before + 1
+        assert link.state.mode == Mode.POSITION
+        assert link.state_age() == pytest.approx(0.0, abs=1e-9)
+
+
+@pytest.mark.parametrize("period", [0.006, 0.005, 1 / 180, 0.0070001])
+def test_a_state_is_never_due_after_the_next_command(period, link):
+    """Times of sending are whole microseconds; a period need not be."""
+    link.connect()
+    link.arm(Mode.POSITION, period)
+    start = link.clock.now()
+    for k in range(200):
+        link.command(Mode.POSITION, np.full(8, 2.0))
+        before = link.states
+        link.clock.wait_until(start + (k + 1) * period)
+        link.update()
+        assert link.states >= before + 1
+
+
+def test_the_lead_is_what_the_robot_is_asked_for(toy, link):
+    link.connect()
+    link.arm(Mode.POSITION, 0.006, lead=LEAD)
+    arm = next(message for _, message in toy.heard if isinstance(message, Arm))
+    assert arm.command_period == pytest.approx(0.006)
+    assert arm.report_after == pytest.approx(0.006 - LEAD)
+
+
+def test_the_newest_state_grows_old_when_the_robot_falls_silent(toy, link):
+    link.connect(state_period=0.006)
+    link.wait_for(lambda: link.states > 2, 0.1)
+    toy.sensors = lambda time, readings: readings
+    toy.firmware.next_state = None
+    link.wait_for(lambda: False, 0.03)
+    assert link.state_age() > 0.024
+
+
+def test_goodbye_frees_the_robot(toy, link):
+    link.connect()
+    link.arm(Mode.POSITION, 0.006)
+    link.close()
+    assert toy.firmware.mode == Mode.DISARMED
+    assert toy.firmware.owner == 0

@@ -1,0 +1,112 @@
+"""Reality gaps of groups, from runs made up so that the right answer is known."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from surefoot.evaluate.gap import gap_difference
+from surefoot.studies.comparison import Comparison, study_tables, write_tables
+
+MakeComparison = Callable[..., Comparison]
+
+
+def test_the_top_policies_are_those_with_the_highest_return_at_home(gap_comparison: MakeComparison) -> None:
+    study = gap_comparison()
+    best, every = study.best().groups[0], study.groups[0]
+    assert [seed.seed for seed in best.seeds] == [4, 3, 2]
+    assert [seed.seed for seed in every.seeds] == [0, 1, 2, 3, 4]
+    assert (len(best.gap.away[0]), len(every.gap.home)) == (9, 15)
+    # They are chosen by the episodes that the gap is not told by.
+    results = {**every.seeds[0].results, "nominal": {"returns": [9.0], "speed": [1.0], "fell": [False]}}
+    lucky = replace(every, seeds=(replace(every.seeds[0], results=results), *every.seeds[1:]))
+    assert [seed.seed for seed in lucky.best(2).seeds] == [0, 4]
+
+
+def test_a_gap_has_an_error_over_runs_and_an_interval_over_policies_and_robots(
+    gap_comparison: MakeComparison,
+) -> None:
+    gap = gap_comparison().best().groups[0].gap
+    # Policies' gaps are 1.4, 1.3, 1.2 m and robots' 1.6, 1.3, 1.0 m: variances of the means are .01 / 3 and .09 / 3.
+    np.testing.assert_allclose(gap.gaps("bullet").mean(axis=1), [1.4, 1.3, 1.2])
+    np.testing.assert_allclose(gap.gaps("bullet").mean(axis=0), [1.6, 1.3, 1.0])
+    interval = gap.interval("bullet")
+    assert interval.mean == pytest.approx(1.3)
+    freedom = 1 / ((0.01 / 0.1) ** 2 / 2 + (0.09 / 0.1) ** 2 / 2)
+    half = stats.t.ppf(0.975, freedom) * math.sqrt(0.1 / 3)
+    assert interval.high - 1.3 == pytest.approx(half, rel=1e-6)
+    home = [level + d for level in (2.8, 2.6, 2.4) for d in (-0.1, 0.0, 0.1)]
+    away = [level + d for level in (1.4, 1.3, 1.2) for d in (-0.3, 0.0, 0.3)]
+    # With the robot as described, half of that is lost already.
+    assert gap.of("mujoco-described").estimate("returns").mean == pytest.approx(2.6 - 0.65)
+    found = gap.gap_over_runs("bullet")
+    assert found.mean == pytest.approx(1.3)
+    assert found.error == pytest.approx(math.sqrt(np.var(home, ddof=1) / 9 + np.var(away, ddof=1) / 9))
+
+
+def test_differences_of_gaps_join_the_errors_of_four_means(gap_comparison: MakeComparison) -> None:
+    a, b, _ = (group.gap for group in gap_comparison().best().groups)
+    over_runs, crossed, _ = gap_difference(a, b)
+    assert over_runs.mean == pytest.approx(-1.3)
+    assert over_runs.error == pytest.approx(math.hypot(*(one.gap_over_runs("bullet").error for one in (a, b))))
+    # The policies of b agree, and robots do what they do to both: all that varies are the three of a.
+    assert crossed.mean == pytest.approx(-1.3)
+    columns = b.gaps("bullet").mean(axis=0) - a.gaps("bullet").mean(axis=0)
+    parts = [0.01 / 3, np.var(columns, ddof=1) / 3]
+    freedom = sum(parts) ** 2 / sum(part**2 / 2 for part in parts)
+    half = stats.t.ppf(0.975, freedom) * math.sqrt(sum(parts))
+    assert crossed.high + 1.3 == pytest.approx(half, rel=1e-6)
+
+
+def test_tables_hold_groups_pairs_and_every_run(tmp_path: Path, gap_comparison: MakeComparison) -> None:
+    write_tables(gap_comparison(), tmp_path)
+
+    def rows(name: str) -> list[dict[str, str]]:
+        with (tmp_path / name).open() as file:
+            return list(csv.DictReader(file))
+
+    groups = rows("gap_groups.csv")
+    assert len(groups) == 3 * 2 * 3
+    worlds = ["mujoco", "bullet", "mujoco-described"]
+    assert [[row[name] for name in ("group", "policies", "seeds", "runs", "world")] for row in groups[:4]] == [
+        *(["a", "top", "4 3 2", "9", world] for world in worlds),
+        ["a", "all", "0 1 2 3 4", "15", "mujoco"],
+    ]
+    assert (groups[0]["gap"], float(groups[1]["gap"])) == ("", pytest.approx(1.3))
+    assert (groups[0]["balanced"], groups[1]["balanced"], groups[1]["far"]) == ("9", "5", "0")
+    assert float(groups[1]["least_distance"]) == pytest.approx(1.4)
+    episodes = rows("episodes.csv")
+    # Three groups, five policies: twenty nominal episodes, and three in each of three worlds.
+    assert len(episodes) == 3 * 5 * (20 + 3 * 3)
+    (last,) = [
+        row
+        for row in episodes
+        if [row[name] for name in ("group", "seed", "evaluation", "world", "run")] == ["a", "0", "gap", "bullet", "2"]
+    ]
+    assert float(last["return"]) == pytest.approx(1.3)
+    assert (last["steps"], last["fell"], last["balanced"]) == ("250", "1", "0")
+    differences = rows("gap_differences.csv")
+    assert [(row["policies"], row["group"], row["against"]) for row in differences] == [
+        (which, other, "a") for which in ("top", "all") for other in ("b", "c")
+    ]
+    assert float(differences[0]["difference"]) == pytest.approx(-1.3)
+    assert float(rows("policies.csv")[0]["gap"]) == pytest.approx(1.0)
+    summary = json.loads((tmp_path / "summary.json").read_text())
+    assert summary["gap_groups"][1]["gap"] == pytest.approx(1.3)
+    assert len(summary["gap_differences"]) == 4
+
+
+def test_one_policy_has_no_interval(gap_comparison: MakeComparison) -> None:
+    row = study_tables(gap_comparison(seeds=1))["gap_groups"][1]
+    assert row["gap"] == pytest.approx(1.0)
+    assert math.isfinite(row["gap_error"])
+    assert math.isnan(row["gap_low"])
+    assert math.isnan(row["gap_high"])

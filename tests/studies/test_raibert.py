@@ -1,0 +1,133 @@
+"""Raibert's controller: its estimate and its laws, worked by hand, and in a simulation."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from surefoot.errors import SurefootError
+from surefoot.robot import RobotDescription
+from surefoot.studies.raibert import OBSERVATIONS, RaibertConfig, RaibertController
+from surefoot.task.foot import FootReference
+from surefoot.task.reference import make_reference
+
+ROBOT = RobotDescription.load("minitaur")
+LEG = ROBOT.leg_geometry
+TROT = dict(zip(ROBOT.leg_names, (0.0, 0.5, 0.5, 0.0), strict=True))
+PATH = {
+    "stroke": 0.1,
+    "clearance": 0.03,
+    "duty_factor": 0.5,
+    "phase": TROT,
+    "height": 0.22,
+    "offset": 0.0,
+    "depth": 0.0,
+}
+SPEED = 0.4
+"""Of the path [m/s]: .1 m in half a cycle of .5 s."""
+
+
+def reference(**other: Any) -> FootReference:
+    found = make_reference({"kind": "foot", "foot": {"frequency": 2.0, **PATH, **other}}, ROBOT)
+    assert isinstance(found, FootReference)
+    return found
+
+
+def controller(history: int = 1, **gains: float) -> RaibertController:
+    return RaibertController(ROBOT, reference(), RaibertConfig(**{"lag": 0.0, **gains}), OBSERVATIONS, history)
+
+
+def angles(time: float, **other: Any) -> np.ndarray:
+    return ROBOT.to_motors(reference(**other).pose([time]))[0]
+
+
+def observation(time: float, imu: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0), **other: Any) -> np.ndarray:
+    """What a robot sees whose legs follow a path exactly."""
+    speed = (angles(time + 1e-5, **other) - angles(time - 1e-5, **other)) / 2e-5
+    clock = 2 * np.pi * 2.0 * time
+    return np.concatenate([imu, angles(time, **other), speed, [np.sin(clock), np.cos(clock)]])
+
+
+def feet(feedback: np.ndarray, time: float) -> np.ndarray:
+    """Return how far feedback moves the feet (4, 2) [m]."""
+    pose = reference().pose([time]) + feedback.reshape(-1, 2, 4)
+    moved = LEG.foot_in_plane(LEG.to_motors(pose))
+    return (moved - reference().path([2.0 * time]))[0]
+
+
+@pytest.mark.parametrize("time", [0.06, 0.125, 0.19, 0.31, 0.4])
+def test_speed_is_that_of_feet_in_stance(time: float):
+    assert controller().speed(observation(time)[None])[0] == pytest.approx(SPEED, rel=1e-3)
+    faster = observation(time, stroke=0.15)
+    assert controller().speed(faster[None])[0] == pytest.approx(1.5 * SPEED, rel=1e-3)
+
+
+def test_speed_does_without_the_edges_of_a_stance():
+    assert np.isnan(controller().speed(observation(0.01)[None])[0])
+    both = np.concatenate([observation(0.01), observation(0.24), observation(0.13)])
+    assert controller(history=3).speed(both[None])[0] == pytest.approx(SPEED, rel=1e-3)
+
+
+def test_legs_behind_their_reference_are_told_by_the_lag():
+    late = controller(lag=0.03)
+    # The clock is .03 s ahead of what the legs do.
+    seen = np.concatenate([observation(0.06)[:-2], observation(0.09)[-2:]])
+    assert late.speed(seen[None])[0] == pytest.approx(SPEED, rel=1e-3)
+
+
+def test_a_base_that_pitches_over_standing_feet_is_not_taken_for_one_that_goes():
+    # The feet are .22 m below motors that are .0185 m below the base's origin: rising pitch moves them backward.
+    still = observation(0.125, (0.0, 0.0, 0.0, 1.0))
+    below = -0.22 + ROBOT.leg_mounts[0, 2]
+    assert controller().speed(still[None])[0] == pytest.approx(SPEED - 1.0 * below, rel=1e-3)
+
+
+@pytest.mark.parametrize(("k", "expected"), [(0.0, 0.125), (0.1, 0.225), (-0.125, 0.0)])
+def test_feet_land_further_ahead_the_faster_the_base_is(k: float, expected: float):
+    """Of .1 m/s too much each second of T / 2 + k shifts the feet by .1 m; T is .25 s."""
+    fast = observation(0.125, stroke=0.125)  # .5 m/s
+    moved = feet(controller(speed=k).feedback(fast[None]), 0.125)
+    np.testing.assert_allclose(moved[:, 0], 0.1 * expected, atol=1e-5)
+    np.testing.assert_allclose(moved[:, 1], 0.0, atol=1e-9)
+
+
+def test_legs_in_stance_right_the_base():
+    gains = controller(speed=-0.125, pitch=0.5, pitch_rate=0.02, roll=0.4, roll_rate=0.01)
+    # Half way through the stance of front left and back right, whose weight is then 1.
+    nose_down = feet(gains.feedback(observation(0.125, (0.0, 0.1, 0.0, 0.0))[None]), 0.125)[:, 1]
+    x, y = np.abs(ROBOT.leg_mounts[0, :2])
+    np.testing.assert_allclose(nose_down, [-0.05 * x, 0.0, 0.0, 0.05 * x], atol=1e-9)
+    left_up = feet(gains.feedback(observation(0.125, (0.1, 0.0, 0.0, 0.0))[None]), 0.125)[:, 1]
+    np.testing.assert_allclose(left_up, [0.04 * y, 0.0, 0.0, -0.04 * y], atol=1e-9)
+    rates = feet(gains.feedback(observation(0.125, (0.0, 0.0, 1.0, 0.0))[None]), 0.125)[:, 1]
+    np.testing.assert_allclose(rates, [0.01 * y, 0.0, 0.0, -0.01 * y], atol=1e-9)
+
+
+def test_a_shift_is_limited_and_a_foot_out_of_reach_stays_on_its_path():
+    wild = observation(0.125, stroke=0.19)
+    moved = feet(controller(speed=10.0, reach=0.02).feedback(wild[None]), 0.125)
+    np.testing.assert_allclose(moved[:, 0], 0.02, atol=1e-9)
+    assert not controller(speed=10.0, reach=0.5).feedback(wild[None]).any()
+
+
+def test_each_robot_may_have_gains_and_a_path_of_its_own():
+    seen = np.stack([observation(0.125, (0.0, 0.1, 0.0, 0.0), stroke=0.125)] * 2)
+    alone = [controller(pitch=gain).feedback(seen[:1])[0] for gain in (0.2, 0.6)]
+    column: Any = np.array([[0.2], [0.6]])
+    gains = replace(RaibertConfig(lag=0.0), pitch=column)
+    both = RaibertController(ROBOT, FootReference.stacked([reference()] * 2), gains, OBSERVATIONS, 1)
+    np.testing.assert_allclose(both.feedback(seen), alone, atol=1e-12)
+
+
+def test_other_observations_and_gains_out_of_bounds_are_refused():
+    with pytest.raises(
+        SurefootError, match="observations are roll, pitch; Raibert's controller takes roll, pitch, roll_"
+    ):
+        RaibertController(ROBOT, reference(), RaibertConfig(), ("roll", "pitch"))
+    with pytest.raises(SurefootError, match=r"raibert\.lag is -1; it must be 0 or more"):
+        RaibertConfig(lag=-1.0)
+    with pytest.raises(SurefootError, match=r"raibert\.pitch is nan"):
+        RaibertConfig(pitch=float("nan"))

@@ -1,0 +1,130 @@
+"""Report of a search, from trials made up so that the right answer is known."""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("matplotlib")
+
+from surefoot.evaluate.runs import Runs
+from surefoot.studies.paper import Counts, Source, find_counts, find_number, load_content
+from surefoot.studies.search_report import write_report
+from surefoot.studies.trials import Retest, SearchResult, TrialResult, best
+from surefoot.task.trace import EpisodeTrace
+
+
+def trial(folder: Path, number: int, state: str, value: float, gait: str) -> TrialResult:
+    share = 1.0 if state == "complete" else 0.4
+    curve = tuple((100_000 * n, value * n / 10) for n in range(1, round(10 * share) + 1))
+    params = {"ppo.learning_rate": 10.0 ** -(2 + number % 3), "ppo.value_hidden": "16 16" if number % 2 else "32 32"}
+    found = {"gait": gait, "pattern": f"running {gait}", "reason": "", "stride": 0.4, "duty": 0.4, "agree": 5}
+    policy = folder / f"trials/{number}/policy.onnx"
+    if state == "fail":
+        return TrialResult(number, state, None, math.nan, 0, 0.0, (), dict.fromkeys(params), None, None, "it broke")
+    steps = curve[-1][0]
+    return TrialResult(number, state, 7 + number, value, steps, 36.0 * share, curve, params, policy, found)
+
+
+def runs(world: str, returns: list[float]) -> Runs:
+    values, count = np.array(returns), len(returns)
+    full, stood = np.full(count, 1.0), np.full(count, True)
+    return Runs(world, values, values + 1, full, 10 * full, 1000 * full, ~stood, stood)
+
+
+@pytest.fixture
+def result(tmp_path: Path, make_run: Callable[..., EpisodeTrace]) -> SearchResult:
+    gaits = ["gallop", "trot", "trot", "bound", "trot", "gallop"]
+    states = ["complete", "complete", "pruned", "complete", "fail", "complete"]
+    trials = [
+        trial(tmp_path, number, state, 1.0 + 0.5 * number, gait)
+        for number, (state, gait) in enumerate(zip(states, gaits, strict=True))
+    ]
+    for one in trials:
+        if one.policy is not None:
+            make_run().save(one.policy.parent / "evaluations/gait/mujoco/run_000.npz")
+    tops = best([one for one in trials if one.complete], 3)
+    retests = tuple(
+        Retest(one, runs("mujoco", [one.value - d for d in (0.1, 0.2, 0.3)]), runs("bullet", [0.5, 0.7]))
+        for one in tops
+    )
+    importance = {"ppo.value_hidden": 0.75, "ppo.learning_rate": 0.25}
+    return SearchResult("gallop", 5, 1_000_000, 8, tuple(trials), importance, retests)
+
+
+def test_the_best_flatter_themselves_by_what_fresh_episodes_lack(result: SearchResult) -> None:
+    first = result.retests[0]
+    assert [retest.trial.number for retest in result.retests] == [5, 3, 1]
+    # Returns of .1, .2 and .3 m less: mean .2, and Student's t for two degrees of freedom, 4.303, times .1 / sqrt(3).
+    assert first.flattery.mean == pytest.approx(0.2)
+    assert first.flattery.low == pytest.approx(0.2 - 4.303 * 0.1 / math.sqrt(3), abs=1e-4)
+    assert first.flattery.high == pytest.approx(0.2 + 4.303 * 0.1 / math.sqrt(3), abs=1e-4)
+    # All three alike: the interval over policies has no width.
+    assert (result.flattery.low, result.flattery.high) == pytest.approx((0.2, 0.2))
+
+
+def test_the_census_counts_every_policy_once(result: SearchResult) -> None:
+    census = result.census()
+    assert {name: [one.number for one in trials] for name, trials in census.items()} == {
+        "gallop": [5, 0],
+        "trot": [2, 1],
+        "bound": [3],
+    }
+
+
+def test_the_report_has_it_all(result: SearchResult, tmp_path: Path) -> None:
+    (tmp_path / "gait_pace.png").touch()
+    report = write_report(result, tmp_path, "surefoot search gallop").read_text()
+    assert not (tmp_path / "gait_pace.png").exists()
+    assert "6 trials (4 complete, 1 pruned, 1 fail) of 1,000,000 control steps" in report
+    assert "Claimed less fresh, mean of these 3: +0.200 [+0.200, +0.200] m." in report
+    assert "| `ppo.value_hidden` | 0.75 |" in report
+    assert "| trot | 2 | 1 | 2 running trot | 2.00 | 2 |" in report
+    for name in ("search", "parameters", "gait_gallop", "gait_trot", "gait_bound"):
+        assert f"({name}.png)" in report
+        assert (tmp_path / f"{name}.png").stat().st_size > 5000
+    rows: list[dict[str, Any]] = list(csv.DictReader((tmp_path / "trials.csv").open()))
+    assert [row["state"] for row in rows] == ["complete", "complete", "pruned", "complete", "fail", "complete"]
+    assert rows[4] | {"return": "", "seed": "", "why": "it broke", "ppo.learning_rate": ""} == rows[4]
+    assert len((tmp_path / "best.csv").read_text().splitlines()) == 1 + 3 * (3 + 2)
+
+
+def test_the_table_of_the_best_has_each_and_all_of_them(result: SearchResult, tmp_path: Path) -> None:
+    write_report(result, tmp_path, "surefoot search gallop")
+    rows: list[dict[str, Any]] = list(csv.DictReader((tmp_path / "top.csv").open()))
+    assert [(row["rank"], row["trial"]) for row in rows] == [("1", "5"), ("2", "3"), ("3", "1"), ("all", "")]
+    # Returns of 3.5, 2.5 and 1.5 m, .2 m less in fresh episodes, by which their intervals over policies agree.
+    assert [float(row["claimed"]) for row in rows] == [3.5, 2.5, 1.5, 2.5]
+    assert [float(row["fresh"]) for row in rows] == pytest.approx([3.3, 2.3, 1.3, 2.3])
+    assert float(rows[3]["fresh_high"]) == pytest.approx(2.3 + 4.303 / math.sqrt(3), abs=1e-3)
+    assert [float(rows[3][name]) for name in ("flattery", "flattery_low")] == pytest.approx([0.2, 0.2])
+    assert [row["mujoco_runs"] for row in rows] == ["3", "3", "3", "9"]
+    assert [row["bullet_runs"] for row in rows] == ["2", "2", "2", "6"]
+    assert {row["bullet_return_mean"] for row in rows} == {"0.6"}
+
+
+def test_the_page_of_the_paper_finds_its_numbers_in_the_report(result: SearchResult, tmp_path: Path) -> None:
+    write_report(result, tmp_path / "results/search", "surefoot search gallop")
+    items = [item.ours for section in load_content().sections for item in section.items]
+    read = [one for one in items if not isinstance(one, str) and one.file.startswith("results/search/")]
+    assert {type(one) for one in read} == {Source, Counts}
+    for one in read:
+        if isinstance(one, Source):
+            assert math.isfinite(find_number(tmp_path, one).mean), one
+        else:
+            assert find_counts(tmp_path, one), one
+
+
+def test_without_bullet_the_table_of_the_best_has_no_columns_of_it(result: SearchResult, tmp_path: Path) -> None:
+    alone = replace(result, retests=tuple(replace(one, away=None) for one in result.retests))
+    write_report(alone, tmp_path, "surefoot search gallop")
+    rows: list[dict[str, Any]] = list(csv.DictReader((tmp_path / "top.csv").open()))
+    assert len(rows) == 4
+    assert not [name for name in rows[0] if "bullet" in name]

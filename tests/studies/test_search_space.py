@@ -1,0 +1,99 @@
+"""Spaces of searches: what they hold, what they do to a configuration, and what is refused."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from surefoot.errors import SurefootError
+from surefoot.learn.config import TrainConfig, load_train_config
+from surefoot.studies.search_space import Dimension, as_params, get, load_space, put
+
+SPACE = """
+ppo.learning_rate: {low: 0.0001, high: 0.01, log: true}
+ppo.policy_hidden.1: {low: 8, high: 64, int: true}
+ppo.value_hidden: {choices: [[16, 16], [32, 32]]}
+task.reference.swing.frequency: {low: 1.0, high: 3, also: [task.reference.extension.frequency]}
+"""
+
+
+def space_file(folder: Path, text: str = SPACE) -> Path:
+    path = folder / "space.yaml"
+    path.write_text(text)
+    return path
+
+
+def test_values_go_to_their_fields_and_nowhere_else(tmp_path: Path) -> None:
+    trot = load_train_config("trot")
+    space = load_space(space_file(tmp_path), trot)
+    values = {
+        "ppo.learning_rate": 0.002,
+        "ppo.policy_hidden.1": 33,
+        "ppo.value_hidden": [32, 32],
+        "task.reference.swing.frequency": 2.5,
+    }
+    config = put(trot, space, values)
+    assert config.ppo == replace(trot.ppo, learning_rate=0.002, policy_hidden=(125, 33), value_hidden=(32, 32))
+    reference = trot.task.reference
+    swing, extension = replace(reference.swing, frequency=2.5), replace(reference.extension, frequency=2.5)
+    assert config.task == replace(trot.task, reference=replace(reference, swing=swing, extension=extension))
+    assert replace(config, ppo=trot.ppo, task=trot.task) == trot
+    assert {name: get(config, name) for name in space} == values
+    assert as_params(space, config) == values | {"ppo.value_hidden": "[32, 32]"}
+    # Out of the space: a learning rate over the range, layers that are no choice.
+    assert set(as_params(space, trot)) == {"ppo.learning_rate", "task.reference.swing.frequency"}
+
+
+def test_the_spaces_that_ship_fit_the_tasks_that_ship() -> None:
+    gallop, trot = load_train_config("gallop"), load_train_config("trot")
+    without, with_reference = load_space(None, gallop), load_space(None, trot)
+    searched = {"ppo.policy_hidden.0", "ppo.value_hidden", "ppo.learning_rate", "ppo.gamma", "ppo.clip", "num_envs"}
+    assert searched | {"ppo.entropy_coefficient", "ppo.init_std", "task.energy_weight"} < set(without)
+    assert set(with_reference) - set(without) == {
+        "task.reference.swing.frequency",
+        "task.reference.swing.amplitude",
+        "task.reference.extension.amplitude",
+    }
+    # The paper's own layers are within.
+    assert {"ppo.policy_hidden.0": 185, "ppo.policy_hidden.1": 95}.items() <= as_params(without, gallop).items()
+
+
+BAD = [
+    ("ppo.leg: {low: 0, high: 1}", "ppo.leg is not a key; choices: policy_hidden"),
+    ("pppo.gamma: {low: 0, high: 1}", "pppo is not a key; choices: task, name"),
+    ("steps_per_update.first: {low: 1, high: 2}", "steps_per_update.first is not a field"),
+    (
+        "ppo.policy_hidden.2: {low: 8, high: 9, int: true}",
+        "ppo.policy_hidden.2 is not a field .*; it has 2 parts, from 0",
+    ),
+    ("ppo.gamma: {low: 0.99, high: 0.9}", "ppo.gamma: low is 0.99 and high is 0.9; low must be below high"),
+    ("ppo.gamma: {low: 0.5, high: 1.5}", "ppo.gamma is 1.5; it must be 1 or less"),
+    ("ppo.learning_rate: {low: 0, high: 1, log: true}", "ppo.learning_rate: low is 0; with log it must be over 0"),
+    ("ppo.epochs: {low: 1.5, high: 3, int: true}", "ppo.epochs: low is 1.5 and high is 3; with int they must be whole"),
+    ("ppo.epochs: {low: 1, high: 3}", r"ppo.epochs is 1.0; it must be a whole number"),
+    ("ppo.gamma: {low: 0.9}", "ppo.gamma: it needs low and high, or choices"),
+    ("ppo.activation: {choices: [elu, sigh]}", "ppo.activation is 'sigh'; choices: elu"),
+    ("ppo.activation: {choices: [elu], low: 1}", "it has choices and parts of a range"),
+    ("ppo.activation: {choices: [elu, elu]}", r"choices is \['elu', 'elu'\]; it takes none twice"),
+    ("ppo.gamma: 0.9", "ppo.gamma: Dimension is 0.9; it must be a table with keys out of: low, high"),
+    ("ppo.gamma: {lowest: 0.9}", "ppo.gamma: lowest is not a key; choices: low"),
+    ("ppo.gamma: {low: a, high: 1}", "ppo.gamma: low is 'a'; it must be a number or nothing"),
+    ("seed: {low: 0, high: 9, int: true}", "seed is not searched: the search sets it itself"),
+    ("ppo.gamma: {low: 0.9, high: 1, also: [ppo.gamma]}", "ppo.gamma is named twice"),
+    ("{}", "it is empty; a search takes 1 field or more"),
+]
+
+
+@pytest.mark.parametrize(("text", "message"), BAD, ids=[text for text, _ in BAD])
+def test_what_is_no_space_is_refused_with_file_and_field(tmp_path: Path, text: str, message: str) -> None:
+    with pytest.raises(SurefootError, match=rf"^\S*space\.yaml: .*{message}") as refused:
+        load_space(space_file(tmp_path, text), TrainConfig())
+    assert "\n" not in str(refused.value)
+
+
+def test_ends_of_a_range_are_of_its_kind() -> None:
+    assert Dimension(low=1, high=3, int=True).samples == (1, 3)
+    assert all(isinstance(end, int) for end in Dimension(low=1.0, high=3.0, int=True).samples)
+    assert Dimension(choices=([1, 2], "a")).samples == ([1, 2], "a")

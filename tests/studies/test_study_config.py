@@ -1,0 +1,230 @@
+"""Studies as data: what a group trains, where, and how far it is, told without the learning library."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import yaml
+
+from surefoot.configuration import write_yaml
+from surefoot.errors import SurefootError
+from surefoot.learn.config import TrainConfig, load_train_config
+from surefoot.robot.randomization import load_ranges
+from surefoot.studies.study_config import GroupConfig, StudyConfig, group_config, load_study, study_runs
+from surefoot.studies.training import CHECKPOINT_EVERY, Training, difference
+
+STUDY = """
+task: trot
+seeds: [3, 5]
+train: {steps: 1000, num_envs: 8, task: {max_steps: 70}}
+groups:
+  plain: {train: {task: {pushes: {enabled: false}, randomize: none}}}
+  drawn: {label: Drawn, train: {steps: 2000, task: {randomize: table1, observations: [roll, motor_angles]}}}
+evaluate: [table1]
+"""
+
+
+def study_file(folder: Path, text: str = STUDY) -> Path:
+    path = folder / "walks.yaml"
+    path.write_text(text)
+    return path
+
+
+def test_groups_keep_what_they_do_not_name(tmp_path: Path) -> None:
+    study, trot = load_study(study_file(tmp_path)), load_train_config("trot")
+    plain, drawn = (group_config(study, name) for name in ("plain", "drawn"))
+    assert study.name == "walks"
+    assert (plain.steps, drawn.steps, plain.num_envs) == (1000, 2000, 8)
+    assert plain.task.pushes == replace(trot.task.pushes, enabled=False)
+    assert plain.task.pushes.probability == 0.25
+    assert drawn.task.pushes == trot.task.pushes
+    assert drawn.task.reference == trot.task.reference
+    assert drawn.task.observations == ("roll", "motor_angles")
+    assert (plain.task.max_steps, drawn.task.max_steps) == (70, 70)
+    assert plain.ppo == trot.ppo
+    assert plain.task.randomize.ranges == {}
+    assert drawn.task.randomize == load_ranges("table1")
+    assert (study.label("plain"), study.label("drawn")) == ("plain", "Drawn")
+    # Runs share cores and save often.
+    assert (plain.threads, plain.learning_threads, plain.checkpoint_every) == (1, 1, CHECKPOINT_EVERY)
+
+
+def test_a_named_table_replaces_every_range(tmp_path: Path) -> None:
+    (tmp_path / "few.yaml").write_text("mass: [0.9, 1.1]\n")
+    text = (
+        "train: {task: {randomize: table1}}\n"
+        "groups: {a: {train: {task: {randomize: few.yaml}}}, b: {train: {task: {randomize: {latency: [0, 0.01]}}}}}"
+    )
+    study = load_study(study_file(tmp_path, text))
+    assert group_config(study, "a").task.randomize.ranges == {"mass": (0.9, 1.1)}
+    # A table of rows changes these rows alone.
+    assert group_config(study, "b").task.randomize == replace(load_ranges("table1"), latency=(0.0, 0.01))
+
+
+def test_a_task_counts_from_the_studys_file(tmp_path: Path) -> None:
+    (tmp_path / "mine.yaml").write_text("max_steps: 33\ntrain: {num_envs: 4}\n")
+    study = load_study(study_file(tmp_path, "{task: mine.yaml, groups: {a: {}}}"))
+    config = group_config(study, "a")
+    assert (config.task.max_steps, config.num_envs) == (33, 4)
+
+
+def test_runs_go_seed_by_seed_into_fixed_folders(tmp_path: Path) -> None:
+    study = load_study(study_file(tmp_path))
+    runs = study_runs(study, tmp_path / "runs")
+    assert [(run.group, run.config.seed) for run in runs] == [("plain", 3), ("drawn", 3), ("plain", 5), ("drawn", 5)]
+    assert runs[1].path == tmp_path / "runs" / "drawn" / "seed_3"
+    assert [run.group for run in study_runs(study, tmp_path, ("drawn",))] == ["drawn", "drawn"]
+    with pytest.raises(SurefootError, match="group 'fast' is not in the study; groups: plain, drawn"):
+        study_runs(study, tmp_path, ("fast",))
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("seeds: [0]", "groups is missing"),
+        ("groups: {}", "groups is empty"),
+        ("groups: {../a: {}}", "name is '../a'; a name has letters"),
+        ("{groups: {a: {}}, seeds: [1, 1]}", "seeds is .1, 1.; .* none twice"),
+        ("{groups: {a: {}}, seeds: []}", "1 or more"),
+        ("{groups: {a: {}}, speed: 3}", "speed is not a key"),
+        ("groups: {a: {train: {stepps: 3}}}", "groups.a.train.stepps is not a key"),
+        ("groups: {a: {train: {steps: 0}}}", "steps is 0; it must be 1 or more"),
+        ("groups: {a: {train: {task: {randomize: table9}}}}", "table9' does not exist"),
+        ("{groups: {a: {}}, train: {task: {pushes: {probability: 2}}}}", "probability is 2"),
+        ("{groups: {a: {}}, task: walk}", "walk' does not exist; choices: gallop, gallop-robust, scratch, steer, trot"),
+        ("{groups: {a: {}}, compare: [[a, b]]}", "compare: 'b' is no group of the study; groups: a"),
+        ("{groups: {a: {}}, top: 0}", "top is 0; it must be 1 or more"),
+        ("{groups: {a: {}}, top: [1]}", "top is .1.; it must be a whole number"),
+        ("{groups: {a: {}}, bars: {x: [b]}}", "bars.x: 'b' is no group of the study; groups: a"),
+        ("{groups: {a: {}}, bars: {x: [a, a]}}", "bars.x is .'a', 'a'.; it takes 1 group or more, none twice"),
+        ("{groups: {a: {}}, bars: {x: []}}", "bars.x is ..; it takes 1 group or more"),
+        ("{groups: {a: {}}, bars: {../x: [a]}}", "name is '../x'; a name has letters"),
+        ("{groups: {a: {}}, bars: [a]}", "bars is .'a'.; it must be a table"),
+        ("{groups: {a: {}}, findings: [{groups: [b], text: x}]}", "findings.0.: 'b' is no group of the study"),
+        ("{groups: {a: {}}, findings: [{groups: [a]}]}", "findings.0..text is missing"),
+        ("{groups: {a: {}}, findings: [{groups: [a], text: x}]}", "findings.0.: a are together in no set of bars"),
+    ],
+)
+def test_what_is_no_study_is_refused(text: str, message: str, tmp_path: Path) -> None:
+    path = study_file(tmp_path, text)
+    with pytest.raises(SurefootError, match=message) as error:
+        load_study(path)
+    assert str(error.value).startswith(str(path))
+
+
+def test_every_pair_is_compared_unless_some_are_named() -> None:
+    study = StudyConfig(groups={name: GroupConfig() for name in "abc"})
+    assert study.pairs == (("a", "b"), ("a", "c"), ("b", "c"))
+    assert replace(study, compare=(("c", "a"),)).pairs == (("c", "a"),)
+
+
+def make_run(folder: Path, **changes: object) -> Training:
+    config = replace(load_train_config("trot"), **changes)  # type: ignore[arg-type]
+    return Training("a", config, folder)
+
+
+def store(run: Training, file: str) -> None:
+    (run.path / "checkpoints").mkdir(parents=True, exist_ok=True)
+    write_yaml(run.path / "config.yaml", run.config)
+    (run.path / file).write_bytes(b"")
+
+
+def test_state_is_told_by_the_files(tmp_path: Path) -> None:
+    run = make_run(tmp_path / "run")
+    assert run.state == "new"
+    store(run, "run.json")
+    assert run.state == "new"
+    store(run, "checkpoints/fresh.ckpt")
+    assert run.state == "started"
+    store(run, "policy.onnx")
+    assert run.state == "finished"
+
+
+def test_a_run_of_other_settings_is_refused(tmp_path: Path) -> None:
+    run = make_run(tmp_path / "run", steps=5000)
+    make_run(run.path, steps=6000).check()
+    store(run, "checkpoints/latest.ckpt")
+    run.check()
+    make_run(run.path, steps=5000, threads=2, checkpoint_every=77).check()
+    with pytest.raises(SurefootError, match=r"run: was trained with steps 5000, and the study asks for 6000; go on"):
+        make_run(run.path, steps=6000).check()
+    with pytest.raises(SurefootError, match=r"steps 5000, and the study asks for 4000; move the folder"):
+        make_run(run.path, steps=4000).check(extend=True)
+    task = replace(run.config.task, pushes=replace(run.config.task.pushes, probability=0.5))
+    with pytest.raises(SurefootError, match=r"with task.pushes.probability 0.25, and the study asks for 0.5"):
+        make_run(run.path, steps=6000, task=task).check(extend=True)
+    (run.path / "config.yaml").write_text("steps: many\n")
+    with pytest.raises(SurefootError, match="move the folder away"):
+        run.check()
+
+
+def test_extend_reopens_a_finished_run(tmp_path: Path) -> None:
+    run = make_run(tmp_path / "run", steps=5000, checkpoint_every=123)
+    store(run, "checkpoints/latest.ckpt")
+    store(run, "policy.onnx")
+    longer = make_run(run.path, steps=9000)
+    longer.check(extend=True)
+    run.extend()
+    assert run.state == "finished"
+    longer.extend()
+    longer.check()
+    assert longer.state == "started"
+    assert yaml.safe_load((run.path / "config.yaml").read_text())["checkpoint_every"] == 123
+
+
+def test_a_log_that_was_cut_off_gives_its_whole_lines(tmp_path: Path) -> None:
+    run = make_run(tmp_path)
+    assert run.rows() == []
+    (tmp_path / "figures.jsonl").write_text('{"steps": 1}\n{"steps": 2}\n{"ste')
+    assert run.rows() == [{"steps": 1}, {"steps": 2}]
+
+
+def test_difference_finds_the_first_field_by_its_whole_name() -> None:
+    config = TrainConfig()
+    assert difference(config, config) is None
+    other = replace(config, task=replace(config.task, pushes=replace(config.task.pushes, period=2.0)), seed=4)
+    assert difference(config, other) == ("task.pushes.period", 1.2, 2.0)
+    assert difference(config, replace(config, seed=4)) == ("seed", 0, 4)
+
+
+def test_how_far_a_study_is_can_be_told_without_torch() -> None:
+    script = "import sys, surefoot.studies.study_config, surefoot.studies.workers; sys.exit('torch' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", script], timeout=60, check=False).returncode == 0
+
+
+def test_the_robustness_study_is_what_it_says() -> None:
+    path = Path(__file__).parents[2] / "studies" / "robustness.yaml"
+    study = load_study(path)
+    small, large = group_config(study, "small_plain"), group_config(study, "large_randomized")
+    assert small.task.observations == ("roll", "pitch", "roll_rate", "pitch_rate")
+    assert large.task.observations == ("roll", "pitch", "roll_rate", "pitch_rate", "motor_angles")
+    assert not small.task.pushes.enabled
+    assert not small.task.randomize.ranges
+    assert large.task.pushes.enabled
+    assert large.task.pushes.probability == load_train_config("trot").task.pushes.probability
+    assert large.task.randomize == load_ranges("table1")
+    assert len(study.seeds) >= 3
+
+
+def test_the_reality_gap_study_is_what_it_says() -> None:
+    study = load_study(Path(__file__).parents[2] / "studies" / "reality-gap.yaml")
+    assert study.evaluate == ("gap",)
+    assert study.top == 3
+    assert len(study.seeds) >= study.top
+    assert set(study.bars) == {"simulators", "halves", "observations"}
+    assert set().union(*study.bars.values()) == set(study.groups)
+    # The paper's first two groups have neither its motors nor its delays, the third has both.
+    one, two, three = (group_config(study, name).task for name in study.bars["simulators"])
+    half, other = (group_config(study, name).task for name in ("actuator_only", "latency_only"))
+    actuators = [task.actuator for task in (one, two, three, half, other)]
+    assert actuators == ["constraint", "constraint", "dc", "dc", "constraint"]
+    assert [t.pushes.enabled for t in (one, two, three, half, other)] == [False, True, True, True, True]
+    for task in (one, two, half):
+        assert (task.params["control_latency"], task.params["servo_latency"]) == (0.0, 0.0)
+    assert three.params == {}
+    assert not {"control_latency", "servo_latency"} & set(other.params)
+    assert len({group_config(study, name).task.energy_weight for name in study.groups}) == 1

@@ -1,0 +1,99 @@
+"""Tuning of handcrafted gaits: what parameters mean, what a search finds, and what is refused."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+pytest.importorskip("cma")
+
+from surefoot.errors import SurefootError
+from surefoot.studies.handcrafted import OpenLoop
+from surefoot.studies.raibert import RaibertController
+from surefoot.studies.tune import GAINS, PATH, PHASES, TuneConfig, Tuner, foot_config
+from surefoot.world.sim_world import SimWorld
+
+USUAL = {name: usual for name, (_, _, usual) in PATH.items()}
+SMALL = TuneConfig(generations=2, population=4, starts=2, seconds=0.5, threads=1)
+
+
+def test_parameters_are_in_parts_of_the_reach_and_of_what_the_speed_asks_for():
+    values = USUAL | {"frequency": 2.0, "stride": 1.2, "clearance": 0.1, "front_height": 0.7, "back_offset": -0.05}
+    foot = foot_config(values, "trot", speed=0.3, reach=0.3)
+    natural = math.sqrt(9.81 / 0.3) / (2 * math.pi)
+    assert foot.frequency == pytest.approx(2.0 * natural)
+    assert foot.stroke * foot.frequency / foot.duty_factor == pytest.approx(1.2 * 0.3)
+    assert foot.clearance == pytest.approx(0.03)
+    assert foot.height == pytest.approx(
+        dict.fromkeys(("front_left", "front_right"), 0.21) | dict.fromkeys(("back_left", "back_right"), 0.216)
+    )
+    assert foot_config(values, "trot", speed=5.0, reach=0.3).stroke == pytest.approx(0.15)
+    assert foot.offset["back_left"] == pytest.approx(-0.015)
+
+
+@pytest.mark.parametrize(
+    ("gait", "phase"),
+    [
+        ("trot", {"front_left": 0.0, "front_right": 0.5, "back_left": 0.5, "back_right": 0.0}),
+        ("bound", {"front_left": 0.0, "front_right": 0.0, "back_left": 0.4, "back_right": 0.4}),
+        ("gallop", {"front_left": -0.05, "front_right": 0.05, "back_left": 0.45, "back_right": 0.35}),
+        ("free", {"front_left": 0.0, "front_right": 0.1, "back_left": 0.4, "back_right": 0.3}),
+    ],
+)
+def test_legs_go_together_as_the_gait_says(gait, phase):
+    free = {"back_phase": 0.4, "front_lead": 0.1, "back_lead": -0.1}
+    values = USUAL | {name: free[name] for name in PHASES[gait]}
+    assert foot_config(values, gait, 1.0, 0.3).phase == pytest.approx(phase)
+
+
+def test_the_same_seed_finds_the_same_gait_and_another_one_another():
+    found = []
+    for seed in (5, 5, 6):
+        tuner = Tuner(replace(SMALL, seed=seed, starts=1), SimWorld)
+        tuner.step()
+        found.append(tuner.best)
+    assert found[0] == found[1]
+    assert found[0] != found[2]
+
+
+def test_a_search_gets_better_and_keeps_the_best_of_another_start():
+    tuner = Tuner(SMALL, SimWorld)
+    costs = []
+    for _ in range(2):
+        tuner.step()
+        costs.append(tuner.cost)
+    assert costs[1] <= costs[0] < np.inf
+    best = dict(tuner.best)
+    again = Tuner(replace(SMALL, raibert=True), SimWorld, best)
+    assert {name: again.best[name] for name in best} == best
+    assert set(again.best) - set(best) == set(GAINS)
+    assert isinstance(again.gait().policy(), RaibertController)
+    assert isinstance(tuner.gait().policy(), OpenLoop)
+    tuner.finish()
+    assert tuner.best in [*tuner._firsts, best]
+    assert tuner.gait().about["parameters"] == tuner.best
+
+
+def test_cost_is_power_and_what_is_missing():
+    tuner = Tuner(replace(SMALL, speed=5.0), SimWorld)
+    # Legs that hardly move: no power, no speed.
+    still = USUAL | {"frequency": 1.0, "clearance": 0.02, "stride": 0.0, "depth": 0.0}
+    costs = tuner.costs([still] * 4)
+    assert costs.shape == (4, 2)
+    assert np.all((costs > 290) & (costs < 320))
+
+
+def test_numbers_out_of_bounds_are_refused():
+    for wrong in ({"speed": 0.0}, {"generations": 0}, {"sigma": 0.0}, {"population": 2}, {"seconds": math.nan}):
+        name, value = next(iter(wrong.items()))
+        with pytest.raises(SurefootError, match=f"{name} is {value:g}"):
+            TuneConfig(**wrong)
+
+
+def test_a_start_that_legs_refuse_begins_nearer_to_the_usual_gait():
+    tuner = Tuner(replace(SMALL, speed=2.0), SimWorld, {"front_height": 0.94, "back_height": 0.7})
+    assert 0.72 < tuner.best["front_height"] < 0.94
+    assert 0.7 < tuner.best["back_height"] < 0.72
