@@ -87,7 +87,7 @@ def film(robot: RobotDescription, trace: EpisodeTrace, path: Path) -> Path:
     from surefoot.report.drawing.video import render_video
 
     shapes, poses = scene(robot), trace_poses(robot, trace)
-    camera = Camera().of_robot(extent(robot))
+    camera = Camera.for_robot(extent(robot))
     return render_video(shapes, poses, trace.time, path, overlay=_captions(trace), follow=robot.base, camera=camera)
 
 

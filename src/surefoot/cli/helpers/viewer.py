@@ -14,9 +14,9 @@ import numpy as np
 
 from surefoot.arrays import Array
 from surefoot.errors import SurefootError
-from surefoot.report.drawing.renderer import Shape
 from surefoot.report.drawing.scene import poses, scene, trace_poses
 from surefoot.robot import RobotDescription
+from surefoot.robot.urdf import Shape
 from surefoot.rotations import matrix_quat
 from surefoot.task.trace import EpisodeTrace
 
@@ -39,13 +39,13 @@ def build_stage(shapes: Sequence[Shape]) -> mujoco.MjModel:
     spec.worldbody.add_light(pos=[0, 0, 4], dir=[0, 0, -1], type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL)
     seen: dict[str, Any] = {"contype": 0, "conaffinity": 0}
     spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 0.5], rgba=[0.8, 0.82, 0.84, 1], **seen)
-    bodies = {name: spec.worldbody.add_body(name=name, mocap=True) for name in dict.fromkeys(s.body for s in shapes)}
+    bodies = {name: spec.worldbody.add_body(name=name, mocap=True) for name in dict.fromkeys(s.link for s in shapes)}
     for shape in shapes:
-        bodies[shape.body].add_geom(
+        bodies[shape.link].add_geom(
             type=_KINDS[shape.kind],
             size=[*shape.size, 0, 0][:3],
-            pos=np.asarray(shape.position),
-            quat=matrix_quat(np.asarray(shape.rotation, float)),
+            pos=shape.position,
+            quat=matrix_quat(shape.rotation),
             rgba=[*(channel / 255 for channel in shape.color), 1],
             **seen,
         )

@@ -8,17 +8,14 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
 from PIL import Image, ImageDraw, ImageFilter
 
 from surefoot.arrays import Array
-from surefoot.errors import SurefootError, choices
+from surefoot.robot.urdf import Shape
 
-SIZES = {"box": 3, "cylinder": 2, "sphere": 1}
-"""Kinds of solids, and how many sizes each has."""
 SUPERSAMPLE = 2
 TILE = 0.25  # m, side of a square of the ground
 FAR = 6.0  # m from the camera where the squares have faded out
@@ -26,36 +23,7 @@ NEAR = 0.1  # m from the camera; what is nearer is not drawn
 SEGMENTS = 20  # of a circle
 TO_LIGHT = np.array([-0.30, -0.42, 0.86]) / np.linalg.norm([-0.30, -0.42, 0.86])
 SKY, HAZE, GROUND, SQUARE = np.array([(150, 184, 216), (232, 238, 243), (208, 213, 216), (184, 191, 197)], float)
-SHADOW, GREY = (52, 58, 66), (120, 130, 140)
-
-
-@dataclass(frozen=True, eq=False)
-class Shape:
-    """One solid of the robot.
-
-    Attributes:
-        body: whose pose it follows.
-        kind: one of `SIZES`.
-        size: box: half extents x, y, z; cylinder: radius and half length along z; sphere: radius. In m.
-        position: (3,) m, centre in the body's frame.
-        rotation: (3, 3) from the shape's axes to the body's.
-        color: red, green, blue, 0 to 255.
-    """
-
-    body: str
-    kind: str
-    size: Sequence[float]
-    position: ArrayLike = (0.0, 0.0, 0.0)
-    rotation: ArrayLike = field(default_factory=lambda: np.eye(3))
-    color: tuple[int, int, int] = GREY
-
-    def __post_init__(self) -> None:
-        """Check kind and sizes."""
-        if self.kind not in SIZES:
-            raise SurefootError(f"shape of {self.body}: kind {self.kind!r} is not one of {choices(SIZES)}")
-        if len(self.size) != SIZES[self.kind] or not all(s > 0 for s in self.size):
-            rule = f"a {self.kind} has {SIZES[self.kind]} sizes above 0 m"
-            raise SurefootError(f"shape of {self.body}: size {tuple(self.size)}; {rule}")
+SHADOW = (52, 58, 66)
 
 
 _EXTENT = 0.8856
@@ -78,22 +46,22 @@ class Camera:
     field_of_view: float = 32.0
     smoothing: float = 0.3
 
-    def of_robot(self, extent: float) -> Camera:
-        """Return the camera at a distance and height for a robot that is so large [m], corner to corner at rest."""
+    @classmethod
+    def for_robot(cls, extent: float) -> Camera:
+        """Return a camera at the distance and height for a robot of this size [m], corner to corner at rest."""
         scale = round(extent / _EXTENT, 3)
-        x, y, z = (scale * part for part in self.offset)
-        return replace(self, offset=(x, y, z), height=scale * self.height)
+        x, y, z = (scale * part for part in cls.offset)
+        return cls(offset=(x, y, z), height=scale * cls.height)
 
 
 class Mesh:
     """All shapes as flat faces, in the frames of their bodies."""
 
     def __init__(self, shapes: Sequence[Shape], bodies: list[str]) -> None:
-        solids = [_solid(s.kind, tuple(s.size)) for s in shapes]
-        turn = [np.asarray(s.rotation, dtype=np.float64) for s in shapes]
-        place = [np.asarray(s.position, dtype=np.float64) for s in shapes]
+        solids = [_solid(s.kind, s.size) for s in shapes]
+        turn, place = [s.rotation for s in shapes], [s.position for s in shapes]
         start = np.cumsum([0] + [len(points) for points, _ in solids])
-        body = np.array([bodies.index(s.body) for s in shapes])
+        body = np.array([bodies.index(s.link) for s in shapes])
         corner = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
         self.half = np.array([np.abs(points).max(axis=0) for points, _ in solids])  # (S, 3) of the bounding boxes
         self.axes, self.place, self.body = np.array(turn), np.array(place), body
@@ -105,6 +73,12 @@ class Mesh:
         self.centres = np.array([self.points[list(f)].mean(axis=0) for f in self.faces])
         self.normals = np.array([_normal(self.points[list(f)]) for f in self.faces])
         self.color = np.array([s.color for s in shapes], dtype=np.float64)[self.owner]
+
+    def place_points(self, poses: Array) -> Array:
+        """Return all points (P, 3) of bodies with these poses (B, 4, 4), in the poses' world."""
+        frames = poses[self.point_body]
+        points: Array = np.einsum("pij,pj->pi", frames[:, :3, :3], self.points) + frames[:, :3, 3]
+        return points
 
 
 class View:
@@ -137,7 +111,7 @@ def draw(mesh: Mesh, poses: Array, view: View) -> Image.Image:
         pen.polygon(polygon, fill=fill)
 
     turn, place = poses[:, :3, :3], poses[:, :3, 3]
-    points = np.einsum("pij,pj->pi", turn[mesh.point_body], mesh.points) + place[mesh.point_body]
+    points = mesh.place_points(poses)
     face_body = mesh.body[mesh.owner]
     normals = np.einsum("fij,fj->fi", turn[face_body], mesh.normals)
     centres = np.einsum("fij,fj->fi", turn[face_body], mesh.centres) + place[face_body]

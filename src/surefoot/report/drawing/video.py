@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,15 +13,16 @@ from numpy.typing import ArrayLike
 from PIL import Image, ImageDraw, ImageFont
 
 from surefoot.arrays import Array
-from surefoot.errors import SurefootError, choices
-from surefoot.report.drawing.renderer import Camera, Mesh, Shape, View, draw
+from surefoot.errors import SurefootError
+from surefoot.report.drawing.renderer import Camera, Mesh, View, draw
+from surefoot.robot.urdf import Shape
 
 INK, PANEL = (34, 39, 46), (255, 255, 255, 190)
 
 
 def render_video(
     shapes: Sequence[Shape],
-    poses: Mapping[str, ArrayLike],
+    poses: Mapping[str, Array],
     times: ArrayLike,
     path: str | Path,
     *,
@@ -31,29 +32,27 @@ def render_video(
     fps: int = 50,
     size: tuple[int, int] = (960, 540),
 ) -> Path:
-    """Write an MP4 (H.264, yuv420p) of the bodies' motion in real time.
+    """Write an MP4 (H.264, yuv420p) of links' motion in real time.
 
     Args:
         shapes: what to draw.
-        poses: by body, (T, 4, 4) transforms from the body's frame to the world at `times`.
+        poses: by link, frames (T, 4, 4) in the world at `times`.
         times: (T,) s, strictly increasing.
         path: .mp4 to write; it appears whole or not at all.
-        follow: body that the camera follows.
-        overlay: text at the top left for each of `times`; may have lines.
+        follow: link that the camera follows.
+        overlay: text at the top left for each of `times`; may have several lines.
         camera: where pictures are taken from.
         fps: frames a second; poses between two times are interpolated.
         size: width and height in pixels, even.
     """
     import imageio_ffmpeg
 
-    path = Path(path)
+    path, times = Path(path), np.asarray(times, float)
     if path.suffix.lower() != ".mp4":
         raise SurefootError(f"video {path}: the name must end in .mp4")
-    if fps <= 0 or min(size) <= 0 or size[0] % 2 or size[1] % 2:
-        raise SurefootError(f"video: {size[0]} x {size[1]} at {fps} fps; sides must be even, all above 0")
-    film = _Film(shapes, poses, times, overlay, follow, camera)
-    length = film.times[-1] - film.times[0]
-    clock = film.times[0] + np.arange(max(int(length * fps + 1e-6), 1)) / fps
+    mesh, stack = Mesh(shapes, list(poses)), np.stack(list(poses.values()), axis=1)
+    track_times, track = _smooth_track(times, poses[follow][:, :2, 3], camera.smoothing)
+    clock = times[0] + np.arange(max(int((times[-1] - times[0]) * fps + 1e-6), 1)) / fps
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_name(f".{path.stem}.{os.getpid()}.mp4")
     writer = imageio_ffmpeg.write_frames(
@@ -68,11 +67,14 @@ def render_video(
         output_params=["-crf", "23", "-preset", "veryfast", "-movflags", "+faststart"],
     )
     try:
-        # Where no file can be made, ffmpeg would say so by its whole command.
+        # Where no file can be made, ffmpeg would report its whole command.
         temporary.touch()
         writer.send(None)
-        for frame in film.frames(clock, size):
-            writer.send(frame.tobytes())
+        for now in clock:
+            aim = np.array([*(np.interp(now, track_times, part) for part in track.T), camera.height])
+            picture = draw(mesh, interpolate_poses(times, stack, now), View(camera, aim, size))
+            _write(picture, overlay[int(np.abs(times - now).argmin())])
+            writer.send(picture.tobytes())
         writer.close()
         os.replace(temporary, path)
     except OSError as error:
@@ -83,48 +85,18 @@ def render_video(
     return path
 
 
-class _Film:
-    """Shapes, their poses over time and text, ready to be drawn at any time."""
-
-    def __init__(
-        self,
-        shapes: Sequence[Shape],
-        poses: Mapping[str, ArrayLike],
-        times: ArrayLike,
-        overlay: Sequence[str],
-        follow: str,
-        camera: Camera = Camera(),  # noqa: B008, it is frozen
-    ) -> None:
-        self.times = np.asarray(times, dtype=np.float64)
-        bodies = list(poses)
-        missing = sorted({*(s.body for s in shapes), follow} - set(bodies))
-        if missing:
-            raise SurefootError(f"video: no poses of {choices(missing)}; there are {choices(bodies) or 'none'}")
-        self.poses = np.stack([np.asarray(poses[body], dtype=np.float64) for body in bodies], axis=1)
-        self.overlay, self.camera, self.mesh = overlay, camera, Mesh(shapes, bodies)
-        path = self.poses[:, bodies.index(follow), :2, 3]
-        self.path_times, self.path = _glide(self.times, path, self.camera.smoothing)
-
-    def frames(self, clock: Array, size: tuple[int, int]) -> Iterator[Image.Image]:
-        """Draw a picture at each time of clock (s)."""
-        for now in clock:
-            aim = np.array([*(np.interp(now, self.path_times, p) for p in self.path.T), self.camera.height])
-            picture = draw(self.mesh, self.poses_at(now), View(self.camera, aim, size))
-            _write(picture, self.overlay[int(np.abs(self.times - now).argmin())])
-            yield picture
-
-    def poses_at(self, now: float) -> Array:
-        """Interpolate the poses (B, 4, 4): each number linearly, then the axes made orthonormal."""
-        after = min(max(int(np.searchsorted(self.times, now)), 1), len(self.times) - 1)
-        before = max(after - 1, 0)
-        span = self.times[after] - self.times[before]
-        part = float(np.clip((now - self.times[before]) / span, 0.0, 1.0)) if span > 0 else 0.0
-        pose: Array = (1.0 - part) * self.poses[before] + part * self.poses[after]
-        x = pose[:, :3, 0] / np.linalg.norm(pose[:, :3, 0], axis=1, keepdims=True)
-        z = np.cross(x, pose[:, :3, 1])
-        z /= np.linalg.norm(z, axis=1, keepdims=True)
-        pose[:, :3, :3] = np.stack([x, np.cross(z, x), z], axis=-1)
-        return pose
+def interpolate_poses(times: Array, poses: Array, now: float) -> Array:
+    """Return frames (B, 4, 4) at a time out of those (T, B, 4, 4) at `times`: linear, the axes made orthonormal."""
+    after = min(max(int(np.searchsorted(times, now)), 1), len(times) - 1)
+    before = max(after - 1, 0)
+    span = times[after] - times[before]
+    share = float(np.clip((now - times[before]) / span, 0.0, 1.0)) if span > 0 else 0.0
+    pose: Array = (1.0 - share) * poses[before] + share * poses[after]
+    x = pose[:, :3, 0] / np.linalg.norm(pose[:, :3, 0], axis=1, keepdims=True)
+    z = np.cross(x, pose[:, :3, 1])
+    z /= np.linalg.norm(z, axis=1, keepdims=True)
+    pose[:, :3, :3] = np.stack([x, np.cross(z, x), z], axis=-1)
+    return pose
 
 
 def _write(picture: Image.Image, text: str) -> None:
@@ -148,15 +120,15 @@ def label_font(size: int) -> Any:
     return ImageFont.load_default(size)
 
 
-def _glide(times: Array, path: Array, smoothing: float) -> tuple[Array, Array]:
-    """Return times and positions (K, 2) of a camera that glides along a path (T, 2).
+def _smooth_track(times: Array, track: Array, smoothing: float) -> tuple[Array, Array]:
+    """Return times and positions (K, 2) of a camera that follows a track (T, 2) smoothly.
 
     Local linear regression with Gaussian weights: unlike a mean, it does not lag at the ends.
     """
     if smoothing <= 0 or len(times) < 3:
-        return times, path
+        return times, track
     clock = np.linspace(times[0], times[-1], max(int((times[-1] - times[0]) * 20), 2))
-    rough = np.stack([np.interp(clock, times, p) for p in path.T], axis=-1)
+    rough = np.stack([np.interp(clock, times, part) for part in track.T], axis=-1)
     lag = clock[None] - clock[:, None]
     weight = np.exp(-0.5 * (lag / smoothing) ** 2)
     m0, m1, m2 = ((weight * lag**k).sum(axis=1)[:, None] for k in range(3))

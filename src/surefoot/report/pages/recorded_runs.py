@@ -17,17 +17,16 @@ from typing import Any
 
 import numpy as np
 import viser
-from numpy.typing import ArrayLike
 
 from surefoot.arrays import Array
 from surefoot.errors import SurefootError, located
 from surefoot.evaluate.foot_forces import foot_forces
 from surefoot.evaluate.tracking import motion
-from surefoot.report.drawing.renderer import GREY
 from surefoot.report.drawing.scene import extent, poses, scene
 from surefoot.report.pages.html import document
 from surefoot.report.pages.view import add_ground, add_shape, bare_viewer, quiet_server
 from surefoot.robot import RobotDescription
+from surefoot.robot.urdf import GREY
 from surefoot.rotations import in_heading_frame, matrix_quat, quat_yaw, rpy_quat
 from surefoot.task.trace import EpisodeTrace
 
@@ -172,16 +171,11 @@ def _run(one: Recording, rate: float, node: str) -> tuple[dict[str, Any], Array]
         "rows": len(clock),
         "columns": {name: _packed(_at(clock, one.clock, values)) for name, values in known.items()},
         "joints": [
-            {"node": paths[joint.child], "fixed": matrix_quat(joint.frame[:3, :3]).tolist(), "axis": _unit(joint.axis)}
+            {"node": paths[joint.child], "fixed": matrix_quat(joint.frame[:3, :3]).tolist(), "axis": list(joint.axis)}
             for joint in map(robot.urdf.joints.__getitem__, joints)
         ],
     }
     return run, position
-
-
-def _unit(axis: ArrayLike) -> list[float]:
-    along = np.asarray(axis, float)
-    return list((along / np.linalg.norm(along)).tolist())
 
 
 def _start(trace: EpisodeTrace) -> tuple[Array, float]:
@@ -284,12 +278,9 @@ def _packed(values: Array) -> dict[str, Any]:
 
 def _paths(robot: RobotDescription, base: str) -> dict[str, str]:
     """Return the name of each link's frame in the scene: joints are nested from the root on, which the base holds."""
-    paths, waiting = {robot.urdf.root: f"{base}/root"}, list(robot.urdf.joints.values())
-    while waiting:
-        for joint in waiting:
-            if joint.parent in paths:
-                paths[joint.child] = f"{paths[joint.parent]}/l{len(paths)}"
-        waiting = [joint for joint in waiting if joint.child not in paths]
+    paths = {robot.urdf.root: f"{base}/root"}
+    for joint in robot.urdf.tree:
+        paths[joint.child] = f"{paths[joint.parent]}/l{len(paths)}"
     return paths
 
 
@@ -333,7 +324,7 @@ def _add_robot(
         if tint is not None:
             red, green, blue = ((own + other) // 2 for own, other in zip(shape.color, tint, strict=True))
             shape = replace(shape, color=(red, green, blue))
-        add_shape(stage, f"{paths[shape.body]}/s{number}", shape)
+        add_shape(stage, f"{paths[shape.link]}/s{number}", shape)
     arrows = [(f"base/force{leg}", _FORCE) for leg in range(len(robot.legs))] if "force" in run["columns"] else []
     for name, color in [*arrows, *([("push", _PUSH)] if "push" in run["columns"] else [])]:
         up = np.array([[[0.0, 0.0, 0.0], [0.0, 0.0, 1.0]]])

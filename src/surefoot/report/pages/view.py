@@ -17,9 +17,9 @@ from numpy.typing import ArrayLike
 
 from surefoot.arrays import Array
 from surefoot.errors import SurefootError
-from surefoot.report.drawing.renderer import GREY, Shape
 from surefoot.report.drawing.scene import extent, poses, scene
 from surefoot.robot import RobotDescription
+from surefoot.robot.urdf import GREY, Shape
 from surefoot.rotations import matrix_quat
 
 _TRAIL = 300
@@ -57,8 +57,8 @@ def add_ground(scene: viser.SceneApi, name: str, size: float) -> None:
 def add_shape(scene: viser.SceneApi, name: str, shape: Shape) -> None:
     """Add a solid in the frame of its body."""
     place: dict[str, Any] = {
-        "position": np.asarray(shape.position),
-        "wxyz": matrix_quat(np.asarray(shape.rotation, float)),
+        "position": shape.position,
+        "wxyz": matrix_quat(shape.rotation),
     }
     if shape.kind == "box":
         x, y, z = shape.size
@@ -90,9 +90,9 @@ class RobotView:
             self._world = server.scene.add_frame("/world", show_axes=False)
             add_ground(server.scene, "/world/ground", size)
             for k, shape in enumerate(scene(robot)):
-                if shape.body not in self._links:
-                    self._links[shape.body] = server.scene.add_frame(f"/world/{shape.body}", show_axes=False)
-                add_shape(server.scene, f"/world/{shape.body}/{k}", shape)
+                if shape.link not in self._links:
+                    self._links[shape.link] = server.scene.add_frame(f"/world/{shape.link}", show_axes=False)
+                add_shape(server.scene, f"/world/{shape.link}/{k}", shape)
             server.initial_camera.position = (1.1 * size, -1.5 * size, 0.7 * size)
             server.initial_camera.look_at = (0.0, 0.0, 0.2 * size)
 
