@@ -15,6 +15,7 @@ from PIL import Image, ImageDraw, ImageFont
 from surefoot.arrays import Array
 from surefoot.errors import SurefootError, choices
 from surefoot.report.drawing.renderer import Camera, Mesh, Shape, View, draw
+from surefoot.world.ground import FLAT
 
 INK, PANEL = (34, 39, 46), (255, 255, 255, 190)
 
@@ -108,7 +109,8 @@ class _Film:
     def frames(self, clock: Array, size: tuple[int, int]) -> Iterator[Image.Image]:
         """Draw a picture at each time of clock (s)."""
         for now in clock:
-            aim = np.array([*(np.interp(now, self.path_times, p) for p in self.path.T), self.camera.height])
+            place = np.array([np.interp(now, self.path_times, p) for p in self.path.T])
+            aim = np.array([*place, FLAT.level(place) + self.camera.height])
             picture = draw(self.mesh, self.poses_at(now), View(self.camera, aim, size))
             _write(picture, self.overlay[int(np.abs(self.times - now).argmin())])
             yield picture
