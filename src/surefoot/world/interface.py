@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from surefoot.arrays import Array
 from surefoot.errors import SurefootError, choices
 from surefoot.robot import PhysicalParams, RobotDescription
+from surefoot.world.ground import FLAT, Ground
 
 ACTUATORS = ("dc", "constraint")
 
@@ -81,6 +82,8 @@ class WorldConfig:
     """A reset gives the base a random velocity, each component up to this [m/s]."""
     start_angular_speed: float = 0.0
     """A reset gives the base a random angular velocity, each component up to this [rad/s]."""
+    ground: Ground = FLAT
+    """What robots stand on."""
     threads: int = 0
     """Threads, or processes, to step on; 0 means one a core."""
 
