@@ -37,12 +37,12 @@ LOOP_ERP = 0.2
 """Share of a loop's gap that is closed in a step."""
 _NO_OFFSET = np.zeros(3)
 _SPEED_CUT = 1e6
+"""Bullet cuts all generalized speeds at this [m/s, rad/s]; its own 100 would stop motors, and hide a divergence."""
 ROTOR_RATIO = 300.0
 """Turns of a rotor for a turn of its joint in Bullet; the more, the less it resists the turning of what it is on."""
 _ROTOR = "rotor of "
 _ROTOR_MASS = 1e-9
 _LEAST_ROTOR = 1e-6
-"""Bullet cuts all generalized speeds at this [m/s, rad/s]; its own 100 would stop motors, and hide a divergence."""
 
 
 @dataclass(frozen=True)

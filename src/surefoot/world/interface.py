@@ -73,7 +73,7 @@ class WorldConfig:
     rest: tuple[float, ...] | None = None
     """Pose of all legs in leg space in which robots settle before an episode; the description's, if not given."""
     actuator: Literal["dc", "constraint"] = "dc"
-    """dc: servo and DC motor; constraint: the position motor of physics engines, see `actuator.constraint`."""
+    """dc: servo and DC motor; constraint: the position motor of physics engines, without a servo or a motor model."""
     rack: bool = False
     """Hold the base still in the air, level and out of reach of the ground."""
     thermal_protection: bool = False
