@@ -35,12 +35,8 @@ def kernel(function: Function) -> Function:
 
 def kernel_sources() -> list[Path]:
     """Return the files that kernels are compiled from, or take constants and functions from."""
-    return sorted(
-        [
-            *_PACKAGE.glob("*.py"),
-            *(path for name in ("actuator", "robot", "world") for path in _PACKAGE.glob(f"{name}/*.py")),
-        ]
-    )
+    folders = [_PACKAGE, *(_PACKAGE / name for name in ("actuator", "robot", "world"))]
+    return sorted(path for folder in folders for path in folder.glob("*.py"))
 
 
 def drop_stale_caches() -> None:
