@@ -1,4 +1,4 @@
-"""Reader of any quadruped's URDF or MJCF, through MuJoCo's parsers. The one module of this package that needs MuJoCo."""
+"""Reader of any quadruped's URDF or MJCF with MuJoCo's parsers; the one module of this package that needs MuJoCo."""
 
 from __future__ import annotations
 
@@ -287,9 +287,8 @@ class _Reader:
 
     def _leg(self, chain: list[int]) -> ImportedLeg:
         joints = []
-        for part, axis, body in zip(
-            ("abduction", "hip", "knee")[-len(chain) :], (0, 1, 1)[-len(chain) :], chain, strict=True
-        ):
+        parts = (("abduction", 0), ("hip", 1), ("knee", 1))[-len(chain) :]
+        for (part, axis), body in zip(parts, chain, strict=True):
             joints.append(self._hinge(self._joints(body)[0], part, axis))
         foot = self._foot(chain[-1], joints[-1].place)
         return ImportedLeg(tuple(joints), tuple(self._body(body) for body in chain), *foot)
