@@ -184,6 +184,18 @@ def _float(element: ElementTree.Element | None, key: str, where: str, default: s
     return _floats(attribute(element, key, default), 1, f"{where}: {key}")[0]
 
 
+def read_xml(path: Path) -> ElementTree.Element:
+    """Return the root element of an XML file; refuse one that can't be read, and entities."""
+    with accessible(path):
+        content = read_configuration(path)
+    if b"<!DOCTYPE" in content or b"<!ENTITY" in content:
+        raise SurefootError(f"{path}: declares XML entities; a robot's description has none")
+    try:
+        return ElementTree.fromstring(content)
+    except ElementTree.ParseError as error:
+        raise SurefootError(f"{path}: is not well-formed XML: {error}") from error
+
+
 def read_urdf(path: Path) -> Urdf:
     """Read a URDF.
 
@@ -191,11 +203,7 @@ def read_urdf(path: Path) -> Urdf:
         SurefootError: the file can't be read or is not a URDF, its joints are not a tree, or a link, joint or shape is
             invalid.
     """
-    try:
-        with accessible(path):
-            robot = ElementTree.fromstring(read_configuration(path))
-    except ElementTree.ParseError as error:
-        raise SurefootError(f"{path}: is not well-formed XML: {error}") from error
+    robot = read_xml(path)
     if robot.tag != "robot":
         raise SurefootError(f"{path}: the root element is <{robot.tag}>; a URDF's is <robot>")
     colors = {

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from surefoot.arrays import Array
 from surefoot.errors import SurefootError
 from surefoot.robot import GRAVITY, RobotDescription
+from surefoot.robot.importing.reader import mujoco_errors
 from surefoot.world.actuation import RACK_HEIGHT
 from surefoot.world.ground import FLAT, Ground
 from surefoot.world.interface import WorldConfig
@@ -31,10 +32,8 @@ def build_model(robot: RobotDescription, config: WorldConfig | None = None) -> m
     other collision shapes of the URDF meet the ground by MuJoCo's own contacts, and each other in the
     pairs of `collision_pairs`.
     """
-    try:
+    with mujoco_errors(robot.urdf.path):
         spec = mujoco.MjSpec.from_file(str(robot.urdf.path))
-    except ValueError as error:
-        raise SurefootError(f"{robot.urdf.path}: MuJoCo refuses it: {error}") from error
     spec.compiler.discardvisual = True
     config = config or WorldConfig()
     base = spec.body(robot.base)
@@ -56,6 +55,11 @@ def build_model(robot: RobotDescription, config: WorldConfig | None = None) -> m
     )
     feet = {leg.foot: leg.name for leg in robot.legs}
     for body in spec.bodies[1:]:
+        if body.name in feet and [geom.type for geom in body.geoms] != [mujoco.mjtGeom.mjGEOM_SPHERE]:
+            raise SurefootError(
+                f"{robot.urdf.path}: link '{body.name}' has {len(body.geoms)} collision shapes; "
+                "a foot must have one, a sphere"
+            )
         for number, geom in enumerate(body.geoms):
             geom.contype, geom.conaffinity, geom.condim = 0, 1, 3
             if body.name in feet:
@@ -90,7 +94,8 @@ def build_model(robot: RobotDescription, config: WorldConfig | None = None) -> m
     for pair in collision_pairs(robot):
         for one, other in product(*(spec.body(link).geoms for link in pair)):
             spec.add_pair(geomname1=one.name, geomname2=other.name)
-    return spec.compile()
+    with mujoco_errors(robot.urdf.path):
+        return spec.compile()
 
 
 def foot_geoms(robot: RobotDescription, model: mujoco.MjModel) -> NDArray[np.int64]:
