@@ -323,17 +323,6 @@ def test_no_room_for_another_client_is_told(robot, monkeypatch):
         BulletModel(robot, WorldConfig(), BulletSettings())
 
 
-def test_a_robot_whose_feet_are_no_spheres_is_refused(robot, tmp_path):
-    text = robot.urdf.path.read_text().replace(
-        '<collision><origin xyz="0 0 0.2315" rpy="0 0 0"/><geometry><sphere radius="0.0085"/></geometry></collision>',
-        "",
-    )
-    (tmp_path / "feetless.urdf").write_text(text)
-    feetless = replace(robot, urdf=replace(robot.urdf, path=tmp_path / "feetless.urdf"))
-    with pytest.raises(SurefootError, match="a foot has 0 spheres to stand on; Bullet needs one"):
-        BulletModel(feetless, WorldConfig(), BulletSettings())
-
-
 def test_nothing_is_printed_but_what_the_user_prints():
     script = """
 from surefoot.robot import RobotDescription

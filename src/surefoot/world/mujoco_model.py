@@ -9,9 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.arrays import Array
-from surefoot.errors import SurefootError
+from surefoot.native_output import mujoco_errors
 from surefoot.robot import GRAVITY, RobotDescription
-from surefoot.robot.importing.reader import mujoco_errors
 from surefoot.world.actuation import RACK_HEIGHT
 from surefoot.world.ground import FLAT, Ground
 from surefoot.world.interface import WorldConfig
@@ -55,11 +54,6 @@ def build_model(robot: RobotDescription, config: WorldConfig | None = None) -> m
     )
     feet = {leg.foot: leg.name for leg in robot.legs}
     for body in spec.bodies[1:]:
-        if body.name in feet and [geom.type for geom in body.geoms] != [mujoco.mjtGeom.mjGEOM_SPHERE]:
-            raise SurefootError(
-                f"{robot.urdf.path}: link '{body.name}' has {len(body.geoms)} collision shapes; "
-                "a foot must have one, a sphere"
-            )
         for number, geom in enumerate(body.geoms):
             geom.contype, geom.conaffinity, geom.condim = 0, 1, 3
             if body.name in feet:

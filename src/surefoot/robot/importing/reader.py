@@ -5,8 +5,6 @@ from __future__ import annotations
 import itertools
 import re
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import mujoco
@@ -16,10 +14,10 @@ from numpy.typing import NDArray
 
 from surefoot.arrays import Array
 from surefoot.errors import SurefootError, choices
-from surefoot.native_output import quiet
+from surefoot.native_output import mujoco_errors
 from surefoot.robot.importing.imported import ImportedJoint, ImportedLeg, ImportedRobot
 from surefoot.robot.rigid_body import RigidBody, are_moments, fuse
-from surefoot.robot.urdf import attribute, read_xml
+from surefoot.robot.urdf_file import attribute, read_xml
 
 FORWARD = {"+x": 0.0, "-x": np.pi, "+y": -np.pi / 2, "-y": np.pi / 2}
 """Directions in the file's frame that may be forward, and the turn about z that brings them to +x [rad]."""
@@ -30,16 +28,6 @@ _AXIS_TOLERANCE = 1e-3
 _MESH_SUFFIXES = (".stl", ".obj", ".msh")
 """Kinds of mesh that MuJoCo reads."""
 _PRODUCTS = dict.fromkeys(("ixy", "ixz", "iyz"), "0")
-
-
-@contextmanager
-def mujoco_errors(path: Path) -> Iterator[None]:
-    """Turn an error of MuJoCo's parser or compiler inside into one line, and discard what it prints."""
-    try:
-        with quiet():
-            yield
-    except ValueError as error:
-        raise SurefootError(f"{path}: MuJoCo refuses it: {' '.join(str(error).split())}") from error
 
 
 def read_robot(path: Path, forward: str | None = None, meshes: bool = True) -> ImportedRobot:
