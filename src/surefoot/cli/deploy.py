@@ -94,7 +94,7 @@ def main(argv: list[str]) -> int:
     from surefoot.deploy.commands import ChannelCommands, CommandSource, open_commands
     from surefoot.deploy.controller import Controller
     from surefoot.deploy.deployment import Deployment
-    from surefoot.deploy.display import LiveDisplay, PlainLines, Watches
+    from surefoot.deploy.display import PlainLines, Watches, open_display
     from surefoot.deploy.links import open_link
     from surefoot.deploy.loop import Watch
     from surefoot.deploy.pacer import undisturbed
@@ -121,7 +121,7 @@ def main(argv: list[str]) -> int:
                 raise SurefootError(f"--commands is given; policy '{contract.name}' has no commands to follow")
             commands = open_commands(command.commands, contract.commands)
             stack.callback(commands.close)
-        watch: Watch = LiveDisplay(title) if sys.stderr.isatty() and not command.drive else PlainLines()
+        watch: Watch = PlainLines() if command.drive else open_display(title)
         stack.callback(watch.close)
         if command.drive:
             from surefoot.cli.helpers.deploy_page import DeployPage

@@ -148,6 +148,11 @@ class PlainLines(Watch):
             self._say(f"surefoot: {text}")
 
 
+def open_display(title: str, stream: TextIO | None = None) -> LiveDisplay | PlainLines:
+    """Return a live display on a terminal, plain lines on any other stream; standard error, if none is given."""
+    return LiveDisplay(title) if (stream or sys.stderr).isatty() else PlainLines(stream)
+
+
 class Picture:
     """What the display shows, from the messages that came."""
 
@@ -206,10 +211,11 @@ class Picture:
 def show(lines: Iterable[str], stream: TextIO) -> None:
     """Draw on a terminal what messages tell until they end; a line that is no JSON object is passed over."""
     from rich.console import Console
-    from rich.live import Live
+
+    from surefoot.progress import ProgressDisplay
 
     picture = Picture()
-    with Live(picture.draw(), console=Console(file=stream), auto_refresh=False) as live:
+    with ProgressDisplay(Console(file=stream, force_terminal=True), picture.draw) as display:
         for line in lines:
             try:
                 message = json.loads(line)
@@ -217,7 +223,7 @@ def show(lines: Iterable[str], stream: TextIO) -> None:
                 continue
             if isinstance(message, dict):
                 picture.take(message)
-                live.update(picture.draw(), refresh=True)
+                display.refresh()
 
 
 def main() -> None:

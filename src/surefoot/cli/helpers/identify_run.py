@@ -15,7 +15,7 @@ from rich.table import Table
 from rich.text import Text
 
 from surefoot.cli.helpers.options import Baud, Json, Lockstep, Yes, ask_to_move, check_terminal
-from surefoot.deploy.display import LiveDisplay, PlainLines
+from surefoot.deploy.display import PlainLines, open_display
 from surefoot.deploy.links import open_link
 from surefoot.deploy.loop import Snapshot, Watch
 from surefoot.deploy.messages import Handshake
@@ -145,7 +145,7 @@ def _show_plan(plan: Plan, handshake: Handshake, console: Console) -> None:
 
 def _run(command: ExperimentCommand, link: RobotLink, plan: Plan, robot: RobotDescription, path: Path) -> Recording:
     with contextlib.ExitStack() as stack:
-        watch = Progress(plan, f"{plan.experiment} experiment, {robot.name}, {command.port}", sys.stderr)
+        watch = ExperimentProgress(plan, f"{plan.experiment} experiment, {robot.name}, {command.port}", sys.stderr)
         stack.callback(watch.close)
         if not command.lockstep:
             stack.enter_context(undisturbed())
@@ -154,40 +154,45 @@ def _run(command: ExperimentCommand, link: RobotLink, plan: Plan, robot: RobotDe
     return recording
 
 
-class Progress(Watch):
-    """How an experiment goes, and how long it still takes: a display on a terminal, lines elsewhere."""
+class ExperimentProgress(Watch):
+    """Number of the phase and time left of a whole experiment, on the display of a robot.
+
+    Args:
+        plan: the experiment.
+        title: title of the display.
+        stream: where to show it.
+    """
 
     def __init__(self, plan: Plan, title: str, stream: TextIO) -> None:
-        self._display = LiveDisplay(title) if stream.isatty() else None
-        self._out = self._display or PlainLines(stream)
+        self._display = open_display(title, stream)
         self._phases, self._number, self._name = plan.phases, 0, ""
 
     def phase(self, name: str, duration: float) -> None:
-        """A phase begins."""
+        """Show the start of a phase."""
         self._number += 1
         self._name = f"{name}, {self._number} of {len(self._phases)}"
-        if self._display is not None:
-            self._display.phase(self._name, duration + self._later())
+        left = duration + self._remaining()
+        if isinstance(self._display, PlainLines):
+            self._display.phase(f"{self._name}, {left:.0f} s left", 0.0)
         else:
-            self._out.phase(f"{self._name}, {duration + self._later():.0f} s left", 0.0)
-
-    def _later(self) -> float:
-        """Time of the phases that come [s]."""
-        return sum(phase.duration for phase in self._phases[self._number :])
+            self._display.phase(self._name, left)
 
     def tick(self, snapshot: Snapshot) -> None:
-        """Several times a second."""
-        if self._display is not None:
-            self._display.tick(replace(snapshot, phase=self._name, left=snapshot.left + self._later()))
+        """Show the state of the robot."""
+        self._display.tick(replace(snapshot, phase=self._name, left=snapshot.left + self._remaining()))
+
+    def _remaining(self) -> float:
+        """Return the duration of the phases that follow [s]."""
+        return sum(phase.duration for phase in self._phases[self._number :])
 
     def warn(self, text: str) -> None:
-        """Something that the operator should know."""
-        self._out.warn(text)
+        """Show a warning."""
+        self._display.warn(text)
 
     def recording(self, text: str) -> None:
-        """How recording goes."""
-        self._out.recording(text)
+        """Show the state of the recording."""
+        self._display.recording(text)
 
     def close(self) -> None:
         """End the display."""
-        self._out.close()
+        self._display.close()
