@@ -90,7 +90,7 @@ class ProgressBar(ProgressDisplay):
         count = TaskProgressColumn() if total == 1.0 else MofNCompleteColumn()
         columns = (TextColumn("{task.description}", markup=False), bar, count, TextColumn("{task.fields[text]}"))
         self._bar = Progress(*columns, TimeRemainingColumn(), console=console, expand=total != 1.0)
-        self._task = self._bar.add_task(title, total=total, completed=done, text="")
+        self._task = self._bar.add_task(title, total=total, completed=int(done), text="")
         self._total = total
         super().__init__(console, lambda: self._bar, line_period, transient)
 
