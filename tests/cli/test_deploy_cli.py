@@ -28,7 +28,7 @@ from surefoot.task.trace import EpisodeTrace
 
 pytest.importorskip("mujoco")
 
-from surefoot.emulator.motion_capture import MotionCapture
+from surefoot.emulator.capture_writer import MotionCapture
 
 ABSENT = ("mujoco", "numba", "gymnasium", "torch", "scipy", "matplotlib", "pybullet", "onnx")
 PATIENCE = 120.0
@@ -44,7 +44,7 @@ def emulate() -> Iterator[Callable[..., EmulatorHere]]:
 @pytest.fixture
 def quick() -> Iterator[None]:
     """Let robots that sit stand up sooner."""
-    with mock.patch.multiple("surefoot.deploy.motion", **QUICK):
+    with mock.patch.multiple("surefoot.deploy.motion_runner", **QUICK):
         yield
 
 

@@ -14,10 +14,10 @@ from fault_bench import QUICK_UP as UP
 from surefoot.deploy.controller import Controller
 from surefoot.deploy.deployment import Deployment
 from surefoot.deploy.messages import Arm, Damp, Mode, Pong, Position, Reason
-from surefoot.deploy.motion import REST
+from surefoot.deploy.motion_runner import REST
 from surefoot.deploy.pacer import Timing
 from surefoot.deploy.poses import sitting
-from surefoot.deploy.recording.run_saver import RunSaver
+from surefoot.deploy.run_saver import RunSaver
 from surefoot.deploy.serial.frames import Decoder
 from surefoot.errors import SurefootError
 from surefoot.policy.runtime import PolicyRuntime
@@ -30,7 +30,7 @@ SEATED = QUICK["FLAT"] + QUICK["FOLD"] + QUICK["PAUSE"]
 
 @pytest.fixture(autouse=True)
 def quick():
-    with mock.patch.multiple("surefoot.deploy.motion", **QUICK):
+    with mock.patch.multiple("surefoot.deploy.motion_runner", **QUICK):
         yield
 
 

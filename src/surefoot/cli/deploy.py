@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from surefoot.deploy.deployment import Deployment, Outcome
     from surefoot.deploy.messages import Handshake
     from surefoot.deploy.pacer import Timing
-    from surefoot.deploy.recording.run_saver import SavedRun
+    from surefoot.deploy.run_saver import SavedRun
 
 _DRIVEN = 600.0
 """Length of a run that is driven from the page [s], if none is given."""
@@ -91,7 +91,7 @@ def main(argv: list[str]) -> int:
     from surefoot.check_result import first_failure
     from surefoot.cli.helpers.policies import find_policy
     from surefoot.deploy.checks import check_contract
-    from surefoot.deploy.commands import ChannelCommands, CommandSource, open_commands
+    from surefoot.deploy.command_sources import ChannelCommands, CommandSource, open_commands
     from surefoot.deploy.controller import Controller
     from surefoot.deploy.deployment import Deployment
     from surefoot.deploy.display import LiveDisplay, PlainLines, Watches
@@ -145,9 +145,9 @@ def main(argv: list[str]) -> int:
 
 def _runs(command: DeployCommand, deployment: Deployment) -> tuple[list[dict[str, Any]], int]:
     """Run after run, until one ends early; returns what is to be told of each, and the exit code."""
-    from surefoot.deploy.motion import DOWN, UP
+    from surefoot.deploy.motion_runner import DOWN, UP
     from surefoot.deploy.pacer import Timing
-    from surefoot.deploy.recording.run_saver import RunSaver, next_free
+    from surefoot.deploy.run_saver import RunSaver, next_free
 
     contract = deployment.contract
     step = contract.control_step

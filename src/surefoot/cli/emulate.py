@@ -165,7 +165,7 @@ def make_loop(
 
 def _run(command: EmulateCommand, robot: RobotDescription, faults: dict[str, InjectedFault], servo_every: int) -> int:
     from surefoot.deploy.pacer import undisturbed
-    from surefoot.emulator.motion_capture import MotionCapture
+    from surefoot.emulator.capture_writer import MotionCapture
     from surefoot.emulator.real_time import Summary
     from surefoot.emulator.serial.pty_port import PtyPort
     from surefoot.stop_signals import StopSignals

@@ -8,13 +8,13 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from surefoot.arrays import Array
-from surefoot.deploy.commands import CommandSource
+from surefoot.deploy.command_sources import CommandSource
 from surefoot.deploy.controller import Controller
 from surefoot.deploy.loop import ControlLoop, Watch
 from surefoot.deploy.messages import Handshake, State
-from surefoot.deploy.motion import MotionRunner
+from surefoot.deploy.motion_runner import MotionRunner
 from surefoot.deploy.pacer import Timing
-from surefoot.deploy.recording.recorder import Recorder
+from surefoot.deploy.recorder import Recorder
 from surefoot.deploy.robot_link import LinkLostError, RobotLink
 from surefoot.deploy.safety import GO, Act, Guard, SafetyLimits, Verdict
 from surefoot.errors import SurefootError

@@ -11,7 +11,7 @@ from surefoot.emulator.faults import FaultInjector, InjectedFault
 from surefoot.emulator.firmware import Firmware
 from surefoot.emulator.host_link import HostLink
 from surefoot.emulator.limits import Limits
-from surefoot.emulator.motion_capture import PERIOD
+from surefoot.emulator.capture_writer import PERIOD
 from surefoot.emulator.plant import Plant
 from surefoot.emulator.signals import MotorOrder, Sensors
 

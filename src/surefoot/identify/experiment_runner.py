@@ -10,7 +10,7 @@ import numpy as np
 from surefoot.arrays import Array
 from surefoot.deploy.loop import Watch
 from surefoot.deploy.messages import Handshake, Mode, State
-from surefoot.deploy.motion import MotionRunner
+from surefoot.deploy.motion_runner import MotionRunner
 from surefoot.deploy.robot_link import LinkLostError, RobotLink
 from surefoot.deploy.safety import Act, SafetyLimits
 from surefoot.errors import SurefootError

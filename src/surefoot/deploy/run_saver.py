@@ -19,8 +19,8 @@ import numpy as np
 from surefoot.arrays import Array
 from surefoot.deploy.deployment import Deployment, Outcome
 from surefoot.deploy.pacer import Timing
-from surefoot.deploy.recording.motion_capture import base_and_feet, read_capture
-from surefoot.deploy.recording.recorder import Recorder
+from surefoot.deploy.motion_capture import base_and_feet, read_capture
+from surefoot.deploy.recorder import Recorder
 from surefoot.errors import SurefootError, accessible
 from surefoot.task.partial_trace import SUFFIX, Layout, head_line, row_bytes, trace_of
 from surefoot.task.trace import ENERGY_WEIGHT, EpisodeTrace

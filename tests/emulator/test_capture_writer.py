@@ -10,7 +10,7 @@ import pytest
 pytest.importorskip("mujoco")
 
 from surefoot.deploy.messages import Mode
-from surefoot.emulator.motion_capture import MotionCapture
+from surefoot.emulator.capture_writer import MotionCapture
 from surefoot.emulator.plant import Plant
 from surefoot.emulator.signals import MotorOrder
 from surefoot.errors import SurefootError

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from surefoot.deploy.recording.motion_capture import COLUMNS
+from surefoot.deploy.motion_capture import COLUMNS
 from surefoot.emulator.plant import Plant
 from surefoot.errors import SurefootError
 
