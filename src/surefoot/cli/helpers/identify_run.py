@@ -14,14 +14,13 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from surefoot.cli.helpers.options import Baud, Json, Lockstep, Yes, ask_to_move, check_terminal
+from surefoot.cli.helpers.link_options import LinkOptions
+from surefoot.cli.helpers.options import Json, Yes, ask_to_move, check_terminal
 from surefoot.deploy.display import PlainLines, open_display
-from surefoot.deploy.links import open_link
-from surefoot.deploy.loop import Snapshot, Watch
+from surefoot.deploy.loop import RunMonitor, Snapshot
 from surefoot.deploy.messages import Handshake
 from surefoot.deploy.pacer import undisturbed
 from surefoot.deploy.robot_link import LinkLostError, RobotLink
-from surefoot.deploy.serial.port import BAUD
 from surefoot.errors import SurefootError
 from surefoot.identify.experiment_runner import run_plan
 from surefoot.identify.plan import Plan
@@ -35,7 +34,7 @@ _PERIOD = 0.05
 
 
 @dataclass(frozen=True)
-class ExperimentCommand:
+class ExperimentCommand(LinkOptions):
     """Run an experiment on a robot, or take a recording of one, and find the physical parameters that it tells.
 
     What is going to happen is shown, and asked for, before a motor moves. The recording is kept however the experiment
@@ -54,8 +53,6 @@ class ExperimentCommand:
     record_only: bool = False
     """Record and do not fit; needs the bare install only."""
     yes: Yes = False
-    lockstep: Lockstep = False
-    baud: Baud = BAUD
     robot: str = DEFAULT_ROBOT
     """Name or folder of the robot's description."""
     json: Json = False
@@ -81,7 +78,7 @@ def run_experiment(command: ExperimentCommand, plan: Plan, robot: RobotDescripti
 
 @contextlib.contextmanager
 def _greeted(command: ExperimentCommand, robot: RobotDescription) -> Iterator[tuple[RobotLink, Handshake]]:
-    link = open_link(str(command.port), robot.num_motors, command.lockstep, command.baud)
+    link = command.open_link(str(command.port), robot.num_motors)
     try:
         handshake = link.connect()
         check_robot(handshake, robot)
@@ -154,7 +151,7 @@ def _run(command: ExperimentCommand, link: RobotLink, plan: Plan, robot: RobotDe
     return recording
 
 
-class ExperimentProgress(Watch):
+class ExperimentProgress(RunMonitor):
     """Number of the phase and time left of a whole experiment, on the display of a robot.
 
     Args:
