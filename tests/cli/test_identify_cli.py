@@ -18,7 +18,7 @@ import pytest
 from processes import SUREFOOT, EmulatorHere, emulators, refused, surefoot
 
 from surefoot.cli.helpers.identify_run import check_robot
-from surefoot.emulator.limits import Limits, introduction
+from surefoot.emulator.limits import Limits, make_handshake
 from surefoot.errors import SurefootError
 from surefoot.identify.registry import EXPERIMENTS
 from surefoot.robot import PhysicalParams, RobotDescription
@@ -253,7 +253,7 @@ def test_ctrl_c_ends_it_and_keeps_what_was_recorded(hanging: EmulatorHere, tmp_p
 
 
 def test_a_robot_that_differs_is_refused(robot: RobotDescription):
-    said = introduction(robot, Limits.of(robot), "", robot.timing.servo_step)
+    said = make_handshake(robot, Limits.of(robot), "", robot.timing.servo_step)
     check_robot(said, robot)
     signs = np.array(said.motor_signs, float)
     signs[3] *= -1
