@@ -197,7 +197,7 @@ class _TraceFit:
         return self._solve(best.unknowns, best.values, "once more")
 
     def drop_unidentifiable(self, fit: Fit) -> Fit:
-        """Fit once more with what is not identifiable as it was known: all values together then give the recorded torques."""
+        """Fit again with unidentifiable parameters at their prior values, so that all give the recorded torques."""
         kept = [bool(told) or u.name not in NAMES for u, told in zip(fit.unknowns, fit.identifiable, strict=True)]
         if all(kept):
             return fit

@@ -137,8 +137,8 @@ def _motors(ax: Axes, items: Sequence[ParameterEstimate], robot: RobotDescriptio
         if before is not None:
             ax.plot([place - 0.38, place + 0.38], [before, before], color=QUIET, linewidth=1.2, linestyle=(0, (2, 1.5)))
         if not item.identifiable:
-            ax.text(place, 0.04, "not identifiable", transform=ax.get_xaxis_transform(), rotation=90, ha="center", va="bottom",
-                    fontsize=7.5, color=QUIET, bbox=_PAPER)  # fmt: skip
+            ax.text(place, 0.04, "not identifiable", transform=ax.get_xaxis_transform(), rotation=90, ha="center",
+                    va="bottom", fontsize=7.5, color=QUIET, bbox=_PAPER)  # fmt: skip
             continue
         low, high = item.interval
         leg = names[place].rsplit("_", 1)[0]
