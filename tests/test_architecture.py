@@ -26,7 +26,14 @@ ARROWS: dict[str, set[str]] = {
     "identify": {"world", "deploy", "robot", "actuator", "task.trace"},
     "deploy": {
         *("robot", "policy", "world.interface"),
-        *("task.reference", "task.commands", "task.observation", "task.gait", "task.trace", "task.partial_trace"),
+        *(
+            "task.contract_mapping",
+            "task.commands",
+            "task.observation",
+            "task.gait",
+            "task.trace",
+            "task.partial_trace",
+        ),
     },
     "emulator": {"deploy", "world", "actuator", "robot"},
     "report": {"evaluate", "task", "robot", "identify.result", "identify.log_errors"},

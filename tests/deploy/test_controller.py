@@ -40,8 +40,8 @@ def test_a_simulated_episode_gets_the_same_targets(path, a_state):
     """Readings of a simulated episode, given to the robot's side step by step."""
     pytest.importorskip("mujoco")
     pytest.importorskip("gymnasium")
-    from surefoot.evaluate.rollout import task_from_contract
     from surefoot.robot.randomization import RandomizeConfig
+    from surefoot.task.contract_mapping import task_from_contract
     from surefoot.task.env import LocomotionEnv
     from surefoot.world.sim_world import SimWorld
 

@@ -16,11 +16,12 @@ pytest.importorskip("gymnasium")
 
 from surefoot.configuration import to_mapping
 from surefoot.errors import SurefootError
-from surefoot.evaluate.rollout import run_episodes, task_from_contract
+from surefoot.evaluate.rollout import run_episodes
 from surefoot.evaluate.runs import Runs
 from surefoot.policy.contract import Contract, ObservationPart
 from surefoot.robot import RobotDescription
 from surefoot.task.config import FeedbackConfig, ReferenceConfig, TaskConfig, load_task
+from surefoot.task.contract_mapping import task_from_contract
 from surefoot.task.env import LocomotionEnv
 from surefoot.task.gait import HybridGait
 from surefoot.task.reference import make_reference

@@ -148,7 +148,7 @@ class Deployment:
             self.operator,
             self.watch,
             self.limits,
-            contract.task.get("fall_angle"),
+            self.controller.task.fall_angle,
             timing=timing,
             dry_run=self.dry_run,
         )
