@@ -17,8 +17,8 @@ import numpy as np
 from playwright.sync_api import Page, sync_playwright
 
 from surefoot.cli.drive import Drive
-from surefoot.report.page_server import PageServer
-from surefoot.report.page_view import RobotView
+from surefoot.report.pages.server import PageServer
+from surefoot.report.pages.view import RobotView
 
 _COUNT = "window.pictures = 0; const count = () => { ++window.pictures; requestAnimationFrame(count); }; count()"
 

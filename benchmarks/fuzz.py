@@ -213,7 +213,7 @@ class Fuzz:
         if kind.options not in self._options:
             module, name = kind.options.split(":")
             declared = getattr(importlib.import_module(f"surefoot.{module}"), name)
-            from surefoot.cli.parsing import options
+            from surefoot.cli.helpers.parsing import options
 
             # A video or an emulator for a window, and experiments with a robot, are no matter of words.
             self._options[kind.options] = [option for option in options(declared) if option != "--viewer"]
@@ -485,7 +485,7 @@ def make_seeds(folder: Path, wanted: set[str]) -> None:
     """
     import onnx
 
-    from surefoot.cli.policies import find_policy
+    from surefoot.cli.helpers.policies import find_policy
     from surefoot.policy.contract import METADATA_KEY
     from surefoot.robot import RobotDescription
 
@@ -581,7 +581,7 @@ def warm_up() -> None:
         *("cli.study_results", "learn.run", "learn.progress", "learn.export"),
         *("world.sim_world", "report.video", "report.figures", "report.study_figures", "report.parameter_figures"),
         *("evaluate.gap", "identify.from_trace", "cli.identify"),
-        *("cli.identify_motor_figure", "cli.identify_results", "emulator.process"),
+        *("cli.identify_motor_figure", "cli.identify_results", "emulator.real_time"),
     ):
         importlib.import_module(f"surefoot.{module}")
 

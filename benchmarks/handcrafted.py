@@ -20,13 +20,13 @@ from typing import Annotated, Any
 import numpy as np
 import tyro
 
-from surefoot.cli.policies import adjust_task, find_policy, load_gait
+from surefoot.cli.helpers.policies import adjust_task, find_policy, load_gait
 from surefoot.evaluate.footfalls import analyze_footfalls
 from surefoot.evaluate.rollout import Policy, run_episodes
 from surefoot.evaluate.runs import Runs
 from surefoot.evaluate.statistics import t_interval
-from surefoot.report.figures import footfall_diagram
-from surefoot.report.style import COLORS, MARKERS, new_figure
+from surefoot.report.figures.runs import footfall_diagram
+from surefoot.report.figures.style import COLORS, MARKERS, new_figure
 from surefoot.robot import GRAVITY, RobotDescription
 from surefoot.robot.randomization import load_ranges
 from surefoot.studies.handcrafted import HandcraftedGait

@@ -11,11 +11,11 @@ from pathlib import Path
 
 import numpy as np
 
-from surefoot.identify.log_errors import replay_log
-from surefoot.identify.log_fit import fit_logs
-from surefoot.identify.log_model import RULES, LogRun
+from surefoot.identify.logs.errors import replay_log
+from surefoot.identify.logs.fit import fit_logs
+from surefoot.identify.logs.model import RULES, LogRun
+from surefoot.identify.logs.robot_log import read_log
 from surefoot.identify.replay import Replayer
-from surefoot.identify.robot_log import read_log
 from surefoot.robot import PhysicalParams, RobotDescription
 
 DATA = Path(__file__).parents[1] / "data" / "pupper_v2"

@@ -37,7 +37,7 @@ import numpy as np
 from numba import njit
 from rounds import measure, ratio_quartiles
 
-from surefoot.cli.policies import find_policy
+from surefoot.cli.helpers.policies import find_policy
 from surefoot.learn.config import load_train_config
 from surefoot.learn.trainer import Trainer
 from surefoot.policy.runtime import PolicyRuntime

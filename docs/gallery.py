@@ -8,9 +8,9 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-from surefoot.cli.policies import SHELVES, adjust_task, find_policy, lasting, load_policy, run_policy
+from surefoot.cli.helpers.policies import SHELVES, adjust_task, find_policy, lasting, load_policy, run_policy
 from surefoot.files import whole_file
-from surefoot.report.recording import Recording, recording_page
+from surefoot.report.pages.recorded_runs import Recording, recording_page
 
 SECONDS = 5.0
 STEPS = ((0.0, 0.7, 0.0, 0.0), (1.7, 0.5, 0.0, 0.8), (3.4, 0.0, 0.8, 0.0))

@@ -15,7 +15,7 @@ from _pytest.runner import runtestprotocol
 from hypothesis import settings
 from processes import BUSY, Emulator, TooBusyError, Watchman, emulators
 
-from surefoot.report import style
+from surefoot.report.figures import style
 from surefoot.robot import RobotDescription
 from surefoot.task.trace import EpisodeTrace
 

@@ -75,19 +75,20 @@ class EmulatorHere:
     """What `surefoot emulate` runs, in a thread of this process: in lockstep, or in real time with `--baud 0`."""
 
     def __init__(self, *words: object) -> None:
-        from surefoot.cli.emulate import EmulateCommand, _build
-        from surefoot.cli.parsing import parse
+        from surefoot.cli.emulate import EmulateCommand, make_loop
+        from surefoot.cli.helpers.parsing import parse
         from surefoot.emulator.faults import parse_faults
-        from surefoot.emulator.process import Lockstep, RealTime, Summary
-        from surefoot.emulator.pty_port import PtyPort
+        from surefoot.emulator.real_time import Summary
+        from surefoot.emulator.serial.pty_port import PtyPort
         from surefoot.robot import RobotDescription
 
         command = parse(EmulateCommand, list(map(str, words)), "surefoot emulate")
         robot = RobotDescription.load(command.robot)
         faults = parse_faults([word for group in command.faults for word in group], command.lockstep, robot.num_motors)
-        self.board, self._pty = _build(command, robot, faults), PtyPort(held=not command.lockstep)
-        self._summary, self.port = Summary(), self._pty.path
-        loop = (Lockstep if command.lockstep else RealTime)(self.board, self._pty, self._summary)
+        self._pty, self._summary = PtyPort(held=not command.lockstep), Summary()
+        self.port = self._pty.path
+        loop = make_loop(command, robot, faults, self._pty, self._summary)
+        self.board = loop.board
         self._thread = threading.Thread(target=loop.run, daemon=True)
         self._thread.start()
 
@@ -112,7 +113,7 @@ class EmulatorHere:
         self._summary.stop = True
         self._thread.join()
         self._pty.close()
-        return self._summary.text(self.board, self._pty)
+        return self._summary.text(self.board)
 
 
 @contextmanager

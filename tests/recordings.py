@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from surefoot.report.recording import Recording
+from surefoot.report.pages.recorded_runs import Recording
 from surefoot.robot import RobotDescription
 from surefoot.task.trace import EpisodeTrace
 

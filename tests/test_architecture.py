@@ -26,17 +26,11 @@ ARROWS: dict[str, set[str]] = {
     "identify": {"world", "deploy", "robot", "actuator", "task.trace"},
     "deploy": {
         *("robot", "policy", "world.interface"),
-        *(
-            "task.contract_mapping",
-            "task.commands",
-            "task.observation",
-            "task.gait",
-            "task.trace",
-            "task.partial_trace",
-        ),
+        *("task.contract_mapping", "task.commands", "task.observation", "task.gait"),
+        *("task.trace", "task.partial_trace"),
     },
     "emulator": {"deploy", "world", "actuator", "robot"},
-    "report": {"evaluate", "task", "robot", "identify.result", "identify.log_errors"},
+    "report": {"evaluate", "task", "robot", "identify.result", "identify.logs.errors"},
     "studies": {"report", "learn", "evaluate", "task", "policy", "world", "robot"},
 }
 WIRING = "cli"  # the one room that may import anything, and that only `python -m surefoot` imports
@@ -48,14 +42,14 @@ ROBOT_SIDE = [
     "surefoot.task.observation",
     "surefoot.task.trace",
     "surefoot.robot",
-    "surefoot.cli.policies",
+    "surefoot.cli.helpers.policies",
     "surefoot.cli.doctor",
     "surefoot.cli.emulate",
     "surefoot.cli.deploy",
     "surefoot.cli.identify",
     "surefoot.identify.experiment_runner",
     "surefoot.identify.registry",
-    "surefoot.identify.ground_plans",
+    "surefoot.identify.ground.plans",
 ]
 NOT_ON_THE_ROBOT = {
     *("mujoco", "numba", "llvmlite", "gymnasium", "scipy", "pybullet"),

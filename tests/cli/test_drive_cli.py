@@ -31,8 +31,8 @@ from surefoot.cli.drive import Drive, serve
 from surefoot.deploy.commands import FileCommands
 from surefoot.errors import SurefootError
 from surefoot.evaluate.driven import Row
-from surefoot.report.page_server import PageServer
-from surefoot.report.page_view import RobotView
+from surefoot.report.pages.server import PageServer
+from surefoot.report.pages.view import RobotView
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page

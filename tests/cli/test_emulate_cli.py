@@ -99,7 +99,7 @@ def test_parameters_come_from_a_file_and_from_words(robot, tmp_path):
 
 
 def test_what_the_viewer_draws_is_where_the_robot_is(robot):
-    from surefoot.cli.viewer import pose_of
+    from surefoot.cli.helpers.viewer import pose_of
 
     drawn = pose_of(robot, [1.0, 2.0, 0.3, 1.0, 0.0, 0.0, 0.0, *robot.resting_angles])
     np.testing.assert_allclose(drawn[robot.base][0, :3, 3], [1.0, 2.0, 0.3])

@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 from processes import SUREFOOT, EmulatorHere, emulators, refused, surefoot
 
-from surefoot.cli.identify_run import check_handshake
+from surefoot.cli.helpers.identify_run import check_handshake
 from surefoot.emulator.limits import Limits, introduction
 from surefoot.errors import SurefootError
 from surefoot.identify.registry import EXPERIMENTS
@@ -341,8 +341,8 @@ def test_runs_that_were_recorded_tell_too(tmp_path: Path):
 def test_logs_of_a_robot_with_joint_actuators_tell_and_one_is_held_out(tmp_path: Path):
     pytest.importorskip("mujoco")
     pytest.importorskip("matplotlib")
+    from surefoot.identify.logs.robot_log import RobotLog
     from surefoot.identify.replay import Replayer, stretch_of_log
-    from surefoot.identify.robot_log import RobotLog
 
     pupper, logs, out = RobotDescription.load("pupper_v2"), tmp_path / "logs", tmp_path / "out"
     words = ("--from-trace", logs, "--robot", "pupper_v2")

@@ -12,10 +12,10 @@ from processes import refused, surefoot
 pytest.importorskip("matplotlib")
 pytest.importorskip("mujoco")
 
-from surefoot.cli import paper_runs
 from surefoot.cli.evaluate import EvaluateCommand
-from surefoot.cli.paper_runs import Runs, Stage, command, evaluate
-from surefoot.cli.parsing import parse
+from surefoot.cli.helpers import paper_runs
+from surefoot.cli.helpers.paper_runs import Runs, Stage, command, evaluate
+from surefoot.cli.helpers.parsing import parse
 from surefoot.cli.search import SearchCommand
 from surefoot.cli.sensitivity import SensitivityCommand
 from surefoot.cli.study import StudyCommand

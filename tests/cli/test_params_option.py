@@ -16,7 +16,7 @@ from processes import refused, surefoot
 pytest.importorskip("mujoco")
 pytest.importorskip("matplotlib")
 
-from surefoot.cli.simulator import Simulator
+from surefoot.cli.helpers.simulator import Simulator
 from surefoot.errors import SurefootError
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.robot.params_file import write_params

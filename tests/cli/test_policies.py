@@ -11,7 +11,7 @@ import pytest
 
 pytest.importorskip("gymnasium")
 
-from surefoot.cli.policies import find_policy, load_policies, load_policy
+from surefoot.cli.helpers.policies import find_policy, load_policies, load_policy
 from surefoot.errors import SurefootError
 from surefoot.policy.contract import METADATA_KEY
 from surefoot.policy.digest import read_parts, stamped

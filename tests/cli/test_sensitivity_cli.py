@@ -14,7 +14,7 @@ from processes import surefoot
 pytest.importorskip("mujoco")
 pytest.importorskip("matplotlib")
 
-from surefoot.cli.policies import distinct_names, find_policy
+from surefoot.cli.helpers.policies import distinct_names, find_policy
 
 SHORT = ("--values", "2", "--episodes", "1", "--duration", "0.12", "--threads", "1")
 ROWS = ["mass", "motor_friction", "inertia", "motor_strength", "control_step", "latency", "voltage"]

@@ -25,7 +25,7 @@ from chromium import errors_of, in_browser, running_browser
 from recordings import swinging
 
 from surefoot.cli.main import main
-from surefoot.report.scene import poses
+from surefoot.report.drawing.scene import poses
 from surefoot.robot import RobotDescription
 from surefoot.task.trace import EpisodeTrace
 

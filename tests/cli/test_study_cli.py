@@ -165,7 +165,8 @@ def test_a_study_of_the_reality_gap(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Training, runs in two worlds and the report; MuJoCo stands in for the other world."""
-    from surefoot.cli import study, study_results
+    from surefoot.cli import study
+    from surefoot.cli.helpers import study_results
     from surefoot.cli.main import main
     from surefoot.studies.workers import Outcome, Worker
     from surefoot.world.sim_world import SimWorld
@@ -232,7 +233,7 @@ def test_a_study_of_the_reality_gap(
 def test_a_world_that_there_is_not_is_refused_before_training(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from surefoot.cli import study_results
+    from surefoot.cli.helpers import study_results
     from surefoot.cli.main import main
 
     def find_world(name: str) -> object:

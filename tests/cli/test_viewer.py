@@ -43,12 +43,12 @@ class Window:
 def test_a_run_is_shown_in_real_time_and_again_from_its_start(make_run, monkeypatch: pytest.MonkeyPatch):
     trace = make_run(1.0, arrays={"motor_angle": np.tile(ROBOT.resting_angles, (100, 1))})
     viewer = pytest.importorskip("mujoco.viewer")
-    from surefoot.cli.viewer import replay
+    from surefoot.cli.helpers.viewer import replay
 
     window, length = Window(4), float(trace.time[-1])
     # The window opens at 100 s by the clock.
     moments = iter([100.0, 100.0, 100.0 + trace.time[40], 100.0 + length - 1e-6, 100.0 + length + trace.time[20]])
-    monkeypatch.setattr("surefoot.cli.viewer.time", mock.Mock(perf_counter=lambda: next(moments)))
+    monkeypatch.setattr("surefoot.cli.helpers.viewer.time", mock.Mock(perf_counter=lambda: next(moments)))
     monkeypatch.setattr(viewer, "launch_passive", window)
     replay(ROBOT, trace)
     # A step of the trace is 10 ms and 10 mm.
@@ -58,7 +58,7 @@ def test_a_run_is_shown_in_real_time_and_again_from_its_start(make_run, monkeypa
 
 def test_an_emulated_robot_is_shown_where_it_is(monkeypatch: pytest.MonkeyPatch):
     viewer = pytest.importorskip("mujoco.viewer")
-    from surefoot.cli import viewer as ours
+    from surefoot.cli.helpers import viewer as ours
 
     place = np.array([1.0, 2.0, 0.3])
     plant = mock.Mock(robot=ROBOT)

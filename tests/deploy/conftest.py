@@ -32,7 +32,7 @@ class ToyRobot:
 
     def __init__(self, robot: RobotDescription) -> None:
         self.codec = Codec(robot.num_motors)
-        self.firmware = Firmware(self.codec, introduction(robot, Limits.of(robot), "toy", 0.001), Limits.of(robot))
+        self.firmware = Firmware(introduction(robot, Limits.of(robot), "toy", 0.001), Limits.of(robot))
         self._decoder = Decoder(self.codec)
         self.angle = robot.pose_angles(np.zeros(4), np.full(4, 0.9))
         self.sensors: Callable[[float, Sensors], Sensors] = lambda time, readings: readings
@@ -88,7 +88,7 @@ class ToyRobot:
         for frame in self._decoder.feed(data):
             self.run_to(max(round(frame.time * 1e6), self._now))
             self.heard.append((frame.time, frame.message))
-            self.firmware.receive(self._now, encode_frame(self.codec, frame.message, frame.sequence, frame.time))
+            self.firmware.receive(self._now, frame)
             self._say()
         return len(data)
 

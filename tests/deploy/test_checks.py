@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from surefoot.check_result import CheckResult, first_failure
-from surefoot.cli.policies import find_policy
+from surefoot.cli.helpers.policies import find_policy
 from surefoot.deploy.checks import check_contract, contradiction, gains_of, near
 from surefoot.deploy.messages import Handshake
 from surefoot.policy.contract import Contract

@@ -364,7 +364,7 @@ def test_row_3_a_policy_that_breaks(ended, reason, text):
         ("other-robot", "the policy is for 'minitaur', the robot says 'not-minitaur'"),
         ("other-order", "names and order must be the same"),
         ("other-gains", "the robot's servos have kp 1.5"),
-        ("other-schema", "the robot speaks version 1 and schema"),
+        ("other-schema", "the robot has version 1 and schema"),
     ],
 )
 def test_row_3_a_robot_that_does_not_fit(ended, text):
@@ -518,7 +518,7 @@ def test_row_8_a_good_line_loses_nothing(ended):
     assert ended.kept.num_steps == 50
     frames = ended.told["frames"]
     assert frames == {**dict.fromkeys(frames, 0), "received": len(ended.record.told)}
-    assert f"frames heard {len(ended.record.said)}, damaged 0" in ended.summary
+    assert f"frames received {len(ended.record.said)}, damaged 0" in ended.summary
     assert_sat_and_disarmed(ended.record)
 
 
@@ -548,7 +548,7 @@ def test_row_8_a_bad_line_costs_nothing_but_the_damaged_frames(ended, scenario, 
         assert frames["repeated" if scenario == "duplicate" else "damaged"] > 20
         assert_same_run(ended, played("whole"))
     if scenario == "garbage":
-        assert f"frames heard {len(ended.record.said)}, " in ended.summary
+        assert f"frames received {len(ended.record.said)}, " in ended.summary
     # What the robot followed was always a command of this run, and never an older one than before.
     told.sort(key=lambda frame: frame.sequence)
     followed = [frame.message.command for frame in ended.record.of_robot(State) if frame.message.command]

@@ -18,10 +18,17 @@ from surefoot.emulator.faults import FAULTS, describe, parse_faults
 from surefoot.emulator.hardware import PowerConfig, SensorConfig
 from surefoot.emulator.limits import Limits, introduction
 from surefoot.emulator.plant import Plant
+from surefoot.emulator.serial.serial_host_link import SerialHostLink
 from surefoot.errors import SurefootError
 
 ME = 7
 STEP = 6000
+
+
+class Hosts:
+    """No host at all."""
+
+    unread = 0
 
 
 class Rig:
@@ -31,17 +38,19 @@ class Rig:
         plant = Plant(robot, sensors=SensorConfig.ideal(), power=PowerConfig.ideal(), rack=rack)
         said = introduction(robot, Limits.of(robot), "test 1", 0.001)
         self.robot, self.wire = robot, encoder
-        self.board = Board(plant, said, faults=parse_faults(words), seed=1)
+        faults = parse_faults(words)
+        self.line = SerialHostLink(Hosts(), 8, faults, seed=1)
+        self.board = Board(plant, said, self.line, faults=faults)
         self.frames: list[Packet] = []
         self.angles = robot.pose_angles(0.0, 1.5)
 
     def send(self, message) -> None:
-        self.board.hear(self.board.now, self.wire.frame(message, self.board.now / 1e6))
+        self.line.inbound.send(self.board.now, self.wire.frame(message, self.board.now / 1e6))
         self.run(0)
 
     def run(self, microseconds: int) -> list[Packet]:
         self.board.run_to(self.board.now + microseconds)
-        found = self.wire.decoder.feed(self.board.said())
+        found = self.wire.decoder.feed(self.line.take(self.board.now))
         self.frames += found
         return found
 
@@ -136,7 +145,7 @@ def test_line_faults_begin_each_at_its_time(rig):
     bench.arm()
     bench.walk(16)
     assert bench.mode == (Mode.POSITION, Reason.NONE)
-    assert not bench.board.inbound.counts["drop"]
+    assert not bench.line.inbound.counts["drop"]
     assert bench.walk(20)[1:] == []
     assert bench.mode == (Mode.FAULT, Reason.TIMEOUT)
 

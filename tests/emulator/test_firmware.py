@@ -1,4 +1,4 @@
-"""The microcontroller's program alone: every rule of the contract, on a clock of the test's own."""
+"""The microcontroller's program: every rule of the protocol, on a clock of the test's own, wherever it runs."""
 
 from __future__ import annotations
 
@@ -29,8 +29,10 @@ from surefoot.deploy.messages import (
     State,
 )
 from surefoot.deploy.serial.codec import Codec
+from surefoot.deploy.serial.frames import Decoder, encode_frame
 from surefoot.emulator.firmware import Firmware
 from surefoot.emulator.limits import Limits, introduction
+from surefoot.emulator.serial.serial_host_link import SerialHostLink
 from surefoot.emulator.signals import MotorOrder, Sensors, Vitals
 
 MS = 1000
@@ -38,39 +40,71 @@ ME, OTHER = 7, 8
 TARGET = np.full(8, 1.5)
 
 
-class Bench:
-    """A microcontroller on a bench: sensors are what the test says, servo steps come every millisecond."""
+class NoHosts:
+    """The hosts' end of a line that a test reads by itself."""
 
-    def __init__(self, robot: Any, encoder: Any) -> None:
+    unread = 0
+
+
+class Bench:
+    """A microcontroller on a bench: sensors are what the test sets, servo steps come every millisecond.
+
+    Args:
+        robot: its description.
+        where: "messages" of a host reach the program as they are, or as bytes over a "serial line".
+    """
+
+    def __init__(self, robot: Any, where: str) -> None:
         limits = Limits.of(robot)
-        self.firmware = Firmware(Codec(8), introduction(robot, limits, "test 1", 0.001), limits)
-        self.wire = encoder
-        self.now = 0
+        self.firmware = Firmware(introduction(robot, limits, "test 1", 0.001), limits)
+        self.line = SerialHostLink(NoHosts(), 8) if where == "serial line" else None
+        self.host = Decoder(Codec(8))
+        self.now = self.number = 0
         self.vitals = Vitals(np.arange(8) / 10, 0.0, 16.0, 25.0)
         self.order: MotorOrder | None = None
-        self.said: list[Packet] = []
+        self.sent: list[Packet] = []
+        """What the robot has sent, oldest first."""
         self.sensors = Sensors(*(np.zeros(8),) * 3, np.zeros(3), np.zeros(3), 5.0, 16.0, np.full(8, 25.0))
 
-    def read(self) -> Sensors:
-        return self.sensors
+    def take(self) -> list[Packet]:
+        """What the robot has sent since, as the host receives it."""
+        packets = self.firmware.take()
+        if self.line is not None:
+            for packet in packets:
+                self.line.send(self.now, packet)
+            packets = self.host.feed(self.line.take(self.now))
+        self.sent += packets
+        return packets
 
     def run(self, milliseconds: int) -> list[Packet]:
-        """Let time pass; what was said."""
-        before = len(self.said)
+        """Let time pass; what the robot sends meanwhile."""
+        before = len(self.sent)
         for _ in range(milliseconds):
             self.order = self.firmware.tick(self.now, self.vitals)
             self.now += MS
-            self.firmware.report(self.now, self.read)
-            self.said += self.firmware.take()
-        return self.said[before:]
+            self.firmware.report(self.now, lambda: self.sensors)
+            self.take()
+        return self.sent[before:]
 
     def send(self, message: Message, sent: float | None = None, number: int | None = None) -> list[Message]:
         """Send a message, by default now and with the next number; the answers."""
         sent = self.now / 1e6 + 100.0 if sent is None else sent
-        self.firmware.receive(self.now, self.wire.frame(message, sent, number))
-        answers = self.firmware.take()
-        self.said += answers
-        return [frame.message for frame in answers]
+        if number is None:
+            self.number = number = self.number + 1
+        if self.line is None:
+            self.firmware.receive(self.now, Packet(message, number, sent))
+        else:
+            self.put(encode_frame(self.host.codec, message, number, sent))
+        return [packet.message for packet in self.take()]
+
+    def put(self, data: bytes) -> None:
+        """Put bytes on the line to the robot."""
+        if self.line is None:
+            self.firmware.note_damage()
+            return
+        self.line.inbound.send(self.now, data)
+        while self.line.next_arrival <= self.now:
+            self.line.receive(self.now, self.firmware)
 
     def arm(self, mode: Mode = Mode.POSITION, period: float = 0.006, after: float = 0.003) -> list[Message]:
         return self.send(Arm(ME, int(mode), period, after))
@@ -86,9 +120,13 @@ class Bench:
         return self.firmware.mode, self.firmware.reason
 
 
-@pytest.fixture
-def bench(robot, wire_bytes) -> Bench:
-    return Bench(robot, wire_bytes)
+WHERE = ("messages", "serial line")
+"""Where the program runs; another firmware is one more."""
+
+
+@pytest.fixture(params=WHERE)
+def bench(robot, request) -> Bench:
+    return Bench(robot, request.param)
 
 
 @pytest.fixture
@@ -123,18 +161,18 @@ def test_it_tells_what_it_is_and_counts_its_frames_from_one(bench, robot):
     assert (said.session, said.robot, said.motor_names) == (ME, "minitaur", robot.motor_names)
     np.testing.assert_array_equal(said.motor_signs, robot.motor_sign)
     assert said.servo_period == 0.001
-    np.testing.assert_array_equal([said.servo_kp, said.servo_kd], [[1.0] * 8, [0.015] * 8])
+    np.testing.assert_allclose([said.servo_kp, said.servo_kd], [[1.0] * 8, [0.015] * 8])
     assert (said.command_timeout, said.rearm_after) == (0.050, 0.5)
     # Leg space: extension 0.6 to 2.7, swing up to 1; and 1 rad of room.
     np.testing.assert_allclose([said.angle_low[0], said.angle_high[0]], [-1.4, 4.7])
     bench.run(30)
-    assert [frame.sequence for frame in bench.said] == list(range(1, len(bench.said) + 1))
+    assert [frame.sequence for frame in bench.sent] == list(range(1, len(bench.sent) + 1))
 
 
 @pytest.mark.parametrize("room", [1.0, 1.01, 1.02, 1.03])
-def test_a_command_at_just_what_the_handshake_allows_is_obeyed(robot, wire_bytes, monkeypatch, room):
+def test_a_command_at_just_what_the_handshake_allows_is_obeyed(robot, monkeypatch, room):
     monkeypatch.setattr("surefoot.emulator.limits.ANGLE_ROOM", room)
-    bench = Bench(robot, wire_bytes)
+    bench = Bench(robot, "serial line")
     (said,) = bench.send(Hello(ME, 0.010))
     bench.arm()
     for angles in (said.angle_low, said.angle_high):
@@ -204,7 +242,7 @@ def test_pwm_gets_no_duty_before_the_first_command(owned):
 def test_each_command_makes_a_state_due_and_silence_leaves_the_commands_rhythm(armed):
     start = armed.now
     armed.send(Position(ME, TARGET))
-    number = armed.wire.number
+    number = armed.number
     said = armed.run(20)
     # 3 ms after the command, and then every 6 ms.
     assert [round(frame.time * 1e6) - start for frame in said] == [3 * MS, 9 * MS, 15 * MS]
@@ -285,7 +323,7 @@ def test_a_damaged_frame_makes_the_link_unclean(armed):
     for _ in range(9):
         armed.send(Ping(1))
         armed.run(50)
-    armed.firmware.receive(armed.now, b"\0\x05abc\0")
+    armed.put(b"\0\x05abc\0")
     armed.send(Ping(1))
     for _ in range(9):
         armed.run(50)
@@ -300,7 +338,7 @@ def test_a_reason_outlives_its_session(armed):
     assert armed.mode == (Mode.FAULT, Reason.TIMEOUT)
     armed.send(Bye(ME))
     assert armed.mode == (Mode.DISARMED, Reason.TIMEOUT)
-    armed.wire.number = 0
+    armed.number = 0
     armed.send(Hello(OTHER, 0.01))
     assert fault_of(armed.send(Arm(OTHER, 1, 0.006, 0.003))) == (OTHER, Reason.NOT_CLEAN)
 
@@ -335,7 +373,7 @@ def test_a_duty_beyond_one_damps_at_once(owned, bad):
 
 def test_three_commands_with_old_numbers_in_a_row_damp(armed):
     armed.command(2)
-    number = armed.wire.number
+    number = armed.number
     for step, old in enumerate((number, number - 1, 1)):
         assert armed.mode == (Mode.POSITION, Reason.NONE)
         answers = armed.send(Position(ME, 0 * TARGET), number=old)
@@ -427,13 +465,13 @@ def test_a_moment_of_low_voltage_is_no_empty_battery(armed):
 
 
 def test_a_second_operator_is_refused_and_the_first_keeps_the_robot(armed):
-    numbers = armed.wire.number
+    numbers = armed.number
     for _ in range(5):
         assert fault_of(armed.send(Hello(OTHER, 0.01), number=900)) == (OTHER, Reason.BUSY)
         assert fault_of(armed.send(Position(OTHER, 0 * TARGET), number=901)) == (OTHER, Reason.SESSION)
         assert fault_of(armed.send(Damp(OTHER), number=902)) == (OTHER, Reason.SESSION)
         armed.command(1)
-    assert armed.wire.number == numbers + 5
+    assert armed.number == numbers + 5
     assert armed.mode == (Mode.POSITION, Reason.NONE)
     np.testing.assert_array_equal(armed.order.values, TARGET)
 
@@ -469,14 +507,13 @@ def test_refusals_are_told_ten_times_a_second(bench):
     assert sum(told) == 20
 
 
-def test_a_frame_of_another_schema_is_told_in_ones_own(bench, wire_bytes):
-    wire_bytes.codec.schema ^= 1
-    told = []
-    for _ in range(30):
-        bench.firmware.receive(bench.now, wire_bytes.frame(Hello(ME, 0.01), 0.0))
-        told += bench.firmware.take()
-        bench.now += MS
-    assert [(f.message.session, f.message.reason) for f in told] == [(0, Reason.SCHEMA)] * 10
+def test_another_schema_is_refused_ten_times_a_second_and_changes_nothing(robot):
+    bench, other = Bench(robot, "serial line"), Codec(8)
+    other.schema ^= 1
+    for number in range(1, 31):
+        bench.put(encode_frame(other, Hello(ME, 0.01), number, 0.0))
+        bench.run(1)
+    assert [(p.message.session, p.message.reason) for p in bench.sent] == [(0, Reason.SCHEMA)] * 10
     assert bench.firmware.owner == 0
 
 
@@ -499,20 +536,21 @@ messages = st.one_of(
 )
 
 
-@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@pytest.mark.parametrize("where", WHERE)
+@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     st.lists(
         st.tuples(st.one_of(messages, st.binary(max_size=80)), st.integers(0, 60), st.integers(1, 2**32 - 1)),
         max_size=40,
     )
 )
-def test_nothing_that_comes_makes_it_fail_or_give_a_wrong_order(robot, wire_bytes, talk):
-    bench = Bench(robot, type(wire_bytes)())
+def test_nothing_that_comes_makes_it_fail_or_give_a_wrong_order(robot, where, talk):
+    bench = Bench(robot, where)
     bench.send(Hello(ME, 0.01))
     low, high = bench.firmware.introduction.angle_low, bench.firmware.introduction.angle_high
     for said, pause, number in talk:
         if isinstance(said, bytes):
-            bench.firmware.receive(bench.now, said)
+            bench.put(said)
         else:
             bench.send(said, number=number)
         bench.run(pause)

@@ -11,7 +11,8 @@ import pytest
 from surefoot.deploy.messages import Ping
 from surefoot.deploy.serial.codec import Codec
 from surefoot.deploy.serial.frames import Decoder, encode_frame
-from surefoot.emulator.line import HARMS, Line
+from surefoot.emulator.faults import HARMS
+from surefoot.emulator.serial.line import Line
 
 
 def line(chances: dict[str, float] | None = None, **config: float) -> Line:

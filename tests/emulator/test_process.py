@@ -19,7 +19,8 @@ from surefoot.deploy.serial.codec import Codec
 from surefoot.deploy.serial.frames import MAX_FRAME
 from surefoot.emulator.hardware import PowerConfig, SensorConfig
 from surefoot.emulator.plant import Plant
-from surefoot.emulator.process import Lockstep, Summary
+from surefoot.emulator.real_time import Summary
+from surefoot.emulator.serial.lockstep import Lockstep
 from surefoot.emulator.signals import MotorOrder
 from surefoot.world.actuation import set_actuation_params
 from surefoot.world.interface import WorldConfig
@@ -177,16 +178,15 @@ def test_in_lockstep_a_second_host_may_have_another_clock(emulate_here):
 
 
 def test_in_lockstep_bytes_without_a_zero_are_not_kept():
-    heard: list[bytes] = []
-    board = SimpleNamespace(
-        codec=Codec(8), now=0, run_to=lambda _: None, said=lambda: b"", hear=lambda _, piece: heard.append(piece)
-    )
-    loop = Lockstep(board, SimpleNamespace(), Summary())
+    taken: list[bytes] = []
+    inbound = SimpleNamespace(send=lambda _, piece: taken.append(piece))
+    link = SimpleNamespace(codec=Codec(8), inbound=inbound, flush=lambda _: None)
+    loop = Lockstep(SimpleNamespace(now=0, run_to=lambda _: None), link, SimpleNamespace(), Summary())
     for _ in range(10):
-        loop._hear(b"x" * 700)
+        loop._receive(b"x" * 700)
     assert len(loop._open) <= MAX_FRAME
-    loop._hear(b"\0")
-    assert b"".join(heard) == b"x" * 7000 + b"\0"
+    loop._receive(b"\0")
+    assert b"".join(taken) == b"x" * 7000 + b"\0"
 
 
 def armed_in_lockstep(process):

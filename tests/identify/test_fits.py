@@ -12,7 +12,7 @@ pytest.importorskip("mujoco")
 
 from surefoot.errors import SurefootError
 from surefoot.identify.plan import Plan
-from surefoot.identify.rack_model import fit_on_rack, motor_unknowns, moving_legs, rack_estimates
+from surefoot.identify.rack.model import fit_on_rack, motor_unknowns, moving_legs, rack_estimates
 from surefoot.identify.recording import Recording
 from surefoot.identify.registry import EXPERIMENTS, silent
 from surefoot.identify.replay import stretch_of
@@ -227,7 +227,7 @@ def test_feet_are_found(robot: RobotDescription, grounded: Recording, nominal: P
 def test_friction_of_feet_that_do_not_slide_is_not_told_and_stays_as_it_was(
     robot: RobotDescription, grounded: Recording, nominal: PhysicalParams, monkeypatch: pytest.MonkeyPatch
 ):
-    monkeypatch.setattr("surefoot.identify.ground_fits.SLIDING", 10.0)
+    monkeypatch.setattr("surefoot.identify.ground.fits.SLIDING", 10.0)
     found = EXPERIMENTS["contact"].fit(robot, grounded, weighed(robot, nominal))
     friction = found.estimate("contact_friction")
     assert not friction.told

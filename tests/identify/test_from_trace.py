@@ -12,10 +12,10 @@ import pytest
 
 from surefoot.errors import SurefootError
 from surefoot.identify.fitting import Unknown, jacobian_of
-from surefoot.identify.from_trace import fit_traces
 from surefoot.identify.result import Identification
-from surefoot.identify.trace_data import MotorMotion, TraceSegment, torque_timings, usable_rows
-from surefoot.identify.trace_model import NAMES, USUAL, VOLTAGE_CHANGE, TorqueModel
+from surefoot.identify.traces.data import MotorMotion, TraceSegment, torque_timings, usable_rows
+from surefoot.identify.traces.fit import fit_traces
+from surefoot.identify.traces.model import NAMES, USUAL, VOLTAGE_CHANGE, TorqueModel
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.task.trace import EpisodeTrace
 from surefoot.world.interface import WorldConfig

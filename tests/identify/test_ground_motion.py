@@ -9,7 +9,7 @@ import pytest
 
 pytest.importorskip("mujoco")
 
-from surefoot.identify.ground_motion import (
+from surefoot.identify.ground.motion import (
     LEVELLING,
     STEP,
     GroundMotion,

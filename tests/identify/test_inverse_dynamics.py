@@ -7,8 +7,8 @@ import pytest
 
 pytest.importorskip("mujoco")
 
-from surefoot.identify.ground_motion import regress
-from surefoot.identify.inverse_dynamics import Forces, InverseDynamics, Motion
+from surefoot.identify.ground.inverse_dynamics import Forces, InverseDynamics, Motion
+from surefoot.identify.ground.motion import regress
 from surefoot.robot import GRAVITY, PhysicalParams, RobotDescription
 from surefoot.world.sim_world import SimWorld
 

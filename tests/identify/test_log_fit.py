@@ -10,11 +10,11 @@ import pytest
 pytest.importorskip("mujoco")
 
 from surefoot.errors import SurefootError
-from surefoot.identify.log_errors import imu_of
-from surefoot.identify.log_fit import _mounted, _searched, fit_logs
-from surefoot.identify.log_model import LogModel, LogRun, params_of_logs, unknowns_of
+from surefoot.identify.logs.errors import imu_of
+from surefoot.identify.logs.fit import _mounted, _searched, fit_logs
+from surefoot.identify.logs.model import LogModel, LogRun, params_of_logs, unknowns_of
+from surefoot.identify.logs.robot_log import RobotLog
 from surefoot.identify.replay import Replayer, stretch_of_log
-from surefoot.identify.robot_log import RobotLog
 from surefoot.robot import PhysicalParams, RobotDescription
 
 TRUTH = {"servo_kp": 8.0, "servo_kd": 0.76, "motor_friction": 0.08, "control_latency": 0.016}

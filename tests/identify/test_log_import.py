@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from surefoot.errors import SurefootError
-from surefoot.identify import log_table
-from surefoot.identify.log_import import import_log, missing_columns
-from surefoot.identify.log_table import read_table
-from surefoot.identify.robot_log import log_of_trace
+from surefoot.identify.logs import table as log_table
+from surefoot.identify.logs.importing import import_log, missing_columns
+from surefoot.identify.logs.robot_log import log_of_trace
+from surefoot.identify.logs.table import read_table
 from surefoot.robot import RobotDescription
 from surefoot.task.trace import EpisodeTrace
 

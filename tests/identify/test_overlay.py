@@ -136,7 +136,7 @@ def test_a_file_that_does_not_fit(robot: RobotDescription, tmp_path: Path, text:
 
 def test_training_takes_it(robot: RobotDescription, tmp_path: Path):
     pytest.importorskip("mujoco")
-    from surefoot.cli.simulator import Simulator
+    from surefoot.cli.helpers.simulator import Simulator
     from surefoot.task.config import TaskConfig
 
     path = tmp_path / "robot.toml"

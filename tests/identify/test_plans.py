@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from surefoot.deploy.messages import Mode
 from surefoot.deploy.poses import sitting
 from surefoot.emulator.limits import Limits, introduction
-from surefoot.identify.ground_plans import DRAG, ends, rocking, sides, standing_up
+from surefoot.identify.ground.plans import DRAG, ends, rocking, sides, standing_up
 from surefoot.identify.plan import FADE, Phase, Plan, chirps, go_to, hold, steps, sweep
-from surefoot.identify.rack_plans import PULSE, SPIKE_EVERY, latency_plan, motor_plan
+from surefoot.identify.rack.plans import PULSE, SPIKE_EVERY, latency_plan, motor_plan
 from surefoot.identify.registry import EXPERIMENTS
 from surefoot.robot import RobotDescription
 

@@ -11,7 +11,7 @@ import pytest
 pytest.importorskip("mujoco")
 
 from surefoot.deploy.messages import Mode
-from surefoot.identify.rack_fits import LEVEL, VOLTAGE, imu_estimates, measure_spikes, rest_voltage
+from surefoot.identify.rack.fits import LEVEL, VOLTAGE, imu_estimates, measure_spikes, rest_voltage
 from surefoot.identify.recording import Recording
 
 PERIOD, EVERY, SPIKES, MOTORS = 0.002, 0.12, 12, 8

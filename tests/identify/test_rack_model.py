@@ -11,7 +11,7 @@ pytest.importorskip("mujoco")
 
 from surefoot.errors import SurefootError
 from surefoot.identify.fitting import TORQUE_GAIN, Unknown, params_of
-from surefoot.identify.rack_model import NOISE, RackModel, moving_legs
+from surefoot.identify.rack.model import NOISE, RackModel, moving_legs
 from surefoot.identify.recording import Recording
 from surefoot.identify.replay import Replayer, stretch_of
 from surefoot.robot import PhysicalParams, RobotDescription

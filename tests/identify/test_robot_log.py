@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from surefoot.errors import SurefootError
-from surefoot.identify.robot_log import log_of, read_log
+from surefoot.identify.logs.robot_log import log_of, read_log
 from surefoot.robot import RobotDescription
 
 DATA = Path(__file__).parents[2] / "data" / "pupper_v2"

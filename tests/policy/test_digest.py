@@ -15,7 +15,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from surefoot.cli.policies import SHELVES, find_policy
+from surefoot.cli.helpers.policies import SHELVES, find_policy
 from surefoot.errors import SurefootError
 from surefoot.policy.contract import METADATA_KEY
 from surefoot.policy.digest import DIGEST_KEY, check_digest, main, read_parts, stamped

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from surefoot.cli.policies import find_policy
+from surefoot.cli.helpers.policies import find_policy
 from surefoot.errors import SurefootError
 from surefoot.policy import runtime
 from surefoot.policy.contract import METADATA_KEY

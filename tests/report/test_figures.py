@@ -22,9 +22,9 @@ from surefoot.errors import SurefootError
 from surefoot.evaluate.gap import PolicyGap
 from surefoot.evaluate.runs import Runs
 from surefoot.evaluate.sensitivity import Nominal, Sensitivity, TestWorld
-from surefoot.report.figures import _mean_power, episode_plot, footfall_diagram, side_by_side
-from surefoot.report.parameter_figures import aggregate_figure, parameter_figure, parameters_figure
-from surefoot.report.tracking_figure import tracking_figure
+from surefoot.report.figures.parameters import aggregate_figure, parameter_figure, parameters_figure
+from surefoot.report.figures.runs import _mean_power, episode_plot, footfall_diagram, side_by_side
+from surefoot.report.figures.tracking import tracking_figure
 from surefoot.robot import RobotDescription
 from surefoot.studies.comparison import Comparison, Curve
 from surefoot.studies.study_figures import gap_figure, group_figure, learning_curves
@@ -112,7 +112,7 @@ def test_the_same_data_give_the_same_bytes(make_run: MakeRun, tmp_path: Path) ->
 
 
 def test_matplotlib_is_imported_only_when_drawing() -> None:
-    code = "import sys, surefoot.report.figures; sys.exit('matplotlib' in sys.modules)"
+    code = "import sys, surefoot.report.figures.runs; sys.exit('matplotlib' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False, timeout=60).returncode == 0
 
 

@@ -12,8 +12,8 @@ import pytest
 
 from surefoot import __version__
 from surefoot.identify.result import Check, Estimate, Identification, Series
-from surefoot.report.identification import identification_figure, page, write_report
-from surefoot.report.identification_figure import full_name, index_names, known_before, number
+from surefoot.report.figures.identification import full_name, index_names, known_before, number
+from surefoot.report.pages.identification import identification_figure, page, write_report
 from surefoot.robot import PhysicalParams, RobotDescription
 
 PNG = b"\x89PNG"

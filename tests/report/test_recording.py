@@ -14,7 +14,7 @@ from recordings import data_of, standing_height, swinging
 
 from surefoot.errors import SurefootError
 from surefoot.evaluate.foot_forces import foot_forces
-from surefoot.report.recording import MOST_RUNS, Recording, recording_page
+from surefoot.report.pages.recorded_runs import MOST_RUNS, Recording, recording_page
 from surefoot.robot import RobotDescription
 from surefoot.rotations import quat_matrix, rpy_quat
 from surefoot.task.trace import LOG, EpisodeTrace

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,8 +10,8 @@ import pytest
 pytest.importorskip("PIL.Image")
 
 from surefoot.errors import SurefootError
-from surefoot.report.drawing import Camera, Mesh, View
-from surefoot.report.scene import extent, poses, scene, trace_poses
+from surefoot.report.drawing.renderer import Camera, Mesh, View
+from surefoot.report.drawing.scene import extent, poses, scene, trace_poses
 from surefoot.robot import RobotDescription
 from surefoot.task.trace import EpisodeTrace
 
@@ -27,16 +25,16 @@ def test_every_visual_becomes_a_shape_of_its_color():
     text = ROBOT.urdf.path.read_text()
     assert len(shapes) == text.count("<visual>")
     feet = [shape for shape in shapes if shape.kind == "sphere"]
-    assert [shape.body for shape in feet] == [leg.foot for leg in ROBOT.legs]
+    assert [shape.link for shape in feet] == [leg.foot for leg in ROBOT.legs]
     assert feet[0].size == (0.0085,)
     assert feet[0].color == (230, 115, 26)  # 0.90 0.45 0.10 of 255
     base = shapes[0]
-    assert (base.body, base.kind, base.size) == ("base", "box", (0.15, 0.065, 0.0435))
+    assert (base.link, base.kind, base.size) == ("base", "box", (0.15, 0.065, 0.0435))
     rotor = next(shape for shape in shapes if shape.kind == "cylinder")
     assert np.allclose(rotor.rotation @ np.array([0, 0, 1]), [0, -1, 0])
 
 
-def test_feet_are_where_the_leg_geometry_says():
+def test_feet_are_where_the_leg_geometry_has_them():
     """A foot's centre lies a radius short of the foot's end, on the line from the knee."""
     theta = ROBOT.pose_angles([[0.2, -0.3, 0.0, 0.4]], [[1.8, 2.1, 1.5, 1.2]])
     found = poses(ROBOT, [[0.0, 0.0, 0.0]], [LEVEL], theta)
@@ -74,17 +72,21 @@ def test_all_bodies_are_where_mujoco_has_them():
         assert np.allclose(pose[:3, :3], data.xmat[body].reshape(3, 3), atol=1e-9)
 
 
-def test_what_is_not_known_is_not_drawn():
+def test_positions_that_are_not_finite_are_refused():
     with pytest.raises(SurefootError, match="base position is not known"):
         poses(ROBOT, [[np.nan, 0, 0]], [LEVEL], ROBOT.resting_angles[None])
 
 
-def test_a_robot_without_visuals_is_refused(tmp_path: Path):
-    text = re.sub(r"<visual>.*?</visual>", "", ROBOT.urdf.path.read_text())
-    (tmp_path / "bare.urdf").write_text(text)
-    bare = replace(ROBOT, urdf=replace(ROBOT.urdf, path=tmp_path / "bare.urdf"))
+def test_a_robot_without_visuals_is_refused():
+    links = {name: replace(link, visuals=()) for name, link in ROBOT.urdf.links.items()}
     with pytest.raises(SurefootError, match="has nothing to draw"):
-        scene(bare)
+        scene(replace(ROBOT, urdf=replace(ROBOT.urdf, links=links)))
+
+
+def test_a_loop_that_can_not_close_is_refused():
+    short = replace(ROBOT, leg_geometry=replace(ROBOT.five_bar, lower=(0.09, 0.09)))
+    with pytest.raises(SurefootError, match="leg front_left can't close its loop at step 1"):
+        poses(short, np.zeros((2, 3)), [LEVEL] * 2, [np.full(8, 2.6), np.full(8, np.pi / 2)])
 
 
 @pytest.fixture(scope="module")
@@ -104,7 +106,7 @@ def trace() -> EpisodeTrace:
     return trace
 
 
-def test_feet_are_drawn_where_the_simulation_had_them(trace: EpisodeTrace):
+def test_poses_of_a_trace_have_the_feet_where_the_simulation_had_them(trace: EpisodeTrace):
     found = trace_poses(ROBOT, trace)
     for k, leg in enumerate(ROBOT.legs):
         apart = (found[leg.foot] @ FOOT)[:, :3] - trace.foot_position_world[:, k]
@@ -123,39 +125,37 @@ def test_the_lowest_foot_touches_the_ground(trace: EpisodeTrace):
     assert np.all(heights[30:][down] < 0.002)
 
 
-def test_readings_are_drawn_where_the_truth_is_not_known(trace: EpisodeTrace):
+def test_poses_of_a_trace_without_true_angles_are_those_of_its_readings(trace: EpisodeTrace):
     blind = replace(trace, true_motor_angle=np.empty(0))
     name = ROBOT.legs[0].foot
     expected = poses(ROBOT, trace.base_position_world[1:], trace.base_quat_world[1:], np.array(trace.motor_angle))
     assert np.array_equal(trace_poses(ROBOT, blind)[name], expected[name])
 
 
-def test_the_viewer_puts_every_body_where_the_poses_say(trace: EpisodeTrace):
+def test_the_viewer_places_every_link_by_its_pose(trace: EpisodeTrace):
     mujoco = pytest.importorskip("mujoco")
-    from surefoot.cli.viewer import build_stage, set_stage
+    from surefoot.cli.helpers.viewer import build_stage, set_stage
 
     shapes, found = scene(ROBOT), trace_poses(ROBOT, trace)
     model = build_stage(shapes)
     assert model.ngeom == len(shapes) + 1
     data = mujoco.MjData(model)
     set_stage(model, data, found, 99)
-    for shape_body in {shape.body for shape in shapes}:
+    for shape_body in {shape.link for shape in shapes}:
         body = model.body(shape_body).id
         assert np.allclose(data.xpos[body], found[shape_body][99, :3, 3])
         assert np.allclose(data.xmat[body].reshape(3, 3), found[shape_body][99, :3, :3], atol=1e-6)
 
 
 @pytest.mark.parametrize("name", RobotDescription.available())
-def test_a_robot_of_any_size_fills_the_picture_alike(name: str) -> None:
+def test_a_robot_of_any_size_fills_the_picture(name: str) -> None:
     robot = RobotDescription.load(name)
-    camera = Camera().of_robot(extent(robot))
+    camera = Camera.for_robot(extent(robot))
     if name == "minitaur":
         assert camera == Camera()
-    placed = poses(robot, [0.0, 0.0, 0.3 * extent(robot)], [1.0, 0.0, 0.0, 0.0], robot.resting_angles)
-    bodies = list(placed)
-    mesh, view = Mesh(scene(robot), bodies), View(camera, np.array([0.0, 0.0, camera.height]), (960, 540))
-    frames = np.array([placed[body][0] for body in bodies])[mesh.point_body]
-    pixels, _ = view.project(np.einsum("nij,nj->ni", frames[:, :3, :3], mesh.points) + frames[:, :3, 3])
+    placed = poses(robot, [0.0, 0.0, 0.3 * extent(robot)], LEVEL, robot.resting_angles)
+    mesh, view = Mesh(scene(robot), list(placed)), View(camera, np.array([0.0, 0.0, camera.height]), (960, 540))
+    pixels, _ = view.project(mesh.place_points(np.array([frames[0] for frames in placed.values()])))
     wide, high = np.ptp(pixels, axis=0) / [view.width, view.height]
     assert 0.35 < wide < 0.75
     assert 0.35 < high < 0.95
@@ -164,16 +164,14 @@ def test_a_robot_of_any_size_fills_the_picture_alike(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["go2", "pupper_v2"])
-def test_hips_reach_from_abduction_to_the_leg(name: str):
-    """Their links have no visuals: each is a cylinder whose ends are the joints' places."""
+def test_hips_without_visuals_are_cylinders_between_the_joints(name: str):
     robot = RobotDescription.load(name)
     placed = poses(robot, np.zeros(3), LEVEL, robot.resting_angles)
     for leg in robot.legs:
         abduction, upper = (robot.urdf.joints[motor].child for motor in leg.motors[:2])
-        (hip,) = (shape for shape in scene(robot) if shape.body == abduction)
-        rotation = np.asarray(hip.rotation)
-        assert np.allclose(rotation @ rotation.T, np.eye(3))
-        assert np.linalg.det(rotation) == pytest.approx(1.0)
-        ends = [hip.position + side * hip.size[1] * rotation[:, 2] for side in (-1.0, 1.0)]
+        (hip,) = (shape for shape in scene(robot) if shape.link == abduction)
+        assert np.allclose(hip.rotation @ hip.rotation.T, np.eye(3))
+        assert np.linalg.det(hip.rotation) == pytest.approx(1.0)
+        ends = [hip.position + side * hip.size[1] * hip.rotation[:, 2] for side in (-1.0, 1.0)]
         places = [(placed[abduction][0] @ [*end, 1.0])[:3] for end in ends]
         assert np.allclose(places, [placed[link][0, :3, 3] for link in (abduction, upper)], atol=1e-9)

@@ -291,7 +291,7 @@ def test_geometry_of_serial_legs_is_the_urdfs(tmp_path: Path):
     # Mounts are on the abduction axis, over the hip; feet at zero are where the URDF has them.
     np.testing.assert_allclose(robot.leg_mounts, [(x, y, 0.0) for x, y in LEGS.values()])
     feet = robot.leg_mounts + legs.foot_position(np.zeros((4, 3)))
-    frames = robot.urdf.frames
+    frames = robot.urdf.frames()
     np.testing.assert_allclose(feet, [frames[f"{leg}_foot"][:3, 3] for leg in LEGS], atol=1e-12)
     np.testing.assert_allclose(feet[0], (0.15, 0.13, -0.41), atol=1e-12)
 

@@ -15,7 +15,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from surefoot.cli.options import (
+from surefoot.cli.helpers.options import (
     PAGE_PORT,
     Baud,
     Count,
@@ -27,7 +27,7 @@ from surefoot.cli.options import (
     check_folder,
     how_to_show,
 )
-from surefoot.cli.parsing import parse
+from surefoot.cli.helpers.parsing import parse
 from surefoot.configuration import Duration
 from surefoot.deploy.serial.port import BAUD
 from surefoot.errors import SurefootError
@@ -89,7 +89,7 @@ def main(argv: list[str]) -> int:
     if command.drive:
         import_module("viser")  # what is not installed is told before the robot is asked
     from surefoot.check_result import first_failure
-    from surefoot.cli.policies import find_policy
+    from surefoot.cli.helpers.policies import find_policy
     from surefoot.deploy.checks import check_contract
     from surefoot.deploy.commands import ChannelCommands, CommandSource, open_commands
     from surefoot.deploy.controller import Controller
@@ -124,7 +124,7 @@ def main(argv: list[str]) -> int:
         watch: Watch = LiveDisplay(title) if sys.stderr.isatty() and not command.drive else PlainLines()
         stack.callback(watch.close)
         if command.drive:
-            from surefoot.cli.deploy_page import DeployPage
+            from surefoot.cli.helpers.deploy_page import DeployPage
 
             channel = ChannelCommands(0)
             stack.callback(channel.close)

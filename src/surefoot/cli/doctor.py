@@ -12,9 +12,9 @@ from rich.console import Console
 from rich.text import Text
 
 from surefoot.check_result import CheckResult
-from surefoot.cli.options import Baud, Json, Lockstep, PolicyName, Port, Yes, ask_to_move, check_terminal
-from surefoot.cli.parsing import parse
-from surefoot.cli.policies import find_policy
+from surefoot.cli.helpers.options import Baud, Json, Lockstep, PolicyName, Port, Yes, ask_to_move, check_terminal
+from surefoot.cli.helpers.parsing import parse
+from surefoot.cli.helpers.policies import find_policy
 from surefoot.configuration import Within
 from surefoot.deploy.doctor.examination import STEPS, examine
 from surefoot.deploy.doctor.link import PINGS

@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 import tyro
 
-from surefoot.cli.options import PAGE_PORT, PagePort, PolicyName, World
-from surefoot.cli.parsing import parse
+from surefoot.cli.helpers.options import PAGE_PORT, PagePort, PolicyName, World
+from surefoot.cli.helpers.parsing import parse
 from surefoot.errors import SurefootError, choices
 from surefoot.robot.commands import COMMANDS, STAND
 from surefoot.world.registry import WORLDS, find_world
@@ -24,8 +24,8 @@ from surefoot.world.registry import WORLDS, find_world
 if TYPE_CHECKING:
     from surefoot.deploy.commands import CommandSource
     from surefoot.evaluate.driven import DrivenRobot
-    from surefoot.report.page_server import PageServer
-    from surefoot.report.page_view import RobotView
+    from surefoot.report.pages.server import PageServer
+    from surefoot.report.pages.view import RobotView
     from surefoot.robot import RobotDescription
     from surefoot.task.config import TaskConfig
 
@@ -82,8 +82,8 @@ def serve(drive: Drive, host: str | None, port: int, commands: str | None) -> No
         SurefootError: a port that is taken, or commands that can't be had.
     """
     from surefoot.deploy.commands import open_commands
-    from surefoot.report.page_server import PageServer
-    from surefoot.report.page_view import RobotView
+    from surefoot.report.pages.server import PageServer
+    from surefoot.report.pages.view import RobotView
 
     with contextlib.ExitStack() as stack:
         if commands is not None:
@@ -114,7 +114,7 @@ class Drive:
     source_name = ""
 
     def __init__(self, policy: str, world: str, robot: str | None = None, adjust: Adjust | None = None) -> None:
-        from surefoot.cli.policies import SHELVES
+        from surefoot.cli.helpers.policies import SHELVES
 
         shipped = sorted({path.stem for shelf in SHELVES for path in shelf.glob("*.onnx")})
         self.policies = list(dict.fromkeys([policy, *shipped]))
@@ -129,7 +129,7 @@ class Drive:
         self.robot = self._load(policy, world)
 
     def _load(self, policy: str, world: str) -> DrivenRobot:
-        from surefoot.cli.policies import find_policy, load_gait
+        from surefoot.cli.helpers.policies import find_policy, load_gait
         from surefoot.evaluate.driven import DrivenRobot
 
         make = find_world(world)

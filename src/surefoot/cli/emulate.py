@@ -10,17 +10,19 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from surefoot.cli.options import Repeated, Settings, check_suffix
-from surefoot.cli.parsing import parse
+from surefoot.cli.helpers.options import Repeated, Settings, check_suffix
+from surefoot.cli.helpers.parsing import parse
 from surefoot.configuration import Seed, Within
 from surefoot.errors import SurefootError
 from surefoot.robot import DEFAULT_ROBOT, PhysicalParams, RobotDescription
 from surefoot.robot.params_file import given_params, write_params
 
 if TYPE_CHECKING:
-    from surefoot.cli.viewer import EmulateViewer
-    from surefoot.emulator.board import Board
-    from surefoot.emulator.faults import Fault
+    from surefoot.cli.helpers.viewer import EmulateViewer
+    from surefoot.emulator.faults import InjectedFault
+    from surefoot.emulator.real_time import RealTime, Summary
+    from surefoot.emulator.serial.lockstep import Lockstep
+    from surefoot.emulator.serial.pty_port import PtyPort
 
 STRIDE = 3
 """Servo steps that physics goes through at once in real time, if it can: one by one they cost half as much again in
@@ -29,10 +31,10 @@ Bullet."""
 
 @dataclass(frozen=True)
 class EmulateCommand:
-    """Be a robot: open a pseudo-terminal, print its name, and speak the wire protocol there until interrupted.
+    """Emulate a robot: open a pseudo-terminal, print its name, and serve the wire protocol there until interrupted.
 
-    The physics runs in real time; with --lockstep it follows the times in the frames that come instead. What went on
-    is summed up in one line at the end. --fault help lists the faults.
+    The physics runs in real time; with --lockstep it follows the times in the frames that come instead. One line at
+    the end sums up the run. --fault help lists the faults.
     """
 
     world: str = "mujoco"
@@ -101,7 +103,7 @@ def main(argv: list[str]) -> int:
 
         if not has_display():
             raise SurefootError("viewer: there is no display here (DISPLAY is not set); run without --viewer")
-    return _run(command, _build(command, robot, faults, servo_every), faults)
+    return _run(command, robot, faults, servo_every)
 
 
 def _check(command: EmulateCommand) -> None:
@@ -129,30 +131,43 @@ def _params(command: EmulateCommand, robot: RobotDescription) -> PhysicalParams:
     return params
 
 
-def _build(command: EmulateCommand, robot: RobotDescription, faults: dict[str, Fault], servo_every: int = 1) -> Board:
-    """Return the robot, warmed up."""
+def make_loop(
+    command: EmulateCommand,
+    robot: RobotDescription,
+    faults: dict[str, InjectedFault],
+    port: PtyPort,
+    summary: Summary,
+    servo_every: int = 1,
+) -> RealTime | Lockstep:
+    """Return the loop that moves the robot, warmed up."""
     from surefoot import __version__
     from surefoot.deploy.robot_link import LEAD
     from surefoot.emulator.board import Board
     from surefoot.emulator.hardware import PowerConfig, SensorConfig
     from surefoot.emulator.limits import Limits, introduction
     from surefoot.emulator.plant import Plant
+    from surefoot.emulator.real_time import RealTime
+    from surefoot.emulator.serial.lockstep import PATIENCE, Lockstep
+    from surefoot.emulator.serial.serial_host_link import SerialHostLink
 
     sensors, power = (SensorConfig.ideal(), PowerConfig.ideal()) if command.ideal_sensors else (None, None)
     params = _params(command, robot)
     plant = Plant(robot, params, command.seed, sensors, power, command.rack, command.world, servo_every=servo_every)
     limits = Limits.of(robot)
-    said = introduction(robot, limits, f"surefoot emulator {__version__}", robot.timing.servo_step)
+    handshake = introduction(robot, limits, f"surefoot emulator {__version__}", robot.timing.servo_step)
     if command.lockstep:
-        return Board(plant, said, limits, faults, 0.0, command.seed)
-    return Board(plant, said, limits, faults, command.baud, command.seed, STRIDE, LEAD)
+        link = SerialHostLink(port, robot.num_motors, faults, seed=command.seed, patience=PATIENCE)
+        return Lockstep(Board(plant, handshake, link, limits, faults), link, port, summary)
+    link = SerialHostLink(port, robot.num_motors, faults, command.baud, command.seed)
+    load = faults["overload"].value if "overload" in faults else 0.0
+    return RealTime(Board(plant, handshake, link, limits, faults, STRIDE, LEAD), summary, load)
 
 
-def _run(command: EmulateCommand, board: Board, faults: dict[str, Fault]) -> int:
+def _run(command: EmulateCommand, robot: RobotDescription, faults: dict[str, InjectedFault], servo_every: int) -> int:
     from surefoot.deploy.pacer import undisturbed
     from surefoot.emulator.motion_capture import MotionCapture
-    from surefoot.emulator.process import Lockstep, RealTime, Summary
-    from surefoot.emulator.pty_port import PtyPort
+    from surefoot.emulator.real_time import Summary
+    from surefoot.emulator.serial.pty_port import PtyPort
     from surefoot.stop_signals import StopSignals
 
     summary = Summary()
@@ -161,27 +176,27 @@ def _run(command: EmulateCommand, board: Board, faults: dict[str, Fault]) -> int
         summary.stop = True
 
     port = PtyPort(command.link, held=not command.lockstep)
-    onlookers: list[MotionCapture | EmulateViewer] = []
+    observers: list[MotionCapture | EmulateViewer] = []
     with StopSignals(on_signal=end, respect_nohup=True):
         try:
+            loop = make_loop(command, robot, faults, port, summary, servo_every)
+            board = loop.board
             if command.motion_capture is not None:
-                onlookers.append(MotionCapture(command.motion_capture, board.plant, later=not command.lockstep))
+                observers.append(MotionCapture(command.motion_capture, board.plant, later=not command.lockstep))
             if command.viewer:
-                from surefoot.cli.viewer import EmulateViewer
+                from surefoot.cli.helpers.viewer import EmulateViewer
 
-                onlookers.append(EmulateViewer(command.robot, board.plant))
-            board.on_step = [onlooker.see for onlooker in onlookers]
-            load = faults["overload"].value if "overload" in faults else 0.0
-            loop = Lockstep(board, port, summary) if command.lockstep else RealTime(board, port, summary, load)
+                observers.append(EmulateViewer(command.robot, board.plant))
+            board.on_step = [observer.see for observer in observers]
             # A microcontroller has a processor of its own, so that the emulator comes before what else runs here.
             with contextlib.nullcontext() if command.lockstep else undisturbed():
                 print(f"robot on {port.path}", flush=True)
                 loop.run(command.duration)
         finally:
             port.close()
-            for onlooker in onlookers:
-                onlooker.close()
-                if isinstance(onlooker, MotionCapture) and onlooker.failed:
-                    print(f"surefoot: motion capture stopped: {onlooker.failed}", file=sys.stderr)
-    print(f"surefoot: {summary.text(board, port)}", file=sys.stderr)
+            for observer in observers:
+                observer.close()
+                if isinstance(observer, MotionCapture) and observer.failed:
+                    print(f"surefoot: motion capture stopped: {observer.failed}", file=sys.stderr)
+    print(f"surefoot: {summary.text(board)}", file=sys.stderr)
     return 0

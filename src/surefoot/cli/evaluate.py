@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
-from surefoot.cli.options import Count, Json, Threads, how_to_show, make_figures_folder
-from surefoot.cli.parsing import parse
-from surefoot.cli.simulator import GivenRanges, RunOptions, take_ranges
+from surefoot.cli.helpers.options import Count, Json, Threads, how_to_show, make_figures_folder
+from surefoot.cli.helpers.parsing import parse
+from surefoot.cli.helpers.simulator import GivenRanges, RunOptions, take_ranges
 from surefoot.errors import SurefootError
 from surefoot.robot.commands import COMMANDS
 
@@ -67,7 +67,7 @@ def main(argv: list[str]) -> int:
         files = [] if command.trace else [t.save(command.out / f"episode_{i:03d}.npz") for i, t in enumerate(traces)]
         drawn = draw_episode(command.out, traces[0], robot)
         if command.command_grid:
-            from surefoot.report.tracking_figure import tracking_figure
+            from surefoot.report.figures.tracking import tracking_figure
 
             drawn.append(tracking_figure(traces, command.out / "tracking.png"))
         summary["files"] = [str(file) for file in [*files, *drawn]]
@@ -87,7 +87,7 @@ def _simulated(
     command: EvaluateCommand, given_ranges: GivenRanges
 ) -> tuple[list[EpisodeTrace], RobotDescription, dict[str, Any]]:
     """Run the policy; returns its traces, the robot, and how it was run."""
-    from surefoot.cli.policies import adjust_task, described, find_policy, load_gait, run_policy
+    from surefoot.cli.helpers.policies import adjust_task, described, find_policy, load_gait, run_policy
     from surefoot.world.registry import find_world
 
     path = find_policy(str(command.policy))
@@ -154,7 +154,7 @@ def draw_episode(folder: Path, trace: EpisodeTrace, robot: RobotDescription) -> 
     """Draw a footfall diagram and a plot of an episode; return the files."""
     import numpy as np
 
-    from surefoot.report.figures import episode_plot, footfall_diagram
+    from surefoot.report.figures.runs import episode_plot, footfall_diagram
 
     plot = episode_plot(trace, robot, folder / "episode.png")
     # Without switches in the feet nothing is known of footfalls.

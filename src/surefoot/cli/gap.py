@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from surefoot.cli.options import (
+from surefoot.cli.helpers.options import (
     Count,
     Json,
     PolicyNames,
@@ -22,13 +22,13 @@ from surefoot.cli.options import (
     how_to_show,
     make_figures_folder,
 )
-from surefoot.cli.parsing import parse
-from surefoot.cli.simulator import Simulator
+from surefoot.cli.helpers.parsing import parse
+from surefoot.cli.helpers.simulator import Simulator
 from surefoot.configuration import Duration
 from surefoot.errors import SurefootError, check_name
 
 if TYPE_CHECKING:
-    from surefoot.cli.policies import Candidate
+    from surefoot.cli.helpers.policies import Candidate
     from surefoot.evaluate.recorded import Recorded
     from surefoot.robot import RobotDescription
     from surefoot.task.config import TaskConfig
@@ -143,7 +143,7 @@ class GapCommand:
 def main(argv: list[str]) -> int:
     """Run the command with the words after its name; returns the exit code."""
     command = parse(GapCommand, argv, "surefoot gap")
-    from surefoot.cli.policies import find_policies, load_policies, run_policy
+    from surefoot.cli.helpers.policies import find_policies, load_policies, run_policy
     from surefoot.world.registry import find_world
 
     paths = find_policies(command.policies)
@@ -195,7 +195,7 @@ def main(argv: list[str]) -> int:
 
 def _tasks(command: GapCommand, task: TaskConfig, robot: RobotDescription) -> tuple[TaskConfig, TaskConfig]:
     """The task of a policy at home, and in the other worlds, lasting as long."""
-    from surefoot.cli.policies import adjust_task, lasting
+    from surefoot.cli.helpers.policies import adjust_task, lasting
     from surefoot.evaluate.gap import away_task, home_task
     from surefoot.evaluate.sensitivity import episode_duration
 
@@ -218,10 +218,10 @@ def _report(
     runs: dict[str, dict[str, Recorded]],
 ) -> None:
     """Measure the runs of each policy in each world; write tables and figure, and print what came out."""
-    from surefoot.cli.policies import described
+    from surefoot.cli.helpers.policies import described
     from surefoot.evaluate.gap import PolicyGap
     from surefoot.evaluate.runs import Runs
-    from surefoot.report.figures import side_by_side
+    from surefoot.report.figures.runs import side_by_side
     from surefoot.studies.study_figures import gap_figure
     from surefoot.tables import plain_rows, print_files, print_table, write_csv
 

@@ -13,10 +13,10 @@ from importlib import import_module
 from pathlib import Path
 from typing import Annotated, Any
 
-from surefoot.cli.identify_run import ExperimentCommand, run_experiment
+from surefoot.cli.helpers.identify_run import ExperimentCommand, run_experiment
+from surefoot.cli.helpers.options import Json, Seed, check_folder, check_suffix
+from surefoot.cli.helpers.parsing import parse
 from surefoot.cli.main import table_lines
-from surefoot.cli.options import Json, Seed, check_folder, check_suffix
-from surefoot.cli.parsing import parse
 from surefoot.configuration import Within
 from surefoot.errors import SurefootError, choices
 from surefoot.identify.overlay import Known, read_known
@@ -87,7 +87,7 @@ def main(argv: list[str]) -> int:
         return 0 if argv else 2
     word = argv[0]
     if word == FIGURE:
-        code: int = import_module("surefoot.cli.identify_motor_figure").main(argv[1:])
+        code: int = import_module("surefoot.cli.helpers.identify_motor_figure").main(argv[1:])
         return code
     if word.partition("=")[0] == FROM_TRACE:
         return _from_trace(argv)
@@ -123,10 +123,10 @@ def _from_trace(argv: list[str]) -> int:
     robot = RobotDescription.load(command.robot or str(traces[0][1].meta["robot"]))
     check_identifiable(robot)
     known = read_known(command.params, robot)
-    from surefoot.cli.identify_results import check_installed, fitting, tell, write
+    from surefoot.cli.helpers.identify_results import check_installed, fitting, tell, write
 
     check_installed()
-    from surefoot.identify.from_trace import fit_traces
+    from surefoot.identify.traces.fit import fit_traces
 
     with fitting("traces") as say:
         found = fit_traces(robot, [trace for _, trace in traces], command.fit or None, known.params, say)
@@ -138,7 +138,7 @@ def _from_trace(argv: list[str]) -> int:
 
 def _from_logs(command: TracesCommand, robot: RobotDescription) -> int:
     """Fit a whole robot with joint actuators to logs."""
-    from surefoot.identify.robot_log import read_log
+    from surefoot.identify.logs.robot_log import read_log
 
     paths = sorted(command.from_trace.glob("*.npz")) if command.from_trace.is_dir() else [command.from_trace]
     if not paths:
@@ -148,11 +148,11 @@ def _from_logs(command: TracesCommand, robot: RobotDescription) -> int:
         if bad := [name for name in names if name not in logs]:
             raise SurefootError(f"--{option} names '{bad[0]}'; logs: {choices(logs)}")
     known = read_known(command.params, robot)
-    from surefoot.cli.identify_results import check_installed, fitting, tell, write
+    from surefoot.cli.helpers.identify_results import check_installed, fitting, tell, write
 
     check_installed()
-    from surefoot.identify.log_fit import fit_logs
-    from surefoot.identify.log_model import LogRun
+    from surefoot.identify.logs.fit import fit_logs
+    from surefoot.identify.logs.model import LogRun
 
     runs = {name: LogRun(log, name in command.rack) for name, log in logs.items()}
     fitted = [run for name, run in runs.items() if name not in command.hold_out]
@@ -172,7 +172,7 @@ def _experiment(name: str, argv: list[str]) -> int:
     experiment, robot = EXPERIMENTS[name], RobotDescription.load(command.robot)
     check_identifiable(robot)
     known = read_known(command.params, robot)
-    from surefoot.cli.identify_results import check_installed, fitting, tell, write
+    from surefoot.cli.helpers.identify_results import check_installed, fitting, tell, write
 
     if command.recording is not None:
         path = command.recording / RECORDING if command.recording.is_dir() else command.recording

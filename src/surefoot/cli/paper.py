@@ -6,8 +6,8 @@ import shlex
 from dataclasses import dataclass
 from pathlib import Path
 
-from surefoot.cli.options import Ray, Workers, check_folder, check_suffix
-from surefoot.cli.parsing import parse
+from surefoot.cli.helpers.options import Ray, Workers, check_folder, check_suffix
+from surefoot.cli.helpers.parsing import parse
 from surefoot.errors import SurefootError
 
 
@@ -46,7 +46,7 @@ def main(argv: list[str]) -> int:
 
     root, note = command.root, ""
     if command.quick or command.full:
-        from surefoot.cli.paper_runs import QUICK_NOTE, Runs, make_all
+        from surefoot.cli.helpers.paper_runs import QUICK_NOTE, Runs, make_all
         from surefoot.studies.workers import check_address
 
         check_address(command.ray)

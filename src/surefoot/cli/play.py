@@ -8,9 +8,9 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from surefoot.cli.options import PAGE_PORT, PolicyName, check_suffix
-from surefoot.cli.parsing import parse
-from surefoot.cli.simulator import RunOptions
+from surefoot.cli.helpers.options import PAGE_PORT, PolicyName, check_suffix
+from surefoot.cli.helpers.parsing import parse
+from surefoot.cli.helpers.simulator import RunOptions
 from surefoot.configuration import Duration
 from surefoot.errors import SurefootError
 
@@ -40,7 +40,7 @@ def main(argv: list[str]) -> int:
     """Run the command with the words after its name; return the exit code."""
     command = parse(PlayCommand, argv, "surefoot play")
     check_suffix("video", command.out, ".mp4")
-    from surefoot.cli.policies import adjust_task, find_policy, lasting, load_gait, run_policy
+    from surefoot.cli.helpers.policies import adjust_task, find_policy, lasting, load_gait, run_policy
     from surefoot.world.registry import find_world
 
     path = find_policy(command.policy)
@@ -57,7 +57,7 @@ def main(argv: list[str]) -> int:
         import_module(module)
     (trace,) = run_policy(policy, task, 1, command.world, command.seed, name=known["name"])
     if window:
-        from surefoot.cli.viewer import replay
+        from surefoot.cli.helpers.viewer import replay
 
         replay(robot, trace)
     else:
@@ -70,7 +70,7 @@ def _on_a_page(command: PlayCommand) -> int:
     if command.out is not None:
         raise SurefootError("--browser and --out are given; a page makes no MP4")
     from surefoot.cli.drive import Drive, serve
-    from surefoot.cli.policies import adjust_task
+    from surefoot.cli.helpers.policies import adjust_task
 
     def adjust(task: TaskConfig, robot: RobotDescription) -> TaskConfig:
         return adjust_task(task, robot, command.settings, False, simulator=command.simulator)
@@ -82,12 +82,12 @@ def _on_a_page(command: PlayCommand) -> int:
 
 def film(robot: RobotDescription, trace: EpisodeTrace, path: Path) -> Path:
     """Write a video (.mp4) of a trace; return its path."""
-    from surefoot.report.drawing import Camera
-    from surefoot.report.scene import extent, scene, trace_poses
-    from surefoot.report.video import render_video
+    from surefoot.report.drawing.renderer import Camera
+    from surefoot.report.drawing.scene import extent, scene, trace_poses
+    from surefoot.report.drawing.video import render_video
 
     shapes, poses = scene(robot), trace_poses(robot, trace)
-    camera = Camera().of_robot(extent(robot))
+    camera = Camera.for_robot(extent(robot))
     return render_video(shapes, poses, trace.time, path, overlay=_captions(trace), follow=robot.base, camera=camera)
 
 

@@ -10,8 +10,8 @@ from typing import Annotated, Any
 
 import tyro
 
-from surefoot.cli.options import Json, Settings, World, check_suffix
-from surefoot.cli.parsing import parse
+from surefoot.cli.helpers.options import Json, Settings, World, check_suffix
+from surefoot.cli.helpers.parsing import parse
 from surefoot.robot import RobotDescription
 from surefoot.robot.params_file import given_params
 from surefoot.tables import plain_value
@@ -52,9 +52,9 @@ def main(argv: list[str]) -> int:
         import_module("matplotlib")
     robot = RobotDescription.load(command.robot)
     params = given_params(robot, command.params, command.settings)
-    from surefoot.identify.log_errors import errors_of_recorded, replay_log
+    from surefoot.identify.logs.errors import errors_of_recorded, replay_log
+    from surefoot.identify.logs.robot_log import read_log
     from surefoot.identify.replay import Replayer
-    from surefoot.identify.robot_log import read_log
     from surefoot.world.registry import check_takes_params
 
     check_takes_params(command.world)
@@ -74,7 +74,7 @@ def main(argv: list[str]) -> int:
     if other is not None:
         told["beside"] = {"file": str(command.beside), "rms": other.rms}
     if command.out is not None:
-        from surefoot.report.replay_figure import draw_replay
+        from surefoot.report.figures.replay import draw_replay
 
         label = "" if command.beside is None else command.beside.name.removesuffix(".npz")
 

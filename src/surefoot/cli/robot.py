@@ -14,9 +14,9 @@ from rich.console import Console
 from rich.prompt import Prompt
 
 from surefoot.cli.doctor import FAILED, print_result
+from surefoot.cli.helpers.options import Json, check_folder
+from surefoot.cli.helpers.parsing import parse
 from surefoot.cli.main import table_lines
-from surefoot.cli.options import Json, check_folder
-from surefoot.cli.parsing import parse
 from surefoot.errors import SurefootError, check_name, choices
 from surefoot.robot import RobotDescription
 from surefoot.robot.importing.imported import ImportedRobot, Knees
@@ -77,7 +77,7 @@ def main(argv: list[str]) -> int:
 
 
 def _new(command: NewCommand) -> int:
-    from surefoot.report.robot_picture import save_robot_picture
+    from surefoot.report.drawing.robot_picture import save_robot_picture
     from surefoot.robot.importing.reader import read_robot
     from surefoot.world.robot_check import longest_servo_step
 

@@ -11,9 +11,9 @@ from typing import Annotated
 import tyro
 from rich.console import Console
 
-from surefoot.cli.options import Ray, Seed, Workers, check_folder
-from surefoot.cli.parsing import parse
-from surefoot.cli.trainings import train_many
+from surefoot.cli.helpers.options import Ray, Seed, Workers, check_folder
+from surefoot.cli.helpers.parsing import parse
+from surefoot.cli.helpers.training_queue import train_many
 from surefoot.configuration import Within
 from surefoot.errors import located
 from surefoot.learn.config import Steps
@@ -53,7 +53,7 @@ class SearchCommand:
 def main(argv: list[str]) -> int:
     """Run the command with the words after its name; returns the exit code."""
     command = parse(SearchCommand, argv, "surefoot search")
-    from surefoot.cli.search_results import report
+    from surefoot.cli.helpers.search_results import report
     from surefoot.learn.run_lock import alone
 
     config = make_config(command.task, command.space, command.seed, command.steps)

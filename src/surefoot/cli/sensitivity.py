@@ -7,9 +7,19 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from surefoot.cli.options import Count, Json, PolicyNames, Pushes, PushForce, Seed, Threads, World, make_figures_folder
-from surefoot.cli.parsing import parse
-from surefoot.cli.simulator import Simulator, SimulatorOptions
+from surefoot.cli.helpers.options import (
+    Count,
+    Json,
+    PolicyNames,
+    Pushes,
+    PushForce,
+    Seed,
+    Threads,
+    World,
+    make_figures_folder,
+)
+from surefoot.cli.helpers.parsing import parse
+from surefoot.cli.helpers.simulator import Simulator, SimulatorOptions
 from surefoot.configuration import Duration, Within
 
 if TYPE_CHECKING:
@@ -51,7 +61,7 @@ class SensitivityCommand:
 def main(argv: list[str]) -> int:
     """Run the command with the words after its name; returns the exit code."""
     command = parse(SensitivityCommand, argv, "surefoot sensitivity")
-    from surefoot.cli.policies import described, find_policies, load_policies, progress_bar
+    from surefoot.cli.helpers.policies import described, find_policies, load_policies, progress_bar
     from surefoot.robot.randomization import check_ranges, load_ranges
     from surefoot.world.registry import WORLDS, find_world
 
@@ -65,7 +75,7 @@ def main(argv: list[str]) -> int:
         task.nominal(robot)  # refuses parameters that the robot does not allow
     make_figures_folder(command.out)
     from surefoot.evaluate.sensitivity import episode_duration, run_sensitivity, trained_ranges
-    from surefoot.report.parameter_figures import aggregate_figure, parameter_figure
+    from surefoot.report.figures.parameters import aggregate_figure, parameter_figure
     from surefoot.tables import write_csv
 
     duration = command.duration or max(episode_duration(task) for task in tasks)

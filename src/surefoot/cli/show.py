@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from surefoot.cli.options import PAGE_PORT, PagePort, check_suffix
-from surefoot.cli.parsing import parse
+from surefoot.cli.helpers.options import PAGE_PORT, PagePort, check_suffix
+from surefoot.cli.helpers.parsing import parse
 from surefoot.errors import SurefootError, quoted
 from surefoot.robot import RobotDescription
 
 if TYPE_CHECKING:
-    from surefoot.report.recording import Recording
+    from surefoot.report.pages.recorded_runs import Recording
 
 
 @dataclass(frozen=True)
@@ -46,8 +46,8 @@ def main(argv: list[str]) -> int:
     check_suffix("html", command.html, ".html")
     if not command.trace:
         raise SurefootError("no TRACE is given; give one or more files (.npz), or folders of them")
-    from surefoot.report.page_server import PageServer
-    from surefoot.report.recording import recording_page
+    from surefoot.report.pages.recorded_runs import recording_page
+    from surefoot.report.pages.server import PageServer
 
     page = recording_page(_recordings(command), command.layout)
     if command.html is not None:
@@ -69,11 +69,11 @@ def main(argv: list[str]) -> int:
 
 def _recordings(command: ShowCommand) -> list[Recording]:
     """Load the traces and their robots; name them by policy, with world or file where that does not tell them apart."""
-    from surefoot.cli.policies import distinct_names
+    from surefoot.cli.helpers.policies import distinct_names
     from surefoot.evaluate.recorded import find_traces
-    from surefoot.identify.log_import import import_log
-    from surefoot.identify.robot_log import read_arrays
-    from surefoot.report.recording import Recording
+    from surefoot.identify.logs.importing import import_log
+    from surefoot.identify.logs.robot_log import read_arrays
+    from surefoot.report.pages.recorded_runs import Recording
 
     given = None if command.robot is None else RobotDescription.load(command.robot)
     found = []

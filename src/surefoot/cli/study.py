@@ -11,9 +11,9 @@ from typing import Annotated
 import tyro
 from rich.console import Console
 
-from surefoot.cli.options import Ray, Workers
-from surefoot.cli.parsing import parse
-from surefoot.cli.trainings import train_many
+from surefoot.cli.helpers.options import Ray, Workers
+from surefoot.cli.helpers.parsing import parse
+from surefoot.cli.helpers.training_queue import train_many
 from surefoot.configuration import Seed
 from surefoot.errors import SurefootError, located
 from surefoot.learn.config import Steps
@@ -57,7 +57,7 @@ def main(argv: list[str]) -> int:
     command = parse(StudyCommand, argv, "surefoot study")
     if command.train_only and command.report_only:
         raise SurefootError("--train-only and --report-only leave nothing to do; give one of them, or neither")
-    from surefoot.cli.study_results import check_kinds, evaluate_runs, report
+    from surefoot.cli.helpers.study_results import check_kinds, evaluate_runs, report
 
     study = load_study(command.file)
     check_kinds(study, worlds=not command.train_only)

@@ -10,9 +10,9 @@ from typing import Annotated
 
 import tyro
 
+from surefoot.cli.helpers.options import Json, check_suffix, how_to_show
+from surefoot.cli.helpers.parsing import parse
 from surefoot.cli.main import table_lines
-from surefoot.cli.options import Json, check_suffix, how_to_show
-from surefoot.cli.parsing import parse
 from surefoot.errors import SurefootError, choices
 from surefoot.robot import RobotDescription
 
@@ -50,8 +50,8 @@ def main(argv: list[str]) -> int:
     command = parse(ImportCommand, argv[1:], "surefoot trace import")
     check_suffix("out", command.out, ".npz")
     robot = RobotDescription.load(command.robot)
-    from surefoot.identify.log_import import import_log, missing_columns
-    from surefoot.identify.robot_log import log_of_trace
+    from surefoot.identify.logs.importing import import_log, missing_columns
+    from surefoot.identify.logs.robot_log import log_of_trace
 
     trace = import_log(command.file, robot, command.map)
     timing = log_of_trace(command.file.name, trace).timing()

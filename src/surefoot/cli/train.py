@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 
-from surefoot.cli.options import PAGE_PORT, PagePort
-from surefoot.cli.parsing import parse
-from surefoot.cli.simulator import Simulator, SimulatorOptions, ranges_help, take_ranges
+from surefoot.cli.helpers.options import PAGE_PORT, PagePort
+from surefoot.cli.helpers.parsing import parse
+from surefoot.cli.helpers.simulator import Simulator, SimulatorOptions, ranges_help, take_ranges
 from surefoot.errors import SurefootError, choices
 from surefoot.learn.config import TrainConfig, load_train_config
 from surefoot.stop_signals import StopSignals
@@ -130,7 +130,7 @@ def _train(config: TrainConfig | None, path: Path, page_port: int | None) -> int
             stop = stack.enter_context(_listen(console))
             after: Callable[..., None] = progress.update
             if page_port is not None:
-                from surefoot.cli.train_page import TrainingPage
+                from surefoot.cli.helpers.train_page import TrainingPage
 
                 page = TrainingPage(run, page_port)
                 stack.callback(page.close)
@@ -177,7 +177,7 @@ def finish(run: TrainingRun, folder: RunFolder, console: Console) -> None:
     Tables, figures and a video of the median episode go to the run folder.
     """
     from surefoot.cli.evaluate import draw_episode, print_summaries
-    from surefoot.cli.options import how_to_show
+    from surefoot.cli.helpers.options import how_to_show
     from surefoot.cli.play import film
     from surefoot.evaluate.gap import home_task
     from surefoot.evaluate.rollout import run_episodes

@@ -6,9 +6,9 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 
 from surefoot.cli.evaluate import print_summaries
-from surefoot.cli.options import Count, check_suffix
-from surefoot.cli.parsing import parse
-from surefoot.cli.policies import progress_bar, run_policy
+from surefoot.cli.helpers.options import Count, check_suffix
+from surefoot.cli.helpers.parsing import parse
+from surefoot.cli.helpers.policies import progress_bar, run_policy
 from surefoot.errors import SurefootError
 from surefoot.studies.handcrafted import HandcraftedGait
 from surefoot.studies.tune import TuneConfig, Tuner

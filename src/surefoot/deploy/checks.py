@@ -60,7 +60,9 @@ def check_identity(
     robot: RobotDescription, contract: Contract | None = None, handshake: Handshake | None = None
 ) -> list[CheckResult]:
     """Compare robot, motors and signs of a policy, a robot and a data sheet, as far as they are given."""
-    names, motors, signs = {}, {}, {}
+    names: dict[str, str] = {}
+    motors: dict[str, Sequence[str]] = {}
+    signs: dict[str, Sequence[float] | Array] = {}
     if contract is not None:
         names["policy"], motors["policy"], signs["policy"] = contract.robot, contract.motor_names, contract.motor_signs
     if handshake is not None:

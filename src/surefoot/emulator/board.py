@@ -1,4 +1,4 @@
-"""Microcontroller, robot and line together, moved by time: what both the real-time and the lockstep emulator run."""
+"""Microcontroller, robot and link together, moved by time, in real time or in lockstep."""
 
 from __future__ import annotations
 
@@ -7,16 +7,13 @@ from collections.abc import Callable
 import numpy as np
 
 from surefoot.deploy.messages import Handshake, Mode
-from surefoot.deploy.serial.codec import Codec
-from surefoot.deploy.serial.frames import encode_frame
-from surefoot.emulator.faults import Fault, FaultInjector
+from surefoot.emulator.faults import FaultInjector, InjectedFault
 from surefoot.emulator.firmware import Firmware
+from surefoot.emulator.host_link import HostLink
 from surefoot.emulator.limits import Limits
-from surefoot.emulator.line import Line
 from surefoot.emulator.motion_capture import PERIOD
 from surefoot.emulator.plant import Plant
 from surefoot.emulator.signals import MotorOrder, Sensors
-from surefoot.seeding import generator
 
 _BOOT_TIME = 200_000
 """Time [us] that a microcontroller takes to start."""
@@ -25,16 +22,15 @@ _BOOT_TIME = 200_000
 class Board:
     """The whole emulated robot. Times are whole microseconds since it was switched on.
 
-    At the same moment, the physics advances first, then a state that is due is sent, then what arrives is heard: a
+    At the same moment, the physics advances first, then a state that is due is sent, then what arrives is received: a
     command that arrives at a servo step acts from that step on.
 
     Args:
         plant: the body.
         introduction: the robot's handshake.
+        link: its end of the link to hosts.
         limits: when the robot damps itself.
         faults: what goes wrong.
-        baud: bits per second of the line; 0: bytes take no time.
-        seed: of the line's faults.
         stride: servo steps that the physics may advance at once while nothing arrives or is due. The microcontroller
             checks tilt, battery and heat only between them. With faults it is 1.
         lead: time [s] before their use at which a deployment requests states. The control latency counts up to the
@@ -45,10 +41,9 @@ class Board:
         self,
         plant: Plant,
         introduction: Handshake,
+        link: HostLink,
         limits: Limits | None = None,
-        faults: dict[str, Fault] | None = None,
-        baud: float = 0.0,
-        seed: int = 0,
+        faults: dict[str, InjectedFault] | None = None,
         stride: int = 1,
         lead: float = 0.0,
     ) -> None:
@@ -56,13 +51,8 @@ class Board:
         self.stride = stride if not faults and plant.servo_every == 1 else 1
         self.plant, self.limits, self.lead = plant, limits or Limits.of(plant.robot), lead
         self.injector = FaultInjector(faults, plant, introduction)
-        self.codec = Codec(len(introduction.motor_names))
-        if "other-schema" in faults:
-            self.codec.schema ^= 0xFFFF
-        batch = faults["batching"].value if "batching" in faults else 0.0
-        self.inbound = Line(generator(seed, "line to robot"), baud)
-        self.outbound = Line(generator(seed, "line to host"), baud, batch)
-        self.inbound.chances = self.outbound.chances = self.injector.chances
+        self.link = link
+        link.chances = self.injector.chances
         self.now = self.reboots = 0
         self.on_step: list[Callable[[int], None]] = []
         """Called with the time [us] after servo steps: after all, or at least after each that motion capture sees."""
@@ -70,10 +60,10 @@ class Board:
         self.firmware = self._boot()
         self._booted = 0
         self._order: MotorOrder | None = None
-        self._damped = self._last = MotorOrder(Mode.DISARMED, np.zeros(self.codec.motors))
+        self._damped = self._last = MotorOrder(Mode.DISARMED, np.zeros(plant.robot.num_motors))
 
     def _boot(self) -> Firmware:
-        return Firmware(self.codec, self.injector.introduction, self.limits)
+        return Firmware(self.injector.introduction, self.limits)
 
     @property
     def next_step(self) -> int:
@@ -84,18 +74,14 @@ class Board:
     def next_time(self) -> float:
         """When there is something to do next: physics may wait until it can advance `stride` steps."""
         physics = self.next_step + (self.stride - 1) * self._step
-        return max(min(physics, self.inbound.next_time, self.outbound.next_time, self.firmware.next_state), self.now)
-
-    def hear(self, now: int, data: bytes) -> None:
-        """Put bytes on the line to the robot."""
-        self.inbound.send(now, data)
+        return max(min(physics, self.link.next_arrival, self.link.next_departure, self.firmware.next_state), self.now)
 
     def run_to(self, time: int) -> None:
         """Let everything happen that happens until then."""
         while True:
             standing = self._standing_until()
             step, due = self.next_step, max(self.firmware.next_state, standing)
-            arrival = max(self.inbound.next_time, self.now, standing)
+            arrival = max(self.link.next_arrival, self.now, standing)
             at = min(step, due, arrival)
             if at > time:
                 break
@@ -107,7 +93,7 @@ class Board:
                 if at == due:
                     self.firmware.report(self.now, self._read)
                 else:
-                    self.firmware.receive(self.now, self.inbound.take())
+                    self.link.receive(self.now, self.firmware)
             self._send()
         self.now = max(self.now, time)
 
@@ -120,13 +106,6 @@ class Board:
         possible = min(self.stride, int(moment - first) // self._step + 1)
         # Motion capture looks at the robot at multiples of its period.
         return min(possible, (-first % PERIOD) // self._step + 1)
-
-    def said(self) -> bytes:
-        """Return the bytes that have reached the host by now."""
-        parts = []
-        while self.outbound.next_time <= self.now:
-            parts.append(self.outbound.take())
-        return b"".join(parts)
 
     def _standing_until(self) -> int:
         return max(self.injector.hangs_until, self._booted)
@@ -151,20 +130,20 @@ class Board:
         end = self.plant.ticks * self._step
         self.now = max(self.now, end)
         self.injector.tick(end, self.firmware.armed)
-        self.inbound.chances = self.outbound.chances = self.injector.chances
+        self.link.chances = self.injector.chances
         if self.injector.began("unplug"):
-            self.inbound.cut_off()
-            self.outbound.cut_off()
+            self.link.cut_off()
         if not self.reboots and self.injector.began("reboot"):
             self.firmware, self._last = self._boot(), self._damped
+            self.link.restart()
             self.reboots, self._booted = 1, end + _BOOT_TIME
-        for look in self.on_step:
-            look(end)
+        for observe in self.on_step:
+            observe(end)
 
     def _read(self) -> Sensors:
         since = (self.now - self.plant.ticks * self._step) / 1e6
         return self.injector.sensors(self.plant.read(since, self.lead))
 
     def _send(self) -> None:
-        for frame in map(self.injector.frame, self.firmware.take()):
-            self.outbound.send(self.now, encode_frame(self.codec, frame.message, frame.sequence, frame.time))
+        for packet in map(self.injector.packet, self.firmware.take()):
+            self.link.send(self.now, packet)

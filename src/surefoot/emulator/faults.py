@@ -10,13 +10,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from surefoot.deploy.messages import Handshake, Mode, Packet, State
-from surefoot.emulator.line import HARMS
 from surefoot.emulator.signals import MotorOrder, Sensors
 from surefoot.errors import SurefootError, choices
 
 if TYPE_CHECKING:
     from surefoot.emulator.plant import Plant  # and with it the simulator, which a list of the faults does not need
 
+HARMS = ("garbage", "drop", "cut-frames", "corrupt", "reorder", "duplicate")
+"""What can happen to a packet on the line, in the order in which it is drawn; `FAULTS` describes each."""
 _MOTOR = "number of the motor"
 _AFTER_ARMING = "s after arming"
 TILT_FORCE = 1.1
@@ -98,7 +99,7 @@ FAULTS: dict[str, FaultKind] = {
 
 
 @dataclass(frozen=True)
-class Fault:
+class InjectedFault:
     """One fault as requested."""
 
     value: float
@@ -107,7 +108,7 @@ class Fault:
     """When it begins [s], after the robot was first armed; 0: it is always active."""
 
 
-def parse_faults(words: Sequence[str], lockstep: bool = False, motors: int = 8) -> dict[str, Fault]:
+def parse_faults(words: Sequence[str], lockstep: bool = False, motors: int = 8) -> dict[str, InjectedFault]:
     """Return faults by name, from words `NAME[=VALUE][@TIME]`.
 
     Args:
@@ -118,7 +119,7 @@ def parse_faults(words: Sequence[str], lockstep: bool = False, motors: int = 8) 
     Raises:
         SurefootError: no such fault, a fault given twice, or a number that it does not take.
     """
-    found: dict[str, Fault] = {}
+    found: dict[str, InjectedFault] = {}
     for word in words:
         rest, at, time = word.partition("@")
         name, equals, text = rest.partition("=")
@@ -145,7 +146,7 @@ def parse_faults(words: Sequence[str], lockstep: bool = False, motors: int = 8) 
         start = _number(word, time) if at else 0.0 if math.isnan(kind.start) else kind.start
         if not 0 <= start < math.inf:
             raise SurefootError(f"fault {name} begins at {start:g} s; it must be 0 or more")
-        found[name] = Fault(value, value if kind.unit == _AFTER_ARMING else start)
+        found[name] = InjectedFault(value, value if kind.unit == _AFTER_ARMING else start)
     return found
 
 
@@ -178,7 +179,7 @@ class FaultInjector:
         introduction: the robot's handshake; `self.introduction` is the one with its faults.
     """
 
-    def __init__(self, faults: dict[str, Fault], plant: Plant, introduction: Handshake) -> None:
+    def __init__(self, faults: dict[str, InjectedFault], plant: Plant, introduction: Handshake) -> None:
         self._faults, self._plant = faults, plant
         self._rest = plant.robot.resting_angles
         self.introduction = self._introduce(introduction)
@@ -208,11 +209,11 @@ class FaultInjector:
             said = replace(said, servo_period=faults["slow-servo"].value)
         return said
 
-    def _since(self, fault: Fault) -> float:
+    def _since(self, fault: InjectedFault) -> float:
         """Return the time since a fault began [s]; below 0 before."""
         return -math.inf if self.armed_at is None else (self._now - self.armed_at) / 1e6 - fault.start
 
-    def _active(self, name: str) -> Fault | None:
+    def _active(self, name: str) -> InjectedFault | None:
         """Return the fault of this name if it was requested and has begun."""
         fault = self._faults.get(name)
         return fault if fault and (fault.start == 0 or self._since(fault) >= 0) else None
@@ -280,15 +281,15 @@ class FaultInjector:
             seen = replace(seen, roll_pitch_yaw=angles, angular_velocity_base=rates)
         return seen
 
-    def frame(self, frame: Packet) -> Packet:
-        """Return what is sent instead of a frame."""
-        if isinstance(frame.message, State):
+    def packet(self, packet: Packet) -> Packet:
+        """Return what is sent instead of a packet."""
+        if isinstance(packet.message, State):
             if self.began("stale-state"):
-                self._old = self._old or frame
-                frame = replace(frame, message=self._old.message, time=self._old.time)
+                self._old = self._old or packet
+                packet = replace(packet, message=self._old.message, time=self._old.time)
             if self.began("repeat-sequence"):
-                frame = replace(frame, sequence=max(self._number, 1))
+                packet = replace(packet, sequence=max(self._number, 1))
             elif self.began("backward-sequence"):
-                frame = replace(frame, sequence=max(self._number - 1, 1))
-        self._number = frame.sequence
-        return frame
+                packet = replace(packet, sequence=max(self._number - 1, 1))
+        self._number = packet.sequence
+        return packet

@@ -1,7 +1,7 @@
 """The microcontroller's program, without its hardware: messages and time in, orders for the motors and messages out.
 
 It knows neither physics nor ports. Its caller passes what arrives (`receive`), asks once per servo step what the motors
-are to do (`tick`), lets it report when a state is due (`report`), and sends its frames (`take`). All times are whole
+are to do (`tick`), lets it report when a state is due (`report`), and sends its packets (`take`). All times are whole
 microseconds on the robot's own clock.
 
     mode       motors                            left by
@@ -39,8 +39,6 @@ from surefoot.deploy.messages import (
     Reason,
     State,
 )
-from surefoot.deploy.serial.codec import Codec
-from surefoot.deploy.serial.frames import Decoder
 from surefoot.emulator.limits import Limits
 from surefoot.emulator.signals import MotorOrder, Sensors, Vitals, microseconds
 
@@ -104,14 +102,12 @@ class Firmware:
     """The microcontroller's program.
 
     Args:
-        codec: of the robot.
         introduction: the robot's handshake.
         limits: when it damps itself.
     """
 
-    def __init__(self, codec: Codec, introduction: Handshake, limits: Limits) -> None:
+    def __init__(self, introduction: Handshake, limits: Limits) -> None:
         self.introduction, self.limits = introduction, limits
-        self.decoder = Decoder(codec)
         self.watch = LinkWatch(microseconds(self.limits.clean_gap))
         self.mode, self.reason, self.owner = Mode.DISARMED, Reason.NONE, 0
         self.period = 0
@@ -121,7 +117,7 @@ class Firmware:
         """Commands dropped because they were too old."""
         self._out: list[Packet] = []
         self._sent = 0
-        self._order = self._damped = MotorOrder(Mode.DISARMED, np.zeros(codec.motors))
+        self._order = self._damped = MotorOrder(Mode.DISARMED, np.zeros(len(introduction.motor_names)))
         self._fresh = False
         self._state_period = microseconds(self.limits.state_period[1])
         self._report_after = 0
@@ -143,9 +139,9 @@ class Firmware:
         return bool(self.owner) and (self.armed or not silent)
 
     def take(self) -> list[Packet]:
-        """Return and forget the frames to send, oldest first."""
-        said, self._out = self._out, []
-        return said
+        """Return and forget the packets to send, oldest first."""
+        packets, self._out = self._out, []
+        return packets
 
     def _say(self, now: int, message: Message) -> None:
         self._sent += 1
@@ -153,21 +149,18 @@ class Firmware:
 
     # Messages.
 
-    def receive(self, now: int, data: bytes) -> None:
-        """Take bytes from the link."""
-        counts = self.decoder.statistics
-        damaged, foreign = counts.damaged + counts.unknown, counts.foreign
-        frames = self.decoder.feed(data)
-        if counts.damaged + counts.unknown > damaged:
-            self.watch.damaged()
-        if counts.foreign > foreign:
-            self.watch.damaged()
-            self._mention(now, 0, Reason.SCHEMA, f"schema is {self.decoder.codec.schema:#010x}")
-        for frame in frames:
-            self._handle(now, frame)
+    def note_damage(self) -> None:
+        """Take note of a damaged packet: the link is not clean."""
+        self.watch.damaged()
 
-    def _handle(self, now: int, frame: Packet) -> None:
-        message = frame.message
+    def refuse_foreign(self, now: int, text: str) -> None:
+        """Refuse a packet of another version or schema of the protocol."""
+        self.watch.damaged()
+        self._mention(now, 0, Reason.SCHEMA, text)
+
+    def receive(self, now: int, packet: Packet) -> None:
+        """Take a packet."""
+        message = packet.message
         if isinstance(message, Ping):
             # A ping has no session and changes nothing: it is answered whatever its number.
             if self.owner:
@@ -176,19 +169,19 @@ class Firmware:
             return
         session = getattr(message, "session", 0)
         if isinstance(message, Hello) and session and session != self.owner:
-            self._greet_stranger(now, frame, message)
+            self._greet_stranger(now, packet, message)
             return
         if not session or session != self.owner:
             self._mention(now, session, Reason.SESSION, f"session {session} is not known")
             return
-        age = self.watch.age(now, microseconds(frame.time))
-        if not self.watch.takes(frame.sequence):
+        age = self.watch.age(now, microseconds(packet.time))
+        if not self.watch.takes(packet.sequence):
             if isinstance(message, Position | Pwm):
                 self._drop(now, "commands came twice or out of order")
             return
         self.watch.heard(now)
         if isinstance(message, Position | Pwm):
-            self._obey(now, frame.sequence, message, age)
+            self._obey(now, packet.sequence, message, age)
         elif isinstance(message, Hello):
             self._greet(now, message)
         elif isinstance(message, Arm):
@@ -202,16 +195,16 @@ class Firmware:
             self._disarm(now)
             self.owner, self.next_state = 0, math.inf
 
-    def _greet_stranger(self, now: int, frame: Packet, hello: Hello) -> None:
+    def _greet_stranger(self, now: int, packet: Packet, hello: Hello) -> None:
         if self.is_taken(now):
             self._refuse(now, hello.session, Reason.BUSY, "another operator has the robot")
             return
         self._disarm(now)
         self.owner = hello.session
         self.watch.restart()
-        self.watch.takes(frame.sequence)
+        self.watch.takes(packet.sequence)
         self.watch.heard(now)
-        self.watch.age(now, microseconds(frame.time))
+        self.watch.age(now, microseconds(packet.time))
         self._command = self._command_time = self._dropped = 0
         self._energy_start = None
         self._greet(now, hello)

@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 from importlib import import_module
 from typing import Any
 
-from surefoot.identify.ground_plans import contact_plan, mass_plan
+from surefoot.identify.ground.plans import contact_plan, mass_plan
 from surefoot.identify.plan import Plan
 from surefoot.identify.quality import check_recording
-from surefoot.identify.rack_plans import latency_plan, motor_plan
+from surefoot.identify.rack.plans import latency_plan, motor_plan
 from surefoot.identify.recording import Recording
 from surefoot.identify.result import Identification
 from surefoot.robot import PhysicalParams, RobotDescription

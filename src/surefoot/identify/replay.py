@@ -24,8 +24,8 @@ from numpy.typing import NDArray
 from surefoot.arrays import Array
 from surefoot.deploy.messages import Mode
 from surefoot.errors import SurefootError
+from surefoot.identify.logs.robot_log import RobotLog
 from surefoot.identify.recording import CLOCK, Recording
-from surefoot.identify.robot_log import RobotLog
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.world.actuation import read_imu
 from surefoot.world.interface import WorldConfig

@@ -406,6 +406,15 @@ class RobotDescription:
             joints |= {name: knees[..., number, k] for k, name in enumerate(leg.knees)}
         return joints
 
+    def link_frames(self, angles: ArrayLike) -> dict[str, Array]:
+        """Return the frames (..., 4, 4) of all links in the base's by name, loops closed, for motors (..., M) [rad].
+
+        NaN below the knees of a leg whose loop can't close.
+        """
+        frames = self.urdf.frames(self.joint_angles(angles))
+        in_base = np.linalg.inv(frames[self.base])
+        return {link: in_base @ frame for link, frame in frames.items()}
+
     def nominal_params(self) -> dict[str, Any]:
         """Return the nominal value of every physical parameter, by name: a number, or one for each motor."""
         timing = self.timing
@@ -469,7 +478,7 @@ def _legs(sheet: _Sheet, urdf: Urdf) -> tuple[Leg, ...]:
 
 def _mounts(base: str, legs: Sequence[Leg], urdf: Urdf) -> Array:
     """Return where legs are mounted (L, 3) [m]; see `RobotDescription.leg_mounts`."""
-    frames = urdf.frames
+    frames = urdf.frames()
     inverse = np.linalg.inv(frames[base])
 
     def place(joint: str) -> Array:
@@ -494,7 +503,7 @@ def _serial_legs(base: str, legs: Sequence[Leg], order: Sequence[str], sign: Arr
     Raises:
         SurefootError: axes that are not along the base's x (abduction) and y (hip, knee), or a link without length.
     """
-    frames = urdf.frames
+    frames = urdf.frames()
     inverse = np.linalg.inv(frames[base])
     rows: dict[str, list[Any]] = {name: [] for name in SerialLegs.__dataclass_fields__}
     for leg in legs:
@@ -503,7 +512,7 @@ def _serial_legs(base: str, legs: Sequence[Leg], order: Sequence[str], sign: Arr
         for motor, wanted in zip(leg.motors, along, strict=True):
             joint = urdf.joints[motor]
             frame = inverse @ frames[joint.child]
-            turned = frame[:3, :3] @ (np.array(joint.axis) / np.linalg.norm(joint.axis))
+            turned = frame[:3, :3] @ joint.axis
             if abs(abs(turned[wanted]) - 1.0) > _ALONG:
                 rule = f"axis at zero is ({turned[0]:.3g}, {turned[1]:.3g}, {turned[2]:.3g}) in the base frame"
                 raise SurefootError(f"legs.{leg.name}: {motor}: its {rule}; it must be along {'xy'[wanted]}")

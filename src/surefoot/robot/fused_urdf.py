@@ -7,7 +7,7 @@ I_k about it, all in the frame of the fused link,
     I = sum (I_k + m_k (|d_k|^2 1 - d_k d_k^T)),   d_k = c_k - c                (parallel axes)
 
 The fused link is written with its principal moments, in an inertial frame along its principal axes: readers of URDF
-differ in how they handle products of inertia.
+differ in how they handle products of inertia. Nothing here is MuJoCo's, so that its masses and these check each other.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ import numpy as np
 
 from surefoot.arrays import Array
 from surefoot.robot.rigid_body import RigidBody, fuse
-from surefoot.robot.urdf import Urdf, attribute, frame_of
+from surefoot.robot.urdf import Urdf, read_frame
 from surefoot.rotations import matrix_rpy
 
 
@@ -35,76 +35,34 @@ class FusedUrdf:
     text: str
 
 
-def _origin(frame: Array) -> ElementTree.Element:
-    """Return the <origin> of a frame (4, 4), in decimals that are read back as the same numbers."""
-
-    def words(values: Array) -> str:
-        return " ".join(repr(float(value)) for value in values)
-
-    return ElementTree.Element("origin", xyz=words(frame[:3, 3]), rpy=words(matrix_rpy(frame[:3, :3])))
-
-
-def _rigid_body(link: ElementTree.Element) -> RigidBody:
-    """Return mass, centre and inertia of a link of the file, in the link's own frame."""
-    frame = frame_of(link.find("inertial/origin"))
-    # `read_urdf` has refused links without inertia and mass.
-    element = link.find("inertial/inertia")
-    xx, xy, xz, yy, yz, zz = (float(attribute(element, key, "0")) for key in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz"))
-    inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-    turn = frame[:3, :3]
-    return RigidBody(float(attribute(link.find("inertial/mass"), "value")), frame[:3, 3], turn @ inertia @ turn.T)
-
-
-def _places(joints: list[ElementTree.Element], root: str) -> dict[str, tuple[str, Array]]:
-    """Return for each link the root of its group of fixed links, and its frame there."""
-    children: dict[str, list[ElementTree.Element]] = {}
-    for joint in joints:
-        children.setdefault(attribute(joint.find("parent"), "link"), []).append(joint)
-    place, waiting = {root: (root, np.eye(4))}, [root]
-    while waiting:
-        parent = waiting.pop()
-        for joint in children.get(parent, []):
-            child = attribute(joint.find("child"), "link")
-            top, frame = place[parent]
-            fixed = joint.get("type") == "fixed"
-            place[child] = (top, frame @ frame_of(joint.find("origin"))) if fixed else (child, np.eye(4))
-            waiting.append(child)
-    return place
-
-
 def fuse_urdf(urdf: Urdf, shifts: Mapping[str, Array] = MappingProxyType({})) -> FusedUrdf:
     """Fuse the links of a URDF that fixed joints join; a group takes the name and frame of its topmost link.
 
     Visuals are left out. `shifts` moves centres of mass of fused links, by name [m].
     """
     robot = ElementTree.parse(urdf.path).getroot()
-    links = {link.get("name", ""): link for link in robot.findall("link")}
-    joints = robot.findall("joint")
-    place = _places(joints, urdf.root)
+    elements = {link.get("name", ""): link for link in robot.findall("link")}
     fused = ElementTree.Element("robot", name=robot.get("name", ""))
     groups: dict[str, list[str]] = {}
-    for name, (top, _) in place.items():
+    for name, (top, _) in urdf.places.items():
         groups.setdefault(top, []).append(name)
     bodies = {}
     for top, names in groups.items():
-        bodies[top] = fuse([(_rigid_body(links[name]), place[name][1]) for name in names])
-        if top in shifts:
-            bodies[top] = replace(bodies[top], centre=bodies[top].centre + shifts[top])
+        body = fuse([(urdf.links[name].body, urdf.places[name][1]) for name in names])
+        bodies[top] = replace(body, centre=body.centre + shifts[top]) if top in shifts else body
         link = ElementTree.SubElement(fused, "link", name=top)
         link.append(_inertial(bodies[top]))
         for name in names:
-            for shape in links[name].findall("collision"):
-                _move(shape, place[name][1])
+            for shape in elements[name].findall("collision"):
+                _move(shape, urdf.places[name][1])
                 link.append(shape)
-    for joint in joints:
-        if joint.get("type") != "fixed":
-            parent = joint.find("parent")
-            assert parent is not None
-            top, frame = place[parent.get("link", "")]
+    for joint in robot.findall("joint"):
+        if joint.get("type") != "fixed" and (parent := joint.find("parent")) is not None:
+            top, frame = urdf.places[parent.get("link", "")]
             parent.set("link", top)
             _move(joint, frame)
             fused.append(joint)
-    return FusedUrdf(bodies, place, ElementTree.tostring(fused, encoding="unicode"))
+    return FusedUrdf(bodies, urdf.places, ElementTree.tostring(fused, encoding="unicode"))
 
 
 def _inertial(body: RigidBody) -> ElementTree.Element:
@@ -120,10 +78,16 @@ def _inertial(body: RigidBody) -> ElementTree.Element:
     return inertial
 
 
+def _origin(frame: Array) -> ElementTree.Element:
+    """Return the <origin> of a frame (4, 4), in decimals that are read back as the same numbers."""
+    xyz, rpy = frame[:3, 3].tolist(), np.asarray(matrix_rpy(frame[:3, :3])).tolist()
+    return ElementTree.Element("origin", xyz=" ".join(map(repr, xyz)), rpy=" ".join(map(repr, rpy)))
+
+
 def _move(element: ElementTree.Element, frame: Array) -> None:
     """Transform an element's <origin> from its link's frame into another, in which the link's is `frame`."""
     origin = element.find("origin")
-    moved = frame @ frame_of(origin)
+    moved = frame @ read_frame(origin)
     if origin is not None:
         element.remove(origin)
     element.insert(0, _origin(moved))

@@ -17,7 +17,7 @@ from surefoot.errors import SurefootError, accessible, located
 from surefoot.evaluate.runs import Estimate
 from surefoot.evaluate.statistics import Interval
 from surefoot.files import check_readable, whole_file
-from surefoot.report.html import page, picture, row
+from surefoot.report.pages.html import page, picture, row
 
 CONTENT = Path(__file__).with_name("paper.yaml")
 NOT_MEASURED = "not measured"

@@ -12,8 +12,8 @@ import numpy as np
 from surefoot.evaluate.runs import Runs
 from surefoot.evaluate.statistics import CONFIDENCE, Interval, decimal, t_interval
 from surefoot.files import whole_file
-from surefoot.report.figures import footfall_diagram
-from surefoot.report.style import BLUE, GREEN, ORANGE, QUIET, heading, new_figure, place_labels
+from surefoot.report.figures.runs import footfall_diagram
+from surefoot.report.figures.style import BLUE, GREEN, ORANGE, QUIET, heading, new_figure, place_labels
 from surefoot.studies.evaluations import gait_trace
 from surefoot.studies.trials import Retest, SearchResult, TrialResult, best
 from surefoot.tables import markdown, write_csv

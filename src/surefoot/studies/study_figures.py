@@ -13,7 +13,7 @@ import numpy as np
 from surefoot.errors import SurefootError
 from surefoot.evaluate.gap import PolicyGap
 from surefoot.evaluate.runs import Runs
-from surefoot.report.style import INK, QUIET, capital, heading, new_figure, place_labels, scattered
+from surefoot.report.figures.style import INK, QUIET, capital, heading, new_figure, place_labels, scattered
 from surefoot.studies.comparison import Comparison, Curve, GroupResult
 
 if TYPE_CHECKING:

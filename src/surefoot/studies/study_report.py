@@ -11,8 +11,8 @@ import numpy as np
 from surefoot.evaluate.gap import gap_difference
 from surefoot.evaluate.statistics import CONFIDENCE, Interval, decimal, t_interval
 from surefoot.files import whole_file
-from surefoot.report.figures import footfall_diagram
-from surefoot.report.parameter_figures import parameter_figure, parameters_figure
+from surefoot.report.figures.parameters import parameter_figure, parameters_figure
+from surefoot.report.figures.runs import footfall_diagram
 from surefoot.studies.comparison import CONTENTS, FAR, Comparison, GroupResult, difference, write_tables
 from surefoot.studies.evaluations import EVALUATIONS, gait_trace
 from surefoot.studies.study_figures import gap_figure, group_figure, learning_curves

@@ -137,10 +137,16 @@ def _commands(contract: Contract, config: CommandConfig) -> CommandConfig:
     """Return how commands are drawn, within the contract's limits."""
     limits = contract.commands
     if limits is None:
-        return replace(config, **{name: (0.0, 0.0) for name in COMMANDS})
-    ranges = {name: getattr(limits, name) for name in COMMANDS}
-    acceleration = limits.acceleration[0] / GRAVITY
-    return replace(config, **ranges, relative=False, acceleration=acceleration, heading_gain=limits.heading_gain)
+        return replace(config, forward=(0.0, 0.0), sideways=(0.0, 0.0), yaw_rate=(0.0, 0.0))
+    return replace(
+        config,
+        forward=limits.forward,
+        sideways=limits.sideways,
+        yaw_rate=limits.yaw_rate,
+        relative=False,
+        acceleration=limits.acceleration[0] / GRAVITY,
+        heading_gain=limits.heading_gain,
+    )
 
 
 def _assumed_params(contract: Contract, robot: RobotDescription) -> dict[str, ParamValue]:

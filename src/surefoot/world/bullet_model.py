@@ -20,7 +20,7 @@ from surefoot.errors import SurefootError
 from surefoot.native_output import quiet
 from surefoot.robot import GRAVITY, RobotDescription
 from surefoot.robot.fused_urdf import fuse_urdf
-from surefoot.robot.urdf import frame_of
+from surefoot.robot.urdf import read_frame
 from surefoot.rotations import matrix_quat
 from surefoot.world.actuation import CONTACT, RACK_HEIGHT, RATIOS
 from surefoot.world.bullet_kernels import pin_kernel, sole_kernel
@@ -285,7 +285,7 @@ class BulletModel:
         name, _ = self._fused.place[foot]
         found = ElementTree.fromstring(self._fused.text).findall(f"link[@name='{name}']/collision")
         spheres = [
-            (sphere, frame_of(item.find("origin")))
+            (sphere, read_frame(item.find("origin")))
             for item in found
             if (sphere := item.find("geometry/sphere")) is not None
         ]

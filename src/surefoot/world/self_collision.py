@@ -10,128 +10,97 @@ from __future__ import annotations
 
 import itertools
 import math
-import xml.etree.ElementTree as ElementTree
 from dataclasses import dataclass
 
 import numpy as np
 
 from surefoot.arrays import Array
 from surefoot.robot import RobotDescription
-from surefoot.robot.urdf import Joint, attribute, frame_of
-from surefoot.rotations import quat_matrix
+from surefoot.robot.urdf import Shape
 
 _SAMPLES = {1: 61, 2: 25, 3: 9}
-"""Angles of each joint at which shapes are placed, by the number of joints from the base; 5 of more."""
-_ROOM = 0.02
+"""Angles of each joint at which shapes are placed, by the number of joints from the root; 5 of more."""
+_MARGIN = 0.02
 """How much nearer shapes may come between these angles, in leg lengths."""
 _ALONG = np.linspace(-1.0, 1.0, 9)
 
 
 @dataclass(frozen=True)
-class _Shape:
-    """A box, or a cylinder or sphere as the points of its axis and a radius; places in its link's frame [m]."""
+class _Swept:
+    """A shape over all angles of its joints."""
 
-    link: str
-    box: tuple[Array, Array] | None
-    """Frame (4, 4) and half of the sides (3,) of a box."""
+    group: int
+    """0 for what is fixed to the base, else the number of the leg, from 1."""
+    shape: Shape
     points: Array
+    """Points (p, 3) in the link's frame [m]: of a box's surface, of a cylinder's axis, or a sphere's centre."""
     radius: float
-
-
-def _shapes(robot: RobotDescription) -> list[_Shape]:
-    """Return the boxes, cylinders and spheres of the URDF's collision shapes."""
-    found = []
-    for link in ElementTree.parse(robot.urdf.path).getroot().findall("link"):
-        for shape in link.findall("collision"):
-            frame, radius, box = frame_of(shape.find("origin")), 0.0, None
-            solids = {kind: shape.find(f"geometry/{kind}") for kind in ("box", "cylinder", "sphere")}
-            if solids["box"] is not None:
-                half = np.array([float(word) for word in attribute(solids["box"], "size").split()]) / 2
-                box, places = (frame, half), np.array(list(itertools.product(_ALONG[::4], repeat=3))) * half
-            elif solids["cylinder"] is not None:
-                radius = float(attribute(solids["cylinder"], "radius"))
-                length = float(attribute(solids["cylinder"], "length"))
-                places = np.outer(_ALONG, [0.0, 0.0, length / 2])
-            elif solids["sphere"] is not None:
-                radius, places = float(attribute(solids["sphere"], "radius")), np.zeros((1, 3))
-            else:
-                continue
-            found.append(_Shape(link.get("name", ""), box, places @ frame[:3, :3].T + frame[:3, 3], radius))
-    return found
-
-
-def _path(robot: RobotDescription, link: str) -> list[Joint]:
-    """Return the joints from the base to a link."""
-    above = {joint.child: joint for joint in robot.urdf.joints.values()}
-    path: list[Joint] = []
-    while link != robot.base and link in above:
-        path.insert(0, above[link])
-        link = above[link].parent
-    return path
-
-
-def _frames(path: list[Joint], angles: Array) -> Array:
-    """Return the frames (n, 4, 4) at the end of a path of joints, at angles (n, moving joints) [rad]."""
-    frames, at = np.tile(np.eye(4), (len(angles), 1, 1)), 0
-    for joint in path:
-        frames = frames @ joint.frame
-        if joint.kind != "fixed":
-            turn, half = np.tile(np.eye(4), (len(angles), 1, 1)), angles[:, at, None] / 2
-            axis = np.array(joint.axis) / np.linalg.norm(joint.axis)
-            turn[:, :3, :3] = quat_matrix(np.concatenate([np.cos(half), np.sin(half) * axis], axis=1))
-            frames, at = frames @ turn, at + 1
-    return frames
-
-
-def _placed(shape: _Shape, frames: Array) -> Array:
-    """Return the points (n, p, 3) of a shape whose link has these frames (n, 4, 4)."""
-    placed: Array = np.einsum("nij,pj->npi", frames[:, :3, :3], shape.points) + frames[:, None, :3, 3]
-    return placed
-
-
-def _gap(one: _Shape, other: _Shape, frames: tuple[Array, Array]) -> float:
-    """Return the distance [m] of two shapes whose links have frames (4, 4) in the base's; below 0 they touch."""
-    if one.box is not None:
-        one, other, frames = other, one, frames[::-1]
-    points = _placed(one, frames[0][None])[0]
-    if other.box is None:
-        between = points[:, None] - _placed(other, frames[1][None])[0]
-        return float(np.linalg.norm(between, axis=-1).min()) - one.radius - other.radius
-    frame, half = frames[1] @ other.box[0], other.box[1]
-    outside = np.maximum(np.abs((points - frame[:3, 3]) @ frame[:3, :3]) - half, 0.0)
-    return float(np.linalg.norm(outside, axis=1).min()) - one.radius
+    """Distance of the shape's surface from these points [m]; 0 for a box."""
+    low: Array
+    """Least coordinates (3,) that the shape reaches, in the root's frame [m]."""
+    high: Array
+    """Greatest ones."""
+    frames: list[Array]
+    """The link's frames (4, 4) while the robot rests and while it sits."""
 
 
 def collision_pairs(robot: RobotDescription) -> list[tuple[str, str]]:
     """Return the pairs of links that may collide with each other, none if the sheet has `self_collision` off."""
     if not robot.contact.self_collision:
         return []
-    still = robot.urdf.fixed_to(robot.base)
-    groups = [still, *(robot.urdf.below(leg.motors[0]) | robot.urdf.below(leg.motors[-1]) for leg in robot.legs)]
+    urdf, feet = robot.urdf, {leg.foot for leg in robot.legs}
+    legs = [urdf.below(leg.motors[0]) | urdf.below(leg.motors[-1]) for leg in robot.legs]
+    groups = [urdf.fixed_to(robot.base), *legs]
     poses = [robot.joint_angles(robot.pose_angles(*pose)) for pose in (robot.rest, robot.poses.sit)]
-    swept: list[tuple[int, _Shape, Array, list[Array]]] = []
-    for shape in _shapes(robot):
-        group = next((k for k, links in enumerate(groups) if shape.link in links), None)
-        if group is None:
+    frames = [urdf.frames(pose) for pose in poses]
+    swept = [
+        _sweep(robot, group, shape, [at[shape.link] for at in frames])
+        for link in urdf.links.values()
+        for shape in link.collisions
+        for group in [k for k, links in enumerate(groups) if shape.link in links][:1]
+    ]
+    pairs: dict[tuple[str, str], bool] = {}
+    for one, other in itertools.combinations(swept, 2):
+        pair = one.shape.link, other.shape.link
+        beside_base = 0 in (one.group, other.group) and not feet & set(pair)
+        if one.group == other.group or beside_base or (one.low > other.high).any() or (other.low > one.high).any():
             continue
-        path = _path(robot, shape.link)
-        moving = [joint for joint in path if joint.kind != "fixed"]
-        spans = np.clip([joint.limits or (-math.pi, math.pi) for joint in moving], -math.pi, math.pi).tolist()
-        grid = [np.linspace(low, high, _SAMPLES.get(len(moving), 5)) for low, high in spans]
-        angles = list(itertools.product(*grid))
-        every = np.array(angles, float).reshape(len(angles), len(moving))
-        places = _placed(shape, _frames(path, every)).reshape(-1, 3)
-        room = shape.radius + _ROOM * robot.leg_geometry.length
-        extent = np.array([places.min(axis=0) - room, places.max(axis=0) + room])
-        at = [_frames(path, np.array([[float(pose[joint.name]) for joint in moving]]))[0] for pose in poses]
-        swept.append((group, shape, extent, at))
-    feet = {leg.foot for leg in robot.legs}
-    found: dict[tuple[str, str], bool] = {}
-    for (g, one, mine, here), (h, other, theirs, there) in itertools.combinations(swept, 2):
-        beside_base = 0 in (g, h) and not {one.link, other.link} & feet
-        if g == h or beside_base or (mine[0] > theirs[1]).any() or (theirs[0] > mine[1]).any():
-            continue
-        pair = one.link, other.link
-        apart = all(_gap(one, other, frames) > 0 for frames in zip(here, there, strict=True))
-        found[pair] = found.get(pair, True) and apart
-    return [pair for pair, apart in found.items() if apart]
+        pairs[pair] = pairs.get(pair, True) and all(_gap(one, other, pose) > 0 for pose in range(len(poses)))
+    return [pair for pair, apart in pairs.items() if apart]
+
+
+def _sweep(robot: RobotDescription, group: int, shape: Shape, frames: list[Array]) -> _Swept:
+    points, radius = np.zeros((1, 3)), shape.size[0]
+    if shape.kind == "box":
+        points, radius = np.array(list(itertools.product(_ALONG[::4], repeat=3))) * shape.size, 0.0
+    elif shape.kind == "cylinder":
+        points = np.outer(_ALONG, [0.0, 0.0, shape.size[1]])
+    points = points @ shape.rotation.T + shape.position
+    chain = robot.urdf.chain(shape.link)
+    moving = [joint for joint in chain if joint.kind != "fixed"]
+    spans = np.clip([joint.limits or (-math.pi, math.pi) for joint in moving], -math.pi, math.pi).tolist()
+    grid = [np.linspace(low, high, _SAMPLES.get(len(moving), 5)) for low, high in spans]
+    angles = np.array(list(itertools.product(*grid)), float).T
+    reached = robot.urdf.frames(dict(zip([joint.name for joint in moving], angles, strict=True)), chain)[shape.link]
+    places = _place(points, reached).reshape(-1, 3)
+    room = radius + _MARGIN * robot.leg_geometry.length
+    return _Swept(group, shape, points, radius, places.min(axis=0) - room, places.max(axis=0) + room, frames)
+
+
+def _place(points: Array, frames: Array) -> Array:
+    """Return points (p, 3) of a link with frames (..., 4, 4), in the frames' root (..., p, 3)."""
+    placed: Array = np.einsum("...ij,pj->...pi", frames[..., :3, :3], points) + frames[..., None, :3, 3]
+    return placed
+
+
+def _gap(one: _Swept, other: _Swept, pose: int) -> float:
+    """Return the distance [m] of two shapes in the resting pose (0) or sitting (1); 0 or below, they touch."""
+    if one.shape.kind == "box":
+        one, other = other, one
+    points = _place(one.points, one.frames[pose])
+    if other.shape.kind != "box":
+        between = points[:, None] - _place(other.points, other.frames[pose])
+        return float(np.linalg.norm(between, axis=-1).min()) - one.radius - other.radius
+    frame = other.frames[pose] @ other.shape.frame
+    outside = np.maximum(np.abs((points - frame[:3, 3]) @ frame[:3, :3]) - other.shape.size, 0.0)
+    return float(np.linalg.norm(outside, axis=1).min()) - one.radius

@@ -14,7 +14,7 @@ import pytest
 pytest.importorskip("numba")  # the toy robot runs the emulator's firmware
 
 from surefoot.check_result import CheckResult
-from surefoot.cli.policies import find_policy
+from surefoot.cli.helpers.policies import find_policy
 from surefoot.deploy.doctor import rack as doctor_rack
 from surefoot.deploy.doctor.examination import check_computer, examine, time_inference
 from surefoot.deploy.doctor.ground import Tilted, check_tilts, tilted

@@ -1,0 +1,82 @@
+"""`surefoot identify motor-figure`: one motor follows a sine, or a recording, with both models of the motor."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+from typing import Annotated
+
+from surefoot.cli.helpers.options import Json, Settings, World, check_suffix
+from surefoot.cli.helpers.parsing import parse
+from surefoot.configuration import Duration, Within
+from surefoot.robot import DEFAULT_ROBOT
+
+
+@dataclass(frozen=True)
+class MotorFigureCommand:
+    """Let one motor of the robot on its rack follow a sine with both models of the motor, and draw what it did.
+
+    With --log the targets are the recording's, its measured angles are drawn, and errors are told against them.
+    Without, errors are told against the target: how far each model lags, which no recording has confirmed.
+    """
+
+    log: Path | None = None
+    """Recording: a CSV file with the columns time [s], target [rad], angle [rad]."""
+    out: Path = Path("motor_figure.png")
+    """Figure to write (.png)."""
+    motor: str | None = None
+    """Name of the motor; the robot's first one, if not given."""
+    amplitude: Annotated[float, Within(-10, 10)] = 0.3
+    """Amplitude of the sine [rad], if no log is given."""
+    frequency: Annotated[float, Within(0, 1000, above=True)] = 3.0
+    """Frequency of the sine [Hz], if no log is given."""
+    duration: Duration = 1.0
+    """Length of the sine [s], if no log is given."""
+    record: Path | None = None
+    """Write what the DC motor did as a log (.csv), for a model of it somewhere else."""
+    settings: Settings = ()
+    """Physical parameters that differ from the robot's, such as resistance=0.2."""
+    robot: str = DEFAULT_ROBOT
+    """Name or folder of the robot."""
+    world: World = "mujoco"
+    json: Json = False
+
+
+def main(argv: list[str]) -> int:
+    """Run the command with the words after its name; returns the exit code."""
+    command = parse(MotorFigureCommand, argv, "surefoot identify motor-figure")
+    check_suffix("figure", command.out, ".png")
+    import_module("matplotlib")
+    from surefoot.identify.motor_figure import MotorLog, motor_index, run_motor_experiment
+    from surefoot.report.figures.runs import STYLES, motor_figure
+    from surefoot.robot import RobotDescription, parse_settings
+    from surefoot.world.registry import find_world
+
+    robot = RobotDescription.load(command.robot)
+    make_world = find_world(command.world)
+    motor = command.motor or robot.motor_names[0]
+    index = motor_index(robot, motor)
+    if command.log is not None:
+        log = MotorLog.read(command.log)
+    else:
+        middle, step = float(robot.resting_angles[index]), robot.timing.control_step
+        log = MotorLog.sine(middle, command.amplitude, command.frequency, command.duration, step)
+    params = parse_settings([word for group in command.settings for word in group])
+    angles = run_motor_experiment(robot, make_world, log, index, params)
+    errors = {name: log.error(angle) for name, angle in angles.items()}
+    title = f"{motor} of {robot.name} on the rack, in {command.world}"
+    against = log.name if command.log is not None else "target"
+    motor_figure(command.out, log.time, log.target, log.angle, angles, errors, title)
+    files = [command.out]
+    if command.record is not None:
+        files.append(MotorLog(log.name, log.time, log.target, angles["dc"]).write(command.record))
+    if command.json:
+        told = {"motor": motor, "robot": robot.name, "world": command.world, "against": against, "rms_error": errors}
+        print(json.dumps({**told, "files": [str(file) for file in files]}))
+        return 0
+    for name, error in errors.items():
+        print(f"{STYLES[name][1]}: {error:.4f} rad RMS from {against}")
+    print(f"wrote {', '.join(map(str, files))}")
+    return 0

@@ -1,0 +1,178 @@
+"""An experiment on a robot: greet it, say what is going to happen, ask, run it, keep what was recorded."""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TextIO
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from surefoot.check_result import first_failure
+from surefoot.cli.helpers.options import Baud, Json, Lockstep, Yes, ask_to_move, check_terminal
+from surefoot.deploy.checks import check_identity, check_servo_period
+from surefoot.deploy.display import LiveDisplay, PlainLines
+from surefoot.deploy.links import open_link
+from surefoot.deploy.loop import Snapshot, Watch
+from surefoot.deploy.messages import Handshake
+from surefoot.deploy.pacer import undisturbed
+from surefoot.deploy.robot_link import LinkLostError, RobotLink
+from surefoot.deploy.serial.port import BAUD
+from surefoot.errors import SurefootError
+from surefoot.identify.experiment_runner import run_plan
+from surefoot.identify.plan import Plan
+from surefoot.identify.recording import Recording
+from surefoot.robot import DEFAULT_ROBOT, RobotDescription
+
+PLACES = {True: "hang free, its legs in the air", False: "sit on flat ground with a metre of room"}
+"""Where the robot must be, by whether it is an experiment for the rack."""
+
+
+@dataclass(frozen=True)
+class ExperimentCommand:
+    """Run an experiment on a robot, or take a recording of one, and find the physical parameters that it tells.
+
+    What is going to happen is shown, and asked for, before a motor moves. The recording is kept however the experiment
+    ends; --record-only leaves the fit to another computer, such as one with MuJoCo. Exit codes: 0 done, 2 refused
+    before anything moved or data that tell nothing, 3 stopped.
+    """
+
+    port: str | None = None
+    """Serial port or pseudo-terminal of the robot, such as /dev/ttyUSB0."""
+    recording: Path | None = None
+    """Take this recording instead of a robot: the folder of an experiment, or its file."""
+    params: Path | None = None
+    """File of what is known of the robot (.toml); what is found is written to it. robot.toml in --out, if not given."""
+    out: Path | None = None
+    """Folder for recording and report; runs/identify/EXPERIMENT-TIME or the recording's, if not given."""
+    record_only: bool = False
+    """Record and do not fit; needs the bare install only."""
+    yes: Yes = False
+    lockstep: Lockstep = False
+    baud: Baud = BAUD
+    robot: str = DEFAULT_ROBOT
+    """Name or folder of the robot's description."""
+    json: Json = False
+
+
+def run_experiment(command: ExperimentCommand, plan: Plan, robot: RobotDescription, path: Path) -> Recording:
+    """Run a plan on the robot that the command names, and keep the recording at a path, however it ended.
+
+    Raises:
+        SurefootError: no robot or another one, nobody who says yes, or a robot that does not arm: nothing has moved.
+    """
+    if not command.yes:
+        check_terminal(PLACES[plan.rack])
+    with _greeted(command, robot) as (link, said):
+        _show_plan(plan, said, Console(stderr=command.json, highlight=False, soft_wrap=True, emoji=False))
+        if command.yes:
+            return _run(command, link, plan, robot, path)
+    # A robot does not wait for slow answers: it is greeted anew.
+    ask_to_move(PLACES[plan.rack])
+    with _greeted(command, robot) as (link, _):
+        return _run(command, link, plan, robot, path)
+
+
+@contextlib.contextmanager
+def _greeted(command: ExperimentCommand, robot: RobotDescription) -> Iterator[tuple[RobotLink, Handshake]]:
+    link = open_link(str(command.port), robot.num_motors, command.lockstep, command.baud)
+    try:
+        handshake = link.connect()
+        check_handshake(handshake, robot)
+        yield link, handshake
+    finally:
+        with contextlib.suppress(LinkLostError, OSError):
+            link.close()
+
+
+def check_handshake(handshake: Handshake, robot: RobotDescription) -> None:
+    """Refuse a robot that is not the one of the data sheet."""
+    error = first_failure([*check_identity(robot, handshake=handshake), check_servo_period(robot, handshake)])
+    if error is not None:
+        raise SurefootError(f"the robot is not as on its data sheet: {error}")
+
+
+def _show_plan(plan: Plan, handshake: Handshake, console: Console) -> None:
+    """Say what is going to happen."""
+    limits, name = plan.limits, handshake.robot
+    # What a robot does not take is not sent to it.
+    low, high = np.maximum(plan.angle_low, handshake.angle_low), np.minimum(plan.angle_high, handshake.angle_high)
+    place = "on its rack, legs in the air" if plan.rack else "on flat ground"
+    head = f"{plan.experiment} experiment with {name} {place}, {plan.duration:.0f} s and a second at rest"
+    table = Table(title=head, title_justify="left", title_style="bold")
+    table.add_column("phase")
+    table.add_column("time", justify="right")
+    table.add_column("what the robot does")
+    # Each kind of phase with its count, in the order in which they first come.
+    kinds: dict[tuple[str, str], list[float]] = {}
+    for phase in plan.phases:
+        kinds.setdefault((phase.name, phase.what), []).append(phase.duration)
+    for (phase_name, what), times in kinds.items():
+        counted = phase_name if len(times) == 1 else f"{phase_name} x {len(times)}"
+        table.add_row(Text(counted), Text(f"{sum(times):.1f} s"), Text(what))
+    console.print(table)
+    pwm = f"; duty without servo at most {plan.largest_duty:g}" if plan.largest_duty else ""
+    console.print(f"motor angles from {low.min():.2f} to {high.max():.2f} rad{pwm}", markup=False)
+    console.print(
+        f"ends with damped motors when a motor leaves {plan.angle_low.min() - limits.angle_room:.2f} to "
+        f"{plan.angle_high.max() + limits.angle_room:.2f} rad, gives more than "
+        f"{limits.torque:g} N m for {limits.torque_time:g} s or is hotter than {limits.temperature:g} degC, after "
+        f"{limits.duration:g} s, or with Ctrl-C",
+        markup=False,
+    )
+
+
+def _run(command: ExperimentCommand, link: RobotLink, plan: Plan, robot: RobotDescription, path: Path) -> Recording:
+    with contextlib.ExitStack() as stack:
+        watch = Progress(plan, f"{plan.experiment} experiment, {robot.name}, {command.port}", sys.stderr)
+        stack.callback(watch.close)
+        if not command.lockstep:
+            stack.enter_context(undisturbed())
+        recording = run_plan(link, plan, robot, watch)
+    recording.save(path)
+    return recording
+
+
+class Progress(Watch):
+    """How an experiment goes, and how long it still takes: a display on a terminal, lines elsewhere."""
+
+    def __init__(self, plan: Plan, title: str, stream: TextIO) -> None:
+        self._display = LiveDisplay(title) if stream.isatty() else None
+        self._out = self._display or PlainLines(stream)
+        self._phases, self._number, self._name = plan.phases, 0, ""
+
+    def phase(self, name: str, duration: float) -> None:
+        """A phase begins."""
+        self._number += 1
+        self._name = f"{name}, {self._number} of {len(self._phases)}"
+        if self._display is not None:
+            self._display.phase(self._name, duration + self._later())
+        else:
+            self._out.phase(f"{self._name}, {duration + self._later():.0f} s left", 0.0)
+
+    def _later(self) -> float:
+        """Time of the phases that come [s]."""
+        return sum(phase.duration for phase in self._phases[self._number :])
+
+    def tick(self, snapshot: Snapshot) -> None:
+        """Several times a second."""
+        if self._display is not None:
+            self._display.tick(replace(snapshot, phase=self._name, left=snapshot.left + self._later()))
+
+    def warn(self, text: str) -> None:
+        """Something that the operator should know."""
+        self._out.warn(text)
+
+    def recording(self, text: str) -> None:
+        """How recording goes."""
+        self._out.recording(text)
+
+    def close(self) -> None:
+        """End the display."""
+        self._out.close()

@@ -1,0 +1,132 @@
+"""Robots in MuJoCo's viewer, where every link is a mocap body: recorded runs, and emulated robots while they run."""
+
+from __future__ import annotations
+
+import contextlib
+import multiprocessing
+import signal
+import time
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import mujoco
+import numpy as np
+
+from surefoot.arrays import Array
+from surefoot.errors import SurefootError
+from surefoot.report.drawing.scene import poses, scene, trace_poses
+from surefoot.robot import RobotDescription
+from surefoot.robot.urdf import Shape
+from surefoot.rotations import matrix_quat
+from surefoot.task.trace import EpisodeTrace
+
+if TYPE_CHECKING:
+    from surefoot.emulator.plant import Plant
+
+_KINDS = {
+    "box": mujoco.mjtGeom.mjGEOM_BOX,
+    "cylinder": mujoco.mjtGeom.mjGEOM_CYLINDER,
+    "sphere": mujoco.mjtGeom.mjGEOM_SPHERE,
+}
+_PERIOD = 33_000
+"""Time between two poses of an emulated robot [us]."""
+_BASE = 7
+
+
+def build_stage(shapes: Sequence[Shape]) -> mujoco.MjModel:
+    """Return a model with the ground, a light and a mocap body, by its name, for every body that has shapes."""
+    spec = mujoco.MjSpec()
+    spec.worldbody.add_light(pos=[0, 0, 4], dir=[0, 0, -1], type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL)
+    seen: dict[str, Any] = {"contype": 0, "conaffinity": 0}
+    spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 0.5], rgba=[0.8, 0.82, 0.84, 1], **seen)
+    bodies = {name: spec.worldbody.add_body(name=name, mocap=True) for name in dict.fromkeys(s.link for s in shapes)}
+    for shape in shapes:
+        bodies[shape.link].add_geom(
+            type=_KINDS[shape.kind],
+            size=[*shape.size, 0, 0][:3],
+            pos=shape.position,
+            quat=matrix_quat(shape.rotation),
+            rgba=[*(channel / 255 for channel in shape.color), 1],
+            **seen,
+        )
+    return spec.compile()
+
+
+def set_stage(model: mujoco.MjModel, data: mujoco.MjData, at: Mapping[str, Array], step: int) -> None:
+    """Move every body to its pose at one step of `at` (T, 4, 4)."""
+    for name, pose in at.items():
+        body = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, name)
+        if body >= 0:
+            row = model.body_mocapid[body]
+            data.mocap_pos[row], data.mocap_quat[row] = pose[step, :3, 3], matrix_quat(pose[step, :3, :3])
+    mujoco.mj_kinematics(model, data)
+
+
+def replay(robot: RobotDescription, trace: EpisodeTrace) -> None:
+    """Show a recorded run in real time, repeatedly, until the window is closed."""
+    recorded, times, start = trace_poses(robot, trace), trace.time, time.perf_counter()
+
+    def now() -> tuple[Mapping[str, Array], int]:
+        played = (time.perf_counter() - start) % float(times[-1])
+        return recorded, min(int(np.searchsorted(times, played)), len(times) - 1)
+
+    _show(robot, now)
+
+
+def _show(robot: RobotDescription, now: Callable[[], tuple[Mapping[str, Array], int]]) -> None:
+    """Show a robot until the window is closed; `now` gives poses by body (T, 4, 4), and the step to show."""
+    import mujoco.viewer
+
+    model = build_stage(scene(robot))
+    data = mujoco.MjData(model)
+    with mujoco.viewer.launch_passive(model, data, show_left_ui=False, show_right_ui=False) as viewer:
+        viewer.cam.type = mujoco.mjtCamera.mjCAMERA_TRACKING
+        viewer.cam.trackbodyid = model.body(robot.base).id
+        viewer.cam.distance, viewer.cam.azimuth, viewer.cam.elevation = 1.4, 120, -15
+        while viewer.is_running():
+            # Where a leg can't close its loop for a moment, the last picture stays.
+            with contextlib.suppress(SurefootError):
+                set_stage(model, data, *now())
+            viewer.sync()
+            time.sleep(1 / 60)
+
+
+class EmulateViewer:
+    """Shows an emulated robot (name or folder, and its body) while it runs, from a process that can't hold it up."""
+
+    def __init__(self, robot: str, plant: Plant) -> None:
+        self._plant = plant
+        context = multiprocessing.get_context("spawn")
+        # Written here and read there without a lock: half a pose is drawn at worst, and for 1/60 s.
+        self._shared = context.RawArray("d", _BASE + plant.robot.num_motors)
+        self._next = 0
+        self._write()
+        self._process = context.Process(target=_show_shared, args=(robot, self._shared), daemon=True)
+        self._process.start()
+
+    def see(self, now: int) -> None:
+        """Take in that a servo step has ended at this time [us]."""
+        if now >= self._next:
+            self._next = now + _PERIOD
+            self._write()
+
+    def _write(self) -> None:
+        base = self._plant.capture()
+        self._shared[:] = [*base.position, *base.quat, *self._plant.vitals().motor_angle]
+
+    def close(self) -> None:
+        """Close the window."""
+        self._process.terminate()
+        self._process.join()
+
+
+def pose_of(robot: RobotDescription, numbers: Any) -> dict[str, Array]:
+    """Return transforms (1, 4, 4) of all links, by name, from base position, quaternion and motor angles in a row."""
+    row = np.array(numbers)
+    return poses(robot, row[:3], row[3:_BASE], row[_BASE:])
+
+
+def _show_shared(name: str, shared: Any) -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the emulator hears it too, and closes the window
+    robot = RobotDescription.load(name)
+    _show(robot, lambda: (pose_of(robot, shared), 0))

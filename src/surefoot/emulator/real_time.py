@@ -1,0 +1,130 @@
+"""The emulator in real time: a board moved by the computer's clock."""
+
+from __future__ import annotations
+
+import math
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+
+from surefoot.emulator.board import Board
+from surefoot.emulator.signals import microseconds
+
+BEHIND = 10_000
+"""Lag of the physics [us] from which on it is reported."""
+SLIP = 50_000
+"""Lag [us] beyond which robot time slips instead of catching up."""
+_REPORT_EVERY = 1.0
+_PAUSE = 1e-3
+"""Pause [s] when robot time slips: a process that has priority over all others must not keep the processor."""
+
+
+@dataclass
+class Summary:
+    """What happened while the emulator ran."""
+
+    robot_time: float = 0.0
+    """Time on the robot's clock [s]."""
+    real_time: float = 0.0
+    """Time on the computer's clock [s]."""
+    processor_time: float = 0.0
+    """Processor time of the process [s]."""
+    behind: int = 0
+    """How often the physics fell behind by more than `BEHIND`."""
+    slips: int = 0
+    """How often robot time slipped."""
+    slipped: float = 0.0
+    """By how much in total [s]."""
+    worst: float = 0.0
+    """Largest lag [s]."""
+    stop: bool = field(default=False, repr=False)
+    """Set from outside to end the loop."""
+
+    def text(self, board: Board) -> str:
+        """Return one line for the end."""
+        statistics, firmware = board.link.statistics, board.firmware
+        share = self.processor_time / self.real_time if self.real_time > 0 else 0.0
+        words = [
+            f"{self.robot_time:.3f} s of robot time in {self.real_time:.1f} s",
+            f"{100 * share:.0f} % of a processor",
+            f"behind {self.behind} times (by {1e3 * self.worst:.1f} ms at worst)",
+            f"slipped {self.slips} times ({self.slipped:.3f} s)",
+            f"frames received {statistics.received}, damaged {statistics.damaged}, foreign {statistics.foreign}",
+            f"repeated {firmware.watch.old_numbers}, stale {firmware.stale}, not read {statistics.unsent}",
+            f"mode {firmware.mode.name}, reason {firmware.reason.name}",
+        ]
+        return "; ".join(words)
+
+
+@contextmanager
+def measure(board: Board, summary: Summary) -> Iterator[None]:
+    """Measure the time of a run for its summary."""
+    started, used = time.monotonic(), time.process_time()
+    yield
+    summary.robot_time = board.now / 1e6
+    summary.real_time = time.monotonic() - started
+    summary.processor_time = time.process_time() - used
+
+
+class RealTime:
+    """Moves a board by the computer's monotonic clock, and sleeps in between.
+
+    Args:
+        board: the robot.
+        summary: kept up to date; its `stop` ends the loop.
+        load: least time that the physics takes, in multiples of real time; 0: no minimum.
+    """
+
+    def __init__(self, board: Board, summary: Summary, load: float = 0.0) -> None:
+        self.board, self._summary, self._load = board, summary, load
+        self._next_report = -math.inf
+        self._since = 0.0, 0.0
+
+    def run(self, until: float | None = None) -> None:
+        """Run until so much robot time [s] has passed, or until stopped."""
+        board, link, summary = self.board, self.board.link, self._summary
+        self._since = time.monotonic(), time.process_time()
+        start = self._since[0] - board.now / 1e6
+        end = sys.maxsize if until is None else microseconds(until)
+        late = readable = False
+        with measure(board, summary):
+            while not summary.stop and board.now < end:
+                now = int((time.monotonic() - start) * 1e6)
+                lag = now - board.next_step
+                summary.worst = max(summary.worst, lag / 1e6)
+                if lag > BEHIND:
+                    summary.behind += not late
+                    self._report(lag)
+                late = lag > BEHIND
+                if lag > SLIP:
+                    summary.slips += 1
+                    summary.slipped += lag / 1e6
+                    start += lag / 1e6
+                    now -= lag
+                    time.sleep(_PAUSE)
+                if readable:
+                    link.poll(max(now, board.now))
+                # At most a few steps before the port is read again, or what arrives would be stamped too late.
+                target = min(now, end, board.next_step + 4_000)
+                before = board.plant.ticks
+                board.run_to(max(target, board.now))
+                if self._load:
+                    time.sleep(self._load * 1e-3 * (board.plant.ticks - before))
+                link.flush(board.now)
+                readable = link.wait(board.next_time / 1e6 - (time.monotonic() - start))
+
+    def _report(self, lag: int) -> None:
+        """Print that physics lags, at most once per `_REPORT_EVERY`."""
+        real, used = time.monotonic(), time.process_time()
+        if real < self._next_report:
+            return
+        share = (used - self._since[1]) / max(real - self._since[0], 1e-3)
+        print(
+            f"surefoot: the emulator is {lag / 1e3:.0f} ms behind real time "
+            f"(it used {100 * share:.0f} % of a processor since)",
+            file=sys.stderr,
+            flush=True,
+        )
+        self._next_report, self._since = real + _REPORT_EVERY, (real, used)

@@ -1,0 +1,100 @@
+"""The emulator in lockstep: a board moved by the times in the frames that arrive."""
+
+from __future__ import annotations
+
+import sys
+import time
+
+from surefoot.deploy.serial.codec import Codec
+from surefoot.deploy.serial.frames import MAX_FRAME, Decoder
+from surefoot.emulator.board import Board
+from surefoot.emulator.real_time import Summary, measure
+from surefoot.emulator.serial.pty_port import PtyPort
+from surefoot.emulator.serial.serial_host_link import SerialHostLink
+from surefoot.emulator.signals import microseconds
+
+PATIENCE = 2.0
+"""Time [s] that a host has for reading what the robot sends."""
+_IDLE = 0.05
+_POLL_PERIOD = 0.005
+"""Time [s] between two checks whether a host has opened the port."""
+_STRIDE = 10_000
+"""Robot time [us] that passes at once while nobody has the port open."""
+
+
+class Lockstep:
+    """Moves a board by the times in the frames that arrive.
+
+    Before a frame is handed over, the robot runs to the frame's time and sends what is due until then. So a host that
+    has the pong of its ping has all that the robot sent until then.
+
+    Robot time begins with the first frame. A frame's time on the robot's clock is its own plus an offset. The frames
+    that name no session (pings) have the offset of the first frame, and so has the first operator; the clock of any
+    other operator is set to the present when its first frame comes. A time that goes back leaves the robot's as it is.
+
+    A host that dies sends no more frames: time would stand still, and the robot would stay armed and owned for good. So
+    when the last host has closed the port, time goes on by itself until another operator may take the robot. A host
+    that is only slow keeps its port open, and its robot.
+
+    Args:
+        board: the robot.
+        link: its end of the line, which takes no time.
+        port: the link's; it must not be held.
+        summary: kept up to date; its `stop` ends the loop.
+    """
+
+    def __init__(self, board: Board, link: SerialHostLink, port: PtyPort, summary: Summary) -> None:
+        self.board, self._link, self._port, self._summary = board, link, port, summary
+        self._decoder = Decoder(Codec(link.codec.motors))
+        self._open = bytearray()
+        self._anonymous: int | None = None
+        self._offsets: dict[int, int] = {}
+
+    def run(self, until: float | None = None) -> None:
+        """Run until so much robot time [s] has passed, or until stopped."""
+        board, port, summary = self.board, self._port, self._summary
+        end = sys.maxsize if until is None else microseconds(until)
+        with measure(board, summary):
+            while not summary.stop and board.now < end:
+                if port.deserted():
+                    self._pass_time_alone()
+                    time.sleep(_POLL_PERIOD)  # nothing to wait for would wake the process
+                elif port.wait(_IDLE) and (data := port.read()):
+                    self._receive(data)
+
+    def _pass_time_alone(self) -> None:
+        """Let robot time go on until another operator may take the robot; what it sends meanwhile is lost."""
+        board = self.board
+        while board.firmware.is_taken(board.now) and not self._summary.stop:
+            board.run_to(board.now + _STRIDE)
+            self._link.take(board.now)
+
+    def _receive(self, data: bytes) -> None:
+        """Take bytes up to each zero, one after another; those that complete a frame first advance time."""
+        board, link = self.board, self._link
+        self._open += data
+        while not self._summary.stop:
+            end = self._open.find(0) + 1
+            if not end and len(self._open) <= MAX_FRAME:
+                return
+            # So many bytes without a zero are no frame: they are damage for the decoder to count, not to keep.
+            piece = bytes(self._open[: end or MAX_FRAME])
+            del self._open[: len(piece)]
+            for packet in self._decoder.feed(piece):
+                session = getattr(packet.message, "session", 0)
+                if not board.firmware.armed or session in (0, board.firmware.owner):
+                    # Frames of another operator must not make an armed robot miss its operator's commands.
+                    self._follow(microseconds(packet.time), session)
+            link.inbound.send(board.now, piece)
+            board.run_to(board.now)
+            link.flush(board.now)
+
+    def _follow(self, sent: int, session: int) -> None:
+        """Run to a frame's time [us] on its sender's clock; session 0: none."""
+        board = self.board
+        if self._anonymous is None:
+            self._anonymous = board.now - sent
+        if session and session not in self._offsets:
+            self._offsets[session] = board.now - sent if self._offsets else self._anonymous
+        offset = self._offsets.get(session or board.firmware.owner, self._anonymous)
+        board.run_to(max(board.now, sent + offset))

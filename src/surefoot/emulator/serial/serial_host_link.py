@@ -1,0 +1,136 @@
+"""The robot's end of a serial line: a port's bytes to packets and back."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Protocol
+
+from surefoot.deploy.messages import Packet
+from surefoot.deploy.robot_link import LinkStatistics
+from surefoot.deploy.serial.codec import Codec
+from surefoot.deploy.serial.frames import Decoder, encode_frame
+from surefoot.emulator.faults import InjectedFault
+from surefoot.emulator.firmware import Firmware
+from surefoot.emulator.serial.line import Line
+from surefoot.seeding import generator
+
+
+class Port(Protocol):
+    """Where hosts read and write; see `PtyPort`."""
+
+    unread: int
+
+    def read(self) -> bytes:
+        """Return what hosts have written since the last call."""
+        ...
+
+    def wait(self, timeout: float) -> bool:
+        """Wait until something can be read, at most so long [s]; return whether it can."""
+        ...
+
+    def write(self, data: bytes, patience: float = 0.0) -> None:
+        """Write to the hosts; drop what they leave unread for longer than `patience` [s]."""
+        ...
+
+
+class SerialHostLink:
+    """COBS frames over a line in both directions; a `HostLink`.
+
+    Args:
+        port: where the line ends for hosts.
+        motors: number of motors.
+        faults: by name; those of the line act here.
+        baud: bits per second; 0: bytes take no time.
+        seed: of what happens to frames on the way.
+        patience: time [s] that hosts have for reading.
+    """
+
+    def __init__(
+        self,
+        port: Port,
+        motors: int,
+        faults: Mapping[str, InjectedFault] | None = None,
+        baud: float = 0.0,
+        seed: int = 0,
+        patience: float = 0.0,
+    ) -> None:
+        faults = faults or {}
+        self.port, self._patience = port, patience
+        self.codec = Codec(motors)
+        if "other-schema" in faults:
+            self.codec.schema ^= 0xFFFF
+        batch = faults["batching"].value if "batching" in faults else 0.0
+        self.inbound = Line(generator(seed, "line to robot"), baud)
+        self.outbound = Line(generator(seed, "line to host"), baud, batch)
+        self._decoder = Decoder(self.codec)
+
+    @property
+    def statistics(self) -> LinkStatistics:
+        """What the firmware has received since it started, and what hosts did not read."""
+        self._decoder.statistics.unsent = self.port.unread
+        return self._decoder.statistics
+
+    @property
+    def chances(self) -> Mapping[str, float]:
+        """Chance of each harm that may happen now, 0 to 1 per frame."""
+        return self.inbound.chances
+
+    @chances.setter
+    def chances(self, chances: Mapping[str, float]) -> None:
+        self.inbound.chances = self.outbound.chances = chances
+
+    @property
+    def next_arrival(self) -> float:
+        """When the next bytes reach the robot; infinite if none are on their way."""
+        return self.inbound.next_time
+
+    @property
+    def next_departure(self) -> float:
+        """When the next bytes reach the host; infinite if none are on their way."""
+        return self.outbound.next_time
+
+    def poll(self, now: int) -> None:
+        """Put what hosts have written on the line to the robot."""
+        if data := self.port.read():
+            self.inbound.send(now, data)
+
+    def take(self, now: int) -> bytes:
+        """Return the bytes that have reached the hosts by now."""
+        parts = []
+        while self.outbound.next_time <= now:
+            parts.append(self.outbound.take())
+        return b"".join(parts)
+
+    def flush(self, now: int) -> None:
+        """Write what has reached the hosts by now."""
+        if data := self.take(now):
+            self.port.write(data, self._patience)
+
+    def wait(self, timeout: float) -> bool:
+        """Wait until hosts have written something, at most so long [s]; return whether they have."""
+        return self.port.wait(timeout)
+
+    def receive(self, now: int, firmware: Firmware) -> None:
+        """Hand the firmware the packets of the bytes that arrive next, and tell it of damage."""
+        statistics = self._decoder.statistics
+        damaged, foreign = statistics.damaged + statistics.unknown, statistics.foreign
+        packets = self._decoder.feed(self.inbound.take())
+        if statistics.damaged + statistics.unknown > damaged:
+            firmware.note_damage()
+        if statistics.foreign > foreign:
+            firmware.refuse_foreign(now, f"schema is {self.codec.schema:#010x}")
+        for packet in packets:
+            firmware.receive(now, packet)
+
+    def send(self, now: int, packet: Packet) -> None:
+        """Put a packet's frame on the line to the host."""
+        self.outbound.send(now, encode_frame(self.codec, packet.message, packet.sequence, packet.time))
+
+    def restart(self) -> None:
+        """Forget what has come of frames that are not complete: the firmware starts anew."""
+        self._decoder = Decoder(self.codec)
+
+    def cut_off(self) -> None:
+        """Pull the cable: what is on its way is lost, and all that follows."""
+        self.inbound.cut_off()
+        self.outbound.cut_off()

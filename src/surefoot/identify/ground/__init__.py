@@ -1,0 +1,1 @@
+"""Experiments on a robot that stands on the ground: plans, motion, inverse dynamics, fits."""

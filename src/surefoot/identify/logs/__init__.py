@@ -1,0 +1,1 @@
+"""Logs of robots that others recorded: import, replay, fits."""

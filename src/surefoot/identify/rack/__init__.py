@@ -1,0 +1,1 @@
+"""Experiments on a robot that hangs on a rack: plans, model, fits."""

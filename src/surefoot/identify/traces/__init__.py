@@ -1,0 +1,1 @@
+"""Fits to traces of deployments."""

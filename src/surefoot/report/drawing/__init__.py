@@ -1,0 +1,1 @@
+"""Robots drawn in software: scene, renderer, video."""

@@ -1,0 +1,46 @@
+"""A picture of a robot in its resting pose: axes of the base, and the names of the legs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from PIL import ImageDraw
+
+from surefoot.report.drawing.renderer import SUPERSAMPLE, Camera, Mesh, View, draw
+from surefoot.report.drawing.scene import poses, scene
+from surefoot.report.drawing.video import INK, label_font
+from surefoot.robot import RobotDescription
+
+SIZE = (960, 720)
+"""Width and height of the picture [px]."""
+_AXES = {"x forward": ((1.0, 0.0, 0.0), (200, 40, 40)), "y left": ((0.0, 1.0, 0.0), (30, 140, 50))}
+_UP = {"z up": ((0.0, 0.0, 1.0), (40, 70, 200))}
+
+
+def save_robot_picture(robot: RobotDescription, path: Path) -> None:
+    """Write the picture as PNG."""
+    length = robot.leg_geometry.length
+    level = poses(robot, np.zeros(3), [1.0, 0.0, 0.0, 0.0], robot.resting_angles)
+    height = -min(float(level[leg.foot][0, 2, 3]) for leg in robot.legs)
+    placed = poses(robot, [0.0, 0.0, height], [1.0, 0.0, 0.0, 0.0], robot.resting_angles)
+    bodies = list(placed)
+    size = 4.6 * max(length, robot.body_length)
+    camera = Camera(offset=(0.55 * size, -0.7 * size, 0.42 * size), height=0.5 * height)
+    view = View(camera, np.array([0.0, 0.0, camera.height]), SIZE)
+    picture = draw(Mesh(scene(robot), bodies), np.array([placed[name][0] for name in bodies]), view)
+    pen, font = ImageDraw.Draw(picture), label_font(20)
+
+    def at(point: np.ndarray) -> tuple[float, float]:
+        pixel, _ = view.project(np.asarray(point, float))
+        return float(pixel[0] / SUPERSAMPLE), float(pixel[1] / SUPERSAMPLE)
+
+    start = np.array([0.0, 0.0, height + 0.2 * length])
+    for name, (direction, color) in {**_AXES, **_UP}.items():
+        end = start + (0.35 if name in _UP else 0.6) * length * np.array(direction)
+        pen.line([at(start), at(end)], fill=color, width=4)
+        pen.text(at(end + 0.06 * length * np.array(direction)), name, fill=color, font=font, anchor="mm")
+    for leg in robot.legs:
+        foot = placed[leg.foot][0, :3, 3]
+        pen.text(at(foot - [0.0, 0.0, 0.12 * length]), leg.name.replace("_", " "), fill=INK, font=font, anchor="mm")
+    picture.save(path)

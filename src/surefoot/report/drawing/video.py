@@ -1,0 +1,135 @@
+"""A robot's run as an MP4: drawn in software, encoded as H.264 by the ffmpeg that comes with imageio-ffmpeg."""
+
+from __future__ import annotations
+
+import functools
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+from PIL import Image, ImageDraw, ImageFont
+
+from surefoot.arrays import Array
+from surefoot.errors import SurefootError
+from surefoot.report.drawing.renderer import Camera, Mesh, View, draw
+from surefoot.robot.urdf import Shape
+
+INK, PANEL = (34, 39, 46), (255, 255, 255, 190)
+
+
+def render_video(
+    shapes: Sequence[Shape],
+    poses: Mapping[str, Array],
+    times: ArrayLike,
+    path: str | Path,
+    *,
+    follow: str,
+    overlay: Sequence[str],
+    camera: Camera = Camera(),  # noqa: B008, it is frozen
+    fps: int = 50,
+    size: tuple[int, int] = (960, 540),
+) -> Path:
+    """Write an MP4 (H.264, yuv420p) of links' motion in real time.
+
+    Args:
+        shapes: what to draw.
+        poses: by link, frames (T, 4, 4) in the world at `times`.
+        times: (T,) s, strictly increasing.
+        path: .mp4 to write; it appears whole or not at all.
+        follow: link that the camera follows.
+        overlay: text at the top left for each of `times`; may have several lines.
+        camera: where pictures are taken from.
+        fps: frames a second; poses between two times are interpolated.
+        size: width and height in pixels, even.
+    """
+    import imageio_ffmpeg
+
+    path, times = Path(path), np.asarray(times, float)
+    if path.suffix.lower() != ".mp4":
+        raise SurefootError(f"video {path}: the name must end in .mp4")
+    mesh, stack = Mesh(shapes, list(poses)), np.stack(list(poses.values()), axis=1)
+    track_times, track = _smooth_track(times, poses[follow][:, :2, 3], camera.smoothing)
+    clock = times[0] + np.arange(max(int((times[-1] - times[0]) * fps + 1e-6), 1)) / fps
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_name(f".{path.stem}.{os.getpid()}.mp4")
+    writer = imageio_ffmpeg.write_frames(
+        str(temporary),
+        size,
+        fps=fps,
+        codec="libx264",
+        pix_fmt_out="yuv420p",
+        quality=None,
+        macro_block_size=2,
+        ffmpeg_log_level="error",
+        output_params=["-crf", "23", "-preset", "veryfast", "-movflags", "+faststart"],
+    )
+    try:
+        # Where no file can be made, ffmpeg would report its whole command.
+        temporary.touch()
+        writer.send(None)
+        for now in clock:
+            aim = np.array([*(np.interp(now, track_times, part) for part in track.T), camera.height])
+            picture = draw(mesh, interpolate_poses(times, stack, now), View(camera, aim, size))
+            _write(picture, overlay[int(np.abs(times - now).argmin())])
+            writer.send(picture.tobytes())
+        writer.close()
+        os.replace(temporary, path)
+    except OSError as error:
+        raise SurefootError(f"video {path}: can't be written: {error.strerror or 'ffmpeg failed'}") from error
+    finally:
+        writer.close()
+        temporary.unlink(missing_ok=True)
+    return path
+
+
+def interpolate_poses(times: Array, poses: Array, now: float) -> Array:
+    """Return frames (B, 4, 4) at a time out of those (T, B, 4, 4) at `times`: linear, the axes made orthonormal."""
+    after = min(max(int(np.searchsorted(times, now)), 1), len(times) - 1)
+    before = max(after - 1, 0)
+    span = times[after] - times[before]
+    share = float(np.clip((now - times[before]) / span, 0.0, 1.0)) if span > 0 else 0.0
+    pose: Array = (1.0 - share) * poses[before] + share * poses[after]
+    x = pose[:, :3, 0] / np.linalg.norm(pose[:, :3, 0], axis=1, keepdims=True)
+    z = np.cross(x, pose[:, :3, 1])
+    z /= np.linalg.norm(z, axis=1, keepdims=True)
+    pose[:, :3, :3] = np.stack([x, np.cross(z, x), z], axis=-1)
+    return pose
+
+
+def _write(picture: Image.Image, text: str) -> None:
+    """Write lines of text on a light panel at the top left."""
+    if not text:
+        return
+    unit = picture.height / 540
+    font = label_font(max(round(19 * unit), 11))
+    pen = ImageDraw.Draw(picture, "RGBA")
+    margin, padding = 14 * unit, 10 * unit
+    box = pen.multiline_textbbox((margin + padding, margin + padding), text, font=font, spacing=5 * unit)
+    pen.rounded_rectangle(
+        (box[0] - padding, box[1] - padding, box[2] + padding, box[3] + padding), radius=7 * unit, fill=PANEL
+    )
+    pen.multiline_text((margin + padding, margin + padding), text, fill=INK, font=font, spacing=5 * unit)
+
+
+@functools.lru_cache(maxsize=8)
+def label_font(size: int) -> Any:
+    """Return Pillow's own font, which is there on every machine."""
+    return ImageFont.load_default(size)
+
+
+def _smooth_track(times: Array, track: Array, smoothing: float) -> tuple[Array, Array]:
+    """Return times and positions (K, 2) of a camera that follows a track (T, 2) smoothly.
+
+    Local linear regression with Gaussian weights: unlike a mean, it does not lag at the ends.
+    """
+    if smoothing <= 0 or len(times) < 3:
+        return times, track
+    clock = np.linspace(times[0], times[-1], max(int((times[-1] - times[0]) * 20), 2))
+    rough = np.stack([np.interp(clock, times, part) for part in track.T], axis=-1)
+    lag = clock[None] - clock[:, None]
+    weight = np.exp(-0.5 * (lag / smoothing) ** 2)
+    m0, m1, m2 = ((weight * lag**k).sum(axis=1)[:, None] for k in range(3))
+    return clock, (m2 * (weight @ rough) - m1 * ((weight * lag) @ rough)) / (m0 * m2 - m1**2)

@@ -1,0 +1,231 @@
+"""The picture of an identification: intervals beside what was known, correlations, measured and simulated.
+
+The report's page calls and writes its numbers as the picture does.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from surefoot.identify.result import Estimate, Identification, Series
+from surefoot.report.figures.style import BLUE, INK, LEG_COLORS, ORANGE, QUIET, new_figure, spoken
+from surefoot.robot import PhysicalParams, RobotDescription
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+WIDTH = 11.0
+_PAPER: dict[str, Any] = {"facecolor": "white", "edgecolor": "none", "pad": 1.0}
+_BAR: dict[str, Any] = {"fmt": "o", "markersize": 4.5, "capsize": 3.0, "linewidth": 1.6}
+_SMALL: dict[str, Any] = {"va": "center", "ha": "center", "fontsize": 7.5, "bbox": _PAPER}
+_COLUMNS = 3
+_MOST = 2000
+"""Points of a series that are drawn: more can't be seen."""
+_DIGITS = 6
+"""Most digits behind the point; numbers that need more are written with powers of ten."""
+
+
+def identification_figure(
+    found: Identification, robot: RobotDescription, known: PhysicalParams, path: str | Path
+) -> Path:
+    """Draw what was found.
+
+    Single numbers have their intervals in percent of what was `known` before (one row); numbers of motors have a panel
+    each, in their own unit. Below stand what was measured and what is simulated, before and after.
+    """
+    single, several = _sorted(found.estimates)
+    rows: list[tuple[float, list[float], list[Callable[[Axes], None]]]] = []
+    if single or found.correlations:
+        drawn: list[Callable[[Axes], None]] = (
+            [partial(_intervals, items=single, robot=robot, known=known)] if single else []
+        )
+        if found.correlations:
+            drawn.append(partial(_correlations, found=found, robot=robot))
+        height = max(1.1 + 0.25 * len(single), 1.1 + 0.62 * max(len(found.correlations), 2))
+        rows.append((height, [1.5, 1.0][: len(drawn)], drawn))
+    for i in range(0, len(several), _COLUMNS):
+        groups = several[i : i + _COLUMNS]
+        rows.append((2.7, [1.0] * len(groups), [partial(_motors, items=g, robot=robot, known=known) for g in groups]))
+    for i in range(0, len(found.series), 2):
+        pair = found.series[i : i + 2]
+        rows.append((3.0, [1.0] * len(pair), [partial(_series, series=one) for one in pair]))
+    with new_figure(path, (WIDTH, sum(height for height, _, _ in rows) + 0.5)) as (figure, (unused,)):
+        unused.remove()
+        figure.suptitle(f"{found.experiment}: {found.robot}", x=0.01, ha="left", fontweight="bold")
+        if rows:
+            # Rows of their own: what needs room at the side in one takes none from another.
+            parts = figure.subfigures(len(rows), 1, squeeze=False, height_ratios=[height for height, _, _ in rows])
+            for part, (_, widths, panels) in zip(parts[:, 0], rows, strict=True):
+                axes = part.subplots(1, len(panels), squeeze=False, width_ratios=widths)
+                for ax, draw in zip(axes[0], panels, strict=True):
+                    draw(ax)
+    return Path(path)
+
+
+def _sorted(estimates: Sequence[Estimate]) -> tuple[list[Estimate], list[list[Estimate]]]:
+    """Single numbers, those of axes among them, and groups of motors."""
+    groups: dict[str, list[Estimate]] = {}
+    for item in estimates:
+        groups.setdefault(item.name, []).append(item)
+    several = [group for group in groups.values() if group[0].index is not None and len(group) > 3]
+    single = [item for group in groups.values() if group not in several for item in group]
+    return single, several
+
+
+def _intervals(ax: Axes, items: Sequence[Estimate], robot: RobotDescription, known: PhysicalParams) -> None:
+    """Draw intervals in percent of what was known; what was 0 or unknown has its numbers only."""
+    reach = 1.0
+    for place, item in enumerate(items):
+        before, (low, high) = known_before(item, known), item.interval
+        unit = "" if item.unit == "1" else f" {item.unit}"
+        width = high - low
+        if not item.told:
+            ax.text(0.5, place, "not told", transform=ax.get_yaxis_transform(), **_SMALL, color=QUIET)
+            said = ""
+        else:
+            said = f"{number(item.value, width)}  ({number(low, width)} to {number(high, width)}){unit}"
+            if before is None or before == 0:
+                was = "no parameter" if before is None else "was 0"
+                ax.text(0.5, place, was, transform=ax.get_yaxis_transform(), **_SMALL, color=QUIET)
+            else:
+                low, value, high = (100 * (x / before - 1) for x in (low, item.value, high))
+                low, high = min(low, high), max(low, high)
+                ax.errorbar(value, place, xerr=[[value - low], [high - value]], **_BAR, color=BLUE)
+                reach = max(reach, abs(low), abs(high))
+        ax.text(1.02, place, said, transform=ax.get_yaxis_transform(), va="center", fontsize=8.0, color=INK)
+    ax.axvline(0.0, color=QUIET, linewidth=0.9, linestyle=(0, (4, 3)), zorder=0.5)
+    ax.set_xlim(-1.12 * reach, 1.12 * reach)
+    ax.set_ylim(len(items) - 0.4, -0.6)
+    ax.set_yticks(range(len(items)), [spoken(full_name(item.label, robot)) for item in items])
+    ax.tick_params(axis="y", length=0)
+    ax.grid(visible=False, axis="y")
+    ax.set_xlabel("difference from what was known before (%), 95 % interval")
+    ax.set_title("Single numbers", fontweight="bold")
+
+
+def _correlations(ax: Axes, found: Identification, robot: RobotDescription) -> None:
+    """Draw how far pairs of numbers can't be told apart: at +1 or -1 not at all."""
+    pairs = found.correlations
+    for place, (one, other, value) in enumerate(pairs):
+        ax.barh(place, value, 0.3, color=ORANGE if value < 0 else BLUE, alpha=0.45, linewidth=0)
+        said = "\nand ".join(spoken(full_name(label, robot)) for label in (one, other))
+        ax.text(0.0, place - 0.42, said, **_SMALL, linespacing=1.0)
+        ax.text(value / 2, place, f"{value:+.2f}", ha="center", va="center", fontsize=7.5, color=INK)
+    ax.axvline(0.0, color=QUIET, linewidth=0.9, zorder=0.5)
+    ax.set_xlim(-1.0, 1.0)
+    ax.set_ylim(max(len(pairs), 2) - 0.6, -0.8)
+    ax.set_yticks([])
+    ax.grid(visible=False)
+    ax.set_xlabel("correlation of what is not known about them")
+    ax.set_title("Hardly told apart", fontweight="bold")
+
+
+def _motors(ax: Axes, items: Sequence[Estimate], robot: RobotDescription, known: PhysicalParams) -> None:
+    """Draw one number of each motor with its interval, over what was known."""
+    count = max(item.index or 0 for item in items) + 1
+    names = index_names(items[0].name, robot)
+    if len(names) < count:
+        names = tuple(map(str, range(count)))
+    for item in items:
+        place, before = item.index or 0, known_before(item, known)
+        if before is not None:
+            ax.plot([place - 0.38, place + 0.38], [before, before], color=QUIET, linewidth=1.2, linestyle=(0, (2, 1.5)))
+        if not item.told:
+            ax.text(place, 0.04, "not told", transform=ax.get_xaxis_transform(), rotation=90, ha="center", va="bottom",
+                    fontsize=7.5, color=QUIET, bbox=_PAPER)  # fmt: skip
+            continue
+        low, high = item.interval
+        leg = names[place].rsplit("_", 1)[0]
+        ax.errorbar(place, item.value, yerr=[[max(item.value - low, 0.0)], [max(high - item.value, 0.0)]], **_BAR,
+                    color=LEG_COLORS.get(leg, BLUE))  # fmt: skip
+    ax.set_xlim(-0.7, len(names) - 0.3)
+    labels = [spoken(name) for name in names]
+    ax.set_xticks(range(len(names)), labels, rotation=40, ha="right", rotation_mode="anchor", fontsize=7.5)
+    ax.tick_params(axis="x", length=0)
+    ax.grid(visible=False, axis="x")
+    unit = "" if items[0].unit == "1" else f" ({items[0].unit})"
+    ax.set_title(f"{spoken(items[0].name).capitalize()}{unit}", fontweight="bold", pad=18.0)
+    ax.text(0.0, 1.03, "dashed: known before", transform=ax.transAxes, fontsize=7.5, color=QUIET)
+    ax.margins(y=0.15)
+
+
+def _series(ax: Axes, series: Series) -> None:
+    """Draw what was measured, and what is simulated with what was known and with what was found."""
+    every = max(math.ceil(len(series.x) / _MOST), 1)
+    x = np.asarray(series.x, float)[::every]
+    drawn: tuple[tuple[str, Any, dict[str, Any]], ...] = (
+        ("before", series.before, {"color": ORANGE, "linewidth": 1.1, "linestyle": (0, (4, 2))}),
+        ("after", series.after, {"color": BLUE, "linewidth": 1.3}),
+    )
+    measured = np.asarray(series.measured, float)[::every]
+    if series.points:
+        ax.plot(x, measured, "o", color=INK, markersize=3.5, label="measured", zorder=1)
+    else:
+        ax.plot(x, measured, color="#a9b1ba", linewidth=3.0, label="measured", zorder=1)
+    for name, values, look in drawn:
+        values = np.asarray(values, float)[::every]
+        if np.isfinite(values).any():
+            ax.plot(x, values, label=name, **look)
+    ax.set_xlabel(_brackets(series.x_label))
+    ax.set_ylabel(_brackets(series.y_label))
+    title = series.title
+    ax.set_title(
+        title[:1].upper() + title[1:] if "_" not in title.split(" ")[0] else title, fontweight="bold", pad=20.0
+    )
+    ax.margins(x=0.01)
+    ax.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3, borderaxespad=0.2, columnspacing=1.4)
+
+
+def _brackets(label: str) -> str:
+    """Units in round brackets, as in other figures."""
+    return label.replace("[", "(").replace("]", ")")
+
+
+def index_names(name: str, robot: RobotDescription) -> tuple[str, ...]:
+    """What the indices of a number stand for: motors, or axes; empty where that is not known."""
+    motors = tuple(motor.removesuffix("_motor") for motor in robot.motor_names)
+    item: Any = PhysicalParams.__dataclass_fields__.get(name)
+    if item is None:
+        return motors if name.startswith(("motor", "torque")) else ("x", "y", "z")
+    width = str(item.metadata["width"])
+    return {"one": (), "motors": motors}.get(width, tuple(width.split(", ")))
+
+
+def full_name(label: str, robot: RobotDescription) -> str:
+    """A number's label with the motor's or axis' name in place of its index."""
+    name, _, rest = label.partition("[")
+    names = index_names(name, robot)
+    index = int(rest.rstrip("]")) if rest.rstrip("]").isdigit() else -1
+    return f"{name} {names[index]}" if 0 <= index < len(names) else label
+
+
+def known_before(item: Estimate, known: PhysicalParams) -> float | None:
+    """What a physical parameter was before; None for other numbers."""
+    if item.name not in PhysicalParams.names():
+        return None
+    values = getattr(known, item.name)[0]
+    return float(np.mean(values) if item.index is None else np.atleast_1d(values)[item.index])
+
+
+def cells(item: Estimate, known: PhysicalParams) -> tuple[str, str, str]:
+    """What was known of a number, what was found and its interval, as texts; empty where there is none."""
+    before, (low, high) = known_before(item, known), item.interval
+    width = high - low if item.told else math.nan
+    was = "" if before is None else number(before, width)
+    if not item.told:
+        return was, "not told", ""
+    return was, number(item.value, width), f"{number(low, width)} to {number(high, width)}"
+
+
+def number(value: float, width: float) -> str:
+    """A number with as many digits as its interval is worth: two of half its width, which is NaN if there is none."""
+    if not (math.isfinite(width) and width > 0 and math.isfinite(value)):
+        return f"{value:.4g}"
+    digits = 1 - math.floor(math.log10(width / 2))
+    return f"{value:.{max(digits, 0)}f}" if digits <= _DIGITS else f"{value:.3g}"

@@ -1,0 +1,150 @@
+"""Figures of a sensitivity: return and falls against one physical parameter, and the return over all test worlds."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from surefoot.arrays import Array
+from surefoot.errors import SurefootError
+from surefoot.evaluate.sensitivity import Sensitivity, row_unit
+from surefoot.report.figures.style import (
+    INK,
+    MARKERS,
+    QUIET,
+    capital,
+    heading,
+    new_figure,
+    place_labels,
+    scattered,
+    spoken,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+Groups = Mapping[str, Sequence[Sensitivity]]
+"""Sensitivities of one policy, or of several of a group, by the name that the figure shows."""
+Ranges = Mapping[str, tuple[float, float]]
+_BAND = "band: least to greatest seed, of a single policy one standard error"
+
+
+def parameter_figure(
+    row: str, groups: Groups, path: str | Path, trained_ranges: Mapping[str, Ranges] | None = None
+) -> Path:
+    """Draw returns and falls against a row's value, with a band for each group.
+
+    The band goes from the least to the greatest policy of a group; of a single policy it is one standard error. The
+    range that a policy was trained in is shaded in its colour; one value that it was trained at alone is a line.
+
+    Args:
+        row: row of the table of ranges, which one group has or more.
+        groups: those whose sensitivities lack the row are left out.
+        path: PNG to write.
+        trained_ranges: by name, the ranges trained with, by row. Without this nothing is drawn of training.
+    """
+    if not any(row in one.rows for found in groups.values() for one in found):
+        raise SurefootError(f"parameter figure: row '{row}' is in no test world of {', '.join(groups) or 'nothing'}")
+    with new_figure(path, (8.6, 3.7), columns=2) as (figure, (left, right)):
+        _returns(left, groups, row)
+        for number, (label, found) in enumerate(groups.items()):
+            if row not in found[0].rows:
+                continue
+            falls = np.array([100 * one.fell[one.of_row(row)].mean(axis=1) for one in found])
+            _band(right, found[0].values_of(row), falls, number, label)
+            if trained_ranges is not None:
+                _training(left, found[0], row, number, trained_ranges.get(label, {}).get(row))
+        left.set_title("Return (m)")
+        left.set_ylim(bottom=min(0.0, left.get_ylim()[0]))
+        right.set_title("Episodes with a fall (%)")
+        right.set_ylim(-3.0, 103.0)
+        for ax in (left, right):
+            ax.set_xlabel(_titled(row))
+        figure.legend(*left.get_legend_handles_labels(), loc="outside lower center", ncols=5)
+        heading(figure, f"{_titled(row)}; {_BAND}")
+    return Path(path)
+
+
+def parameters_figure(groups: Groups, path: str | Path) -> Path:
+    """Draw the return against every parameter, a panel each, on one scale."""
+    rows = tuple(dict.fromkeys(row for found in groups.values() for one in found for row in one.rows))
+    columns = min(len(rows), 5)
+    lines = -(-len(rows) // columns)
+    with new_figure(path, (2.7 * columns, 0.9 + 2.3 * lines), rows=lines, columns=columns) as (figure, axes):
+        for ax, row in zip(axes, rows, strict=False):
+            _returns(ax, groups, row)
+            ax.set_title(_titled(row))
+            ax.locator_params(axis="x", nbins=4)
+        low, high = zip(*(ax.get_ylim() for ax in axes[: len(rows)]), strict=True)
+        for number, ax in enumerate(axes):
+            ax.set_ylim(min(low), max(high))
+            ax.set_visible(number < len(rows))
+            ax.tick_params(axis="y", labelleft=number % columns == 0)
+        axes[0].set_ylabel("return (m)")
+        figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=5)
+        heading(figure, f"One parameter at a time; {_BAND}")
+    return Path(path)
+
+
+def aggregate_figure(sensitivities: Sequence[Sensitivity], path: str | Path) -> Path:
+    """Draw a bar for each policy: the mean over all its test worlds, with the standard deviation.
+
+    Dots are the mean returns of single test worlds, a diamond is that of the nominal world.
+    """
+    with new_figure(path, (7.6, 1.2 + 0.62 * len(sensitivities))) as (_, (ax,)):
+        for place, result in enumerate(sensitivities):
+            color, means = f"C{place}", result.mean_return
+            ax.barh(place, result.mean, 0.62, color=color, alpha=0.35, linewidth=0)
+            across = place + scattered(len(means), 0.5)
+            ax.plot(means, across, "o", color=color, alpha=0.55, markersize=2.8, markeredgewidth=0)
+            ax.errorbar(result.mean, place, xerr=result.std, color=INK, linewidth=1.3, capsize=4.0)
+            ax.plot(result.nominal.mean_return, place, "D", color="white", markeredgecolor=INK, markersize=5.5)
+            said = f"{result.mean:.2f} ± {result.std:.2f} m\n{100 * result.fall_rate:.1f} % fall"
+            ax.text(1.02, place, said, transform=ax.get_yaxis_transform(), va="center", fontsize=8.5, color=INK)
+        ax.axvline(0.0, color=QUIET, linewidth=0.8)
+        place_labels(ax, [result.policy for result in sensitivities], vertical=True)
+        ax.set_ylim(len(sensitivities) - 0.5, -0.5)
+        ax.set_title("Return over test worlds", fontweight="bold")
+        ax.set_xlabel("return (m): mean and standard deviation; dots: test worlds; diamond: nominal world")
+    return Path(path)
+
+
+def _returns(ax: Axes, groups: Groups, row: str) -> None:
+    """Draw the return of every group against a parameter, and mark the nominal value."""
+    for number, (label, found) in enumerate(groups.items()):
+        if row in found[0].rows:
+            rows = found[0].of_row(row)
+            returns = np.array([one.mean_return[rows] for one in found])
+            if len(found) == 1:
+                error = np.nan_to_num(found[0].standard_error[rows])
+                returns = np.array([returns[0] - error, returns[0], returns[0] + error])
+            _band(ax, found[0].values_of(row), returns, number, label)
+    nominal = {one.nominal.values[row] for found in groups.values() for one in found if row in one.nominal.values}
+    for value in sorted(nominal)[:1]:
+        ax.axvline(value, color=QUIET, linewidth=0.9, linestyle=(0, (2, 2)), zorder=0, label="nominal")
+
+
+def _band(ax: Axes, x: Array, curves: Array, number: int, label: str) -> None:
+    """Draw the mean of curves (S, K), and the band from the least to the greatest."""
+    color, marker = f"C{number}", MARKERS[number % len(MARKERS)]
+    ax.fill_between(x, curves.min(axis=0), curves.max(axis=0), color=color, alpha=0.16, linewidth=0)
+    ax.plot(x, curves.mean(axis=0), color=color, label=label, marker=marker, markersize=2.8)
+
+
+def _training(ax: Axes, result: Sensitivity, row: str, number: int, trained: tuple[float, float] | None) -> None:
+    """Shade the range that a policy was trained in; a line at the value, if it was trained at one alone."""
+    color = f"C{number}"
+    if trained is not None and trained[1] > trained[0]:
+        ax.axvspan(*trained, color=color, alpha=0.07, linewidth=0, zorder=0)
+    else:
+        value = result.nominal.values[row] if trained is None else trained[0]
+        ax.axvline(value, color=color, linewidth=1.0, linestyle=(2 * number, (4, 6)), zorder=0.5)
+
+
+def _titled(row: str) -> str:
+    """Return a parameter's name with its unit, as a title."""
+    unit = row_unit(row)
+    return capital(spoken(row)) + (f" ({unit})" if unit else "")

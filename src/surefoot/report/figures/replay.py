@@ -1,0 +1,54 @@
+"""The picture of a replay: what the joints that move were told and told, and how far simulators are from it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from surefoot.identify.logs.errors import LogErrors
+from surefoot.report.figures.style import BLUE, INK, ORANGE, QUIET, heading, new_figure
+from surefoot.robot import RobotDescription
+
+SHOWN = 3.0
+"""Length [s] of the log that is drawn, from its start."""
+_MOST_JOINTS = 8
+_WIDTH, _HEIGHT = 11.0, 1.7
+
+
+def draw_replay(
+    path: Path, robot: RobotDescription, errors: LogErrors, beside: LogErrors | None = None, label: str = "other record"
+) -> Path:
+    """Draw angles and errors of the joints that move over the first seconds.
+
+    Args:
+        path: figure (.png) to write.
+        robot: whose joints they are.
+        errors: of surefoot.
+        beside: of another record of the same commands.
+        label: what the other one is called.
+    """
+    log = errors.log
+    joints = np.flatnonzero(log.moving)[:_MOST_JOINTS].tolist()
+    with new_figure(path, (_WIDTH, 0.8 + _HEIGHT * len(joints)), len(joints), 2, sharex=True) as (figure, axes):
+        legend = f"surefoot {1e3 * errors.rms:.1f} mrad"
+        legend += "" if beside is None else f", {label} {1e3 * beside.rms:.1f} mrad"
+        heading(figure, f"{log.name}: {robot.name}, root mean square error of {legend}")
+        for joint, left, right in zip(joints, axes[::2], axes[1::2], strict=True):
+            shown = log.time <= log.time[0] + SHOWN
+            left.step(log.time[shown], log.command[shown, joint], color=QUIET, lw=0.8, where="post", label="command")
+            left.plot(log.read_time[shown], log.motor_angle[shown, joint], color=INK, lw=2.0, label="robot")
+            for color, name, one in ((ORANGE, label, beside), (BLUE, "surefoot", errors)):
+                if one is None:
+                    continue
+                rows = one.log.time <= log.time[0] + SHOWN
+                error, when = one.motor_angle[rows, joint], one.log.read_time[rows]
+                left.plot(when, one.log.motor_angle[rows, joint] + error, color=color, lw=1.0, label=name)
+                right.plot(when, 1e3 * error, color=color, lw=1.0, label=name)
+            left.set_title(robot.motor_names[joint])
+            left.set_ylabel("angle [rad]")
+            right.set_ylabel("error [mrad]")
+        axes[0].legend(loc="upper right", ncols=4)
+        for axis in axes[-2:]:
+            axis.set_xlabel("time [s]")
+    return path

@@ -1,0 +1,58 @@
+"""A heat map of how well a policy follows commands, over a grid of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from surefoot.arrays import Array
+from surefoot.evaluate.tracking import STRIDE, Tracking
+from surefoot.report.figures.style import new_figure
+from surefoot.robot.commands import COMMANDS
+from surefoot.task.trace import EpisodeTrace
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+_MOST = {"m/s": 0.2, "rad/s": 0.4}
+"""Errors from which on colours are the same."""
+_NAMES = ("forward", "to the left", "yaw rate")
+
+
+def tracking_figure(traces: Sequence[EpisodeTrace], path: str | Path) -> Path:
+    """Draw errors over strides of runs that had one command each; a cross where the robot fell.
+
+    A row of panels for forward with turning, and one for forward with sideways, if there are such commands.
+    """
+    commands = np.array([trace.command[0] for trace in traces])
+    errors = np.array(
+        [Tracking.of_traces([trace], float(trace.meta["gait_period"] or STRIDE)).rmse_stride for trace in traces]
+    )
+    fell = np.array([trace.fell for trace in traces])
+    across = [2, *([1] if commands[:, 1].any() else [])]
+    with new_figure(path, (10.0, 3.1 * len(across)), len(across), 3) as (figure, axes):
+        for row, other in enumerate(across):
+            chosen = commands[:, 3 - other] == 0
+            for k, (name, unit) in enumerate(zip(_NAMES, COMMANDS.values(), strict=True)):
+                ax = axes[3 * row + k]
+                image = _panel(ax, commands[chosen][:, [0, other]], errors[chosen, k], fell[chosen], _MOST[unit])
+                ax.set_title(f"error {name}")
+                ax.set_xlabel("forward (m/s)")
+                ax.set_ylabel(f"{_NAMES[other]} ({list(COMMANDS.values())[other]})")
+                figure.colorbar(image, ax=ax, label=f"RMSE over strides ({unit})")
+    return Path(path)
+
+
+def _panel(ax: Axes, commands: Array, errors: Array, fell: Array, most: float) -> Any:
+    """Draw errors (N,) over two commands (N, 2); return what a colour bar needs."""
+    x, y = (np.unique(commands[:, k]) for k in range(2))
+    table = np.full((len(y), len(x)), np.nan)
+    places = np.searchsorted(y, commands[:, 1]), np.searchsorted(x, commands[:, 0])
+    table[places] = errors
+    ax.grid(visible=False)
+    image = ax.pcolormesh(x, y, table, shading="nearest", cmap="viridis_r", vmin=0.0, vmax=most)
+    ax.plot(commands[fell, 0], commands[fell, 1], "x", color="#a8324a")
+    return image

@@ -1,0 +1,1 @@
+"""Pages for a browser, served or written as one file."""

@@ -1,0 +1,123 @@
+"""A robot in 3D in a browser: shapes, ground and trail, by viser's server. It shows, and takes nothing.
+
+All stands in one frame that follows the robot over the ground, so that a browser's camera stays with it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+from collections import deque
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import viser
+from numpy.typing import ArrayLike
+
+from surefoot.arrays import Array
+from surefoot.errors import SurefootError
+from surefoot.report.drawing.scene import extent, poses, scene
+from surefoot.robot import RobotDescription
+from surefoot.robot.urdf import GREY, Shape
+from surefoot.rotations import matrix_quat
+
+_TRAIL = 300
+"""Points of the trail."""
+_FOLLOW = 0.4
+"""Share of the way to the robot that the ground's frame goes with each picture."""
+_BARE = "<style>.mantine-Paper-root, .mantine-Notifications-root { display: none !important; }</style>"
+"""Hides the viewer's own panel and notes, which would cover a small picture; pages have their own."""
+
+
+def bare_viewer() -> str:
+    """Return viser's page, which draws a scene and nothing else."""
+    return (Path(viser.__file__).parent / "client" / "build" / "index.html").read_text("utf-8") + _BARE
+
+
+def quiet_server() -> viser.ViserServer:
+    """Start viser's server on a free port that only this machine reaches, without its banner."""
+    with contextlib.redirect_stdout(io.StringIO()):
+        return viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
+
+
+def add_ground(scene: viser.SceneApi, name: str, size: float) -> None:
+    """Add the ground for robots that are so large [m]."""
+    scene.add_grid(
+        name,
+        infinite_grid=True,
+        cell_size=0.25,
+        section_size=1.0,
+        fade_distance=15.0 * size,
+        plane_color=(208, 213, 216),
+        plane_opacity=1.0,
+    )
+
+
+def add_shape(scene: viser.SceneApi, name: str, shape: Shape) -> None:
+    """Add a solid in the frame of its body."""
+    place: dict[str, Any] = {
+        "position": shape.position,
+        "wxyz": matrix_quat(shape.rotation),
+    }
+    if shape.kind == "box":
+        x, y, z = shape.size
+        scene.add_box(name, shape.color, (2 * x, 2 * y, 2 * z), **place)
+    elif shape.kind == "cylinder":
+        scene.add_cylinder(name, shape.size[0], 2 * shape.size[1], shape.color, **place)
+    else:
+        scene.add_icosphere(name, shape.size[0], shape.color, subdivisions=2, **place)
+
+
+class RobotView:
+    """The 3D view; only this machine reaches its port, and pages get it passed on."""
+
+    def __init__(self) -> None:
+        self._server = quiet_server()
+        self.port = self._server.get_port()
+        self.frames = 0
+        """Pictures that were sent."""
+
+    def show(self, robot: RobotDescription) -> None:
+        """Show another robot, at the start of a new trail."""
+        self._robot, size, server = robot, extent(robot), self._server
+        self._links: dict[str, viser.FrameHandle] = {}
+        self._trail: deque[Array] = deque(maxlen=_TRAIL)
+        self._at, self._size = np.zeros(2), size
+        with server.atomic():
+            server.scene.reset()
+            server.scene.set_up_direction("+z")
+            self._world = server.scene.add_frame("/world", show_axes=False)
+            add_ground(server.scene, "/world/ground", size)
+            for k, shape in enumerate(scene(robot)):
+                if shape.link not in self._links:
+                    self._links[shape.link] = server.scene.add_frame(f"/world/{shape.link}", show_axes=False)
+                add_shape(server.scene, f"/world/{shape.link}/{k}", shape)
+            server.initial_camera.position = (1.1 * size, -1.5 * size, 0.7 * size)
+            server.initial_camera.look_at = (0.0, 0.0, 0.2 * size)
+
+    def move(self, base_position: ArrayLike, base_quat: ArrayLike, motor_angles: ArrayLike) -> None:
+        """Show the robot at a base position (3,) [m], orientation (4,) w x y z and motor angles (M,) [rad]."""
+        # A diverged state is not drawn; the next picture shows the robot again.
+        with contextlib.suppress(SurefootError), self._server.atomic():
+            placed = poses(self._robot, base_position, base_quat, motor_angles)
+            at = np.asarray(base_position, float)
+            far = np.linalg.norm(at[:2] - self._at) > 2 * self._size
+            self._at = at[:2].copy() if far else self._at + _FOLLOW * (at[:2] - self._at)
+            self._world.position = np.array([*-self._at, 0.0])
+            for name, link in self._links.items():
+                pose = placed[name][0]
+                link.position, link.wxyz = pose[:3, 3], matrix_quat(pose[:3, :3])
+            if far:
+                self._trail.clear()
+            if not self._trail or np.linalg.norm(at[:2] - self._trail[-1][:2]) > 0.05 * self._size:
+                self._trail.append(np.array([*at[:2], 0.004]))
+                if len(self._trail) > 1:
+                    line = np.array(self._trail)
+                    pieces = np.stack([line[:-1], line[1:]], axis=1)
+                    self._server.scene.add_line_segments("/world/trail", pieces, GREY, thickness=0.008)
+        self.frames += 1
+
+    def stop(self) -> None:
+        """Close the port."""
+        self._server.stop()
