@@ -578,10 +578,16 @@ def warm_up() -> None:
     for module, _ in COMMANDS.values():
         importlib.import_module(module)
     for module in (
-        *("cli.study_results", "learn.run", "learn.progress", "learn.export"),
-        *("world.sim_world", "report.video", "report.figures", "report.study_figures", "report.parameter_figures"),
-        *("evaluate.gap", "identify.from_trace", "cli.identify"),
-        *("cli.identify_motor_figure", "cli.identify_results", "emulator.real_time"),
+        *("cli.helpers.study_results", "learn.run", "learn.progress", "learn.export"),
+        *(
+            "world.sim_world",
+            "report.drawing.video",
+            "report.figures.runs",
+            "report.figures.parameters",
+            "studies.study_figures",
+        ),
+        *("evaluate.gap", "identify.traces.fit", "cli.identify"),
+        *("cli.helpers.identify_motor_figure", "cli.helpers.identify_results", "emulator.real_time"),
     ):
         importlib.import_module(f"surefoot.{module}")
 

@@ -19,7 +19,7 @@ ARROWS: dict[str, set[str]] = {
     "robot": set(),
     "actuator": {"robot"},
     "world": {"actuator", "robot"},
-    "task": {"robot", "world.interface", "world.readings"},
+    "task": {"robot", "world.interface", "world.ground"},
     "learn": {"task", "policy", "evaluate", "robot", "world.interface"},
     "policy": {"robot"},
     "evaluate": {"task", "policy", "world", "robot"},
@@ -30,7 +30,7 @@ ARROWS: dict[str, set[str]] = {
         *("task.trace", "task.partial_trace"),
     },
     "emulator": {"deploy", "world", "actuator", "robot"},
-    "report": {"evaluate", "task", "robot", "identify.result", "identify.logs.errors"},
+    "report": {"evaluate", "task", "robot", "world.ground", "identify.result", "identify.logs.errors"},
     "studies": {"report", "learn", "evaluate", "task", "policy", "world", "robot"},
 }
 WIRING = "cli"  # the one room that may import anything, and that only `python -m surefoot` imports

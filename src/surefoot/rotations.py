@@ -1,6 +1,6 @@
 """Rotations: quaternions are w, x, y, z; roll, pitch, yaw turn by roll about x, then pitch about y, then yaw about z.
 
-Compiled kernels of the simulators' inner loops stand where they are used (`world.actuation`, `world.imu`).
+Compiled kernels of the simulators' inner loops stand where they are used (`world.actuation`).
 """
 
 from __future__ import annotations

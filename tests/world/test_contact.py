@@ -13,10 +13,12 @@ STIFFNESS, DAMPING, STEP = 3000.0, 100.0, 0.001
 SPEED = st.floats(-5, 5)
 
 
-def on_ground(depth: float, velocity=(0.0, 0.0, 0.0), stretch=(0.0, 0.0), friction: float = 1.0):
+def on_ground(depth: float, velocity=(0.0, 0.0, 0.0), stretch=(0.0, 0.0), friction=1.0, normal=(0.0, 0.0, 1.0)):
     """The ground's force (3,) on a foot and the sole's new stretch (2,)."""
     force, after = np.zeros(3), np.array(stretch, float)
-    foot_force_kernel(depth, np.array(velocity, float), after, friction, STIFFNESS, STIFFNESS, DAMPING, STEP, force)
+    law = (friction, STIFFNESS, STIFFNESS, DAMPING, STEP)
+    load = foot_force_kernel(depth, normal, np.array(velocity, float), after, *law, force)
+    assert load == pytest.approx(force @ normal)
     return force, after
 
 
@@ -41,6 +43,16 @@ def test_the_sole_stretches_with_the_foot():
     force, stretch = on_ground(0.01, (0.02, 0, 0))
     np.testing.assert_allclose(stretch, (2e-5, 0))
     np.testing.assert_allclose(force, (-(0.06 + TANGENTIAL_DAMPING * 2.0), 0, 30.0))
+
+
+def test_on_a_slope_the_ground_pushes_along_its_normal_and_brakes_along_itself():
+    normal, down = np.array([0.6, 0.0, 0.8]), np.array([0.8, 0.0, -0.6])
+    still, _ = on_ground(0.01, normal=normal)
+    np.testing.assert_allclose(still, 30.0 * normal)
+    sliding, stretch = on_ground(0.01, 0.1 * down, normal=normal)
+    assert sliding @ normal == pytest.approx(30.0)
+    assert sliding @ down < -1.0
+    np.testing.assert_allclose(stretch, [0.1 * 0.8 * STEP, 0.0], atol=1e-15)
 
 
 def test_friction_has_a_bound():

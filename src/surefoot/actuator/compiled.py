@@ -23,7 +23,9 @@ from numba import njit
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
-_FOLDERS = [Path(__file__).parent, Path(__file__).parents[1] / "world"]
+_PACKAGE = Path(__file__).parents[1]
+_FOLDERS = [_PACKAGE / "actuator", _PACKAGE / "world"]
+"""Folders with compiled kernels."""
 
 
 def kernel(function: Function) -> Function:
@@ -31,10 +33,15 @@ def kernel(function: Function) -> Function:
     return cast(Function, njit(cache=True, forceinline=True, error_model="numpy", _nrt=False)(function))
 
 
+def kernel_sources() -> list[Path]:
+    """Return the files that kernels are compiled from, or take constants and functions from."""
+    folders = [_PACKAGE, *(_PACKAGE / name for name in ("actuator", "robot", "world"))]
+    return sorted(path for folder in folders for path in folder.glob("*.py"))
+
+
 def drop_stale_caches() -> None:
     """Delete the caches beside the kernels if the sources differ from those that they were compiled from."""
-    sources = sorted(path for folder in _FOLDERS for path in folder.glob("*.py"))
-    digest = hashlib.sha256(b"".join(path.read_bytes() for path in sources)).hexdigest()
+    digest = hashlib.sha256(b"".join(path.read_bytes() for path in kernel_sources())).hexdigest()
     stamp = _FOLDERS[0] / "__pycache__" / "kernels.sha256"
     # Where the folder can't be written, the package is installed and its sources do not change.
     with contextlib.suppress(OSError):

@@ -58,7 +58,7 @@ class Experiment:
             SurefootError: data too poor to tell anything, or a robot on the ground that did not stand.
         """
         notes = check_recording(recording, robot)
-        module = import_module(f"surefoot.identify.{'rack' if self.rack else 'ground'}_fits")
+        module = import_module(f"surefoot.identify.{'rack' if self.rack else 'ground'}.fits")
         found: Identification = getattr(module, f"fit_{self.name}")(robot, recording, known, sensors or {}, tell)
         date = str(recording.meta["date"])
         return replace(found, notes=(*notes, *found.notes), digest=recording.digest, date=date)

@@ -19,6 +19,7 @@ from surefoot.task.config import TaskConfig
 from surefoot.task.observation import Moment, Observer, gait_phase
 from surefoot.task.pushes import Pusher
 from surefoot.task.reward import Scales, StepMotion, reward_rate
+from surefoot.world.ground import FLAT, Ground
 from surefoot.world.interface import Readings, Simulation, SimulationFactory, Truth, WorldConfig
 
 __all__ = ["LocomotionEnv", "LocomotionSingleEnv", "SimulationFactory"]
@@ -38,13 +39,21 @@ def locomotion_reward(displacement: Array, energy: Array, energy_weight: float, 
     return np.minimum(displacement, most) - energy_weight * energy
 
 
-def has_fallen(truth: Truth, angle: float, height: float = 0.0) -> NDArray[np.bool_]:
+def has_fallen(truth: Truth, angle: float, height: float = 0.0, ground: Ground = FLAT) -> NDArray[np.bool_]:
     """Return whether roll or pitch is beyond `angle` [rad], or the base's origin below `height` [m] if not 0, (N,).
+
+    Heights are over the level of the ground.
 
     Tan et al. 2018, section IV-C: an episode ends when the base tilts by more than .5 rad; the axis is not stated.
     """
     tilted = np.any(np.abs(truth.roll_pitch_yaw[:, :2]) > angle, axis=1)
-    return tilted | (truth.base_position_world[:, 2] < height) if height else tilted
+    return tilted | (_height(truth.base_position_world, ground) < height) if height else tilted
+
+
+def _height(position: Array, ground: Ground) -> Array:
+    """Return the heights (N,) [m] of points (N, 3) in the world over the level of the ground."""
+    heights: Array = position[:, 2] - ground.level(position[:, :2])
+    return heights
 
 
 def base_rates(before: Truth, after: Truth, step: Array | float) -> tuple[Array, Array]:
@@ -121,6 +130,7 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
             start_angular_speed=task.start_angular_speed,
             threads=self._threads,
         )
+        self._ground = config.ground
         self.world: Simulation = self._make_world(self.robot, self.num_envs, self.nominal, seed, config)
         self.pusher = Pusher(task.pushes, self.num_envs, seed)
         self.randomizer = Randomizer(task.randomize, self.robot, self.nominal, seed)
@@ -212,7 +222,7 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
         reward[diverged | self.over] = 0.0
         self.steps += ~self.over
         self.returns += reward
-        terminated = (has_fallen(self.truth, task.fall_angle, task.fall_height) | diverged) & ~self.over
+        terminated = (has_fallen(self.truth, task.fall_angle, task.fall_height, self._ground) | diverged) & ~self.over
         truncated = ~terminated & ~self.over & (self.steps >= task.max_steps)
         done = terminated | truncated
         info: dict[str, Any] = {}
@@ -244,7 +254,7 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
             velocity=velocity,
             turn=turn,
             tilt=truth.roll_pitch_yaw[:, :2],
-            height=truth.base_position_world[:, 2] - self.start_position[:, 2],
+            height=_height(truth.base_position_world, self._ground) - _height(self.start_position, self._ground),
             power=truth.energy / step[:, 0],
             torque=truth.motor_torque,
             heat=truth.heat / step,
@@ -281,7 +291,7 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
         if self.commands is not None:
             velocity = in_heading_frame(velocity, truth.roll_pitch_yaw[:, 2])
         parts = [
-            (["height"], truth.base_position_world[:, 2:]),
+            (["height"], _height(truth.base_position_world, self._ground)[:, None]),
             (["velocity_x", "velocity_y", "velocity_z"], velocity),
             (["roll", "pitch", "yaw"], truth.roll_pitch_yaw),
             ([f"angle.{motor}" for motor in motors], truth.motor_angle),

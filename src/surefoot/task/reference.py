@@ -29,9 +29,9 @@ from surefoot.task.following import FollowingReference
 from surefoot.task.foot import FootReference
 
 _QUANTITIES = ("amplitude", "frequency", "phase", "offset")
-# What NumPy raises for files that are empty, cut off or of another kind.
 FOLLOWING_GAINS = ("stride_gain", "frequency_rise", "turn_gain")
 """Numbers that a reference of kind follow has besides those of its feet."""
+# What NumPy raises for files that are empty, cut off or of another kind.
 _UNREADABLE = (
     *(OSError, ValueError, KeyError, EOFError, IndexError, TypeError, AttributeError),
     *(zipfile.BadZipFile, zlib.error),

@@ -83,7 +83,8 @@ class BulletEngine:
             first = np.zeros(1, np.int64)
             before = self.get_state(first)
             self.set_state(first, state)
-            state[2] -= float(np.min(self._foot_positions(0)[:, 2] - model.foot_radius))
+            feet = self._foot_positions(0)
+            state[2] -= float(np.min(feet[:, 2] - model.foot_radius - self._config.ground.height(feet[:, :2])))
             self.set_state(first, before)
         return state
 

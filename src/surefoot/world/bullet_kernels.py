@@ -26,7 +26,7 @@ from surefoot.world.actuation import (
     roll_pitch_yaw,
     rotate_inverse,
 )
-from surefoot.world.contact import sliding_force_kernel
+from surefoot.world.contact import friction_force_kernel
 
 Index = NDArray[np.int64]
 
@@ -171,30 +171,23 @@ def sole_kernel(
         place: output, where the forces act, world frame (F, 3) [m].
     """
     friction, shear, damping, dt = law
-    arm, normal, slip = np.empty(3), np.empty(3), np.empty(3)
+    arm, slip = np.empty(3), np.empty(3)
     for k in range(len(links)):
         force[k] = 0.0
         load = math.sqrt(loads[k, 0] ** 2 + loads[k, 1] ** 2 + loads[k, 2] ** 2)
         if loads[k, 2] <= 0.0:
             stretch[k] = 0.0
             continue
+        normal = (loads[k, 0] / load, loads[k, 1] / load, loads[k, 2] / load)
         quat = (links[k, 6], -links[k, 3], -links[k, 4], -links[k, 5])
         arm[0], arm[1], arm[2] = rotate_inverse(quat, (centres[k, 0], centres[k, 1], centres[k, 2]))
-        along = 0.0
         for c in range(3):
-            normal[c] = loads[k, c] / load
             arm[c] -= radii[k] * normal[c]
             place[k, c] = links[k, c] + arm[c]
         for c in range(3):
             a, b = (c + 1) % 3, (c + 2) % 3
             slip[c] = links[k, VELOCITY + c] + links[k, OMEGA + a] * arm[b] - links[k, OMEGA + b] * arm[a]
-            along += slip[c] * normal[c]
-        for c in range(3):
-            slip[c] -= along * normal[c]
-        sliding_force_kernel(load, slip, stretch[k], friction, shear, damping, dt, force[k])
-        force[k, 2] = (
-            -(normal[0] * force[k, 0] + normal[1] * force[k, 1]) / normal[2]
-        )  # along the ground where it slopes
+        friction_force_kernel(load, normal, slip, stretch[k], friction, shear, damping, dt, force[k])
 
 
 def base_links(rows: Array, base_quat: Array, base_centres: Array) -> Array:

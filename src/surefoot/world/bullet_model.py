@@ -1,4 +1,4 @@
-"""A robot's description in Bullet: a client of its own with the fused URDF, closed loops and a ground plane."""
+"""A robot's description in Bullet: a client of its own with the fused URDF, closed loops and the ground."""
 
 from __future__ import annotations
 
@@ -24,6 +24,7 @@ from surefoot.robot.urdf import read_frame
 from surefoot.rotations import matrix_quat
 from surefoot.world.actuation import CONTACT, RACK_HEIGHT, RATIOS
 from surefoot.world.bullet_kernels import pin_kernel, sole_kernel
+from surefoot.world.ground import Ground, uneven_floor
 from surefoot.world.interface import WorldConfig
 from surefoot.world.self_collision import collision_pairs
 
@@ -32,22 +33,16 @@ SOLVER_ITERATIONS = 50
 2 m/s, and a trot is within .6 mm of one with 1000 for a second. With 10, a step costs 17 % less, but constraint motors
 open the loops by 1.2 mm, and the robot ends elsewhere.
 """
-FLOOR_CELL = 0.1
-"""Distance [m] of the points at which an uneven floor has its heights, linear between."""
-FLOOR_CELLS = (280, 120)
-"""Points of an uneven floor along x and y: 28 m by 12 m. Bullet takes about 1 kB for each."""
-FLOOR_BEHIND = 4.0
-"""Length [m] of an uneven floor behind the place where robots start; the floor ends on all sides."""
 LOOP_ERP = 0.2
 """Share of a loop's gap that is closed in a step."""
 _NO_OFFSET = np.zeros(3)
 _SPEED_CUT = 1e6
+"""Bullet cuts all generalized speeds at this [m/s, rad/s]; its own 100 would stop motors, and hide a divergence."""
 ROTOR_RATIO = 300.0
 """Turns of a rotor for a turn of its joint in Bullet; the more, the less it resists the turning of what it is on."""
 _ROTOR = "rotor of "
 _ROTOR_MASS = 1e-9
 _LEAST_ROTOR = 1e-6
-"""Bullet cuts all generalized speeds at this [m/s, rad/s]; its own 100 would stop motors, and hide a divergence."""
 
 
 @dataclass(frozen=True)
@@ -85,7 +80,7 @@ def import_pybullet() -> ModuleType:
 
 
 class BulletModel:
-    """A robot in a Bullet client of its own, over a ground plane at z = 0, motors off; the client ends with the object.
+    """A robot in a Bullet client of its own, on the ground, motors off; the client ends with the object.
 
     With `meeting`, links that may collide, as `collision_pairs` returns them: it takes a tenth of a second.
 
@@ -99,9 +94,9 @@ class BulletModel:
 
     client: int
     ground: int
-    """Body of the plane, on which all but the feet may stand."""
+    """Body of the world's ground, on which all but the feet may stand."""
     floor: int
-    """Body that the feet stand on: the plane, or an uneven floor."""
+    """Body that the feet stand on: the ground, or an uneven floor."""
     body: int
     """The robot's."""
     links: dict[str, int]
@@ -146,7 +141,7 @@ class BulletModel:
         base_offset: Array = _NO_OFFSET,
     ) -> None:
         self._meeting = collision_pairs(robot) if meeting is None else meeting
-        self.robot, self.rack, self._p = robot, config.rack, import_pybullet()
+        self.robot, self.rack, self._p, self._ground = robot, config.rack, import_pybullet(), config.ground
         self.base_offset = base_offset.copy()
         self._fused = fuse_urdf(robot.urdf, {robot.base: base_offset})
         with quiet():
@@ -174,11 +169,7 @@ class BulletModel:
             deterministicOverlappingPairs=1,
             physicsClientId=client,
         )
-        if settings.ground == "box":
-            shape = p.createCollisionShape(p.GEOM_BOX, halfExtents=[100.0, 100.0, 5.0], physicsClientId=client)
-        else:
-            shape = p.createCollisionShape(p.GEOM_PLANE, physicsClientId=client)
-        self.ground = self.floor = self._lay(shape, [0.0, 0.0, -5.0 if settings.ground == "box" else 0.0])
+        self.ground = self.floor = self._lay(self._ground, settings.ground == "box")
         meeting = {frozenset(fused.place[link][0] for link in pair) for pair in self._meeting}
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / "fused.urdf"
@@ -226,9 +217,26 @@ class BulletModel:
         self.check_masses(self.mass)
         self._gear_rotors()
 
-    def _lay(self, shape: int, place: list[float]) -> int:
-        """Return the number of a body to stand on, which does not move."""
-        p, client = self._p, self.client
+    def _lay(self, ground: Ground, box: bool = False) -> int:
+        """Return the number of a body to stand on, which does not move; a flat one is a plane or the top of a box."""
+        p, client, place = self._p, self.client, [0.0, 0.0, 0.0]
+        if ground.heights.size:
+            heights = ground.heights
+            shape = p.createCollisionShape(
+                p.GEOM_HEIGHTFIELD,
+                meshScale=[ground.cell, ground.cell, 1.0],
+                heightfieldData=heights.ravel(order="F").tolist(),  # the numbers along x follow each other
+                numHeightfieldRows=heights.shape[0],
+                numHeightfieldColumns=heights.shape[1],
+                physicsClientId=client,
+            )
+            # Bullet puts the middle between the lowest and the highest point at the body's origin.
+            place = [*ground.center, float(heights.min() + heights.max()) / 2]
+        elif box:
+            shape = p.createCollisionShape(p.GEOM_BOX, halfExtents=[100.0, 100.0, 5.0], physicsClientId=client)
+            place[2] = -5.0
+        else:
+            shape = p.createCollisionShape(p.GEOM_PLANE, physicsClientId=client)
         number: int = p.createMultiBody(0, shape, basePosition=place, physicsClientId=client)
         p.changeDynamics(number, -1, lateralFriction=1.0, restitution=0.0, physicsClientId=client)
         return number
@@ -424,10 +432,9 @@ class BulletModel:
                 )
 
     def _lay_floor(self, unevenness: float) -> None:
-        """Give the feet a floor whose heights have a standard deviation [m]; 0 is the plane.
+        """Give the feet another floor, see `uneven_floor`.
 
-        The same unevenness gives the same floor. Its heights are independent at points `FLOOR_CELL` apart; it is level
-        where robots start. All of the robot but its feet meets the plane at z = 0: a floor under every link costs time.
+        All of the robot but its feet stays on `ground`: an uneven floor under every link costs time.
         """
         p, client = self._p, self.client
         if self.floor != self.ground:
@@ -435,27 +442,10 @@ class BulletModel:
         self.floor = self.ground
         for link in self.feet:
             p.setCollisionFilterPair(self.body, self.ground, link, -1, int(unevenness == 0.0), physicsClientId=client)
-        if unevenness == 0.0:
-            return
-        seed, columns = int(np.float64(unevenness).view(np.uint64)), FLOOR_CELLS[1]
-        draws = np.clip(np.random.default_rng(seed).standard_normal(FLOOR_CELLS), -3.0, 3.0)
-        start = round(FLOOR_BEHIND / FLOOR_CELL)
-        draws[start - 5 : start + 5, columns // 2 - 5 : columns // 2 + 5] = 0.0
-        heights = unevenness * draws
-        shape = p.createCollisionShape(
-            p.GEOM_HEIGHTFIELD,
-            meshScale=[FLOOR_CELL, FLOOR_CELL, 1.0],
-            heightfieldData=heights.ravel(order="F").tolist(),  # the numbers along x follow each other
-            numHeightfieldRows=FLOOR_CELLS[0],
-            numHeightfieldColumns=columns,
-            physicsClientId=client,
-        )
-        # Bullet puts the middle between the first and the last point, and between the lowest and the highest, at the
-        # body's origin.
-        ahead = 0.5 * FLOOR_CELL * FLOOR_CELLS[0] - FLOOR_BEHIND
-        self.floor = self._lay(shape, [ahead, 0.0, float(heights.min() + heights.max()) / 2])
-        for link in set(self.links.values()) - set(self.feet):
-            p.setCollisionFilterPair(self.body, self.floor, link, -1, 0, physicsClientId=client)
+        if unevenness != 0.0:
+            self.floor = self._lay(uneven_floor(unevenness))
+            for link in set(self.links.values()) - set(self.feet):
+                p.setCollisionFilterPair(self.body, self.floor, link, -1, 0, physicsClientId=client)
 
     def move_pins(self) -> None:
         """Move pins with play in their bores, as the forces through them have it after a step; see `pin_kernel`."""

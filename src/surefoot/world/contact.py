@@ -22,16 +22,22 @@ import math
 
 from surefoot.actuator.compiled import kernel
 from surefoot.arrays import Array
+from surefoot.world import ground
+
+Vector = tuple[float, float, float]
 
 TANGENTIAL_DAMPING = 0.5
 """B_t / B. The sole's stiffness along the ground is nominally that into the ground; neither was measured."""
 SPIN_SPEED = 0.1
 """Angular velocity w_0 [rad/s] at which a foot that turns on the spot meets its full resistance."""
 
+sphere_contact = kernel(ground.sphere_contact)
+
 
 @kernel
 def foot_force_kernel(
     depth: float,
+    normal: Vector,
     velocity: Array,
     stretch: Array,
     friction: float,
@@ -40,12 +46,13 @@ def foot_force_kernel(
     damping: float,
     dt: float,
     force: Array,
-) -> None:
-    """Compute the force of the ground on one foot over the next step.
+) -> float:
+    """Compute the force of the ground on one foot over the next step; return its part along the normal, f_n [N].
 
     Args:
-        depth: how deep the lowest point of the foot is in the ground, d [m]; below 0 above it.
-        velocity: velocity (3,) of that point in the world frame, z up [m/s].
+        depth: how deep the foot is in the ground, d [m]; below 0 above it.
+        normal: unit normal of the ground where the foot is deepest, world frame.
+        velocity: velocity (3,) of the foot there, world frame [m/s].
         stretch: stretch (2,) of the sole along x and y, s [m]; updated.
         friction: coefficient mu.
         stiffness: K [N/m].
@@ -54,18 +61,23 @@ def foot_force_kernel(
         dt: step [s].
         force: output (3,), world frame [N].
     """
-    normal = stiffness * depth - damping * velocity[2]
-    if depth <= 0.0 or normal <= 0.0:
+    nx, ny, nz = normal
+    load = stiffness * depth - damping * (velocity[0] * nx + velocity[1] * ny + velocity[2] * nz)
+    if depth <= 0.0 or load <= 0.0:
         stretch[:] = 0.0
         force[:] = 0.0
-        return
-    force[2] = normal
-    sliding_force_kernel(normal, velocity, stretch, friction, shear_stiffness, damping, dt, force)
+        return 0.0
+    friction_force_kernel(load, normal, velocity, stretch, friction, shear_stiffness, damping, dt, force)
+    force[0] += load * nx
+    force[1] += load * ny
+    force[2] += load * nz
+    return load
 
 
 @kernel
-def sliding_force_kernel(
-    normal: float,
+def friction_force_kernel(
+    load: float,
+    normal: Vector,
     velocity: Array,
     stretch: Array,
     friction: float,
@@ -74,16 +86,20 @@ def sliding_force_kernel(
     dt: float,
     force: Array,
 ) -> None:
-    """Compute the force along the ground on a foot that is pressed against it with `normal` [N].
+    """Compute the force along the ground (3,) [N] on a foot that is pressed against it with a load [N].
 
-    It writes the first two numbers of `force`; all else is as in `foot_force_kernel`.
+    Stretch and force are those of the motion along x and y; where the ground slopes, z follows. All else is as in
+    `foot_force_kernel`.
     """
+    nx, ny, nz = normal
+    along = velocity[0] * nx + velocity[1] * ny + velocity[2] * nz
+    slip_x, slip_y = velocity[0] - along * nx, velocity[1] - along * ny
     slide_damping = TANGENTIAL_DAMPING * damping
-    stretch[0] += velocity[0] * dt
-    stretch[1] += velocity[1] * dt
-    force[0] = -(shear_stiffness * stretch[0] + slide_damping * velocity[0])
-    force[1] = -(shear_stiffness * stretch[1] + slide_damping * velocity[1])
-    bound = friction * normal
+    stretch[0] += slip_x * dt
+    stretch[1] += slip_y * dt
+    force[0] = -(shear_stiffness * stretch[0] + slide_damping * slip_x)
+    force[1] = -(shear_stiffness * stretch[1] + slide_damping * slip_y)
+    bound = friction * load
     tangential = math.hypot(force[0], force[1])
     if tangential > bound:
         force[0] *= bound / tangential
@@ -93,15 +109,16 @@ def sliding_force_kernel(
     if held > bound:
         stretch[0] *= bound / held
         stretch[1] *= bound / held
+    force[2] = -(nx * force[0] + ny * force[1]) / nz
 
 
 @kernel
-def spinning_torque_kernel(normal: float, spin: float, coefficient: float) -> float:
+def spinning_torque_kernel(load: float, spin: float, coefficient: float) -> float:
     """Return the torque of the ground on one foot about the normal, t_n [N m].
 
     Args:
-        normal: normal force f_n [N].
-        spin: angular velocity w of the foot about the normal, up [rad/s].
+        load: force along the normal f_n [N].
+        spin: angular velocity w of the foot about the normal [rad/s].
         coefficient: spinning friction c [m].
     """
-    return -coefficient * normal * min(max(spin / SPIN_SPEED, -1.0), 1.0)
+    return -coefficient * load * min(max(spin / SPIN_SPEED, -1.0), 1.0)

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from surefoot.arrays import Array
 from surefoot.errors import SurefootError, choices
 from surefoot.robot import PhysicalParams, RobotDescription
+from surefoot.world.ground import FLAT, Ground
 
 ACTUATORS = ("dc", "constraint")
 
@@ -72,7 +73,7 @@ class WorldConfig:
     rest: tuple[float, ...] | None = None
     """Pose of all legs in leg space in which robots settle before an episode; the description's, if not given."""
     actuator: Literal["dc", "constraint"] = "dc"
-    """dc: servo and DC motor; constraint: the position motor of physics engines, see `actuator.constraint`."""
+    """dc: servo and DC motor; constraint: the position motor of physics engines, without a servo or a motor model."""
     rack: bool = False
     """Hold the base still in the air, level and out of reach of the ground."""
     thermal_protection: bool = False
@@ -81,6 +82,8 @@ class WorldConfig:
     """A reset gives the base a random velocity, each component up to this [m/s]."""
     start_angular_speed: float = 0.0
     """A reset gives the base a random angular velocity, each component up to this [rad/s]."""
+    ground: Ground = FLAT
+    """What robots stand on."""
     threads: int = 0
     """Threads, or processes, to step on; 0 means one a core."""
 

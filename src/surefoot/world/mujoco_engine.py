@@ -51,7 +51,7 @@ class MujocoEngine:
         self.robot, self.actuation = robot, actuation
         # The Python package times MuJoCo's stages with a clock call each, some 3 % of a step; the times are not used.
         mujoco.set_mjcb_time(None)
-        num_envs = len(actuation.ticks)
+        num_envs, self._ground = len(actuation.ticks), config.ground
         self._nominal = build_model(robot, config)
         self._scratch_model = copy.copy(self._nominal)
         self._scratch = mujoco.MjData(self._scratch_model)
@@ -100,6 +100,7 @@ class MujocoEngine:
             foot_geom=self._feet,
             foot_body=model.geom_bodyid[self._feet].astype(np.int64),
             foot_radius=model.geom_size[self._feet, 0].copy(),
+            ground=self._ground.heights,
             friction=np.full(num_envs, robot.contact.friction),
             stiffness=np.full(num_envs, robot.contact.stiffness),
             shear=np.full(num_envs, robot.contact.stiffness),
@@ -123,7 +124,7 @@ class MujocoEngine:
 
     def _resting_state(self) -> Array:
         mujoco.mj_resetData(self._nominal, self._scratch)
-        self._scratch.qpos[:] = resting_qpos(self.robot, self._nominal)
+        self._scratch.qpos[:] = resting_qpos(self.robot, self._nominal, self._ground)
         return self._read(self._scratch, np.zeros_like(self._native.stretch[0]))
 
     def _read(self, data: mujoco.MjData, stretch: Array) -> Array:

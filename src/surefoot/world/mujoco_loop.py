@@ -21,7 +21,7 @@ from surefoot.world.actuation import (
     record_sample,
     roll_pitch_yaw,
 )
-from surefoot.world.contact import foot_force_kernel, spinning_torque_kernel
+from surefoot.world.contact import foot_force_kernel, sphere_contact, spinning_torque_kernel
 from surefoot.world.native import call_step, doubles, pointers, take_number
 
 Index = NDArray[np.int64]
@@ -61,6 +61,7 @@ class Native(NamedTuple):
     foot_geom: Index
     foot_body: Index
     foot_radius: Array
+    ground: Array  # heights, see `Ground`
     friction: Array
     stiffness: Array
     shear: Array
@@ -117,16 +118,19 @@ def _feet_on_ground(native: Native, state: ActuationState, i: int, velocity: Arr
     for leg in range(len(native.foot_geom)):
         g, b = 3 * native.foot_geom[leg], native.foot_body[leg]
         radius = native.foot_radius[leg]
-        depth = radius - xpos[g + 2]
+        depth, nx, ny, nz = sphere_contact(native.ground, xpos[g], xpos[g + 1], xpos[g + 2], radius)
+        # The point of the foot that is deepest in the ground.
+        px, py, pz = xpos[g] - radius * nx, xpos[g + 1] - radius * ny, xpos[g + 2] - radius * nz
+        wx, wy, wz = cvel[6 * b], cvel[6 * b + 1], cvel[6 * b + 2]
         if depth > 0.0:
             # MuJoCo's cvel is the velocity of the body where the whole robot's centre of mass is.
-            x, y, z = xpos[g] - com[root], xpos[g + 1] - com[root + 1], xpos[g + 2] - radius - com[root + 2]
-            wx, wy, wz = cvel[6 * b], cvel[6 * b + 1], cvel[6 * b + 2]
+            x, y, z = px - com[root], py - com[root + 1], pz - com[root + 2]
             velocity[0] = cvel[6 * b + 3] + wy * z - wz * y
             velocity[1] = cvel[6 * b + 4] + wz * x - wx * z
             velocity[2] = cvel[6 * b + 5] + wx * y - wy * x
-        foot_force_kernel(
+        load = foot_force_kernel(
             depth,
+            (nx, ny, nz),
             velocity,
             native.stretch[i, leg],
             native.friction[i],
@@ -136,21 +140,19 @@ def _feet_on_ground(native: Native, state: ActuationState, i: int, velocity: Arr
             state.constants[3],
             force,
         )
-        if force[2] > 0.0:
-            state.contact_ticks[i, leg] += 1.0
         # MuJoCo takes a force at the body's centre of mass and a torque.
-        x, y, z = (
-            xpos[g] - xipos[3 * b],
-            xpos[g + 1] - xipos[3 * b + 1],
-            xpos[g + 2] - radius - xipos[3 * b + 2],
-        )
+        x, y, z = px - xipos[3 * b], py - xipos[3 * b + 1], pz - xipos[3 * b + 2]
         for k in range(3):
             applied[6 * b + k] = force[k]
         applied[6 * b + 3] = y * force[2] - z * force[1]
         applied[6 * b + 4] = z * force[0] - x * force[2]
         applied[6 * b + 5] = x * force[1] - y * force[0]
-        if force[2] > 0.0:
-            applied[6 * b + 5] += spinning_torque_kernel(force[2], cvel[6 * b + 2], native.spinning[i])
+        if load > 0.0:
+            state.contact_ticks[i, leg] += 1.0
+            torque = spinning_torque_kernel(load, wx * nx + wy * ny + wz * nz, native.spinning[i])
+            applied[6 * b + 3] += torque * nx
+            applied[6 * b + 4] += torque * ny
+            applied[6 * b + 5] += torque * nz
 
 
 @kernel

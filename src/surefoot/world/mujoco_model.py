@@ -1,4 +1,4 @@
-"""A robot's description as a MuJoCo model: the URDF, closed loops and a ground plane."""
+"""A robot's description as a MuJoCo model: the URDF, closed loops and the ground."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from surefoot.arrays import Array
 from surefoot.errors import SurefootError
 from surefoot.robot import GRAVITY, RobotDescription
 from surefoot.world.actuation import RACK_HEIGHT
+from surefoot.world.ground import FLAT, Ground
 from surefoot.world.interface import WorldConfig
 from surefoot.world.self_collision import collision_pairs
 
@@ -24,7 +25,7 @@ MOTOR_ITERATIONS = 50
 
 
 def build_model(robot: RobotDescription, config: WorldConfig | None = None) -> mujoco.MjModel:
-    """Return the robot over a ground plane at z = 0, its base free or on a rack.
+    """Return the robot over the ground, its base free or on a rack.
 
     Feet meet the ground by the law in `surefoot.world.contact`, so their geoms collide with nothing here; the
     other collision shapes of the URDF meet the ground by MuJoCo's own contacts, and each other in the
@@ -48,6 +49,8 @@ def build_model(robot: RobotDescription, config: WorldConfig | None = None) -> m
     option.timestep = robot.timing.servo_step
     option.iterations = 4
     option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET | mujoco.mjtDisableBit.mjDSBL_ISLAND
+    if config.ground.heights.size:
+        raise NotImplementedError("a ground with heights in MuJoCo")
     spec.worldbody.add_geom(
         name="ground", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 1], contype=1, conaffinity=0, condim=3
     )
@@ -95,7 +98,7 @@ def foot_geoms(robot: RobotDescription, model: mujoco.MjModel) -> NDArray[np.int
     return np.array([model.geom(f"{leg.name}_foot").id for leg in robot.legs])
 
 
-def resting_qpos(robot: RobotDescription, model: mujoco.MjModel) -> Array:
+def resting_qpos(robot: RobotDescription, model: mujoco.MjModel, ground: Ground = FLAT) -> Array:
     """Return generalized coordinates of the resting pose, loops closed, lowest foot on the ground (no rack)."""
     qpos = model.qpos0.copy()
     for name, angle in robot.resting_joint_angles.items():
@@ -106,5 +109,6 @@ def resting_qpos(robot: RobotDescription, model: mujoco.MjModel) -> Array:
     data.qpos[:] = qpos
     mujoco.mj_kinematics(model, data)
     feet = foot_geoms(robot, model)
-    qpos[2] -= float(np.min(data.geom_xpos[feet, 2] - model.geom_size[feet, 0]))
+    places = data.geom_xpos[feet]
+    qpos[2] -= float(np.min(places[:, 2] - model.geom_size[feet, 0] - ground.height(places[:, :2])))
     return qpos

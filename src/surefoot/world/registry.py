@@ -1,6 +1,6 @@
 """The registry of worlds: one entry for each name that `--world` takes, with everything that depends on its engine.
 
-A further engine is a class that keeps to `sim_world.Engine`, an entry here, and an extra of the package in
+A further engine is a class that implements `engine.Engine`, an entry here, and an extra of the package in
 pyproject.toml.
 """
 

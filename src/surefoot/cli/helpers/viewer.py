@@ -19,6 +19,7 @@ from surefoot.robot import RobotDescription
 from surefoot.robot.urdf import Shape
 from surefoot.rotations import matrix_quat
 from surefoot.task.trace import EpisodeTrace
+from surefoot.world.ground import FLAT
 
 if TYPE_CHECKING:
     from surefoot.emulator.plant import Plant
@@ -38,7 +39,9 @@ def build_stage(shapes: Sequence[Shape]) -> mujoco.MjModel:
     spec = mujoco.MjSpec()
     spec.worldbody.add_light(pos=[0, 0, 4], dir=[0, 0, -1], type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL)
     seen: dict[str, Any] = {"contype": 0, "conaffinity": 0}
-    spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 0.5], rgba=[0.8, 0.82, 0.84, 1], **seen)
+    level = [0.0, 0.0, float(FLAT.height(np.zeros(2)))]
+    plane: dict[str, Any] = {"type": mujoco.mjtGeom.mjGEOM_PLANE, "pos": level, "size": [0, 0, 0.5]}
+    spec.worldbody.add_geom(rgba=[0.8, 0.82, 0.84, 1], **plane, **seen)
     bodies = {name: spec.worldbody.add_body(name=name, mocap=True) for name in dict.fromkeys(s.link for s in shapes)}
     for shape in shapes:
         bodies[shape.link].add_geom(

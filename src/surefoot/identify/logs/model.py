@@ -22,7 +22,6 @@ from surefoot.identify.logs.errors import imu_of
 from surefoot.identify.logs.robot_log import IMU, SKIPPED, RobotLog
 from surefoot.identify.replay import Replayer, stretch_of_log
 from surefoot.robot import PhysicalParams, RobotDescription
-from surefoot.world.interface import WorldConfig
 
 MOVING_NOISE = 0.006
 """Standard deviation with which angles of joints that move are compared [rad]: readings of unknown age, at up to 3.8
@@ -251,4 +250,3 @@ def check_robot(robot: RobotDescription) -> None:
         raise SurefootError(
             f"the motors of {robot.name} are of kind {robot.actuator.kind}; logs tell of joint actuators"
         )
-    WorldConfig()

@@ -1,7 +1,7 @@
 """Solids drawn in software: no OpenGL and no window.
 
 Boxes, cylinders and spheres are shaded flat, sorted back to front and filled with Pillow. World frame: x forward,
-y left, z up, ground at z = 0. Lengths in m.
+y left, z up. Lengths in m.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from PIL import Image, ImageDraw, ImageFilter
 
 from surefoot.arrays import Array
 from surefoot.robot.urdf import Shape
+from surefoot.world.ground import FLAT
 
 SUPERSAMPLE = 2
 TILE = 0.25  # m, side of a square of the ground
@@ -178,7 +179,8 @@ def _squares(view: View) -> Iterator[tuple[list[tuple[float, float]], tuple[int,
     dark = (column + row) % 2 == 0
     low = np.stack([column[dark], row[dark]], axis=-1) * TILE
     step = np.array([(0, 0), (1, 0), (1, 1), (0, 1)]) * TILE
-    ground = np.concatenate([low[:, None] + step, np.zeros((len(low), 4, 1))], axis=-1)
+    corners = low[:, None] + step
+    ground = np.concatenate([corners, FLAT.height(corners)[..., None]], axis=-1)
     pixels, depth = view.project(ground)
     distance = np.linalg.norm(ground.mean(axis=1) - view.eye, axis=-1)
     inside = np.all((pixels.max(axis=1) > 0) & (pixels.min(axis=1) < [view.width, view.height]), axis=-1)
@@ -209,8 +211,9 @@ def _backdrop(width: int, height: int, focal: float, above: float, slope: tuple[
 
 def _shadow(picture: Image.Image, view: View, points: Array, faces: list[tuple[int, ...]]) -> None:
     """Darken the ground where the light's way is barred, softly."""
-    ground = points - TO_LIGHT * (np.maximum(points[:, 2:], 0.0) / TO_LIGHT[2])
-    ground[:, 2] = 0.0
+    above = points[:, 2:] - FLAT.height(points[:, :2])[:, None]
+    ground = points - TO_LIGHT * (np.maximum(above, 0.0) / TO_LIGHT[2])
+    ground[:, 2] = FLAT.height(ground[:, :2])
     pixels, depth = view.project(ground)
     margin = 24
     low = np.maximum(np.floor(pixels.min(axis=0)).astype(int) - margin, 0)

@@ -16,6 +16,7 @@ from surefoot.arrays import Array
 from surefoot.errors import SurefootError
 from surefoot.report.drawing.renderer import Camera, Mesh, View, draw
 from surefoot.robot.urdf import Shape
+from surefoot.world.ground import FLAT
 
 INK, PANEL = (34, 39, 46), (255, 255, 255, 190)
 
@@ -71,7 +72,8 @@ def render_video(
         temporary.touch()
         writer.send(None)
         for now in clock:
-            aim = np.array([*(np.interp(now, track_times, part) for part in track.T), camera.height])
+            place = np.array([np.interp(now, track_times, part) for part in track.T])
+            aim = np.array([*place, FLAT.level(place) + camera.height])
             picture = draw(mesh, interpolate_poses(times, stack, now), View(camera, aim, size))
             _write(picture, overlay[int(np.abs(times - now).argmin())])
             writer.send(picture.tobytes())

@@ -21,6 +21,7 @@ from surefoot.report.drawing.scene import extent, poses, scene
 from surefoot.robot import RobotDescription
 from surefoot.robot.urdf import GREY, Shape
 from surefoot.rotations import matrix_quat
+from surefoot.world.ground import FLAT
 
 _TRAIL = 300
 """Points of the trail."""
@@ -46,6 +47,7 @@ def add_ground(scene: viser.SceneApi, name: str, size: float) -> None:
     scene.add_grid(
         name,
         infinite_grid=True,
+        position=(0.0, 0.0, float(FLAT.height(np.zeros(2)))),
         cell_size=0.25,
         section_size=1.0,
         fade_distance=15.0 * size,
@@ -111,7 +113,7 @@ class RobotView:
             if far:
                 self._trail.clear()
             if not self._trail or np.linalg.norm(at[:2] - self._trail[-1][:2]) > 0.05 * self._size:
-                self._trail.append(np.array([*at[:2], 0.004]))
+                self._trail.append(np.array([*at[:2], FLAT.height(at[:2]) + 0.004]))
                 if len(self._trail) > 1:
                     line = np.array(self._trail)
                     pieces = np.stack([line[:-1], line[1:]], axis=1)
