@@ -99,7 +99,7 @@ def exchange_columns(contract: dict[str, Any]) -> None:
 
 
 def widen_feedback(contract: dict[str, Any]) -> None:
-    contract["low"] = [-0.8] * 8
+    contract["low"] = [-0.8] * 4 + [-0.25] * 4
 
 
 @pytest.mark.parametrize(

@@ -19,7 +19,7 @@ import pytest
 from processes import SUREFOOT, EmulatorHere, emulators, refused, surefoot
 
 from surefoot.cli.helpers.identify_run import check_handshake
-from surefoot.emulator.limits import Limits, introduction
+from surefoot.emulator.limits import Limits, make_handshake
 from surefoot.errors import SurefootError
 from surefoot.identify.registry import EXPERIMENTS
 from surefoot.robot import PhysicalParams, RobotDescription
@@ -254,7 +254,7 @@ def test_ctrl_c_ends_it_and_keeps_what_was_recorded(hanging: EmulatorHere, tmp_p
 
 
 def test_an_experiment_refuses_another_robot_than_the_data_sheets(robot: RobotDescription):
-    said = introduction(robot, Limits.of(robot), "", robot.timing.servo_step)
+    said = make_handshake(robot, Limits.of(robot), "", robot.timing.servo_step)
     check_handshake(said, robot)
     signs = np.array(said.motor_signs, float)
     signs[3] *= -1

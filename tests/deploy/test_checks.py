@@ -199,7 +199,7 @@ def test_the_rate_may_differ_from_the_data_sheet():
 def test_actions_in_another_order_are_found():
     names = contract_of().action_names
     failed = failures(replace(contract_of(), action_names=(*names[4:], *names[:4])))
-    assert "has the actions extension.front_left" in failed["gait"].message
+    assert "its actions are extension.front_left" in failed["gait"].message
 
 
 def with_part(index: int, **changes: str) -> Contract:

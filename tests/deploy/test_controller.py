@@ -108,11 +108,6 @@ def test_feedback_that_is_not_finite_is_named(contract, robot, a_state):
         controller.command(0.0, controller.observe(0.0, a_state))
 
 
-def test_other_columns_are_refused(contract, robot):
-    with pytest.raises(SurefootError, match="this surefoot would give it roll, pitch"):
-        Controller(Echo(replace(contract, columns=("roll", "yaw", "roll_rate", "pitch_rate"))), robot)
-
-
 def test_a_gait_beyond_the_legs_is_refused(contract, robot):
     with pytest.raises(SurefootError, match="a leg of minitaur allows"):
         Controller(Echo(replace(contract, high=(0.9,) * 8)), robot)

@@ -14,7 +14,7 @@ import numpy as np
 
 from surefoot import __version__
 from surefoot.configuration import from_mapping, to_mapping
-from surefoot.errors import SurefootError, choices
+from surefoot.errors import SurefootError, choices, located
 from surefoot.policy.contract import ASSUMED_PARAMS, Contract, ObservationPart, config_hash
 from surefoot.robot import GRAVITY, PhysicalParams, RobotDescription
 from surefoot.robot.commands import COMMANDS
@@ -90,24 +90,24 @@ def task_from_contract(contract: Contract, robot: RobotDescription | None = None
         SurefootError: a key that contracts do not have, or values that do not fit the robot.
     """
     robot = robot or RobotDescription.load(contract.description)
-    where = f"policy '{contract.name}': task"
-    for key in _STATED:
-        if key in contract.task:
-            raise SurefootError(f"{where}.{key} is not a key; the contract states it outside the task")
-    task = from_mapping(TaskConfig, contract.task, where)
-    kind, feedback = _feedback(contract, robot)
-    return replace(
-        task,
-        robot=contract.description,
-        observations=tuple(part.name for part in contract.observation),
-        history=contract.history,
-        reference=_reference(contract, robot),
-        feedback=feedback,
-        action=kind,
-        rest=contract.rest,
-        commands=_commands(contract, task.commands),
-        params=task.params | _assumed_params(contract, robot),
-    )
+    with located(f"policy '{contract.name}'"):
+        for key in _STATED:
+            if key in contract.task:
+                raise SurefootError(f"task.{key} is not a key; the contract states it outside the task")
+        task = from_mapping(TaskConfig, contract.task, "task")
+        kind, feedback = _feedback(contract, robot)
+        return replace(
+            task,
+            robot=contract.description,
+            observations=tuple(part.name for part in contract.observation),
+            history=contract.history,
+            reference=_reference(contract, robot),
+            feedback=feedback,
+            action=kind,
+            rest=contract.rest,
+            commands=_commands(contract, task.commands),
+            params=task.params | _assumed_params(contract, robot),
+        )
 
 
 def _feedback(contract: Contract, robot: RobotDescription) -> tuple[ActionKind, FeedbackConfig]:
@@ -116,8 +116,7 @@ def _feedback(contract: Contract, robot: RobotDescription) -> tuple[ActionKind, 
     names = action_names(robot, kind)
     if list(contract.action_names) != names:
         raise SurefootError(
-            f"policy '{contract.name}' has the actions {choices(contract.action_names)}; "
-            f"on {robot.name} they must be {choices(names)}"
+            f"its actions are {choices(contract.action_names)}; on {robot.name} they must be {choices(names)}"
         )
     coordinates = ("joint",) if kind == "joint" else robot.coordinates
     low, high = (np.reshape(bound, (len(coordinates), -1)) for bound in (contract.low, contract.high))
@@ -130,7 +129,7 @@ def _reference(contract: Contract, robot: RobotDescription) -> ReferenceConfig:
     if data.get("kind") == "table":
         rows = {part: data.pop(part) for part in robot.coordinates if part in data}
         data["rows"] = rows
-    return from_mapping(ReferenceConfig, data, f"policy '{contract.name}': reference")
+    return from_mapping(ReferenceConfig, data, "reference")
 
 
 def _commands(contract: Contract, config: CommandConfig) -> CommandConfig:

@@ -23,7 +23,7 @@ from surefoot.deploy.doctor.link import LinkFigures, bursts, check_link, measure
 from surefoot.deploy.doctor.rack import Wiggle, check_motors, check_response, fit_response
 from surefoot.deploy.doctor.rest import Sample, check_rest
 from surefoot.deploy.messages import Mode, State
-from surefoot.deploy.poses import sitting
+from surefoot.deploy.poses import sitting_pose
 from surefoot.deploy.robot_link import RobotLink
 from surefoot.deploy.safety import SafetyLimits
 from surefoot.policy.runtime import PolicyRuntime
@@ -414,7 +414,7 @@ def test_a_motion_is_smooth_and_ends_disarmed(link: RobotLink, robot: RobotDescr
 def test_a_robot_on_the_ground_sits_before_it_is_disarmed(link: RobotLink, robot: RobotDescription, toy: Any):
     with move(link, robot, sits=True) as leashed:
         leashed.go(pose_of(robot, 0.0, 1.5), 0.5)
-    assert np.allclose(toy.angle, sitting(robot), atol=1e-6)
+    assert np.allclose(toy.angle, sitting_pose(robot), atol=1e-6)
     assert toy.firmware.mode == Mode.DISARMED
 
 
@@ -450,7 +450,7 @@ def test_ctrl_c_sits_and_once_more_damps(
     assert stopped.value.verdict.reason == "operator"
     assert toy.kinds()[-1] == last
     assert toy.firmware.mode == mode
-    assert np.allclose(toy.angle, sitting(robot), atol=1e-6) == (stops == 1)
+    assert np.allclose(toy.angle, sitting_pose(robot), atol=1e-6) == (stops == 1)
 
 
 def test_an_exception_in_the_middle_damps(link: RobotLink, robot: RobotDescription, toy: Any):
@@ -507,7 +507,7 @@ def test_a_wiggle_that_is_stopped_says_which_motor(
     link: RobotLink, robot: RobotDescription, policy: PolicyRuntime, toy: Any
 ):
     def runaway(time: float, readings: Any) -> Any:
-        moved = readings.motor_angle - sitting(robot)
+        moved = readings.motor_angle - sitting_pose(robot)
         angle = readings.motor_angle.copy()
         angle[2] -= 5 * moved[2]
         return replace(readings, motor_angle=angle)

@@ -4,14 +4,10 @@ from __future__ import annotations
 
 import sys
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
-
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
 from surefoot.check_result import first_failure
 from surefoot.cli.helpers.simulator import Simulator
@@ -20,6 +16,7 @@ from surefoot.deploy.checks import check_description
 from surefoot.errors import SurefootError, choices
 from surefoot.policy.contract import config_hash
 from surefoot.policy.runtime import PolicyRuntime
+from surefoot.progress import ProgressBar
 from surefoot.robot import RobotDescription, parse_settings
 from surefoot.robot.randomization import RandomizeConfig, check_ranges
 from surefoot.studies.handcrafted import HandcraftedGait
@@ -210,17 +207,7 @@ def run_policy(
     """
     from surefoot.evaluate.rollout import run_episodes
 
-    with progress_bar(title or name) as progress:
+    with ProgressBar(title or name) as bar:
         return run_episodes(
-            policy, task, episodes, find_world(world), seed, threads, progress, world_name=world, policy_name=name
+            policy, task, episodes, find_world(world), seed, threads, bar.advance, world_name=world, policy_name=name
         )
-
-
-@contextmanager
-def progress_bar(what: str) -> Iterator[Callable[[float], None]]:
-    """Show a bar on stderr while something runs, on a terminal only; give what takes the share that is done, 0 to 1."""
-    console = Console(stderr=True)
-    columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
-        row = bar.add_task(what, total=1.0)
-        yield lambda share: bar.update(row, completed=share)
