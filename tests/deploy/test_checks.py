@@ -86,13 +86,13 @@ def swapped(names: tuple[Any, ...], one: int, other: int) -> tuple[Any, ...]:
 @pytest.mark.parametrize(
     ("change", "check", "why"),
     [
-        ({"robot": "spot"}, "robot", "is 'minitaur' (policy), 'spot' (robot), 'minitaur' (data sheet); all must be the same"),
+        ({"robot": "spot"}, "robot", "is 'minitaur' (policy), 'spot' (robot), 'minitaur' (data sheet)"),
         (
             {"motor_names": swapped(ROBOT.motor_names, 0, 5)},
             "motors",
             "motor 0 is 'front_left_2_motor' (policy), 'front_right_2_motor' (robot), 'front_left_2_motor' (data",
         ),
-        ({"motor_names": ROBOT.motor_names[:7]}, "motors", "8 (policy), 7 (robot), 8 (data sheet); all must have the same"),
+        ({"motor_names": ROBOT.motor_names[:7]}, "motors", "8 (policy), 7 (robot), 8 (data sheet)"),
         (
             {"motor_signs": np.array([-1.0, 1, -1, -1, 1, -1, 1, -1])},
             "motor signs",

@@ -78,7 +78,7 @@ def test_json_states_kind_and_schema(contract: Contract):
         ({"servo_kd": [0.01] * 7 + [-1.0]}, "contract.servo_kd[7] is -1; it must be 0 or more"),
         ({"voltage": 0.0}, "contract.voltage is 0; it must be 1 or more"),
         ({"rest": [0.0, 1e9]}, "contract.rest[1] is 1e+09; it must be 6.28"),
-        ({"reference": {"swing": {"amplitude": 10**300}}}, "it holds 1" + 39 * "0" + "; whole numbers must be below 2^64"),
+        ({"reference": {"swing": {"amplitude": 10**300}}}, "it holds 1" + 39 * "0" + "; whole numbers"),
         ({"reference": {"kind": "table", "file": "t.npz"}}, "contract.reference names a file; a policy holds the rows"),
         ({"task": [0.02]}, "contract.task is [0.02]; it must be a table"),
         ({"colour": "red"}, "contract.colour is not a key"),
@@ -105,7 +105,7 @@ def test_a_number_that_is_not_finite_is_refused_wherever_it_stands(contract: Con
 
 @pytest.mark.parametrize("text", ["", "{", "[]", "null", '"surefoot-policy"', "{}"])
 def test_a_text_that_is_no_contract_is_refused(text: str):
-    with pytest.raises(SurefootError, match="contract: (is not JSON|its kind must be)"):
+    with pytest.raises(SurefootError, match=r"contract: (is not JSON|its kind must be)"):
         Contract.from_json(text)
 
 

@@ -57,10 +57,11 @@ def test_a_table_comes_from_the_contract_and_not_from_its_file(tmp_path: Path):
     columns = [f"{part}_{leg}" for part in ("swing", "extension") for leg in ROBOT.leg_names]
     table = np.hstack([np.zeros((4, 4)), np.array([[1.8], [2.0], [1.9], [2.0]]) * np.ones((1, 4))])
     np.savez(tmp_path / "t.npz", **dict(zip(columns, table.T, strict=True)))
-    contract = contract_of(TaskConfig(reference=ReferenceConfig(kind="table", file=str(tmp_path / "t.npz"), period=0.5)))
+    reference = ReferenceConfig(kind="table", file=str(tmp_path / "t.npz"), period=0.5)
+    contract = contract_of(TaskConfig(reference=reference))
     (tmp_path / "t.npz").unlink()
-    reference = make_reference(task_from_contract(contract).reference.to_mapping(), ROBOT)
-    assert np.allclose(reference.pose([0.125])[:, 1], 2.0)
+    again = make_reference(task_from_contract(contract).reference.to_mapping(), ROBOT)
+    assert np.allclose(again.pose([0.125])[:, 1], 2.0)
 
 
 def test_a_task_with_an_unknown_key_is_refused():
