@@ -19,7 +19,7 @@ ARROWS: dict[str, set[str]] = {
     "robot": set(),
     "actuator": {"robot"},
     "world": {"actuator", "robot"},
-    "task": {"robot", "world.interface", "world.ground"},
+    "task": {"robot", "policy", "world.interface", "world.ground"},
     "learn": {"task", "policy", "evaluate", "robot", "world.interface"},
     "policy": {"robot"},
     "evaluate": {"task", "policy", "world", "robot"},
