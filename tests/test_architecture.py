@@ -38,7 +38,7 @@ WIRING = "cli"  # the one room that may import anything, and that only `python -
 # What the robot's computer runs, and the import names of what it does not have: all outside the bare install.
 ROBOT_SIDE = [
     "surefoot.policy.runtime",
-    "surefoot.task.reference",
+    "surefoot.task.gait",
     "surefoot.task.observation",
     "surefoot.task.trace",
     "surefoot.robot",
@@ -212,7 +212,7 @@ def test_an_import_against_the_arrows_is_found(module: str, source: str, target:
         ("surefoot.robot.leg", "from .. import __version__\nimport surefoot\nfrom . import sheet"),
         ("surefoot.robot", "from .leg import to_motors"),
         ("surefoot.task.env", "from surefoot.world.interface import World\nfrom ..world import interface"),
-        ("surefoot.deploy", "from ..task import reference\nimport surefootage.world"),
+        ("surefoot.deploy", "from ..task import gait\nimport surefootage.world"),
         ("surefoot.cli.main", "from ..world.simulated import SimWorld\nimport surefoot.deploy"),
     ],
 )
