@@ -177,7 +177,7 @@ def test_a_circle_is_found():
 
 
 LAYOUT_PACKAGES = {"surefoot", *(f"surefoot.{room}" for room in ("robot", "world", "task", "deploy", "cli"))}
-_MODULES = ("errors", "robot.leg", "world.interface", "world.simulated", "task.env", "task.reference", "cli.main")
+_MODULES = ("errors", "robot.leg", "world.interface", "world.simulated", "task.env", "task.gait", "cli.main")
 LAYOUT = dict.fromkeys([*sorted(LAYOUT_PACKAGES), *(f"surefoot.{name}" for name in _MODULES)], "")
 
 
