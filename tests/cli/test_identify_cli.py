@@ -54,7 +54,7 @@ def test_a_recording_of_one_world_against_the_models_in_another(tmp_path: Path) 
 
 
 @pytest.mark.parametrize(
-    ("words", "identifiable"),
+    ("words", "told"),
     [
         (
             ["tail"],

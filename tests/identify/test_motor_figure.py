@@ -70,7 +70,7 @@ def test_a_log_is_written_and_read(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "identifiable"),
+    ("text", "told"),
     [
         ("", "takes time, target, angle"),
         ("time,angle\n0,1\n", "takes time, target, angle"),
