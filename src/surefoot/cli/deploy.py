@@ -99,7 +99,7 @@ def main(argv: list[str]) -> int:
 
     policy = PolicyRuntime.load(find_policy(command.policy))
     contract = policy.contract
-    robot = RobotDescription.load(str(contract.task.get("robot", contract.robot)))
+    robot = RobotDescription.load(contract.description)
     controller = Controller(policy, robot)
 
     def check(handshake: Handshake) -> None:
@@ -146,7 +146,7 @@ def _runs(command: DeployCommand, deployment: Deployment) -> tuple[list[dict[str
 
     contract = deployment.contract
     step = contract.control_step
-    steps = int(contract.task.get("max_steps", 1000))
+    steps = deployment.controller.task.max_steps
     duration = command.duration or (_DRIVEN if command.drive else None)
     if duration is not None:
         steps = max(round(duration / step), 1)

@@ -150,7 +150,7 @@ class Deployment:
             self.operator,
             self.monitor,
             self.limits,
-            contract.task.get("fall_angle"),
+            self.controller.task.fall_angle,
             timing=timing,
             dry_run=self.dry_run,
         )

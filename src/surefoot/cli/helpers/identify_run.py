@@ -14,8 +14,10 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from surefoot.check_result import first_failure
 from surefoot.cli.helpers.link_options import LinkOptions
 from surefoot.cli.helpers.options import Json, Yes, ask_to_move, check_terminal
+from surefoot.deploy.checks import check_identity, check_servo_period
 from surefoot.deploy.display import PlainLines, open_display
 from surefoot.deploy.loop import RunMonitor, Snapshot
 from surefoot.deploy.messages import Handshake
@@ -29,8 +31,6 @@ from surefoot.robot import DEFAULT_ROBOT, RobotDescription
 
 PLACES = {True: "hang free, its legs in the air", False: "sit on flat ground with a metre of room"}
 """Where the robot must be, by whether it is an experiment for the rack."""
-_PERIOD = 0.05
-"""How far the robot's servo period may be from the data sheet's, as a share."""
 
 
 @dataclass(frozen=True)
@@ -81,33 +81,18 @@ def _greeted(command: ExperimentCommand, robot: RobotDescription) -> Iterator[tu
     link = command.open_link(str(command.port), robot.num_motors)
     try:
         handshake = link.connect()
-        check_robot(handshake, robot)
+        check_handshake(handshake, robot)
         yield link, handshake
     finally:
         with contextlib.suppress(LinkLostError, OSError):
             link.close()
 
 
-def check_robot(handshake: Handshake, robot: RobotDescription) -> None:
-    """Refuse a robot that is not the one of the data sheet, and say what differs."""
-    if handshake.robot != robot.name:
-        raise SurefootError(f"the robot says that it is '{handshake.robot}', and the data sheet is of '{robot.name}'")
-    motors = zip(robot.motor_names, robot.motor_sign, handshake.motor_names, handshake.motor_signs, strict=True)
-    for index, (name, sign, their_name, their_sign) in enumerate(motors):
-        if name != their_name:
-            raise SurefootError(
-                f"motor {index} is '{their_name}' (robot), '{name}' (data sheet); names and order must be the same"
-            )
-        if float(sign) != float(their_sign):
-            raise SurefootError(
-                f"{name} has sign {their_sign:+g} (robot), {sign:+g} (data sheet); they must be the same"
-            )
-    period = robot.timing.servo_step
-    if abs(handshake.servo_period - period) > _PERIOD * period:
-        raise SurefootError(
-            f"the robot's servos step every {1e3 * handshake.servo_period:g} ms; the data sheet says {1e3 * period:g} "
-            f"ms, and it must be within {_PERIOD:.0%}"
-        )
+def check_handshake(handshake: Handshake, robot: RobotDescription) -> None:
+    """Refuse a robot that is not the one of the data sheet."""
+    error = first_failure([*check_identity(robot, handshake=handshake), check_servo_period(robot, handshake)])
+    if error is not None:
+        raise SurefootError(f"the robot is not as on its data sheet: {error}")
 
 
 def _show_plan(plan: Plan, handshake: Handshake, console: Console) -> None:
