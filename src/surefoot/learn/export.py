@@ -37,7 +37,7 @@ def make_contract(
     """
     robot, gait, config = env.robot, env.gait, config or env.task
     given: dict[str, Any] = param_values(env.task.nominal(robot), RANGES)
-    given |= {name: None for name in given if PhysicalParams.actuator_kind(name) not in ("", robot.actuator.kind)}
+    given |= {name: None for name in given if name not in PhysicalParams.names(robot)}
     return Contract(
         name=config.name,
         robot=robot.name,

@@ -21,7 +21,7 @@ from surefoot.errors import SurefootError, check_name, choices, located, quoted
 from surefoot.robot.actuator import ActuatorData, DcMotorData, JointActuatorData, per_motor
 from surefoot.robot.experiments import Experiments, read_experiments
 from surefoot.robot.leg import FiveBar, Legs
-from surefoot.robot.params import PhysicalParams
+from surefoot.robot.params import PARAMETERS, PhysicalParams
 from surefoot.robot.serial_leg import SerialLegs
 from surefoot.robot.urdf import Urdf, read_urdf
 
@@ -241,8 +241,8 @@ class RobotDescription:
         for index, loop in enumerate(sheet.loops):
             _check_names(f"loops[{index}].links", loop.links, hanging)
         for name in sheet.allowed:
-            if name not in PhysicalParams.names():
-                raise SurefootError(f"allowed.{name} is unknown; choices: {choices(PhysicalParams.names())}")
+            if name not in PARAMETERS:
+                raise SurefootError(f"allowed.{name} is unknown; choices: {choices(PARAMETERS)}")
         motor_sign = np.array(sign, float)
         geometry = sheet.leg_geometry or _serial_legs(sheet.base, legs, order, motor_sign, urdf)
         space, rest = _leg_space(sheet.leg_space, geometry)
@@ -275,7 +275,7 @@ class RobotDescription:
             leg_mounts=mounts,
             leg_space=space,
             rest=rest,
-            allowed={**{item.name: item.metadata["bounds"] for item in fields(PhysicalParams)}, **sheet.allowed},
+            allowed={**{name: item.bounds for name, item in PARAMETERS.items()}, **sheet.allowed},
         )
         description._check_legs()
         return description
@@ -296,7 +296,7 @@ class RobotDescription:
                     "and a leg can't have every extension in it; narrow it or check leg_geometry"
                 )
         for name, value in self.nominal_params().items():
-            if PhysicalParams.actuator_kind(name) in ("", self.actuator.kind):
+            if PARAMETERS[name].belongs_to(self):
                 self.check_allowed(name, np.asarray(value), source="nominal ")
 
     @property
@@ -419,10 +419,7 @@ class RobotDescription:
         """Return the nominal value of every physical parameter, by name: a number, or one for each motor."""
         timing = self.timing
         return {
-            **dict.fromkeys(PhysicalParams.names(), 0.0),
-            **dict.fromkeys(("base_mass_ratio", "leg_mass_ratio", "base_inertia_ratio", "leg_inertia_ratio"), 1.0),
-            "motor_strength": 1.0,
-            "contact_shear_ratio": 1.0,
+            **{name: item.nominal for name, item in PARAMETERS.items()},
             **self.actuator.nominal_params(),
             "servo_latency": timing.servo_latency,
             "control_latency": timing.control_latency,
@@ -441,7 +438,7 @@ class RobotDescription:
         low, high = self.allowed[name]
         bad = np.asarray(values)[~((values >= low) & (values <= high))]
         if bad.size:
-            unit = PhysicalParams.unit(name)
+            unit = PARAMETERS[name].unit
             raise SurefootError(
                 f"{source}{name} is {bad.flat[0]:g}; {self.name} allows {low:g} to {high:g} (unit: {unit})"
             )

@@ -19,6 +19,7 @@ from surefoot.deploy.doctor.rest import Sample
 from surefoot.deploy.robot_link import RobotLink
 from surefoot.policy.contract import Contract
 from surefoot.robot import RobotDescription
+from surefoot.robot.randomization import RelativeRange, mean_interval, ranges_from_mapping
 from surefoot.stop_signals import StopSignals
 
 NAMES = ("motors, one by one", "control latency", "servo response")
@@ -268,9 +269,8 @@ def _crossing(age: Array, moved: Array, share: float) -> float:
 
 def trained_latencies(contract: Contract) -> tuple[float, float]:
     """Least and greatest control latency [s] that a policy was trained with."""
-    ranges = contract.task.get("randomize") or {}
-    span = ranges.get("latency") if isinstance(ranges, dict) else None
-    low, high = span if span else (contract.control_latency, contract.control_latency)
+    given = ranges_from_mapping(contract.task.get("randomize") or {}).get("control_latency", RelativeRange(add=(0, 0)))
+    low, high = mean_interval(given, np.array([contract.control_latency]))
     return min(low, contract.control_latency), max(high, contract.control_latency)
 
 

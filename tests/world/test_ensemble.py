@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from surefoot.errors import SurefootError
-from surefoot.evaluate.ensemble import ROBOTS, ensemble_params
+from surefoot.world.ensemble import ROBOTS, ensemble_params
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.robot.randomization import ROWS, SERVO_LATENCY, draw_hidden, load_ranges
 from surefoot.world.interface import WorldConfig
