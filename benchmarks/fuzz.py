@@ -501,7 +501,7 @@ def make_seeds(folder: Path, wanted: set[str]) -> None:
         'robot = "minitaur"\n[params]\nvoltage = 15.4\nimu_bias = [0.01, 0.02]\nmotor_strength = 0.9\n'
         '[sensors]\nage = 0.001\n[identified.motor]\ndate = "2020-01-01"\n'
     )
-    (folder / "ranges.yaml").write_text("mass: [0.9, 1.1]\nvoltage: [14.0, 16.0]\nlatency: null\n")
+    (folder / "ranges.yaml").write_text("base_mass_ratio: [0.9, 1.1]\nvoltage: [14.0, 16.0]\ncontrol_latency: null\n")
     (folder / "task.yaml").write_text(
         "name: mine\nrobot: minitaur\nobservations: [roll, pitch, roll_rate, pitch_rate, motor_angles]\nhistory: 2\n"
         "reference:\n  kind: sine\n  swing: {amplitude: 0.3, frequency: 2.0, phase: 0.5, offset: 0.0}\n"

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from surefoot.errors import SurefootError
-from surefoot.world.ensemble import ROBOTS, ensemble_params
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.robot.randomization import ROWS, SERVO_LATENCY, draw_hidden, load_ranges
+from surefoot.world.ensemble import ROBOTS, ensemble_params
 from surefoot.world.interface import WorldConfig
 from surefoot.world.registry import make_world
 

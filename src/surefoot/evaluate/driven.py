@@ -11,7 +11,6 @@ from numpy.typing import ArrayLike
 from surefoot.arrays import Array
 from surefoot.errors import SurefootError
 from surefoot.evaluate.rollout import Policy
-from surefoot.robot import PhysicalParams
 from surefoot.robot.params import PARAMETERS
 from surefoot.rotations import in_heading_frame
 from surefoot.task.commands import HeldCommand

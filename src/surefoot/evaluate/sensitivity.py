@@ -41,8 +41,8 @@ class TestWorld:
     """The parameter, or `push_force`."""
     value: float
     """Its value; the mean, where motors or axes differ."""
-    values: Array | None = field(default=None, compare=False, repr=False)
-    """Its value for each motor or axis; None for results of a file."""
+    values: tuple[float, ...] = field(default=(), compare=False, repr=False)
+    """Its value for each motor or axis; empty in results that were read from a file."""
 
 
 @dataclass(frozen=True)
@@ -188,9 +188,11 @@ def make_test_worlds(
     if push_force is not None:
         rows[PUSH_FORCE] = np.array(push_force[:1]), np.array(push_force[1:])
     if not rows:
-        raise SurefootError("the table has no ranges; a sensitivity study needs 1 or more, such as table1's")
+        raise SurefootError(
+            "the table of ranges is empty; a sensitivity study needs 1 range or more, as table1's"
+        )
     return tuple(
-        TestWorld(row, float(value.flat[0] if np.ptp(value) == 0 else value.mean()), value[0])
+        TestWorld(row, float(value.flat[0] if np.ptp(value) == 0 else value.mean()), tuple(value.flat))
         for row, (low, high) in rows.items()
         for value in np.linspace(low, high, values if (high > low).any() else 1)
     )

@@ -21,7 +21,7 @@ from surefoot.errors import SurefootError, check_name, choices, located, quoted
 from surefoot.robot.actuator import ActuatorData, DcMotorData, JointActuatorData, per_motor
 from surefoot.robot.experiments import Experiments, read_experiments
 from surefoot.robot.leg import FiveBar, Legs
-from surefoot.robot.params import PARAMETERS, PhysicalParams
+from surefoot.robot.params import PARAMETERS
 from surefoot.robot.serial_leg import SerialLegs
 from surefoot.robot.urdf import Urdf, read_urdf
 

@@ -68,10 +68,9 @@ _FIRST_STREAM_ENDS = "servo_latency"
 
 def interval_of(given: ParamRange, nominal: Array) -> tuple[Array, Array]:
     """Return the least and the greatest value of a range, each in the shape of the nominal value, (N,) or (N, k)."""
+    low, high = np.transpose(_intervals(given))
     if isinstance(given, RelativeRange):
-        low, high = np.transpose(given.add if given.scale is None else given.scale)
         return (nominal + low, nominal + high) if given.scale is None else (nominal * low, nominal * high)
-    low, high = np.transpose(given)
     return np.broadcast_to(low, nominal.shape), np.broadcast_to(high, nominal.shape)
 
 

@@ -17,7 +17,6 @@ import numpy as np
 from surefoot import __version__
 from surefoot.configuration import to_mapping
 from surefoot.errors import SurefootError, choices
-from surefoot.world.ensemble import ROBOTS
 from surefoot.evaluate.footfalls import analyze_footfalls
 from surefoot.evaluate.gap import PolicyGap, away_task, home_task
 from surefoot.evaluate.recorded import save_runs
@@ -31,6 +30,7 @@ from surefoot.robot.randomization import load_ranges
 from surefoot.tables import plain_value
 from surefoot.task.config import TaskConfig
 from surefoot.task.trace import EpisodeTrace
+from surefoot.world.ensemble import ROBOTS
 from surefoot.world.interface import SimulationFactory
 
 SEED = 1

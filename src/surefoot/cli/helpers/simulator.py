@@ -16,10 +16,18 @@ import tyro
 
 from surefoot.cli.helpers.options import Pushes, PushForce, Seed, Settings, World
 from surefoot.errors import SurefootError, choices
-from surefoot.robot import RobotDescription
+from surefoot.robot import DEFAULT_ROBOT, PhysicalParams, RobotDescription
 from surefoot.robot.params import PARAMETERS
 from surefoot.robot.params_file import ParamValue, find_params, read_params
-from surefoot.robot.randomization import ParamRange, Ranges, RelativeRange, check_ranges, load_ranges, range_names
+from surefoot.robot.randomization import (
+    ParamRange,
+    Ranges,
+    RelativeRange,
+    check_ranges,
+    load_ranges,
+    mean_interval,
+    range_names,
+)
 from surefoot.task.config import TaskConfig
 from surefoot.world.interface import WorldConfig
 
@@ -114,9 +122,10 @@ class RunOptions:
 
 def ranges_help() -> str:
     """Return the help of `--randomize`, with the ranges of the paper's table."""
-    table = load_ranges("table1")
+    table, nominal = load_ranges("table1"), PhysicalParams.nominal(RobotDescription.load(DEFAULT_ROBOT))
+    intervals = {name: mean_interval(given, getattr(nominal, name)) for name, given in table.items()}
     lines = _RANGES_HELP.format(names=choices(range_names())).splitlines()
-    lines += [f"    {name:<20}{low:g} to {high:g}" for name, (low, high) in table.items()]
+    lines += [f"    {name:<20}{low:g} to {high:g}" for name, (low, high) in intervals.items()]
     others = f"and, not in table1: {choices(name for name in PARAMETERS if name not in table)}"
     lines += textwrap.wrap(others, 100, initial_indent="    ", subsequent_indent="    ")
     return textwrap.indent("\n".join(lines), "  ")
@@ -179,4 +188,6 @@ def _read_range(option: str, words: list[str]) -> ParamRange | None:
         raise SurefootError(
             f"{option} is {message}; it takes LOW HIGH, scale LOW HIGH, add LOW HIGH, or none"
         ) from None
-    return RelativeRange(**{kind: (low, high)}) if kind in _RELATIVE else (low, high)
+    if kind == "scale":
+        return RelativeRange(scale=(low, high))
+    return RelativeRange(add=(low, high)) if kind == "add" else (low, high)
