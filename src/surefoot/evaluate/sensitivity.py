@@ -188,9 +188,7 @@ def make_test_worlds(
     if push_force is not None:
         rows[PUSH_FORCE] = np.array(push_force[:1]), np.array(push_force[1:])
     if not rows:
-        raise SurefootError(
-            "the table of ranges is empty; a sensitivity study needs 1 range or more, as table1's"
-        )
+        raise SurefootError("the table of ranges is empty; a sensitivity study needs 1 range or more, as table1's")
     return tuple(
         TestWorld(row, float(value.flat[0] if np.ptp(value) == 0 else value.mean()), tuple(value.flat))
         for row, (low, high) in rows.items()

@@ -300,7 +300,7 @@ def test_latency_is_the_readings_age_and_the_lead(delay: float, passed: bool, po
 
 
 def test_latency_within_the_range_that_a_policy_was_trained_in_passes(policy: PolicyRuntime):
-    task = {**policy.contract.task, "randomize": {"latency": [0.0, 0.04]}}
+    task = {**policy.contract.task, "randomize": {"control_latency": [0.0, 0.04]}}
     contract = replace(policy.contract, task=task)
     assert trained_latencies(contract) == (0.0, 0.04)
     latency, _ = check_response(wiggles(RIGHT[:3], 0.037), contract, 0.001, 0.003)
