@@ -60,7 +60,7 @@ def test_json_is_one_object_and_the_ranges_are_the_user_s(tmp_path: Path):
 
 
 def test_the_force_of_pushes_is_a_row(tmp_path: Path):
-    (tmp_path / "r.yaml").write_text("mass: [0.9, 1.0]\n")
+    (tmp_path / "r.yaml").write_text("base_mass_ratio: [0.9, 1.0]\n")
     words = ("trot", "--ranges", "r.yaml", "--push-force", "0", "400", "--values", "2", "--episodes", "2", "--json")
     done = surefoot("sensitivity", *words, "--duration", "2", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
@@ -80,7 +80,7 @@ def test_policies_of_one_name_are_told_apart(tmp_path: Path):
         (tmp_path / folder).mkdir(exist_ok=True)
         shutil.copy(find_policy("trot"), tmp_path / folder / f"{name}.onnx")
     words = ("sensitivity", "a/mine.onnx", "b/mine.onnx", "b/other.onnx", *SHORT, "--ranges", "r.yaml", "--json")
-    (tmp_path / "r.yaml").write_text("mass: [0.8, 1.2]\n")
+    (tmp_path / "r.yaml").write_text("base_mass_ratio: [0.8, 1.2]\n")
     done = surefoot(*words, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     policies = json.loads(done.stdout)["policies"]

@@ -57,7 +57,8 @@ def test_a_groups_ranges_replace_those_of_the_study(tmp_path: Path) -> None:
     (tmp_path / "few.yaml").write_text("leg_mass_ratio: [0.9, 1.1]\n")
     text = (
         "train: {task: {randomize: table1}}\n"
-        "groups: {a: {train: {task: {randomize: few.yaml}}}, b: {train: {task: {randomize: {table: table1, voltage: [15, 16]}}}}}"
+        "groups:\n  a: {train: {task: {randomize: few.yaml}}}\n"
+        "  b: {train: {task: {randomize: {table: table1, voltage: [15, 16]}}}}"
     )
     study = load_study(study_file(tmp_path, text))
     assert group_config(study, "a").task.randomize == {"leg_mass_ratio": (0.9, 1.1)}
