@@ -249,8 +249,8 @@ def made_up(
     returns: dict[str, list[float]], falls: dict[str, list[int]] | None = None, nominal: float = 10.0, fell: int = 0
 ) -> Sensitivity:
     """A study of 4 episodes a world over 0 to 40 ms of latency and other rows, from mean returns and falls."""
-    spans = {"latency": (0.0, 0.04), "mass": (0.8, 1.2), "motor_friction": (0.0, 0.05)}
-    centres = {"latency": 0.02, "mass": 1.0, "motor_friction": 0.0}
+    spans = {"control_latency": (0.0, 0.04), "base_mass_ratio": (0.8, 1.2), "motor_friction": (0.0, 0.05)}
+    centres = {"control_latency": 0.02, "base_mass_ratio": 1.0, "motor_friction": 0.0}
     worlds, means, downs = [], [], []
     for row, values in returns.items():
         worlds += [TestWorld(row, float(value)) for value in np.linspace(*spans[row], len(values))]
@@ -269,25 +269,39 @@ def made_up(
 
 
 def test_aggregates_by_hand():
-    study = made_up({"latency": [4.0, 8.0]}, {"latency": [3, 0]})
+    study = made_up({"control_latency": [4.0, 8.0]}, {"control_latency": [3, 0]})
     assert study.mean_return.tolist() == [4.0, 8.0]
     # Four numbers at 1 from their mean: variance 4/3, and 4/3/4 of the mean.
     assert np.allclose(study.standard_error, math.sqrt(1 / 3))
     assert (study.mean, study.std, study.fall_rate) == (6.0, 2.0, 0.375)
-    assert study.rows == ("latency",)
+    assert study.rows == ("control_latency",)
     once = replace(study, returns=study.returns[:, :1], fell=study.fell[:, :1], speed=study.speed[:, :1])
     assert np.isnan(once.standard_error).all()
 
 
 def test_the_nearest_break_comes_first():
     study = made_up(
-        {"mass": [10, 10, 10, 10, 1], "latency": [10, 10, 10, 4, 3], "motor_friction": [10, 9, 8, 8, 7]},
-        {"mass": [0, 0, 0, 0, 4], "latency": [0, 0, 0, 1, 3]},
+        {
+            "base_mass_ratio": [10, 10, 10, 10, 1],
+            "control_latency": [10, 10, 10, 4, 3],
+            "motor_friction": [10, 9, 8, 8, 7],
+        },
+        {"base_mass_ratio": [0, 0, 0, 0, 4], "control_latency": [0, 0, 0, 1, 3]},
     )
     latency, mass = find_breaks(study)
-    assert (latency.row, latency.value, latency.above, latency.fraction) == ("latency", 0.03, True, pytest.approx(0.5))
+    assert (latency.row, latency.value, latency.above, latency.fraction) == (
+        "control_latency",
+        0.03,
+        True,
+        pytest.approx(0.5),
+    )
     assert (latency.falls, latency.mean_return, latency.beyond, latency.broken_beyond) == (1, 4.0, 1, 1)
-    assert (mass.row, mass.value, mass.fraction, mass.falls) == ("mass", pytest.approx(1.2), pytest.approx(1.0), 4)
+    assert (mass.row, mass.value, mass.fraction, mass.falls) == (
+        "base_mass_ratio",
+        pytest.approx(1.2),
+        pytest.approx(1.0),
+        4,
+    )
 
 
 @pytest.mark.parametrize(
@@ -305,19 +319,21 @@ def test_the_nearest_break_comes_first():
 def test_breaks_on_both_sides_everywhere_never_and_here_and_there(
     returns: list[float], falls: list[int], breaks: list[tuple[float, int, int]]
 ):
-    found = find_breaks(made_up({"latency": returns}, {"latency": falls}, nominal=10.0 if returns[0] > 0 else -1.0))
+    found = find_breaks(
+        made_up({"control_latency": returns}, {"control_latency": falls}, nominal=10.0 if returns[0] > 0 else -1.0)
+    )
     assert [(item.value, item.beyond, item.broken_beyond) for item in found] == [
         (pytest.approx(value), beyond, broken) for value, beyond, broken in breaks
     ]
 
 
 def test_tables_hold_the_worlds_and_the_raw_episodes(tmp_path: Path):
-    study = made_up({"latency": [4.0, 8.0], "mass": [5.0, 6.0]}, {"latency": [3, 0]})
+    study = made_up({"control_latency": [4.0, 8.0], "base_mass_ratio": [5.0, 6.0]}, {"control_latency": [3, 0]})
     first, *_, last = study.world_rows()
     numbers = {"return_mean": 4.0, "return_error": pytest.approx(math.sqrt(1 / 3)), "return_std": 1.0}
-    about = {"policy": "trot", "row": "latency", "unit": "s", "value": 0.0, "episodes": 4}
+    about = {"policy": "trot", "row": "control_latency", "unit": "s", "value": 0.0, "episodes": 4}
     assert first == about | numbers | {"speed_mean": 0.5, "falls": 3}
-    assert (last["row"], last["unit"], last["value"], last["return_mean"]) == ("mass", "", 1.2, 6.0)
+    assert (last["row"], last["unit"], last["value"], last["return_mean"]) == ("base_mass_ratio", "", 1.2, 6.0)
     with write_csv(tmp_path / "e.csv", study.episode_rows()).open() as file:
         rows = list(csv.DictReader(file))
     assert len(rows) == 5 * 4
@@ -329,7 +345,7 @@ def test_tables_hold_the_worlds_and_the_raw_episodes(tmp_path: Path):
 
 
 def test_results_come_back_from_json():
-    study = made_up({"latency": [4.0, 8.0]}, {"latency": [3, 0]})
+    study = made_up({"control_latency": [4.0, 8.0]}, {"control_latency": [3, 0]})
     again = Sensitivity.from_mapping(json.loads(json.dumps(study.to_mapping(), allow_nan=False)), "trot")
     assert again.to_mapping() == study.to_mapping()
     assert again.episode_rows()[4:] == study.episode_rows()[4:]
@@ -339,4 +355,6 @@ def test_the_robot_s_nominal_values_are_told():
     ranges: Ranges = {"control_latency": (0.0, 0.04), "motor_strength": (0.8, 1.2), "base_mass_ratio": (0.8, 1.2)}
     task = trot(params={"motor_strength": 0.9})
     result = run_sensitivity(Constant(), task, scripted(), ranges=ranges, values=2, episodes=1, duration=0.1)
-    assert result.nominal.values == pytest.approx({"latency": 0.02, "motor_strength": 0.9, "mass": 1.0})
+    assert result.nominal.values == pytest.approx(
+        {"control_latency": 0.02, "motor_strength": 0.9, "base_mass_ratio": 1.0}
+    )

@@ -438,7 +438,7 @@ def test_without_ranges_nothing_is_drawn(robot):
 
 
 def test_scaled_is_from_minus_one_to_one(make_randomizer, many):
-    randomizer = make_randomizer()
+    randomizer = make_randomizer(100)
     scaled = np.concatenate([randomizer.scaled(params) for params in many])
     assert scaled.shape == (4000, COUNT)
     assert np.abs(scaled).max() <= 1 + 1e-12
@@ -500,7 +500,7 @@ def test_table1_is_the_papers():
             ["randomize.leg_mass_ratio is [80, 120]", "minitaur allows leg_mass_ratio"],
         ),
         ({"imu_noise": [-0.05, 0.05]}, ["randomize.imu_noise", "imu_noise from 0 to 0.5 (unit: rad)"]),
-        ({"voltage": [14.0, float("inf")]}, ["randomize.voltage", "finite"]),
+        ({"voltage": [14.0, float("inf")]}, ["randomize.voltage"]),
         ({"voltage": [14.0, float("nan")]}, ["randomize.voltage"]),
         ({"voltage": 0.8}, ["randomize.voltage is 0.8; it must be a list of 2 values, each a number or"]),
         ({"voltage": ["low", "high"]}, ["randomize.voltage is ['low', 'high']"]),

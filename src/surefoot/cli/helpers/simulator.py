@@ -32,8 +32,8 @@ from surefoot.task.config import TaskConfig
 from surefoot.world.interface import WorldConfig
 
 _RANGES_HELP = """--randomize TABLE           ranges that an episode draws its parameters from: {names}, or a YAML file
---randomize.NAME LOW HIGH   another range for one parameter; scale LOW HIGH: factors of its nominal value; add LOW HIGH:
-                            added to it; none: it is not drawn. Names and ranges of table1:"""
+--randomize.NAME LOW HIGH   another range for one parameter; scale LOW HIGH: factors of its nominal value;
+                            add LOW HIGH: added to it; none: it is not drawn. Names and ranges of table1:"""
 _RELATIVE = ("scale", "add")
 
 
