@@ -38,6 +38,8 @@ from surefoot.task.config import TaskConfig, load_task
 from surefoot.world.interface import Readings
 from surefoot.world.sim_world import SimWorld
 
+MASS, LATENCY = "base_mass_ratio", "control_latency"
+
 
 class Constant:
     """Gives the same feedback whatever it sees, and counts the robots that it was asked about."""
@@ -91,17 +93,17 @@ def of_row(result: Sensitivity, row: str, part: NDArray[Any]) -> list[Any]:
 def test_table_1_gives_ten_worlds_a_parameter(robot: RobotDescription):
     worlds = make_test_worlds(load_ranges("table1"), PhysicalParams.nominal(robot))
     assert len(worlds) == 120
-    assert worlds[0] == TestWorld("base_mass_ratio", 0.8)
-    latency = [world.value for world in worlds if world.row == "control_latency"]
+    assert worlds[0] == TestWorld(MASS, 0.8)
+    latency = [world.value for world in worlds if world.row == LATENCY]
     assert np.allclose(latency, np.arange(10) * 0.04 / 9)
     assert latency[-1] == 0.04
     assert {row_unit(world.row) for world in worlds} == {"", "N m", "s", "V", "rad"}
 
 
 def test_worlds_are_the_ends_and_what_lies_between(robot: RobotDescription):
-    ranges: Ranges = {"base_mass_ratio": (0.9, 1.1), "voltage": (15.0, 15.0)}
+    ranges: Ranges = {MASS: (0.9, 1.1), "voltage": (15.0, 15.0)}
     worlds = make_test_worlds(ranges, PhysicalParams.nominal(robot), 3)
-    mass = tuple(TestWorld("base_mass_ratio", value) for value in (0.9, 1.0, 1.1))
+    mass = tuple(TestWorld(MASS, value) for value in (0.9, 1.0, 1.1))
     assert worlds == (*mass, TestWorld("voltage", 15.0))
 
 
@@ -130,7 +132,7 @@ def test_an_episode_ends_with_the_control_step_nearest_to_its_duration():
 
 def test_a_robot_that_falls_counts_to_its_fall():
     world = scripted(fall_time=staticmethod(lambda p: np.where(p.voltage > 15.9, math.inf, 0.3)))
-    ranges: Ranges = {"voltage": (15.0, 16.0), "base_mass_ratio": (0.8, 1.2)}
+    ranges: Ranges = {"voltage": (15.0, 16.0), MASS: (0.8, 1.2)}
     result = run_sensitivity(Constant(), trot(), world, ranges=ranges, values=2, episodes=3, duration=0.6)
     assert of_row(result, "voltage", result.fell) == [[True] * 3, [False] * 3]
     assert np.allclose(of_row(result, "voltage", result.returns), [[0.276] * 3, [0.552] * 3])
@@ -140,7 +142,7 @@ def test_a_robot_that_falls_counts_to_its_fall():
 
 def test_a_robot_that_diverges_fell_where_it_was():
     world = scripted(diverge_time=0.3)
-    ranges: Ranges = {"base_mass_ratio": (0.8, 1.2)}
+    ranges: Ranges = {MASS: (0.8, 1.2)}
     result = run_sensitivity(Constant(), trot(), world, ranges=ranges, values=2, episodes=1, duration=0.6)
     assert result.fell.all()
     # The 50th control step is lost; the robot was at 0.294 m after 0.294 s.
@@ -166,7 +168,7 @@ def test_robots_are_pushed_only_when_asked():
         return made[-1]
 
     task = trot(pushes=replace(trot().pushes, enabled=True, probability=0.5), randomize=load_ranges("table1"))
-    ranges: Ranges = {"base_mass_ratio": (0.8, 1.2)}
+    ranges: Ranges = {MASS: (0.8, 1.2)}
     for pushes in (False, True):
         run_sensitivity(Constant(), task, make, ranges=ranges, values=2, episodes=1, duration=1.3, pushes=pushes)
     assert made[0].pushes == 0
@@ -178,20 +180,20 @@ def test_an_episode_is_the_one_that_evaluate_runs():
     max_steps = 220  # a push comes after 200
     task = trot(max_steps, pushes=replace(trot().pushes, enabled=True, probability=1.0))
     ranges: Ranges = {
-        "base_mass_ratio": (0.8, 1.2),
+        MASS: (0.8, 1.2),
         "motor_strength": (0.8, 1.1),
         "control_step": (0.003, 0.02),
-        "control_latency": (0.0, 0.04),
+        LATENCY: (0.0, 0.04),
     }
     options: dict[str, Any] = {"ranges": ranges, "values": 2, "episodes": 2, "seed": 7, "threads": 1}
     result = run_sensitivity(Reactive(), task, SimWorld, pushes=True, **options)
     assert [world.row for world in result.worlds[::2]] == list(ranges)
     checked: list[tuple[dict[str, float], int, Any, Any]] = [
         ({}, max_steps, result.nominal.returns, result.nominal.speed),
-        ({"base_mass_ratio": 1.2}, max_steps, result.returns[1], result.speed[1]),
+        ({MASS: 1.2}, max_steps, result.returns[1], result.speed[1]),
         ({"motor_strength": 0.8}, max_steps, result.returns[2], result.speed[2]),
         ({"control_step": 0.003}, 2 * max_steps, result.returns[4], result.speed[4]),
-        ({"control_latency": 0.04}, max_steps, result.returns[7], result.speed[7]),
+        ({LATENCY: 0.04}, max_steps, result.returns[7], result.speed[7]),
     ]
     for params, steps, returns, speed in checked:
         same = replace(task, params=params, max_steps=steps)
@@ -249,8 +251,8 @@ def made_up(
     returns: dict[str, list[float]], falls: dict[str, list[int]] | None = None, nominal: float = 10.0, fell: int = 0
 ) -> Sensitivity:
     """A study of 4 episodes a world over 0 to 40 ms of latency and other rows, from mean returns and falls."""
-    spans = {"control_latency": (0.0, 0.04), "base_mass_ratio": (0.8, 1.2), "motor_friction": (0.0, 0.05)}
-    centres = {"control_latency": 0.02, "base_mass_ratio": 1.0, "motor_friction": 0.0}
+    spans = {LATENCY: (0.0, 0.04), MASS: (0.8, 1.2), "motor_friction": (0.0, 0.05)}
+    centres = {LATENCY: 0.02, MASS: 1.0, "motor_friction": 0.0}
     worlds, means, downs = [], [], []
     for row, values in returns.items():
         worlds += [TestWorld(row, float(value)) for value in np.linspace(*spans[row], len(values))]
@@ -269,12 +271,12 @@ def made_up(
 
 
 def test_aggregates_by_hand():
-    study = made_up({"control_latency": [4.0, 8.0]}, {"control_latency": [3, 0]})
+    study = made_up({LATENCY: [4.0, 8.0]}, {LATENCY: [3, 0]})
     assert study.mean_return.tolist() == [4.0, 8.0]
     # Four numbers at 1 from their mean: variance 4/3, and 4/3/4 of the mean.
     assert np.allclose(study.standard_error, math.sqrt(1 / 3))
     assert (study.mean, study.std, study.fall_rate) == (6.0, 2.0, 0.375)
-    assert study.rows == ("control_latency",)
+    assert study.rows == (LATENCY,)
     once = replace(study, returns=study.returns[:, :1], fell=study.fell[:, :1], speed=study.speed[:, :1])
     assert np.isnan(once.standard_error).all()
 
@@ -282,22 +284,22 @@ def test_aggregates_by_hand():
 def test_the_nearest_break_comes_first():
     study = made_up(
         {
-            "base_mass_ratio": [10, 10, 10, 10, 1],
-            "control_latency": [10, 10, 10, 4, 3],
+            MASS: [10, 10, 10, 10, 1],
+            LATENCY: [10, 10, 10, 4, 3],
             "motor_friction": [10, 9, 8, 8, 7],
         },
-        {"base_mass_ratio": [0, 0, 0, 0, 4], "control_latency": [0, 0, 0, 1, 3]},
+        {MASS: [0, 0, 0, 0, 4], LATENCY: [0, 0, 0, 1, 3]},
     )
     latency, mass = find_breaks(study)
     assert (latency.row, latency.value, latency.above, latency.fraction) == (
-        "control_latency",
+        LATENCY,
         0.03,
         True,
         pytest.approx(0.5),
     )
     assert (latency.falls, latency.mean_return, latency.beyond, latency.broken_beyond) == (1, 4.0, 1, 1)
     assert (mass.row, mass.value, mass.fraction, mass.falls) == (
-        "base_mass_ratio",
+        MASS,
         pytest.approx(1.2),
         pytest.approx(1.0),
         4,
@@ -319,21 +321,19 @@ def test_the_nearest_break_comes_first():
 def test_breaks_on_both_sides_everywhere_never_and_here_and_there(
     returns: list[float], falls: list[int], breaks: list[tuple[float, int, int]]
 ):
-    found = find_breaks(
-        made_up({"control_latency": returns}, {"control_latency": falls}, nominal=10.0 if returns[0] > 0 else -1.0)
-    )
+    found = find_breaks(made_up({LATENCY: returns}, {LATENCY: falls}, nominal=10.0 if returns[0] > 0 else -1.0))
     assert [(item.value, item.beyond, item.broken_beyond) for item in found] == [
         (pytest.approx(value), beyond, broken) for value, beyond, broken in breaks
     ]
 
 
 def test_tables_hold_the_worlds_and_the_raw_episodes(tmp_path: Path):
-    study = made_up({"control_latency": [4.0, 8.0], "base_mass_ratio": [5.0, 6.0]}, {"control_latency": [3, 0]})
+    study = made_up({LATENCY: [4.0, 8.0], MASS: [5.0, 6.0]}, {LATENCY: [3, 0]})
     first, *_, last = study.world_rows()
     numbers = {"return_mean": 4.0, "return_error": pytest.approx(math.sqrt(1 / 3)), "return_std": 1.0}
-    about = {"policy": "trot", "row": "control_latency", "unit": "s", "value": 0.0, "episodes": 4}
+    about = {"policy": "trot", "row": LATENCY, "unit": "s", "value": 0.0, "episodes": 4}
     assert first == about | numbers | {"speed_mean": 0.5, "falls": 3}
-    assert (last["row"], last["unit"], last["value"], last["return_mean"]) == ("base_mass_ratio", "", 1.2, 6.0)
+    assert (last["row"], last["unit"], last["value"], last["return_mean"]) == (MASS, "", 1.2, 6.0)
     with write_csv(tmp_path / "e.csv", study.episode_rows()).open() as file:
         rows = list(csv.DictReader(file))
     assert len(rows) == 5 * 4
@@ -345,16 +345,14 @@ def test_tables_hold_the_worlds_and_the_raw_episodes(tmp_path: Path):
 
 
 def test_results_come_back_from_json():
-    study = made_up({"control_latency": [4.0, 8.0]}, {"control_latency": [3, 0]})
+    study = made_up({LATENCY: [4.0, 8.0]}, {LATENCY: [3, 0]})
     again = Sensitivity.from_mapping(json.loads(json.dumps(study.to_mapping(), allow_nan=False)), "trot")
     assert again.to_mapping() == study.to_mapping()
     assert again.episode_rows()[4:] == study.episode_rows()[4:]
 
 
 def test_the_robot_s_nominal_values_are_told():
-    ranges: Ranges = {"control_latency": (0.0, 0.04), "motor_strength": (0.8, 1.2), "base_mass_ratio": (0.8, 1.2)}
+    ranges: Ranges = {LATENCY: (0.0, 0.04), "motor_strength": (0.8, 1.2), MASS: (0.8, 1.2)}
     task = trot(params={"motor_strength": 0.9})
     result = run_sensitivity(Constant(), task, scripted(), ranges=ranges, values=2, episodes=1, duration=0.1)
-    assert result.nominal.values == pytest.approx(
-        {"control_latency": 0.02, "motor_strength": 0.9, "base_mass_ratio": 1.0}
-    )
+    assert result.nominal.values == pytest.approx({LATENCY: 0.02, "motor_strength": 0.9, MASS: 1.0})

@@ -182,7 +182,7 @@ def test_returns_and_falls_against_a_parameter(tmp_path: Path, drawn: list[Figur
     band = drawn[0].axes[0].collections[1].get_paths()[0].vertices
     assert (band[:, 1].min(), band[:, 1].max()) == (pytest.approx(1.0), pytest.approx(4.0))
     parameters_figure(groups, tmp_path / "all.png")
-    assert [ax.get_title(loc="left") for ax in drawn[1].axes] == ["Latency (s)", "Mass"]
+    assert [ax.get_title(loc="left") for ax in drawn[1].axes] == ["Control latency (s)", "Base mass ratio"]
     np.testing.assert_allclose(lines(drawn[1], 1, 3)[1], np.linspace(3.5, 1.5, 5))
     assert len({ax.get_ylim() for ax in drawn[1].axes}) == 1
 
