@@ -91,10 +91,12 @@ def task_from_contract(contract: Contract, robot: RobotDescription | None = None
     """
     robot = robot or RobotDescription.load(contract.description)
     with located(f"policy '{contract.name}'"):
-        for key in _STATED:
-            if key in contract.task:
-                raise SurefootError(f"task.{key} is not a key; the contract states it outside the task")
         task = from_mapping(TaskConfig, contract.task, "task")
+        for table, stated in (("", _STATED), ("commands", _LIMITS), ("params", ASSUMED_PARAMS)):
+            for key in contract.task.get(table, {}) if table else contract.task:
+                if key in stated:
+                    key = f"{table}.{key}".lstrip(".")
+                    raise SurefootError(f"task.{key} is not a key; the contract states it outside the task")
         kind, feedback = _feedback(contract, robot)
         return replace(
             task,
