@@ -18,7 +18,7 @@ from surefoot.cli.helpers.parsing import parse
 from surefoot.cli.helpers.policies import find_policy, open_policy
 from surefoot.configuration import Within
 from surefoot.deploy.doctor.examination import STEPS, examine
-from surefoot.deploy.doctor.link import PINGS
+from surefoot.deploy.doctor.link_check import PINGS
 from surefoot.deploy.robot_link import LinkLostError
 from surefoot.errors import SurefootError
 

@@ -70,7 +70,7 @@ def measure_link(link: RobotLink, pings: int = PINGS) -> LinkFigures:
     clock, statistics = link.clock, link.statistics
     link.update()
     link.pongs.clear()
-    before = np.array([statistics.damaged, statistics.missing, statistics.unsent])
+    before = (statistics.damaged, statistics.missing, statistics.unsent)
     start, sent = clock.now(), {}
     for index in range(pings):
         receive_until(link, start + index * PING_PERIOD)
@@ -81,15 +81,16 @@ def measure_link(link: RobotLink, pings: int = PINGS) -> LinkFigures:
         receive_until(link, min(clock.now() + PING_PERIOD, end))
     answers = {token: arrival for token, arrival in link.pongs.items() if token in sent}
     arrivals = np.array([arrival.time for arrival in answers.values()])
-    counts = np.array([statistics.damaged, statistics.missing, statistics.unsent]) - before
-    burst, gap = measure_bursts(arrivals)
+    after = (statistics.damaged, statistics.missing, statistics.unsent)
+    damaged, missing, unsent = (last - first for first, last in zip(before, after, strict=True))
     return LinkFigures(
         np.array([arrival.time - sent[token] for token, arrival in answers.items()]),
         pings - len(answers),
-        *counts.tolist(),
-        burst=burst,
-        gap=gap,
-        clock_rate=clock_rate(np.array([arrival.packet.time for arrival in answers.values()]), arrivals),
+        damaged,
+        missing,
+        unsent,
+        *measure_bursts(arrivals),
+        clock_rate(np.array([arrival.packet.time for arrival in answers.values()]), arrivals),
     )
 
 
