@@ -14,7 +14,7 @@ from edited import edited_policy
 
 pytest.importorskip("gymnasium")
 
-from surefoot.cli.helpers.policies import find_policy, load_policies, load_policy
+from surefoot.cli.helpers.policies import find_policy, load_policies, load_policy, open_policy, shipped_policies
 from surefoot.errors import SurefootError
 from surefoot.robot import RobotDescription
 
@@ -68,3 +68,8 @@ def test_a_policy_keeps_its_control_step_and_gains_on_another_robot(tmp_path: Pa
     assert robot.folder == folder
     params = task.nominal(robot)
     assert (params.control_step[0], params.servo_kp[0, 0]) == (0.008, 2.0)
+
+
+@pytest.mark.parametrize("policy", shipped_policies())
+def test_every_policy_that_ships_fits_its_robot(policy: str):
+    open_policy(find_policy(policy))
