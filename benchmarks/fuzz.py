@@ -463,17 +463,17 @@ def _signed(arrays: dict[str, Any]) -> dict[str, Any]:
 
 
 def _policy(content: bytes, rng: random.Random) -> bytes:
-    """A policy with another contract, and without the digest that would tell."""
+    """A policy with another contract, and the digest that matches it."""
     import onnx
 
     from surefoot.policy.contract import METADATA_KEY
+    from surefoot.policy.digest import add_digest
 
     model = onnx.load(io.BytesIO(content))
     (entry,) = (entry for entry in model.metadata_props if entry.key == METADATA_KEY)
     text = json.dumps(_leaf(json.loads(entry.value), rng))
     onnx.helper.set_model_props(model, {METADATA_KEY: text})
-    made: bytes = model.SerializeToString()
-    return made
+    return add_digest(model.SerializeToString())
 
 
 def make_seeds(folder: Path, wanted: set[str]) -> None:
@@ -487,6 +487,7 @@ def make_seeds(folder: Path, wanted: set[str]) -> None:
 
     from surefoot.cli.helpers.policies import find_policy
     from surefoot.policy.contract import METADATA_KEY
+    from surefoot.policy.digest import add_digest
     from surefoot.robot import RobotDescription
 
     model = onnx.load(find_policy("trot"))
@@ -494,7 +495,7 @@ def make_seeds(folder: Path, wanted: set[str]) -> None:
     contract = json.loads(entry.value)
     contract["task"]["max_steps"] = 5
     onnx.helper.set_model_props(model, {METADATA_KEY: json.dumps(contract)})
-    onnx.save(model, folder / "policy.onnx")
+    (folder / "policy.onnx").write_bytes(add_digest(model.SerializeToString()))
     robot = RobotDescription.load("minitaur")
     shutil.copytree(robot.folder, folder / "robot")
     (folder / "params.toml").write_text(

@@ -285,9 +285,9 @@ def test_where_nothing_is_simulated_anew_it_is_refused(line: str, part: str):
 def test_a_policy_with_another_control_step_keeps_it(here: Path):
     def change(contract: dict[str, Any]) -> None:
         contract.update(control_step=0.008, voltage=14.0)
-        contract["task"].update(max_steps=20, params={"control_step": 0.008, "voltage": 14.0})
+        contract["task"].update(max_steps=20)
 
-    edited_policy(here / "slow.onnx", change, "trot", signed=False)
+    edited_policy(here / "slow.onnx", change, "trot")
     Path("step.toml").write_text("[params]\ncontrol_step = 0.006\n")
     for words, step in (("--params robot.toml", 0.008), ("--params robot.toml --set control_step=0.007", 0.007)):
         found = result(f"evaluate slow.onnx {words}", *SHORT)

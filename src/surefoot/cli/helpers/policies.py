@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import sys
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from surefoot.check_result import first_failure
 from surefoot.cli.helpers.simulator import Simulator
 from surefoot.configuration import to_mapping
-from surefoot.deploy.checks import check_description
+from surefoot.deploy.checks import check_policy
 from surefoot.errors import SurefootError, choices
 from surefoot.policy.contract import config_hash
 from surefoot.policy.runtime import PolicyRuntime
@@ -30,13 +28,18 @@ if TYPE_CHECKING:
     from surefoot.evaluate.rollout import Policy
 
 PACKAGE = Path(__file__).resolve().parents[2]
-SHELVES = (PACKAGE / "policies", PACKAGE.parents[1] / "policies")
-"""Where policies that ship lie: in an installed package, and in the repository."""
+SEARCH_PATHS = (PACKAGE / "policies", PACKAGE.parents[1] / "policies")
+"""Folders of policies that ship: of an installed package, and of the repository."""
+
+
+def shipped_policies() -> dict[str, Path]:
+    """Return the files of the policies that ship, by name."""
+    return {path.stem: path for folder in reversed(SEARCH_PATHS) for path in sorted(folder.glob("*.onnx"))}
 
 
 def find_policy(policy: str) -> Path:
     """Return the file of a policy given by path or by the name of one that ships; refuse what is neither."""
-    shipped = {path.stem: path for shelf in reversed(SHELVES) for path in sorted(shelf.glob("*.onnx"))}
+    shipped = shipped_policies()
     if Path(policy).is_file():
         return Path(policy)
     if policy in shipped:
@@ -52,31 +55,26 @@ def find_policies(policies: Sequence[str]) -> list[Path]:
     return [find_policy(policy) for policy in policies]
 
 
-def load_policy(path: Path, robot: str | None) -> tuple[PolicyRuntime, RobotDescription, TaskConfig]:
-    """Return a policy, the robot to run it on and the task it was made for; warn on stderr of one without a digest.
-
-    Args:
-        path: the policy file.
-        robot: name or folder of the robot; the policy's own, if None. Control step, latencies, gains and voltage are
-            those that the policy was trained with.
+def open_policy(path: Path, robot: str | None = None) -> tuple[PolicyRuntime, RobotDescription]:
+    """Return a policy and the robot to run it on, given by name or folder; the policy's own, if None.
 
     Raises:
         SurefootError: a file that is no policy, or one for another robot.
     """
     policy = PolicyRuntime.load(path)
-    folder = robot or policy.contract.description
-    description = RobotDescription.load(folder)
-    error = first_failure(check_description(policy.contract, description))
-    if error is not None:
-        raise SurefootError(f"policy '{policy.contract.name}' must not run on {description.name}: {error}")
-    task = replace(task_from_contract(policy.contract, description), robot=folder)
-    if policy.digest is None:
-        print(
-            f"surefoot: policy file {path}: is unsigned: it has no digest, so nothing shows that network and contract "
-            "belong together; for simulation only, deploy refuses it",
-            file=sys.stderr,
-        )
-    return policy, description, task
+    description = RobotDescription.load(robot or policy.contract.description)
+    check_policy(policy.contract, description)
+    return policy, description
+
+
+def load_policy(path: Path, robot: str | None) -> tuple[PolicyRuntime, RobotDescription, TaskConfig]:
+    """Return a policy, the robot to simulate it on and the task it was made for.
+
+    Control step, latencies, gains and voltage are those that the policy was trained with. Otherwise as `open_policy`.
+    """
+    policy, description = open_policy(path, robot)
+    task = task_from_contract(policy.contract, description)
+    return policy, description, replace(task, robot=robot or policy.contract.description)
 
 
 def load_gait(path: Path, robot: str | None) -> tuple[Policy, RobotDescription, TaskConfig, dict[str, str]]:
