@@ -253,7 +253,7 @@ def test_ctrl_c_ends_it_and_keeps_what_was_recorded(hanging: EmulatorHere, tmp_p
 
 
 def test_a_robot_that_differs_is_refused(robot: RobotDescription):
-    said = make_handshake(robot, Limits.of(robot), "", robot.timing.servo_step)
+    said = make_handshake(robot, Limits.from_robot(robot), "", robot.timing.servo_step)
     check_robot(said, robot)
     signs = np.array(said.motor_signs, float)
     signs[3] *= -1

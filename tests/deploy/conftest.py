@@ -32,7 +32,9 @@ class ToyRobot:
 
     def __init__(self, robot: RobotDescription) -> None:
         self.codec = Codec(robot.num_motors)
-        self.firmware = Firmware(make_handshake(robot, Limits.of(robot), "toy", 0.001), Limits.of(robot))
+        self.firmware = Firmware(
+            make_handshake(robot, Limits.from_robot(robot), "toy", 0.001), Limits.from_robot(robot)
+        )
         self._decoder = Decoder(self.codec)
         self.angle = robot.pose_angles(np.zeros(4), np.full(4, 0.9))
         self.sensors: Callable[[float, Sensors], Sensors] = lambda time, readings: readings

@@ -36,7 +36,7 @@ class Rig:
 
     def __init__(self, robot, encoder, *words: str, rack: bool = True) -> None:
         plant = Plant(robot, sensors=SensorConfig.ideal(), power=PowerConfig.ideal(), rack=rack)
-        said = make_handshake(robot, Limits.of(robot), "test 1", 0.001)
+        said = make_handshake(robot, Limits.from_robot(robot), "test 1", 0.001)
         self.robot, self.wire = robot, encoder
         faults = parse_faults(words)
         self.line = SerialHostLink(Hosts(), 8, faults, seed=1)

@@ -153,7 +153,7 @@ def make_loop(
     sensors, power = (SensorConfig.ideal(), PowerConfig.ideal()) if command.ideal_sensors else (None, None)
     params = _params(command, robot)
     plant = Plant(robot, params, command.seed, sensors, power, command.rack, command.world, servo_every=servo_every)
-    limits = Limits.of(robot)
+    limits = Limits.from_robot(robot)
     handshake = make_handshake(robot, limits, f"surefoot emulator {__version__}", robot.timing.servo_step)
     if command.lockstep:
         link = SerialHostLink(port, robot.num_motors, faults, seed=command.seed, patience=PATIENCE)

@@ -129,8 +129,9 @@ class RobotLink(ABC):
     def close(self) -> None:
         """End the session and the link."""
 
-    def check_protocol(self) -> None:
-        """Refuse a robot of another protocol, if one was received."""
+    def protocol_error(self) -> str | None:
+        """Return how the protocol of what was received differs from this one; None if it does not."""
+        return None
 
     # What an operator sends.
 
@@ -150,15 +151,15 @@ class RobotLink(ABC):
             self.send(Hello(self.session, state_period))
             try:
                 self.wait_for(lambda: self.handshake is not None or self._refusal() is not None, 0.1)
-            except SurefootError:
+            except SurefootError as error:
                 # In lockstep a robot of another protocol does not answer pings either.
-                self.check_protocol()
-                raise
+                raise SurefootError(self.protocol_error() or str(error)) from error
             if self.handshake is not None:
                 return self.handshake
             if self._refusal() is not None:
                 raise SurefootError(f"the robot refuses: {self._refusal()}")
-            self.check_protocol()
+            if (different := self.protocol_error()) is not None:
+                raise SurefootError(different)
         raise SurefootError(
             f"no robot answers within {timeout:g} s; check port, cable and baud rate, and that it is switched on"
         )

@@ -46,7 +46,7 @@ class Board:
     ) -> None:
         faults = faults or {}
         self.stride = stride if not faults and plant.servo_every == 1 else 1
-        self.plant, self.limits = plant, limits or Limits.of(plant.robot)
+        self.plant, self.limits = plant, limits or Limits.from_robot(plant.robot)
         self.injector = FaultInjector(faults, plant, handshake)
         self.link = link
         link.chances = self.injector.chances

@@ -126,7 +126,7 @@ def samples_of(state: State, rng: np.random.Generator, count: int = 100, **chang
 
 def rest_failures(samples: list[Sample], robot: RobotDescription, link: RobotLink) -> dict[str, CheckResult]:
     handshake = link.connect()
-    found = check_rest(samples, robot, handshake, SafetyLimits.of(robot))
+    found = check_rest(samples, robot, handshake, SafetyLimits.from_robot(robot))
     assert [one.name for one in found] == ["battery", "temperature", "encoders", "IMU"]
     return {one.name: one for one in found if not one.passed}
 

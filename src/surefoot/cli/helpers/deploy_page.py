@@ -1,8 +1,8 @@
 """The page of `surefoot deploy --drive`: the robot's own state in a browser, and commands from there.
 
-The page runs in a process of its own, so that it can't make the control loop wait. The loop's process tells it how the
-robot is by the live display's pipe; commands go back by the command channel (`deploy.command_sources`), so that
-the robot stands when the page is closed, hangs or is gone.
+The page runs in a process of its own, so that it never makes the control loop wait. It receives the robot's state by
+the pipe of the live display and sends commands by the command channel (`deploy.command_sources`). So the robot stands
+when the page is closed, hangs or ends.
 """
 
 from __future__ import annotations
@@ -17,13 +17,12 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any, TextIO
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from surefoot.deploy.command_sources import send_command
-from surefoot.deploy.display import LiveDisplay
+from surefoot.deploy.display import LiveDisplay, PlainLines, read_messages, run_in_background
 from surefoot.deploy.loop import Snapshot
 from surefoot.errors import SurefootError
 from surefoot.robot import RobotDescription
@@ -43,8 +42,8 @@ _PATIENCE = 30.0
 """Time that the page's process may take to start [s]."""
 
 
-class DeployPage(LiveDisplay):
-    """Starts the page's process, and tells it how the robot is.
+class DeployPage(PlainLines, LiveDisplay):
+    """Prints lines, starts the page's process, and sends it the robot's state.
 
     Args:
         title: of the run.
@@ -66,26 +65,25 @@ class DeployPage(LiveDisplay):
         super().__init__(title, __name__, stdout=subprocess.PIPE)
         given = None if limits is None else [[*getattr(limits, name)] for name in COMMANDS]
         self._send(robot=robot, policy=policy, limits=given, port=port, channel=channel)
-        answer = self._answer()
+        answer = self._first_line()
         if "address" not in answer:
             self.close()
             raise SurefootError(str(answer.get("error", "the page's process has ended")))
         self.address = str(answer["address"])
         """Where a browser finds the page."""
 
-    def _answer(self) -> dict[str, Any]:
-        """Return the first line that the page's process says."""
-        stdout, said = self._process.stdout, queue.Queue[str]()
+    def _first_line(self) -> dict[str, Any]:
+        stdout, lines = self._process.stdout, queue.Queue[str]()
         assert stdout is not None
-        threading.Thread(target=lambda: said.put(stdout.readline().decode()), daemon=True).start()
+        threading.Thread(target=lambda: lines.put(stdout.readline().decode()), daemon=True).start()
         try:
-            return dict(json.loads(said.get(timeout=_PATIENCE) or "{}"))
+            return dict(json.loads(lines.get(timeout=_PATIENCE) or "{}"))
         except queue.Empty:
             return {"error": f"the page did not start within {_PATIENCE:g} s"}
 
-    def _about(self, snapshot: Snapshot) -> dict[str, Any]:
+    def _message(self, snapshot: Snapshot) -> dict[str, Any]:
         state = snapshot.state
-        return super()._about(snapshot) | {
+        return super()._message(snapshot) | {
             "attitude": state.roll_pitch_yaw.round(4).tolist(),
             "angles": state.motor_angle.round(4).tolist(),
             "torque": round(float(np.abs(state.motor_torque).max()), 3),
@@ -186,24 +184,13 @@ class Page:
         }
 
 
-def _messages(lines: TextIO) -> Iterator[dict[str, Any]]:
-    for line in lines:
-        with contextlib.suppress(ValueError):
-            message = json.loads(line)
-            if isinstance(message, dict):
-                yield message
-
-
 def main() -> None:
-    """Run the page's process: it ends with its input, whatever signals its terminal sends."""
-    for name in ("SIGINT", "SIGTERM", "SIGHUP"):
-        signal.signal(getattr(signal, name), signal.SIG_IGN)
-    with contextlib.suppress(OSError):
-        os.nice(10)
+    """Run the page's process."""
+    run_in_background()
     from surefoot.report.pages.server import PageServer
     from surefoot.report.pages.view import RobotView
 
-    messages, about, told = _messages(sys.stdin), {}, queue.Queue[dict[str, Any] | None]()
+    messages, about, inbox = read_messages(sys.stdin), {}, queue.Queue[dict[str, Any] | None]()
     while "robot" not in about:
         about = next(messages)
     view = RobotView()
@@ -218,13 +205,13 @@ def main() -> None:
 
     def read() -> None:
         for message in messages:
-            told.put(message)
-        told.put(None)
+            inbox.put(message)
+        inbox.put(None)
 
     threading.Thread(target=read, daemon=True).start()
     while True:
         try:
-            message = told.get(timeout=0.02)
+            message = inbox.get(timeout=0.02)
         except queue.Empty:
             message = {}
         if message is None:

@@ -156,7 +156,7 @@ class Progress(RunMonitor):
 
     def __init__(self, plan: Plan, title: str, stream: TextIO) -> None:
         self._display = LiveDisplay(title) if stream.isatty() else None
-        self._out = self._display or PlainLines(stream)
+        self._out = self._display or PlainLines()
         self._phases, self._number, self._name = plan.phases, 0, ""
 
     def phase(self, name: str, duration: float) -> None:

@@ -74,7 +74,7 @@ def examine(
         for _ in range(PATIENCE):
             # A robot that was just put down, or switched on, is given some time to come to rest.
             samples = watch(link)
-            at_rest = check_rest(samples, robot, handshake, SafetyLimits.of(robot))
+            at_rest = check_rest(samples, robot, handshake, SafetyLimits.from_robot(robot))
             if all(result.passed for result in at_rest):
                 break
         yield from kept(at_rest)

@@ -134,15 +134,16 @@ class SerialLink(RobotLink):
         if not self.ping_through():
             raise SurefootError("the robot does not answer; a clock in lockstep needs an emulator run with --lockstep")
 
-    def check_protocol(self) -> None:
-        """Refuse a robot of another protocol, if one was received."""
+    def protocol_error(self) -> str | None:
+        """Return how the protocol of what was received differs from this one; None if it does not."""
         foreign, codec = self.decoder.foreign, self.codec
-        if foreign is not None:
-            raise SurefootError(
-                f"the robot has version {foreign[0]} and schema {foreign[1]:#010x} of the protocol; this surefoot "
-                f"has version {VERSION} and schema {codec.schema:#010x} (for {codec.motors} motors): "
-                f"build its firmware with python -m surefoot.deploy.serial.c_header --motors {codec.motors}"
-            )
+        if foreign is None:
+            return None
+        return (
+            f"the robot has version {foreign[0]} and schema {foreign[1]:#010x} of the protocol; this surefoot "
+            f"has version {VERSION} and schema {codec.schema:#010x} (for {codec.motors} motors): "
+            f"build its firmware with python -m surefoot.deploy.serial.c_header --motors {codec.motors}"
+        )
 
     def close(self) -> None:
         """End the session and give the port back."""
