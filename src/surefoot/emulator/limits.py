@@ -48,7 +48,7 @@ class Limits:
     """How often per second a message that nobody should send is answered, for each reason."""
 
     @classmethod
-    def of(cls, robot: RobotDescription) -> Limits:
+    def from_robot(cls, robot: RobotDescription) -> Limits:
         """Return the limits of a robot; its sheet has the battery's."""
         return cls(robot.battery.empty)
 

@@ -49,9 +49,8 @@ class _ExperimentRunner:
         steps = LATE / self.period
         # Batteries sag under what an experiment asks for, and recover: only what would stop the robot itself counts.
         low = self.handshake.voltage_min + BATTERY_ROOM
-        self._limits = replace(
-            SafetyLimits.from_robot(robot), state_age=steps, missed_steps=int(steps) - 1, battery_low=low
-        )
+        limits = SafetyLimits.from_robot(robot)
+        self._limits = replace(limits, state_age=steps, missed_steps=int(steps) - 1, battery_low=low)
         self._monitor = monitor
         self._states: list[tuple[State, float, float]] = []
         self._sent: list[tuple[int, float, int, Array]] = []
