@@ -105,7 +105,7 @@ def test_what_the_robot_does_not_know_is_nan_in_the_trace(recorded):
 
 
 def test_a_partial_file_gives_the_same_trace(recorded, tmp_path):
-    path = tmp_path / "deep" / "run.partial"
+    path = tmp_path / "run.partial"
     file = PartialFile(path, LAYOUT, META)
     for row in recorded[0].rows:
         file.add(row[None])
@@ -155,7 +155,7 @@ def test_a_file_that_is_no_partial_trace_is_refused(content, match, tmp_path):
         recover(path)
 
 
-def test_a_folder_that_cannot_be_made_stops_recording(tmp_path):
+def test_a_file_that_cannot_be_opened_stops_recording(tmp_path):
     (tmp_path / "file").write_text("")
     file = PartialFile(tmp_path / "file" / "run.partial", LAYOUT, META)
     file.add(np.zeros((1, LAYOUT.width)))

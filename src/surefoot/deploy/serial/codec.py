@@ -1,7 +1,4 @@
-"""Messages as little-endian packed structs; docs/wire-protocol.md specifies them for a firmware's author.
-
-Schema hash and C header are made from `SCHEMA` and the messages; tests compare the tables of the document with them.
-"""
+"""Messages as little-endian packed structs. docs/wire-protocol.md specifies them; tests compare it with `SCHEMA`."""
 
 from __future__ import annotations
 
@@ -95,13 +92,13 @@ NUMBERS = {kind: number for kind, (number, _) in SCHEMA.items()}
 
 
 def encodings(kind: type[Message]) -> dict[str, FieldEncoding]:
-    """Return how the fields of a message stand in a frame, with their units and meanings."""
+    """Return the encoding of each field of a message, with its unit and meaning."""
     _, encodings = SCHEMA[kind]
     return {item.name: replace(encodings[item.name], **item.metadata) for item in fields(kind)}  # type: ignore[arg-type]
 
 
 class Codec:
-    """Messages to payloads and back, for robots of a number of motors.
+    """Messages to payloads and back, for robots of so many motors.
 
     Raises:
         SurefootError: no motors, or more than fit a frame.
@@ -143,11 +140,8 @@ class Codec:
 
     def unpack(self, number: int, payload: bytes) -> Message | None:
         """Return the message of a payload; None for an unknown kind, another length, or bytes that are no text."""
-        kind = self.kinds.get(number)
-        if kind is None:
-            return None
         try:
-            message: Message = self.layouts[kind].unpack(payload)
-        except ValueError:
+            message: Message = self.layouts[self.kinds[number]].unpack(payload)
+        except (KeyError, ValueError):
             return None
         return message
