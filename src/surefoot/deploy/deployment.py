@@ -42,13 +42,8 @@ class RunOutcome:
 class Deployment:
     """One operator's use of a robot.
 
-    Args:
-        link: to the robot.
-        controller: the policy on it.
-        operator: may ask to stop.
-        monitor: of the control loop.
-        dry_run: compute everything, and neither arm nor send.
-        commands: source of commands for a policy that has them; without one the robot stands.
+    A dry run computes everything, and neither arms nor sends. Without a source of commands, a policy that has them
+    stands.
     """
 
     def __init__(
@@ -66,10 +61,7 @@ class Deployment:
         self._moved = False
 
     def connect(self, check: Callable[[Handshake], None]) -> None:
-        """Connect to the robot, check it, and make sure that policy and computer keep time.
-
-        Args:
-            check: raises an error for a robot that the policy is not for.
+        """Connect to the robot, check its handshake, and make sure that policy and computer keep time.
 
         Raises:
             SurefootError: no robot, another one, one that sends no state or must not be armed, a policy that fails, or
@@ -127,10 +119,6 @@ class Deployment:
 
     def run(self, recorder: Recorder, timing: LoopTiming) -> RunOutcome:
         """Arm, stand up, run the policy for `recorder.max_steps`, sit down, disarm.
-
-        Args:
-            recorder: takes the policy's control steps.
-            timing: keeps lateness.
 
         Raises:
             SurefootError: the robot is not connected, or does not arm for its first run; nothing has moved.

@@ -26,13 +26,7 @@ WINDOW = 1000
 
 
 class LiveDisplay(RunMonitor):
-    """Starts the display's process and sends it what the loop does.
-
-    Args:
-        title: of the display.
-        module: what is run as the process; it ends with its input.
-        stdout: of the process; this process's, if None.
-    """
+    """Starts the display's process, which runs a module until its input ends, and sends it what the loop does."""
 
     def __init__(self, title: str, module: str = "surefoot.deploy.display", stdout: int | None = None) -> None:
         command = [sys.executable, "-m", module]

@@ -77,14 +77,7 @@ class RunMonitor:
 class ControlLoop:
     """Control steps of one run.
 
-    Args:
-        link: to the robot.
-        control_step: time between two commands [s].
-        guard: checks each step.
-        operator: may ask to stop.
-        monitor: takes phases, warnings and snapshots.
-        timing: keeps lateness.
-        dry_run: compute everything and send nothing.
+    `control_step` is the time between two commands [s]. A dry run computes everything and sends nothing.
     """
 
     def __init__(
@@ -126,8 +119,8 @@ class ControlLoop:
 
         Args:
             phase: its name.
-            steps: how many.
-            compute: gives the motor angles of steps 0 to `steps` - 1.
+            steps: how many, from 0.
+            compute: called in each step but the one more.
             after: called after each step, and after the one more.
             upright: whether a tilt is a fall.
             sitting: the robot sits down anyway, so that only what damps it ends the phase early.

@@ -61,7 +61,7 @@ def base_and_feet(
         start: the run's start on the robot's clock [s].
         control_step: time between rows [s].
         steps: T.
-        legs: names of the legs, for their switches.
+        legs: names of the legs.
 
     Returns:
         base_position_world (T+1, 3), base_quat_world (T+1, 4) and foot_contact (T, L), NaN for legs without a switch.

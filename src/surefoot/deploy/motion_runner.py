@@ -43,16 +43,10 @@ class MotionRunner:
     """A connected robot that can be armed, moved and disarmed; each motion is smooth and checked by the guard.
 
     Args:
-        link: to the robot.
-        robot: its data sheet.
         control_step: time between two commands [s].
-        operator: may ask to stop.
-        monitor: of the control loop.
-        limits: when a motion ends early.
         tilt: roll or pitch [rad] that is a fall; the limits', if not given.
         mode: what the commands are.
         lead: time [s] between a state's sending and the next command; the link's, if not given.
-        timing: keeps lateness.
         dry_run: compute everything and send nothing.
 
     Raises:
@@ -169,8 +163,7 @@ class MotionRunner:
             end: motor angles (M,) [rad].
             duration: [s].
             start: motor angles (M,) [rad] to start from; the present target, if not given.
-            upright: see `ControlLoop.follow`.
-            sitting: see `ControlLoop.follow`.
+            upright, sitting: see `ControlLoop.follow`.
         """
         start, steps = self.target if start is None else start, self.loop.steps_of(duration)
 

@@ -37,12 +37,7 @@ class Tick:
 
 
 class Pacer:
-    """Wakes once a period. A step that would start a period late or more is missed; due times never shift.
-
-    Args:
-        clock: whose time.
-        period: time between two steps [s].
-    """
+    """Wakes once a period [s]. A step that would start a period late or more is missed; due times never shift."""
 
     def __init__(self, clock: Clock, period: float) -> None:
         self.clock, self.period = clock, period
@@ -79,14 +74,9 @@ class LoopTiming:
         """Steps that were done, that were missed, and that had no new state."""
 
     def add(self, started: float, sent: float, inference: float, missed: int, fresh: bool) -> None:
-        """Take a step.
+        """Take a step: delays of its start and of its command at the port [s], and time that the policy took [s].
 
-        Args:
-            started: its delay [s].
-            sent: the delay of its command at the port [s].
-            inference: time that the policy took [s]; NaN without the policy.
-            missed: steps missed before it.
-            fresh: whether it had a new state.
+        `missed` steps were missed before it; `fresh` says whether it had a new state.
         """
         if self.steps < self._times.shape[1]:
             self._times[:, self.steps] = started, sent, inference

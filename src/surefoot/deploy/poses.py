@@ -18,14 +18,10 @@ def sitting_pose(robot: RobotDescription) -> Array:
 
 
 def lying_pose(robot: RobotDescription, angles: ArrayLike) -> Array:
-    """Return the motor angles (M,) [rad] of legs that lie flat beside the body, on the side where they are now.
+    """Return the motor angles (M,) [rad] of legs that lie flat beside the body, on the side of `angles` (M,).
 
     From there they move freely and can be drawn in. Legs under the body get the pose of `sitting_pose`; so do all legs
     of a robot whose sheet has no `poses.spread`.
-
-    Args:
-        robot: its data sheet.
-        angles: present motor angles (M,) [rad].
     """
     swing = robot.to_pose(angles)[-2]
     *first, rest, extension = robot.poses.sit

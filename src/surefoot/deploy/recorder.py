@@ -19,13 +19,9 @@ from surefoot.task.partial_trace import Layout
 
 
 class Recorder:
-    """Takes control steps as they are done, and keeps their rows.
+    """Takes control steps as they are done, and keeps their rows, one every `control_step` [s].
 
-    Args:
-        layout: of a row.
-        control_step: time between two rows [s].
-        max_steps: greatest number of rows.
-        on_rows: called with rows (n, width) when they are closed.
+    `on_rows` is called with rows (n, width) when they are closed.
     """
 
     def __init__(
@@ -52,12 +48,9 @@ class Recorder:
         self._energy, self.start = state.energy, robot_time
 
     def close(self, until: int, state: State, robot_time: float) -> None:
-        """Close all rows before control step `until` with the newest state; rows after the first were missed.
+        """Close all rows before control step `until`, which starts now; rows after the first were missed.
 
-        Args:
-            until: number of the control step that starts now.
-            state: the newest state.
-            robot_time: when it was sent, on the robot's clock [s].
+        `state` is the newest state, which the robot sent at `robot_time` [s] on its clock.
         """
         first, end = self.steps, min(until, self.max_steps)
         if self._open is None or end <= first or not is_finite(state):

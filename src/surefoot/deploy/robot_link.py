@@ -9,24 +9,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from surefoot.arrays import Array
+from surefoot.deploy import messages
 from surefoot.deploy.clock import Clock, ClockSync, LockstepClock
-from surefoot.deploy.messages import (
-    Arm,
-    Damp,
-    Disarm,
-    Fault,
-    Handshake,
-    Hello,
-    Message,
-    Mode,
-    Packet,
-    Ping,
-    Pong,
-    Position,
-    Pwm,
-    Reason,
-    State,
-)
+from surefoot.deploy.messages import Fault, Handshake, Message, Mode, Packet, Pong, Reason, State
 from surefoot.errors import SurefootError
 
 STATE_PERIOD = 0.010
@@ -136,11 +121,7 @@ class RobotLink(ABC):
     # What an operator sends.
 
     def connect(self, timeout: float = 2.0, state_period: float = STATE_PERIOD) -> Handshake:
-        """Start or continue a session.
-
-        Args:
-            timeout: [s].
-            state_period: time between two states while no command comes [s].
+        """Start or continue a session, with a state every `state_period` [s] while no command comes.
 
         Raises:
             SurefootError: no answer, a robot of another protocol, or one that another operator has.
@@ -148,7 +129,7 @@ class RobotLink(ABC):
         end = self.clock.now() + timeout
         self.handshake = None
         while self.clock.now() < end:
-            self.send(Hello(self.session, state_period))
+            self.send(messages.Hello(self.session, state_period))
             try:
                 self.wait_for(lambda: self.handshake is not None or self._refusal() is not None, 0.1)
             except SurefootError as error:
@@ -170,7 +151,7 @@ class RobotLink(ABC):
     def ping(self) -> int:
         """Send a ping, which keeps the session; return its token in `pongs`."""
         self._tokens += 1
-        self.send(Ping(self._tokens))
+        self.send(messages.Ping(self._tokens))
         return self._tokens
 
     def arm(self, mode: Mode, command_period: float, lead: float | None = None) -> None:
@@ -181,19 +162,19 @@ class RobotLink(ABC):
         """
         report_after = max(command_period - (self.lead if lead is None else lead), 0.0)
         report_after = math.floor(1e6 * report_after + 1e-3) * 1e-6
-        self.send(Arm(self.session, int(mode), command_period, report_after))
+        self.send(messages.Arm(self.session, int(mode), command_period, report_after))
 
     def command(self, mode: Mode, values: Array) -> None:
         """Send motor angles (M,) [rad], or a duty for each motor (M,) in the mode of duties."""
-        self.send((Pwm if mode == Mode.PWM else Position)(self.session, values))
+        self.send((messages.Pwm if mode == Mode.PWM else messages.Position)(self.session, values))
 
     def damp(self) -> None:
         """Ask the robot to damp its motors at once."""
-        self.send(Damp(self.session))
+        self.send(messages.Damp(self.session))
 
     def disarm(self) -> None:
         """End commands in good order."""
-        self.send(Disarm(self.session))
+        self.send(messages.Disarm(self.session))
 
     # What the robot has sent.
 
@@ -233,12 +214,9 @@ class RobotLink(ABC):
         return self.sync.age(self.state_sent, self.clock.now()) if self.state is not None else math.inf
 
     def wait_for(self, condition: Callable[[], bool], timeout: float, each: Callable[[], None] | None = None) -> bool:
-        """Receive until a condition holds; return whether it did within `timeout` [s].
+        """Receive until a condition holds; return whether it did within `timeout` [s] of this computer's clock.
 
-        Args:
-            condition: evaluated after each look at the link.
-            timeout: on this computer's clock.
-            each: called before each look, such as to ping.
+        `each` is called whenever it does not hold yet, such as to ping.
         """
         end = self.clock.now() + timeout
         while True:

@@ -35,10 +35,7 @@ MAX_WAITING = 20_000
 class PartialFile:
     """Writes rows from a thread of its own, so that the control loop never waits for the disk.
 
-    Args:
-        path: the file; made or replaced when the first row comes.
-        layout: of a row.
-        meta: meta of the trace, as far as it is known when the first row comes.
+    The file is made or replaced when the first row comes, with the trace's meta as far as it is known then.
     """
 
     def __init__(self, path: Path, layout: Layout, meta: dict[str, Any]) -> None:
@@ -116,15 +113,7 @@ class SavedRun:
 
 
 class RunSaver:
-    """Saves one run.
-
-    Args:
-        deployment: of the run; it is connected.
-        path: the trace's file (.npz); None saves nothing to the disk.
-        max_steps: greatest number of control steps.
-        world: name of the world, for the trace.
-        run: number of the run.
-    """
+    """Saves one run of a connected deployment to a file (.npz), or makes its trace alone if there is no path."""
 
     def __init__(
         self, deployment: Deployment, path: Path | None, max_steps: int, world: str = "robot", run: int = 0
@@ -182,13 +171,7 @@ class RunSaver:
                 self._monitor.recording(f"recording stopped: {partial.stopped}; the robot goes on")
 
     def finish(self, outcome: RunOutcome, timing: LoopTiming, capture: Path | None) -> SavedRun:
-        """Make the trace and write it.
-
-        Args:
-            outcome: how the run ended.
-            timing: lateness of the loop.
-            capture: a motion capture file, if there is one.
-        """
+        """Make the trace, with base and feet of a motion capture file if there is one, and write it."""
         partial, recorder, notes = self._partial, self.recorder, []
         if partial is not None:
             partial.close()

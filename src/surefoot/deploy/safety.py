@@ -104,9 +104,8 @@ class Guard:
     """Checks the state that each control step sees.
 
     Args:
-        limits: when a run ends.
         control_step: time between two control steps [s].
-        session: the operator's session.
+        session: number of the operator's session.
         tilt: roll or pitch [rad] that is a fall; the limits', if not given.
         mode: of an armed robot.
     """

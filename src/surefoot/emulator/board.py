@@ -25,14 +25,8 @@ class Board:
     At one moment, the physics advances first, then a state that is due is sent, then what arrives is received. A
     command that arrives at a servo step acts from that step on.
 
-    Args:
-        plant: the body.
-        handshake: the robot's.
-        link: its end of the link to hosts.
-        limits: when the robot damps itself.
-        faults: what goes wrong.
-        stride: servo steps that the physics may advance at once while nothing arrives or is due. The microcontroller
-            checks tilt, battery and heat only between them. With faults it is 1.
+    While nothing arrives or is due, the physics may advance `stride` servo steps at once. The microcontroller checks
+    tilt, battery and heat only between them. With faults, `stride` is 1.
     """
 
     def __init__(

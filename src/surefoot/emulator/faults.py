@@ -109,12 +109,7 @@ class InjectedFault:
 
 
 def parse_faults(words: Sequence[str], lockstep: bool = False, motors: int = 8) -> dict[str, InjectedFault]:
-    """Return faults by name, from words `NAME[=VALUE][@TIME]`.
-
-    Args:
-        words: of the command line.
-        lockstep: whether robot time follows the times in the host's frames.
-        motors: number of motors.
+    """Return faults by name, from words `NAME[=VALUE][@TIME]`, for a robot with so many motors.
 
     Raises:
         SurefootError: no such fault, a fault given twice, or a number that it does not take.
@@ -169,13 +164,7 @@ def describe() -> list[str]:
 
 
 class FaultInjector:
-    """The faults of one robot; without any it changes nothing. Times are whole microseconds.
-
-    Args:
-        faults: by name.
-        plant: the body.
-        handshake: the robot's; `self.handshake` has its faults.
-    """
+    """The faults of one robot; without any it changes nothing. Times are whole microseconds."""
 
     def __init__(self, faults: dict[str, InjectedFault], plant: Plant, handshake: Handshake) -> None:
         self._faults, self._plant = faults, plant

@@ -20,25 +20,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from surefoot.deploy import messages
 from surefoot.deploy.clock import ClockSync
-from surefoot.deploy.messages import (
-    Arm,
-    Bye,
-    Damp,
-    Disarm,
-    Fault,
-    Handshake,
-    Hello,
-    Message,
-    Mode,
-    Packet,
-    Ping,
-    Pong,
-    Position,
-    Pwm,
-    Reason,
-    State,
-)
+from surefoot.deploy.messages import Handshake, Hello, Message, Mode, Packet, Position, Pwm, Reason
 from surefoot.emulator.limits import Limits
 from surefoot.emulator.signals import MotorOrder, Sensors, Vitals, microseconds
 
@@ -46,11 +30,7 @@ ARMED = (Mode.POSITION, Mode.PWM)
 
 
 class LinkWatch:
-    """Order, age and continuity of one operator's packets, as the robot receives them.
-
-    Args:
-        clean_gap: longest silence on a clean link.
-    """
+    """Order, age and continuity of one operator's packets; a clean link is silent for `clean_gap` at most."""
 
     def __init__(self, clean_gap: int) -> None:
         self.clean_gap = clean_gap
@@ -96,12 +76,7 @@ class LinkWatch:
 
 
 class Firmware:
-    """The microcontroller's program.
-
-    Args:
-        handshake: the robot's handshake.
-        limits: when it damps itself.
-    """
+    """The microcontroller's program."""
 
     def __init__(self, handshake: Handshake, limits: Limits) -> None:
         self.handshake, self.limits = handshake, limits
@@ -155,11 +130,11 @@ class Firmware:
     def receive(self, now: int, packet: Packet) -> None:
         """Take a packet."""
         message = packet.message
-        if isinstance(message, Ping):
+        if isinstance(message, messages.Ping):
             # A ping has no session and changes nothing: it is answered whatever its number.
             if self.owner:
                 self.watch.receive(now)
-            self._send(now, Pong(message.token))
+            self._send(now, messages.Pong(message.token))
             return
         session = getattr(message, "session", 0)
         if isinstance(message, Hello) and session and session != self.owner:
@@ -178,14 +153,14 @@ class Firmware:
             self._take_command(now, packet.sequence, message, age)
         elif isinstance(message, Hello):
             self._answer_hello(now, message)
-        elif isinstance(message, Arm):
+        elif isinstance(message, messages.Arm):
             self._arm(now, message)
-        elif isinstance(message, Damp):
+        elif isinstance(message, messages.Damp):
             self._fail(now, Reason.HOST, "the operator asked for it")
-        elif isinstance(message, Disarm):
+        elif isinstance(message, messages.Disarm):
             if self.armed:
                 self._disarm(now)
-        elif isinstance(message, Bye):
+        elif isinstance(message, messages.Bye):
             self._disarm(now)
             self.owner, self.next_state = 0, math.inf
 
@@ -209,7 +184,7 @@ class Firmware:
         self._send(now, replace(self.handshake, session=self.owner))
         self.next_state = min(self.next_state, now + self._state_period)
 
-    def _arm(self, now: int, arm: Arm) -> None:
+    def _arm(self, now: int, arm: messages.Arm) -> None:
         shortest, longest = self.limits.command_period
         if arm.mode not in ARMED or (self.armed and arm.mode != self.mode):
             self._refuse(now, self.owner, Reason.MODE, f"mode {arm.mode} can't be armed while {self.mode.name}")
@@ -305,7 +280,7 @@ class Firmware:
             self.next_state = min(self.next_state, now + self._state_period)
 
     def _refuse(self, now: int, session: int, reason: Reason, text: str) -> None:
-        self._send(now, Fault(session, int(reason), text))
+        self._send(now, messages.Fault(session, int(reason), text))
 
     def _refuse_rarely(self, now: int, session: int, reason: Reason, text: str) -> None:
         """Refuse what may arrive often, at most `Limits.refusals` times per second for each reason."""
@@ -324,7 +299,7 @@ class Firmware:
             self._energy_start = sensors.energy
         self._send(
             now,
-            State(
+            messages.State(
                 session=self.owner,
                 mode=int(self.mode),
                 reason=int(self.reason),

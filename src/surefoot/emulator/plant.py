@@ -36,11 +36,8 @@ class Plant:
     """One robot, switched on while it sits, with damped motors. Steps are those of the robot's servo.
 
     Args:
-        robot: what to emulate.
-        params: its physical parameters, one row; the control step is the host's and is not used.
+        params: physical parameters, one row; the control step is the host's and is not used.
         seed: of all noise.
-        sensors: encoders, IMU and current sensors.
-        power: battery and heat.
         rack: hold the base in the air.
         engine: name of the physics engine in the registry of worlds.
         servo_every: physics steps between two of the servo.
@@ -168,11 +165,9 @@ class Plant:
         )
 
     def read(self, since_step: float, lead: float) -> Sensors:
-        """Return the readings for the control computer, older than now by the control latency less the lead.
+        """Return the readings for the control computer, older than now by the control latency less the lead [s].
 
-        Args:
-            since_step: time since the last servo step [s].
-            lead: time from sending the readings to their use [s].
+        The last servo step ended `since_step` [s] ago.
         """
         latency = max(float(self.params.control_latency[0]) + self.extra_latency - lead, 0.0)
         row, motors = self._look(since_step, latency).copy(), self.robot.num_motors

@@ -67,12 +67,9 @@ def measure(board: Board, summary: Summary) -> Iterator[None]:
 
 
 class RealTime:
-    """Advances a board by the computer's monotonic clock, and sleeps in between.
+    """Advances a board by the computer's monotonic clock, and sleeps in between, until `summary.stop` is set.
 
-    Args:
-        board: the robot.
-        summary: kept up to date; its `stop` ends the loop.
-        load: least time that the physics takes, in multiples of real time; 0: no minimum.
+    The physics takes at least `load` times real time.
     """
 
     def __init__(self, board: Board, summary: Summary, load: float = 0.0) -> None:

@@ -54,11 +54,6 @@ class MessageLayout:
     No float of a scaled field or of an f32 is refused, so that none stops a control loop. Scaled numbers are rounded to
     the nearest, those that do not fit are clipped, and NaN becomes the least. An f32 keeps NaN and infinities, and what
     is too large becomes infinite.
-
-    Args:
-        message: the dataclass.
-        fields: how each of its fields stands in a frame, in the order of the fields.
-        motors: number of motors.
     """
 
     def __init__(self, message: type, fields: dict[str, FieldEncoding], motors: int) -> None:

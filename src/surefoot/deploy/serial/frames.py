@@ -29,13 +29,7 @@ def frame_bytes(codec: Codec, kind: type[Message]) -> int:
 
 
 def encode_frame(codec: Codec, message: Message, sequence: int, time: float) -> bytes:
-    """Return a frame, with its zeros.
-
-    Args:
-        codec: of the robot.
-        message: what to send.
-        sequence: number of the frame, 1 to 2^32 - 1.
-        time: now, on the sender's clock [s]; before 0 counts as 0.
+    """Return the frame of a message, with its zeros, numbered and sent at `time` [s] on the sender's clock.
 
     Raises:
         ValueError: a number out of range, a time that is not finite, or a message that does not fit.

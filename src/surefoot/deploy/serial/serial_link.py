@@ -29,12 +29,6 @@ class SerialLink(RobotLink):
     In lockstep, frames are received only where time passes: otherwise chance would decide whether the answer to a
     message is seen at once or a step later. Commands are sent in one piece with the ping that lets time pass: two
     pieces would wake the other end twice.
-
-    Args:
-        port: the line.
-        codec: of the robot.
-        clock: stamps what is sent and received; in lockstep the other end follows it.
-        session: number of the operator's session; drawn, if not given.
     """
 
     def __init__(self, port: SerialPort, codec: Codec, clock: Clock, session: int | None = None) -> None:
@@ -108,11 +102,10 @@ class SerialLink(RobotLink):
         self.port.wait(timeout)
 
     def ping_through(self, patience: Sequence[float] = _PATIENCE) -> bool:
-        """Send a ping and wait for its pong, keep what else comes before it; return whether it came.
+        """Send a ping and wait for its pong, keep what else comes before it; return whether the pong came.
 
-        Args:
-            patience: seconds of real time to wait before the ping is sent again, and at last given up. It is the same
-                frame each time: how quick the other end is leaves no trace in the numbers of frames.
+        After each time of `patience` [s] the same frame is sent again, so that numbers of frames do not depend on how
+        quick the other end is.
         """
         self._tokens += 1
         token, frame = self._tokens, b""

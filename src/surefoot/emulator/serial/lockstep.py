@@ -36,11 +36,7 @@ class Lockstep:
     last host has closed the port, time goes on by itself until another operator may connect. A slow host keeps its port
     open, and its robot.
 
-    Args:
-        board: the robot.
-        link: its end of the line, which takes no time.
-        port: the link's; it must not be held.
-        summary: kept up to date; its `stop` ends the loop.
+    The link takes no time, its port must not be held, and `summary.stop` ends the loop.
     """
 
     def __init__(self, board: Board, link: SerialHostLink, port: PtyPort, summary: Summary) -> None:

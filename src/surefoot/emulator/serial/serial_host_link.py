@@ -20,12 +20,10 @@ class SerialHostLink:
 
     Args:
         port: where the line ends for hosts.
-        motors: number of motors.
         faults: by name; those of the line act here.
         baud: bits per second; 0: bytes take no time.
-        seed: of what happens to frames on the way.
-        patience: time [s] that hosts have for reading.
-        lead: see `HostLink`.
+        seed: of harms of frames.
+        patience: time [s] that hosts have to read.
     """
 
     def __init__(
