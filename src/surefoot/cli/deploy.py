@@ -81,7 +81,7 @@ def main(argv: list[str]) -> int:
     from surefoot.deploy.command_sources import ChannelCommands, CommandSource, open_commands
     from surefoot.deploy.controller import Controller
     from surefoot.deploy.deployment import Deployment
-    from surefoot.deploy.display import LiveDisplay, PlainLines
+    from surefoot.deploy.display import open_display
     from surefoot.deploy.loop import RunMonitor
     from surefoot.deploy.pacer import undisturbed
     from surefoot.policy.runtime import PolicyRuntime
@@ -90,7 +90,7 @@ def main(argv: list[str]) -> int:
 
     policy = PolicyRuntime.load(find_policy(command.policy))
     contract = policy.contract
-    robot = RobotDescription.load(str(contract.task.get("robot", contract.robot)))
+    robot = RobotDescription.load(contract.description)
     controller = Controller(policy, robot)
 
     def check(handshake: Handshake) -> None:
@@ -119,7 +119,7 @@ def main(argv: list[str]) -> int:
             print(f"{page.address}   (Ctrl-C: the robot sits)", file=sys.stderr, flush=True)
             commands = channel if contract.commands is not None else None
         else:
-            monitor = LiveDisplay(title) if sys.stderr.isatty() else PlainLines()
+            monitor = open_display(title)
         stack.callback(monitor.close)
         deployment = Deployment(link, controller, stop, monitor, dry_run=command.dry_run, commands=commands)
         stack.callback(deployment.close)
@@ -138,7 +138,7 @@ def _runs(command: DeployCommand, deployment: Deployment) -> tuple[list[dict[str
 
     contract = deployment.contract
     step = contract.control_step
-    steps = int(contract.task.get("max_steps", 1000))
+    steps = deployment.controller.task.max_steps
     duration = command.duration or (_DRIVEN if command.drive else None)
     if duration is not None:
         steps = max(round(duration / step), 1)

@@ -60,7 +60,7 @@ def main(argv: list[str]) -> int:
         raise SurefootError("--rack and --ground don't go together; a robot hangs or sits: give one")
     policy = PolicyRuntime.load(find_policy(command.policy))
     contract = policy.contract
-    robot = RobotDescription.load(command.robot or str(contract.task.get("robot", contract.robot)))
+    robot = RobotDescription.load(command.robot or contract.description)
     if (command.rack or command.ground) and not command.yes:
         place = "hang free, its legs in the air" if command.rack else "sit on flat ground with a metre of room"
         check_terminal(place)

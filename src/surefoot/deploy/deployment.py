@@ -130,7 +130,7 @@ class Deployment:
             self.operator,
             self.monitor,
             self.limits,
-            self.contract.task.get("fall_angle"),
+            self.controller.task.fall_angle,
             timing=timing,
             dry_run=self.dry_run,
         )

@@ -111,6 +111,11 @@ def _print_line(text: str) -> None:
         print(f"surefoot: {text}", file=sys.stderr, flush=True)
 
 
+def open_display(title: str) -> LiveDisplay | PlainLines:
+    """Return a live display if standard error is a terminal, plain lines otherwise."""
+    return LiveDisplay(title) if sys.stderr.isatty() else PlainLines()
+
+
 class StatusPanel:
     """What the display shows, from the messages that it received."""
 
@@ -178,13 +183,14 @@ def read_messages(lines: Iterable[str]) -> Iterator[dict[str, Any]]:
 def show(lines: Iterable[str], stream: TextIO) -> None:
     """Draw messages on a terminal until they end."""
     from rich.console import Console
-    from rich.live import Live
+
+    from surefoot.progress import ProgressDisplay
 
     panel = StatusPanel()
-    with Live(panel.draw(), console=Console(file=stream), auto_refresh=False) as live:
+    with ProgressDisplay(Console(file=stream, force_terminal=True), panel.draw) as display:
         for message in read_messages(lines):
             panel.update(message)
-            live.update(panel.draw(), refresh=True)
+            display.refresh()
 
 
 def run_in_background() -> None:

@@ -22,7 +22,7 @@ from surefoot.deploy.pacer import LoopTiming
 from surefoot.deploy.recorder import Recorder
 from surefoot.errors import SurefootError, accessible
 from surefoot.task.partial_trace import SUFFIX, Layout, head_line, row_bytes, trace_of
-from surefoot.task.trace import ENERGY_WEIGHT, EpisodeTrace
+from surefoot.task.trace import EpisodeTrace
 
 FLUSH = 0.1
 """Time [s] between two writes."""
@@ -134,7 +134,7 @@ class RunSaver:
             "motor_names": list(contract.motor_names),
             "observation_names": list(contract.columns),
             "params": {},
-            "energy_weight": contract.task.get("energy_weight", ENERGY_WEIGHT),
+            "energy_weight": controller.task.energy_weight,
             "max_steps": max_steps,
             "gait_period": controller.gait.reference.period,
             "lead": self.link.lead,
