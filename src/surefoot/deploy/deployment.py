@@ -81,7 +81,7 @@ class Deployment:
 
     def _target(self, k: int, state: State, missed: int = 0) -> Array:
         moment = k * self.contract.control_step
-        return self.controller.command(moment, self.controller.observe(moment, state, missed))
+        return self.controller.compute_target(moment, self.controller.observe(moment, state, missed))
 
     def _warm_up(self) -> None:
         """Run the policy some times: its first runs are slow, and a policy that fails should fail before arming."""
@@ -158,7 +158,7 @@ class Deployment:
         def compute(k: int, state: State, missed: int) -> Array:
             nonlocal clamped
             if self.commands is not None:
-                before, clamped = clamped, controller.give(self.commands.read(k * self.contract.control_step))
+                before, clamped = clamped, controller.set_command(self.commands.read(k * self.contract.control_step))
                 if clamped and not before:
                     self.monitor.warn(f"command out of range: {clamped}")
             target = self._target(k, state, missed)
@@ -170,7 +170,7 @@ class Deployment:
                 recorder.begin(state, loop.pacer.due(0) - self.link.sync.offset)
             recorder.close(k, state, self.link.state_sent)
             if computed:
-                recorder.open(controller.observation, controller.feedback, controller.target, controller.given)
+                recorder.open(controller.observation, controller.feedback, controller.target, controller.command)
 
         return loop.follow("run", recorder.max_steps, compute, after)
 
