@@ -21,7 +21,7 @@ from surefoot.evaluate.rollout import Policy, Progress, run_to_end
 from surefoot.evaluate.runs import Runs
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.robot.params import PARAMETERS
-from surefoot.robot.randomization import ParamRange, Ranges, check_ranges, interval_of, mean_interval
+from surefoot.robot.randomization import ParamRange, Ranges, interval_of, mean_interval
 from surefoot.task.config import MOST_STEPS, TaskConfig
 from surefoot.task.env import LocomotionEnv
 from surefoot.world.interface import Simulation, SimulationFactory, WorldConfig
@@ -244,7 +244,7 @@ def run_sensitivity(
         policy: gives the feedback.
         task: what is run; its own physical parameters are the nominal ones.
         make_world: makes the simulation.
-        ranges: the parameters to vary and their ranges.
+        ranges: the parameters to vary and their ranges, within what the robot allows.
         push_force: least and greatest force [N] of a further row, `push_force`: in each of its worlds every push has
             one force. All directions are horizontal then.
         policy_name: for the results.
@@ -266,9 +266,7 @@ def run_sensitivity(
     duration = episode_duration(task) if duration is None else duration
     if not 0 < duration < math.inf:
         raise SurefootError(f"duration is {duration:g} s; it must be over 0")
-    robot = RobotDescription.load(task.robot)
-    check_ranges(ranges, robot)
-    worlds = make_test_worlds(ranges, task.nominal(robot), values, push_force)
+    worlds = make_test_worlds(ranges, task.nominal(RobotDescription.load(task.robot)), values, push_force)
     others = task.pushes.force if pushes else (0.0, 0.0)
     task = replace(
         task,
