@@ -54,7 +54,7 @@ def test_table1_is_the_papers():
         ("knee_play: {scale: [0, 2]}", "randomize.knee_play.scale is given; write add, as knee_play is 0 for most"),
         (
             "control_latency: [0, 15]",
-            "control_latency is [0, 15]; minitaur allows control_latency from 0 to 0.1 (unit: s)",
+            "is [0, 15]; minitaur allows control_latency from 0 to 0.1 (unit: s)",
         ),
         ("imu_noise: [-0.05, 0]", "imu_noise is [-0.05, 0]; minitaur allows imu_noise from 0 to 0.5 (unit: rad)"),
         ("control_latency: [[0, 0], [0, 0]]", "randomize.control_latency has 2 intervals; it must have one"),
