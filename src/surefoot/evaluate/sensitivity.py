@@ -198,7 +198,8 @@ def row_unit(row: str) -> str:
 
 def trained_ranges(task: TaskConfig) -> dict[str, tuple[float, float]]:
     """Return the ranges of the rows that a policy of a task was trained in."""
-    return task.randomize.ranges | {PUSH_FORCE: task.pushes.force if task.pushes.enabled else (0.0, 0.0)}
+    weight = RobotDescription.load(task.robot).weight
+    return task.randomize.ranges | {PUSH_FORCE: task.pushes.force_range(weight) if task.pushes.enabled else (0.0, 0.0)}
 
 
 def episode_duration(task: TaskConfig) -> float:
@@ -257,8 +258,9 @@ def run_sensitivity(
     if not 0 < duration < math.inf:
         raise SurefootError(f"duration is {duration:g} s; it must be over 0")
     worlds = make_test_worlds(ranges, values, push_force)
-    check_ranges(ranges, RobotDescription.load(task.robot))
-    others = task.pushes.force if pushes else (0.0, 0.0)
+    robot = RobotDescription.load(task.robot)
+    check_ranges(ranges, robot)
+    others = task.pushes.force_range(robot.weight) if pushes else (0.0, 0.0)
     task = replace(
         task,
         randomize=RandomizeConfig(),

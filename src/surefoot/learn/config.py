@@ -87,8 +87,8 @@ class TrainConfig:
     """Control steps between two evaluations of the deterministic policy."""
     evaluation_episodes: Annotated[int, Within(1, 10_000)] = 8
     """Episodes of such an evaluation."""
-    evaluation_energy_weight: Annotated[float, Within(0, 1e6)] | None = None
-    """Weight of energy in the returns of evaluations [m/J]; the task's, if not given."""
+    evaluation_reward: Annotated[dict[str, float], Within(-1e6, 1e6)] = field(default_factory=dict)
+    """Weights of reward terms in the returns of evaluations; the task's, if there are none."""
     checkpoint_every: Steps = 1_000_000
     """Control steps between two checkpoints that are kept."""
     threads: Threads = 0

@@ -6,9 +6,9 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
-from surefoot.configuration import Within, check_bounds, from_mapping, is_number, read_yaml
+from surefoot.configuration import Within, check_bounds, from_mapping, read_yaml
 from surefoot.errors import SurefootError, check_name, choices, located, quoted
 from surefoot.robot import DEFAULT_ROBOT, PhysicalParams, RobotDescription
 from surefoot.robot.params_file import ParamValue
@@ -18,8 +18,7 @@ from surefoot.task.gait import ActionKind, HybridGait, narrowed_bounds
 from surefoot.task.observation import IMU_AND_MOTORS_12D
 from surefoot.task.pushes import PushConfig
 from surefoot.task.reference import make_reference
-from surefoot.task.reward import check_terms
-from surefoot.task.trace import ENERGY_WEIGHT
+from surefoot.task.reward import PAPER_REWARD, check_reward, energy_weight
 
 _PRESETS = Path(__file__).parent / "presets"
 
@@ -162,10 +161,6 @@ class TaskConfig:
     """What the policy's part is added to: the legs' poses in leg space, or the motors' angles."""
     rest: tuple[float, ...] | None = None
     """Pose of all legs in leg space in which the robot settles first; the middle of commands if not given."""
-    energy_weight: Annotated[float, Within(0, 1e6)] = ENERGY_WEIGHT
-    """w of the reward [m/J]."""
-    target_speed: Annotated[float | None, Within(0, 100, above=True)] = None
-    """Speed forward [m/s] up to which the reward counts progress; beyond it only energy counts. None: any speed."""
     fall_angle: Annotated[float, Within(0, math.pi)] = 0.5
     """Roll or pitch [rad] beyond which an episode ends."""
     fall_height: Annotated[float, Within(0, 10)] = 0.0
@@ -175,8 +170,10 @@ class TaskConfig:
     """Control steps of an episode."""
     commands: CommandConfig = field(default_factory=CommandConfig)
     """Speeds and yaw rates that the robot is told to follow; none by default: straight on, as fast as it pays."""
-    reward: dict[str, float] = field(default_factory=dict)
-    """Weights of reward terms by name (`task.reward`), a second; without any the paper's reward."""
+    reward: Annotated[dict[str, float], Within(-1e6, 1e6)] = field(default_factory=PAPER_REWARD.copy)
+    """Weights of reward terms by name (`task.reward.TERMS`); costs have negative weights."""
+    reward_limits: Annotated[dict[str, float], Within(-1e6, 1e6)] = field(default_factory=dict)
+    """Greatest values of reward terms that count, by name; per second of progress, energy and transport_cost."""
     pushes: PushConfig = field(default_factory=PushConfig)
     """Random pushes on the base."""
     randomize: RandomizeConfig = field(default_factory=RandomizeConfig)
@@ -194,11 +191,19 @@ class TaskConfig:
     start_angular_speed: Annotated[float, Within(0, 100)] = 0.1
     """An episode starts with a random angular velocity, each component up to this [rad/s]."""
 
+    former_keys: ClassVar[dict[str, str]] = {
+        "energy_weight": "write it as a negative weight of energy: `reward: {progress: 1.0, energy: -0.008}`",
+        "cost_weight": "write it as a negative weight: `reward: {progress: 1.0, transport_cost: -0.42}`",
+        "target_speed": "write it as a limit of progress: `reward_limits: {progress: 0.6}`",
+        "push_weight": "write it as `pushes: {relative: true, force: [0.0, 0.8]}`",
+    }
+    """Keys of earlier versions, and what to write."""
+
     def __post_init__(self) -> None:
-        """Refuse an invalid name and values out of bounds."""
+        """Refuse an invalid name, values out of bounds, and a reward of unknown terms."""
         check_name("name", self.name)
         check_bounds(self)
-        check_terms(self.reward)
+        check_reward(self.reward, self.reward_limits)
 
     def gait(self, robot: RobotDescription) -> HybridGait:
         """Return the gait: reference and bounds of the feedback, which the robot must allow.
@@ -211,6 +216,10 @@ class TaskConfig:
         if self.reference.relative and self.action == "leg":
             bounds = narrowed_bounds(bounds, reference, robot)
         return HybridGait(robot, reference, *bounds, action=self.action)
+
+    def energy_weight(self, robot: RobotDescription) -> float:
+        """Return the weight of energy [m/J] in returns of traces, see `task.reward.energy_weight`."""
+        return energy_weight(self.reward, robot.weight)
 
     def nominal(self, robot: RobotDescription) -> PhysicalParams:
         """Return the physical parameters, which the robot must allow, without randomization, one row."""
@@ -246,7 +255,6 @@ def load_task(task: str, robot: str | None = None) -> tuple[TaskConfig, dict[str
     data = _with_base(read_yaml(path), path)
     train = data.pop("train", None) or {}
     data.pop("handcrafted", None)  # Belongs to `HandcraftedGait`, whose task this is.
-    cost_weight, push_weight = data.pop("cost_weight", None), data.pop("push_weight", None)
     if robot is not None or path.parent == _PRESETS:
         data["robot"] = robot or DEFAULT_ROBOT
     with located(path):
@@ -255,16 +263,6 @@ def load_task(task: str, robot: str | None = None) -> tuple[TaskConfig, dict[str
         )
         if named and config.robot != DEFAULT_ROBOT:
             config = replace(config, name=f"{RobotDescription.load(config.robot).name}-{path.stem}")
-        if cost_weight is not None:
-            if not is_number(cost_weight) or not 0 <= cost_weight <= 1e6:
-                raise SurefootError(f"cost_weight is {quoted(cost_weight)}; it must be a number from 0 to 1e6")
-            config = replace(config, energy_weight=cost_weight / RobotDescription.load(config.robot).weight)
-        if push_weight is not None:
-            pair = isinstance(push_weight, list) and len(push_weight) == 2
-            if not pair or not all(is_number(number) for number in push_weight):
-                raise SurefootError(f"push_weight is {quoted(push_weight)}; it must be two numbers, least and greatest")
-            force = [number * RobotDescription.load(config.robot).weight for number in push_weight]
-            config = from_mapping(TaskConfig, {"pushes": {"force": force}}, base=config)
     if config.reference.file is not None:
         # A table's path counts from the task's file, wherever surefoot is run.
         absolute = str((path.parent / config.reference.file).resolve())
