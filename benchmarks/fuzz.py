@@ -578,7 +578,7 @@ def warm_up() -> None:
     for module, _ in COMMANDS.values():
         importlib.import_module(module)
     for module in (
-        *("cli.helpers.study_results", "learn.run", "learn.progress", "learn.export"),
+        *("cli.helpers.study_results", "learn.run", "learn.export"),
         *(
             "world.sim_world",
             "report.drawing.video",

@@ -25,7 +25,7 @@ import numpy as np
 
 from surefoot.actuator.motor import motor_torque
 from surefoot.deploy.links import open_link
-from surefoot.deploy.loop import Watch
+from surefoot.deploy.loop import RunMonitor
 from surefoot.identify.experiment_runner import PERIOD, run_plan
 from surefoot.identify.recording import COMPLETE
 from surefoot.identify.registry import EXPERIMENTS
@@ -64,7 +64,7 @@ def one_draw(robot: RobotDescription, world: str, seed: int) -> dict[str, Any]:
                 port = process.stdout.readline().split()[-1] if process.stdout is not None else ""
                 link = open_link(port, robot.num_motors, lockstep=True)
                 link.connect(state_period=PERIOD)
-                recording = run_plan(link, experiment.plan(robot), robot, Watch())
+                recording = run_plan(link, experiment.plan(robot), robot, RunMonitor())
                 link.close()
             finally:
                 process.send_signal(signal.SIGINT)

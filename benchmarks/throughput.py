@@ -38,12 +38,12 @@ from numba import njit
 from rounds import measure, ratio_quartiles
 
 from surefoot.cli.helpers.policies import find_policy
-from surefoot.evaluate.rollout import task_from_contract
 from surefoot.learn.config import load_train_config
 from surefoot.learn.trainer import Trainer
 from surefoot.policy.runtime import PolicyRuntime
 from surefoot.robot.randomization import RandomizeConfig, load_ranges
 from surefoot.task.config import TaskConfig
+from surefoot.task.contract_mapping import task_from_contract
 from surefoot.task.env import LocomotionEnv
 from surefoot.world.mujoco_model import build_model
 from surefoot.world.native import call_step, doubles, function_address

@@ -78,7 +78,7 @@ def test_table_1_can_be_drawn_and_set(robot: RobotDescription) -> None:
 @pytest.fixture
 def emulate() -> Iterator[object]:
     """Start emulators that end with the test, whose robots stand up soon."""
-    with mock.patch.multiple("surefoot.deploy.motion", **QUICK), emulators(EmulatorHere) as start:
+    with mock.patch.multiple("surefoot.deploy.motion_runner", **QUICK), emulators(EmulatorHere) as start:
         yield start
 
 

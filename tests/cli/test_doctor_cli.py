@@ -90,7 +90,7 @@ def test_a_healthy_robot_passes_in_real_time(emulate: Callable[..., Emulator], t
     assert checks["inference"]["value"] < 0.001
 
 
-# Policies that are not what they say.
+# Policies that do not fit the robot.
 
 
 def exchange_columns(contract: dict[str, Any]) -> None:
@@ -98,15 +98,15 @@ def exchange_columns(contract: dict[str, Any]) -> None:
     names[4], names[5] = names[5], names[4]
 
 
-def wrong_rate(contract: dict[str, Any]) -> None:
-    contract["control_step"] = 0.010
+def widen_feedback(contract: dict[str, Any]) -> None:
+    contract["low"] = [-0.8] * 4 + [-0.25] * 4
 
 
 @pytest.mark.parametrize(
     ("change", "check", "why"),
     [
         (exchange_columns, "observation", "column 4 is 'angle.front_left_1_motor' in the policy"),
-        (wrong_rate, "contract", "control_step is 0.01; the data sheet of minitaur says 0.006"),
+        (widen_feedback, "gait", "swing can be -1.100 to 0.550 rad"),
         (None, "policy file", "has no digest"),
     ],
 )
@@ -122,8 +122,7 @@ def test_a_policy_that_does_not_fit_is_found_by_the_doctor_and_refused_by_deploy
     done = surefoot("deploy", policy, "--port", port_of("--rack"), "--lockstep", "--out", tmp_path / "trace.npz")
     assert done.returncode == 2
     refusal = done.stderr.splitlines()[-1]
-    # What the policy sees is compared even before there is a robot.
-    assert (f"{check}: " in refusal and why in refusal) or "this surefoot would give it" in refusal
+    assert why in refusal
 
 
 def cut_normalizer(model: Any) -> None:
@@ -151,10 +150,10 @@ def test_a_stale_policy_is_refused_before_the_port_is_opened(command: str, edit:
 @pytest.mark.parametrize(
     ("fault", "check", "why"),
     [
-        ("other-robot", "robot", "the robot says 'not-minitaur'"),
+        ("other-robot", "robot", "is 'minitaur' (policy), 'not-minitaur' (robot), 'minitaur' (data sheet)"),
         ("other-order", "motors", "motor 0 is 'front_left_2_motor' (policy), 'front_left_1_motor' (robot)"),
         ("other-gains", "servo gains", "the robot's servos have kp 1.5 and kd 0.0225"),
-        ("slow-servo", "servo period", "the robot's servos step every 2 ms; the data sheet says 1 ms"),
+        ("slow-servo", "servo period", "2 ms; the data sheet says 1 ms"),
     ],
 )
 def test_a_robot_that_does_not_fit_is_found_before_it_moves(

@@ -28,7 +28,7 @@ from websockets.sync.client import connect
 
 from surefoot.cli import play
 from surefoot.cli.drive import Drive, serve
-from surefoot.deploy.commands import FileCommands
+from surefoot.deploy.command_sources import FileCommands
 from surefoot.errors import SurefootError
 from surefoot.evaluate.driven import Row
 from surefoot.report.pages.server import PageServer

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import re
 import signal
 import subprocess
 import sys
@@ -17,8 +18,8 @@ import numpy as np
 import pytest
 from processes import SUREFOOT, EmulatorHere, emulators, refused, surefoot
 
-from surefoot.cli.helpers.identify_run import check_robot
-from surefoot.emulator.limits import Limits, introduction
+from surefoot.cli.helpers.identify_run import check_handshake
+from surefoot.emulator.limits import Limits, make_handshake
 from surefoot.errors import SurefootError
 from surefoot.identify.registry import EXPERIMENTS
 from surefoot.robot import PhysicalParams, RobotDescription
@@ -252,19 +253,19 @@ def test_ctrl_c_ends_it_and_keeps_what_was_recorded(hanging: EmulatorHere, tmp_p
     refused(identify("motor", "--recording", out), "did not come to its end: stopped by the operator")
 
 
-def test_a_robot_that_differs_is_refused(robot: RobotDescription):
-    said = introduction(robot, Limits.of(robot), "", robot.timing.servo_step)
-    check_robot(said, robot)
+def test_an_experiment_refuses_another_robot_than_the_data_sheets(robot: RobotDescription):
+    said = make_handshake(robot, Limits.of(robot), "", robot.timing.servo_step)
+    check_handshake(said, robot)
     signs = np.array(said.motor_signs, float)
     signs[3] *= -1
     for other, why in (
-        (replace(said, robot="cat"), "the robot says that it is 'cat', and the data sheet is of 'minitaur'"),
-        (replace(said, motor_names=said.motor_names[::-1]), "motor 0 is '"),
-        (replace(said, servo_period=0.002), "the robot's servos step every 2 ms; the data sheet says 1 ms"),
-        (replace(said, motor_signs=signs), f"{robot.motor_names[3]} has sign "),
+        (replace(said, robot="cat"), "robot: is 'cat' (robot), 'minitaur' (data sheet)"),
+        (replace(said, motor_names=said.motor_names[::-1]), "motors: motor 0 is '"),
+        (replace(said, servo_period=0.002), "servo period: 2 ms; the data sheet says 1 ms"),
+        (replace(said, motor_signs=signs), f"motor signs: {robot.motor_names[3]} has "),
     ):
-        with pytest.raises(SurefootError, match=f"^{why}"):
-            check_robot(other, robot)
+        with pytest.raises(SurefootError, match=re.escape(f"the robot is not as on its data sheet: {why}")):
+            check_handshake(other, robot)
 
 
 class Terminal(io.StringIO):

@@ -321,7 +321,7 @@ def test_motion_follows_a_polynomial_whose_slope_is_told_half_a_step_late() -> N
 
 
 def test_a_robot_in_real_time_may_tell_torques_earlier() -> None:
-    simulated, told = clean(), replace(clean(), meta={**clean().meta, "firmware": "some 1.0"})
+    simulated, told = clean(), replace(clean(), meta={**clean().meta, "lead": 0.005})
     assert [way.age for way in torque_timings(ROBOT, simulated)] == [0.001]
     assert [way.age for way in torque_timings(ROBOT, told)] == pytest.approx([0.001, 0.0065])
     late = TraceSegment(told, MotorMotion(ROBOT, told), np.array([10, 11]), 0, torque_timings(ROBOT, told)[1])

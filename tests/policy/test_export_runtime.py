@@ -15,11 +15,12 @@ pytest.importorskip("mujoco")
 
 from surefoot.errors import SurefootError  # noqa: E402
 from surefoot.learn.config import PPOConfig, load_train_config  # noqa: E402
-from surefoot.learn.export import export_trainer, make_contract  # noqa: E402
+from surefoot.learn.export import export_trainer  # noqa: E402
 from surefoot.learn.trainer import Trainer  # noqa: E402
 from surefoot.policy.contract import METADATA_KEY  # noqa: E402
 from surefoot.policy.export import export_policy  # noqa: E402
 from surefoot.policy.runtime import PolicyRuntime  # noqa: E402
+from surefoot.task.contract_mapping import make_contract  # noqa: E402
 from surefoot.world.sim_world import SimWorld  # noqa: E402
 
 

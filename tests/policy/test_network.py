@@ -208,7 +208,7 @@ TROT = read_parts(find_policy("trot").read_bytes())
         (b'{"kind": "surefoot-policy", "schema": 1, "low": [1' + b"0" * 400 + b"]}", "000; numbers must be finite"),
         (
             TROT.properties[METADATA_KEY].replace(b'"reference": {', b'"reference": {"file": "/dev/zero.npz", ', 1),
-            "contract: reference names a file",
+            "contract.reference names a file",
         ),
     ],
 )

@@ -185,6 +185,11 @@ SHEET, URDF = "robot.toml", "minitaur.urdf"
             'foot = "toe"',
             "legs.front_left.foot ... 'toe' ... choices:  ... front_left_2_lower",
         ),
+        (
+            '<geometry><sphere radius="0.0085"/></geometry>',
+            '<geometry><box size=".1 .1 .1"/></geometry>',
+            "legs.front_left.foot: link 'front_left_2_lower' has as collision shapes: box; a foot has one, a sphere",
+        ),
         ('base = "base"', 'base = "trunk"', "base names 'trunk' ... choices: base, "),
         ("sign = [-1, 1, -1, 1, 1,", "sign = [-1, 1, -1, 2, 1,", "motors.sign[3] is 2 ... choices: -1, 1"),
         ("sign = [-1, 1, -1, 1, 1,", "sign = [-1, 1, -1, 0.5, 1,", "motors.sign[3] is 0.5 ... choices: -1, 1"),

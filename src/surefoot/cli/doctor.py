@@ -12,15 +12,14 @@ from rich.console import Console
 from rich.text import Text
 
 from surefoot.check_result import CheckResult
-from surefoot.cli.helpers.options import Baud, Json, Lockstep, PolicyName, Port, Yes, ask_to_move, check_terminal
+from surefoot.cli.helpers.link_options import LinkOptions
+from surefoot.cli.helpers.options import Json, PolicyName, Port, Yes, ask_to_move, check_terminal
 from surefoot.cli.helpers.parsing import parse
 from surefoot.cli.helpers.policies import find_policy
 from surefoot.configuration import Within
 from surefoot.deploy.doctor.examination import STEPS, examine
 from surefoot.deploy.doctor.link import PINGS
-from surefoot.deploy.links import open_link
 from surefoot.deploy.robot_link import LinkLostError
-from surefoot.deploy.serial.port import BAUD
 from surefoot.errors import SurefootError
 from surefoot.policy.runtime import PolicyRuntime
 from surefoot.robot import RobotDescription
@@ -31,7 +30,7 @@ _WORDS = {True: ("pass", "green"), False: ("FAIL", "bold red"), None: ("not done
 
 
 @dataclass(frozen=True)
-class DoctorCommand:
+class DoctorCommand(LinkOptions):
     """Check policy, link, robot and this computer, one line a check: pass, FAIL or not done, why, and what to do.
 
     Nothing moves without --rack or --ground. Exit code 0: all that was done passed; 3: something failed; 2: it could
@@ -45,10 +44,8 @@ class DoctorCommand:
     ground: bool = False
     """Also stand up and tilt with the legs: the robot sits on flat ground, with a metre of room."""
     yes: Yes = False
-    lockstep: Lockstep = False
     robot: str | None = None
     """Name or folder of the robot's description; the policy's, if not given."""
-    baud: Baud = BAUD
     pings: Annotated[int, Within(10, 100_000)] = PINGS
     """Pings that the link is measured with."""
     steps: Annotated[int, Within(10, 100_000)] = STEPS
@@ -63,7 +60,7 @@ def main(argv: list[str]) -> int:
         raise SurefootError("--rack and --ground don't go together; a robot hangs or sits: give one")
     policy = PolicyRuntime.load(find_policy(command.policy))
     contract = policy.contract
-    robot = RobotDescription.load(command.robot or str(contract.task.get("robot", contract.robot)))
+    robot = RobotDescription.load(command.robot or contract.description)
     if (command.rack or command.ground) and not command.yes:
         place = "hang free, its legs in the air" if command.rack else "sit on flat ground with a metre of room"
         check_terminal(place)
@@ -71,7 +68,7 @@ def main(argv: list[str]) -> int:
     console = Console(highlight=False, soft_wrap=True, emoji=False)
     if not command.json:
         console.print(f"policy '{contract.name}' for {contract.robot}, port {command.port}", markup=False)
-    link = open_link(command.port, robot.num_motors, command.lockstep, command.baud)
+    link = command.open_link(command.port, robot.num_motors)
     results = []
     try:
         for result in examine(link, policy, robot, command.rack, command.ground, command.pings, command.steps):

@@ -22,7 +22,7 @@ from surefoot.robot.commands import COMMANDS, STAND
 from surefoot.world.registry import WORLDS, find_world
 
 if TYPE_CHECKING:
-    from surefoot.deploy.commands import CommandSource
+    from surefoot.deploy.command_sources import CommandSource
     from surefoot.evaluate.driven import DrivenRobot
     from surefoot.report.pages.server import PageServer
     from surefoot.report.pages.view import RobotView
@@ -81,7 +81,7 @@ def serve(drive: Drive, host: str | None, port: int, commands: str | None) -> No
     Raises:
         SurefootError: a port that is taken, or commands that can't be had.
     """
-    from surefoot.deploy.commands import open_commands
+    from surefoot.deploy.command_sources import open_commands
     from surefoot.report.pages.server import PageServer
     from surefoot.report.pages.view import RobotView
 

@@ -61,7 +61,8 @@ class SensitivityCommand:
 def main(argv: list[str]) -> int:
     """Run the command with the words after its name; returns the exit code."""
     command = parse(SensitivityCommand, argv, "surefoot sensitivity")
-    from surefoot.cli.helpers.policies import described, find_policies, load_policies, progress_bar
+    from surefoot.cli.helpers.policies import described, find_policies, load_policies
+    from surefoot.progress import ProgressBar
     from surefoot.robot.randomization import check_ranges, load_ranges
     from surefoot.world.registry import WORLDS, find_world
 
@@ -84,9 +85,9 @@ def main(argv: list[str]) -> int:
     how = told | {"ranges": ranges, "threads": command.threads, "robots": WORLDS[command.world].robots_side_by_side}
     results = []
     for one, task in zip(loaded, tasks, strict=True):
-        with progress_bar(one.name) as progress:
+        with ProgressBar(one.name) as bar:
             results.append(
-                run_sensitivity(one.policy, task, make_world, policy_name=one.name, progress=progress, **how)
+                run_sensitivity(one.policy, task, make_world, policy_name=one.name, progress=bar.advance, **how)
             )
     groups, trained = {one.policy: [one] for one in results}, {one.name: trained_ranges(one.task) for one in loaded}
     files = [

@@ -23,7 +23,8 @@ from surefoot.robot.experiments import Experiments, read_experiments
 from surefoot.robot.leg import FiveBar, Legs
 from surefoot.robot.params import PhysicalParams
 from surefoot.robot.serial_leg import SerialLegs
-from surefoot.robot.urdf import Urdf, read_urdf
+from surefoot.robot.urdf import Urdf
+from surefoot.robot.urdf_file import read_urdf
 
 _HERE = Path(__file__).parent
 
@@ -468,6 +469,12 @@ def _legs(sheet: _Sheet, urdf: Urdf) -> tuple[Leg, ...]:
         if len(leg.knees) != (2 if sheet.leg_geometry else 0):
             rule = "two, with leg_geometry" if sheet.leg_geometry else "none: joints without a motor need leg_geometry"
             raise SurefootError(f"legs.{leg.name}.knees has {len(leg.knees)} names; a leg has {rule}")
+        feet = [shape.kind for shape in urdf.links[leg.foot].collisions]
+        if feet != ["sphere"]:
+            raise SurefootError(
+                f"legs.{leg.name}.foot: link '{leg.foot}' has as collision shapes: {choices(feet) or 'none'}; "
+                "a foot has one, a sphere"
+            )
     used = [name for leg in legs for name in leg.motors]
     if sorted(used) != sorted(order):
         raise SurefootError(

@@ -20,7 +20,7 @@ from surefoot.evaluate.ensemble import ROBOTS
 from surefoot.evaluate.footfalls import analyze_footfalls
 from surefoot.evaluate.gap import PolicyGap, away_task, home_task
 from surefoot.evaluate.recorded import save_runs
-from surefoot.evaluate.rollout import run_episodes, task_from_contract
+from surefoot.evaluate.rollout import run_episodes
 from surefoot.evaluate.runs import Runs, summarize
 from surefoot.evaluate.sensitivity import Sensitivity, run_sensitivity
 from surefoot.files import whole_file
@@ -29,6 +29,7 @@ from surefoot.robot import RobotDescription
 from surefoot.robot.randomization import load_ranges
 from surefoot.tables import plain_value
 from surefoot.task.config import TaskConfig
+from surefoot.task.contract_mapping import task_from_contract
 from surefoot.task.trace import EpisodeTrace
 from surefoot.world.interface import SimulationFactory
 

@@ -13,7 +13,6 @@ from surefoot.check_result import CheckResult, judge
 from surefoot.errors import SurefootError, choices
 from surefoot.robot import GRAVITY, RobotDescription
 from surefoot.robot.actuator import PLACEHOLDER_TORQUE, JointActuatorData
-from surefoot.robot.fused_urdf import fuse_urdf
 from surefoot.robot.rigid_body import are_moments
 from surefoot.world.mujoco_model import build_model, foot_geoms, resting_qpos
 from surefoot.world.sim_world import SimWorld
@@ -39,28 +38,17 @@ def check_robot(robot: RobotDescription) -> Iterator[CheckResult]:
     yield _masses(robot)
     yield _limits(robot)
     yield _sides(robot)
-    try:
-        model = build_model(robot)
-        yield CheckResult("feet", True, f"{len(robot.legs)} spheres of {1e3 * _radii(robot, model).mean():.0f} mm")
-    except (SurefootError, KeyError) as error:
-        yield CheckResult("feet", False, str(error), "give each foot's link one collision sphere")
-        return
+    model = build_model(robot)
+    radius = float(model.geom_size[foot_geoms(robot, model), 0].mean())
+    yield CheckResult("feet", True, f"{len(robot.legs)} spheres of {1e3 * radius:.0f} mm")
     yield from _stand(robot, model)
     yield from _dynamics(robot, model)
 
 
-def _radii(robot: RobotDescription, model: mujoco.MjModel) -> Array:
-    radii: Array = model.geom_size[foot_geoms(robot, model), 0]
-    return radii
-
-
 def _masses(robot: RobotDescription) -> CheckResult:
-    odd = []
-    bodies = fuse_urdf(robot.urdf).bodies
-    for name, body in bodies.items():
-        if not are_moments(np.linalg.eigvalsh(body.inertia)):
-            odd.append(name)
-    share = max(body.mass for body in bodies.values()) / robot.urdf.total_mass
+    links = robot.urdf.fuse_fixed_links().links
+    odd = [name for name, link in links.items() if not are_moments(np.linalg.eigvalsh(link.body.inertia))]
+    share = max(link.mass for link in links.values()) / robot.urdf.total_mass
     told = f"{robot.urdf.total_mass:.2f} kg, {share:.0%} in one body"
     rule = f"; no rigid body has the inertia of {choices(odd)}: none of the moments may be over the sum of the others"
     return judge("masses", not odd, told, rule, "correct these inertias in the URDF", robot.urdf.total_mass)
@@ -80,12 +68,8 @@ def _limits(robot: RobotDescription) -> CheckResult:
 
 def _sides(robot: RobotDescription) -> CheckResult:
     """Compare what is left with what is right of the middle plane."""
-    fused = fuse_urdf(robot.urdf)
-    bodies, place = fused.bodies, fused.place
-    masses = {}
-    for leg in robot.legs:
-        chain = {place[robot.urdf.joints[name].child][0] for name in (*leg.motors, *leg.knees)}
-        masses[leg.name] = sum(bodies[name].mass for name in chain)
+    links, joints = robot.urdf.fuse_fixed_links().links, robot.urdf.joints
+    masses = {leg.name: sum(links[joints[name].child].mass for name in (*leg.motors, *leg.knees)) for leg in robot.legs}
     differing = []
     for k, leg in enumerate(robot.legs):
         mirror = robot.leg_mounts[k] * [1.0, -1.0, 1.0]

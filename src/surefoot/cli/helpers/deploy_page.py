@@ -1,8 +1,8 @@
 """The page of `surefoot deploy --drive`: the robot's own state in a browser, and commands from there.
 
 The page runs in a process of its own, so that it can't make the control loop wait. The loop's process tells it how the
-robot is by the live display's pipe; what drives goes back by the command channel (`deploy.commands`), so that a page
-that is closed, hangs or is gone means stand.
+robot is by the live display's pipe; commands go back by the command channel (`deploy.command_sources`), so that
+the robot stands when the page is closed, hangs or is gone.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any, TextIO
 
 import numpy as np
 
-from surefoot.deploy.commands import send_command
+from surefoot.deploy.command_sources import send_command
 from surefoot.deploy.display import LiveDisplay
 from surefoot.deploy.loop import Snapshot
 from surefoot.errors import SurefootError

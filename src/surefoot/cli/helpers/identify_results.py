@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import json
 import math
-import sys
 from collections.abc import Callable, Iterator
 from importlib import import_module
 from pathlib import Path
@@ -19,6 +18,7 @@ from rich.text import Text
 from surefoot.errors import SurefootError, choices
 from surefoot.identify.overlay import Known, overlay, write_known
 from surefoot.identify.result import Estimate, Identification
+from surefoot.progress import ProgressDisplay
 from surefoot.report.figures.identification import cells, full_name, known_before
 from surefoot.report.pages.identification import write_report
 from surefoot.robot import RobotDescription
@@ -40,17 +40,16 @@ def check_installed(otherwise: str = "") -> None:
 
 @contextlib.contextmanager
 def fitting(what: str) -> Iterator[Callable[[str, float], None]]:
-    """Give a function that is told how a fit goes: a line that changes on a terminal, lines elsewhere; on stderr."""
-    console = Console(stderr=True, highlight=False, soft_wrap=True)
+    """Yield a callback that shows the progress of a fit on standard error."""
+    line = f"fit of {what}"
+    with ProgressDisplay(Console(stderr=True), lambda: Text(line), line_period=0.0, transient=True) as display:
 
-    def text(step: str, cost: float) -> str:
-        return f"fit of {what}: {step}" + (f", residuals {math.sqrt(cost):.3g} sigma" if cost >= 0 else "")
+        def report(step: str, cost: float) -> None:
+            nonlocal line
+            line = f"fit of {what}: {step}" + (f", residuals {math.sqrt(cost):.3g} sigma" if cost >= 0 else "")
+            display.refresh(f"surefoot: {line}", force_line=True)
 
-    if not console.is_terminal:
-        yield lambda step, cost: print(f"surefoot: {text(step, cost)}", file=sys.stderr, flush=True)
-        return
-    with console.status(f"fit of {what}") as status:
-        yield lambda step, cost: status.update(Text(text(step, cost)))
+        yield report
 
 
 def write(

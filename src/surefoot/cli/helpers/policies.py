@@ -4,26 +4,25 @@ from __future__ import annotations
 
 import sys
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
-
+from surefoot.check_result import first_failure
 from surefoot.cli.helpers.simulator import Simulator
 from surefoot.configuration import to_mapping
-from surefoot.deploy.checks import contradiction, other_gains, unreadable_observation
+from surefoot.deploy.checks import check_description
 from surefoot.errors import SurefootError, choices
-from surefoot.policy.contract import Contract, check_robot, config_hash
+from surefoot.policy.contract import config_hash
 from surefoot.policy.runtime import PolicyRuntime
+from surefoot.progress import ProgressBar
 from surefoot.robot import RobotDescription, parse_settings
 from surefoot.robot.randomization import RandomizeConfig, check_ranges
 from surefoot.studies.handcrafted import HandcraftedGait
 from surefoot.task.commands import read_schedule
 from surefoot.task.config import TaskConfig
+from surefoot.task.contract_mapping import task_from_contract
 from surefoot.task.trace import EpisodeTrace
 from surefoot.world.registry import find_world
 
@@ -54,21 +53,23 @@ def find_policies(policies: Sequence[str]) -> list[Path]:
 
 
 def load_policy(path: Path, robot: str | None) -> tuple[PolicyRuntime, RobotDescription, TaskConfig]:
-    """Return a policy, the robot to run it on and the task it was made for; say on stderr that one has no digest.
+    """Return a policy, the robot to run it on and the task it was made for; warn on stderr of one without a digest.
 
-    The robot is given by name or folder; it is the one of the policy's task, if it is not given.
+    Args:
+        path: the policy file.
+        robot: name or folder of the robot; the policy's own, if None. Control step, latencies, gains and voltage are
+            those that the policy was trained with.
 
     Raises:
-        SurefootError: a file that is no policy, one for another robot, or one whose contract is not what would be run.
+        SurefootError: a file that is no policy, or one for another robot.
     """
-    from surefoot.evaluate.rollout import task_from_contract
-
     policy = PolicyRuntime.load(path)
-    task = task_from_contract(policy.contract)
-    if robot is not None:
-        task = replace(task, robot=robot)
-    description = RobotDescription.load(task.robot)
-    _check_contract(policy.contract, description, task)
+    folder = robot or policy.contract.description
+    description = RobotDescription.load(folder)
+    error = first_failure(check_description(policy.contract, description))
+    if error is not None:
+        raise SurefootError(f"policy '{policy.contract.name}' must not run on {description.name}: {error}")
+    task = replace(task_from_contract(policy.contract, description), robot=folder)
     if policy.digest is None:
         print(
             f"surefoot: policy file {path}: is unsigned: it has no digest, so nothing shows that network and contract "
@@ -92,23 +93,6 @@ def load_gait(path: Path, robot: str | None) -> tuple[Policy, RobotDescription, 
     whole = {"task": to_mapping(task), "raibert": gait.raibert and to_mapping(gait.raibert)}
     about = {"name": task.name, "config_hash": config_hash(whole)}
     return replace(gait, task=task).policy(), RobotDescription.load(task.robot), task, about
-
-
-def _check_contract(contract: Contract, robot: RobotDescription, task: TaskConfig) -> None:
-    """Refuse a policy whose contract contradicts a simulation of its task, as `deploy` refuses it."""
-    check_robot(contract, robot)
-    # With all that the task leaves to defaults, for that is what is simulated.
-    whole, params = replace(contract, task=to_mapping(task)), task.nominal(robot)
-    why = (
-        unreadable_observation(contract, robot)
-        or contradiction(whole, robot)
-        or other_gains(contract, params.servo_kp[0].tolist(), params.servo_kd[0].tolist())
-    )
-    if why is not None:
-        raise SurefootError(
-            f"policy '{contract.name}' must not run on {robot.name}: {why}; the contract was edited or is of another "
-            "task: export the policy again"
-        )
 
 
 @dataclass(frozen=True)
@@ -223,17 +207,7 @@ def run_policy(
     """
     from surefoot.evaluate.rollout import run_episodes
 
-    with progress_bar(title or name) as progress:
+    with ProgressBar(title or name) as bar:
         return run_episodes(
-            policy, task, episodes, find_world(world), seed, threads, progress, world_name=world, policy_name=name
+            policy, task, episodes, find_world(world), seed, threads, bar.advance, world_name=world, policy_name=name
         )
-
-
-@contextmanager
-def progress_bar(what: str) -> Iterator[Callable[[float], None]]:
-    """Show a bar on stderr while something runs, on a terminal only; give what takes the share that is done, 0 to 1."""
-    console = Console(stderr=True)
-    columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
-        row = bar.add_task(what, total=1.0)
-        yield lambda share: bar.update(row, completed=share)

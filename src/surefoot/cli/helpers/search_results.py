@@ -101,11 +101,12 @@ def _retest(search: Search, trial: TrialResult) -> Retest:
     Runs are stored beside the policy: a report without new trials among the best simulates nothing.
     """
     from surefoot.evaluate.gap import away_task
-    from surefoot.evaluate.rollout import run_episodes, task_from_contract
+    from surefoot.evaluate.rollout import run_episodes
     from surefoot.evaluate.runs import Runs
     from surefoot.policy.runtime import PolicyRuntime
     from surefoot.studies.evaluations import Result, made_once
     from surefoot.studies.trials import Retest
+    from surefoot.task.contract_mapping import task_from_contract
 
     assert trial.policy is not None
     path, reward = trial.policy, search.config.train.task.reward

@@ -10,7 +10,7 @@ import numpy as np
 from surefoot.arrays import Array
 from surefoot.deploy.doctor.rest import Sample
 from surefoot.deploy.messages import Mode, State
-from surefoot.deploy.motion import MotionRunner
+from surefoot.deploy.motion_runner import MotionRunner
 from surefoot.deploy.robot_link import RobotLink
 from surefoot.deploy.safety import Act, Verdict
 from surefoot.robot import RobotDescription

@@ -20,6 +20,7 @@ from surefoot.deploy.robot_link import RobotLink
 from surefoot.policy.contract import Contract
 from surefoot.robot import RobotDescription
 from surefoot.stop_signals import StopSignals
+from surefoot.task.contract_mapping import task_from_contract
 
 NAMES = ("motors, one by one", "control latency", "servo response")
 STEP = 0.05
@@ -94,7 +95,10 @@ def wiggle_motors(
                 wiggles.append(_wiggle(leashed, start, motor, step))
     except MotionStoppedError as stopped:
         return [_stopped(stopped, leashed, asked, robot), *skipped(NAMES[1:], "the wiggle did not come to its end")]
-    return [check_motors(wiggles, robot), *check_response(wiggles, contract, handshake.servo_period, link.lead)]
+    return [
+        check_motors(wiggles, robot),
+        *check_response(wiggles, _trained_latencies(contract, robot), handshake.servo_period, link.lead),
+    ]
 
 
 def _wiggle(leashed: LeashedRobot, start: Array, motor: int, step: float) -> Wiggle:
@@ -171,7 +175,7 @@ def check_motors(wiggles: Sequence[Wiggle], robot: RobotDescription) -> CheckRes
 
 
 def check_response(
-    wiggles: Sequence[Wiggle], contract: Contract, servo_period: float, lead: float
+    wiggles: Sequence[Wiggle], trained_latencies: tuple[float, float], servo_period: float, lead: float
 ) -> list[CheckResult]:
     """Judge when the motors began to move, and how fast they went.
 
@@ -181,7 +185,7 @@ def check_response(
 
     Args:
         wiggles: of all motors.
-        contract: says what the policy was trained with.
+        trained_latencies: least and greatest control latency in training [s].
         servo_period: of the robot [s].
         lead: how long before it is used a state is sent [s].
     """
@@ -190,7 +194,7 @@ def check_response(
     if len(fits) < max(len(wiggles) // 2, 1):
         return skipped(NAMES[1:], f"only {len(fits)} of {len(wiggles)} motors answered clearly")
     latency = float(np.median([fit.delay for fit in fits])) - servo_period / 2 + lead
-    return [_latency(latency, contract, lead), _servo(float(np.median([fit.rise for fit in fits])))]
+    return [_latency(latency, trained_latencies, lead), _servo(float(np.median([fit.rise for fit in fits])))]
 
 
 @dataclass(frozen=True)
@@ -266,16 +270,15 @@ def _crossing(age: Array, moved: Array, share: float) -> float:
     return float(age[after - 1] + part * (age[after] - age[after - 1]))
 
 
-def trained_latencies(contract: Contract) -> tuple[float, float]:
-    """Least and greatest control latency [s] that a policy was trained with."""
-    ranges = contract.task.get("randomize") or {}
-    span = ranges.get("latency") if isinstance(ranges, dict) else None
-    low, high = span if span else (contract.control_latency, contract.control_latency)
-    return min(low, contract.control_latency), max(high, contract.control_latency)
+def _trained_latencies(contract: Contract, robot: RobotDescription) -> tuple[float, float]:
+    """Return the least and greatest control latency [s] in a policy's training."""
+    nominal = contract.control_latency
+    low, high = task_from_contract(contract, robot).randomize.ranges.get("latency", (nominal, nominal))
+    return min(low, nominal), max(high, nominal)
 
 
-def _latency(latency: float, contract: Contract, lead: float) -> CheckResult:
-    low, high = trained_latencies(contract)
+def _latency(latency: float, trained_range: tuple[float, float], lead: float) -> CheckResult:
+    low, high = trained_range
     trained = f"{1e3 * low:g}" if low == high else f"{1e3 * low:g} to {1e3 * high:g}"
     told = (
         f"{1e3 * latency:.1f} ms (with {1e3 * lead:g} ms from sending to use); the policy was trained with {trained} ms"

@@ -22,7 +22,6 @@ import numpy as np
 
 from surefoot.actuator import motor_friction
 from surefoot.arrays import Array
-from surefoot.deploy.robot_link import LEAD
 from surefoot.errors import SurefootError, choices
 from surefoot.identify.fitting import GAIN, Fit, Unknown, fit_least_squares
 from surefoot.identify.ground.inverse_dynamics import InverseDynamics, Motion
@@ -279,8 +278,9 @@ class _TraceFit:
                 "them; measure the battery, say so, and leave voltage out, and their intervals shrink"
             )
         if self.held[0].timing.spread:
+            lead = float(self.held[0].trace.meta["lead"])
             notes.append(
-                f"the robot told its readings in real time, {1e3 * LEAD:g} ms before they were used: a control latency "
+                f"the robot told its readings in real time, {1e3 * lead:g} ms before they were used: a control latency "
                 "below that is not seen, and acts as that"
             )
         return notes

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-import xml.etree.ElementTree as ElementTree
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,11 +16,11 @@ from surefoot.robot.actuator import PLACEHOLDER_TORQUE
 from surefoot.robot.description import GRAVITY
 from surefoot.robot.importing.imported import LEGS, ImportedJoint, ImportedLeg, ImportedRobot, Knees
 from surefoot.robot.rigid_body import RigidBody
-from surefoot.rotations import matrix_rpy
+from surefoot.robot.urdf import Joint, Link, Shape, Urdf
+from surefoot.robot.urdf_file import format_urdf
 
 _PLACEHOLDER_SPEED = 100.0
 """A speed limit [rad/s] from which on it is a placeholder."""
-_ORIGIN = np.zeros(3)
 _Line = tuple[str, str]
 """A line of the sheet, and why it is a guess; empty for one that the file decides."""
 
@@ -46,7 +46,7 @@ def write_robot(robot: ImportedRobot, folder: Path, name: str, knees: Knees | No
     lines = _sheet(robot, name, knees)
     with accessible(folder, "made"):
         folder.mkdir(parents=True, exist_ok=True)
-    _write(folder / "robot.urdf", _urdf(robot, name))
+    _write(folder / "robot.urdf", format_urdf(_urdf(robot), name))
     _write(folder / "robot.toml", "\n".join(f"{line}  # guessed: {why}" if why else line for line, why in lines))
     return list(dict.fromkeys([*robot.notes, *(f"{line}: {why}" for line, why in lines if why)]))
 
@@ -192,76 +192,53 @@ def _actuator(robot: ImportedRobot) -> list[_Line]:
     ]
 
 
-def _urdf(robot: ImportedRobot, name: str) -> str:
-    """Return a URDF with frames along the base's and shapes of its own: a box, cylinders and spheres."""
-    root = ElementTree.Element("robot", name=name)
+def _urdf(robot: ImportedRobot) -> Urdf:
+    """Return links with frames along the base's and shapes of their own: a box, cylinders and spheres."""
     centre, half = robot.base_box
-    _shape(_link(root, "base", robot.base), "box", centre, size=_words(2 * half))
+    links = {"base": _link(robot.base, np.zeros(3), Shape("base", "box", tuple(half), _frame(centre)))}
+    joints: dict[str, Joint] = {}
     for leg_name, leg in zip(LEGS, robot.legs, strict=True):
         parent, origin = "base", np.zeros(3)
         parts = ("hip", "upper", "lower")[-len(leg.joints) :]
         for part, joint, body in zip(parts, leg.joints, leg.bodies, strict=True):
-            link_name = f"{leg_name}_{part}"
-            link = _link(root, link_name, body, joint.place)
-            _joint(root, joint, parent, link_name, joint.place - origin)
+            name, shapes = f"{leg_name}_{part}", []
             if part != "hip":
                 end = leg.foot if part == "lower" else leg.joints[-1].place
-                # Collinear with the link, and short of its ends, so that shapes of one leg do not touch.
                 start = np.array([joint.place[0], end[1], joint.place[2]])
                 radius = 0.06 * robot.length * (0.5 if part == "upper" else 0.3)
-                _cylinder(link, start - joint.place, end - joint.place, radius)
-            parent, origin = link_name, joint.place
-        foot = _link(root, f"{leg_name}_foot", RigidBody(1e-6, np.zeros(3), 1e-10 * np.eye(3)))
-        _shape(foot, "sphere", np.zeros(3), radius=f"{leg.foot_radius:.6g}")
-        ankle = ElementTree.SubElement(root, "joint", name=f"{leg_name}_ankle", type="fixed")
-        _ends(ankle, parent, f"{leg_name}_foot", leg.foot - origin)
-    ElementTree.indent(root)
-    return ElementTree.tostring(root, encoding="unicode") + "\n"
+                shapes = [_cylinder(name, start - joint.place, end - joint.place, radius)]
+            links[name] = _link(body, joint.place, *shapes)
+            kind, (x, y, z) = "revolute" if joint.limits else "continuous", joint.axis.tolist()
+            frame = _frame(joint.place - origin)
+            joints[joint.name] = Joint(joint.name, kind, parent, name, (x, y, z), frame, joint.limits)
+            parent, origin = name, joint.place
+        foot, ankle = f"{leg_name}_foot", f"{leg_name}_ankle"
+        sphere = Shape(foot, "sphere", (leg.foot_radius,), np.eye(4))
+        links[foot] = _link(RigidBody(1e-6, np.zeros(3), 1e-10 * np.eye(3)), np.zeros(3), sphere)
+        joints[ankle] = Joint(ankle, "fixed", parent, foot, (1.0, 0.0, 0.0), _frame(leg.foot - origin))
+    return Urdf(robot.path, links, joints)
 
 
-def _words(values: Array) -> str:
-    return " ".join(f"{value:.9g}" for value in np.where(np.abs(values) < 1e-9, 0.0, values))
+def _frame(place: Array) -> Array:
+    frame = np.eye(4)
+    frame[:3, 3] = place
+    return frame
 
 
-def _link(root: ElementTree.Element, name: str, body: RigidBody, origin: Array = _ORIGIN) -> ElementTree.Element:
-    """Add a link whose frame is at `origin` (3,) [m]; `body` is in the base's frame."""
-    link = ElementTree.SubElement(root, "link", name=name)
-    inertial = ElementTree.SubElement(link, "inertial")
-    ElementTree.SubElement(inertial, "origin", xyz=_words(body.centre - origin), rpy="0 0 0")
-    ElementTree.SubElement(inertial, "mass", value=f"{body.mass:.9g}")
-    tensor = {f"i{'xyz'[r]}{'xyz'[c]}": f"{body.inertia[r, c]:.9g}" for r in range(3) for c in range(r, 3)}
-    ElementTree.SubElement(inertial, "inertia", tensor)
-    return link
+def _link(body: RigidBody, origin: Array, *shapes: Shape) -> Link:
+    """Return a link whose frame is at `origin` (3,) [m]; `body` is in the base's frame."""
+    return Link(replace(body, centre=body.centre - origin), shapes, shapes)
 
 
-def _ends(joint: ElementTree.Element, parent: str, child: str, place: Array) -> None:
-    ElementTree.SubElement(joint, "origin", xyz=_words(place), rpy="0 0 0")
-    ElementTree.SubElement(joint, "parent", link=parent)
-    ElementTree.SubElement(joint, "child", link=child)
+def _cylinder(link: str, start: Array, end: Array, radius: float) -> Shape:
+    """Return a cylinder along the line between two points (3,) [m] of the link's frame.
 
-
-def _joint(root: ElementTree.Element, imported: ImportedJoint, parent: str, child: str, place: Array) -> None:
-    kind = "revolute" if imported.limits else "continuous"
-    joint = ElementTree.SubElement(root, "joint", name=imported.name, type=kind)
-    _ends(joint, parent, child, place)
-    ElementTree.SubElement(joint, "axis", xyz=_words(imported.axis))
-    if imported.limits:
-        low, high = imported.limits
-        ElementTree.SubElement(joint, "limit", lower=f"{low:.9g}", upper=f"{high:.9g}", effort="1000", velocity="1000")
-
-
-def _shape(link: ElementTree.Element, kind: str, place: Array, rpy: str = "0 0 0", **sizes: str) -> None:
-    for use in ("visual", "collision"):
-        element = ElementTree.SubElement(link, use)
-        ElementTree.SubElement(element, "origin", xyz=_words(place), rpy=rpy)
-        ElementTree.SubElement(ElementTree.SubElement(element, "geometry"), kind, sizes)
-
-
-def _cylinder(link: ElementTree.Element, start: Array, end: Array, radius: float) -> None:
-    """Add a cylinder along the line between two points (3,) [m] of the link's frame."""
+    It is shorter than the line, so that shapes of one leg do not touch.
+    """
     length = float(np.linalg.norm(end - start))
     z = (end - start) / length
     x = np.cross([0.0, 1.0, 0.0], z)
     x /= np.linalg.norm(x)
-    rpy = _words(matrix_rpy(np.stack([x, np.cross(z, x), z], axis=1)))
-    _shape(link, "cylinder", (start + end) / 2, rpy, radius=f"{radius:.6g}", length=f"{0.9 * length:.6g}")
+    frame = _frame((start + end) / 2)
+    frame[:3, :3] = np.stack([x, np.cross(z, x), z], axis=1)
+    return Shape(link, "cylinder", (radius, 0.45 * length), frame)
