@@ -9,6 +9,7 @@ from typing import Annotated, Any, Literal
 from surefoot.configuration import Seed, Threads, Within, check_bounds, from_mapping
 from surefoot.errors import SurefootError, check_name, located, quoted
 from surefoot.task.config import TaskConfig, load_task
+from surefoot.task.reward import check_reward
 
 Layers = tuple[Annotated[int, Within(1, 10_000)], ...]
 """Units of the hidden layers of a network."""
@@ -106,6 +107,8 @@ class TrainConfig:
         """Refuse values out of bounds."""
         check_name("name", self.name)
         check_bounds(self)
+        if self.evaluation_reward:
+            check_reward(self.evaluation_reward, self.task.reward_limits)
         if self.samples_per_update < self.ppo.minibatches:
             raise SurefootError(
                 f"num_envs {self.num_envs} x steps_per_update {self.steps_per_update} gives fewer samples than "
