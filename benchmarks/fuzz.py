@@ -506,7 +506,8 @@ def make_seeds(folder: Path, wanted: set[str]) -> None:
         "name: mine\nrobot: minitaur\nobservations: [roll, pitch, roll_rate, pitch_rate, motor_angles]\nhistory: 2\n"
         "reference:\n  kind: sine\n  swing: {amplitude: 0.3, frequency: 2.0, phase: 0.5, offset: 0.0}\n"
         "  extension: {amplitude: 0.2, frequency: 2.0, offset: 1.6}\nfeedback: {swing: [-0.2, 0.2], extension: [-0.2, "
-        "0.2]}\nreward: {progress: 1.0, energy: -0.005}\nfall_angle: 0.5\nmax_steps: 4\npushes: {enabled: true, period: 1.2, duration: "
+        "0.2]}\nreward: {progress: 1.0, energy: -0.005}\n"
+        "fall_angle: 0.5\nmax_steps: 4\npushes: {enabled: true, period: 1.2, duration: "
         "0.06, force: [10, 20]}\nrandomize: table1\nparams: {voltage: 15.0}\nactuator: dc\ntrain:\n  seed: 3\n"
         "  ppo: {gamma: 0.99, policy_hidden: [8, 8], learning_rate: 0.001}\n"
     )

@@ -83,10 +83,14 @@ Duration = Annotated[float, Within(0, 3600, above=True)]
 def check_bounds(config: Any, where: str = "") -> None:
     """Refuse a dataclass with a number out of its field's bounds, which `Within` gives, or that is not finite.
 
-    Dataclasses in it are not looked into. `where` is its dotted name, for messages.
+    Dataclasses in it are checked too. `where` is its dotted name, for messages.
     """
     for name, within in _bounds(config.__class__).items():
-        within.check(f"{where}.{name}" if where else name, getattr(config, name))
+        value, place = getattr(config, name), f"{where}.{name}" if where else name
+        if dataclasses.is_dataclass(value):
+            check_bounds(value, place)
+        else:
+            within.check(place, value)
 
 
 @functools.cache

@@ -89,7 +89,10 @@ BAD = [
     ),
     ("ppo.gamma: {low: 0.99, high: 0.9}", "ppo.gamma: low is 0.99 and high is 0.9; low must be below high"),
     ("ppo.gamma: {low: 0.5, high: 1.5}", "ppo.gamma is 1.5; it must be 1 or less"),
-    ("ppo.learning_rate: {low: 0, high: 1, log: true}", "ppo.learning_rate: low is 0 and high is 1; with log both must be on one side of 0"),
+    (
+        "ppo.learning_rate: {low: 0, high: 1, log: true}",
+        "ppo.learning_rate: low is 0 and high is 1; with log both must be on one side of 0",
+    ),
     ("ppo.epochs: {low: 1.5, high: 3, int: true}", "ppo.epochs: low is 1.5 and high is 3; with int they must be whole"),
     ("ppo.epochs: {low: 1, high: 3}", r"ppo.epochs is 1.0; it must be a whole number"),
     ("ppo.gamma: {low: 0.9}", "ppo.gamma: it needs low and high, or choices"),

@@ -54,7 +54,9 @@ class Dimension:
         if not self.low < self.high:
             raise SurefootError(f"low is {self.low:g} and high is {self.high:g}; low must be below high")
         if self.log and self.low <= 0 <= self.high:
-            raise SurefootError(f"low is {self.low:g} and high is {self.high:g}; with log both must be on one side of 0")
+            raise SurefootError(
+                f"low is {self.low:g} and high is {self.high:g}; with log both must be on one side of 0"
+            )
         if self.int and (self.low % 1 or self.high % 1):
             raise SurefootError(f"low is {self.low:g} and high is {self.high:g}; with int they must be whole numbers")
 

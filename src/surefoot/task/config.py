@@ -17,102 +17,13 @@ from surefoot.task.commands import CommandConfig
 from surefoot.task.gait import ActionKind, HybridGait, narrowed_bounds
 from surefoot.task.observation import IMU_AND_MOTORS_12D
 from surefoot.task.pushes import PushConfig
-from surefoot.task.reference import make_reference
+from surefoot.task.reference import ReferenceConfig, make_reference
 from surefoot.task.reward import PAPER_REWARD, check_reward, energy_weight
 
 _PRESETS = Path(__file__).parent / "presets"
 
 MOST_STEPS = 1_000_000
 """Control steps of the longest episode: hours."""
-
-PerLeg = float | dict[str, float]
-
-
-@dataclass(frozen=True)
-class WaveConfig:
-    """A sinusoid for each leg; each quantity is one number, or one for each leg by name."""
-
-    amplitude: PerLeg = 0.0
-    """rad"""
-    frequency: PerLeg = 0.0
-    """Hz"""
-    phase: PerLeg = 0.0
-    """rad"""
-    offset: PerLeg = 0.0
-    """rad"""
-
-
-@dataclass(frozen=True)
-class FootConfig:
-    """Paths of the feet in their legs' planes; each quantity but the frequency is one number, or one for each leg."""
-
-    frequency: float = 2.0
-    """Cycles a second [Hz]."""
-    stroke: PerLeg = 0.1
-    """How far a foot goes backward in stance, relative to the base [m]."""
-    clearance: PerLeg = 0.03
-    """How far a foot is lifted in the middle of its swing [m]."""
-    duty_factor: PerLeg = 0.5
-    """Part of the cycle that a foot is on the ground."""
-    phase: PerLeg = 0.0
-    """When a foot's cycle begins, with its touchdown [cycles]."""
-    height: PerLeg = 0.22
-    """Of the motor axis over the foot's end at touchdown and lift-off [m]."""
-    offset: PerLeg = 0.0
-    """Of the middle of the stroke, forward from the motor axis [m]."""
-    depth: PerLeg = 0.0
-    """How far a foot is pressed below that height in the middle of its stance [m]."""
-
-
-@dataclass(frozen=True)
-class ReferenceConfig:
-    """The open loop part of the gait."""
-
-    kind: Literal["none", "sine", "table", "foot", "follow"] = "none"
-    """none: zero at all times; sine: `swing` and `extension`; table: poses out of `file`, every `period`;
-    foot: paths of the feet, `foot`; follow: the same with strides that follow the task's commands."""
-    abduction: WaveConfig = field(default_factory=WaveConfig)
-    """Abduction of the legs, for kind sine; of robots that have it."""
-    swing: WaveConfig = field(default_factory=WaveConfig)
-    """Swing of the legs, for kind sine."""
-    extension: WaveConfig = field(default_factory=WaveConfig)
-    """Extension of the legs, for kind sine."""
-    file: str | None = None
-    """CSV or NPZ file with columns swing_LEG and extension_LEG, for kind table."""
-    period: Annotated[float, Within(0, 3600, above=True)] | None = None
-    """Time [s] in which the table is gone through once."""
-    foot: FootConfig = field(default_factory=FootConfig)
-    """Paths of the feet, for kind foot."""
-    stride_gain: float = 1.15
-    """Stride over that of a foot that does not slip, for kind follow; `foot.stroke` is the longest."""
-    frequency_rise: float = 0.0
-    """Frequency gained at the longest stride, over the frequency on the spot, for kind follow."""
-    turn_gain: float = 1.0
-    """What a stride has for turning, over that of a foot that does not slip, for kind follow."""
-    velocity_feedforward: float = 0.0
-    """Time [s] by which commands lead along the velocity of the reference, for kinds foot and follow."""
-    relative: bool = False
-    """Lengths of `foot` count lengths l of the straight leg, its frequency natural frequencies sqrt(g / l) / 2 pi, and
-    `velocity_feedforward` the actuators' k_d / k_p."""
-    rows: dict[str, dict[str, tuple[float, ...]]] | None = None
-    """The table itself, in place of `file`: under each coordinate of leg space, each leg's poses."""
-
-    def to_mapping(self) -> dict[str, Any] | None:
-        """Return the mapping that `make_reference` takes."""
-        if self.kind == "none":
-            return None
-        if self.kind == "sine":
-            aside = {} if self.abduction == WaveConfig() else {"abduction": vars(self.abduction)}
-            return {"kind": "sine", **aside, "swing": vars(self.swing), "extension": vars(self.extension)}
-        if self.kind in ("foot", "follow"):
-            own = {"stride_gain": self.stride_gain, "frequency_rise": self.frequency_rise}
-            own |= {"turn_gain": self.turn_gain} if self.turn_gain != 1.0 else {}
-            own = own if self.kind == "follow" else {}
-            own |= {"velocity_feedforward": self.velocity_feedforward} if self.velocity_feedforward else {}
-            return {"kind": self.kind, "foot": vars(self.foot), **({"relative": True} if self.relative else {}), **own}
-        if self.rows is None and self.file is None:
-            raise SurefootError("reference.file is missing; a reference of kind table needs a CSV or NPZ file")
-        return {"kind": "table", "period": self.period, **({"file": self.file} if self.rows is None else self.rows)}
 
 
 @dataclass(frozen=True)
@@ -210,7 +121,7 @@ class TaskConfig:
 
         Beside a `relative` reference, which serves any robot, bounds are narrowed to what the legs allow.
         """
-        reference = make_reference(self.reference.to_mapping(), robot, self.commands.limits(robot))
+        reference = make_reference(self.reference, robot, self.commands.limits(robot))
         names = ("joint",) if self.action == "joint" else robot.coordinates
         bounds = self.feedback.of(names)
         if self.reference.relative and self.action == "leg":

@@ -175,7 +175,9 @@ TERMS: dict[str, Term] = {
     "tilt": Term("angle^2, rad^2", lambda m: (m.after.roll_pitch_yaw[:, :2] ** 2).sum(axis=1), _RUDIN),
     "height": Term("height^2, l^2", lambda m: (m.height / m.scales.length) ** 2, _RUDIN),
     "torque": Term(
-        "tau^2, (m g l)^2", lambda m: ((m.after.motor_torque / (m.scales.weight * m.scales.length)) ** 2).sum(axis=1), _RUDIN
+        "tau^2, (m g l)^2",
+        lambda m: ((m.after.motor_torque / (m.scales.weight * m.scales.length)) ** 2).sum(axis=1),
+        _RUDIN,
     ),
     "heat": Term(
         "M times the root mean square over motors of their heat, m g sqrt(g l)",
