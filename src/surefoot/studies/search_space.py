@@ -67,9 +67,9 @@ class Dimension:
         return self.choices or (tuple(round(end or 0.0) for end in ends) if self.int else ends)
 
     @property
-    def sign(self) -> int:
-        """-1 if magnitudes of negative values are drawn, else 1."""
-        return -1 if self.log and self.high is not None and self.high < 0 else 1
+    def draws_magnitudes(self) -> bool:
+        """Whether magnitudes of negative values are drawn."""
+        return self.log and self.high is not None and self.high < 0
 
 
 Space = dict[str, Dimension]
@@ -172,9 +172,10 @@ def suggest(space: Space, trial: Trial) -> dict[str, Any]:
         if one.choices:
             values[name] = json.loads(trial.suggest_categorical(name, [json.dumps(choice) for choice in one.choices]))
         else:
-            low, high = sorted(one.sign * end for end in one.samples)
+            sign = -1 if one.draws_magnitudes else 1
+            low, high = sorted(sign * end for end in one.samples)
             suggest_number = trial.suggest_int if one.int else trial.suggest_float
-            values[name] = one.sign * suggest_number(name, low, high, log=one.log)
+            values[name] = sign * suggest_number(name, low, high, log=one.log)
     return values
 
 
@@ -185,7 +186,7 @@ def as_params(space: Space, config: TrainConfig) -> dict[str, Any]:
         value = get(config, name)
         if not dimension.choices:
             inside = is_number(value) and dimension.low <= value <= dimension.high
-            value = dimension.sign * value if inside else value
+            value = -value if inside and dimension.draws_magnitudes else value
         else:
             inside, value = value in dimension.choices, json.dumps(value)
         if inside:
