@@ -78,6 +78,8 @@ Threads = Annotated[int, Within(0, 1024)]
 """Number of threads; 0 means one a core."""
 Duration = Annotated[float, Within(0, 3600, above=True)]
 """Length of a run [s]."""
+Positive = Annotated[float, Within(0, 1e9, above=True)]
+NotNegative = Annotated[float, Within(0, 1e9)]
 
 
 def check_bounds(config: Any, where: str = "") -> None:

@@ -210,7 +210,7 @@ def test_a_policy_that_ships_is_found_by_name(policy: Path, tmp_path: Path, monk
     from surefoot.cli.helpers import policies
 
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(policies, "SHELVES", (policy.parent,))
+    monkeypatch.setattr(policies, "SEARCH_PATHS", (policy.parent,))
     assert policies.find_policy("untrained") == policy
     with pytest.raises(ValueError, match=r"policy 'trot' .*policies that ship: untrained"):
         policies.find_policy("trot")

@@ -173,9 +173,9 @@ def load_ranges(name: str, folder: Path = Path(), robot: str | Path = DEFAULT_RO
         folder: what the path is seen from.
         robot: name or folder of the robot.
     """
-    own = RobotDescription.folder_of(robot) / "ranges" / f"{name}.yaml"
+    own = RobotDescription.find_folder(robot) / "ranges" / f"{name}.yaml"
     path = own if name in range_names() and own.is_file() else _RANGES / f"{name}.yaml"
-    identified = RobotDescription.folder_of(robot) / f"{name}.toml"
+    identified = RobotDescription.find_folder(robot) / f"{name}.toml"
     if name not in range_names() and name != "robot" and identified.is_file():
         return _ranges_of_intervals(identified, RobotDescription.load(robot))
     if name not in range_names():

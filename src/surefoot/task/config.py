@@ -144,7 +144,7 @@ def preset_names(robot: str = DEFAULT_ROBOT) -> list[str]:
 
 def _tasks_of(robot: str) -> Path:
     """Return the folder with a robot's own tasks, which need not be there."""
-    return RobotDescription.folder_of(robot) / "tasks"
+    return RobotDescription.find_folder(robot) / "tasks"
 
 
 def load_task(task: str, robot: str | None = None) -> tuple[TaskConfig, dict[str, Any]]:

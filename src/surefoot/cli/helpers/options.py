@@ -54,9 +54,20 @@ Ray = Annotated[
 ]
 World = Annotated[str, tyro.conf.arg(help=f"Where to run: {choices(WORLDS)}.")]
 Json = Annotated[bool, tyro.conf.arg(help="Print one JSON object.")]
+RobotName = Annotated[
+    str | None, tyro.conf.arg(help="Name or folder of the robot; the one of the policy's task, if not given.")
+]
 PAGE_PORT = 8400
 """TCP port of a page in the browser, if none is given."""
 PagePort = Annotated[int, Within(0, 65535), tyro.conf.arg(help="TCP port of the page; 0 for a free one.")]
+Host = Annotated[
+    str | None,
+    tyro.conf.arg(
+        metavar="ADDRESS",
+        help="Address to listen at for other machines, such as 0.0.0.0; the page's address then holds a token. Without "
+        "it only this machine can open the page.",
+    ),
+]
 Port = Annotated[str, tyro.conf.arg(help="Serial port or pseudo-terminal of the robot, such as /dev/ttyUSB0.")]
 Yes = Annotated[bool, tyro.conf.arg(help="Do not ask before motors move.")]
 

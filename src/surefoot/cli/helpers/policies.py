@@ -30,13 +30,18 @@ if TYPE_CHECKING:
     from surefoot.evaluate.rollout import Policy
 
 PACKAGE = Path(__file__).resolve().parents[2]
-SHELVES = (PACKAGE / "policies", PACKAGE.parents[1] / "policies")
-"""Where policies that ship lie: in an installed package, and in the repository."""
+SEARCH_PATHS = (PACKAGE / "policies", PACKAGE.parents[1] / "policies")
+"""Folders of policies that ship: of an installed package, and of the repository."""
+
+
+def shipped_policies() -> dict[str, Path]:
+    """Return the files of the policies that ship, by name."""
+    return {path.stem: path for folder in reversed(SEARCH_PATHS) for path in sorted(folder.glob("*.onnx"))}
 
 
 def find_policy(policy: str) -> Path:
     """Return the file of a policy given by path or by the name of one that ships; refuse what is neither."""
-    shipped = {path.stem: path for shelf in reversed(SHELVES) for path in sorted(shelf.glob("*.onnx"))}
+    shipped = shipped_policies()
     if Path(policy).is_file():
         return Path(policy)
     if policy in shipped:

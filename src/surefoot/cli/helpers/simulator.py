@@ -14,7 +14,7 @@ from typing import Annotated, Literal
 
 import tyro
 
-from surefoot.cli.helpers.options import Pushes, PushForce, Seed, Settings, World
+from surefoot.cli.helpers.options import Pushes, PushForce, RobotName, Seed, Settings, World
 from surefoot.errors import SurefootError, choices
 from surefoot.robot import RobotDescription
 from surefoot.robot.params_file import ParamValue, find_params, read_params
@@ -102,8 +102,7 @@ class RunOptions:
     world: World = "mujoco"
     simulator: SimulatorOptions = Simulator()
     """Another simulator than the policy's own."""
-    robot: str | None = None
-    """Name or folder of the robot; the one of the policy's task, if not given."""
+    robot: RobotName = None
     commands: Path | None = None
     """What steers a policy with commands: a file (CSV: time, forward, sideways, yaw_rate [s, m/s, rad/s]); commands are
     drawn as in its training, if not given."""
