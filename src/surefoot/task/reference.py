@@ -277,8 +277,6 @@ def _foot_reference(config: ReferenceConfig, robot: RobotDescription) -> FootRef
 
 def _table_reference(config: ReferenceConfig, robot: RobotDescription) -> TableReference:
     legs, coordinates = robot.leg_names, robot.coordinates
-    if config.period is None:
-        raise SurefootError("reference.period is missing; a reference of kind table needs the time of its rows [s]")
     if config.rows is not None:
         where = "reference.rows"
         _check_names(config.rows, coordinates, where)
@@ -290,6 +288,8 @@ def _table_reference(config: ReferenceConfig, robot: RobotDescription) -> TableR
         columns = _read_table(Path(config.file), [f"{part}_{leg}" for part in coordinates for leg in legs])
     else:
         raise SurefootError("reference.file is missing; a reference of kind table needs a CSV or NPZ file")
+    if config.period is None:
+        raise SurefootError("reference.period is missing; a reference of kind table needs the time of its rows [s]")
     lengths = sorted({len(column) for column in columns.values()})
     if len(lengths) != 1:
         raise SurefootError(f"{where}: columns differ in length ({choices(map(str, lengths))}); make them equal")
