@@ -98,7 +98,7 @@ class TrainCommand(PageOptions, TrainConfig):
 def _parse(argv: list[str]) -> tuple[TrainConfig, TrainCommand]:
     base = load_train_config(argv[0], _robot(argv))
     words, given_ranges = take_ranges(argv[1:])
-    ranges = given_ranges.of(base.task.robot, base.task.randomize)
+    ranges = given_ranges.apply(base.task.robot, base.task.randomize)
     preset = TrainCommand(**vars(base) | {"task": replace(base.task, randomize=ranges)})
     command = parse(TrainCommand, words, f"surefoot train {argv[0]}", preset)
     # What is given by name goes over a file of parameters, which takes the place of the task's own.
@@ -236,7 +236,7 @@ def finish(run: TrainingRun, folder: RunFolder, console: Console) -> None:
     console.print(f"Evaluating over {_EPISODES} episodes ...")
     calm = home_task(task)
     wanted = {"without_pushes": (calm, _EPISODES)}
-    if task.randomize.ranges:
+    if task.randomize:
         wanted["randomized"] = (replace(calm, randomize=task.randomize), _DRAWN_EPISODES)
     if task.pushes.enabled:
         wanted["with_pushes"] = (replace(calm, pushes=task.pushes.in_full(True)), _EPISODES)
