@@ -57,7 +57,7 @@ def test_what_an_import_found_is_told_as_json(tmp_path: Path, capsys: pytest.Cap
     assert (main(["trace"]), main(["trace", "--help"])) == (2, 0)
     said = capsys.readouterr()
     assert said.out == said.err
-    assert said.out.startswith("usage: surefoot trace import FILE")
+    assert said.out.startswith("usage: surefoot trace ACTION")
 
 
 @pytest.mark.parametrize(
