@@ -144,7 +144,7 @@ def test_a_damaged_policy_is_refused(tmp_path: Path, policy: Path):
 def test_a_policy_for_another_robot_is_refused(policy: Path, tmp_path: Path):
     refused(
         surefoot("evaluate", policy, "--robot", maxitaur(tmp_path / "maxitaur")),
-        "policy 'untrained' is for robot 'minitaur'; this robot is 'maxitaur'",
+        "policy 'untrained' must not run on maxitaur: it is for robot 'minitaur'",
     )
 
 

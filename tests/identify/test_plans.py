@@ -82,7 +82,7 @@ def test_no_clipping_is_needed_to_stand_or_sit(plans: dict[str, Plan], robot: Ro
                 assert np.all(angles >= said.angle_low), phase.name
                 assert np.all(angles <= said.angle_high), phase.name
                 before = angles[-1]
-                if phase.use != "way":
+                if phase.use != "transition":
                     assert np.all(angles >= plan.angle_low - 1e-9), phase.name
                     assert np.all(angles <= plan.angle_high + 1e-9), phase.name
 

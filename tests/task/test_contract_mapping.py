@@ -66,5 +66,5 @@ def test_a_table_comes_from_the_contract_and_not_from_its_file(tmp_path: Path):
 
 def test_a_task_with_an_unknown_key_is_refused():
     contract = PolicyRuntime.load(find_policy("trot")).contract
-    with pytest.raises(SurefootError, match=r"policy 'trot': task.colour is not a key"):
+    with pytest.raises(SurefootError, match=r"task.colour is not a key"):
         task_from_contract(replace(contract, task={**contract.task, "colour": "red"}))

@@ -88,7 +88,7 @@ def _parse(argv: list[str]) -> tuple[TrainConfig, TrainCommand]:
     """Return the configuration that the words give, over the task's own values, and the command."""
     base = load_train_config(argv[0], _robot_name(argv))
     words, range_options = take_ranges(argv[1:])
-    ranges = range_options.of(base.task.robot, base.task.randomize)
+    ranges = range_options.apply(base.task.robot, base.task.randomize)
     preset = TrainCommand(**vars(base) | {"task": replace(base.task, randomize=ranges)})
     command = parse(TrainCommand, words, f"surefoot train {argv[0]}", preset)
     # Parameters given by name go over a file of parameters, which replaces the task's own.

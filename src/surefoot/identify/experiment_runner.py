@@ -138,7 +138,7 @@ class _ExperimentRunner:
     def _passed_limit(self, state: State, phase: Phase) -> str:
         """Return which limit of the plan is passed; empty, if none is."""
         plan, limits, names = self.plan, self.plan.limits, self.robot.motor_names
-        low, high = (self._low, self._high) if phase.use == "way" else (plan.angle_low, plan.angle_high)
+        low, high = (self._low, self._high) if phase.use == "transition" else (plan.angle_low, plan.angle_high)
         beyond = np.maximum(low - state.motor_angle, state.motor_angle - high)
         worst = int(np.argmax(beyond))
         if self._sent and beyond[worst] > limits.angle_room:

@@ -13,7 +13,7 @@ from surefoot.arrays import Array
 from surefoot.deploy.messages import Mode
 from surefoot.deploy.poses import minimum_jerk
 
-Use = Literal["fit", "check", "way"]
+Use = Literal["fit", "check", "transition"]
 Signal = Callable[[float, Array], Array]
 """What the motors are asked for (M,) at a time since the phase's start [s], from what they were asked for before."""
 FADE = 0.2

@@ -17,9 +17,9 @@ from rich.text import Text
 
 from surefoot.errors import SurefootError, choices
 from surefoot.identify.overlay import Known, overlay, write_known
-from surefoot.identify.result import Estimate, Identification
+from surefoot.identify.result import Identification, ParameterEstimate
 from surefoot.progress import ProgressDisplay
-from surefoot.report.figures.identification import cells, full_name, known_before
+from surefoot.report.figures.identification import cells, full_name, prior_value
 from surefoot.report.pages.identification import write_report
 from surefoot.robot import RobotDescription
 
@@ -61,7 +61,7 @@ def write(
     return [*files, *write_report(found, robot, known.params, folder, source)]
 
 
-def tell(
+def report(
     robot: RobotDescription,
     known: Known,
     found: Identification,
@@ -92,7 +92,7 @@ def tell(
 def _estimates(robot: RobotDescription, known: Known, found: Identification) -> Table:
     table = _table(f"{found.experiment}: {robot.name}", "parameter", "known" if known.given else "sheet", "found",
                    "95 % interval", "unit")  # fmt: skip
-    groups: dict[str, list[Estimate]] = {}
+    groups: dict[str, list[ParameterEstimate]] = {}
     for item in found.estimates:
         groups.setdefault(item.name, []).append(item)
     for name, items in groups.items():
@@ -103,7 +103,7 @@ def _estimates(robot: RobotDescription, known: Known, found: Identification) -> 
         for item in items:
             label = name if item.index is None else "  " + full_name(item.label, robot).removeprefix(name).strip()
             was, value, interval = cells(item, known.params)
-            table.add_row(Text(label), was or "-", value, interval, unit, style=None if item.told else "dim")
+            table.add_row(Text(label), was or "-", value, interval, unit, style=None if item.identifiable else "dim")
     return table
 
 
@@ -128,11 +128,11 @@ def as_mapping(robot: RobotDescription, known: Known, found: Identification) -> 
                 "name": item.name,
                 "index": item.index,
                 "label": full_name(item.label, robot),
-                "before": _finite(known_before(item, known.params)),
+                "before": _finite(prior_value(item, known.params)),
                 "value": _finite(item.value),
                 "interval": [_finite(end) for end in item.interval],
                 "unit": item.unit,
-                "told": item.told,
+                "identifiable": item.identifiable,
             }
             for item in found.estimates
         ],

@@ -92,7 +92,7 @@ def finish_run(run: TrainingRun, folder: RunFolder) -> None:
     print(f"Evaluating over {_EPISODES} episodes ...", flush=True)
     nominal = home_task(task)
     kinds = {"without_pushes": (nominal, _EPISODES)}
-    if task.randomize.ranges:
+    if task.randomize:
         kinds["randomized"] = (replace(nominal, randomize=task.randomize), _RANDOMIZED_EPISODES)
     if task.pushes.enabled:
         kinds["with_pushes"] = (replace(nominal, pushes=task.pushes.in_full(True)), _EPISODES)

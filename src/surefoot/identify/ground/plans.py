@@ -44,18 +44,18 @@ def standing_up(robot: RobotDescription) -> list[Phase]:
 
     sit, stand = sitting_pose(robot), robot.pose_angles(0.0, robot.experiments.stance)
     return [
-        Phase("swing legs out", "legs beside the body, as folded as they are", 1.0, swing_out, use="way"),
-        Phase("unfold", "legs beside the body, unfolded", 1.0, unfold, use="way"),
-        Phase("draw in", "legs under the body", 1.0, go_to(sit, 1.0), use="way"),
-        Phase("sit", "the robot sits", 0.3, hold(sit), use="way"),
-        Phase("stand up", "the robot stands up", 1.5, go_to(stand, 1.5), use="way"),
-        Phase("stand", "the robot stands still", 0.5, hold(stand), use="way"),
+        Phase("swing legs out", "legs beside the body, as folded as they are", 1.0, swing_out, use="transition"),
+        Phase("unfold", "legs beside the body, unfolded", 1.0, unfold, use="transition"),
+        Phase("draw in", "legs under the body", 1.0, go_to(sit, 1.0), use="transition"),
+        Phase("sit", "the robot sits", 0.3, hold(sit), use="transition"),
+        Phase("stand up", "the robot stands up", 1.5, go_to(stand, 1.5), use="transition"),
+        Phase("stand", "the robot stands still", 0.5, hold(stand), use="transition"),
     ]
 
 
 def ground_plan(robot: RobotDescription, name: str, *phases: Phase) -> Plan:
     """Return the plan of an experiment on the ground: stand up, go through the phases, sit down."""
-    sit = Phase("sit down", "the robot sits down", 1.5, go_to(sitting_pose(robot), 1.5), use="way")
+    sit = Phase("sit down", "the robot sits down", 1.5, go_to(sitting_pose(robot), 1.5), use="transition")
     low, high = robot.pose_angles(0.0, 0.0), robot.pose_angles(0.0, 1.2 * robot.experiments.high)
     reach = 1.5  # a robot that lies has its legs far to a side
     return Plan(

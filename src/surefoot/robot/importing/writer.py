@@ -13,9 +13,9 @@ from surefoot.arrays import Array
 from surefoot.errors import SurefootError, accessible, check_name
 from surefoot.files import whole_file
 from surefoot.robot.actuator import PLACEHOLDER_TORQUE
-from surefoot.robot.description import GRAVITY
 from surefoot.robot.importing.imported import LEGS, ImportedJoint, ImportedLeg, ImportedRobot, Knees
 from surefoot.robot.rigid_body import RigidBody
+from surefoot.robot.sheet import GRAVITY
 from surefoot.robot.urdf import Joint, Link, Shape, Urdf
 from surefoot.robot.urdf_file import format_urdf
 
