@@ -87,7 +87,7 @@ def _new(command: NewCommand) -> int:
     folder = command.out or Path(name)
     check_folder(folder)
     print(
-        f"{name}: {imported.mass:.2f} kg, {4 * len(imported.legs[0].joints)} motors, legs of {imported.length:.3f} m, "
+        f"{name}: {imported.mass:.2f} kg, {imported.torque.size} motors, legs of {imported.length:.3f} m, "
         f"forward is {imported.forward} of the file"
     )
     guesses = write_robot(imported, folder, name, command.knees or _ask_knees(imported))
