@@ -316,11 +316,11 @@ def _child(words: Sequence[str], place: Path, output: int) -> None:
         sys.stderr = io.TextIOWrapper(
             io.FileIO(2, "w", closefd=False), encoding="utf-8", errors="backslashreplace", write_through=True
         )
-        from surefoot.cli import train
+        from surefoot.cli.helpers import training
         from surefoot.cli.main import main
 
         # Figures and a video of each training would take most of the time.
-        train.finish = lambda *_: None
+        training.finish_run = lambda *_: None
         try:
             code = main(list(words))
         except SystemExit as stop:
