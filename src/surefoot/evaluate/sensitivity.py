@@ -206,9 +206,10 @@ def row_unit(row: str) -> str:
 
 def trained_ranges(task: TaskConfig) -> dict[str, tuple[float, float]]:
     """Return the ranges that a policy of a task was trained in, by row."""
-    nominal = task.nominal(RobotDescription.load(task.robot))
+    robot = RobotDescription.load(task.robot)
+    nominal = task.nominal(robot)
     ranges = {name: mean_interval(given, getattr(nominal, name)) for name, given in task.randomize.items()}
-    return ranges | {PUSH_FORCE: task.pushes.force if task.pushes.enabled else (0.0, 0.0)}
+    return ranges | {PUSH_FORCE: task.pushes.force_range(robot.weight) if task.pushes.enabled else (0.0, 0.0)}
 
 
 def episode_duration(task: TaskConfig) -> float:
@@ -266,8 +267,9 @@ def run_sensitivity(
     duration = episode_duration(task) if duration is None else duration
     if not 0 < duration < math.inf:
         raise SurefootError(f"duration is {duration:g} s; it must be over 0")
-    worlds = make_test_worlds(ranges, task.nominal(RobotDescription.load(task.robot)), values, push_force)
-    others = task.pushes.force if pushes else (0.0, 0.0)
+    robot = RobotDescription.load(task.robot)
+    worlds = make_test_worlds(ranges, task.nominal(robot), values, push_force)
+    others = task.pushes.force_range(robot.weight) if pushes else (0.0, 0.0)
     task = replace(
         task,
         randomize={},
