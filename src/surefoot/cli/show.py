@@ -49,11 +49,10 @@ def main(argv: list[str]) -> int:
 
     page = recording_page(_recordings(command), command.layout)
     if command.html is not None:
-        from surefoot.files import whole_file
+        from surefoot.files import atomic_write
 
         command.html.parent.mkdir(parents=True, exist_ok=True)
-        with whole_file(command.html) as file:
-            file.write(page.encode())
+        atomic_write(command.html, page)
         print(f"wrote {command.html}: {len(page) / 1e6:.1f} MB; opens in a browser")
         return 0
     server = PageServer(command.host, command.port, None, page)

@@ -20,7 +20,7 @@ import torch
 from surefoot import __version__
 from surefoot.configuration import from_mapping, read_yaml, write_yaml
 from surefoot.errors import SurefootError, accessible, located
-from surefoot.files import read_configuration, read_json_lines, whole_file
+from surefoot.files import atomic_write, read_configuration, read_json_lines
 from surefoot.learn.config import TrainConfig
 
 FORMAT = 3
@@ -35,8 +35,7 @@ _PACKAGES = ("mujoco", "numpy", "numba", "torch", "rsl-rl-lib", "gymnasium", "on
 def _write(path: Path, content: bytes) -> None:
     """Write a file whole or not at all."""
     try:
-        with whole_file(path) as file:
-            file.write(content)
+        atomic_write(path, content)
     except OSError as error:
         raise SurefootError(
             f"{path}: can't be written: {error.strerror}; what was saved before is untouched"

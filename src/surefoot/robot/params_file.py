@@ -21,7 +21,7 @@ import numpy as np
 
 from surefoot.configuration import is_number, read_toml
 from surefoot.errors import SurefootError, accessible, choices, located, quoted
-from surefoot.files import whole_file
+from surefoot.files import atomic_write
 from surefoot.robot.description import RobotDescription
 from surefoot.robot.params import PhysicalParams, parse_settings
 
@@ -145,8 +145,8 @@ def write_params(
     for key, value in others.items():
         if _is_table(value):
             lines += _table(_key(key), value)
-    with accessible(path, "written"), whole_file(path) as file:
-        file.write("\n".join([*lines, ""]).encode())
+    with accessible(path, "written"):
+        atomic_write(path, "\n".join([*lines, ""]))
     return path
 
 

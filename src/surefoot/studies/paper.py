@@ -16,7 +16,7 @@ from surefoot.configuration import from_mapping, read_yaml
 from surefoot.errors import SurefootError, accessible, located
 from surefoot.evaluate.runs import Estimate
 from surefoot.evaluate.statistics import Interval
-from surefoot.files import check_readable, whole_file
+from surefoot.files import atomic_write, check_readable
 from surefoot.report.pages.html import page, picture, row
 
 CONTENT = Path(__file__).with_name("paper.yaml")
@@ -161,8 +161,7 @@ def write_page(root: Path, path: Path, note: str = "") -> list[str]:
                 missing.append(one.file)
         parts += [f"<p><code>{escape(command)}</code></p>" for command in section.commands]
     path.parent.mkdir(parents=True, exist_ok=True)
-    with whole_file(path) as file:
-        file.write(page(content.title, parts).encode())
+    atomic_write(path, page(content.title, parts))
     return list(dict.fromkeys(missing))
 
 

@@ -18,7 +18,7 @@ from typing import Any
 
 from surefoot.configuration import Seed, from_mapping, read_yaml, write_yaml
 from surefoot.errors import SurefootError, accessible, located
-from surefoot.files import whole_file
+from surefoot.files import atomic_write
 from surefoot.learn.config import Steps, TrainConfig
 from surefoot.seeding import generator
 from surefoot.studies.search_space import Dimension, as_params, load_space, put, suggest
@@ -161,8 +161,7 @@ class Search:
                     "move it away: the same command takes up every trial from its folder"
                 )
         if rest:
-            with whole_file(self.journal) as file:
-                file.write(b"".join(line + b"\n" for line in lines))
+            atomic_write(self.journal, b"".join(line + b"\n" for line in lines))
             self.notes.append(
                 f"{self.journal}: the last record was cut off and is left out; what it told is taken from the trials' "
                 "folders"

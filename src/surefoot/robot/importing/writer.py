@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from surefoot.arrays import Array
 from surefoot.errors import SurefootError, accessible, check_name
-from surefoot.files import whole_file
+from surefoot.files import atomic_write
 from surefoot.robot.actuator import PLACEHOLDER_TORQUE
 from surefoot.robot.importing.imported import LEGS, ImportedRobot, Knees
 from surefoot.robot.rigid_body import RigidBody
@@ -62,8 +62,8 @@ def set_servo_step(folder: Path, step: float) -> str:
 
 
 def _write(path: Path, text: str) -> None:
-    with accessible(path, "written"), whole_file(path) as file:
-        file.write(text.encode())
+    with accessible(path, "written"):
+        atomic_write(path, text)
 
 
 def _sheet(robot: ImportedRobot, name: str, knees: Knees | None) -> list[_Line]:
