@@ -11,7 +11,7 @@ import tyro
 
 from surefoot.cli.helpers.options import PAGE_PORT, Host, PagePort, check_suffix
 from surefoot.cli.helpers.parsing import parse
-from surefoot.errors import SurefootError, quoted
+from surefoot.errors import SurefootError, quote
 from surefoot.robot import RobotDescription
 
 if TYPE_CHECKING:
@@ -85,7 +85,7 @@ def _recordings(command: ShowCommand) -> list[Recording]:
         if name not in robots:
             if name not in RobotDescription.available():
                 raise SurefootError(
-                    f"trace file {path}: is of robot {quoted(name)}, which does not ship; give its folder with --robot"
+                    f"trace file {path}: is of robot {quote(name)}, which does not ship; give its folder with --robot"
                 )
             robots[name] = RobotDescription.load(name)
     titles = [str(trace.meta["policy"])[:80] or path.stem for path, trace in found]

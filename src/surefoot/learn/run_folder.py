@@ -19,7 +19,7 @@ import torch
 
 from surefoot import __version__
 from surefoot.configuration import from_mapping, read_yaml, write_yaml
-from surefoot.errors import SurefootError, accessible, located
+from surefoot.errors import SurefootError, describe_os_errors, prefix_errors
 from surefoot.files import atomic_write, read_configuration, read_json_lines
 from surefoot.learn.config import TrainConfig
 
@@ -60,7 +60,7 @@ def read_checkpoint(path: Path) -> dict[str, Any]:
     Raises:
         SurefootError: it is missing, cut off, damaged, or no checkpoint; or it holds what could run code.
     """
-    with accessible(path):
+    with describe_os_errors(path):
         content = path.read_bytes()
     if not content.startswith(_MAGIC):
         raise SurefootError(f"{path}: is not a surefoot checkpoint, or its start is damaged")
@@ -162,7 +162,7 @@ class RunFolder:
             )
         config_path = path / "config.yaml"
         data = read_yaml(config_path)
-        with located(config_path):
+        with prefix_errors(config_path):
             config = from_mapping(TrainConfig, data)
         return cls(path), config
 

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from surefoot.arrays import Array
 from surefoot.configuration import from_mapping, read_yaml, to_mapping
-from surefoot.errors import SurefootError, located
+from surefoot.errors import SurefootError, prefix_errors
 from surefoot.files import atomic_write
 from surefoot.robot import RobotDescription
 from surefoot.studies.raibert import RaibertConfig, RaibertController
@@ -91,7 +91,7 @@ class HandcraftedGait:
             SurefootError: it can't be read, is a task without a handcrafted gait, or does not fit.
         """
         data = read_yaml(path)
-        with located(path):
+        with prefix_errors(path):
             if KEY not in data:
                 raise SurefootError(f"{KEY} is missing; the file is of a task, not of a handcrafted gait")
             rest = from_mapping(_Rest, data[KEY] or {}, KEY)

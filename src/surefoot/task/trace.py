@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from surefoot.arrays import Array
-from surefoot.errors import SurefootError, choices, located
+from surefoot.errors import SurefootError, choices, prefix_errors
 from surefoot.npz import read_npz, write_npz
 
 SCHEMA = 1
@@ -177,7 +177,7 @@ class EpisodeTrace:
         names = {f.name for f in fields(cls)} - {"meta"}
         if odd := names ^ {*arrays, *_OPTIONAL}:
             raise SurefootError(f"trace file {path}: not an episode trace: missing or unknown {choices(sorted(odd))}")
-        with located(f"trace file {path}"):
+        with prefix_errors(f"trace file {path}"):
             return cls(meta=meta, **arrays)
 
 

@@ -15,7 +15,7 @@ from pathlib import Path
 from rich.console import Console
 
 from surefoot.cli.helpers.options import Ray, Workers
-from surefoot.errors import SurefootError, accessible
+from surefoot.errors import SurefootError, describe_os_errors
 from surefoot.files import atomic_write
 
 QUICK_NOTE = (
@@ -213,7 +213,7 @@ def make_all(runs: Runs) -> bool:
     Raises:
         SurefootError: a command that did not end well; the others' results are kept.
     """
-    with accessible(runs.folder, "made"):
+    with describe_os_errors(runs.folder, "made"):
         runs.folder.mkdir(parents=True, exist_ok=True)
     for number, stage in enumerate(STAGES, start=1):
         done = (runs.folder / stage.makes).exists()

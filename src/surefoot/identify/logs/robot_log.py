@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.arrays import Array
-from surefoot.errors import SurefootError, choices, located
+from surefoot.errors import SurefootError, choices, prefix_errors
 from surefoot.npz import read_npz
 from surefoot.robot import RobotDescription
 from surefoot.task.trace import EpisodeTrace
@@ -127,7 +127,7 @@ def read_log(path: Path, robot: RobotDescription) -> RobotLog:
     Raises:
         SurefootError: no such file, a damaged one, one with other arrays, of another robot, or refused by `RobotLog`.
     """
-    with located(f"log {path}"):
+    with prefix_errors(f"log {path}"):
         arrays = read_arrays(path)
         if "meta" in arrays:
             trace = EpisodeTrace.load(path)
