@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from surefoot.files import DATA_BYTES, atomic_write, check_readable
 
 
-def write_npz(path: Path, arrays: Mapping[str, NDArray[Any]], meta: Mapping[str, Any]) -> None:
+def write_npz(path: Path, arrays: Mapping[str, Any], meta: Mapping[str, Any]) -> None:
     """Write arrays and what JSON can hold, whole or not at all, with the file's folder."""
     path.parent.mkdir(parents=True, exist_ok=True)
     buffer = BytesIO()

@@ -253,7 +253,7 @@ class Tuner:
         config, env, starts = self.config, self._env, self.config.starts
         references = [self._reference(values) for values in candidates for _ in range(starts)]
         stacked = FootReference.stacked(references)
-        env.gait = HybridGait(self.robot, stacked, *self.feedback.of(self.robot.coordinates))
+        env.gait = HybridGait(self.robot, stacked, *self.feedback.bounds(self.robot.coordinates))
         policy: OpenLoop | RaibertController = OpenLoop(len(env.gait.action_names))
         if config.raibert:
             gains: dict[str, Any] = {
@@ -277,7 +277,7 @@ class Tuner:
     def _refusal(self, values: Mapping[str, float]) -> str:
         """Return why a robot's legs refuse a gait; empty if they do not."""
         try:
-            HybridGait(self.robot, self._reference(values), *self.feedback.of(self.robot.coordinates))
+            HybridGait(self.robot, self._reference(values), *self.feedback.bounds(self.robot.coordinates))
         except SurefootError as error:
             return str(error)
         return ""
