@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from surefoot.arrays import Array
 from surefoot.configuration import from_mapping, read_yaml, to_mapping
-from surefoot.errors import SurefootError, choices, located
+from surefoot.errors import SurefootError, choices, prefix_errors
 from surefoot.robot import DEFAULT_ROBOT, PhysicalParams, RobotDescription
 from surefoot.robot.params import PARAMETERS, check_parameter
 from surefoot.robot.params_file import read_params
@@ -102,7 +102,7 @@ def check_ranges(ranges: Mapping[str, ParamRange], robot: RobotDescription | Non
         where = f"randomize.{name}"
         if name in _FORMER_NAMES:
             raise SurefootError(f"{where} is not a physical parameter; write {_FORMER_NAMES[name]}")
-        with located("randomize"):
+        with prefix_errors("randomize"):
             check_parameter(name, robot)
         if isinstance(given, RelativeRange):
             if (given.scale is None) == (given.add is None):
@@ -163,9 +163,9 @@ def load_ranges(name: str, folder: Path = Path(), robot: str | Path = DEFAULT_RO
         ranges = _ranges_from_intervals(path, description)
     else:
         data = read_yaml(path)
-        with located(path):
+        with prefix_errors(path):
             ranges = from_mapping(_Table, {"randomize": _without_none(data)}).randomize
-    with located(path):
+    with prefix_errors(path):
         check_ranges(ranges, description)
     return {name: ranges[name] for name in PARAMETERS if name in ranges}
 
@@ -206,7 +206,7 @@ def _ranges_from_intervals(path: Path, robot: RobotDescription) -> Ranges:
     for name, given in file.tables.get("intervals", {}).items():
         if name not in PARAMETERS:
             continue
-        with located(f"{path}: intervals.{name}"):
+        with prefix_errors(f"{path}: intervals.{name}"):
             pairs = _read_pairs(given)
         bounded = np.isfinite(pairs).all(axis=-1, keepdims=True)
         values = getattr(file.params, name)[0]
