@@ -16,7 +16,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from surefoot.cli.helpers.link_options import LinkOptions
-from surefoot.cli.helpers.options import PAGE_PORT, Count, Json, PagePort, PolicyName, Port, check_folder, how_to_show
+from surefoot.cli.helpers.options import PAGE_PORT, Count, Json, PagePort, PolicyName, Port, check_folder
+from surefoot.cli.helpers.output import show_command
 from surefoot.cli.helpers.parsing import parse
 from surefoot.configuration import Duration
 from surefoot.errors import SurefootError
@@ -76,7 +77,7 @@ def main(argv: list[str]) -> int:
     if command.drive:
         import_module("viser")  # what is not installed is reported before the robot is connected
     from surefoot.check_result import first_failure
-    from surefoot.cli.helpers.policies import find_policy
+    from surefoot.cli.helpers.policies import find_policy, open_policy
     from surefoot.deploy.checks import check_contract
     from surefoot.deploy.command_sources import ChannelCommands, CommandSource, open_commands
     from surefoot.deploy.controller import Controller
@@ -84,17 +85,14 @@ def main(argv: list[str]) -> int:
     from surefoot.deploy.display import open_display
     from surefoot.deploy.loop import RunMonitor
     from surefoot.deploy.pacer import undisturbed
-    from surefoot.policy.runtime import PolicyRuntime
-    from surefoot.robot import RobotDescription
     from surefoot.stop_signals import StopSignals
 
-    policy = PolicyRuntime.load(find_policy(command.policy))
+    policy, robot = open_policy(find_policy(command.policy))
     contract = policy.contract
-    robot = RobotDescription.load(contract.description)
     controller = Controller(policy, robot)
 
     def check(handshake: Handshake) -> None:
-        error = first_failure(check_contract(contract, handshake, robot, policy.digest))
+        error = first_failure(check_contract(contract, handshake, robot))
         if error is not None:
             raise SurefootError(f"policy '{contract.name}' must not run on this robot: {error}")
 
@@ -200,7 +198,7 @@ def _report(command: DeployCommand, deployment: Deployment, results: list[dict[s
         for result in results:
             _print_result(result)
         if traces := [result["trace"] for result in results if result["trace"] is not None]:
-            print(how_to_show(traces), flush=True)
+            print(show_command(traces), flush=True)
     return code
 
 

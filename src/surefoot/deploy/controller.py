@@ -16,7 +16,7 @@ from surefoot.robot import RobotDescription
 from surefoot.robot.commands import STAND
 from surefoot.task.commands import CommandFilter, CommandState
 from surefoot.task.contract_mapping import task_from_contract
-from surefoot.task.observation import Moment, Observer
+from surefoot.task.observation import ObservationInputs, Observer
 from surefoot.world.interface import Readings
 
 
@@ -44,7 +44,7 @@ class Controller:
         self.command = np.array(STAND)
         """The command (3,), within the contract's limits: speeds [m/s], yaw rate [rad/s]."""
         self._history: NDArray[np.float32] | None = None
-        self._filter = None if limits is None else CommandFilter.of(self.gait.reference, limits, robot, 1)
+        self._filter = None if limits is None else CommandFilter.from_reference(self.gait.reference, limits, robot, 1)
 
     def reset(self) -> None:
         """Start a new episode, with the command to stand."""
@@ -91,8 +91,8 @@ class Controller:
             else:
                 step = np.array([self.contract.control_step * (missed + 1)])
                 self._filter.advance(self.command[None], step, yaw)
-        moment_now = Moment(readings, self.gait.reference, self.feedback[None], self._state())
-        self.observation = self.observer.observe(moment_now)[0]
+        inputs = ObservationInputs(readings, self.gait.reference, self.feedback[None], self._state())
+        self.observation = self.observer.observe(inputs)[0]
         check_finite("observation", self.contract.columns, self.observation)
         if self._history is None:
             self._history = np.tile(self.observation, (self.contract.history, 1)).astype(np.float32)

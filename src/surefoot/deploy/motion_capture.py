@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from surefoot.arrays import Array
-from surefoot.errors import SurefootError, accessible, choices
+from surefoot.errors import SurefootError, choices, describe_os_errors
 from surefoot.files import check_readable
 from surefoot.rotations import quat_yaw
 
@@ -27,7 +27,7 @@ def read_capture(path: Path) -> dict[str, Array]:
         SurefootError: no such file, or one without the columns or with less than two rows.
     """
     try:
-        with accessible(f"motion capture {path}"):
+        with describe_os_errors(f"motion capture {path}"):
             check_readable(path)
             lines = path.read_text(encoding="utf-8").splitlines()
     except UnicodeDecodeError as error:

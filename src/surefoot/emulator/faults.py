@@ -49,7 +49,7 @@ def _rate(meaning: str) -> FaultKind:
     return FaultKind(meaning, 0.05, high=1.0, unit="chance a frame")
 
 
-def _moment(meaning: str) -> FaultKind:
+def _at_time(meaning: str) -> FaultKind:
     return FaultKind(meaning, 1.0, unit=_AFTER_ARMING)
 
 
@@ -69,7 +69,7 @@ FAULTS: dict[str, FaultKind] = {
         *(0.016, 0.0, 1.0, "s between batches"),
         real_time=True,
     ),
-    "unplug": _moment("the cable is pulled"),
+    "unplug": _at_time("the cable is pulled"),
     "swap-motors": _motor("commands of a motor and of the one after it are exchanged"),
     "flip-sign": _motor("a motor turns the wrong way from its rest"),
     "flip-encoder": _motor("a motor's encoder reads the wrong way from its rest"),
@@ -84,14 +84,14 @@ FAULTS: dict[str, FaultKind] = {
     "slow-servo": FaultKind(
         "the servo runs slower, and the handshake states it", 0.002, 0.001, 0.1, "s between two steps"
     ),
-    "stale-state": _moment("states repeat the readings of one"),
-    "repeat-sequence": _moment("all states have the same number"),
-    "backward-sequence": _moment("numbers of states decrease"),
+    "stale-state": _at_time("states repeat the readings of one"),
+    "repeat-sequence": _at_time("all states have the same number"),
+    "backward-sequence": _at_time("numbers of states decrease"),
     "late-states": FaultKind("readings are older than they should be", 0.02, 0.0, 0.06, "s more"),
     "battery-low": FaultKind("the battery's voltage without load falls, 2 V a second", 12.0, 1.0, 30.0, "V", start=1.0),
     "motor-hot": FaultKind("the first motor grows hot, 40 degC a second", 95.0, 0.0, 250.0, "degC", start=1.0),
-    "tilt": _moment("a hard push from the side topples the robot"),
-    "reboot": _moment("the microcontroller restarts and forgets its operator"),
+    "tilt": _at_time("a hard push from the side topples the robot"),
+    "reboot": _at_time("the microcontroller restarts and forgets its operator"),
     "hang": FaultKind("the microcontroller's program stands still", 0.2, 0.0, 60.0, "s", start=1.0),
     "overload": FaultKind("physics needs more than real time", 1.5, 0.0, 1000.0, "times real time", real_time=True),
 }
