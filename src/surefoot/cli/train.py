@@ -25,9 +25,9 @@ from surefoot.stop_signals import StopSignals
 from surefoot.task.config import preset_names
 
 if TYPE_CHECKING:
-    from surefoot.learn.run import Evaluation, TrainingRun
+    from surefoot.learn.ppo_learner import UpdateFigures
     from surefoot.learn.run_folder import RunFolder
-    from surefoot.learn.trainer import UpdateFigures
+    from surefoot.learn.training_loop import Evaluation, TrainingLoop
 
 _LINE_PERIOD = 10.0
 """Least time between two lines of progress, where there is no terminal [s]."""
@@ -151,38 +151,38 @@ class TrainingProgress(ProgressBar):
 
 
 def _train(config: TrainConfig | None, path: Path, page_port: int | None) -> int:
-    from surefoot.learn.run import TrainingRun
+    from surefoot.learn.folder_lock import folder_lock
     from surefoot.learn.run_folder import RunFolder
-    from surefoot.learn.run_lock import alone
+    from surefoot.learn.training_loop import TrainingLoop
     from surefoot.world.registry import find_world
 
     console = Console()
     resume = config is None
     folder, config = RunFolder.open(path) if config is None else (RunFolder.create(config, path), config)
-    with alone(folder.path):
-        run = TrainingRun(config, folder, find_world(config.world), resume=resume)
+    with folder_lock(folder.path):
+        loop = TrainingLoop(config, folder, find_world(config.world), resume=resume)
         begun = "Going on with" if resume else "Training"
         console.print(f"{begun} {config.task.name} in {folder.path}", soft_wrap=True)
         with ExitStack() as stack:
-            progress = stack.enter_context(TrainingProgress(config, console, run.trainer.steps))
+            progress = stack.enter_context(TrainingProgress(config, console, loop.learner.steps))
             stop = stack.enter_context(_listen(console))
             after: Callable[..., None] = progress.report
             if page_port is not None:
                 from surefoot.cli.helpers.train_page import TrainingPage
 
-                page = TrainingPage(run, page_port)
+                page = TrainingPage(loop, page_port)
                 stack.callback(page.close)
 
                 def after(*told: Any) -> None:
                     progress.report(*told)
                     page.update()
 
-            run.run(after, lambda: stop.count > 0)
-        if not run.finished:
-            console.print(f"Stopped and saved at {run.trainer.steps:,} steps. To resume:", highlight=False)
+            loop.run(after, lambda: stop.count > 0)
+        if not loop.finished:
+            console.print(f"Stopped and saved at {loop.learner.steps:,} steps. To resume:", highlight=False)
             console.print(f"  surefoot train --resume {folder.path}", soft_wrap=True, highlight=False)
             return 130
-        finish(run, folder, console)
+        finish(loop, folder, console)
     return 0
 
 
@@ -209,7 +209,7 @@ def check_config(config: TrainConfig) -> None:
         RunFolder.open(Path(config.start_from))
 
 
-def finish(run: TrainingRun, folder: RunFolder, console: Console) -> None:
+def finish(loop: TrainingLoop, folder: RunFolder, console: Console) -> None:
     """Export the best policy; evaluate it on the nominal robot, on drawn ones and with pushes where the task has them.
 
     Tables, figures and a video of the median episode go to the run folder.
@@ -220,16 +220,15 @@ def finish(run: TrainingRun, folder: RunFolder, console: Console) -> None:
     from surefoot.evaluate.gap import home_task
     from surefoot.evaluate.rollout import run_episodes
     from surefoot.evaluate.runs import summarize
-    from surefoot.learn.export import export_run
     from surefoot.policy.runtime import PolicyRuntime
     from surefoot.robot import RobotDescription
     from surefoot.studies.comparison import Curve
     from surefoot.studies.study_figures import learning_curves
     from surefoot.world.registry import find_world
 
-    export_run(run, folder.policy)
-    world, make_world = run.config.world, find_world(run.config.world)
-    task, policy = run.config.task, PolicyRuntime.load(folder.policy)
+    loop.export(folder.policy)
+    world, make_world = loop.config.world, find_world(loop.config.world)
+    task, policy = loop.config.task, PolicyRuntime.load(folder.policy)
     name = policy.contract.name
     robot, figures = RobotDescription.load(task.robot), folder.path / "figures"
     figures.mkdir(exist_ok=True)
