@@ -218,6 +218,7 @@ def _report(
     runs: dict[str, dict[str, Recorded]],
 ) -> None:
     """Measure the runs of each policy in each world; write tables and figure, and print what came out."""
+    from surefoot.cli.helpers.policies import describe_simulator
     from surefoot.evaluate.gap import PolicyGap
     from surefoot.evaluate.runs import Runs
     from surefoot.report.figures.runs import side_by_side
