@@ -152,7 +152,7 @@ def test_sensitivity_takes_the_robot_as_the_nominal_one():
 
 
 def test_an_evaluation_and_a_sensitivity_study_in_another_simulator():
-    Path("ranges.yaml").write_text("mass: [0.9, 1.1]\n")
+    Path("ranges.yaml").write_text("base_mass_ratio: [0.9, 1.1]\n")
     study = "sensitivity trot --values 2 --episodes 1 --duration 0.12 --ranges ranges.yaml"
     options = "--actuator constraint --control-latency 0"
     own, ideal = (result(f"evaluate trot --episodes 1 {more}", *ONE) for more in ("", f"{options} --servo-latency 0"))

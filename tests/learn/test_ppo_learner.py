@@ -59,7 +59,7 @@ def test_a_fall_costs_fall_cost_once_and_no_other_reward_changes():
 def test_robust_presets_randomize_table_1_and_contact_stiffness(preset):
     config: TrainConfig = load_train_config(preset)
     stiffness = {"contact_stiffness": (3000.0, 30000.0)}
-    assert config.task.randomize.ranges == load_ranges("table1").ranges | stiffness
+    assert config.task.randomize == load_ranges("table1") | stiffness
 
 
 def test_idle_threads_of_torch_sleep() -> None:

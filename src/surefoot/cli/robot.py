@@ -14,8 +14,8 @@ from rich.prompt import Prompt
 
 from surefoot.cli.doctor import FAILED, print_result
 from surefoot.cli.helpers.options import Json, check_folder
+from surefoot.cli.helpers.output import table_lines
 from surefoot.cli.helpers.parsing import parse
-from surefoot.cli.main import table_lines
 from surefoot.errors import SurefootError, check_name, choices
 from surefoot.robot import RobotDescription
 from surefoot.robot.importing.imported import ImportedRobot, Knees
@@ -87,7 +87,7 @@ def _new(command: NewCommand) -> int:
     folder = command.out or Path(name)
     check_folder(folder)
     print(
-        f"{name}: {imported.mass:.2f} kg, {4 * len(imported.legs[0].joints)} motors, legs of {imported.length:.3f} m, "
+        f"{name}: {imported.mass:.2f} kg, {imported.torque.size} motors, legs of {imported.length:.3f} m, "
         f"forward is {imported.forward} of the file"
     )
     guesses = write_robot(imported, folder, name, command.knees or _ask_knees(imported))

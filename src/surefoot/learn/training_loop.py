@@ -46,10 +46,9 @@ class Evaluation:
 
 def evaluate_policy(learner: PpoLearner, make_world: SimulationFactory, episodes: int) -> Evaluation:
     """Run the deterministic policy for whole episodes, always from the same seed."""
-    config, results, weight = learner.config, [], learner.config.evaluation_energy_weight
-    base = replace(config.task, commands=replace(config.task.commands, ramp=0))
-    if weight is not None:
-        base = replace(base, energy_weight=weight)
+    config, results = learner.config, []
+    base = replace(config.task, reward=config.evaluation_reward or config.task.reward)
+    base = replace(base, commands=replace(base.commands, ramp=0))
     for pushed in (False, True) if config.task.pushes.enabled else (False,):
         task = replace(base, pushes=replace(base.pushes, enabled=pushed, ramp=0))
         env = LocomotionEnv(task, episodes, make_world, EVALUATION_SEED + config.seed, False, config.threads)

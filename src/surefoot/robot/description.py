@@ -7,7 +7,7 @@ a robot that ships with surefoot or the path of such a folder.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -21,7 +21,7 @@ from surefoot.errors import SurefootError, check_name, choices, located
 from surefoot.robot.actuator import ActuatorData, DcMotorData, read_actuator
 from surefoot.robot.experiments import Experiments, read_experiments
 from surefoot.robot.leg import FiveBar, Legs
-from surefoot.robot.params import PhysicalParams
+from surefoot.robot.params import PARAMETERS
 from surefoot.robot.serial_leg import SerialLegs
 from surefoot.robot.sheet import (
     GRAVITY,
@@ -117,7 +117,7 @@ class RobotDescription:
         sign = np.array(sheet.motors.sign or [1] * len(order), float)
         if len(sign) != len(order):
             raise SurefootError(f"motors.sign has {len(sign)} numbers; it must have {len(order)}")
-        bounds = {item.name: item.metadata["bounds"] for item in fields(PhysicalParams)}
+        bounds = {name: item.bounds for name, item in PARAMETERS.items()}
         if unknown := [name for name in sheet.allowed if name not in bounds]:
             raise SurefootError(f"allowed.{unknown[0]} is unknown; choices: {choices(bounds)}")
         check_ranges("allowed", sheet.allowed)
@@ -170,7 +170,7 @@ class RobotDescription:
                     "and a leg can't have every extension in it; narrow it or check leg_geometry"
                 )
         for name, value in self.nominal_params().items():
-            if PhysicalParams.actuator_kind(name) in ("", self.actuator.kind):
+            if PARAMETERS[name].belongs_to(self):
                 self.check_allowed(name, np.asarray(value), source="nominal ")
 
     @property
@@ -293,10 +293,7 @@ class RobotDescription:
         """Return the nominal value of every physical parameter, by name: a number, or one for each motor."""
         timing = self.timing
         return {
-            **dict.fromkeys(PhysicalParams.names(), 0.0),
-            **dict.fromkeys(("base_mass_ratio", "leg_mass_ratio", "base_inertia_ratio", "leg_inertia_ratio"), 1.0),
-            "motor_strength": 1.0,
-            "contact_shear_ratio": 1.0,
+            **{name: item.nominal for name, item in PARAMETERS.items()},
             **self.actuator.nominal_params(),
             "servo_latency": timing.servo_latency,
             "control_latency": timing.control_latency,
@@ -315,7 +312,7 @@ class RobotDescription:
         low, high = self.allowed[name]
         bad = np.asarray(values)[~((values >= low) & (values <= high))]
         if bad.size:
-            unit = PhysicalParams.unit(name)
+            unit = PARAMETERS[name].unit
             raise SurefootError(
                 f"{source}{name} is {bad.flat[0]:g}; {self.name} allows {low:g} to {high:g} (unit: {unit})"
             )

@@ -16,7 +16,7 @@ from surefoot.policy.contract import config_hash
 from surefoot.policy.runtime import PolicyRuntime
 from surefoot.progress import ProgressBar
 from surefoot.robot import RobotDescription, parse_settings
-from surefoot.robot.randomization import RandomizeConfig, check_ranges
+from surefoot.robot.randomization import Ranges, check_ranges
 from surefoot.studies.handcrafted import HandcraftedGait
 from surefoot.task.commands import read_schedule
 from surefoot.task.config import TaskConfig
@@ -141,7 +141,7 @@ def adjust_task(
     settings: Sequence[Sequence[str]],
     pushes: bool,
     thermal_protection: bool = False,
-    randomize: RandomizeConfig | None = None,
+    randomize: Ranges | None = None,
     simulator: Simulator | None = None,
     push_force: tuple[float, float] | None = None,
     commands: Path | None = None,
@@ -166,7 +166,7 @@ def adjust_task(
     task = replace(task, thermal_protection=task.thermal_protection or thermal_protection)
     task = (simulator or Simulator()).of(task, params)
     task.nominal(robot)  # refuses parameters that the robot does not allow
-    ranges = randomize or RandomizeConfig()
+    ranges = randomize or {}
     check_ranges(ranges, robot)
     command_config = replace(task.commands, ramp=0)
     if commands is not None:

@@ -19,6 +19,7 @@ from surefoot.deploy.doctor.rest_check import TimedState
 from surefoot.deploy.robot_link import RobotLink
 from surefoot.policy.contract import Contract
 from surefoot.robot import RobotDescription
+from surefoot.robot.randomization import mean_interval
 from surefoot.stop_signals import StopSignals
 from surefoot.task.contract_mapping import task_from_contract
 
@@ -222,7 +223,8 @@ def check_response(
 def _trained_latencies(contract: Contract, robot: RobotDescription) -> tuple[float, float]:
     """Return the least and greatest control latency [s] in a policy's training."""
     nominal = contract.control_latency
-    low, high = task_from_contract(contract, robot).randomize.ranges.get("latency", (nominal, nominal))
+    given = task_from_contract(contract, robot).randomize.get("control_latency", (nominal, nominal))
+    low, high = mean_interval(given, np.array([nominal]))
     return min(low, nominal), max(high, nominal)
 
 
