@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from surefoot.configuration import from_mapping, is_number, read_yaml, to_mapping
-from surefoot.errors import SurefootError, choices, located, quoted
+from surefoot.errors import SurefootError, choices, prefix_errors, quote
 from surefoot.learn.config import TrainConfig
 
 if TYPE_CHECKING:
@@ -47,7 +47,7 @@ class Dimension:
                 raise SurefootError("it has choices and parts of a range (low, high, log, int); it takes one of both")
             texts = [json.dumps(choice) for choice in self.choices]
             if len(set(texts)) < len(texts):
-                raise SurefootError(f"choices is {quoted(list(self.choices))}; it takes none twice")
+                raise SurefootError(f"choices is {quote(list(self.choices))}; it takes none twice")
             return
         if self.low is None or self.high is None:
             raise SurefootError("it needs low and high, or choices")
@@ -92,12 +92,12 @@ def load_space(path: Path | None, config: TrainConfig) -> Space:
         paths.append(_SPACES / "sine.yaml")
     space: Space = {}
     for one in paths:
-        with located(one):
+        with prefix_errors(one):
             for name, entry in read_yaml(one).items():
                 term = str(name).removeprefix("task.reward.")
                 if path is None and term != name and term not in config.task.reward:
                     continue  # Another task's term.
-                with located(name):
+                with prefix_errors(name):
                     space[str(name)] = from_mapping(Dimension, entry)
             check_space(space, config)
     return space

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
 from surefoot.configuration import Within, check_bounds, from_mapping, read_yaml
-from surefoot.errors import SurefootError, check_name, choices, located, quoted
+from surefoot.errors import SurefootError, check_name, choices, prefix_errors, quote
 from surefoot.robot import DEFAULT_ROBOT, PhysicalParams, RobotDescription
 from surefoot.robot.params_file import ParamValue
 from surefoot.robot.randomization import Ranges, check_ranges, resolve_ranges
@@ -22,7 +22,7 @@ from surefoot.task.reward import PAPER_REWARD, check_reward, energy_weight
 
 _PRESETS = Path(__file__).parent / "presets"
 
-MOST_STEPS = 1_000_000
+MAX_STEPS = 1_000_000
 """Control steps of the longest episode: hours."""
 
 
@@ -47,7 +47,7 @@ class FeedbackConfig:
             if not low <= high:
                 raise SurefootError(f"feedback.{name} is [{low:g}, {high:g}]; the lower bound must come first")
 
-    def of(self, names: Sequence[str]) -> list[tuple[float, float]]:
+    def bounds(self, names: Sequence[str]) -> list[tuple[float, float]]:
         """Return the bounds of coordinates by name."""
         return [getattr(self, name) for name in names]
 
@@ -77,7 +77,7 @@ class TaskConfig:
     fall_height: Annotated[float, Within(0, 10)] = 0.0
     """Height of the base's origin over the floor's mean [m] below which an episode ends; 0: none. It keeps gaits from
     crawling on the belly."""
-    max_steps: Annotated[int, Within(1, MOST_STEPS)] = 1000
+    max_steps: Annotated[int, Within(1, MAX_STEPS)] = 1000
     """Control steps of an episode."""
     commands: CommandConfig = field(default_factory=CommandConfig)
     """Speeds and yaw rates that the robot is told to follow; none by default: straight on, as fast as it pays."""
@@ -124,7 +124,7 @@ class TaskConfig:
         """
         reference = make_reference(self.reference, robot, self.commands.limits(robot))
         names = ("joint",) if self.action == "joint" else robot.coordinates
-        bounds = self.feedback.of(names)
+        bounds = self.feedback.bounds(names)
         if self.reference.relative and self.action == "leg":
             bounds = narrowed_bounds(bounds, reference, robot)
         return HybridGait(robot, reference, *bounds, action=self.action)
@@ -169,7 +169,7 @@ def load_task(task: str, robot: str | None = None) -> tuple[TaskConfig, dict[str
     data.pop("handcrafted", None)  # Belongs to `HandcraftedGait`, whose task this is.
     if robot is not None or path.parent == _PRESETS:
         data["robot"] = robot or DEFAULT_ROBOT
-    with located(path):
+    with prefix_errors(path):
         config = from_mapping(
             TaskConfig, {"name": path.stem, **resolve_ranges(data, path.parent, data.get("robot", DEFAULT_ROBOT))}
         )
@@ -189,7 +189,7 @@ def _with_base(data: dict[str, Any], path: Path) -> dict[str, Any]:
         return data
     names = sorted(found.stem for found in _PRESETS.glob("*.yaml") if found != path)
     if base not in names:
-        raise SurefootError(f"{path}: base is {quoted(base)}; choices: {choices(names)}")
+        raise SurefootError(f"{path}: base is {quote(base)}; choices: {choices(names)}")
     below = _PRESETS / f"{base}.yaml"
     return _laid_over(_with_base(read_yaml(below), below), data)
 

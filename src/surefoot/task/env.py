@@ -16,7 +16,7 @@ from surefoot.robot.randomization import Randomizer
 from surefoot.rotations import in_heading_frame
 from surefoot.task.commands import CommandFilter, CommandSource, CommandState
 from surefoot.task.config import TaskConfig
-from surefoot.task.observation import Moment, Observer, gait_phase
+from surefoot.task.observation import ObservationInputs, Observer, gait_phase
 from surefoot.task.pushes import Pusher
 from surefoot.task.reward import Scales, StepMotion, step_reward
 from surefoot.world.ground import FLAT, Ground
@@ -107,7 +107,9 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
         self.source: CommandSource | None = None
         if limits:
             self.source = self._given_source or task.commands.source(limits, self.num_envs, seed)
-        self.commands = CommandFilter.of(self.gait.reference, limits, self.robot, self.num_envs) if limits else None
+        self.commands = (
+            CommandFilter.from_reference(self.gait.reference, limits, self.robot, self.num_envs) if limits else None
+        )
         self.over = np.zeros(self.num_envs, np.bool_)
         self.steps = np.zeros(self.num_envs, np.int64)
         self.returns = np.zeros(self.num_envs)
@@ -136,10 +138,10 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
             self.world.push(self.pusher.force)
 
     def _observe(self) -> Array:
-        return self.observer.observe(self._moment())
+        return self.observer.observe(self._observation_inputs())
 
-    def _moment(self) -> Moment:
-        return Moment(self.readings, self.gait.reference, self.feedback, self.command_state)
+    def _observation_inputs(self) -> ObservationInputs:
+        return ObservationInputs(self.readings, self.gait.reference, self.feedback, self.command_state)
 
     @property
     def command_state(self) -> CommandState | None:
@@ -260,7 +262,7 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
         if self.commands is not None:
             parts.append((["heading_error"], self.commands.heading_error[:, None]))
         if period is not None:
-            parts.append((["phase_sin", "phase_cos"], gait_phase(self._moment())))
+            parts.append((["phase_sin", "phase_cos"], gait_phase(self._observation_inputs())))
         if self.task.pushes.enabled:
             parts.append((["push_x", "push_y"], self.pusher.force[:, :2] / 100.0))
         if self.randomizer.enabled:

@@ -17,7 +17,7 @@ from surefoot.arrays import Array
 from surefoot.errors import SurefootError
 from surefoot.robot import RobotDescription
 from surefoot.robot.commands import CommandLimits
-from surefoot.task.commands import HEADING_ERROR, CommandState
+from surefoot.task.commands import MAX_HEADING_ERROR, CommandState
 from surefoot.task.foot import RATE_STEP, FootReference
 
 _PHASES = 48
@@ -73,7 +73,7 @@ class FollowingReference:
     def _extremes(self) -> CommandState:
         """Return the states in which legs are furthest from their places: strides all around, at every phase."""
         corners = np.array(np.meshgrid(*zip(self.limits.low, self.limits.high, strict=True))).reshape(3, -1).T
-        rate = np.max(np.abs(self.limits.yaw_rate)) + self.limits.heading_gain * HEADING_ERROR
+        rate = np.max(np.abs(self.limits.yaw_rate)) + self.limits.heading_gain * MAX_HEADING_ERROR
         corners[:, 2] = np.where(corners[:, 2] > 0, rate, -rate)
         corners = np.concatenate([corners, corners * [1, 1, 0], np.zeros((1, 3))])
         phase = np.tile(np.arange(_PHASES) / _PHASES, len(corners))
