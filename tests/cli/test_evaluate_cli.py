@@ -37,8 +37,7 @@ LEGS = {"front_left", "back_left", "front_right", "back_right"}
 def policy(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """An untrained policy of short episodes."""
     from surefoot.learn.config import PPOConfig, load_train_config
-    from surefoot.learn.export import export_trainer
-    from surefoot.learn.trainer import Trainer
+    from surefoot.learn.ppo_learner import PpoLearner
     from surefoot.world.sim_world import SimWorld
 
     config = load_train_config("trot")
@@ -49,7 +48,7 @@ def policy(tmp_path_factory: pytest.TempPathFactory) -> Path:
         ppo=PPOConfig(policy_hidden=(8,)),
         name="untrained",
     )
-    return export_trainer(Trainer(config, SimWorld), tmp_path_factory.mktemp("policy") / "untrained.onnx")
+    return PpoLearner(config, SimWorld).export(tmp_path_factory.mktemp("policy") / "untrained.onnx")
 
 
 def test_help_is_fast_and_names_the_commands():
@@ -152,7 +151,7 @@ def test_play_writes_a_video_where_there_is_no_display(policy: Path, tmp_path: P
     ffmpeg = pytest.importorskip("imageio_ffmpeg")
     done = surefoot("play", policy, "--seconds", "0.4", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
-    assert done.stdout == "untrained.mp4\n"
+    assert done.stdout == "wrote untrained.mp4\n"
     frames = ffmpeg.read_frames(str(tmp_path / "untrained.mp4"))
     meta = next(frames)
     assert meta["size"] == (960, 540)

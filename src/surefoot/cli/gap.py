@@ -19,9 +19,9 @@ from surefoot.cli.helpers.options import (
     Seed,
     Settings,
     Threads,
-    how_to_show,
     make_figures_folder,
 )
+from surefoot.cli.helpers.output import show_command
 from surefoot.cli.helpers.parsing import parse
 from surefoot.cli.helpers.simulator import Simulator
 from surefoot.configuration import Duration
@@ -195,7 +195,7 @@ def main(argv: list[str]) -> int:
 
 def _tasks(command: GapCommand, task: TaskConfig, robot: RobotDescription) -> tuple[TaskConfig, TaskConfig]:
     """The task of a policy at home, and in the other worlds, lasting as long."""
-    from surefoot.cli.helpers.policies import adjust_task, lasting
+    from surefoot.cli.helpers.policies import adjust_task, with_duration
     from surefoot.evaluate.gap import away_task, home_task
     from surefoot.evaluate.sensitivity import episode_duration
 
@@ -203,7 +203,7 @@ def _tasks(command: GapCommand, task: TaskConfig, robot: RobotDescription) -> tu
         simulator = Simulator(actuator, params=command.params)
         side = adjust_task(side, robot, (*command.settings, *settings), command.pushes, simulator=simulator)
         # Returns over different times could not be compared.
-        return lasting(side, robot, command.duration or episode_duration(task))
+        return with_duration(side, robot, command.duration or episode_duration(task))
 
     at_home = adjusted(home_task(task), command.from_settings, None)
     return at_home, adjusted(away_task(task), command.to_settings, command.to_actuator)
@@ -218,7 +218,7 @@ def _report(
     runs: dict[str, dict[str, Recorded]],
 ) -> None:
     """Measure the runs of each policy in each world; write tables and figure, and print what came out."""
-    from surefoot.cli.helpers.policies import described
+    from surefoot.cli.helpers.policies import describe_simulator
     from surefoot.evaluate.gap import PolicyGap
     from surefoot.evaluate.runs import Runs
     from surefoot.report.figures.runs import side_by_side
@@ -248,7 +248,7 @@ def _report(
         print_table([row for gap in (*gaps, *pooled) for row in gap.text_rows()], title, 2)
         print_files(files, out)
         first = next(iter(runs.values()))
-        print(how_to_show(found[0][0] for found in first.values()))
+        print(show_command(found[0][0] for found in first.values()))
         return
     plain = {name: plain_rows(part) for name, part in rows.items()}
     told = {
@@ -263,8 +263,8 @@ def _report(
                 "policy": one.name,
                 "policy_file": str(one.path),
                 "config_hash": one.policy.contract.config_hash,
-                "home": described(at_home),
-                "away": described(elsewhere),
+                "home": describe_simulator(at_home),
+                "away": describe_simulator(elsewhere),
                 "worlds": plain[one.name],
             }
             for one, (at_home, elsewhere) in zip(candidates, tasks, strict=True)

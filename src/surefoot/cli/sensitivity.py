@@ -61,7 +61,7 @@ class SensitivityCommand:
 def main(argv: list[str]) -> int:
     """Run the command with the words after its name; returns the exit code."""
     command = parse(SensitivityCommand, argv, "surefoot sensitivity")
-    from surefoot.cli.helpers.policies import described, find_policies, load_policies
+    from surefoot.cli.helpers.policies import describe_simulator, find_policies, load_policies
     from surefoot.progress import ProgressBar
     from surefoot.robot.randomization import load_ranges
     from surefoot.world.registry import WORLDS, find_world
@@ -103,7 +103,11 @@ def main(argv: list[str]) -> int:
             **told,
             "policies": [
                 _summary(result)
-                | {"policy_file": str(one.path), "config_hash": one.policy.contract.config_hash, **described(task)}
+                | {
+                    "policy_file": str(one.path),
+                    "config_hash": one.policy.contract.config_hash,
+                    **describe_simulator(task),
+                }
                 for result, one, task in zip(results, loaded, tasks, strict=True)
             ],
             "files": [str(file) for file in files],
