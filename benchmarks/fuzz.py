@@ -71,7 +71,7 @@ COMMANDS = {
     "space": "search @task.yaml --space @@space.yaml --report-only --out out/search",
     "deploy options": "deploy @policy.onnx --port nowhere --duration 0.03 --out out",
     "doctor options": "doctor @policy.onnx --port nowhere",
-    "identify options": "identify motor --recording @recording.npz --params out/robot.toml --out out",
+    "identify options": "identify latency --recording @recording.npz --params out/robot.toml --out out",
     "motor figure options": "identify motor-figure --duration 0.03 --out out/a.png",
     "trace fit options": "identify --from-trace @trace.npz --out out",
     "emulate options": "emulate --duration 0.02",
@@ -537,7 +537,7 @@ def _make_recording(path: Path, robot: Any) -> None:
     meta = {
         **{"schema": SCHEMA, "experiment": "latency", "robot": robot.name, "motor_names": list(robot.motor_names)},
         **{"rack": True, "mode_changes": [[0.0, 1]], "ended": COMPLETE, "period": 0.006, "lead": 0.0},
-        "phases": [{"name": "steps", "mode": "position", "use": "fit", "duration": 3.0}],
+        "phases": [{"name": "steps", "mode": 1, "use": "fit", "duration": 3.0}],
         **{"servo_period": 0.001, "resting_states": 5, "frames": {"received": count, "missing": 0, "damaged": 0}},
         **{"date": "2020-01-01", "digest": digest_of(arrays)},
     }
