@@ -12,7 +12,7 @@ import numpy as np
 from surefoot.arrays import Array
 from surefoot.deploy.messages import State
 from surefoot.deploy.safety import is_finite
-from surefoot.task.partial_trace import Layout
+from surefoot.task.partial_trace import RowLayout
 
 
 class Recorder:
@@ -24,7 +24,7 @@ class Recorder:
         max_steps: rows at most.
     """
 
-    def __init__(self, layout: Layout, control_step: float, max_steps: int) -> None:
+    def __init__(self, layout: RowLayout, control_step: float, max_steps: int) -> None:
         self.layout, self.control_step = layout, control_step
         self._rows = np.zeros((max_steps, layout.width))
         self.steps = 0

@@ -22,7 +22,7 @@ from surefoot.deploy.motion_capture import base_and_feet, read_capture
 from surefoot.deploy.pacer import LoopTiming
 from surefoot.deploy.recorder import Recorder
 from surefoot.errors import SurefootError, describe_os_errors
-from surefoot.task.partial_trace import SUFFIX, Layout, head_line, row_bytes, trace_of
+from surefoot.task.partial_trace import SUFFIX, RowLayout, head_line, make_trace, row_bytes
 from surefoot.task.trace import EpisodeTrace
 
 FLUSH = 0.1
@@ -42,7 +42,7 @@ class PartialFile:
         meta: meta of the trace, as far as it is known when the first row comes.
     """
 
-    def __init__(self, path: Path, layout: Layout, meta: dict[str, Any]) -> None:
+    def __init__(self, path: Path, layout: RowLayout, meta: dict[str, Any]) -> None:
         self.path = path
         self.stopped = ""
         """Why nothing is written any more; empty while all goes well."""
@@ -141,7 +141,7 @@ class RunSaver:
         self.path, self.link, self._monitor = path, deployment.link, deployment.monitor
         controller = deployment.controller
         actions = len(controller.contract.action_names)
-        layout = Layout(
+        layout = RowLayout(
             robot.num_motors, len(robot.legs), controller.observer.width, actions, 3 if contract.commands else 0
         )
         self.recorder = Recorder(layout, contract.control_step, max_steps)
@@ -228,7 +228,7 @@ class RunSaver:
             except SurefootError as error:
                 notes.append(f"{error}; the trace has no base motion")
         try:
-            trace = trace_of(self.recorder.layout, self.recorder.rows, meta, truth)
+            trace = make_trace(self.recorder.layout, self.recorder.rows, meta, truth)
         except SurefootError as error:
             notes.append(f"the rows make no trace: {error}")
             return SavedRun(notes=notes, lost=True)

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from surefoot.arrays import Array
+from surefoot.configuration import is_number
 from surefoot.errors import SurefootError, choices, prefix_errors
 from surefoot.npz import read_npz, write_npz
 
@@ -203,19 +204,18 @@ def _shapes(steps: int, feedback: tuple[int, ...], meta: dict[str, Any]) -> dict
 
 def _checked_array(name: str, value: ArrayLike, shape: tuple[int, ...], may_be_nan: bool) -> Array:
     """Return a read-only float64 copy after checking shape and finiteness."""
-    given = np.asarray(value)
-    if given.dtype.kind not in "biuf":
-        raise SurefootError(f"trace: {name} holds {given.dtype}, but must hold numbers")
-    array = given.astype(np.float64)
+    array = np.asarray(value)
+    if array.dtype.kind not in "biuf":
+        raise SurefootError(f"trace: {name} holds {array.dtype}, but must hold numbers")
     if array.shape != shape:
         raise SurefootError(f"trace: {name} has shape {array.shape}, but must have {shape}")
-    if array.size == 0 and shape[0] == 0:
+    if shape[0] == 0:
         raise SurefootError("trace: an episode needs at least one control step")
+    array = array.astype(np.float64)
     bad = np.isinf(array) if may_be_nan else ~np.isfinite(array)
     if np.any(bad):
-        row = int(np.argwhere(bad)[0][0])
         rule = "finite or NaN" if may_be_nan else "finite"
-        raise SurefootError(f"trace: {name} row {row} holds {array[bad][0]}, but must be {rule}")
+        raise SurefootError(f"trace: {name} row {np.argwhere(bad)[0][0]} holds {array[bad][0]}, but must be {rule}")
     array.setflags(write=False)
     return array
 
@@ -229,17 +229,14 @@ def _checked_meta(meta: dict[str, Any]) -> dict[str, Any]:
         plain: dict[str, Any] = json.loads(json.dumps({**_META_DEFAULTS, **meta}, default=_plain))
     except TypeError as error:
         raise SurefootError(f"trace: meta must be what JSON can hold: {error}") from error
-    if plain["schema"] != SCHEMA:
-        raise SurefootError(f"trace: schema {plain['schema']}, but surefoot writes schema {SCHEMA}")
     if plain["ended"] not in ENDINGS:
         raise SurefootError(f"trace: ended {plain['ended']!r} is not one of {choices(ENDINGS)}")
     for name in ("control_step", "max_steps", "energy_weight"):
         value, may_be_zero = plain[name], name == "energy_weight"
-        is_number = isinstance(value, int | float) and not isinstance(value, bool)
-        if not is_number or not (value > 0 or (may_be_zero and value == 0)):
+        if not is_number(value) or not (value > 0 or (may_be_zero and value == 0)):
             raise SurefootError(f"trace: {name} {value!r} must be {'0 or above' if may_be_zero else 'above 0'}")
     period = plain["gait_period"]
-    if period is not None and not (isinstance(period, int | float) and 1e-3 <= period <= 1e3):
+    if period is not None and not (is_number(period) and 1e-3 <= period <= 1e3):
         raise SurefootError(f"trace: gait_period {period!r} must be .001 to 1000 s, or none")
     for name in ("leg_names", "motor_names", "observation_names"):
         names = plain[name]
