@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 from typing import Any
 
@@ -18,22 +19,18 @@ LEGS = ["front_left", "back_left", "front_right", "back_right"]
 def trace_arguments(steps: int = 5, motors: int = 8, observations: int = 3) -> dict[str, Any]:
     """Return the arguments of a valid trace of random numbers."""
     rng = np.random.default_rng(0)
-    legs = len(LEGS)
-    quat = np.tile([1.0, 0.0, 0.0, 0.0], (steps + 1, 1))
+    widths = {
+        **dict.fromkeys(("roll_pitch_yaw", "angular_velocity_base"), 3),
+        **dict.fromkeys(("motor_angle", "motor_velocity", "motor_torque", "target"), motors),
+        **{"observation": observations, "feedback": 2 * len(LEGS)},
+    }
     return {
+        **{name: rng.normal(size=(steps, width)) for name, width in widths.items()},
         "time": 0.006 * np.arange(1, steps + 1),
         "base_position_world": rng.normal(size=(steps + 1, 3)),
-        "base_quat_world": quat,
-        "roll_pitch_yaw": rng.normal(size=(steps, 3)),
-        "angular_velocity_base": rng.normal(size=(steps, 3)),
-        "motor_angle": rng.normal(size=(steps, motors)),
-        "motor_velocity": rng.normal(size=(steps, motors)),
-        "motor_torque": rng.normal(size=(steps, motors)),
-        "observation": rng.normal(size=(steps, observations)),
-        "feedback": rng.normal(size=(steps, 2 * legs)),
-        "target": rng.normal(size=(steps, motors)),
+        "base_quat_world": np.tile([1.0, 0.0, 0.0, 0.0], (steps + 1, 1)),
         "energy": rng.random(steps),
-        "foot_contact": rng.random((steps, legs)),
+        "foot_contact": rng.random((steps, len(LEGS))),
         "meta": {
             "robot": "minitaur",
             "world": "mujoco",
@@ -100,13 +97,6 @@ def test_arrays_are_copies_and_read_only() -> None:
     assert trace.energy[0] < 1.0
     with pytest.raises(ValueError, match="read-only"):
         trace.energy[0] = 0.0
-
-
-def test_what_a_robot_cannot_know_may_be_nan() -> None:
-    arguments = trace_arguments()
-    for name in ("base_position_world", "base_quat_world", "foot_contact"):
-        arguments[name] = np.full_like(arguments[name], np.nan)
-    EpisodeTrace(**arguments)
 
 
 @pytest.mark.parametrize(
@@ -193,13 +183,10 @@ def test_other_files_are_refused(tmp_path: Path, saved: Path) -> None:
     np.savez(other, x=np.zeros(3))
     with pytest.raises(SurefootError, match="not an episode trace: 'meta'"):
         EpisodeTrace.load(other)
+    meta = EpisodeTrace.load(saved).meta
     rewrite(saved, energy=None)
     with pytest.raises(SurefootError, match="missing or unknown energy"):
         EpisodeTrace.load(saved)
-
-
-def test_another_schema_is_refused_by_name(saved: Path) -> None:
-    meta = EpisodeTrace.load(saved).meta
     rewrite(saved, meta=np.array(json.dumps({**meta, "schema": 2})))
     with pytest.raises(SurefootError, match="schema 2, but surefoot reads schema 1"):
         EpisodeTrace.load(saved)
@@ -215,10 +202,10 @@ def test_a_failed_save_leaves_the_old_file(saved: Path, monkeypatch: pytest.Monk
     before = saved.read_bytes()
     trace = EpisodeTrace(**trace_arguments())
 
-    def out_of_space(*args: object, **kwargs: object) -> None:
+    def out_of_space(number: int) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(np, "savez_compressed", out_of_space)
+    monkeypatch.setattr(os, "fsync", out_of_space)
     with pytest.raises(OSError, match="No space"):
         trace.save(saved)
     assert saved.read_bytes() == before
