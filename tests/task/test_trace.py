@@ -124,9 +124,9 @@ def test_bad_arrays_are_refused(name: str, value: np.ndarray, match: str) -> Non
     ("change", "match"),
     [
         ({"ended": "tired"}, "time, fall, fault, stopped"),
-        ({"control_step": 0.0}, "control_step 0.0 must be above 0"),
-        ({"max_steps": True}, "max_steps True must be above 0"),
-        ({"energy_weight": "much"}, "energy_weight 'much' must be 0 or above"),
+        ({"control_step": 0.0}, "meta.control_step is 0; it must be over 0"),
+        ({"max_steps": True}, "meta.max_steps is True; it must be a whole number"),
+        ({"energy_weight": "much"}, "meta.energy_weight is 'much'; it must be a number"),
         ({"leg_names": ["a", "a", "b", "c"]}, "leg_names"),
         ({"params": {"f": lambda: None}}, "JSON"),
     ],
@@ -141,7 +141,7 @@ def test_bad_meta_is_refused(change: dict[str, Any], match: str) -> None:
 def test_missing_meta_is_named_and_an_episode_without_steps_refused() -> None:
     arguments = trace_arguments()
     del arguments["meta"]["world"]
-    with pytest.raises(SurefootError, match="lacks world"):
+    with pytest.raises(SurefootError, match="world is missing"):
         EpisodeTrace(**arguments)
     with pytest.raises(SurefootError, match="at least one control step"):
         EpisodeTrace(**trace_arguments(steps=0))
