@@ -8,7 +8,8 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-from surefoot.cli.helpers.policies import SEARCH_PATHS, adjust_task, find_policy, lasting, load_policy, run_policy
+from surefoot.cli.helpers.policies import SEARCH_PATHS, find_policy, load_policy, run_policy
+from surefoot.cli.helpers.simulator import RunOptions, with_duration
 from surefoot.files import whole_file
 from surefoot.report.pages.recorded_runs import Recording, recording_page
 
@@ -20,7 +21,7 @@ STEPS = ((0.0, 0.7, 0.0, 0.0), (1.7, 0.5, 0.0, 0.8), (3.4, 0.0, 0.8, 0.0))
 def recorded(name: str) -> Recording:
     """Return a run of a policy that ships."""
     policy, robot, task = load_policy(find_policy(name), None)
-    task = lasting(adjust_task(task, robot, (), False), robot, SECONDS)
+    task = with_duration(RunOptions().apply(task, robot), robot, SECONDS)
     if (limits := task.commands.limits(robot)) is not None:
         most = (limits.forward[1], limits.sideways[1], limits.yaw_rate[1])
         rows = tuple(
