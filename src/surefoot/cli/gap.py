@@ -143,10 +143,9 @@ class GapCommand:
 def main(argv: list[str]) -> int:
     """Run the command with the words after its name; returns the exit code."""
     command = parse(GapCommand, argv, "surefoot gap")
-    from surefoot.cli.helpers.policies import find_policies, load_policies, run_policy
+    from surefoot.cli.helpers.policies import load_policies, run_policy
     from surefoot.world.registry import find_world
 
-    paths = find_policies(command.policies)
     home, away = Side.of_words("--from", command.home), [Side.of_words("--to", words) for words in command.away]
     _check_sides(command.out, home, away)
     for option, given, sides in (
@@ -166,7 +165,7 @@ def main(argv: list[str]) -> int:
     for side in (home, *away):
         if side.world:
             find_world(side.world)
-    candidates, robot = load_policies(paths)
+    candidates, robot = load_policies(command.policies)
     tasks = [_tasks(command, one.task, robot) for one in candidates]
     names = [one.name for one in candidates]
     found = {side: find_traces(side.folder) for side in (home, *away) if side.folder is not None}

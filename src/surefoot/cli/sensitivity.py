@@ -61,14 +61,13 @@ class SensitivityCommand:
 def main(argv: list[str]) -> int:
     """Run the command with the words after its name; returns the exit code."""
     command = parse(SensitivityCommand, argv, "surefoot sensitivity")
-    from surefoot.cli.helpers.policies import find_policies, load_policies
+    from surefoot.cli.helpers.policies import load_policies
     from surefoot.progress import ProgressBar
     from surefoot.robot.randomization import load_ranges
     from surefoot.world.registry import WORLDS, find_world
 
-    paths = find_policies(command.policies)
     make_world = find_world(command.world)
-    loaded, robot = load_policies(paths)
+    loaded, robot = load_policies(command.policies)
     ranges = load_ranges(command.ranges, robot=robot.folder)
     tasks = [command.simulator.apply(one.task) for one in loaded]
     for task in tasks:

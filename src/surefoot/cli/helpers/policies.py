@@ -5,9 +5,9 @@ from __future__ import annotations
 import itertools
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from surefoot.configuration import to_mapping
 from surefoot.deploy.checks import check_policy
@@ -46,13 +46,6 @@ def find_policy(policy: str) -> Path:
     raise SurefootError(f"policy '{policy}' does not exist; {names}, or the path of a policy file")
 
 
-def find_policies(policies: Sequence[str]) -> list[Path]:
-    """Return the files of one policy or more."""
-    if not policies:
-        raise SurefootError("no policy is given; give one or more .onnx files, or names of policies that ship")
-    return [find_policy(policy) for policy in policies]
-
-
 def open_policy(path: Path, robot: str | None = None) -> tuple[PolicyRuntime, RobotDescription]:
     """Return a policy and the robot to run it on, given by name or folder; the policy's own, if None.
 
@@ -87,24 +80,24 @@ def load_gait(path: Path, robot: str | None) -> tuple[Policy, RobotDescription, 
     gait = HandcraftedGait.load(path)
     task = gait.task if robot is None else replace(gait.task, robot=robot)
     whole = {"task": to_mapping(task), "raibert": gait.raibert and to_mapping(gait.raibert)}
-    about = {"name": task.name, "config_hash": config_hash(whole)}
-    return replace(gait, task=task).policy(), RobotDescription.load(task.robot), task, about
+    origin = {"name": task.name, "config_hash": config_hash(whole)}
+    return replace(gait, task=task).policy(), RobotDescription.load(task.robot), task, origin
 
 
-@dataclass(frozen=True)
-class Candidate:
-    """A policy that is compared with others."""
+class Candidate(NamedTuple):
+    """A policy that is compared with others; no other one has its name."""
 
     name: str
-    """Name that no other one has."""
     path: Path
     policy: PolicyRuntime
     task: TaskConfig
-    """The task of its training."""
 
 
-def load_policies(paths: Sequence[Path]) -> tuple[list[Candidate], RobotDescription]:
-    """Return policies to compare, and the one robot that all of them are for."""
+def load_policies(policies: Sequence[str]) -> tuple[list[Candidate], RobotDescription]:
+    """Return policies to compare, given as for `find_policy`, and the one robot that all of them are for."""
+    if not policies:
+        raise SurefootError("no policy is given; give one or more .onnx files, or names of policies that ship")
+    paths = [find_policy(policy) for policy in policies]
     loaded = [load_policy(path, None) for path in paths]
     names = distinct_names([policy.contract.name for policy, _, _ in loaded], [path.stem for path in paths])
     robot = loaded[0][1]
