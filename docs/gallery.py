@@ -10,7 +10,7 @@ from pathlib import Path
 
 from surefoot.cli.helpers.policies import SEARCH_PATHS, find_policy, load_policy, run_policy
 from surefoot.cli.helpers.simulator import RunOptions, with_duration
-from surefoot.files import whole_file
+from surefoot.files import atomic_write
 from surefoot.report.pages.recorded_runs import ShownTrace, recording_page
 
 SECONDS = 5.0
@@ -36,6 +36,5 @@ if __name__ == "__main__":
     names = sorted({path.stem for path in SEARCH_PATHS[-1].glob("*.onnx")})
     page = recording_page([recorded(name) for name in names], "one")
     path = Path(__file__).with_name("gallery.html")
-    with whole_file(path) as file:
-        file.write(page.encode())
+    atomic_write(path, page)
     print(f"{path.name}: {len(names)} policies, {len(page) / 1e6:.2f} MB")

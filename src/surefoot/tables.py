@@ -8,7 +8,7 @@ import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from surefoot.files import whole_file
+from surefoot.files import atomic_write
 
 Rows = Sequence[Mapping[str, object]]
 """Rows of a table, all with the columns of the first one."""
@@ -34,8 +34,7 @@ def write_csv(path: str | Path, rows: Rows) -> Path:
     writer.writeheader()
     writer.writerows({name: _csv_cell(value) for name, value in row.items()} for row in rows)
     path.parent.mkdir(parents=True, exist_ok=True)
-    with whole_file(path) as file:
-        file.write(text.getvalue().encode())
+    atomic_write(path, text.getvalue())
     return path
 
 

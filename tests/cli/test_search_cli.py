@@ -32,7 +32,7 @@ SPACE = """
 ppo.learning_rate: {low: 1.0e-4, high: 3.0e-3, log: true}
 ppo.policy_hidden.0: {low: 8, high: 16, int: true}
 ppo.activation: {choices: [elu, tanh]}
-task.energy_weight: {low: 0.002, high: 0.02, log: true}
+task.reward.energy: {low: -0.02, high: -0.002, log: true}
 """
 STEPS = 16384
 UPDATES = STEPS // 256
@@ -115,12 +115,12 @@ def check(folder: Path, trials: int) -> None:
 
 def check_same(folder: Path, number: int) -> None:
     """A trial that was lost and taken up again is what it would have been in one go, here and without Ray."""
-    from surefoot.learn.run import TrainingRun
     from surefoot.learn.run_folder import RunFolder
+    from surefoot.learn.training_loop import TrainingLoop
     from surefoot.world.sim_world import SimWorld
 
     _, config = RunFolder.open(folder / f"out/trials/trial_{number:04d}")
-    again = TrainingRun(config, RunFolder.create_at(config, folder / "again"), SimWorld)
+    again = TrainingLoop(config, RunFolder.create_at(config, folder / "again"), SimWorld)
     again.run(lambda *_: None)
     assert [untimed(row) for row in again.folder.rows()] == [untimed(row) for row in rows(folder, number)]
 

@@ -12,10 +12,11 @@ from tensordict import TensorDict
 from surefoot.errors import SurefootError
 from surefoot.learn.symmetry import MirrorSamples, mirror_columns, mirror_name, reference_shift
 from surefoot.robot.randomization import load_ranges
-from surefoot.task.config import FeedbackConfig, ReferenceConfig, TaskConfig, WaveConfig, load_task
+from surefoot.task.config import FeedbackConfig, TaskConfig, load_task
 from surefoot.task.env import LocomotionEnv
 from surefoot.task.observation import PARTS
 from surefoot.task.pushes import PushConfig
+from surefoot.task.reference import ReferenceConfig, WaveConfig
 from surefoot.world.sim_world import SimWorld
 
 
@@ -29,7 +30,7 @@ def test_columns_by_hand():
     source, sign = mirror_columns(names)
     assert source.tolist() == [0, 1, 3, 2, 4]
     assert sign.tolist() == [-1, 1, 1, 1, 1]
-    assert mirror_columns(names, half_a_period=True)[1].tolist() == [-1, 1, 1, 1, -1]
+    assert mirror_columns(names, half_period=True)[1].tolist() == [-1, 1, 1, 1, -1]
 
 
 def test_a_column_without_counterpart_is_refused():

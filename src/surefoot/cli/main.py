@@ -42,7 +42,7 @@ commands:
 surefoot COMMAND --help lists a command's options; surefoot --version prints the version."""
 _MAX_ERROR_LENGTH = 2000
 _EXTRAS = {
-    "sim": ("mujoco", "numba", "llvmlite", "gymnasium", "scipy"),
+    "sim": ("mujoco", "numba", "llvmlite", "gymnasium", "scipy", "pandas"),
     "train": ("torch", "tensordict", "rsl_rl", "onnx", "tensorboard"),
     "report": ("matplotlib", "imageio_ffmpeg", "PIL"),
     "search": ("optuna", "ray", "grpc"),

@@ -15,7 +15,7 @@ from surefoot.cli.helpers.options import Ray, Seed, Workers, check_folder
 from surefoot.cli.helpers.parsing import parse
 from surefoot.cli.helpers.training_queue import train_many
 from surefoot.configuration import Within
-from surefoot.errors import located
+from surefoot.errors import prefix_errors
 from surefoot.learn.config import Steps
 from surefoot.studies.search import Search, SearchConfig, check_there, make_config
 from surefoot.studies.search_space import put
@@ -54,7 +54,7 @@ def main(argv: list[str]) -> int:
     """Run the command with the words after its name; returns the exit code."""
     command = parse(SearchCommand, argv, "surefoot search")
     from surefoot.cli.helpers.search_results import report
-    from surefoot.learn.run_lock import alone
+    from surefoot.learn.folder_lock import folder_lock
 
     config = make_config(command.task, command.space, command.seed, command.steps)
     if not command.report_only:
@@ -67,7 +67,7 @@ def main(argv: list[str]) -> int:
     _check(config)
     console = Console(highlight=False, soft_wrap=True)
     out.mkdir(parents=True, exist_ok=True)
-    with alone(out):
+    with folder_lock(out):
         search = Search(config, out, going_on)
         for note in search.notes:
             console.print(note)
@@ -86,7 +86,7 @@ def _check(config: SearchConfig) -> None:
     check_config(config.train)
     for end in (0, -1):
         values = {name: one.samples[end] for name, one in config.space.items()}
-        with located("space"):
+        with prefix_errors("space"):
             check_config(put(config.train, config.space, values))
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from surefoot.arrays import Array
-from surefoot.errors import SurefootError, at_least
+from surefoot.errors import SurefootError, check_at_least
 from surefoot.evaluate.runs import Runs
 from surefoot.robot.params_file import param_values
 from surefoot.task.config import TaskConfig
@@ -160,8 +160,8 @@ def run_episodes(
     Raises:
         SurefootError: no episodes, or a task that does not fit.
     """
-    at_least("episodes", episodes, 1)
-    at_least("seed", seed, 0)
+    check_at_least("episodes", episodes, 1)
+    check_at_least("seed", seed, 0)
     env = LocomotionEnv(task, episodes, make_world, seed, autoreset=False, threads=threads)
     observation, _ = env.reset()
     recorder = _Recorder(env)
@@ -181,7 +181,7 @@ def run_episodes(
         "leg_names": list(env.robot.leg_names),
         "motor_names": list(env.robot.motor_names),
         "observation_names": list(env.observer.columns),
-        "energy_weight": task.energy_weight,
+        "energy_weight": task.energy_weight(env.robot),
         "gait_period": env.gait.reference.period,
         "max_steps": task.max_steps,
         "params_source": task.params_source,

@@ -16,13 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.arrays import Array
-from surefoot.errors import SurefootError, at_least
+from surefoot.errors import SurefootError, check_at_least
 from surefoot.evaluate.rollout import Policy, Progress, run_to_end
 from surefoot.evaluate.runs import Runs
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.robot.params import PARAMETERS
-from surefoot.robot.randomization import ParamRange, Ranges, check_ranges, interval_of, mean_interval
-from surefoot.task.config import MOST_STEPS, TaskConfig
+from surefoot.robot.randomization import ParamRange, Ranges, interval_of, mean_interval
+from surefoot.task.config import MAX_STEPS, TaskConfig
 from surefoot.task.env import LocomotionEnv
 from surefoot.world.interface import Simulation, SimulationFactory, WorldConfig
 
@@ -183,7 +183,7 @@ def make_test_worlds(
 
     Each row takes two or more evenly spaced `values` in its range, both ends included; a range of one value takes one.
     """
-    at_least("values", values, 2)
+    check_at_least("values", values, 2)
     rows = {name: interval_of(given, getattr(nominal, name)[:1]) for name, given in ranges.items()}
     if push_force is not None:
         rows[PUSH_FORCE] = np.array(push_force[:1]), np.array(push_force[1:])
@@ -206,9 +206,10 @@ def row_unit(row: str) -> str:
 
 def trained_ranges(task: TaskConfig) -> dict[str, tuple[float, float]]:
     """Return the ranges that a policy of a task was trained in, by row."""
-    nominal = task.nominal(RobotDescription.load(task.robot))
+    robot = RobotDescription.load(task.robot)
+    nominal = task.nominal(robot)
     ranges = {name: mean_interval(given, getattr(nominal, name)) for name, given in task.randomize.items()}
-    return ranges | {PUSH_FORCE: task.pushes.force if task.pushes.enabled else (0.0, 0.0)}
+    return ranges | {PUSH_FORCE: task.pushes.force_range(robot.weight) if task.pushes.enabled else (0.0, 0.0)}
 
 
 def episode_duration(task: TaskConfig) -> float:
@@ -244,7 +245,7 @@ def run_sensitivity(
         policy: gives the feedback.
         task: what is run; its own physical parameters are the nominal ones.
         make_world: makes the simulation.
-        ranges: the parameters to vary and their ranges.
+        ranges: the parameters to vary and their ranges, within what the robot allows.
         push_force: least and greatest force [N] of a further row, `push_force`: in each of its worlds every push has
             one force. All directions are horizontal then.
         policy_name: for the results.
@@ -261,21 +262,20 @@ def run_sensitivity(
     Raises:
         SurefootError: a number that does not fit, or ranges outside what the robot allows.
     """
-    at_least("episodes", episodes, 1)
-    at_least("seed", seed, 0)
+    check_at_least("episodes", episodes, 1)
+    check_at_least("seed", seed, 0)
     duration = episode_duration(task) if duration is None else duration
     if not 0 < duration < math.inf:
         raise SurefootError(f"duration is {duration:g} s; it must be over 0")
     robot = RobotDescription.load(task.robot)
-    check_ranges(ranges, robot)
     worlds = make_test_worlds(ranges, task.nominal(robot), values, push_force)
-    others = task.pushes.force if pushes else (0.0, 0.0)
+    others = task.pushes.force_range(robot.weight) if pushes else (0.0, 0.0)
     task = replace(
         task,
         randomize={},
         pushes=task.pushes.in_full(pushes, push_force),
         # Every robot ends by its own number of control steps, which the environment knows nothing about.
-        max_steps=MOST_STEPS,
+        max_steps=MAX_STEPS,
     )
     batch = max(robots // episodes - 1, 1) if robots else len(worlds)
     parts: list[Runs] = []

@@ -23,7 +23,7 @@ from surefoot.evaluate.recorded import save_runs
 from surefoot.evaluate.rollout import run_episodes
 from surefoot.evaluate.runs import Runs, summarize
 from surefoot.evaluate.sensitivity import Sensitivity, run_sensitivity
-from surefoot.files import whole_file
+from surefoot.files import atomic_write
 from surefoot.policy.runtime import PolicyRuntime
 from surefoot.robot import RobotDescription
 from surefoot.robot.randomization import load_ranges
@@ -282,8 +282,7 @@ def made_once(policy: Path, name: str, settings: dict[str, Any], make: Callable[
         return found
     result, path = make(), _result_path(policy, name)
     path.parent.mkdir(exist_ok=True)
-    with whole_file(path) as file:
-        file.write(json.dumps({"of": of, "result": result}).encode() + b"\n")
+    atomic_write(path, json.dumps({"of": of, "result": result}) + "\n")
     return result
 
 

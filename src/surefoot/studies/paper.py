@@ -13,10 +13,10 @@ from pathlib import Path
 from typing import Any
 
 from surefoot.configuration import from_mapping, read_yaml
-from surefoot.errors import SurefootError, accessible, located
+from surefoot.errors import SurefootError, describe_os_errors, prefix_errors
 from surefoot.evaluate.runs import Estimate
 from surefoot.evaluate.statistics import Interval
-from surefoot.files import check_readable, whole_file
+from surefoot.files import atomic_write, check_readable
 from surefoot.report.pages.html import page, picture, row
 
 CONTENT = Path(__file__).with_name("paper.yaml")
@@ -119,7 +119,7 @@ class Content:
 
 def load_content() -> Content:
     """Return what the page says."""
-    with located(CONTENT):
+    with prefix_errors(CONTENT):
         return from_mapping(Content, read_yaml(CONTENT))
 
 
@@ -161,8 +161,7 @@ def write_page(root: Path, path: Path, note: str = "") -> list[str]:
                 missing.append(one.file)
         parts += [f"<p><code>{escape(command)}</code></p>" for command in section.commands]
     path.parent.mkdir(parents=True, exist_ok=True)
-    with whole_file(path) as file:
-        file.write(page(content.title, parts).encode())
+    atomic_write(path, page(content.title, parts))
     return list(dict.fromkeys(missing))
 
 
@@ -193,7 +192,7 @@ def find_number(root: Path, source: Source) -> Interval | Estimate:
         SurefootError: a file that can't be read, without such a row, or without a number there.
     """
     path = root / source.file
-    with located(path):
+    with prefix_errors(path):
         content = _read(path)
         data = _row(content, source.where) if path.suffix == ".csv" else _parsed(content)
         keys = filter(None, (source.error,) if source.error else (source.low, source.high))
@@ -208,7 +207,7 @@ def find_counts(root: Path, counts: Counts) -> str:
         SurefootError: a file that can't be read, or without such a column in such rows.
     """
     path = root / counts.file
-    with located(path):
+    with prefix_errors(path):
         rows = _rows(_read(path), counts.where)
         if not rows or rows[0].get(counts.count) is None:
             raise SurefootError(f"has no column {counts.count} in rows of {_told(counts.where)}")
@@ -217,7 +216,7 @@ def find_counts(root: Path, counts: Counts) -> str:
 
 
 def _read(path: Path) -> str:
-    with accessible(path.name):
+    with describe_os_errors(path.name):
         check_readable(path)
         return path.read_text(encoding="utf-8")
 

@@ -15,8 +15,8 @@ from pathlib import Path
 from rich.console import Console
 
 from surefoot.cli.helpers.options import Ray, Workers
-from surefoot.errors import SurefootError, accessible
-from surefoot.files import whole_file
+from surefoot.errors import SurefootError, describe_os_errors
+from surefoot.files import atomic_write
 
 QUICK_NOTE = (
     "A small version of everything, made in one go: short trainings of one seed, few trials. It shows that all "
@@ -107,8 +107,7 @@ def evaluate(makes: str, task: str, *words: object, quick: tuple[object, ...] = 
         said = io.StringIO()
         with contextlib.redirect_stdout(said):
             command(runs, "evaluate", f"policies/{task}.onnx", *words, *runs.small(*quick), "--json")
-        with whole_file(path) as file:
-            file.write(said.getvalue().encode())
+        atomic_write(path, said.getvalue())
 
     return Stage(makes, make)
 
@@ -214,7 +213,7 @@ def make_all(runs: Runs) -> bool:
     Raises:
         SurefootError: a command that did not end well; the others' results are kept.
     """
-    with accessible(runs.folder, "made"):
+    with describe_os_errors(runs.folder, "made"):
         runs.folder.mkdir(parents=True, exist_ok=True)
     for number, stage in enumerate(STAGES, start=1):
         done = (runs.folder / stage.makes).exists()

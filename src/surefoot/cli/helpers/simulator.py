@@ -14,7 +14,7 @@ from surefoot.cli.helpers.options import Pushes, PushForce, RobotName, Seed, Set
 from surefoot.errors import SurefootError
 from surefoot.robot import RobotDescription, parse_settings
 from surefoot.robot.params_file import ParamValue, find_params, read_params
-from surefoot.robot.randomization import Ranges, check_ranges
+from surefoot.robot.randomization import Ranges
 from surefoot.task.commands import read_schedule
 from surefoot.task.config import TaskConfig
 from surefoot.world.interface import WorldConfig
@@ -118,7 +118,6 @@ class RunOptions:
         task = replace(task, thermal_protection=task.thermal_protection or thermal_protection)
         task = self.simulator.apply(task, settings)
         task.nominal(robot)  # refuses parameters that the robot does not allow
-        check_ranges(ranges or {}, robot)
         commands = replace(task.commands, ramp=0)
         if self.commands is not None:
             if not task.commands.enabled:

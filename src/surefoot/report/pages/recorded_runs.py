@@ -20,7 +20,7 @@ import pandas as pd
 import viser
 
 from surefoot.arrays import Array
-from surefoot.errors import SurefootError, located
+from surefoot.errors import SurefootError, prefix_errors
 from surefoot.evaluate.foot_forces import foot_forces
 from surefoot.evaluate.tracking import motion
 from surefoot.report.drawing.scene import extent, poses, scene
@@ -94,7 +94,7 @@ def recording_page(traces: Sequence[ShownTrace], layout: str = "side") -> str:
     rate = min(RATE, _MAX_ROWS / max(sum(one.duration for one in traces), 1.0))
     runs, paths = [], []
     for number, one in enumerate(traces):
-        with located(one.name):
+        with prefix_errors(one.name):
             run, path = _run(one, rate, f"/world/r{number}")
         run["color"] = "#{:02x}{:02x}{:02x}".format(*_COLORS[number % len(_COLORS)])
         runs.append(run)
