@@ -139,7 +139,7 @@ def samples_of(state: State, rng: np.random.Generator, count: int = 100, **chang
 
 
 def rest_failures(samples: list[TimedState], robot: RobotDescription, link: RobotLink) -> dict[str, CheckResult]:
-    results = check_rest(samples, robot, link.connect(), SafetyLimits.of(robot))
+    results = check_rest(samples, robot, link.connect(), SafetyLimits.from_robot(robot))
     return failures(results, "battery", "temperature", "encoders", "IMU")
 
 
