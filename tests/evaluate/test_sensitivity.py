@@ -239,7 +239,6 @@ def test_progress_counts_to_the_end():
         ({"ranges": {}}, "the table of ranges is empty"),
         ({"duration": 0.0}, "duration is 0 s; it must be over 0"),
         ({"duration": math.nan}, "duration is nan s"),
-        ({"ranges": {"voltage": (1.0, 16.0)}}, r"randomize.voltage is \[1, 16\]; minitaur allows voltage"),
     ],
 )
 def test_what_does_not_fit_is_refused(options: dict[str, Any], message: str):

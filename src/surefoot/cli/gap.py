@@ -23,7 +23,7 @@ from surefoot.cli.helpers.options import (
 )
 from surefoot.cli.helpers.output import show_command
 from surefoot.cli.helpers.parsing import parse
-from surefoot.cli.helpers.simulator import Simulator
+from surefoot.cli.helpers.simulator import RunOptions, Simulator, describe_simulator, with_duration
 from surefoot.configuration import Duration
 from surefoot.errors import SurefootError, check_name
 
@@ -143,10 +143,9 @@ class GapCommand:
 def main(argv: list[str]) -> int:
     """Run the command with the words after its name; returns the exit code."""
     command = parse(GapCommand, argv, "surefoot gap")
-    from surefoot.cli.helpers.policies import find_policies, load_policies, run_policy
+    from surefoot.cli.helpers.policies import load_policies, run_policy
     from surefoot.world.registry import find_world
 
-    paths = find_policies(command.policies)
     home, away = Side.of_words("--from", command.home), [Side.of_words("--to", words) for words in command.away]
     _check_sides(command.out, home, away)
     for option, given, sides in (
@@ -166,7 +165,7 @@ def main(argv: list[str]) -> int:
     for side in (home, *away):
         if side.world:
             find_world(side.world)
-    candidates, robot = load_policies(paths)
+    candidates, robot = load_policies(command.policies)
     tasks = [_tasks(command, one.task, robot) for one in candidates]
     names = [one.name for one in candidates]
     found = {side: find_traces(side.folder) for side in (home, *away) if side.folder is not None}
@@ -195,15 +194,14 @@ def main(argv: list[str]) -> int:
 
 def _tasks(command: GapCommand, task: TaskConfig, robot: RobotDescription) -> tuple[TaskConfig, TaskConfig]:
     """The task of a policy at home, and in the other worlds, lasting as long."""
-    from surefoot.cli.helpers.policies import adjust_task, lasting
     from surefoot.evaluate.gap import away_task, home_task
     from surefoot.evaluate.sensitivity import episode_duration
 
     def adjusted(side: TaskConfig, settings: Repeated, actuator: Literal["dc", "constraint"] | None) -> TaskConfig:
-        simulator = Simulator(actuator, params=command.params)
-        side = adjust_task(side, robot, (*command.settings, *settings), command.pushes, simulator=simulator)
+        simulator, words = Simulator(actuator, params=command.params), (*command.settings, *settings)
+        side = RunOptions(pushes=command.pushes, settings=words, simulator=simulator).apply(side, robot)
         # Returns over different times could not be compared.
-        return lasting(side, robot, command.duration or episode_duration(task))
+        return with_duration(side, robot, command.duration or episode_duration(task))
 
     at_home = adjusted(home_task(task), command.from_settings, None)
     return at_home, adjusted(away_task(task), command.to_settings, command.to_actuator)
@@ -218,7 +216,6 @@ def _report(
     runs: dict[str, dict[str, Recorded]],
 ) -> None:
     """Measure the runs of each policy in each world; write tables and figure, and print what came out."""
-    from surefoot.cli.helpers.policies import described
     from surefoot.evaluate.gap import PolicyGap
     from surefoot.evaluate.runs import Runs
     from surefoot.report.figures.runs import side_by_side
@@ -263,8 +260,8 @@ def _report(
                 "policy": one.name,
                 "policy_file": str(one.path),
                 "config_hash": one.policy.contract.config_hash,
-                "home": described(at_home),
-                "away": described(elsewhere),
+                "home": describe_simulator(at_home),
+                "away": describe_simulator(elsewhere),
                 "worlds": plain[one.name],
             }
             for one, (at_home, elsewhere) in zip(candidates, tasks, strict=True)

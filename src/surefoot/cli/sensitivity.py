@@ -19,7 +19,7 @@ from surefoot.cli.helpers.options import (
     make_figures_folder,
 )
 from surefoot.cli.helpers.parsing import parse
-from surefoot.cli.helpers.simulator import Simulator, SimulatorOptions
+from surefoot.cli.helpers.simulator import Simulator, SimulatorOptions, describe_simulator
 from surefoot.configuration import Duration, Within, to_mapping
 
 if TYPE_CHECKING:
@@ -61,16 +61,15 @@ class SensitivityCommand:
 def main(argv: list[str]) -> int:
     """Run the command with the words after its name; returns the exit code."""
     command = parse(SensitivityCommand, argv, "surefoot sensitivity")
-    from surefoot.cli.helpers.policies import described, find_policies, load_policies
+    from surefoot.cli.helpers.policies import load_policies
     from surefoot.progress import ProgressBar
     from surefoot.robot.randomization import load_ranges
     from surefoot.world.registry import WORLDS, find_world
 
-    paths = find_policies(command.policies)
     make_world = find_world(command.world)
-    loaded, robot = load_policies(paths)
+    loaded, robot = load_policies(command.policies)
     ranges = load_ranges(command.ranges, robot=robot.folder)
-    tasks = [command.simulator.of(one.task) for one in loaded]
+    tasks = [command.simulator.apply(one.task) for one in loaded]
     for task in tasks:
         task.nominal(robot)  # refuses parameters that the robot does not allow
     make_figures_folder(command.out)
@@ -103,7 +102,11 @@ def main(argv: list[str]) -> int:
             **told,
             "policies": [
                 _summary(result)
-                | {"policy_file": str(one.path), "config_hash": one.policy.contract.config_hash, **described(task)}
+                | {
+                    "policy_file": str(one.path),
+                    "config_hash": one.policy.contract.config_hash,
+                    **describe_simulator(task),
+                }
                 for result, one, task in zip(results, loaded, tasks, strict=True)
             ],
             "files": [str(file) for file in files],

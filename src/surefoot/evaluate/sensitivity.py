@@ -21,7 +21,7 @@ from surefoot.evaluate.rollout import Policy, Progress, run_to_end
 from surefoot.evaluate.runs import Runs
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.robot.params import PARAMETERS
-from surefoot.robot.randomization import ParamRange, Ranges, check_ranges, interval_of, mean_interval
+from surefoot.robot.randomization import ParamRange, Ranges, mean_interval, resolve_range
 from surefoot.task.config import MAX_STEPS, TaskConfig
 from surefoot.task.env import LocomotionEnv
 from surefoot.world.interface import Simulation, SimulationFactory, WorldConfig
@@ -184,7 +184,7 @@ def make_test_worlds(
     Each row takes two or more evenly spaced `values` in its range, both ends included; a range of one value takes one.
     """
     check_at_least("values", values, 2)
-    rows = {name: interval_of(given, getattr(nominal, name)[:1]) for name, given in ranges.items()}
+    rows = {name: resolve_range(given, getattr(nominal, name)[:1]) for name, given in ranges.items()}
     if push_force is not None:
         rows[PUSH_FORCE] = np.array(push_force[:1]), np.array(push_force[1:])
     if not rows:
@@ -245,7 +245,7 @@ def run_sensitivity(
         policy: gives the feedback.
         task: what is run; its own physical parameters are the nominal ones.
         make_world: makes the simulation.
-        ranges: the parameters to vary and their ranges.
+        ranges: the parameters to vary and their ranges, within what the robot allows.
         push_force: least and greatest force [N] of a further row, `push_force`: in each of its worlds every push has
             one force. All directions are horizontal then.
         policy_name: for the results.
@@ -268,7 +268,6 @@ def run_sensitivity(
     if not 0 < duration < math.inf:
         raise SurefootError(f"duration is {duration:g} s; it must be over 0")
     robot = RobotDescription.load(task.robot)
-    check_ranges(ranges, robot)
     worlds = make_test_worlds(ranges, task.nominal(robot), values, push_force)
     others = task.pushes.force_range(robot.weight) if pushes else (0.0, 0.0)
     task = replace(

@@ -23,7 +23,7 @@ from surefoot.configuration import is_number, read_toml
 from surefoot.errors import SurefootError, choices, describe_os_errors, prefix_errors, quote
 from surefoot.files import atomic_write
 from surefoot.robot.description import RobotDescription
-from surefoot.robot.params import PhysicalParams, parse_settings
+from surefoot.robot.params import PARAMETERS, PhysicalParams, parse_settings
 
 ParamValue = float | tuple[float, ...]
 """A parameter of one robot: one number, or one for each motor or axis."""
@@ -140,7 +140,7 @@ def write_params(
     lines += ["", "[params]"]
     for name in PhysicalParams.names(robot) if names is None else names:
         value = np.asarray(getattr(params, name)[0])
-        unit = PhysicalParams.unit(name)
+        unit = PARAMETERS[name].unit
         lines.append(f"{name} = {_toml(value.tolist())}  # {unit}")
     for key, value in others.items():
         if _is_table(value):

@@ -23,8 +23,8 @@ from surefoot.errors import SurefootError, describe_os_errors
 from surefoot.studies.training import Training
 
 if TYPE_CHECKING:
-    from surefoot.learn.run import TrainingRun
     from surefoot.learn.run_folder import RunFolder
+    from surefoot.learn.training_loop import TrainingLoop
     from surefoot.studies.evaluations import FindWorld
 
 PATIENCE = 120.0
@@ -85,7 +85,7 @@ class Worker:
         os.makedirs(folder, exist_ok=True)
         os.chdir(folder)
         self._find_world, self._held = find_world, contextlib.ExitStack()
-        self._run: TrainingRun | None = None
+        self._loop: TrainingLoop | None = None
 
     def begin(self, training: Training) -> Told:
         """Take a training from wherever its folder is.
@@ -93,17 +93,17 @@ class Worker:
         Raises:
             SurefootError: the folder is another training's, in use, or damaged.
         """
-        from surefoot.learn.run import TrainingRun
+        from surefoot.learn.folder_lock import folder_lock
         from surefoot.learn.run_folder import RunFolder
-        from surefoot.learn.run_lock import alone
+        from surefoot.learn.training_loop import TrainingLoop
 
-        # The one before is gone for good: what a `Trainer` took out of the collector's sight too.
+        # The one before is gone for good: what a `PpoLearner` froze out of the collector's sight too.
         gc.unfreeze()
         gc.collect()
         self._training = training
         with describe_os_errors(training.path, "made"):
             training.path.mkdir(parents=True, exist_ok=True)
-        self._held.enter_context(alone(training.path, PATIENCE))
+        self._held.enter_context(folder_lock(training.path, PATIENCE))
         training.check()
         state = training.state
         if state == "new":
@@ -114,18 +114,18 @@ class Worker:
         if state == "finished":
             return self._over(folder)
         make_world = self._find_world(training.config.world)
-        self._run = TrainingRun(training.config, folder, make_world, resume=state == "started")
-        if self._run.finished:
+        self._loop = TrainingLoop(training.config, folder, make_world, resume=state == "started")
+        if self._loop.finished:
             return self.end(export=True)
-        return Told(self._run.trainer.steps, evaluations=tuple(folder.evaluations()))
+        return Told(self._loop.learner.steps, evaluations=tuple(folder.evaluations()))
 
     def advance(self) -> Told:
         """Train until there is something to tell."""
-        assert self._run is not None
+        assert self._loop is not None
         until = time.monotonic() + _BETWEEN
         while True:
-            figures, evaluation = self._run.step()
-            if self._run.finished:
+            figures, evaluation = self._loop.step()
+            if self._loop.finished:
                 return self.end(export=True)
             if evaluation is not None or time.monotonic() > until:
                 speed = None if math.isnan(figures.speed_mean) else figures.speed_mean
@@ -133,18 +133,16 @@ class Worker:
 
     def end(self, export: bool) -> Told:
         """Save the training to go on another time, or export its policy: that is what makes it finished."""
-        from surefoot.learn.export import export_run
-
-        assert self._run is not None
-        run, self._run = self._run, None
+        assert self._loop is not None
+        loop, self._loop = self._loop, None
         if not (export and self._training.trial):
-            run.save()
-        run.close()
+            loop.save()
+        loop.close()
         if export:
-            export_run(run, run.folder.policy, last=self._training.trial)
-            return self._over(run.folder)
+            loop.export(loop.folder.policy, last=self._training.trial)
+            return self._over(loop.folder)
         self._held.close()
-        return Told(run.trainer.steps)
+        return Told(loop.learner.steps)
 
     def _over(self, folder: RunFolder) -> Told:
         if self._training.trial:
