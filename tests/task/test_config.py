@@ -33,7 +33,7 @@ def test_an_empty_table_gives_the_defaults_and_the_files_name(tmp_path):
     assert load(tmp_path, "{}\n") == TaskConfig(name="mine")
 
 
-def test_the_train_table_is_handed_over_unread(tmp_path):
+def test_the_train_table_is_returned_as_it_is(tmp_path):
     (tmp_path / "mine.yaml").write_text("train: {steps: 5, seed: 3}\n")
     assert load_task(str(tmp_path / "mine.yaml"))[1] == {"steps": 5, "seed": 3}
 
@@ -52,7 +52,7 @@ def test_a_tables_path_counts_from_the_tasks_file(tmp_path):
 
 
 @pytest.mark.parametrize("name", preset_names())
-def test_written_and_read_again_it_is_the_same(tmp_path, name):
+def test_a_task_survives_writing_and_reading(tmp_path, name):
     config, _ = load_task(name)
     assert config.name == name
     write_yaml(tmp_path / "again.yaml", config)

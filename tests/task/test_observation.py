@@ -111,7 +111,7 @@ def test_every_part_of_an_observation_is_tested():
 
 @settings(max_examples=30)
 @given(names=choices_of_parts, history=st.integers(1, 3))
-def test_any_choice_in_any_order(make_env, names, history):
+def test_an_observation_has_any_parts_in_any_order(make_env, names, history):
     check(make_env(names, history), names, history)
 
 

@@ -217,7 +217,7 @@ def test_robots_may_have_paths_of_their_own():
 
 
 @pytest.mark.parametrize("data", [{}, TROT, ROWS, FOOT])
-def test_to_dict_makes_it_again(data):
+def test_to_dict_describes_the_same_reference(data):
     reference = read_reference(data, ROBOT)
     again = read_reference(reference.to_dict(), ROBOT)
     time = np.linspace(0, 2, 41)

@@ -273,7 +273,7 @@ def run_sensitivity(
     task = replace(
         task,
         randomize={},
-        pushes=task.pushes.in_full(pushes, push_force),
+        pushes=task.pushes.for_evaluation(pushes, push_force),
         # Every robot ends by its own number of control steps, which the environment knows nothing about.
         max_steps=MAX_STEPS,
     )

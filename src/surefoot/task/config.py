@@ -80,7 +80,7 @@ class TaskConfig:
     max_steps: Annotated[int, Within(1, MAX_STEPS)] = 1000
     """Control steps of an episode."""
     commands: CommandConfig = field(default_factory=CommandConfig)
-    """Speeds and yaw rates that the robot is told to follow; none by default: straight on, as fast as it pays."""
+    """Speeds and yaw rates that the robot must follow; none by default: it goes straight on."""
     reward: Annotated[dict[str, float], Within(-1e6, 1e6)] = field(default_factory=PAPER_REWARD.copy)
     """Weights of reward terms by name (`task.reward.TERMS`); costs have negative weights."""
     reward_limits: Annotated[dict[str, float], Within(-1e6, 1e6)] = field(default_factory=dict)

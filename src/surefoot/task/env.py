@@ -221,7 +221,7 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
             gait=self.gait,
             feedback=self.feedback,
             last_feedback=last_feedback,
-            command=zero if self.commands is None else self.commands.followed,
+            command=zero if self.commands is None else self.commands.filtered_command,
             heading_error=zero[:, 0] if self.commands is None else self.commands.heading_error,
         )
 
