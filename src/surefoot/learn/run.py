@@ -54,7 +54,7 @@ def evaluate_policy(trainer: Trainer, make_world: SimulationFactory, episodes: i
         env = LocomotionEnv(task, episodes, make_world, EVALUATION_SEED + config.seed, False, config.threads)
         found.append(run_to_end(trainer.act, env, env.reset()[0]))
     runs, falls = found[0], [int((~one.balanced).sum()) for one in found]
-    speed, gained, power = (float(column.mean()) for column in (runs.speed, runs.returns, runs.power))
+    speed, gained, power = (float(column.mean()) for column in (runs.speed, runs["return"], runs.power))
     return Evaluation(trainer.steps, speed, gained, falls[0], falls[1] if len(falls) > 1 else 0, power)
 
 
