@@ -185,7 +185,7 @@ def finish(run: TrainingRun, folder: RunFolder, console: Console) -> None:
     from surefoot.learn.export import export_run
     from surefoot.policy.runtime import PolicyRuntime
     from surefoot.robot import RobotDescription
-    from surefoot.studies.comparison import Curve
+    from surefoot.studies.comparison import learning_curve
     from surefoot.studies.study_figures import learning_curves
     from surefoot.world.registry import find_world
 
@@ -211,7 +211,7 @@ def finish(run: TrainingRun, folder: RunFolder, console: Console) -> None:
     console.print("Drawing figures and video ...")
     rows = folder.rows()
     if any(row["return_mean"] is not None for row in rows):
-        learning_curves({task.name: [Curve.of_rows(rows)]}, figures / "learning_curve.png")
+        learning_curves({task.name: [learning_curve(rows)]}, figures / "learning_curve.png")
     nominal = traces["without_pushes"]
     median = sorted(nominal, key=lambda trace: trace.base_position_world[-1, 0])[len(nominal) // 2]
     draw_episode(figures, median, robot)

@@ -13,7 +13,7 @@ from rich.table import Table
 
 from surefoot.stop_signals import StopSignals
 from surefoot.studies.training import Training
-from surefoot.studies.workers import Outcome, Told, ray_cluster, run_trainings
+from surefoot.studies.workers import ProgressReport, TrainingsOutcome, ray_cluster, run_trainings
 
 _LINE_EVERY = 60.0
 
@@ -24,34 +24,32 @@ def train_many(
     workers: int,
     address: str | None,
     console: Console,
-    on_told: Callable[[Training, Told], bool] = lambda *_: False,
+    on_report: Callable[[Training, ProgressReport], bool] = lambda *_: False,
     on_change: Callable[[Training, str, str], None] = lambda *_: None,
-) -> Outcome:
-    """Train on this machine or on the Ray cluster at an address, show how far it is, and stop by Ctrl-C.
+) -> TrainingsOutcome:
+    """Train on this machine or on the Ray cluster at an address, show the progress, and stop by Ctrl-C.
 
     Args:
         title: what is trained.
-        trainings: as `run_trainings` takes them, like what is not told here.
+        trainings: as for `run_trainings`.
         workers: how many run at a time.
         address: HOST:PORT of a cluster; this machine, if None.
         console: where to show it.
-        on_told: called with how far a training is; true prunes it.
+        on_report: called with the progress of a training; true prunes it.
         on_change: called when a training starts or ends.
 
     Raises:
         SurefootError: no cluster at the address.
     """
-    from surefoot.world.registry import find_world
-
     def say(count: int) -> None:
         if count == 1:
             console.print("Stopping after the updates under way; once more stops at once.")
 
     progress = _Progress(title, console)
 
-    def told(training: Training, told: Told) -> bool:
-        progress.told(training, told)
-        return on_told(training, told)
+    def report(training: Training, progress_report: ProgressReport) -> bool:
+        progress.told(training, progress_report)
+        return on_report(training, progress_report)
 
     def changed(training: Training, what: str, why: str) -> None:
         on_change(training, what, why)
@@ -59,7 +57,7 @@ def train_many(
 
     # Ray listens to signals as well, and only the last one who began to listen hears them.
     with ray_cluster(address, workers), StopSignals(on_signal=say, respect_nohup=True) as stops, progress:
-        return run_trainings(trainings, find_world, workers, told, changed, lambda: stops.count)
+        return run_trainings(trainings, workers, report, changed, lambda: stops.count)
 
 
 @dataclass
@@ -117,7 +115,7 @@ class _Progress:
         if self._console.is_terminal:
             self._live.stop()
 
-    def told(self, training: Training, told: Told) -> None:
+    def told(self, training: Training, told: ProgressReport) -> None:
         """Take in how far a training is."""
         row = self._rows[training.name]
         row.steps = told.steps
