@@ -51,7 +51,7 @@ ROBOT_SIDE = [
     "surefoot.identify.ground.plans",
 ]
 NOT_ON_THE_ROBOT = {
-    *("mujoco", "numba", "llvmlite", "gymnasium", "scipy", "pybullet"),
+    *("mujoco", "numba", "llvmlite", "gymnasium", "scipy", "pandas", "pybullet"),
     *("torch", "tensordict", "rsl_rl", "tensorboard", "onnx", "stable_baselines3"),
     *("matplotlib", "imageio_ffmpeg", "PIL", "viser", "websockets"),
 }

@@ -32,7 +32,6 @@ if TYPE_CHECKING:
     from surefoot.evaluate.recorded import RecordedTraces
     from surefoot.robot import RobotDescription
     from surefoot.task.config import TaskConfig
-    from surefoot.task.trace import EpisodeTrace
 
 TRACE = "trace"
 _LENGTH_TOLERANCE = 0.01
@@ -55,7 +54,9 @@ class Side:
             return cls(folder=Path(words[1]))
         if len(words) == 1 and words[0] != TRACE:
             return cls(world=words[0])
-        raise SurefootError(f"{option} is '{' '.join(words) or 'nothing'}'; it takes the name of a world, or {TRACE} FOLDER")
+        raise SurefootError(
+            f"{option} is '{' '.join(words) or 'nothing'}'; it takes the name of a world, or {TRACE} FOLDER"
+        )
 
     def __str__(self) -> str:
         return self.world or f"{TRACE} {self.folder}"
@@ -148,7 +149,7 @@ def main(argv: list[str]) -> int:
     paths = find_policies(command.policies)
     home, away = Side.from_words("--from", command.home), [Side.from_words("--to", words) for words in command.away]
     _check_sides(command.out, home, away)
-    for option, value, sides in (
+    for option, value, where in (
         ("--params", command.params, [home, *away]),
         ("--set", command.settings, [home, *away]),
         ("--from-set", command.from_settings, [home]),
@@ -156,8 +157,8 @@ def main(argv: list[str]) -> int:
         ("--to-actuator", command.to_actuator != "dc", away),
         ("--pushes", command.pushes, [home, *away]),
     ):
-        if value and not any(side.world for side in sides):
-            raise SurefootError(f"{option} is given, but nothing is simulated on its side: {sides[0]}")
+        if value and not any(side.world for side in where):
+            raise SurefootError(f"{option} is given, but nothing is simulated on its side: {where[0]}")
     from surefoot.evaluate.recorded import assign_to_policies, find_traces, save_runs
     from surefoot.evaluate.runs import common_value
     from surefoot.evaluate.sensitivity import episode_duration

@@ -42,7 +42,7 @@ surefoot COMMAND --help lists a command's options; surefoot --version prints the
 _LONGEST = 2000
 """Characters of an error that are told."""
 _EXTRAS = {
-    "sim": ("mujoco", "numba", "llvmlite", "gymnasium", "scipy"),
+    "sim": ("mujoco", "numba", "llvmlite", "gymnasium", "scipy", "pandas"),
     "train": ("torch", "tensordict", "rsl_rl", "onnx", "tensorboard"),
     "report": ("matplotlib", "imageio_ffmpeg", "PIL"),
     "search": ("optuna", "ray", "grpc"),

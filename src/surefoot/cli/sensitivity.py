@@ -83,7 +83,11 @@ def main(argv: list[str]) -> int:
     duration = command.duration or max(episode_duration(task) for task in tasks)
     names = ("values", "episodes", "pushes", "push_force", "seed")
     settings = {name: getattr(command, name) for name in names} | {"duration": duration}
-    options = settings | {"ranges": ranges, "threads": command.threads, "robots": WORLDS[command.world].robots_side_by_side}
+    options = settings | {
+        "ranges": ranges,
+        "threads": command.threads,
+        "robots": WORLDS[command.world].robots_side_by_side,
+    }
     results = []
     for one, task in zip(loaded, tasks, strict=True):
         with progress_bar(one.name) as progress:

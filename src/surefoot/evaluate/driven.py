@@ -178,6 +178,8 @@ class DrivenRobot:
         state, torque = env.command_state, truth.motor_torque[0]
         command = np.full(3, np.nan) if state is None else state.command[0]
         heat = float(truth.heat.sum()) / self.step_time
-        row = DrivenStep(self.time, truth.base_position_world[0], velocity, command, torque, heat, truth.foot_contact[0])
+        row = DrivenStep(
+            self.time, truth.base_position_world[0], velocity, command, torque, heat, truth.foot_contact[0]
+        )
         self.rows.append(row)
         return row

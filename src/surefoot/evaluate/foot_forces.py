@@ -16,8 +16,8 @@ def foot_forces(robot: RobotDescription, motor_angle: ArrayLike, motor_torque: A
     """Estimate the forces of the ground on the feet, (..., L, 3) [N] in the base frame.
 
     The legs are taken as massless: the torques (..., M) [N m] of a leg's motors at angles (..., M) [rad] then balance
-    the force on its foot, J' F = -tau. So feet in the air show the legs' own inertia. Legs of two motors do not measure the
-    force across their plane, which is 0. NaN where angles or torques are.
+    the force on its foot, J' F = -tau. So feet in the air show the legs' own inertia. Legs of two motors do not
+    measure the force across their plane, which is 0. NaN where angles or torques are.
     """
     index = robot.leg_motor_index
     angles, torques = (np.asarray(values, float)[..., index] for values in (motor_angle, motor_torque))

@@ -35,7 +35,7 @@ class Policy(Protocol):
 
 
 def task_from_contract(contract: Contract) -> TaskConfig:
-    """Return the task that a policy was trained on, with a table of its reference from the contract, not from a file."""
+    """Return the task of a policy, the table of its reference from the contract, not from a file."""
     task = from_mapping(TaskConfig, contract.task, f"policy '{contract.name}': task")
     reference = contract.reference
     if reference is not None and reference.get("kind") == "table":

@@ -283,7 +283,7 @@ class GaitBreak:
 
 
 def find_breaks(sensitivity: Sensitivity) -> list[GaitBreak]:
-    """Return where the gait breaks, up to two a row (below and above its nominal value), the nearest to nominal first."""
+    """Return where the gait breaks, up to two a row (below and above its nominal value), nearest to nominal first."""
     worlds, nominal = sensitivity.worlds, sensitivity.nominal["return"].mean()
     broken = worlds.falls >= worlds.episodes / 2
     if nominal > 0:

@@ -149,13 +149,15 @@ def write_page(root: Path, path: Path, note: str = "") -> list[str]:
             lines += [_line(root, item, missing) for item in section.items]
             shown = [k for k in range(len(lines[0])) if any(line[k] for line in lines[1:])]
             kept = [[line[k] for k in shown] for line in lines]
-            kinds = ["".join("n" if k in (1, 2) and len(line[k]) < _MAX_NUMBER else "t" for k in shown) for line in lines]
+            kinds = [
+                "".join("n" if k in (1, 2) and len(line[k]) < _MAX_NUMBER else "t" for k in shown) for line in lines
+            ]
             rows = [row(*both, "td" if i else "th") for i, both in enumerate(zip(kept, kinds, strict=True))]
             parts.append(f"<div class=wide><table>{''.join(rows)}</table></div>")
         for one in section.pictures:
             files = one.find_files(root)
-            for file, caption in files:
-                image = picture(file.read_bytes(), caption)
+            for source, caption in files:
+                image = picture(source.read_bytes(), caption)
                 parts.append(f"<figure>{image}<figcaption class=quiet>{escape(caption)}</figcaption></figure>")
             if not files:
                 missing.append(one.file)
@@ -205,8 +207,8 @@ def find_number(root: Path, source: NumberSource) -> Interval | MeanEstimate:
             except (ValueError, RecursionError):
                 raise SurefootError("is not JSON") from None
         keys = filter(None, (source.error,) if source.error else (source.low, source.high))
-        spread = (math.nan if isinstance(data, dict) and data.get(key) == "" else _number(data, key) for key in keys)
-        mean, *spread = (number * source.scale for number in (_number(data, source.value), *spread))
+        ends = [math.nan if isinstance(data, dict) and data.get(key) == "" else _number(data, key) for key in keys]
+        mean, *spread = (number * source.scale for number in (_number(data, source.value), *ends))
     return MeanEstimate(mean, *spread) if source.error else Interval(mean, *spread)
 
 

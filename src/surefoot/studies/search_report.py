@@ -27,8 +27,8 @@ _LISTED = 10
 """Best trials in the report; the table has all."""
 _TERMS = (
     "Return: mean over the episodes of the deterministic policy's evaluation at the end of a trial, with the task's "
-    "own weight of energy. A pruned trial has the return of its last evaluation. Importance: how well a field separates "
-    "the best trials from the others (PED-ANOVA), over complete trials only."
+    "own weight of energy. A pruned trial has the return of its last evaluation. Importance: how well a field "
+    "separates the best trials from the others (PED-ANOVA), over complete trials only."
 )
 _BIAS = (
     "The best of many noisy returns is too high: its noise was selected too. Claimed: the return that the search "
@@ -180,8 +180,8 @@ def search_figure(result: SearchResult, path: Path) -> Path:
             for trial in trials:
                 steps, returns = np.array(trial.curve).T
                 curves.plot(steps / scale, returns, color=color, alpha=0.5, linewidth=0.8)
-        values = np.array([trial.value if trial.complete else -math.inf for trial in result.trials])
-        so_far = pd.Series(np.maximum.accumulate(values), [trial.number for trial in result.trials])
+        complete = [trial.value if trial.complete else -math.inf for trial in result.trials]
+        so_far = pd.Series(np.maximum.accumulate(complete), [trial.number for trial in result.trials])
         so_far = so_far[np.isfinite(so_far)]
         order.step(so_far.index, so_far, where="post", color=GREEN, linewidth=1.2, label="best so far")
         order.set_title("Return at the end (m)")

@@ -47,7 +47,7 @@ PATH: Ranges = {
     "back_offset": (-0.3, 0.3, 0.0),
     "depth": (0.0, 0.15, 0.02),
 }
-"""Foot trajectories. `stride` is how far feet go backward in stance, relative to walking at the speed without slip;
+"""Foot trajectories. `stride` is how far feet go backward in stance, over the distance of the body in that time;
 `frequency` is in multiples of the legs' natural one; all other lengths are in parts of the legs' reach."""
 PHASES: dict[Gait, Ranges] = {
     "trot": {},
@@ -55,8 +55,8 @@ PHASES: dict[Gait, Ranges] = {
     "gallop": {"back_phase": (0.3, 0.7, 0.5), "front_lead": (0.08, 0.22, 0.12), "back_lead": (-0.22, 0.22, 0.12)},
     "free": {"back_phase": (0.0, 1.0, 0.5), "front_lead": (-0.5, 0.5, 0.5), "back_lead": (-0.5, 0.5, -0.5)},
 }
-"""Phases that are searched [cycles]: of the hind legs after the fore legs, of the right ones after the left; of a gallop
-from the middle of one pair to that of the other, so that pairs do not mix, else from left to left."""
+"""Phases that are searched [cycles]: of the hind legs after the fore legs, of the right ones after the left; of a
+gallop from the middle of one pair to that of the other, so that pairs do not mix, else from left to left."""
 GAINS: Ranges = {
     "speed": (-0.15, 0.3, 0.0),
     "pitch": (0.0, 3.0, 0.3),
@@ -249,7 +249,7 @@ class Tuner:
         self.cost, self.best = float(costs.min()), finalists[int(np.argmin(costs))]
 
     def costs(self, candidates: Sequence[Mapping[str, float]]) -> Array:
-        """Return the cost of each candidate's episodes (C, starts) [W]: power, and penalties for missing speed or time."""
+        """Return the costs of all episodes (C, starts) [W]: power, and penalties for missing speed or time."""
         config, env, starts = self.config, self._env, self.config.starts
         references = [self._reference(values) for values in candidates for _ in range(starts)]
         stacked = FootReference.stacked(references)
@@ -263,7 +263,9 @@ class Tuner:
         observation, _ = env.reset()
         runs = run_to_end(lambda rows: env.gait.action(policy.feedback(rows)), env, observation)
         done = runs.power + _SPEED_PENALTY * np.maximum(1.0 - runs.speed / config.speed, 0.0)
-        return np.where(runs.balanced, done, _FALL_PENALTY * (2.0 - runs.steps / env.task.max_steps)).reshape(-1, starts)
+        return np.where(runs.balanced, done, _FALL_PENALTY * (2.0 - runs.steps / env.task.max_steps)).reshape(
+            -1, starts
+        )
 
     def _within_reach(self, point: Array) -> Array:
         """Return a point of the search, or another one in its place if feet would leave the legs' reach."""

@@ -168,7 +168,8 @@ def ray_cluster(address: str | None, workers: int = 0) -> Iterator[None]:
     options: dict[str, Any] = {"log_to_driver": False, "logging_level": logging.ERROR, "configure_logging": True}
     if address is None:
         memory = 100 << 20  # of objects, all small
-        options |= {"num_cpus": workers or os.cpu_count(), "include_dashboard": False, "object_store_memory": memory}
+        options |= {"num_cpus": workers or os.cpu_count(), "include_dashboard": False}
+        options["object_store_memory"] = memory
     try:
         ray.init(address or "local", **options)
     except (ConnectionError, RuntimeError, ValueError, OSError) as error:
@@ -199,8 +200,8 @@ def check_address(address: str | None) -> None:
             grpc.channel_ready_future(channel).result(timeout=_CONNECT_TIMEOUT)
         except grpc.FutureTimeoutError:
             raise SurefootError(
-                f"ray is {address}: no Ray answers there within {_CONNECT_TIMEOUT:g} s; start one by `ray start --head`, or "
-                "leave the option out to run on this machine"
+                f"ray is {address}: no Ray answers there within {_CONNECT_TIMEOUT:g} s; start one by `ray start --head`, "
+                "or leave the option out to run on this machine"
             ) from None
 
 

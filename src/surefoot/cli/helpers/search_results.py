@@ -85,7 +85,7 @@ def _cell(value: Any) -> Any:
 
 
 def _retest(search: Search, trial: TrialResult) -> Retest:
-    """Run a policy in fresh episodes at home, and in Bullet on the robot of the data sheet; cached beside the policy."""
+    """Run a policy in fresh episodes at home, and in Bullet on the robot of the data sheet; results are cached."""
     import pandas as pd
 
     from surefoot.evaluate.gap import away_task

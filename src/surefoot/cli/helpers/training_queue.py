@@ -41,6 +41,7 @@ def train_many(
     Raises:
         SurefootError: no cluster at the address.
     """
+
     def say(count: int) -> None:
         if count == 1:
             console.print("Stopping after the updates under way; once more stops at once.")
