@@ -20,7 +20,6 @@ from surefoot.studies.search_report import write_report
 from surefoot.studies.trials import Retest, SearchResult, TrialResult, best
 from surefoot.task.trace import EpisodeTrace
 
-
 BULLET = runs_table("bullet", 0.5, 0.7)
 
 

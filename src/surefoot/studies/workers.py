@@ -200,8 +200,8 @@ def check_address(address: str | None) -> None:
             grpc.channel_ready_future(channel).result(timeout=_CONNECT_TIMEOUT)
         except grpc.FutureTimeoutError:
             raise SurefootError(
-                f"ray is {address}: no Ray answers there within {_CONNECT_TIMEOUT:g} s; start one by `ray start --head`, "
-                "or leave the option out to run on this machine"
+                f"ray is {address}: no Ray answers there within {_CONNECT_TIMEOUT:g} s; start one by "
+                "`ray start --head`, or leave the option out to run on this machine"
             ) from None
 
 
