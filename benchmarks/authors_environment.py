@@ -21,9 +21,9 @@ import numpy as np
 
 from surefoot.cli.helpers.policies import find_policy
 from surefoot.deploy.controller import Controller
-from surefoot.evaluate.rollout import task_from_contract
 from surefoot.policy.runtime import PolicyRuntime
 from surefoot.robot import RobotDescription
+from surefoot.task.contract_mapping import task_from_contract
 
 
 def put_the_past_in_place() -> None:

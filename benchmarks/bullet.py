@@ -24,9 +24,9 @@ import numpy as np
 from rounds import measure, median_ratio
 
 from surefoot.cli.helpers.policies import find_policy
-from surefoot.evaluate.rollout import task_from_contract
 from surefoot.policy.runtime import PolicyRuntime
 from surefoot.robot import PhysicalParams
+from surefoot.task.contract_mapping import task_from_contract
 from surefoot.task.env import LocomotionEnv
 from surefoot.world.bullet_model import import_pybullet
 from surefoot.world.interface import Simulation, SimulationFactory, WorldConfig

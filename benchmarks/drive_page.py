@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 from playwright.sync_api import Page, sync_playwright
 
-from surefoot.cli.drive import Drive
+from surefoot.cli.helpers.drive_page import DrivePage
 from surefoot.report.pages.server import PageServer
 from surefoot.report.pages.view import RobotView
 
@@ -40,7 +40,7 @@ def main() -> None:
     path = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
     if path is None:
         raise SystemExit("no Chromium on this computer")
-    drive, view, stop = Drive(given.policy, "mujoco"), RobotView(), threading.Event()
+    drive, view, stop = DrivePage(given.policy, "mujoco"), RobotView(), threading.Event()
     page = PageServer(None, 0, view.port)
     thread = threading.Thread(target=drive.run, args=(page, view, stop))
     thread.start()

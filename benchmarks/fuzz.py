@@ -463,17 +463,17 @@ def _signed(arrays: dict[str, Any]) -> dict[str, Any]:
 
 
 def _policy(content: bytes, rng: random.Random) -> bytes:
-    """A policy with another contract, and without the digest that would tell."""
+    """A policy with another contract, and the digest that matches it."""
     import onnx
 
     from surefoot.policy.contract import METADATA_KEY
+    from surefoot.policy.digest import add_digest
 
     model = onnx.load(io.BytesIO(content))
     (entry,) = (entry for entry in model.metadata_props if entry.key == METADATA_KEY)
     text = json.dumps(_leaf(json.loads(entry.value), rng))
     onnx.helper.set_model_props(model, {METADATA_KEY: text})
-    made: bytes = model.SerializeToString()
-    return made
+    return add_digest(model.SerializeToString())
 
 
 def make_seeds(folder: Path, wanted: set[str]) -> None:
@@ -487,6 +487,7 @@ def make_seeds(folder: Path, wanted: set[str]) -> None:
 
     from surefoot.cli.helpers.policies import find_policy
     from surefoot.policy.contract import METADATA_KEY
+    from surefoot.policy.digest import add_digest
     from surefoot.robot import RobotDescription
 
     model = onnx.load(find_policy("trot"))
@@ -494,14 +495,14 @@ def make_seeds(folder: Path, wanted: set[str]) -> None:
     contract = json.loads(entry.value)
     contract["task"]["max_steps"] = 5
     onnx.helper.set_model_props(model, {METADATA_KEY: json.dumps(contract)})
-    onnx.save(model, folder / "policy.onnx")
+    (folder / "policy.onnx").write_bytes(add_digest(model.SerializeToString()))
     robot = RobotDescription.load("minitaur")
     shutil.copytree(robot.folder, folder / "robot")
     (folder / "params.toml").write_text(
         'robot = "minitaur"\n[params]\nvoltage = 15.4\nimu_bias = [0.01, 0.02]\nmotor_strength = 0.9\n'
         '[sensors]\nage = 0.001\n[identified.motor]\ndate = "2020-01-01"\n'
     )
-    (folder / "ranges.yaml").write_text("mass: [0.9, 1.1]\nvoltage: [14.0, 16.0]\nlatency: null\n")
+    (folder / "ranges.yaml").write_text("base_mass_ratio: [0.9, 1.1]\nvoltage: [14.0, 16.0]\ncontrol_latency: null\n")
     (folder / "task.yaml").write_text(
         "name: mine\nrobot: minitaur\nobservations: [roll, pitch, roll_rate, pitch_rate, motor_angles]\nhistory: 2\n"
         "reference:\n  kind: sine\n  swing: {amplitude: 0.3, frequency: 2.0, phase: 0.5, offset: 0.0}\n"
@@ -578,7 +579,7 @@ def warm_up() -> None:
     for module, _ in COMMANDS.values():
         importlib.import_module(module)
     for module in (
-        *("cli.helpers.study_results", "learn.run", "learn.progress", "learn.export"),
+        *("cli.helpers.study_results", "learn.run", "learn.export"),
         *(
             "world.sim_world",
             "report.drawing.video",

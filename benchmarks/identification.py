@@ -25,7 +25,7 @@ import numpy as np
 
 from surefoot.actuator.motor import motor_torque
 from surefoot.deploy.links import open_link
-from surefoot.deploy.loop import Watch
+from surefoot.deploy.loop import RunMonitor
 from surefoot.identify.experiment_runner import PERIOD, run_plan
 from surefoot.identify.recording import COMPLETE
 from surefoot.identify.registry import EXPERIMENTS
@@ -64,7 +64,7 @@ def one_draw(robot: RobotDescription, world: str, seed: int) -> dict[str, Any]:
                 port = process.stdout.readline().split()[-1] if process.stdout is not None else ""
                 link = open_link(port, robot.num_motors, lockstep=True)
                 link.connect(state_period=PERIOD)
-                recording = run_plan(link, experiment.plan(robot), robot, Watch())
+                recording = run_plan(link, experiment.plan(robot), robot, RunMonitor())
                 link.close()
             finally:
                 process.send_signal(signal.SIGINT)
@@ -94,14 +94,14 @@ def compare(robot: RobotDescription, found: dict[str, Identification], truth: Ph
                     rows.append(
                         {
                             "name": name, "experiment": result.experiment, "index": item.index, "true": value,
-                            "found": item.value, "low": low, "high": high, "told": item.told,
+                            "found": item.value, "low": low, "high": high, "identifiable": item.identifiable,
                         }
                     )  # fmt: skip
     legs = robot.urdf.total_mass - body_mass(robot)
     mass = truth.base_mass_ratio[0] * body_mass(robot) + truth.leg_mass_ratio[0] * legs
     total = found["mass"].estimate("total_mass")
     rows.append({"name": "total_mass", "experiment": "mass", "index": None, "true": float(mass), "found": total.value,
-                 "low": total.interval[0], "high": total.interval[1], "told": True})  # fmt: skip
+                 "low": total.interval[0], "high": total.interval[1], "identifiable": True})  # fmt: skip
     rows.append(
         {"name": "saturation_curve", "experiment": "motor", "index": None, **curve(robot, found["motor"], truth)}
     )
@@ -120,7 +120,13 @@ def curve(robot: RobotDescription, motor: Identification, truth: PhysicalParams)
     strength = np.array([motor.estimate("motor_strength", m).value for m in range(robot.num_motors)])
     ours = motor_torque(volts / motor.estimate("resistance").value, strength, *table)
     true = motor_torque(volts / truth.resistance[0], truth.motor_strength[0], *table)
-    return {"true": 0.0, "found": float(np.mean(np.abs(ours / true - 1))), "low": None, "high": None, "told": True}
+    return {
+        "true": 0.0,
+        "found": float(np.mean(np.abs(ours / true - 1))),
+        "low": None,
+        "high": None,
+        "identifiable": True,
+    }
 
 
 def summary(draws: list[dict[str, Any]]) -> str:
@@ -132,11 +138,11 @@ def summary(draws: list[dict[str, Any]]) -> str:
         for row in draw["values"]:
             groups[row["experiment"], row["name"]].append({**row, "world": draw["world"]})
     lines.append(
-        f"{'parameter':<20} {'from':<8} {'n':>4} {'not told':>8} {'inside':>7} {'median error':>14} "
+        f"{'parameter':<20} {'from':<8} {'n':>4} {'not identifiable':>8} {'inside':>7} {'median error':>14} "
         f"{'relative':>9}  worst"
     )
     for (experiment, name), rows in groups.items():
-        told = [row for row in rows if row["told"]]
+        told = [row for row in rows if row["identifiable"]]
         line = f"{name:<20} {experiment:<8} {len(rows):>4} {len(rows) - len(told):>8} "
         if not told:
             lines.append(line.rstrip())
@@ -164,11 +170,11 @@ def summary(draws: list[dict[str, Any]]) -> str:
 
 
 def _inside(rows: list[dict[str, Any]]) -> str:
-    """How many of the values that were told lie within their intervals, and how many were not told."""
-    told = [row for row in rows if row["told"]]
+    """How many of the values that were told lie within their intervals, and how many were not identifiable."""
+    told = [row for row in rows if row["identifiable"]]
     hits = sum(row["low"] <= row["true"] <= row["high"] for row in told)
     share = f", {100 * hits / len(told):.1f} %" if told else ""
-    return f"{hits} of {len(told)}{share}; {len(rows) - len(told)} not told"
+    return f"{hits} of {len(told)}{share}; {len(rows) - len(told)} not identifiable"
 
 
 def main() -> None:

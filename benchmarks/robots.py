@@ -23,10 +23,11 @@ from throughput import Bench
 
 from surefoot.cli.helpers.policies import find_policy
 from surefoot.evaluate.gap import home_task
-from surefoot.evaluate.rollout import run_episodes, task_from_contract
+from surefoot.evaluate.rollout import run_episodes
 from surefoot.policy.runtime import PolicyRuntime
 from surefoot.robot import RobotDescription
 from surefoot.task.config import TaskConfig
+from surefoot.task.contract_mapping import task_from_contract
 from surefoot.world.sim_world import SimWorld
 
 WITHIN = 0.03

@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-from surefoot.cli.helpers.policies import SHELVES, adjust_task, find_policy, lasting, load_policy, run_policy
+from surefoot.cli.helpers.policies import SEARCH_PATHS, adjust_task, find_policy, lasting, load_policy, run_policy
 from surefoot.files import whole_file
 from surefoot.report.pages.recorded_runs import Recording, recording_page
 
@@ -32,7 +32,7 @@ def recorded(name: str) -> Recording:
 
 
 if __name__ == "__main__":
-    names = sorted({path.stem for path in SHELVES[-1].glob("*.onnx")})
+    names = sorted({path.stem for path in SEARCH_PATHS[-1].glob("*.onnx")})
     page = recording_page([recorded(name) for name in names], "one")
     path = Path(__file__).with_name("gallery.html")
     with whole_file(path) as file:

@@ -42,7 +42,7 @@ from surefoot.deploy.messages import (
     Reason,
     State,
 )
-from surefoot.deploy.motion import UP
+from surefoot.deploy.motion_runner import UP
 from surefoot.deploy.serial.codec import Codec
 from surefoot.deploy.serial.frames import Decoder, encode_frame
 from surefoot.errors import SurefootError
@@ -212,7 +212,7 @@ import sys
 from unittest import mock
 from surefoot.cli.main import main
 times = {QUICK!r} if sys.argv[1] else {{"UP": {UP!r}}}
-with mock.patch.multiple("surefoot.deploy.motion", **times):
+with mock.patch.multiple("surefoot.deploy.motion_runner", **times):
     sys.exit(main(sys.argv[2:]))
 """
 
@@ -493,7 +493,7 @@ def in_this_process(words: list[str], folder: Path, scenario: Scenario | None = 
         contextlib.redirect_stdout(told),
         contextlib.redirect_stderr(said),
         mock.patch.object(PolicyRuntime, "feedback", breaking),
-        mock.patch.multiple("surefoot.deploy.motion", **(QUICK if scenario.quick else {"UP": UP})),
+        mock.patch.multiple("surefoot.deploy.motion_runner", **(QUICK if scenario.quick else {"UP": UP})),
     ):
         resource.setrlimit(resource.RLIMIT_FSIZE, (scenario.disk or limits[0], limits[1]))
         try:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -27,7 +28,7 @@ def policy_gap(name: str, home: Sequence[float], away: Mapping[str, Sequence[flo
 
 def sensitivity_table(
     policy: str,
-    worlds: Sequence[tuple[str, float]],
+    worlds: Sequence[tuple[Any, ...]],
     returns: ArrayLike,
     fell: ArrayLike,
     nominal: tuple[Mapping[str, float], ArrayLike, ArrayLike],
@@ -38,7 +39,7 @@ def sensitivity_table(
     """
     values, nominal_returns, nominal_fell = nominal
     table = np.vstack([nominal_returns, returns])
-    places = [(NOMINAL, "", np.nan), *((row, row_unit(row), value) for row, value in worlds)]
+    places = [(NOMINAL, "", np.nan), *((row, row_unit(row), value) for row, value, *_ in worlds)]
     frame = pd.DataFrame([one for one in places for _ in range(table.shape[1])], columns=["row", "unit", "value"])
     columns = {"return": table.ravel(), "speed": 0.5, "fell": np.vstack([nominal_fell, fell]).ravel()}
     return Sensitivity(policy, values, frame.assign(run=np.tile(np.arange(table.shape[1]), len(table)), **columns))

@@ -19,14 +19,15 @@ ARROWS: dict[str, set[str]] = {
     "robot": set(),
     "actuator": {"robot"},
     "world": {"actuator", "robot"},
-    "task": {"robot", "world.interface", "world.ground"},
+    "task": {"robot", "policy", "world.interface", "world.ground"},
     "learn": {"task", "policy", "evaluate", "robot", "world.interface"},
     "policy": {"robot"},
     "evaluate": {"task", "policy", "world", "robot"},
     "identify": {"world", "deploy", "robot", "actuator", "task.trace"},
     "deploy": {
         *("robot", "policy", "world.interface"),
-        *("task.reference", "task.commands", "task.observation", "task.gait", "task.trace", "task.partial_trace"),
+        *("task.contract_mapping", "task.commands", "task.observation", "task.gait"),
+        *("task.trace", "task.partial_trace"),
     },
     "emulator": {"deploy", "world", "actuator", "robot"},
     "report": {"evaluate", "task", "robot", "world.ground", "identify.result", "identify.logs.errors"},
@@ -37,7 +38,7 @@ WIRING = "cli"  # the one room that may import anything, and that only `python -
 # What the robot's computer runs, and the import names of what it does not have: all outside the bare install.
 ROBOT_SIDE = [
     "surefoot.policy.runtime",
-    "surefoot.task.reference",
+    "surefoot.task.gait",
     "surefoot.task.observation",
     "surefoot.task.trace",
     "surefoot.robot",
@@ -176,7 +177,7 @@ def test_a_circle_is_found():
 
 
 LAYOUT_PACKAGES = {"surefoot", *(f"surefoot.{room}" for room in ("robot", "world", "task", "deploy", "cli"))}
-_MODULES = ("errors", "robot.leg", "world.interface", "world.simulated", "task.env", "task.reference", "cli.main")
+_MODULES = ("errors", "robot.leg", "world.interface", "world.simulated", "task.env", "task.gait", "cli.main")
 LAYOUT = dict.fromkeys([*sorted(LAYOUT_PACKAGES), *(f"surefoot.{name}" for name in _MODULES)], "")
 
 
@@ -211,7 +212,7 @@ def test_an_import_against_the_arrows_is_found(module: str, source: str, target:
         ("surefoot.robot.leg", "from .. import __version__\nimport surefoot\nfrom . import sheet"),
         ("surefoot.robot", "from .leg import to_motors"),
         ("surefoot.task.env", "from surefoot.world.interface import World\nfrom ..world import interface"),
-        ("surefoot.deploy", "from ..task import reference\nimport surefootage.world"),
+        ("surefoot.deploy", "from ..task import gait\nimport surefootage.world"),
         ("surefoot.cli.main", "from ..world.simulated import SimWorld\nimport surefoot.deploy"),
     ],
 )

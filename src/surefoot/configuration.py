@@ -78,6 +78,8 @@ Threads = Annotated[int, Within(0, 1024)]
 """Number of threads; 0 means one a core."""
 Duration = Annotated[float, Within(0, 3600, above=True)]
 """Length of a run [s]."""
+Positive = Annotated[float, Within(0, 1e9, above=True)]
+NotNegative = Annotated[float, Within(0, 1e9)]
 
 
 def check_bounds(config: Any, where: str = "") -> None:
@@ -256,6 +258,8 @@ def _name(hint: Any) -> str:
         return f"a list of {'' if args[-1] is Ellipsis else f'{len(args)} '}values, each {_name(args[0])}"
     if typing.get_origin(hint) is dict:
         return f"a table of values, each {_name(typing.get_args(hint)[1])}"
+    if dataclasses.is_dataclass(hint):
+        return f"a table with keys out of: {choices(item.name for item in dataclasses.fields(hint))}"
     return _KIND.get(hint, str(hint))
 
 

@@ -7,6 +7,9 @@ import os
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
+
+from surefoot.errors import SurefootError
 
 
 @contextmanager
@@ -25,6 +28,16 @@ def quiet() -> Iterator[None]:
             yield
     finally:
         os.close(nowhere)
+
+
+@contextmanager
+def mujoco_errors(path: Path) -> Iterator[None]:
+    """Turn an error of MuJoCo's parser or compiler about a file into one line, and discard what it prints."""
+    try:
+        with quiet():
+            yield
+    except ValueError as error:
+        raise SurefootError(f"{path}: MuJoCo refuses it: {' '.join(str(error).split())}") from error
 
 
 @contextmanager

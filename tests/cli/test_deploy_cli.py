@@ -28,7 +28,7 @@ from surefoot.task.trace import EpisodeTrace
 
 pytest.importorskip("mujoco")
 
-from surefoot.emulator.motion_capture import MotionCapture
+from surefoot.emulator.capture_writer import CaptureWriter
 
 ABSENT = ("mujoco", "numba", "gymnasium", "torch", "scipy", "matplotlib", "pybullet", "onnx")
 PATIENCE = 120.0
@@ -44,7 +44,7 @@ def emulate() -> Iterator[Callable[..., EmulatorHere]]:
 @pytest.fixture
 def quick() -> Iterator[None]:
     """Let robots that sit stand up sooner."""
-    with mock.patch.multiple("surefoot.deploy.motion", **QUICK):
+    with mock.patch.multiple("surefoot.deploy.motion_runner", **QUICK):
         yield
 
 
@@ -54,7 +54,7 @@ def deploy(port: str, *options: object, cwd: Path | None = None) -> subprocess.C
 
 def test_the_trot_goes_as_far_as_in_simulation(emulate, tmp_path, repository):
     capture, robot = tmp_path / "capture.csv", emulate("--ideal-sensors")
-    robot.board.on_step.append(MotionCapture(capture, robot.board.plant).see)
+    robot.board.on_step.append(CaptureWriter(capture, robot.board.plant).see)
     done = deploy(robot.port, "--out", str(tmp_path / "out"), "--motion-capture", str(capture), "--json")
     assert done.returncode == 0, done.stderr
     told = json.loads(done.stdout)
@@ -87,10 +87,10 @@ def test_a_policy_over_foot_trajectories_goes_as_far_as_in_simulation(emulate, t
     config = load_train_config(str(repository / "results/handcrafted/trot-60.yaml"))
     config = replace(config, num_envs=4, ppo=replace(config.ppo, policy_hidden=(8,)))
     policy = export_trainer(Trainer(config, SimWorld), tmp_path / "untrained.onnx")
-    assert PolicyRuntime.load(policy).contract.task["reference"]["kind"] == "foot"
+    assert (PolicyRuntime.load(policy).contract.reference or {})["kind"] == "foot"
     simulated = json.loads(surefoot("evaluate", policy, "--episodes", "3", "--json").stdout)
     robot = emulate("--ideal-sensors")
-    robot.board.on_step.append(MotionCapture(tmp_path / "capture.csv", robot.board.plant).see)
+    robot.board.on_step.append(CaptureWriter(tmp_path / "capture.csv", robot.board.plant).see)
     words = ("--lockstep", "--out", tmp_path / "out", "--motion-capture", tmp_path / "capture.csv", "--json")
     done = surefoot("deploy", policy, "--port", robot.port, *words)
     assert done.returncode == 0, done.stderr
@@ -101,7 +101,7 @@ def test_a_policy_over_foot_trajectories_goes_as_far_as_in_simulation(emulate, t
 
 def test_a_file_of_commands_steers_the_robot(emulate, tmp_path, repository):
     robot = emulate("--robot", "go2", "--ideal-sensors")
-    robot.board.on_step.append(MotionCapture(tmp_path / "capture.csv", robot.board.plant).see)
+    robot.board.on_step.append(CaptureWriter(tmp_path / "capture.csv", robot.board.plant).see)
     rows = ("time,forward,sideways,yaw_rate", "0.5,0.5,0,0", "2.5,0,0,0", "3.3,0,0,0.6", "5.3,0,0,0", "5.9,0,0,9")
     (tmp_path / "way.csv").write_text("\n".join(rows))
     words = ("deploy", "go2-steer", "--port", robot.port, "--lockstep", "--out", tmp_path / "out")
@@ -245,8 +245,8 @@ def test_what_cannot_be_done_is_told_in_one_line(words, match):
     ("words", "change", "match"),
     [
         (["deploy", "--port", "x"], {"control_latency": float("nan")}, "contract: is not JSON: it holds NaN"),
-        (["deploy", "--port", "x"], {"task": {"fall_angle": 1e9}}, "task.fall_angle is 1000000000.0; it must be"),
-        (["evaluate"], {"control_latency": -0.02}, "contract: control_latency is -0.02; it must be a number from 0 to"),
+        (["deploy", "--port", "x"], {"task": {"fall_angle": 1e9}}, "policy 'trot': fall_angle is 1e+09; it must be"),
+        (["evaluate"], {"control_latency": -0.02}, "contract.control_latency is -0.02; it must be 0 or more"),
     ],
 )
 def test_a_contract_with_a_number_out_of_range_is_refused(tmp_path, words, change, match):

@@ -27,8 +27,8 @@ from chromium import errors_of, hold_stick, in_browser, running_browser
 from websockets.sync.client import connect
 
 from surefoot.cli import play
-from surefoot.cli.drive import Drive, serve
-from surefoot.deploy.commands import FileCommands
+from surefoot.cli.helpers.drive_page import DrivePage, serve
+from surefoot.deploy.command_sources import FileCommands
 from surefoot.errors import SurefootError
 from surefoot.evaluate.driven import DrivenStep
 from surefoot.report.pages.server import PageServer
@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 class Running:
     """A drive that runs in a thread."""
 
-    drive: Drive
+    drive: DrivePage
     server: PageServer
 
     def until(self, holds: Callable[[], object], seconds: float = 20.0) -> None:
@@ -61,7 +61,7 @@ class Running:
 
 @pytest.fixture(scope="module")
 def running() -> Iterator[Running]:
-    drive, view, stop = Drive("go2-steer", "mujoco"), RobotView(), threading.Event()
+    drive, view, stop = DrivePage("go2-steer", "mujoco"), RobotView(), threading.Event()
     server = PageServer(None, 0, view.port)
     thread = threading.Thread(target=drive.run, args=(server, view, stop))
     thread.start()
@@ -160,7 +160,7 @@ def test_a_file_of_commands_drives_in_place_of_the_page(running: Running, tmp_pa
 
 def test_play_in_the_browser_is_the_page_with_its_parameters(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
     served: list[Any] = []
-    monkeypatch.setattr("surefoot.cli.drive.serve", lambda *given: served.append(given))
+    monkeypatch.setattr("surefoot.cli.helpers.drive_page.serve", lambda *given: served.append(given))
     assert play.main(["go2-steer", "--browser", "--set", "base_mass_ratio=1.5", "--commands", "walk.csv"]) == 0
     ((drive, host, _, commands),) = served
     assert drive.robot.env.world.params.base_mass_ratio.tolist() == [1.5]
@@ -171,7 +171,7 @@ def test_play_in_the_browser_is_the_page_with_its_parameters(monkeypatch: pytest
 
 def test_a_policy_without_commands_takes_none_from_elsewhere():
     with pytest.raises(SurefootError, match="'trot' has no commands to follow"):
-        serve(Drive("trot", "mujoco"), None, 0, "5555")
+        serve(DrivePage("trot", "mujoco"), None, 0, "5555")
 
 
 def test_for_other_machines_the_address_holds_a_token(running: Running):

@@ -144,7 +144,7 @@ def test_a_damaged_policy_is_refused(tmp_path: Path, policy: Path):
 def test_a_policy_for_another_robot_is_refused(policy: Path, tmp_path: Path):
     refused(
         surefoot("evaluate", policy, "--robot", maxitaur(tmp_path / "maxitaur")),
-        "policy 'untrained' is for robot 'minitaur'; this robot is 'maxitaur'",
+        "policy 'untrained' must not run on maxitaur: it is for robot 'minitaur'",
     )
 
 
@@ -210,7 +210,7 @@ def test_a_policy_that_ships_is_found_by_name(policy: Path, tmp_path: Path, monk
     from surefoot.cli.helpers import policies
 
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(policies, "SHELVES", (policy.parent,))
+    monkeypatch.setattr(policies, "SEARCH_PATHS", (policy.parent,))
     assert policies.find_policy("untrained") == policy
     with pytest.raises(ValueError, match=r"policy 'trot' .*policies that ship: untrained"):
         policies.find_policy("trot")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import re
 import signal
 import subprocess
 import sys
@@ -17,8 +18,8 @@ import numpy as np
 import pytest
 from processes import SUREFOOT, EmulatorHere, emulators, refused, surefoot
 
-from surefoot.cli.helpers.identify_run import check_robot
-from surefoot.emulator.limits import Limits, introduction
+from surefoot.cli.helpers.identify_run import refuse_another_robot
+from surefoot.emulator.limits import Limits, make_handshake
 from surefoot.errors import SurefootError
 from surefoot.identify.registry import EXPERIMENTS
 from surefoot.robot import PhysicalParams, RobotDescription
@@ -201,7 +202,7 @@ def test_a_recording_is_fitted(recorded: Recorded, robot: RobotDescription, tmp_
     assert found.params.contact_friction[0] == pytest.approx(0.7, abs=0.2)
     told = found.tables["identified"]["contact"]
     assert told["file"] == str(folder / "recording.npz")
-    assert found.tables["told_by"]["contact_friction"] == "contact"
+    assert found.tables["identified_by"]["contact_friction"] == "contact"
     assert (out / "report.png").read_bytes().startswith(b"\x89PNG")
     assert told["data"] in (out / "report.html").read_text()
     # Once more, with what is known now, as one object; without --params beside the report.
@@ -252,19 +253,19 @@ def test_ctrl_c_ends_it_and_keeps_what_was_recorded(hanging: EmulatorHere, tmp_p
     refused(identify("motor", "--recording", out), "did not come to its end: stopped by the operator")
 
 
-def test_a_robot_that_differs_is_refused(robot: RobotDescription):
-    said = introduction(robot, Limits.of(robot), "", robot.timing.servo_step)
-    check_robot(said, robot)
+def test_an_experiment_refuses_another_robot_than_the_data_sheets(robot: RobotDescription):
+    said = make_handshake(robot, Limits.of(robot), "", robot.timing.servo_step)
+    refuse_another_robot(said, robot)
     signs = np.array(said.motor_signs, float)
     signs[3] *= -1
     for other, why in (
-        (replace(said, robot="cat"), "the robot says that it is 'cat', and the data sheet is of 'minitaur'"),
-        (replace(said, motor_names=said.motor_names[::-1]), "motor 0 is '"),
-        (replace(said, servo_period=0.002), "the robot's servos step every 2 ms; the data sheet says 1 ms"),
-        (replace(said, motor_signs=signs), f"{robot.motor_names[3]} has sign "),
+        (replace(said, robot="cat"), "robot: it is 'cat', the data sheet is of 'minitaur'"),
+        (replace(said, motor_names=said.motor_names[::-1]), "motors: motor 0 is '"),
+        (replace(said, servo_period=0.002), "servo period: 2 ms; the data sheet says 1 ms"),
+        (replace(said, motor_signs=signs), f"motor signs: {robot.motor_names[3]} has "),
     ):
-        with pytest.raises(SurefootError, match=f"^{why}"):
-            check_robot(other, robot)
+        with pytest.raises(SurefootError, match=re.escape(f"the robot is not as on its data sheet: {why}")):
+            refuse_another_robot(other, robot)
 
 
 class Terminal(io.StringIO):
@@ -341,7 +342,7 @@ def test_logs_of_a_robot_with_joint_actuators_tell_and_one_is_held_out(tmp_path:
     pytest.importorskip("mujoco")
     pytest.importorskip("matplotlib")
     from surefoot.identify.logs.robot_log import RobotLog
-    from surefoot.identify.replay import Replayer, stretch_of_log
+    from surefoot.identify.replay import Replayer, segment_from_log
 
     pupper, logs, out = RobotDescription.load("pupper_v2"), tmp_path / "logs", tmp_path / "out"
     words = ("--from-trace", logs, "--robot", "pupper_v2")
@@ -355,7 +356,7 @@ def test_logs_of_a_robot_with_joint_actuators_tell_and_one_is_held_out(tmp_path:
         command = np.tile(np.tile([0.0, 0.6, -1.2], 4), (len(time), 1))
         command[:, 1] += 0.3 * np.sin(rate * time)
         blank = RobotLog(name, time, command, read, np.full((71, 12), np.nan), np.full((71, 4), np.nan))
-        told = replayer.run(stretch_of_log(blank, pupper), truth)
+        told = replayer.run(segment_from_log(blank, pupper), truth)
         np.savez(logs / f"{name}.npz", time=time, command=command, motor_angle=told.motor_angle[0])
     refused(identify(*words, "--hold-out", "quick"), "--hold-out names 'quick'; logs: fast, slow")
     refused(identify("--from-trace", logs, "--rack", "slow"), "--rack is of logs of a robot with joint actuators")

@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 
 from surefoot.deploy.clock import LockstepClock
-from surefoot.deploy.loop import Snapshot, Watch
+from surefoot.deploy.loop import RunMonitor, Snapshot
 from surefoot.deploy.messages import Message, State
 from surefoot.deploy.robot_link import LinkLostError, RobotLink
 from surefoot.deploy.serial.codec import Codec
 from surefoot.deploy.serial.frames import Decoder, encode_frame
 from surefoot.deploy.serial.serial_link import SerialLink
 from surefoot.emulator.firmware import Firmware, MotorOrder, Sensors, Vitals
-from surefoot.emulator.limits import Limits, introduction
+from surefoot.emulator.limits import Limits, make_handshake
 from surefoot.robot import RobotDescription
 
 
@@ -32,7 +32,7 @@ class ToyRobot:
 
     def __init__(self, robot: RobotDescription) -> None:
         self.codec = Codec(robot.num_motors)
-        self.firmware = Firmware(introduction(robot, Limits.of(robot), "toy", 0.001), Limits.of(robot))
+        self.firmware = Firmware(make_handshake(robot, Limits.of(robot), "toy", 0.001), Limits.of(robot))
         self._decoder = Decoder(self.codec)
         self.angle = robot.pose_angles(np.zeros(4), np.full(4, 0.9))
         self.sensors: Callable[[float, Sensors], Sensors] = lambda time, readings: readings
@@ -112,8 +112,8 @@ class ToyRobot:
 
 
 @dataclass
-class WatchLog(Watch):
-    """Somebody who watches, and remembers."""
+class MonitorLog(RunMonitor):
+    """Somebody who monitors, and remembers."""
 
     phases: list[str] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
@@ -145,8 +145,8 @@ def link(toy: ToyRobot) -> RobotLink:
 
 
 @pytest.fixture
-def watch() -> WatchLog:
-    return WatchLog()
+def monitor() -> MonitorLog:
+    return MonitorLog()
 
 
 @pytest.fixture

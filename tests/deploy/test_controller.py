@@ -40,14 +40,13 @@ def test_a_simulated_episode_gets_the_same_targets(path, a_state):
     """Readings of a simulated episode, given to the robot's side step by step."""
     pytest.importorskip("mujoco")
     pytest.importorskip("gymnasium")
-    from surefoot.evaluate.rollout import task_from_contract
-    from surefoot.robot.randomization import RandomizeConfig
+    from surefoot.task.contract_mapping import task_from_contract
     from surefoot.task.env import LocomotionEnv
     from surefoot.world.sim_world import SimWorld
 
     policy = PolicyRuntime.load(path)
     task = task_from_contract(policy.contract)
-    task = replace(task, pushes=replace(task.pushes, enabled=False), randomize=RandomizeConfig())
+    task = replace(task, pushes=replace(task.pushes, enabled=False), randomize={})
     env = LocomotionEnv(task, 1, SimWorld, 3, autoreset=False, threads=1)
     controller = Controller(policy, RobotDescription.load(policy.contract.robot))
     observation, _ = env.reset()
@@ -106,11 +105,6 @@ def test_feedback_that_is_not_finite_is_named(contract, robot, a_state):
     controller = Controller(Echo(contract, np.inf), robot)
     with pytest.raises(NotFiniteError, match=r"feedback 'swing.front_left' is inf"):
         controller.command(0.0, controller.observe(0.0, a_state))
-
-
-def test_other_columns_are_refused(contract, robot):
-    with pytest.raises(SurefootError, match="this surefoot would give it roll, pitch"):
-        Controller(Echo(replace(contract, columns=("roll", "yaw", "roll_rate", "pitch_rate"))), robot)
 
 
 def test_a_gait_beyond_the_legs_is_refused(contract, robot):

@@ -60,7 +60,7 @@ def test_the_hardware_that_is_assumed_is_the_emulators(document: str):
 
 
 def test_every_phase_of_a_run_stands_in_the_table(document: str):
-    from surefoot.deploy import motion
+    from surefoot.deploy import motion_runner as motion
     from surefoot.deploy.deployment import PUNCTUAL
 
     assert f"| keep time | {PUNCTUAL * 0.006:.1f} s |" in document

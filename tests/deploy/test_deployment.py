@@ -12,7 +12,8 @@ from surefoot.deploy.clock import LockstepClock
 from surefoot.deploy.controller import Controller
 from surefoot.deploy.deployment import PUNCTUAL, TRIES, Deployment
 from surefoot.deploy.messages import Arm, Ping, Position
-from surefoot.deploy.robot_link import LEAD, RobotLink
+from surefoot.deploy.robot_link import RobotLink
+from surefoot.deploy.serial.serial_link import LEAD
 from surefoot.errors import SurefootError
 from surefoot.policy.runtime import PolicyRuntime
 from surefoot.robot import RobotDescription
@@ -57,17 +58,17 @@ def computer(link: RobotLink) -> Computer:
 
 
 @pytest.fixture
-def deployment(link, computer, controller, watch) -> Deployment:
-    return Deployment(link, controller, Operator(), watch)
+def deployment(link, computer, controller, monitor) -> Deployment:
+    return Deployment(link, controller, Operator(), monitor)
 
 
 def greet(deployment: Deployment) -> None:
     deployment.greet(lambda handshake: None)
 
 
-def test_a_punctual_computer_goes_through_so_many_steps_once_and_commands_nothing(deployment, toy, watch):
+def test_a_punctual_computer_goes_through_so_many_steps_once_and_commands_nothing(deployment, toy, monitor):
     greet(deployment)
-    assert watch.phases == ["greet", "keep time"]
+    assert monitor.phases == ["greet", "keep time"]
     kinds = {type(message) for _, message in toy.heard}
     assert Ping in kinds
     assert not kinds & {Arm, Position}
@@ -75,12 +76,12 @@ def test_a_punctual_computer_goes_through_so_many_steps_once_and_commands_nothin
     assert PUNCTUAL * STEP < spent < (PUNCTUAL + 40) * STEP
 
 
-def test_what_is_slow_only_at_first_is_forgiven(deployment, computer, watch):
+def test_what_is_slow_only_at_first_is_forgiven(deployment, computer, monitor):
     begun: list[float] = []
 
     def late(moment: float) -> float:
         # Three stalls of five control steps, each once the loop is under way, and then none.
-        if "keep time" in watch.phases and len(begun) < 3 and (not begun or moment > begun[-1] + 0.1):
+        if "keep time" in monitor.phases and len(begun) < 3 and (not begun or moment > begun[-1] + 0.1):
             begun.append(moment)
             return 5 * STEP
         return 0.0
@@ -88,10 +89,10 @@ def test_what_is_slow_only_at_first_is_forgiven(deployment, computer, watch):
     computer.late = late
     greet(deployment)
     assert len(begun) == 3
-    assert watch.phases.count("keep time") == 4
+    assert monitor.phases.count("keep time") == 4
 
 
-def test_a_computer_that_stalls_again_and_again_arms_no_robot(deployment, computer, toy, watch):
+def test_a_computer_that_stalls_again_and_again_arms_no_robot(deployment, computer, toy, monitor):
     last = [0.0]
 
     def late(moment: float) -> float:
@@ -103,7 +104,7 @@ def test_a_computer_that_stalls_again_and_again_arms_no_robot(deployment, comput
     computer.late = late
     with pytest.raises(SurefootError, match=r"not armed: \d+ control steps in a row were missed; at most 2"):
         greet(deployment)
-    assert watch.phases.count("keep time") == TRIES
+    assert monitor.phases.count("keep time") == TRIES
     assert Arm not in {type(message) for _, message in toy.heard}
 
 

@@ -14,7 +14,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from surefoot.deploy.display import LiveDisplay, Picture, PlainLines, show
+from surefoot.deploy.display import LiveDisplay, PlainLines, StatusPanel, show
 from surefoot.deploy.loop import Snapshot
 
 
@@ -34,7 +34,7 @@ def snapshot(a_state) -> Snapshot:
 
 
 def test_the_picture_tells_all_that_came():
-    picture = Picture()
+    picture = StatusPanel()
     picture.take({"title": "trot on minitaur", "recording": "recording to run_000.npz"})
     picture.take({"phase": "run", "left": 2.0, "rate": 166.7, "lateness": [0.01] * 98 + [1.0, 3.0], "inference": 0.09})
     picture.take({"missed": 1, "dropped": 2, "state_age": 1.2, "voltage": 15.7, "temperature": 31.0})
@@ -52,7 +52,7 @@ def test_the_picture_tells_all_that_came():
 
 
 def test_a_picture_of_nothing_shows_dashes():
-    rows = dict(Picture().rows())
+    rows = dict(StatusPanel().rows())
     assert rows["loop"] == "-"
     assert rows["lateness"] == "-"
 

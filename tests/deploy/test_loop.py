@@ -14,10 +14,10 @@ from fault_bench import QUICK_UP as UP
 from surefoot.deploy.controller import Controller
 from surefoot.deploy.deployment import Deployment
 from surefoot.deploy.messages import Arm, Damp, Mode, Pong, Position, Reason
-from surefoot.deploy.motion import REST
-from surefoot.deploy.pacer import Timing
-from surefoot.deploy.poses import sitting
-from surefoot.deploy.recording.run_saver import RunSaver
+from surefoot.deploy.motion_runner import REST
+from surefoot.deploy.pacer import LoopTiming
+from surefoot.deploy.poses import sitting_pose
+from surefoot.deploy.run_saver import RunSaver
 from surefoot.deploy.serial.frames import Decoder
 from surefoot.errors import SurefootError
 from surefoot.policy.runtime import PolicyRuntime
@@ -30,7 +30,7 @@ SEATED = QUICK["FLAT"] + QUICK["FOLD"] + QUICK["PAUSE"]
 
 @pytest.fixture(autouse=True)
 def quick():
-    with mock.patch.multiple("surefoot.deploy.motion", **QUICK):
+    with mock.patch.multiple("surefoot.deploy.motion_runner", **QUICK):
         yield
 
 
@@ -74,13 +74,13 @@ def stop(toy):
 
 
 @pytest.fixture
-def deploy(toy, link, robot, policy, stop, watch, tmp_path):
+def deploy(toy, link, robot, policy, stop, monitor, tmp_path):
     """Make a deployment, greet the robot, run; returns outcome, what was kept, and timing."""
 
     def make(policy=policy, steps=STEPS, dry_run=False, prepare=None):
-        deployment = Deployment(link, Controller(policy, robot), stop, watch, dry_run)
+        deployment = Deployment(link, Controller(policy, robot), stop, monitor, dry_run)
         deployment.greet(lambda handshake: None)
-        keeper, timing = RunSaver(deployment, tmp_path / "run_000.npz", steps), Timing(5000)
+        keeper, timing = RunSaver(deployment, tmp_path / "run_000.npz", steps), LoopTiming(5000)
         keeper.begin()
         if prepare is not None:
             prepare()
@@ -96,10 +96,10 @@ def sent(toy, kind):
     return [(time, message) for time, message in toy.heard if isinstance(message, kind)]
 
 
-def test_a_whole_run(deploy, toy, watch):
+def test_a_whole_run(deploy, toy, monitor):
     outcome, kept, timing = deploy()
     assert (outcome.ended, outcome.safe) == ("time", False)
-    assert watch.phases == [
+    assert monitor.phases == [
         *("greet", "arm", "lay legs flat", "draw legs in", "sit", "stand up", "stand"),
         *("run", "drop", "sit", "disarm"),
     ]
@@ -126,7 +126,7 @@ def test_motors_move_smoothly_from_where_they_are_until_the_robot_sits(deploy, t
     times, targets = map(np.array, zip(*((time, message.target) for time, message in sent(toy, Position)), strict=True))
     assert np.diff(times) == pytest.approx(STEP, abs=1e-6)
     assert targets[0] == pytest.approx(start, abs=1e-3)
-    assert targets[-1] == pytest.approx(sitting(robot), abs=1e-6)
+    assert targets[-1] == pytest.approx(sitting_pose(robot), abs=1e-6)
     speed = np.abs(np.diff(targets, axis=0)) / STEP
     up = round(UP / STEP)
     assert targets[up - 10] == pytest.approx(robot.pose_angles(*policy.contract.rest), abs=1e-6)
@@ -196,7 +196,7 @@ def test_readings_end_a_run(change, ended, reason, deploy, toy):
     assert damped == (ended in ("fault", "fall"))
 
 
-def test_a_fall_is_damped_at_once_and_the_robot_sits_when_it_is_still(deploy, toy, watch):
+def test_a_fall_is_damped_at_once_and_the_robot_sits_when_it_is_still(deploy, toy, monitor):
     at_step(20, {"roll_pitch_yaw": np.array([0.6, 0.0, 0.0])}, toy)
     outcome, kept, _ = deploy(steps=300)
     assert outcome.text.endswith("it has sat down")
@@ -204,7 +204,7 @@ def test_a_fall_is_damped_at_once_and_the_robot_sits_when_it_is_still(deploy, to
     assert armed - damped >= toy.firmware.limits.rearm_after
     assert kept.trace.fell
     assert abs(kept.trace.roll_pitch_yaw[-1, 0]) > 0.5
-    assert watch.phases[-4:] == ["lie still", "arm", "sit down", "disarm"]
+    assert monitor.phases[-4:] == ["lie still", "arm", "sit down", "disarm"]
     assert toy.firmware.mode == Mode.DISARMED
     # Nothing was commanded between the tilt and the damping.
     assert not [time for time, _ in sent(toy, Position) if damped <= time < armed]
@@ -287,12 +287,12 @@ def test_the_operator_asks_twice_and_motors_are_damped(when, deploy, toy, stop):
         (UP - 0.1, ["stand", "sit down", "disarm"]),
     ],
 )
-def test_the_operator_stops_before_the_policy_runs(when, phases, deploy, toy, stop, watch):
+def test_the_operator_stops_before_the_policy_runs(when, phases, deploy, toy, stop, monitor):
     stop.at = when
     outcome, kept, _ = deploy()
     assert (outcome.ended, outcome.reason, outcome.safe) == ("stopped", "operator", False)
     # Only a robot that has begun to rise from sitting sits down; one that still lies is let go at once.
-    assert watch.phases[-len(phases) :] == phases
+    assert monitor.phases[-len(phases) :] == phases
     assert not sent(toy, Damp)
     assert kept.trace is None
     assert not kept.lost
@@ -428,13 +428,13 @@ def test_a_robot_that_does_not_arm_is_refused(deploy, toy):
     assert not sent(toy, Position)
 
 
-def test_a_robot_that_does_not_arm_again_ends_its_second_run(deploy, toy, link, watch):
+def test_a_robot_that_does_not_arm_again_ends_its_second_run(deploy, toy, link, monitor):
     deploy()
     deployment = deploy.deployment
     toy.firmware._vitals = replace(toy.firmware._vitals, temperature=95.0)
     toy.firmware.tick = lambda now, vitals: None
     keeper = RunSaver(deployment, None, STEPS)
-    outcome = deployment.run(keeper.recorder, Timing(100), keeper.keep, keeper.begun)
+    outcome = deployment.run(keeper.recorder, LoopTiming(100), keeper.keep, keeper.begun)
     assert (outcome.ended, outcome.reason, outcome.safe) == ("fault", "arm", True)
     assert "a motor has 95 degC" in outcome.text
 
@@ -466,15 +466,15 @@ def test_a_robot_in_a_pose_beyond_its_limits_is_brought_back_within(deploy, toy,
     outcome, _, _ = deploy()
     assert outcome.ended == "time"
     targets = np.array([message.target for _, message in sent(toy, Position)])
-    assert targets.min() >= toy.firmware.introduction.angle_low.min() - 1e-6
+    assert targets.min() >= toy.firmware.handshake.angle_low.min() - 1e-6
 
 
-def test_whoever_watches_is_told_ten_times_a_second(deploy, watch, toy):
+def test_whoever_watches_is_told_ten_times_a_second(deploy, monitor, toy):
     at_step(5, {"voltage": 14.2}, toy)
     deploy(steps=500)
-    run = [snapshot for snapshot in watch.snapshots if snapshot.phase == "run"]
+    run = [snapshot for snapshot in monitor.snapshots if snapshot.phase == "run"]
     assert 28 <= len(run) <= 32
     assert run[5].rate == pytest.approx(1 / STEP, rel=0.01)
     assert len(run[5].lateness) in (16, 17)
     assert run[5].inference > 0.0
-    assert watch.warnings == ["battery below 14.4 V; charge it soon"]
+    assert monitor.warnings == ["battery below 14.4 V; charge it soon"]

@@ -8,7 +8,7 @@ import sys
 
 import pytest
 
-from surefoot.deploy.pacer import Pacer, Timing, undisturbed
+from surefoot.deploy.pacer import LoopTiming, Pacer, undisturbed
 
 
 class HandClock:
@@ -64,7 +64,7 @@ def test_a_new_count_takes_the_place_of_the_next_step():
 
 
 def test_figures_are_in_milliseconds():
-    timing = Timing(100)
+    timing = LoopTiming(100)
     for k in range(101):
         timing.add(k * 1e-5, 1e-3 + k * 1e-5, 2e-4 if k % 2 else float("nan"), 0, True)
     timing.add(0.0, 0.0, float("nan"), 2, False)
@@ -78,7 +78,7 @@ def test_figures_are_in_milliseconds():
 
 
 def test_figures_of_nothing_are_none():
-    assert Timing(3).figures()["lateness_median_ms"] is None
+    assert LoopTiming(3).figures()["lateness_median_ms"] is None
 
 
 def test_nothing_is_collected_while_it_lasts():

@@ -7,9 +7,9 @@ import pytest
 
 from surefoot.deploy.clock import LockstepClock
 from surefoot.deploy.messages import Arm, Mode
-from surefoot.deploy.robot_link import LEAD, RobotLink
+from surefoot.deploy.robot_link import RobotLink
 from surefoot.deploy.serial.codec import Codec
-from surefoot.deploy.serial.serial_link import SerialLink
+from surefoot.deploy.serial.serial_link import LEAD, SerialLink
 from surefoot.emulator.firmware import Firmware
 from surefoot.errors import SurefootError
 
@@ -31,7 +31,7 @@ def test_a_greeting_is_answered_and_states_follow(link):
 def test_a_robot_can_be_greeted_again_after_it_was_switched_on_anew(toy, link):
     link.connect(state_period=0.006)
     link.wait_for(lambda: False, 0.1)
-    toy.firmware = Firmware(toy.firmware.introduction, toy.firmware.limits)
+    toy.firmware = Firmware(toy.firmware.handshake, toy.firmware.limits)
     again = link.connect(state_period=0.006)
     assert again.session == 77
     states = link.states

@@ -16,7 +16,7 @@ from surefoot.deploy.messages import Arm, Fault, Handshake, Hello, Mode, Packet,
 from surefoot.emulator.board import Board
 from surefoot.emulator.faults import FAULTS, describe, parse_faults
 from surefoot.emulator.hardware import PowerConfig, SensorConfig
-from surefoot.emulator.limits import Limits, introduction
+from surefoot.emulator.limits import Limits, make_handshake
 from surefoot.emulator.plant import Plant
 from surefoot.emulator.serial.serial_host_link import SerialHostLink
 from surefoot.errors import SurefootError
@@ -36,7 +36,7 @@ class Rig:
 
     def __init__(self, robot, encoder, *words: str, rack: bool = True) -> None:
         plant = Plant(robot, sensors=SensorConfig.ideal(), power=PowerConfig.ideal(), rack=rack)
-        said = introduction(robot, Limits.of(robot), "test 1", 0.001)
+        said = make_handshake(robot, Limits.of(robot), "test 1", 0.001)
         self.robot, self.wire = robot, encoder
         faults = parse_faults(words)
         self.line = SerialHostLink(Hosts(), 8, faults, seed=1)

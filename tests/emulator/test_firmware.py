@@ -31,7 +31,7 @@ from surefoot.deploy.messages import (
 from surefoot.deploy.serial.codec import Codec
 from surefoot.deploy.serial.frames import Decoder, encode_frame
 from surefoot.emulator.firmware import Firmware
-from surefoot.emulator.limits import Limits, introduction
+from surefoot.emulator.limits import Limits, make_handshake
 from surefoot.emulator.serial.serial_host_link import SerialHostLink
 from surefoot.emulator.signals import MotorOrder, Sensors, Vitals
 
@@ -56,7 +56,7 @@ class Bench:
 
     def __init__(self, robot: Any, where: str) -> None:
         limits = Limits.of(robot)
-        self.firmware = Firmware(introduction(robot, limits, "test 1", 0.001), limits)
+        self.firmware = Firmware(make_handshake(robot, limits, "test 1", 0.001), limits)
         self.line = SerialHostLink(NoHosts(), 8) if where == "serial line" else None
         self.host = Decoder(Codec(8))
         self.now = self.number = 0
@@ -547,7 +547,7 @@ messages = st.one_of(
 def test_nothing_that_comes_makes_it_fail_or_give_a_wrong_order(robot, where, talk):
     bench = Bench(robot, where)
     bench.send(Hello(ME, 0.01))
-    low, high = bench.firmware.introduction.angle_low, bench.firmware.introduction.angle_high
+    low, high = bench.firmware.handshake.angle_low, bench.firmware.handshake.angle_high
     for said, pause, number in talk:
         if isinstance(said, bytes):
             bench.put(said)

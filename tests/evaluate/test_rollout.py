@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -14,13 +13,10 @@ from numpy.typing import ArrayLike, NDArray
 pytest.importorskip("mujoco")
 pytest.importorskip("gymnasium")
 
-from surefoot.configuration import to_mapping
-from surefoot.errors import SurefootError
-from surefoot.evaluate.rollout import run_episodes, task_from_contract
+from surefoot.evaluate.rollout import run_episodes
 from surefoot.evaluate.runs import measure_runs
-from surefoot.policy.contract import Contract, ObservationPart
 from surefoot.robot import RobotDescription
-from surefoot.task.config import FeedbackConfig, ReferenceConfig, TaskConfig, load_task
+from surefoot.task.config import FeedbackConfig, TaskConfig, load_task
 from surefoot.task.env import LocomotionEnv
 from surefoot.task.gait import HybridGait
 from surefoot.task.reference import make_reference
@@ -147,44 +143,6 @@ def test_action_is_the_inverse_of_feedback(rng: np.random.Generator):
     unit[:, 4:] = 0
     assert np.allclose(gait.action(gait.feedback(unit)), unit)
     assert np.array_equal(gait.action(np.full((1, 8), 9.0)), [[1.0] * 4 + [0.0] * 4])
-
-
-def contract_of(task: TaskConfig) -> Contract:
-    reference = make_reference(task.reference.to_mapping(), ROBOT)
-    return Contract(
-        **{"name": "p", "robot": "minitaur", "motor_names": ROBOT.motor_names, "motor_signs": (1.0,) * 8},
-        **{"leg_names": ROBOT.leg_names, "observation": (ObservationPart("roll", "rad", "base"),)},
-        **{"columns": ("roll",), "history": 1, "action_names": tuple("abcdefgh"), "low": (0.0,) * 8},
-        **{"high": (0.0,) * 8, "reference": reference.to_dict(), "rest": (0.0, 2.0), "control_step": 0.006},
-        **{"servo_latency": 0.003, "control_latency": 0.02, "servo_kp": 1.0, "servo_kd": 0.015},
-        **{"voltage": 16.0, "task": to_mapping(task), "config_hash": ""},
-    )
-
-
-def test_the_task_comes_back_from_the_contract():
-    task = trot(77, params={"voltage": 15.0, "imu_bias": (0.1, -0.2)}, params_source={"file": "robot.toml"})
-    again = Contract.from_json(contract_of(task).to_json())
-    assert task_from_contract(again) == task
-
-
-def test_a_table_comes_from_the_contract_and_not_from_its_file(tmp_path: Path):
-    columns = [f"{part}_{leg}" for part in ("swing", "extension") for leg in ROBOT.leg_names]
-    table = np.hstack([np.zeros((4, 4)), np.array([[1.8], [2.0], [1.9], [2.0]]) * np.ones((1, 4))])
-    np.savez(tmp_path / "t.npz", **dict(zip(columns, table.T, strict=True)))
-    task = TaskConfig(reference=ReferenceConfig(kind="table", file=str(tmp_path / "t.npz"), period=0.5))
-    text = contract_of(task).to_json()
-    (tmp_path / "t.npz").unlink()
-    again = task_from_contract(Contract.from_json(text))
-    reference = make_reference(again.reference.to_mapping(), ROBOT)
-    assert np.allclose(reference.pose([0.125])[:, 1], 2.0)
-    assert task_from_contract(contract_of(again)) == again
-
-
-def test_a_task_that_is_not_known_is_refused():
-    contract = contract_of(trot())
-    changed = replace(contract, task={**json.loads(contract.to_json())["task"], "colour": "red"})
-    with pytest.raises(SurefootError, match=r"policy 'p': task.colour is not a key"):
-        task_from_contract(changed)
 
 
 def test_true_motor_angles_are_younger_than_readings(tmp_path: Path):

@@ -17,7 +17,6 @@ from surefoot.evaluate.footfalls import FEET
 from surefoot.evaluate.gap import PolicyGap, away_task, home_task
 from surefoot.evaluate.runs import measure_runs, summarize
 from surefoot.evaluate.statistics import MeanEstimate
-from surefoot.robot.randomization import RandomizeConfig
 from surefoot.task.config import TaskConfig
 from surefoot.task.trace import EpisodeTrace
 
@@ -92,14 +91,14 @@ TRAINED = TaskConfig(
     actuator="constraint",
     params={"control_latency": 0.0, "servo_latency": 0.0},
     params_source={"file": "robot.toml"},
-    randomize=RandomizeConfig(mass=(0.8, 1.2)),
+    randomize={"base_mass_ratio": (0.8, 1.2)},
 )
 
 
 def test_the_home_task_has_no_randomization_and_no_pushes():
     pushed = replace(TRAINED, pushes=replace(TRAINED.pushes, enabled=True))
     home = home_task(pushed)
-    assert (home.randomize.ranges, home.pushes.enabled) == ({}, False)
+    assert (home.randomize, home.pushes.enabled) == ({}, False)
     assert home.pushes == replace(TRAINED.pushes, enabled=False)
     assert replace(home, randomize=pushed.randomize, pushes=pushed.pushes) == pushed
 

@@ -23,11 +23,13 @@ from surefoot.errors import SurefootError
 from surefoot.evaluate.rollout import run_episodes
 from surefoot.evaluate.runs import measure_runs
 from surefoot.evaluate.sensitivity import Sensitivity, find_breaks, make_test_worlds, row_unit, run_sensitivity
-from surefoot.robot import PhysicalParams
-from surefoot.robot.randomization import RandomizeConfig, load_ranges
+from surefoot.robot import PhysicalParams, RobotDescription
+from surefoot.robot.randomization import Ranges, load_ranges
 from surefoot.task.config import TaskConfig, load_task
 from surefoot.world.interface import Readings
 from surefoot.world.sim_world import SimWorld
+
+MASS, LATENCY = "base_mass_ratio", "control_latency"
 
 
 class Constant:
@@ -81,25 +83,31 @@ def of_row(result: Sensitivity, row: str, column: str) -> list[list[Any]]:
     return [part.tolist() for _, part in tests.groupby("value")[column]]
 
 
-def test_table_1_gives_a_hundred_worlds():
-    worlds = make_test_worlds(load_ranges("table1"))
-    assert len(worlds) == 100
-    assert worlds[0] == ("mass", 0.8)
-    latency = [value for row, value in worlds if row == "latency"]
+def test_table_1_gives_ten_worlds_a_parameter(robot: RobotDescription):
+    worlds = make_test_worlds(load_ranges("table1"), PhysicalParams.nominal(robot))
+    assert len(worlds) == 120
+    assert worlds[0][:2] == (MASS, 0.8)
+    latency = [value for row, value, _ in worlds if row == LATENCY]
     assert np.allclose(latency, np.arange(10) * 0.04 / 9)
     assert latency[-1] == 0.04
-    assert {row_unit(row) for row, _ in worlds} == {"", "N m", "s", "V", "rad"}
+    assert {row_unit(row) for row, *_ in worlds} == {"", "N m", "s", "V", "rad"}
 
 
-def test_worlds_are_the_ends_and_evenly_spaced_values_between():
-    worlds = make_test_worlds(RandomizeConfig(mass=(0.9, 1.1), voltage=(15.0, 15.0)), 3)
-    assert worlds == [("mass", 0.9), ("mass", 1.0), ("mass", 1.1), ("voltage", 15)]
-    with pytest.raises(SurefootError, match="the table of ranges has no rows"):
-        make_test_worlds(RandomizeConfig())
+def test_worlds_are_the_ends_and_evenly_spaced_values_between(robot: RobotDescription):
+    ranges: Ranges = {MASS: (0.9, 1.1), "voltage": (15.0, 15.0)}
+    worlds = make_test_worlds(ranges, PhysicalParams.nominal(robot), 3)
+    assert [world[:2] for world in worlds] == [(MASS, 0.9), (MASS, 1.0), (MASS, 1.1), ("voltage", 15.0)]
+    with pytest.raises(SurefootError, match="the table of ranges is empty"):
+        make_test_worlds({}, PhysicalParams.nominal(robot))
+
+
+def test_ranges_outside_of_those_of_the_robot_are_refused():
+    with pytest.raises(SurefootError, match=r"randomize.voltage is \[1, 16\]; minitaur allows voltage"):
+        run_sensitivity(Constant(), trot(), scripted(), ranges={"voltage": (1.0, 16.0)})
 
 
 def test_returns_by_hand_over_the_same_time():
-    ranges = RandomizeConfig(control_step=(0.003, 0.020), contact_friction=(0.5, 1.0))
+    ranges: Ranges = {"control_step": (0.003, 0.020), "contact_friction": (0.5, 1.0)}
     policy = Constant()
     result = run_sensitivity(policy, trot(), scripted(), ranges=ranges, values=2, episodes=2, duration=0.6)
     # 0.6 s at 1 m/s and 10 W with w = 0.008 m/J: 0.6 - 0.048, whether in 200 control steps or in 30.
@@ -114,7 +122,7 @@ def test_returns_by_hand_over_the_same_time():
 
 
 def test_an_episode_ends_with_the_control_step_nearest_to_its_duration():
-    ranges = RandomizeConfig(control_step=(0.007, 0.017))
+    ranges: Ranges = {"control_step": (0.007, 0.017)}
     result = run_sensitivity(Constant(), trot(), scripted(), ranges=ranges, values=2, episodes=1, duration=0.1)
     # 14 control steps of 7 ms and 6 of 17 ms.
     assert np.allclose(result.tests["return"], np.array([0.098, 0.102]) * 0.92)
@@ -122,7 +130,7 @@ def test_an_episode_ends_with_the_control_step_nearest_to_its_duration():
 
 def test_a_robot_that_falls_counts_to_its_fall():
     world = scripted(fall_time=staticmethod(lambda p: np.where(p.voltage > 15.9, math.inf, 0.3)))
-    ranges = RandomizeConfig(voltage=(15.0, 16.0), mass=(0.8, 1.2))
+    ranges: Ranges = {"voltage": (15.0, 16.0), MASS: (0.8, 1.2)}
     result = run_sensitivity(Constant(), trot(), world, ranges=ranges, values=2, episodes=3, duration=0.6)
     assert of_row(result, "voltage", "fell") == [[True] * 3, [False] * 3]
     assert np.allclose(of_row(result, "voltage", "return"), [[0.276] * 3, [0.552] * 3])
@@ -132,7 +140,7 @@ def test_a_robot_that_falls_counts_to_its_fall():
 
 def test_a_robot_that_diverges_counts_as_a_fall_a_step_before():
     world = scripted(diverge_time=0.3)
-    ranges = RandomizeConfig(mass=(0.8, 1.2))
+    ranges: Ranges = {MASS: (0.8, 1.2)}
     result = run_sensitivity(Constant(), trot(), world, ranges=ranges, values=2, episodes=1, duration=0.6)
     assert result.tests.fell.all()
     # The 50th control step is lost; the robot was at 0.294 m after 0.294 s.
@@ -141,7 +149,7 @@ def test_a_robot_that_diverges_counts_as_a_fall_a_step_before():
 
 
 def test_the_default_duration_is_that_of_the_task():
-    ranges = RandomizeConfig(control_step=(0.003, 0.020))
+    ranges: Ranges = {"control_step": (0.003, 0.020)}
     result = run_sensitivity(Constant(), trot(100), scripted(), ranges=ranges, values=2, episodes=1)
     assert np.allclose(result.tests["return"], 0.552)
     task = trot(100, params={"control_step": 0.012})
@@ -158,7 +166,7 @@ def test_robots_are_pushed_only_with_the_option():
         return made[-1]
 
     task = trot(pushes=replace(trot().pushes, enabled=True, probability=0.5), randomize=load_ranges("table1"))
-    ranges = RandomizeConfig(mass=(0.8, 1.2))
+    ranges: Ranges = {MASS: (0.8, 1.2)}
     for pushes in (False, True):
         run_sensitivity(Constant(), task, make, ranges=ranges, values=2, episodes=1, duration=1.3, pushes=pushes)
     assert made[0].pushes == 0
@@ -169,18 +177,21 @@ def test_robots_are_pushed_only_with_the_option():
 def test_an_episode_is_the_one_that_evaluate_runs():
     max_steps = 220  # a push comes after 200
     task = trot(max_steps, pushes=replace(trot().pushes, enabled=True, probability=1.0))
-    ranges = RandomizeConfig(
-        mass=(0.8, 1.2), motor_strength=(0.8, 1.1), control_step=(0.003, 0.02), latency=(0.0, 0.04)
-    )
+    ranges: Ranges = {
+        MASS: (0.8, 1.2),
+        "motor_strength": (0.8, 1.1),
+        "control_step": (0.003, 0.02),
+        LATENCY: (0.0, 0.04),
+    }
     options: dict[str, Any] = {"ranges": ranges, "values": 2, "episodes": 2, "seed": 7, "threads": 1}
     result = run_sensitivity(Reactive(), task, SimWorld, pushes=True, **options)
-    assert list(result.worlds.row[::2]) == list(ranges.ranges)
+    assert list(result.worlds.row[::2]) == list(ranges)
     checked: list[tuple[dict[str, float], int, int]] = [  # parameters, control steps and number of the world
         ({}, max_steps, 0),
-        ({"base_mass_ratio": 1.2, "leg_mass_ratio": 1.2}, max_steps, 2),
+        ({MASS: 1.2}, max_steps, 2),
         ({"motor_strength": 0.8}, max_steps, 3),
         ({"control_step": 0.003}, 2 * max_steps, 5),
-        ({"control_latency": 0.04}, max_steps, 8),
+        ({LATENCY: 0.04}, max_steps, 8),
     ]
     for params, steps, world in checked:
         same = replace(task, params=params, max_steps=steps)
@@ -191,7 +202,7 @@ def test_an_episode_is_the_one_that_evaluate_runs():
 
 
 def test_the_number_of_robots_side_by_side_does_not_change_the_result():
-    ranges = RandomizeConfig(motor_strength=(0.8, 1.1), control_step=(0.003, 0.02))
+    ranges: Ranges = {"motor_strength": (0.8, 1.1), "control_step": (0.003, 0.02)}
     shares: list[float] = []
     options: dict[str, Any] = {"ranges": ranges, "values": 3, "episodes": 2, "seed": 7, "threads": 1}
     whole = run_sensitivity(Reactive(), trot(30), SimWorld, **options)
@@ -205,7 +216,7 @@ def test_the_number_of_robots_side_by_side_does_not_change_the_result():
 
 def test_progress_counts_to_the_end():
     shares: list[float] = []
-    ranges = RandomizeConfig(control_step=(0.003, 0.020))
+    ranges: Ranges = {"control_step": (0.003, 0.020)}
     world = scripted(fall_time=staticmethod(lambda p: np.where(p.control_step < 0.005, 0.3, math.inf)))
     options: dict[str, Any] = {"ranges": ranges, "values": 2, "episodes": 1, "duration": 0.6}
     run_sensitivity(Constant(), trot(), world, progress=shares.append, **options)
@@ -219,8 +230,8 @@ def made_up(
     returns: dict[str, list[float]], falls: dict[str, list[int]] | None = None, nominal: float = 10.0, fell: int = 0
 ) -> Sensitivity:
     """A study of 4 episodes a world over 0 to 40 ms of latency and other rows, from mean returns and falls."""
-    spans = {"latency": (0.0, 0.04), "mass": (0.8, 1.2), "motor_friction": (0.0, 0.05)}
-    centres = {"latency": 0.02, "mass": 1.0, "motor_friction": 0.0}
+    spans = {LATENCY: (0.0, 0.04), MASS: (0.8, 1.2), "motor_friction": (0.0, 0.05)}
+    centres = {LATENCY: 0.02, MASS: 1.0, "motor_friction": 0.0}
     worlds = [(row, float(x)) for row, means in returns.items() for x in np.linspace(*spans[row], len(means))]
     downs = [n for row, means in returns.items() for n in (falls or {}).get(row, [0] * len(means))]
     spread = np.array([-1.0, 1.0, -1.0, 1.0])
@@ -230,25 +241,39 @@ def made_up(
 
 
 def test_aggregates_by_hand():
-    study = made_up({"latency": [4.0, 8.0]}, {"latency": [3, 0]})
+    study = made_up({LATENCY: [4.0, 8.0]}, {LATENCY: [3, 0]})
     assert study.worlds.return_mean.tolist() == [4.0, 8.0]
     # Four numbers at 1 from their mean: variance 4/3, and 4/3/4 of the mean.
     assert np.allclose(study.worlds.return_error, math.sqrt(1 / 3))
     assert (study.mean, study.std, study.fall_rate) == (6.0, 2.0, 0.375)
-    assert study.rows == ("latency",)
+    assert study.rows == (LATENCY,)
     once = replace(study, episodes=study.episodes[study.episodes.run == 0])
     assert once.worlds.return_error.isna().all()
 
 
 def test_the_nearest_break_comes_first():
     study = made_up(
-        {"mass": [10, 10, 10, 10, 1], "latency": [10, 10, 10, 4, 3], "motor_friction": [10, 9, 8, 8, 7]},
-        {"mass": [0, 0, 0, 0, 4], "latency": [0, 0, 0, 1, 3]},
+        {
+            MASS: [10, 10, 10, 10, 1],
+            LATENCY: [10, 10, 10, 4, 3],
+            "motor_friction": [10, 9, 8, 8, 7],
+        },
+        {MASS: [0, 0, 0, 0, 4], LATENCY: [0, 0, 0, 1, 3]},
     )
     latency, mass = find_breaks(study)
-    assert (latency.row, latency.value, latency.above, latency.fraction) == ("latency", 0.03, True, pytest.approx(0.5))
+    assert (latency.row, latency.value, latency.above, latency.fraction) == (
+        LATENCY,
+        0.03,
+        True,
+        pytest.approx(0.5),
+    )
     assert (latency.falls, latency.mean_return, latency.beyond, latency.broken_beyond) == (1, 4.0, 1, 1)
-    assert (mass.row, mass.value, mass.fraction, mass.falls) == ("mass", pytest.approx(1.2), pytest.approx(1.0), 4)
+    assert (mass.row, mass.value, mass.fraction, mass.falls) == (
+        MASS,
+        pytest.approx(1.2),
+        pytest.approx(1.0),
+        4,
+    )
 
 
 @pytest.mark.parametrize(
@@ -264,30 +289,30 @@ def test_the_nearest_break_comes_first():
     ],
 )
 def test_breaks_on_both_sides(returns: list[float], falls: list[int], breaks: list[tuple[float, int, int]]):
-    result = find_breaks(made_up({"latency": returns}, {"latency": falls}, nominal=10.0 if returns[0] > 0 else -1.0))
+    result = find_breaks(made_up({LATENCY: returns}, {LATENCY: falls}, nominal=10.0 if returns[0] > 0 else -1.0))
     assert [(item.value, item.beyond, item.broken_beyond) for item in result] == [
         (pytest.approx(value), beyond, broken) for value, beyond, broken in breaks
     ]
 
 
 def test_a_table_has_a_row_for_each_test_world():
-    study = made_up({"latency": [4.0, 8.0], "mass": [5.0, 6.0]}, {"latency": [3, 0]})
+    study = made_up({LATENCY: [4.0, 8.0], MASS: [5.0, 6.0]}, {LATENCY: [3, 0]})
     numbers = {"return_mean": 4.0, "return_error": pytest.approx(math.sqrt(1 / 3)), "return_std": 1.0}
-    about = {"row": "latency", "unit": "s", "value": 0.0, "episodes": 4}
+    about = {"row": LATENCY, "unit": "s", "value": 0.0, "episodes": 4}
     assert study.worlds.iloc[0].to_dict() == about | numbers | {"speed_mean": 0.5, "falls": 3}
     last = study.worlds.iloc[-1]
-    assert (last.row, last.unit, last.value, last.return_mean) == ("mass", "", 1.2, 6.0)
+    assert (last.row, last.unit, last.value, last.return_mean) == (MASS, "", 1.2, 6.0)
 
 
 def test_results_come_back_from_json():
-    study = made_up({"latency": [4.0, 8.0]}, {"latency": [3, 0]})
+    study = made_up({LATENCY: [4.0, 8.0]}, {LATENCY: [3, 0]})
     again = Sensitivity.from_mapping(json.loads(json.dumps(study.to_mapping(), allow_nan=False)), "trot")
     assert again.nominal_values == study.nominal_values
     pd.testing.assert_frame_equal(again.episodes, study.episodes[list(again.episodes)])
 
 
 def test_nominal_values_are_those_of_the_task():
-    ranges = RandomizeConfig(latency=(0.0, 0.04), motor_strength=(0.8, 1.2), mass=(0.8, 1.2))
+    ranges: Ranges = {LATENCY: (0.0, 0.04), "motor_strength": (0.8, 1.2), MASS: (0.8, 1.2)}
     task = trot(params={"motor_strength": 0.9})
     result = run_sensitivity(Constant(), task, scripted(), ranges=ranges, values=2, episodes=1, duration=0.1)
-    assert result.nominal_values == pytest.approx({"latency": 0.02, "motor_strength": 0.9, "mass": 1.0})
+    assert result.nominal_values == pytest.approx({LATENCY: 0.02, "motor_strength": 0.9, MASS: 1.0})

@@ -39,12 +39,12 @@ def make_plan(robot: RobotDescription) -> Callable[..., Plan]:
         sweep = chirps(middle, REACH * each, 1.0, 3.0, 1.0, np.arange(robot.num_motors))
         push = DUTY * each
         phases = (
-            Phase("unfold", "all legs to the middle of their reach", 1.0, go_to(middle, 1.0), use="way"),
+            Phase("unfold", "all legs to the middle of their reach", 1.0, go_to(middle, 1.0), use="transition"),
             Phase("sweep", "every motor to both sides", 1.0, sweep),
             Phase("steps", "every motor jumps three times", 0.6, steps(jumps, 0.2)),
-            Phase("centre", "all legs to the middle", 0.3, go_to(middle, 0.2), use="way"),
+            Phase("centre", "all legs to the middle", 0.3, go_to(middle, 0.2), use="transition"),
             Phase("push", "motors without servo", 0.04, lambda t, start: push, Mode.PWM),
-            Phase("centre", "all legs to the middle", 0.3, go_to(middle, 0.2), use="way"),
+            Phase("centre", "all legs to the middle", 0.3, go_to(middle, 0.2), use="transition"),
             Phase("sweep again", "every motor to both sides", 0.3, sweep, use="check"),
         )
         # Legs of a robot on its rack hang down: their motors have further to go than the plan's angles.

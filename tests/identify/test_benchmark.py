@@ -13,7 +13,7 @@ SCRIPT = Path(__file__).resolve().parents[2] / "benchmarks" / "identification.py
 
 
 def draw(seed: int, told: bool, found: float, low: float = 0.05, high: float = 3.0) -> dict[str, Any]:
-    row = {"name": "contact_friction", "experiment": "contact", "index": None, "true": 1.2, "told": told}
+    row = {"name": "contact_friction", "experiment": "contact", "index": None, "true": 1.2, "identifiable": told}
     return {
         "world": "mujoco", "seed": seed, "times": {"contact": (30.0, 5.0)},
         "values": [{**row, "found": found, "low": low, "high": high}],
@@ -30,7 +30,7 @@ def test_values_that_are_not_told_are_counted_and_spoil_no_figure():
     assert "nan" not in text
     (row,) = (line.split() for line in text.splitlines() if line.startswith("contact_friction"))
     assert row == ["contact_friction", "contact", "2", "1", "1", "0.060000", "5.00%", "0.060000"]
-    assert "hidden values within their 95 % intervals: 1 of 1, 100.0 %; 1 not told" in text
+    assert "hidden values within their 95 % intervals: 1 of 1, 100.0 %; 1 not identifiable" in text
     text = benchmark.summary([untold])
     assert "nan" not in text
-    assert "hidden values within their 95 % intervals: 0 of 0; 1 not told" in text
+    assert "hidden values within their 95 % intervals: 0 of 0; 1 not identifiable" in text

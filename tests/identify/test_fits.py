@@ -14,8 +14,8 @@ from surefoot.errors import SurefootError
 from surefoot.identify.plan import Plan
 from surefoot.identify.rack.model import fit_on_rack, motor_unknowns, moving_legs, rack_estimates
 from surefoot.identify.recording import Recording
-from surefoot.identify.registry import EXPERIMENTS, silent
-from surefoot.identify.replay import stretch_of
+from surefoot.identify.registry import EXPERIMENTS, ignore_progress
+from surefoot.identify.replay import segment_from_recording
 from surefoot.identify.result import Identification
 from surefoot.robot import PhysicalParams, RobotDescription
 
@@ -82,7 +82,7 @@ def rack(robot: RobotDescription, record: Record) -> tuple[Recording, Recording]
 def grounded(robot: RobotDescription, record: Record) -> Recording:
     """Most of both experiments on the ground."""
     mass, contact = (EXPERIMENTS[name].plan(robot) for name in ("mass", "contact"))
-    first = next(k for k, phase in enumerate(mass.phases) if phase.use != "way")
+    first = next(k for k, phase in enumerate(mass.phases) if phase.use != "transition")
     ways = {phase.name: phase.duration for phase in mass.phases[:first]}
     drags = shortened(contact, {"drop": 1.4, "drag": 4.0}, {"drop": 2, "drag": 2})
     rest = shortened(mass, {"stand still": 1.0, "squat slowly": 2.0, "nod": 4.5, "nod back": 1.0}, {})
@@ -107,7 +107,7 @@ def test_a_robots_motors_are_found(motors: Identification, rack: tuple[Recording
         for item in found:
             assert item.value == pytest.approx(RACK[name], rel=tolerance), item.label
             assert item.interval[0] < RACK[name] < item.interval[1], item.label
-            assert item.told
+            assert item.identifiable
     assert motors.estimate("servo_kp").value == pytest.approx(1.0, rel=2e-3)
     assert motors.estimate("servo_kd").value == pytest.approx(0.015, rel=2e-3)
     assert motors.estimate("voltage").value == pytest.approx(16.0, abs=1e-3)
@@ -140,9 +140,9 @@ def test_a_motor_that_never_moves_is_not_told_and_neither_is_its_leg(
     known = nominal.with_values(robot, **RACK)
     assert not [u for u in motor_unknowns(robot, known, 0.0173, moving_legs(robot, recording)) if u.index in (2, 3)]
     # It is a motor of the back left leg, with motor 2.
-    fit, _ = fit_on_rack(robot, recording, stretch_of(recording, 1, 2), known, silent)
+    fit, _ = fit_on_rack(robot, recording, segment_from_recording(recording, 1, 2), known, ignore_progress)
     estimates = rack_estimates(robot, fit, known)
-    untold = [item for item in estimates if not item.told and item.index is not None]
+    untold = [item for item in estimates if not item.identifiable and item.index is not None]
     names = ("motor_strength", "motor_friction", "motor_viscous_friction")
     assert [(item.name, item.index) for item in untold] == [(name, motor) for motor in (2, 3) for name in names]
     # What was known is left there, and the others are found as before.
@@ -150,14 +150,14 @@ def test_a_motor_that_never_moves_is_not_told_and_neither_is_its_leg(
     # Only servos moved: with all of these twice as large a motor would do the same.
     value = {item.name: item.value for item in estimates if item.index is None}
     scaled = ["torque_constant", "resistance", "servo_kp", "servo_kd"]
-    assert [item.name for item in estimates if not item.told and item.index is None] == scaled
+    assert [item.name for item in estimates if not item.identifiable and item.index is None] == scaled
     for name, true in zip(scaled, (0.09, 0.2, 1.0, 0.015), strict=True):
         assert value[name] / value["resistance"] == pytest.approx(true / 0.2, rel=0.02)
     assert any({"resistance", "servo_kp"} <= set(pair) for pair in fit.strongest_correlations())
     assert len(estimates) == 8 + 3 * 8
     for motor in (0, 1, 4, 5, 6, 7):
         (strength,) = [item for item in estimates if (item.name, item.index) == ("motor_strength", motor)]
-        assert strength.told
+        assert strength.identifiable
         assert strength.value == pytest.approx(0.9, rel=0.01)
 
 
@@ -172,7 +172,7 @@ def test_latencies_are_found_twice(
     # An engine's step moves a motor as far in its first step as it should have in 1.4 of them.
     for name in ("spike_at_robot", "spike_at_host"):
         assert found.estimate(name).value == pytest.approx(RACK["control_latency"], abs=1e-3)
-    assert set(found.found()) == {"control_latency", "servo_latency", "voltage"}
+    assert set(found.identified_names()) == {"control_latency", "servo_latency", "voltage"}
     assert said[0].startswith("starting from a control latency of")
     assert any("spikes answered clearly" in note for note in found.notes)
 
@@ -196,7 +196,7 @@ def test_a_heavier_robot_is_weighed(robot: RobotDescription, grounded: Recording
     assert weight.value == pytest.approx(total, rel=0.01)
     assert weight.interval[0] < total < weight.interval[1]
     inertia = found.estimate("base_inertia_ratio")
-    assert inertia.told
+    assert inertia.identifiable
     assert inertia.value == pytest.approx(1.3, rel=0.05)
     # The body's centre is 50 mm before the base's origin, and has 3.353 of 5.993 kg; legs are alike before and behind.
     assert found.estimate("centre_of_mass_x").value == pytest.approx(0.05 * 3.353 * 1.15 / total, abs=2e-3)
@@ -204,7 +204,7 @@ def test_a_heavier_robot_is_weighed(robot: RobotDescription, grounded: Recording
     assert [check.what for check in found.checks] == ["weight on the feet", "moment about y"]
     assert all(check.after < check.before for check in found.checks)
     assert any("the motors were not identified before" in note for note in found.notes)
-    assert set(found.found()) == {"base_mass_ratio", "base_inertia_ratio"}
+    assert set(found.identified_names()) == {"base_mass_ratio", "base_inertia_ratio"}
 
 
 def weighed(robot: RobotDescription, nominal: PhysicalParams) -> PhysicalParams:
@@ -219,9 +219,9 @@ def test_feet_are_found(robot: RobotDescription, grounded: Recording, nominal: P
     assert stiffness.value == pytest.approx(2000.0, rel=0.08)
     assert found.estimate("contact_damping").value == pytest.approx(100.0, rel=0.3)
     for item, true in ((friction, 1.2), (stiffness, 2000.0)):
-        assert item.told
+        assert item.identifiable
         assert item.interval[0] < true < item.interval[1]
-    assert set(found.found()) == {"contact_friction", "contact_stiffness"}
+    assert set(found.identified_names()) == {"contact_friction", "contact_stiffness"}
 
 
 def test_friction_of_feet_that_do_not_slide_is_not_told_and_stays_as_it_was(
@@ -230,11 +230,11 @@ def test_friction_of_feet_that_do_not_slide_is_not_told_and_stays_as_it_was(
     monkeypatch.setattr("surefoot.identify.ground.fits.SLIDING", 10.0)
     found = EXPERIMENTS["contact"].fit(robot, grounded, weighed(robot, nominal))
     friction = found.estimate("contact_friction")
-    assert not friction.told
+    assert not friction.identifiable
     assert friction.value == nominal.contact_friction[0]
     assert friction.interval == (0.05, 3.0)
-    assert "feet that were dragged did not slide: their friction is not told" in found.notes
-    assert set(found.found()) == {"contact_stiffness"}
+    assert "feet that were dragged did not slide: their friction is not identifiable" in found.notes
+    assert set(found.identified_names()) == {"contact_stiffness"}
 
 
 @pytest.mark.parametrize("name", ["mass", "contact"])

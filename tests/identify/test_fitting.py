@@ -16,7 +16,7 @@ pytest.importorskip("mujoco")
 from surefoot.identify.fitting import (
     Unknown,
     fit_least_squares,
-    jacobian_of,
+    forward_jacobian,
 )
 from surefoot.identify.result import NORMAL_95
 
@@ -71,7 +71,7 @@ def test_a_line_through_three_points():
     # Residuals are smaller than their noise was said to be: H^-1 counts, H = diag(3, 2).
     np.testing.assert_allclose(fit.covariance, np.diag([1 / 3, 1 / 2]), atol=1e-5)
     np.testing.assert_allclose(fit.deviation, [3**-0.5, 2**-0.5], rtol=1e-4)
-    assert (fit.told.all(), fit.strongest_correlations()) == (True, [])
+    assert (fit.identifiable.all(), fit.strongest_correlations()) == (True, [])
 
 
 def test_residuals_larger_than_their_noise_count():
@@ -125,7 +125,7 @@ def test_unknowns_of_one_colour_are_tried_at_once():
     jacobians, tried = [], []
     for unknowns in (plain, coloured):
         model = Linear(matrix, np.zeros(12), unknowns)
-        jacobians.append(jacobian_of(model, at, matrix @ at))
+        jacobians.append(forward_jacobian(model, at, matrix @ at))
         tried.append(model.candidates)
     assert tried == [4, 2]
     np.testing.assert_allclose(jacobians[0], matrix, atol=1e-6)
@@ -141,7 +141,7 @@ def test_a_derivative_at_a_bound_looks_inward():
             return super().residuals(values)
 
     model = Watched([[2.0]], np.zeros(1), [unknown(high=5.0)])
-    np.testing.assert_allclose(jacobian_of(model, np.array([5.0]), np.array([10.0])), [[2.0]])
+    np.testing.assert_allclose(forward_jacobian(model, np.array([5.0]), np.array([10.0])), [[2.0]])
     assert asked == [4.999]
 
 
@@ -160,7 +160,7 @@ def test_what_the_data_do_not_touch_is_not_told():
     fit = fit_least_squares(model)
     assert fit.values[0] == pytest.approx(2.0)
     assert fit.values[1] == pytest.approx(0.3)
-    assert fit.told.tolist() == [True, False]
+    assert fit.identifiable.tolist() == [True, False]
     assert fit.deviation[0] == pytest.approx(1 / 3, rel=1e-4)
     assert fit.deviation[1] == pytest.approx(1.0, rel=1e-3)
 
@@ -171,7 +171,7 @@ def test_two_that_only_appear_as_a_sum():
     data = np.full(20, 2.0) + np.tile([1.0, -1.0], 10)
     fit = fit_least_squares(Linear(matrix, data, bounded))
     assert fit.values[0] + fit.values[1] == pytest.approx(2.0, abs=1e-4)
-    assert fit.told.tolist() == [False, False, True]
+    assert fit.identifiable.tolist() == [False, False, True]
     assert fit.correlation[0, 1] == pytest.approx(-1.0, abs=1e-2)
     ((first, second, strength),) = fit.strongest_correlations()
     assert (first, second) == ("a", "b[3]")
@@ -205,7 +205,7 @@ def test_a_fit_that_has_settled_ends_at_once():
 
     told: list[tuple[int, float]] = []
     model = Rounded(30.0 * np.exp(-0.8 * Decay.time) + rng.normal(size=60))
-    fit = fit_least_squares(model, tell=lambda k, cost: told.append((k, cost)))
+    fit = fit_least_squares(model, report=lambda k, cost: told.append((k, cost)))
     assert model.tried < 40
     assert [k for k, _ in told] == list(range(1, len(told) + 1))
     costs = [cost for _, cost in told]

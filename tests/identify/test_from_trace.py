@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from surefoot.errors import SurefootError
-from surefoot.identify.fitting import Unknown, jacobian_of
+from surefoot.identify.fitting import Unknown, forward_jacobian
 from surefoot.identify.result import Identification
 from surefoot.identify.traces.data import MotorMotion, TraceSegment, torque_timings, usable_rows
 from surefoot.identify.traces.fit import fit_traces
@@ -149,7 +149,7 @@ def test_perfect_readings_give_hidden_values_back() -> None:
     found = found_clean()
     errors = errors_of(found)
     assert len(errors) == 12
-    assert all(item.told for item in found.estimates)
+    assert all(item.identifiable for item in found.estimates)
     assert max(map(abs, errors.values())) < 0.01, errors
     check = found.checks[0]
     assert check.after < 0.01 < 0.1 < check.before
@@ -165,7 +165,7 @@ def test_gains_are_told_where_they_are_asked_for() -> None:
     known = hidden.with_values(ROBOT, servo_kp=1.0, servo_kd=0.015, motor_strength=1.0)
     found = fit_traces(ROBOT, [record(hidden)], names, known)
     assert max(map(abs, errors_of(found, hidden).values())) < 0.01
-    assert found.found() == names
+    assert found.identified_names() == names
 
 
 def test_intervals_hold_the_truth_of_noisy_runs_on_the_ground() -> None:
@@ -180,7 +180,7 @@ def test_intervals_hold_the_truth_of_noisy_runs_on_the_ground() -> None:
         low, high = item.interval
         assert low < float(truth if item.index is None else truth[item.index]) < high, item
     # Without a known voltage only ratios to it are told, and it says so.
-    assert not found.estimate("voltage").told
+    assert not found.estimate("voltage").identifiable
     assert any("voltage of 16 V" in note for note in found.notes)
     ratio = found.estimate("torque_constant").value / found.estimate("resistance").value
     assert ratio == pytest.approx(0.101 / 0.175, rel=0.05)
@@ -190,7 +190,7 @@ def test_intervals_hold_the_truth_of_noisy_runs_on_the_ground() -> None:
     assert found.checks[0].after < 0.03
     known = fit_traces(ROBOT, traces, BATTERY_KNOWN, AT_15_V)
     assert known.estimate("resistance").deviation < 0.02 * 0.175
-    assert all(item.told for item in known.estimates)
+    assert all(item.identifiable for item in known.estimates)
 
 
 def test_torque_reports_errors_widen_the_intervals_of_strengths() -> None:
@@ -211,7 +211,7 @@ def test_a_motor_that_never_moves_is_not_told() -> None:
     still = {int(k) for k in ROBOT.leg_motor_index[1]}
     for motor in range(8):
         item = found.estimate("motor_strength", motor)
-        assert item.told == (motor not in still)
+        assert item.identifiable == (motor not in still)
         if motor in still:
             assert item.value == 1.0
             assert item.deviation > 0.15
@@ -289,7 +289,7 @@ def test_a_walk_tells_the_mass_of_the_base() -> None:
     assert any("weighs" in note and "leg_mass_ratio is 1.1" in note for note in found.notes)
     # Nothing else needs to be looked for.
     alone = fit_traces(ROBOT, [walk], ("base_mass_ratio",), hidden)
-    assert alone.found() == ("base_mass_ratio",)
+    assert alone.identified_names() == ("base_mass_ratio",)
     assert alone.estimate("base_mass_ratio").value == pytest.approx(ratio, rel=0.04)
 
 
@@ -321,7 +321,7 @@ def test_motion_follows_a_polynomial_whose_slope_is_told_half_a_step_late() -> N
 
 
 def test_a_robot_in_real_time_may_tell_torques_earlier() -> None:
-    simulated, told = clean(), replace(clean(), meta={**clean().meta, "firmware": "some 1.0"})
+    simulated, told = clean(), replace(clean(), meta={**clean().meta, "lead": 0.005})
     assert [way.age for way in torque_timings(ROBOT, simulated)] == [0.001]
     assert [way.age for way in torque_timings(ROBOT, told)] == pytest.approx([0.001, 0.0065])
     late = TraceSegment(told, MotorMotion(ROBOT, told), np.array([10, 11]), 0, torque_timings(ROBOT, told)[1])
@@ -343,5 +343,5 @@ def test_unknowns_of_one_colour_touch_what_belongs_to_them() -> None:
     together = TorqueModel(ROBOT, segments, unknowns, AT_15_V, np.ones(8, np.bool_))
     apart = TorqueModel(ROBOT, segments, [replace(u, colour=None) for u in unknowns], AT_15_V, np.ones(8, np.bool_))
     residuals = together.residuals(values[None])[0]
-    assert np.array_equal(jacobian_of(together, values, residuals), jacobian_of(apart, values, residuals))
+    assert np.array_equal(forward_jacobian(together, values, residuals), forward_jacobian(apart, values, residuals))
     assert len(residuals) == len(together.blocks) == 2 * 40 * 8

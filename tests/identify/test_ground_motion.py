@@ -81,7 +81,7 @@ def test_smoothing_leaves_cubics():
 
 
 def test_values_of_phases_by_name_and_use():
-    names, uses = ("stand", "nod", "nod"), ("way", "fit", "check")
+    names, uses = ("stand", "nod", "nod"), ("transition", "fit", "check")
     standing = GroundMotion(np.arange(6) * 0.3, np.array([0, 0, 1, 1, 2, 2]), None, names, uses)
     assert standing.during("nod").tolist() == [False, False, True, True, False, False]
     assert standing.during("nod", uses=("check",)).tolist() == [False, False, False, False, True, True]

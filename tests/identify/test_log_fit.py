@@ -14,7 +14,7 @@ from surefoot.identify.logs.errors import imu_of
 from surefoot.identify.logs.fit import _mounted, _searched, fit_logs
 from surefoot.identify.logs.model import LogModel, LogRun, params_of_logs, unknowns_of
 from surefoot.identify.logs.robot_log import RobotLog
-from surefoot.identify.replay import Replayer, stretch_of_log
+from surefoot.identify.replay import Replayer, segment_from_log
 from surefoot.robot import PhysicalParams, RobotDescription
 
 TRUTH = {"servo_kp": 8.0, "servo_kd": 0.76, "motor_friction": 0.08, "control_latency": 0.016}
@@ -37,7 +37,7 @@ def hanging(pupper: RobotDescription) -> RobotLog:
         "hanging.npz", time, command, time, np.full((len(time), 12), np.nan), np.full((len(time), 4), np.nan)
     )
     truth = PhysicalParams.nominal(pupper).with_values(pupper, **TRUTH)
-    told = Replayer(pupper, 1, torques=False).run(stretch_of_log(blank, pupper), truth)
+    told = Replayer(pupper, 1, torques=False).run(segment_from_log(blank, pupper), truth)
     return replace(blank, motor_angle=told.motor_angle[0])
 
 
@@ -103,7 +103,7 @@ def test_an_imu_that_is_mounted_the_other_way_is_found(pupper: RobotDescription,
     command = first.command.copy()
     command[:, 2::6] -= 0.4 * np.linspace(0, 1, len(command))[:, None]
     blank = replace(first, command=command)
-    told = Replayer(pupper, 1, rack=False, torques=False).run(stretch_of_log(blank, pupper), truth)
+    told = Replayer(pupper, 1, rack=False, torques=False).run(segment_from_log(blank, pupper), truth)
     log = replace(blank, motor_angle=told.motor_angle[0], imu=imu_of(told)[0])
     assert np.ptp(log.imu[:, :2], axis=0).min() > 0.01
     assert _mounted(pupper, [LogRun(log, False)], nominal) == np.pi

@@ -11,7 +11,7 @@ import pytest
 from surefoot import __version__
 from surefoot.errors import SurefootError
 from surefoot.identify.overlay import overlay, read_known, write_known
-from surefoot.identify.result import NORMAL_95, Estimate, Identification
+from surefoot.identify.result import NORMAL_95, Identification, ParameterEstimate
 from surefoot.robot import RobotDescription
 
 TEXT = """robot = "minitaur"
@@ -30,13 +30,13 @@ deep = [[1, 2], [3]]
 def motor(strength: float = 0.9, missing: int = 3) -> Identification:
     """All motors but one are told; so is the voltage, and the resistance is not."""
     estimates = [
-        Estimate("motor_strength", strength + 0.01 * i, 0.005, "1", i, i != missing, low=0.0) for i in range(8)
+        ParameterEstimate("motor_strength", strength + 0.01 * i, 0.005, "1", i, i != missing, low=0.0) for i in range(8)
     ]
     estimates += [
-        Estimate("voltage", 15.4, 0.1, "V", low=0.0),
-        Estimate("resistance", 0.3, 0.1, "Ohm", told=False),
-        Estimate("motor_friction", 0.001, 0.01, "N m", 0, low=0.0),
-        Estimate("base_height", 0.02, 0.001, "m", 0),
+        ParameterEstimate("voltage", 15.4, 0.1, "V", low=0.0),
+        ParameterEstimate("resistance", 0.3, 0.1, "Ohm", identifiable=False),
+        ParameterEstimate("motor_friction", 0.001, 0.01, "N m", 0, low=0.0),
+        ParameterEstimate("base_height", 0.02, 0.001, "m", 0),
     ]
     sensors = {"torque_gain": [0.01, -0.02], "torque_accuracy": 0.004}
     return Identification("motor", "minitaur", tuple(estimates), sensors=sensors, digest="ab12", date="2026-11-21")
@@ -55,7 +55,7 @@ def test_what_was_found_is_written_and_read_to_the_last_bit(robot: RobotDescript
     after = overlay(read_known(path, robot), motor(), robot, "recording.npz")
     write_known(path, robot, after)
     again = read_known(path, robot)
-    # Parameters stand in the order of `PhysicalParams`; what was not told is not there.
+    # Parameters stand in the order of `PhysicalParams`; what was not identifiable is not there.
     assert again.given == ("motor_strength", "motor_friction", "voltage")
     assert again.tables == {"robot": "minitaur", **after.tables}
     np.testing.assert_array_equal(again.params.motor_strength, after.params.motor_strength)
@@ -83,25 +83,27 @@ def test_intervals_of_numbers_and_of_motors(robot: RobotDescription):
     # What no simulator has is told too, but is no parameter.
     assert tables["intervals"]["base_height"] == [pytest.approx([0.01804, 0.02196], abs=1e-5)]
     assert "resistance" not in tables["intervals"]
-    assert tables["told_by"] == dict.fromkeys(("motor_strength", "voltage", "motor_friction", "base_height"), "motor")
+    assert tables["identified_by"] == dict.fromkeys(
+        ("motor_strength", "voltage", "motor_friction", "base_height"), "motor"
+    )
 
 
 def test_everything_else_in_the_file_stays(robot: RobotDescription, tmp_path: Path):
     path = tmp_path / "robot.toml"
     path.write_text(TEXT)
     write_known(path, robot, overlay(read_known(path, robot), motor(), robot, "a.npz"))
-    contact = Estimate("contact_friction", 0.7, 0.02, "1")
-    found = Identification("contact", "minitaur", (contact, Estimate("voltage", 15.2, 0.05, "V")), digest="cd")
+    contact = ParameterEstimate("contact_friction", 0.7, 0.02, "1")
+    found = Identification("contact", "minitaur", (contact, ParameterEstimate("voltage", 15.2, 0.05, "V")), digest="cd")
     write_known(path, robot, overlay(read_known(path, robot), found, robot, "b.npz"))
     known = read_known(path, robot)
     assert known.tables["owner"] == "lab 3"
     assert known.tables["note"] == {"by": "hand", "more": {"deep": [[1, 2], [3]]}}
     assert known.given == ("motor_strength", "motor_friction", "voltage", "contact_friction")
-    # The motor that was not told keeps what the file said of it.
+    # The motor that was not identifiable keeps what the file said of it.
     assert known.params.motor_strength[0, 3] == 0.97
     assert (known.params.voltage[0], known.params.contact_friction[0]) == (15.2, 0.7)
-    assert known.tables["told_by"]["voltage"] == "contact"
-    assert known.tables["told_by"]["motor_strength"] == "motor"
+    assert known.tables["identified_by"]["voltage"] == "contact"
+    assert known.tables["identified_by"]["motor_strength"] == "motor"
     assert set(known.tables["identified"]) == {"motor", "contact"}
     assert known.sensors["torque_accuracy"] == 0.004
     assert known.lacks(("motor", "contact")) == ()
@@ -113,7 +115,7 @@ def test_an_experiment_done_again_replaces_what_it_said(robot: RobotDescription,
     write_known(path, robot, overlay(read_known(path, robot), motor(0.8, missing=5), robot, "b.npz"))
     known = read_known(path, robot)
     assert known.params.motor_strength[0, 3] == pytest.approx(0.83)
-    # Of the motor that is not told this time the former interval is still the best there is.
+    # Of the motor that is not identifiable this time the former interval is still the best there is.
     assert known.params.motor_strength[0, 5] == pytest.approx(0.95)
     assert known.tables["intervals"]["motor_strength"][5][0] == pytest.approx(0.95 - NORMAL_95 * 0.005)
     assert known.tables["identified"]["motor"]["file"] == "b.npz"

@@ -7,8 +7,8 @@ import pytest
 from numpy.typing import NDArray
 
 from surefoot.deploy.messages import Mode
-from surefoot.deploy.poses import sitting
-from surefoot.emulator.limits import Limits, introduction
+from surefoot.deploy.poses import sitting_pose
+from surefoot.emulator.limits import Limits, make_handshake
 from surefoot.identify.ground.plans import DRAG, ends, rocking, sides, standing_up
 from surefoot.identify.plan import FADE, Phase, Plan, chirps, go_to, hold, steps, sweep
 from surefoot.identify.rack.plans import PULSE, SPIKE_EVERY, latency_plan, motor_plan
@@ -50,7 +50,7 @@ def test_a_robot_can_follow(
     name: str, swing: float | list[float], extension: float, plans: dict[str, Plan], robot: RobotDescription
 ):
     """However it lies or hangs when it is armed."""
-    plan, said = plans[name], introduction(robot, Limits.of(robot), "", robot.timing.servo_step)
+    plan, said = plans[name], make_handshake(robot, Limits.of(robot), "", robot.timing.servo_step)
     before = robot.pose_angles(swing, extension)
     for phase in plan.phases:
         if phase.mode == Mode.PWM:
@@ -71,18 +71,18 @@ def test_a_robot_can_follow(
 
 
 def test_no_clipping_is_needed_to_stand_or_sit(plans: dict[str, Plan], robot: RobotDescription):
-    said = introduction(robot, Limits.of(robot), "", robot.timing.servo_step)
+    said = make_handshake(robot, Limits.of(robot), "", robot.timing.servo_step)
     for name, plan in plans.items():
         assert (plan.experiment, plan.rack) == (name, EXPERIMENTS[name].rack)
         assert plan.duration < plan.limits.duration
-        before = sitting(robot)
+        before = sitting_pose(robot)
         for phase in plan.phases:
             if phase.mode == Mode.POSITION:
                 angles = asked(phase, before)
                 assert np.all(angles >= said.angle_low), phase.name
                 assert np.all(angles <= said.angle_high), phase.name
                 before = angles[-1]
-                if phase.use != "way":
+                if phase.use != "transition":
                     assert np.all(angles >= plan.angle_low - 1e-9), phase.name
                     assert np.all(angles <= plan.angle_high + 1e-9), phase.name
 
@@ -161,7 +161,7 @@ def test_legs_that_slid_out_are_drawn_in_from_their_side(robot: RobotDescription
     flat = unfold.signal(1.0, out.signal(1.0, start))
     np.testing.assert_allclose(robot.to_pose(flat)[0], swing, atol=1e-12)
     np.testing.assert_allclose(robot.to_pose(flat)[1], 0.9)
-    np.testing.assert_allclose(draw_in.signal(1.0, flat), sitting(robot), atol=1e-12)
+    np.testing.assert_allclose(draw_in.signal(1.0, flat), sitting_pose(robot), atol=1e-12)
 
 
 def test_a_diagonal_is_dragged_while_the_other_stands(robot: RobotDescription):

@@ -95,7 +95,9 @@ WRONG: dict[str, tuple[Callable[[Recording], Recording], str]] = {
     ),
     "robot's clock": (
         # A phase may lose its states by that.
-        lambda r: with_meta(jump(r, "time", -0.3), phases=[{**phase, "use": "way"} for phase in r.meta["phases"]]),
+        lambda r: with_meta(
+            jump(r, "time", -0.3), phases=[{**phase, "use": "transition"} for phase in r.meta["phases"]]
+        ),
         "the robot's clock goes back by 0.298 s",
     ),
     "host's clock": (lambda r: jump(r, "host_time", -0.3), "the host's clock goes back by 0.298 s"),

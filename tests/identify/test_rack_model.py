@@ -13,7 +13,7 @@ from surefoot.errors import SurefootError
 from surefoot.identify.fitting import TORQUE_GAIN, Unknown, params_of
 from surefoot.identify.rack.model import NOISE, RackModel, moving_legs
 from surefoot.identify.recording import Recording
-from surefoot.identify.replay import Replayer, stretch_of
+from surefoot.identify.replay import Replayer, segment_from_recording
 from surefoot.robot import PhysicalParams, RobotDescription
 
 UNKNOWNS = [
@@ -37,11 +37,11 @@ def replayer(robot: RobotDescription) -> Replayer:
 @pytest.fixture(scope="module")
 def model(robot: RobotDescription, recorded: Recording, nominal: PhysicalParams, replayer: Replayer) -> RackModel:
     """Of the nominal robot, whose sensors are as bad as a robot's: a sweep, steps, the way back, and duties."""
-    whole = stretch_of(recorded, 1, 4)
+    whole = segment_from_recording(recorded, 1, 4)
     # Before the sweep it had not quite come to rest.
     kept = whole.state_time > 0.4
-    stretch = replace(whole, state_time=whole.state_time[kept], states=whole.states[kept])
-    return RackModel(robot, recorded, stretch, UNKNOWNS, nominal, replayer)
+    segment = replace(whole, state_time=whole.state_time[kept], states=whole.states[kept])
+    return RackModel(robot, recorded, segment, UNKNOWNS, nominal, replayer)
 
 
 def test_values_go_to_their_places(nominal: PhysicalParams):
@@ -96,7 +96,7 @@ def test_a_leg_whose_motor_never_moves_is_left_out(model: RackModel, robot: Robo
     # Motor 3 is of the back left leg, as is motor 2.
     assert moving_legs(robot, model.recording).tolist() == list(range(8))
     assert moving_legs(robot, stuck(3)).tolist() == [0, 1, 4, 5, 6, 7]
-    less = RackModel(robot, stuck(3), model.stretch, UNKNOWNS, model.base, replayer)
+    less = RackModel(robot, stuck(3), model.segment, UNKNOWNS, model.base, replayer)
     start = np.array([[u.start for u in UNKNOWNS]])
     whole = model.residuals(start).reshape(3, -1, 8)
     np.testing.assert_array_equal(less.residuals(start).reshape(3, -1, 6), whole[:, :, [0, 1, 4, 5, 6, 7]])

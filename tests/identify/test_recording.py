@@ -43,7 +43,7 @@ def test_it_is_read_to_the_last_bit(recorded: Recording, robot: RobotDescription
 def test_it_tells_when_commands_came(recorded: Recording):
     # In lockstep a command comes when it is sent, to the resolution of a state's times.
     np.testing.assert_allclose(recorded.arrival, recorded.sent_time, atol=2e-5)
-    assert abs(recorded.way) < 2e-5
+    assert abs(recorded.clock_offset) < 2e-5
 
 
 def test_its_phases_are_found(recorded: Recording):

@@ -14,7 +14,7 @@ from surefoot.deploy.messages import Mode
 from surefoot.errors import SurefootError
 from surefoot.identify.plan import Plan
 from surefoot.identify.recording import Recording
-from surefoot.identify.replay import HELD, Replayed, Replayer, Stretch, stretch_of
+from surefoot.identify.replay import HELD, ReplayedReadings, Replayer, Segment, segment_from_recording
 from surefoot.robot import PhysicalParams, RobotDescription
 
 TRUTH = {
@@ -41,8 +41,8 @@ def truth(robot: RobotDescription) -> PhysicalParams:
 
 
 @pytest.fixture(scope="module")
-def stretch(ideal: Recording) -> Stretch:
-    return stretch_of(ideal, 1, 6)
+def segment(ideal: Recording) -> Segment:
+    return segment_from_recording(ideal, 1, 6)
 
 
 @pytest.fixture(scope="module")
@@ -51,28 +51,28 @@ def one(robot: RobotDescription) -> Replayer:
 
 
 @pytest.fixture(scope="module")
-def told(one: Replayer, stretch: Stretch, truth: PhysicalParams) -> Replayed:
-    return one.run(stretch, truth)
+def told(one: Replayer, segment: Segment, truth: PhysicalParams) -> ReplayedReadings:
+    return one.run(segment, truth)
 
 
-def test_a_stretch_holds_all_that_the_robot_was_told(stretch: Stretch, ideal: Recording):
+def test_a_stretch_holds_all_that_the_robot_was_told(segment: Segment, ideal: Recording):
     # Sweep, steps and centre, then let go, armed for duties, let go, armed for servos that first hold what they find.
-    changes = np.flatnonzero(np.diff(stretch.kind, prepend=-9))
+    changes = np.flatnonzero(np.diff(segment.kind, prepend=-9))
     position, pwm, off = int(Mode.POSITION), int(Mode.PWM), int(Mode.DISARMED)
-    assert stretch.kind[changes].tolist()[:6] == [position, off, pwm, off, HELD, position]
-    assert stretch.order_tick[0] == 0
-    assert np.all(np.diff(stretch.order_tick) >= 0)
-    np.testing.assert_array_equal(stretch.voltage, 15.0)
-    np.testing.assert_array_equal(stretch.start, ideal.sent_value[ideal.sent_phase == 1][0])
-    np.testing.assert_allclose(np.diff(stretch.state_time), np.diff(ideal.time[stretch.states]), atol=1e-12)
-    assert stretch.lead == 0.0
-    assert np.ptp(stretch.state_time) == pytest.approx(2.5, abs=0.3)
+    assert segment.kind[changes].tolist()[:6] == [position, off, pwm, off, HELD, position]
+    assert segment.order_tick[0] == 0
+    assert np.all(np.diff(segment.order_tick) >= 0)
+    np.testing.assert_array_equal(segment.voltage, 15.0)
+    np.testing.assert_array_equal(segment.start, ideal.sent_value[ideal.sent_phase == 1][0])
+    np.testing.assert_allclose(np.diff(segment.state_time), np.diff(ideal.time[segment.states]), atol=1e-12)
+    assert segment.lead == 0.0
+    assert np.ptp(segment.state_time) == pytest.approx(2.5, abs=0.3)
 
 
-def test_a_replay_with_the_true_parameters_is_the_recording(told: Replayed, stretch: Stretch, ideal: Recording):
+def test_a_replay_with_the_true_parameters_is_the_recording(told: ReplayedReadings, segment: Segment, ideal: Recording):
     # The robot had just unfolded, the replay's robots have rested: both are at one after some tenths of a second.
-    settled = stretch.state_time > 0.4
-    kept = stretch.states[settled]
+    settled = segment.state_time > 0.4
+    kept = segment.states[settled]
     assert np.ptp(ideal.motor_angle[kept], axis=0).min() > 0.2
     # To the resolution of a state's numbers.
     assert np.abs(told.motor_angle[0][settled] - ideal.motor_angle[kept]).max() < 2e-6
@@ -81,18 +81,18 @@ def test_a_replay_with_the_true_parameters_is_the_recording(told: Replayed, stre
 
 
 def test_another_control_latency_is_the_same_motion_shifted(
-    one: Replayer, told: Replayed, stretch: Stretch, truth: PhysicalParams, robot: RobotDescription
+    one: Replayer, told: ReplayedReadings, segment: Segment, truth: PhysicalParams, robot: RobotDescription
 ):
     # States come every 2 ms: with 4 ms more each tells what the second before it did.
     late = truth.with_values(robot, control_latency=TRUTH["control_latency"] + 0.004)
-    shifted = one.run(stretch, late)
+    shifted = one.run(segment, late)
     for name in ("motor_angle", "motor_velocity"):
         ours, before = getattr(shifted, name)[0], getattr(told, name)[0]
         np.testing.assert_allclose(ours[12:], before[10:-2], atol=1e-3)
     # Torques are of now, whatever the readings' age.
     np.testing.assert_array_equal(shifted.motor_torque, told.motor_torque)
     ages = np.array([TRUTH["control_latency"], TRUTH["control_latency"] + 0.004, 0.0])
-    together = one.read_late(stretch, truth, ages)
+    together = one.read_late(segment, truth, ages)
     np.testing.assert_array_equal(together[0], told.motor_angle[0])
     np.testing.assert_array_equal(together[1], shifted.motor_angle[0])
     # What is read at once is what the next servo step finds.
@@ -100,20 +100,20 @@ def test_another_control_latency_is_the_same_motion_shifted(
 
 
 def test_a_lead_takes_from_the_age(
-    one: Replayer, told: Replayed, stretch: Stretch, truth: PhysicalParams, robot: RobotDescription
+    one: Replayer, told: ReplayedReadings, segment: Segment, truth: PhysicalParams, robot: RobotDescription
 ):
     late = truth.with_values(robot, control_latency=TRUTH["control_latency"] + 0.005)
-    ahead = one.run(replace(stretch, lead=0.005), late)
+    ahead = one.run(replace(segment, lead=0.005), late)
     np.testing.assert_allclose(ahead.motor_angle, told.motor_angle, atol=1e-9)
     # No reading is of a time to come.
-    soon = one.run(replace(stretch, lead=1.0), truth)
-    np.testing.assert_array_equal(soon.motor_angle[0], one.read_late(stretch, truth, np.zeros(1))[0])
+    soon = one.run(replace(segment, lead=1.0), truth)
+    np.testing.assert_array_equal(soon.motor_angle[0], one.read_late(segment, truth, np.zeros(1))[0])
 
 
 def test_rows_of_a_batch_do_not_feel_each_other(
-    told: Replayed, ideal: Recording, truth: PhysicalParams, robot: RobotDescription, one: Replayer
+    told: ReplayedReadings, ideal: Recording, truth: PhysicalParams, robot: RobotDescription, one: Replayer
 ):
-    short = stretch_of(ideal, 3, 5)
+    short = segment_from_recording(ideal, 3, 5)
     rows = truth.rows([0, 0, 0])
     rows.motor_strength[1], rows.servo_latency[2], rows.leg_mass_ratio[2] = 0.6, 0.001, 1.3
     three = Replayer(robot, 3)
@@ -131,4 +131,4 @@ def test_rows_of_a_batch_do_not_feel_each_other(
 
 def test_a_stretch_needs_commands(ideal: Recording):
     with pytest.raises(SurefootError, match="no commands of phases 9 to 11"):
-        stretch_of(ideal, 9, 11)
+        segment_from_recording(ideal, 9, 11)

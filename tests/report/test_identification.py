@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from surefoot import __version__
-from surefoot.identify.result import Check, Estimate, Identification, Series
-from surefoot.report.figures.identification import full_name, index_names, known_before, number
+from surefoot.identify.result import Check, Identification, ParameterEstimate, Series
+from surefoot.report.figures.identification import full_name, index_names, number, prior_value
 from surefoot.report.pages.identification import identification_figure, page, write_report
 from surefoot.robot import PhysicalParams, RobotDescription
 
@@ -28,22 +28,22 @@ def identification(motors: bool = True) -> Identification:
     """What a motor experiment could tell; without `motors`, what one on the ground could."""
     rng = np.random.default_rng(2)
     estimates = [
-        Estimate("torque_constant", 0.0921, 0.0004, "N m/A"),
-        Estimate("resistance", 0.2031, 0.003, "Ohm"),
-        Estimate("servo_kp", 0.982, 0.006, "1/rad"),
-        Estimate("servo_kd", 0.0153, 0.0001, "s/rad"),
-        Estimate("servo_latency", 0.00312, 3e-5, "s"),
-        Estimate("control_latency", 0.0181, 3e-5, "s"),
-        Estimate("leg_mass_ratio", 1.04, 0.02, "1"),
-        Estimate("leg_inertia_ratio", 1.0, 0.3, "1", told=False),
-        Estimate("imu_bias", 0.0121, 0.002, "rad", 0),
-        Estimate("imu_bias", -0.0043, 0.002, "rad", 1),
-        Estimate("voltage", 15.71, 0.02, "V", low=0.0),
+        ParameterEstimate("torque_constant", 0.0921, 0.0004, "N m/A"),
+        ParameterEstimate("resistance", 0.2031, 0.003, "Ohm"),
+        ParameterEstimate("servo_kp", 0.982, 0.006, "1/rad"),
+        ParameterEstimate("servo_kd", 0.0153, 0.0001, "s/rad"),
+        ParameterEstimate("servo_latency", 0.00312, 3e-5, "s"),
+        ParameterEstimate("control_latency", 0.0181, 3e-5, "s"),
+        ParameterEstimate("leg_mass_ratio", 1.04, 0.02, "1"),
+        ParameterEstimate("leg_inertia_ratio", 1.0, 0.3, "1", identifiable=False),
+        ParameterEstimate("imu_bias", 0.0121, 0.002, "rad", 0),
+        ParameterEstimate("imu_bias", -0.0043, 0.002, "rad", 1),
+        ParameterEstimate("voltage", 15.71, 0.02, "V", low=0.0),
     ]
     if motors:
         for name, middle, spread, unit in (("motor_strength", 0.93, 0.04, "1"), ("motor_friction", 0.02, 0.006, "N m")):
             for motor, value in enumerate(rng.normal(middle, spread, 8)):
-                estimates.append(Estimate(name, value, spread / 8, unit, motor, motor != 5, low=0.0))
+                estimates.append(ParameterEstimate(name, value, spread / 8, unit, motor, motor != 5, low=0.0))
     time = np.linspace(0.0, 3.0, 1500)
     angle = 1.7 + 0.3 * np.sin(2 * np.pi * (0.5 + time) * time)
     current = np.arange(1.0, 40.0, 2.0)
@@ -116,10 +116,10 @@ def test_what_the_page_says(robot: RobotDescription, known: PhysicalParams):
     for row in Page(text).rows:
         rows.setdefault(row[0], row[1:])
     assert rows["resistance"] == ["0.1860", "0.2031", "0.1972 to 0.2090", "Ohm"]
-    assert rows["leg_inertia_ratio"] == ["1", "not told", "", ""]
+    assert rows["leg_inertia_ratio"] == ["1", "not identifiable", "", ""]
     assert rows["imu_bias pitch"] == ["0.0000", "-0.0043", "-0.0082 to -0.0004", "rad"]
     motors = [rows[f"motor_strength {name.removesuffix('_motor')}"] for name in robot.motor_names]
-    assert [row[1] == "not told" for row in motors] == [motor == 5 for motor in range(8)]
+    assert [row[1] == "not identifiable" for row in motors] == [motor == 5 for motor in range(8)]
     assert rows["motor angles"] == ["21.3", "2.1", "mrad"]
     assert rows["data"] == ["runs/recording.npz"]
     assert rows["SHA-256"] == ["ab" * 32]
@@ -129,7 +129,7 @@ def test_what_the_page_says(robot: RobotDescription, known: PhysicalParams):
 
 
 def test_what_there_is_not_has_no_section(robot: RobotDescription, known: PhysicalParams, tmp_path: Path):
-    bare = Identification("latency", "minitaur", (Estimate("servo_latency", 0.003, 1e-4, "s"),))
+    bare = Identification("latency", "minitaur", (ParameterEstimate("servo_latency", 0.003, 1e-4, "s"),))
     text = page(bare, robot, known, PNG)
     assert re.findall("<h2>(.*?)</h2>", text) == ["Estimates", "Pictures", "Data"]
     for number_, found in enumerate((bare, identification(motors=False), Identification("mass", "minitaur", ()))):
@@ -149,10 +149,10 @@ def test_indices_have_names(robot: RobotDescription):
 
 def test_what_was_known(robot: RobotDescription, known: PhysicalParams):
     given = known.with_values(robot, motor_strength=np.linspace(0.9, 1.04, 8))
-    assert known_before(Estimate("motor_strength", 1.0, 0.1, "1", 2), given) == pytest.approx(0.94)
-    assert known_before(Estimate("motor_strength", 1.0, 0.1, "1"), given) == pytest.approx(0.97)
-    assert known_before(Estimate("voltage", 1.0, 0.1, "V"), given) == robot.dc_motor.voltage
-    assert known_before(Estimate("torque_gain", 1.0, 0.1, "1", 2), given) is None
+    assert prior_value(ParameterEstimate("motor_strength", 1.0, 0.1, "1", 2), given) == pytest.approx(0.94)
+    assert prior_value(ParameterEstimate("motor_strength", 1.0, 0.1, "1"), given) == pytest.approx(0.97)
+    assert prior_value(ParameterEstimate("voltage", 1.0, 0.1, "V"), given) == robot.dc_motor.voltage
+    assert prior_value(ParameterEstimate("torque_gain", 1.0, 0.1, "1", 2), given) is None
 
 
 @pytest.mark.parametrize(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 
 import mujoco
@@ -10,8 +9,8 @@ import numpy as np
 import pytest
 
 from surefoot.robot import RobotDescription
-from surefoot.robot.fused_urdf import RigidBody, fuse_urdf
-from surefoot.robot.urdf import read_urdf
+from surefoot.robot.rigid_body import RigidBody
+from surefoot.robot.urdf_file import format_urdf, read_urdf
 from surefoot.rotations import matrix_rpy, rpy_matrix
 from surefoot.world.mujoco_model import build_model
 
@@ -49,9 +48,9 @@ def dumbbell(tmp_path: Path) -> Path:
 
 
 def test_parallel_axes_by_hand(dumbbell: Path):
-    fused = fuse_urdf(read_urdf(dumbbell))
-    assert set(fused.bodies) == {"a", "c"}
-    body = fused.bodies["a"]
+    fused = read_urdf(dumbbell).fuse_fixed_links()
+    assert list(fused.links) == ["a", "c"]
+    body = fused.links["a"].body
     assert body.mass == 4.0
     # The second centre is at (.4 - .2, 0, .1); both together at 3/4 of that.
     np.testing.assert_allclose(body.centre, [0.15, 0.0, 0.075], atol=1e-15)
@@ -68,32 +67,29 @@ def test_parallel_axes_by_hand(dumbbell: Path):
 
 
 def test_shapes_and_joints_keep_their_places(dumbbell: Path, tmp_path: Path):
-    fused = fuse_urdf(read_urdf(dumbbell))
-    robot = ElementTree.fromstring(fused.text)
-    assert [joint.get("name") for joint in robot.findall("joint")] == ["hinge"]
-    places = [
-        [float(word) for word in robot.find(path).get("xyz").split()]
-        for path in ("link[@name='a']/collision[2]/origin", "joint/origin")
-    ]
-    # The second link's y points backward along the first one's x.
-    np.testing.assert_allclose(places, [[0.3, 0, 0.1], [-0.6, 0, 0.1]], atol=1e-15)
-    assert robot.find("joint/parent").get("link") == "a"
-    assert robot.find("link[@name='a']/visual") is None
-    (tmp_path / "fused.urdf").write_text(fused.text)
-    again = fuse_urdf(read_urdf(tmp_path / "fused.urdf"))
-    np.testing.assert_allclose(again.bodies["a"].inertia, fused.bodies["a"].inertia, rtol=1e-12, atol=1e-15)
-    np.testing.assert_allclose(again.bodies["a"].centre, fused.bodies["a"].centre, rtol=1e-12)
-    top, frame = fused.place["b"]
+    urdf = read_urdf(dumbbell)
+    (tmp_path / "fused.urdf").write_text(format_urdf(urdf.fuse_fixed_links(), "dumbbell", principal=True))
+    for fused in (urdf.fuse_fixed_links(), read_urdf(tmp_path / "fused.urdf")):
+        assert list(fused.joints) == ["hinge"]
+        assert fused.joints["hinge"].parent == "a"
+        assert fused.links["a"].visuals == ()
+        # The second link's y points backward along the first one's x.
+        places = [fused.links["a"].collisions[1].position, fused.joints["hinge"].frame[:3, 3]]
+        np.testing.assert_allclose(places, [[0.3, 0, 0.1], [-0.6, 0, 0.1]], atol=1e-15)
+        body = urdf.fuse_fixed_links().links["a"].body
+        np.testing.assert_allclose(fused.links["a"].body.inertia, body.inertia, rtol=1e-12, atol=1e-15)
+        np.testing.assert_allclose(fused.links["a"].body.centre, body.centre, rtol=1e-12)
+    top, frame = urdf.places["b"]
     assert top == "a"
     np.testing.assert_allclose(frame @ [0, 0.2, 0, 1], [0.2, 0, 0.1, 1], atol=1e-15)
 
 
 def test_minitaurs_fused_bodies_are_mujocos(robot: RobotDescription):
     # MuJoCo reads the same URDF with a reader, a fusing and an eigenvalue solver of its own.
-    fused, model = fuse_urdf(robot.urdf), build_model(robot)
-    assert len(fused.bodies) == model.nbody - 1 == 17
-    for name, body in fused.bodies.items():
-        theirs = model.body(name)
+    fused, model = robot.urdf.fuse_fixed_links(), build_model(robot)
+    assert len(fused.links) == model.nbody - 1 == 17
+    for name, link in fused.links.items():
+        body, theirs = link.body, model.body(name)
         turn = np.zeros(9)
         mujoco.mju_quat2Mat(turn, theirs.iquat)
         turn = turn.reshape(3, 3)

@@ -255,7 +255,11 @@ def write_toy(
             links.append((f"{leg}_{part}", 0.15))
             joints.append((f"{leg}_{part}_joint", kind, parent, f"{leg}_{part}", " ".join(map(str, place)), turn))
         names += [f"{leg}_{part}_joint" for part in ("hip", "thigh", "calf")]
-    body = "".join(f'<link name="{name}">{INERTIAL.format(mass=mass)}</link>' for name, mass in links)
+    sphere = '<collision><geometry><sphere radius="0.02"/></geometry></collision>'
+    body = "".join(
+        f'<link name="{name}">{INERTIAL.format(mass=mass)}{sphere if name.endswith("foot") else ""}</link>'
+        for name, mass in links
+    )
     body += "".join(
         f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/><origin xyz="{place}"/>'
         f'<axis xyz="{turn}"/></joint>'

@@ -9,7 +9,8 @@ import pytest
 
 from surefoot.errors import SurefootError
 from surefoot.robot import RobotDescription
-from surefoot.robot.urdf import GREY, Urdf, read_urdf
+from surefoot.robot.urdf import GREY, Urdf
+from surefoot.robot.urdf_file import read_urdf
 
 INERTIAL = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1"/></inertial>'
 
@@ -126,6 +127,7 @@ def test_shapes_have_sizes_frames_and_colors(tmp_path: Path):
         ('<origin rpy="0 0 nan"/>', "fixed", "rpy is '0 0 nan'; it must be 3 finite numbers"),
         ('<axis xyz="0 0 0"/>', "continuous", "axis is (0, 0, 0); it must have a direction"),
         ('<limit lower="1" upper="-1"/>', "revolute", "limits are [1, -1]; the lower one must be below the upper"),
+        ("", "prismatic", "type is 'prismatic'; choices: fixed, revolute, continuous"),
         ("", "revolute", "limits are [0, 0]; the lower one must be below the upper"),
         ('<limit lower="low" upper="1"/>', "revolute", "limit lower is 'low'; it must be a finite number"),
     ],

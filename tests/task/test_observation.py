@@ -15,9 +15,9 @@ from scripted import ScriptedWorld
 
 from surefoot.configuration import from_mapping, to_mapping
 from surefoot.errors import SurefootError
-from surefoot.learn.export import make_contract
 from surefoot.policy.contract import Contract
 from surefoot.task.config import FeedbackConfig, ReferenceConfig, TaskConfig, WaveConfig
+from surefoot.task.contract_mapping import make_contract
 from surefoot.task.env import LocomotionEnv
 from surefoot.task.observation import IMU_AND_MOTORS_12D, PARTS, Observer, phase
 from surefoot.world.interface import Readings

@@ -7,7 +7,6 @@ import os
 import subprocess
 import sys
 from collections.abc import Callable
-from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -321,17 +320,6 @@ def test_no_room_for_another_client_is_told(robot, monkeypatch):
     monkeypatch.setattr(pybullet, "connect", full)
     with pytest.raises(SurefootError, match="Bullet has no room for another robot in this process"):
         BulletModel(robot, WorldConfig(), BulletSettings())
-
-
-def test_a_robot_whose_feet_are_no_spheres_is_refused(robot, tmp_path):
-    text = robot.urdf.path.read_text().replace(
-        '<collision><origin xyz="0 0 0.2315" rpy="0 0 0"/><geometry><sphere radius="0.0085"/></geometry></collision>',
-        "",
-    )
-    (tmp_path / "feetless.urdf").write_text(text)
-    feetless = replace(robot, urdf=replace(robot.urdf, path=tmp_path / "feetless.urdf"))
-    with pytest.raises(SurefootError, match="a foot has 0 spheres to stand on; Bullet needs one"):
-        BulletModel(feetless, WorldConfig(), BulletSettings())
 
 
 def test_nothing_is_printed_but_what_the_user_prints():

@@ -15,12 +15,11 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from surefoot.cli.helpers.link_options import LinkOptions
 from surefoot.cli.helpers.options import (
     PAGE_PORT,
-    Baud,
     Count,
     Json,
-    Lockstep,
     PagePort,
     PolicyName,
     Port,
@@ -29,14 +28,13 @@ from surefoot.cli.helpers.options import (
 )
 from surefoot.cli.helpers.parsing import parse
 from surefoot.configuration import Duration
-from surefoot.deploy.serial.port import BAUD
 from surefoot.errors import SurefootError
 
 if TYPE_CHECKING:
-    from surefoot.deploy.deployment import Deployment, Outcome
+    from surefoot.deploy.deployment import Deployment, RunOutcome
     from surefoot.deploy.messages import Handshake
-    from surefoot.deploy.pacer import Timing
-    from surefoot.deploy.recording.run_saver import SavedRun
+    from surefoot.deploy.pacer import LoopTiming
+    from surefoot.deploy.run_saver import SavedRun
 
 _DRIVEN = 600.0
 """Length of a run that is driven from the page [s], if none is given."""
@@ -45,7 +43,7 @@ SAFETY = 3
 
 
 @dataclass(frozen=True)
-class DeployCommand:
+class DeployCommand(LinkOptions):
     """Run a policy on a robot: check it, arm, stand up, run, sit down, disarm, and record what happened.
 
     Ctrl-C lets the robot sit and disarms it; Ctrl-C once more damps its motors at once. Exit codes: 0 done or stopped
@@ -74,8 +72,6 @@ class DeployCommand:
     """Motion capture of the run (.csv), with times on the robot's clock; read when a run is over."""
     world_name: str = "robot"
     """Name of the world, for the traces."""
-    lockstep: Lockstep = False
-    baud: Baud = BAUD
 
 
 def main(argv: list[str]) -> int:
@@ -89,31 +85,27 @@ def main(argv: list[str]) -> int:
     if command.drive:
         import_module("viser")  # what is not installed is told before the robot is asked
     from surefoot.check_result import first_failure
-    from surefoot.cli.helpers.policies import find_policy
+    from surefoot.cli.helpers.policies import find_policy, open_policy
     from surefoot.deploy.checks import check_contract
-    from surefoot.deploy.commands import ChannelCommands, CommandSource, open_commands
+    from surefoot.deploy.command_sources import ChannelCommands, CommandSource, open_commands
     from surefoot.deploy.controller import Controller
     from surefoot.deploy.deployment import Deployment
-    from surefoot.deploy.display import LiveDisplay, PlainLines, Watches
-    from surefoot.deploy.links import open_link
-    from surefoot.deploy.loop import Watch
+    from surefoot.deploy.display import PlainLines, RunMonitors, open_display
+    from surefoot.deploy.loop import RunMonitor
     from surefoot.deploy.pacer import undisturbed
-    from surefoot.policy.runtime import PolicyRuntime
-    from surefoot.robot import RobotDescription
     from surefoot.stop_signals import StopSignals
 
-    policy = PolicyRuntime.load(find_policy(command.policy))
+    policy, robot = open_policy(find_policy(command.policy))
     contract = policy.contract
-    robot = RobotDescription.load(str(contract.task.get("robot", contract.robot)))
     controller = Controller(policy, robot)
 
     def check(handshake: Handshake) -> None:
-        why = first_failure(check_contract(contract, handshake, robot, policy.digest))
+        why = first_failure(check_contract(contract, handshake, robot))
         if why is not None:
             raise SurefootError(f"policy '{contract.name}' must not run on this robot: {why}")
 
     with StopSignals() as stop, contextlib.ExitStack() as stack:
-        link = open_link(command.port, len(contract.motor_names), command.lockstep, command.baud)
+        link = command.open_link(command.port, len(contract.motor_names))
         title = f"{contract.name} on {robot.name}, {command.port}" + (", dry run" if command.dry_run else "")
         commands: CommandSource | None = None
         if command.commands is not None:
@@ -121,8 +113,8 @@ def main(argv: list[str]) -> int:
                 raise SurefootError(f"--commands is given; policy '{contract.name}' has no commands to follow")
             commands = open_commands(command.commands, contract.commands)
             stack.callback(commands.close)
-        watch: Watch = LiveDisplay(title) if sys.stderr.isatty() and not command.drive else PlainLines()
-        stack.callback(watch.close)
+        monitor: RunMonitor = PlainLines() if command.drive else open_display(title)
+        stack.callback(monitor.close)
         if command.drive:
             from surefoot.cli.helpers.deploy_page import DeployPage
 
@@ -133,8 +125,8 @@ def main(argv: list[str]) -> int:
             )
             stack.callback(page.close)
             print(f"{page.address}   (Ctrl-C: the robot sits)", file=sys.stderr, flush=True)
-            watch, commands = Watches(page, watch), channel if contract.commands is not None else None
-        deployment = Deployment(link, controller, stop, watch, dry_run=command.dry_run, commands=commands)
+            monitor, commands = RunMonitors(page, monitor), channel if contract.commands is not None else None
+        deployment = Deployment(link, controller, stop, monitor, dry_run=command.dry_run, commands=commands)
         stack.callback(deployment.close)
         if not command.lockstep:
             stack.enter_context(undisturbed())
@@ -145,13 +137,13 @@ def main(argv: list[str]) -> int:
 
 def _runs(command: DeployCommand, deployment: Deployment) -> tuple[list[dict[str, Any]], int]:
     """Run after run, until one ends early; returns what is to be told of each, and the exit code."""
-    from surefoot.deploy.motion import DOWN, UP
-    from surefoot.deploy.pacer import Timing
-    from surefoot.deploy.recording.run_saver import RunSaver, next_free
+    from surefoot.deploy.motion_runner import DOWN, UP
+    from surefoot.deploy.pacer import LoopTiming
+    from surefoot.deploy.run_saver import RunSaver, next_free
 
     contract = deployment.contract
     step = contract.control_step
-    steps = int(contract.task.get("max_steps", 1000))
+    steps = deployment.controller.task.max_steps
     duration = command.duration or (_DRIVEN if command.drive else None)
     if duration is not None:
         steps = max(round(duration / step), 1)
@@ -160,7 +152,7 @@ def _runs(command: DeployCommand, deployment: Deployment) -> tuple[list[dict[str
     for run in range(command.runs):
         path = None if command.dry_run and command.out is None else next_free(command.out or Path("deploy"))
         keeper = RunSaver(deployment, path, steps, command.world_name, run)
-        timing = Timing(steps + round((UP + DOWN) / step) + 16)
+        timing = LoopTiming(steps + round((UP + DOWN) / step) + 16)
         keeper.begin()
         outcome = deployment.run(keeper.recorder, timing, keeper.keep, keeper.begun)
         kept = keeper.finish(outcome, timing, command.motion_capture)
@@ -172,7 +164,7 @@ def _runs(command: DeployCommand, deployment: Deployment) -> tuple[list[dict[str
     return results, code
 
 
-def _result(outcome: Outcome, timing: Timing, kept: SavedRun, steps: int) -> dict[str, Any]:
+def _result(outcome: RunOutcome, timing: LoopTiming, kept: SavedRun, steps: int) -> dict[str, Any]:
     """What is told of a run."""
     speed = distance = None
     if kept.trace is not None:

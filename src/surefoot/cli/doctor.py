@@ -1,4 +1,4 @@
-"""`surefoot doctor`: everything that can be wrong between a policy and a robot, found before the robot runs."""
+"""`surefoot doctor`: check policy, link, robot and computer before the policy runs."""
 
 from __future__ import annotations
 
@@ -12,26 +12,23 @@ from rich.console import Console
 from rich.text import Text
 
 from surefoot.check_result import CheckResult
-from surefoot.cli.helpers.options import Baud, Json, Lockstep, PolicyName, Port, Yes, ask_to_move, check_terminal
+from surefoot.cli.helpers.link_options import LinkOptions
+from surefoot.cli.helpers.options import Json, PolicyName, Port, Yes, ask_to_move, check_terminal
 from surefoot.cli.helpers.parsing import parse
-from surefoot.cli.helpers.policies import find_policy
+from surefoot.cli.helpers.policies import find_policy, open_policy
 from surefoot.configuration import Within
 from surefoot.deploy.doctor.examination import STEPS, examine
-from surefoot.deploy.doctor.link import PINGS
-from surefoot.deploy.links import open_link
+from surefoot.deploy.doctor.link_check import PINGS
 from surefoot.deploy.robot_link import LinkLostError
-from surefoot.deploy.serial.port import BAUD
 from surefoot.errors import SurefootError
-from surefoot.policy.runtime import PolicyRuntime
-from surefoot.robot import RobotDescription
 
 FAILED = 3
 """Exit code when a check failed."""
-_WORDS = {True: ("pass", "green"), False: ("FAIL", "bold red"), None: ("not done", "yellow")}
+_LABELS = {True: ("pass", "green"), False: ("FAIL", "bold red"), None: ("not done", "yellow")}
 
 
 @dataclass(frozen=True)
-class DoctorCommand:
+class DoctorCommand(LinkOptions):
     """Check policy, link, robot and this computer, one line a check: pass, FAIL or not done, why, and what to do.
 
     Nothing moves without --rack or --ground. Exit code 0: all that was done passed; 3: something failed; 2: it could
@@ -45,10 +42,8 @@ class DoctorCommand:
     ground: bool = False
     """Also stand up and tilt with the legs: the robot sits on flat ground, with a metre of room."""
     yes: Yes = False
-    lockstep: Lockstep = False
     robot: str | None = None
     """Name or folder of the robot's description; the policy's, if not given."""
-    baud: Baud = BAUD
     pings: Annotated[int, Within(10, 100_000)] = PINGS
     """Pings that the link is measured with."""
     steps: Annotated[int, Within(10, 100_000)] = STEPS
@@ -61,17 +56,15 @@ def main(argv: list[str]) -> int:
     command = parse(DoctorCommand, argv, "surefoot doctor")
     if command.rack and command.ground:
         raise SurefootError("--rack and --ground don't go together; a robot hangs or sits: give one")
-    policy = PolicyRuntime.load(find_policy(command.policy))
-    contract = policy.contract
-    robot = RobotDescription.load(command.robot or str(contract.task.get("robot", contract.robot)))
+    policy, robot = open_policy(find_policy(command.policy), command.robot)
     if (command.rack or command.ground) and not command.yes:
         place = "hang free, its legs in the air" if command.rack else "sit on flat ground with a metre of room"
         check_terminal(place)
         ask_to_move(place)
     console = Console(highlight=False, soft_wrap=True, emoji=False)
     if not command.json:
-        console.print(f"policy '{contract.name}' for {contract.robot}, port {command.port}", markup=False)
-    link = open_link(command.port, robot.num_motors, command.lockstep, command.baud)
+        console.print(f"policy '{policy.contract.name}' for {robot.name}, port {command.port}", markup=False)
+    link = command.open_link(command.port, robot.num_motors)
     results = []
     try:
         for result in examine(link, policy, robot, command.rack, command.ground, command.pings, command.steps):
@@ -84,8 +77,8 @@ def main(argv: list[str]) -> int:
     counts = Counter(result.passed for result in results)
     if command.json:
         data = {
-            "policy": contract.name,
-            "robot": contract.robot,
+            "policy": policy.contract.name,
+            "robot": robot.name,
             "port": command.port,
             "passed": not counts[False],
             "checks": [asdict(result) for result in results],
@@ -98,8 +91,8 @@ def main(argv: list[str]) -> int:
 
 def print_result(console: Console, result: CheckResult) -> None:
     """Print a result in one line. The remedy of a failed check gets a second one."""
-    word, style = _WORDS[result.passed]
+    label, style = _LABELS[result.passed]
     remedy = f": {result.remedy}" if result.passed is None else ""
-    console.print(Text.assemble((f"{word:<8}", style), f"  {result.name:<20}  {result.message}{remedy}"))
+    console.print(Text.assemble((f"{label:<8}", style), f"  {result.name:<20}  {result.message}{remedy}"))
     if result.passed is False:
         console.print(Text(f"{'':<32}to do: {result.remedy}"))

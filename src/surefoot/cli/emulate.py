@@ -125,7 +125,7 @@ def _params(command: EmulateCommand, robot: RobotDescription) -> PhysicalParams:
         return given_params(robot, command.params, command.settings)
     from surefoot.robot.randomization import draw_hidden, load_ranges
 
-    params = draw_hidden(robot, load_ranges(command.hidden_ranges, robot=robot.folder).ranges, command.hidden_seed)
+    params = draw_hidden(robot, load_ranges(command.hidden_ranges, robot=robot.folder), command.hidden_seed)
     if command.hidden_out is not None:
         write_params(command.hidden_out, robot, params, {"origin": {"hidden_seed": command.hidden_seed}})
     return params
@@ -141,10 +141,10 @@ def make_loop(
 ) -> RealTime | Lockstep:
     """Return the loop that moves the robot, warmed up."""
     from surefoot import __version__
-    from surefoot.deploy.robot_link import LEAD
+    from surefoot.deploy.serial.serial_link import LEAD
     from surefoot.emulator.board import Board
     from surefoot.emulator.hardware import PowerConfig, SensorConfig
-    from surefoot.emulator.limits import Limits, introduction
+    from surefoot.emulator.limits import Limits, make_handshake
     from surefoot.emulator.plant import Plant
     from surefoot.emulator.real_time import RealTime
     from surefoot.emulator.serial.lockstep import PATIENCE, Lockstep
@@ -154,18 +154,18 @@ def make_loop(
     params = _params(command, robot)
     plant = Plant(robot, params, command.seed, sensors, power, command.rack, command.world, servo_every=servo_every)
     limits = Limits.of(robot)
-    handshake = introduction(robot, limits, f"surefoot emulator {__version__}", robot.timing.servo_step)
+    handshake = make_handshake(robot, limits, f"surefoot emulator {__version__}", robot.timing.servo_step)
     if command.lockstep:
         link = SerialHostLink(port, robot.num_motors, faults, seed=command.seed, patience=PATIENCE)
         return Lockstep(Board(plant, handshake, link, limits, faults), link, port, summary)
-    link = SerialHostLink(port, robot.num_motors, faults, command.baud, command.seed)
+    link = SerialHostLink(port, robot.num_motors, faults, command.baud, command.seed, lead=LEAD)
     load = faults["overload"].value if "overload" in faults else 0.0
-    return RealTime(Board(plant, handshake, link, limits, faults, STRIDE, LEAD), summary, load)
+    return RealTime(Board(plant, handshake, link, limits, faults, STRIDE), summary, load)
 
 
 def _run(command: EmulateCommand, robot: RobotDescription, faults: dict[str, InjectedFault], servo_every: int) -> int:
     from surefoot.deploy.pacer import undisturbed
-    from surefoot.emulator.motion_capture import MotionCapture
+    from surefoot.emulator.capture_writer import CaptureWriter
     from surefoot.emulator.real_time import Summary
     from surefoot.emulator.serial.pty_port import PtyPort
     from surefoot.stop_signals import StopSignals
@@ -176,13 +176,13 @@ def _run(command: EmulateCommand, robot: RobotDescription, faults: dict[str, Inj
         summary.stop = True
 
     port = PtyPort(command.link, held=not command.lockstep)
-    observers: list[MotionCapture | EmulateViewer] = []
+    observers: list[CaptureWriter | EmulateViewer] = []
     with StopSignals(on_signal=end, respect_nohup=True):
         try:
             loop = make_loop(command, robot, faults, port, summary, servo_every)
             board = loop.board
             if command.motion_capture is not None:
-                observers.append(MotionCapture(command.motion_capture, board.plant, later=not command.lockstep))
+                observers.append(CaptureWriter(command.motion_capture, board.plant, later=not command.lockstep))
             if command.viewer:
                 from surefoot.cli.helpers.viewer import EmulateViewer
 
@@ -196,7 +196,7 @@ def _run(command: EmulateCommand, robot: RobotDescription, faults: dict[str, Inj
             port.close()
             for observer in observers:
                 observer.close()
-                if isinstance(observer, MotionCapture) and observer.failed:
+                if isinstance(observer, CaptureWriter) and observer.failed:
                     print(f"surefoot: motion capture stopped: {observer.failed}", file=sys.stderr)
     print(f"surefoot: {summary.text(board)}", file=sys.stderr)
     return 0

@@ -11,7 +11,8 @@ import tyro
 
 from surefoot.cli.helpers.options import Count, Json, Threads, how_to_show, make_figures_folder
 from surefoot.cli.helpers.parsing import parse
-from surefoot.cli.helpers.simulator import GivenRanges, RunOptions, take_ranges
+from surefoot.cli.helpers.simulator import RangeOptions, RunOptions, take_ranges
+from surefoot.configuration import to_mapping
 from surefoot.errors import SurefootError
 from surefoot.robot.commands import COMMANDS
 
@@ -25,7 +26,7 @@ class EvaluateCommand(RunOptions):
     """Run a policy for some episodes and print speed, power, return and gait; or measure runs that were recorded.
 
     With --randomize NAME (table1, none, or a YAML file) every episode draws its physical parameters;
-    --randomize.ROW LOW HIGH sets or changes one row, such as --randomize.latency 0.010 0.030.
+    --randomize.NAME LOW HIGH sets or changes one range, such as --randomize.control-latency 0.010 0.030.
     --trace FILE measures what a robot or a simulation recorded, by the same functions, and simulates nothing.
     """
 
@@ -51,7 +52,7 @@ def main(argv: list[str]) -> int:
     words, given = take_ranges(argv)
     command = parse(EvaluateCommand, words, "surefoot evaluate")
     if command.trace:
-        traces, robot, about = _recorded(command, given != GivenRanges(None, {}))
+        traces, robot, about = _recorded(command, given != RangeOptions(None, {}))
     elif command.policy is None:
         raise SurefootError("no POLICY and no --trace is given; give one of them")
     else:
@@ -84,7 +85,7 @@ def main(argv: list[str]) -> int:
 
 
 def _simulated(
-    command: EvaluateCommand, given_ranges: GivenRanges
+    command: EvaluateCommand, given_ranges: RangeOptions
 ) -> tuple[list[EpisodeTrace], RobotDescription, dict[str, Any]]:
     """Run the policy; returns its traces, the robot, and how it was run."""
     from surefoot.cli.helpers.policies import adjust_task, described, find_policy, load_gait, run_policy
@@ -93,7 +94,7 @@ def _simulated(
     path = find_policy(str(command.policy))
     find_world(command.world)
     policy, robot, task, known = load_gait(path, command.robot)
-    ranges = given_ranges.of(robot.folder)
+    ranges = given_ranges.apply(robot.folder)
     task = adjust_task(
         *(task, robot, command.settings, command.pushes),
         *(command.thermal_protection, ranges, command.simulator, command.push_force),
@@ -116,7 +117,7 @@ def _simulated(
         "seed": command.seed,
         "pushes": task.pushes.enabled,
         "push_force": command.push_force,
-        "randomize": {row: list(bounds) for row, bounds in ranges.ranges.items()},
+        "randomize": to_mapping(ranges),
         "set": command.simulator.latencies | {name: task.params[name] for name in given},
         **described(task),
         "policy_file": str(path),

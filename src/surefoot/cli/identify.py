@@ -123,7 +123,7 @@ def _from_trace(argv: list[str]) -> int:
     robot = RobotDescription.load(command.robot or str(traces[0][1].meta["robot"]))
     check_identifiable(robot)
     known = read_known(command.params, robot)
-    from surefoot.cli.helpers.identify_results import check_installed, fitting, tell, write
+    from surefoot.cli.helpers.identify_results import check_installed, fitting, report, write
 
     check_installed()
     from surefoot.identify.traces.fit import fit_traces
@@ -132,7 +132,7 @@ def _from_trace(argv: list[str]) -> int:
         found = fit_traces(robot, [trace for _, trace in traces], command.fit or None, known.params, say)
     folder = command.out or _new_folder("traces")
     files = write(robot, known, found, command.params or folder / "robot.toml", folder, str(command.from_trace))
-    tell(robot, known, found, files, {"traces": [str(path) for path, _ in traces]}, command.json)
+    report(robot, known, found, files, {"traces": [str(path) for path, _ in traces]}, command.json)
     return 0
 
 
@@ -148,7 +148,7 @@ def _from_logs(command: TracesCommand, robot: RobotDescription) -> int:
         if bad := [name for name in names if name not in logs]:
             raise SurefootError(f"--{option} names '{bad[0]}'; logs: {choices(logs)}")
     known = read_known(command.params, robot)
-    from surefoot.cli.helpers.identify_results import check_installed, fitting, tell, write
+    from surefoot.cli.helpers.identify_results import check_installed, fitting, report, write
 
     check_installed()
     from surefoot.identify.logs.fit import fit_logs
@@ -159,10 +159,10 @@ def _from_logs(command: TracesCommand, robot: RobotDescription) -> int:
     held = [runs[name] for name in command.hold_out]
     options: dict[str, Any] = {"seconds": command.seconds, "search": command.search, "seed": command.seed}
     with fitting("logs") as say:
-        found = fit_logs(robot, fitted, held, command.fit or None, known.params, **options, tell=say)
+        found = fit_logs(robot, fitted, held, command.fit or None, known.params, **options, report=say)
     folder = command.out or _new_folder("logs")
     files = write(robot, known, found, command.params or folder / "robot.toml", folder, str(command.from_trace.name))
-    tell(robot, known, found, files, {"logs": [str(path) for path in paths]}, command.json)
+    report(robot, known, found, files, {"logs": [str(path) for path in paths]}, command.json)
     return 0
 
 
@@ -172,7 +172,7 @@ def _experiment(name: str, argv: list[str]) -> int:
     experiment, robot = EXPERIMENTS[name], RobotDescription.load(command.robot)
     check_identifiable(robot)
     known = read_known(command.params, robot)
-    from surefoot.cli.helpers.identify_results import check_installed, fitting, tell, write
+    from surefoot.cli.helpers.identify_results import check_installed, fitting, report, write
 
     if command.recording is not None:
         path = command.recording / RECORDING if command.recording.is_dir() else command.recording
@@ -194,7 +194,7 @@ def _experiment(name: str, argv: list[str]) -> int:
         found = experiment.fit(robot, recording, known.params, known.sensors, say)
     files = write(robot, known, found, command.params or folder / "robot.toml", folder, str(path))
     told = {"recording": str(path), "ended": COMPLETE, "lacks": list(known.lacks(experiment.before))}
-    tell(robot, known, found, files, told, command.json)
+    report(robot, known, found, files, told, command.json)
     return 0
 
 

@@ -69,13 +69,13 @@ def _on_a_page(command: PlayCommand) -> int:
     """Run the policy on the page of `surefoot drive`; return the exit code."""
     if command.out is not None:
         raise SurefootError("--browser and --out are given; a page makes no MP4")
-    from surefoot.cli.drive import Drive, serve
+    from surefoot.cli.helpers.drive_page import DrivePage, serve
     from surefoot.cli.helpers.policies import adjust_task
 
     def adjust(task: TaskConfig, robot: RobotDescription) -> TaskConfig:
         return adjust_task(task, robot, command.settings, False, simulator=command.simulator)
 
-    drive = Drive(command.policy, command.world, command.robot, adjust)
+    drive = DrivePage(command.policy, command.world, command.robot, adjust)
     serve(drive, None, PAGE_PORT, None if command.commands is None else str(command.commands))
     return 0
 

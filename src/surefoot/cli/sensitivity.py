@@ -20,7 +20,7 @@ from surefoot.cli.helpers.options import (
 )
 from surefoot.cli.helpers.parsing import parse
 from surefoot.cli.helpers.simulator import Simulator, SimulatorOptions
-from surefoot.configuration import Duration, Within
+from surefoot.configuration import Duration, Within, to_mapping
 
 if TYPE_CHECKING:
     from surefoot.evaluate.sensitivity import Sensitivity
@@ -63,15 +63,15 @@ def main(argv: list[str]) -> int:
     command = parse(SensitivityCommand, argv, "surefoot sensitivity")
     import pandas as pd
 
-    from surefoot.cli.helpers.policies import described, find_policies, load_policies, progress_bar
-    from surefoot.robot.randomization import check_ranges, load_ranges
+    from surefoot.cli.helpers.policies import described, find_policies, load_policies
+    from surefoot.progress import ProgressBar
+    from surefoot.robot.randomization import load_ranges
     from surefoot.world.registry import WORLDS, find_world
 
     paths = find_policies(command.policies)
     make_world = find_world(command.world)
     loaded, robot = load_policies(paths)
     ranges = load_ranges(command.ranges, robot=robot.folder)
-    check_ranges(ranges, robot)
     tasks = [command.simulator.of(one.task) for one in loaded]
     for task in tasks:
         task.nominal(robot)  # refuses parameters that the robot does not allow
@@ -90,9 +90,9 @@ def main(argv: list[str]) -> int:
     }
     results = []
     for one, task in zip(loaded, tasks, strict=True):
-        with progress_bar(one.name) as progress:
+        with ProgressBar(one.name) as bar:
             results.append(
-                run_sensitivity(one.policy, task, make_world, policy_name=one.name, progress=progress, **options)
+                run_sensitivity(one.policy, task, make_world, policy_name=one.name, progress=bar.advance, **options)
             )
     groups, trained = {one.policy: [one] for one in results}, {one.name: trained_ranges(one.task) for one in loaded}
     tables = {
@@ -111,7 +111,7 @@ def main(argv: list[str]) -> int:
         whole = {
             "world": command.world,
             "robot": robot.name,
-            "ranges": {row: list(bounds) for row, bounds in ranges.ranges.items()},
+            "ranges": to_mapping(ranges),
             **settings,
             "policies": [
                 _summary(result)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from surefoot.cli.helpers.options import PAGE_PORT, PagePort, check_suffix
+from surefoot.cli.helpers.options import PAGE_PORT, Host, PagePort, check_suffix
 from surefoot.cli.helpers.parsing import parse
 from surefoot.errors import SurefootError, quoted
 from surefoot.robot import RobotDescription
@@ -35,9 +35,7 @@ class ShowCommand:
     html: Path | None = None
     """File to write (.html) in place of serving: the whole page, which opens in a browser without anything else."""
     port: PagePort = PAGE_PORT
-    host: Annotated[str | None, tyro.conf.arg(metavar="ADDRESS")] = None
-    """Address to listen at for other machines, such as 0.0.0.0; the page's address then holds a token. Without it only
-    this machine can open the page."""
+    host: Host = None
 
 
 def main(argv: list[str]) -> int:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import math
 import shlex
+import time
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
@@ -18,13 +20,17 @@ from surefoot.cli.helpers.parsing import parse
 from surefoot.cli.helpers.simulator import Simulator, SimulatorOptions, ranges_help, take_ranges
 from surefoot.errors import SurefootError, choices
 from surefoot.learn.config import TrainConfig, load_train_config
+from surefoot.progress import ProgressBar
 from surefoot.stop_signals import StopSignals
 from surefoot.task.config import preset_names
 
 if TYPE_CHECKING:
-    from surefoot.learn.run import TrainingRun
+    from surefoot.learn.run import Evaluation, TrainingRun
     from surefoot.learn.run_folder import RunFolder
+    from surefoot.learn.trainer import UpdateFigures
 
+_LINE_PERIOD = 10.0
+"""Least time between two lines of progress, where there is no terminal [s]."""
 _EPISODES = 20
 _DRAWN_EPISODES = 100
 """Episodes with physical parameters drawn: falls are rare there, and worlds differ."""
@@ -92,7 +98,7 @@ class TrainCommand(PageOptions, TrainConfig):
 def _parse(argv: list[str]) -> tuple[TrainConfig, TrainCommand]:
     base = load_train_config(argv[0], _robot(argv))
     words, given_ranges = take_ranges(argv[1:])
-    ranges = given_ranges.of(base.task.robot, base.task.randomize)
+    ranges = given_ranges.apply(base.task.robot, base.task.randomize)
     preset = TrainCommand(**vars(base) | {"task": replace(base.task, randomize=ranges)})
     command = parse(TrainCommand, words, f"surefoot train {argv[0]}", preset)
     # What is given by name goes over a file of parameters, which takes the place of the task's own.
@@ -111,8 +117,40 @@ def _robot(argv: list[str]) -> str | None:
     return None
 
 
+class TrainingProgress(ProgressBar):
+    """Bar of a run with steps a second, speed and return; a line for each evaluation.
+
+    Args:
+        config: the run.
+        console: where to show it.
+        done: control steps done before, if the run is resumed.
+    """
+
+    def __init__(self, config: TrainConfig, console: Console, done: int = 0) -> None:
+        self._steps, self._done = config.updates * config.samples_per_update, done
+        super().__init__(config.task.name, console, self._steps, done, _LINE_PERIOD, transient=False)
+        self._start = time.monotonic()
+        self._return = self._speed = math.nan
+
+    def report(self, figures: UpdateFigures, evaluation: Evaluation | None) -> None:
+        """Show the figures of an update."""
+        if not math.isnan(figures.return_mean):
+            self._return, self._speed = figures.return_mean, figures.speed_mean
+        rate = (figures.steps - self._done) / (time.monotonic() - self._start)
+        text = f"{rate:,.0f} steps/s  speed {self._speed:.2f} m/s  return {self._return:.2f}"
+        left = (self._steps - figures.steps) / rate
+        line = f"{figures.steps:>9,} of {self._steps:,} steps  {text}  {left:.0f} s left"
+        self.advance(figures.steps, text, line)
+        if evaluation is not None:
+            pushed = f", {evaluation.pushed_falls} with pushes" if evaluation.pushed_falls else ""
+            self.print(
+                f"{evaluation.steps:>9,} steps, evaluated: {evaluation.speed_mean:.2f} m/s, "
+                f"return {evaluation.return_mean:.2f}, {evaluation.power_mean:.0f} W, {evaluation.falls} falls{pushed}",
+                "evaluation",
+            )
+
+
 def _train(config: TrainConfig | None, path: Path, page_port: int | None) -> int:
-    from surefoot.learn.progress import TrainingProgress
     from surefoot.learn.run import TrainingRun
     from surefoot.learn.run_folder import RunFolder
     from surefoot.learn.run_lock import alone
@@ -128,7 +166,7 @@ def _train(config: TrainConfig | None, path: Path, page_port: int | None) -> int
         with ExitStack() as stack:
             progress = stack.enter_context(TrainingProgress(config, console, run.trainer.steps))
             stop = stack.enter_context(_listen(console))
-            after: Callable[..., None] = progress.update
+            after: Callable[..., None] = progress.report
             if page_port is not None:
                 from surefoot.cli.helpers.train_page import TrainingPage
 
@@ -136,7 +174,7 @@ def _train(config: TrainConfig | None, path: Path, page_port: int | None) -> int
                 stack.callback(page.close)
 
                 def after(*told: Any) -> None:
-                    progress.update(*told)
+                    progress.report(*told)
                     page.update()
 
             run.run(after, lambda: stop.count > 0)
@@ -198,7 +236,7 @@ def finish(run: TrainingRun, folder: RunFolder, console: Console) -> None:
     console.print(f"Evaluating over {_EPISODES} episodes ...")
     calm = home_task(task)
     wanted = {"without_pushes": (calm, _EPISODES)}
-    if task.randomize.ranges:
+    if task.randomize:
         wanted["randomized"] = (replace(calm, randomize=task.randomize), _DRAWN_EPISODES)
     if task.pushes.enabled:
         wanted["with_pushes"] = (replace(calm, pushes=task.pushes.in_full(True)), _EPISODES)

@@ -8,8 +8,9 @@ from pathlib import Path
 from surefoot.cli.evaluate import print_summaries
 from surefoot.cli.helpers.options import Count, check_suffix
 from surefoot.cli.helpers.parsing import parse
-from surefoot.cli.helpers.policies import progress_bar, run_policy
+from surefoot.cli.helpers.policies import run_policy
 from surefoot.errors import SurefootError
+from surefoot.progress import ProgressBar
 from surefoot.studies.handcrafted import HandcraftedGait
 from surefoot.studies.tune import TuneConfig, Tuner
 
@@ -43,11 +44,11 @@ def main(argv: list[str]) -> int:
 
     tuner = Tuner(config, SimWorld, start)
     path = command.out or Path(f"{tuner.gait().task.name}.yaml")
-    with progress_bar(f"{config.generations} generations") as progress:
+    with ProgressBar(f"{config.generations} generations") as bar:
         for generation in range(config.generations):
             tuner.step()
             tuner.gait().save(path)
-            progress((generation + 1) / config.generations)
+            bar.advance((generation + 1) / config.generations)
     tuner.finish()
     gait = tuner.gait()
     gait.save(path)

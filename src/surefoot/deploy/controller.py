@@ -10,60 +10,29 @@ from numpy.typing import ArrayLike, NDArray
 from surefoot.arrays import Array
 from surefoot.deploy.messages import State
 from surefoot.deploy.safety import check_finite
-from surefoot.errors import SurefootError, choices
-from surefoot.policy.contract import Contract
+from surefoot.errors import SurefootError
 from surefoot.policy.runtime import PolicyRuntime
 from surefoot.robot import RobotDescription
 from surefoot.robot.commands import STAND
 from surefoot.task.commands import CommandFilter, CommandState
-from surefoot.task.gait import ActionKind, HybridGait
+from surefoot.task.contract_mapping import task_from_contract
 from surefoot.task.observation import Moment, Observer
-from surefoot.task.reference import make_reference
 from surefoot.world.interface import Readings
-
-
-def action_kind(contract: Contract) -> ActionKind:
-    """Return what a policy's feedback is added to: poses of legs, or motor angles."""
-    return "joint" if contract.action_names[0].startswith("joint.") else "leg"
-
-
-def contract_gait(contract: Contract, robot: RobotDescription) -> HybridGait:
-    """Return the gait of a policy's contract: its reference, and the bounds of its feedback.
-
-    Raises:
-        SurefootError: a reference or bounds that the robot does not allow, or actions that are not of its legs.
-    """
-    joint = action_kind(contract) == "joint"
-    places = {
-        part: [k for k, name in enumerate(contract.action_names) if name.startswith(f"{part}.")]
-        for part in (("joint",) if joint else robot.coordinates)
-    }
-    for part, found in places.items():
-        if not found:
-            raise SurefootError(f"policy '{contract.name}' has no action of {part}; {robot.name} has it")
-    low, high = np.array(contract.low), np.array(contract.high)
-    bounds = [(float(low[found].min()), float(high[found].max())) for found in places.values()]
-    reference = make_reference(contract.reference, robot, contract.commands)
-    return HybridGait(robot, reference, *bounds, action="joint" if joint else "leg")
 
 
 class Controller:
     """Observation, history, policy, reference: one control step after another, on the robot that the policy is for.
 
     Raises:
-        SurefootError: observations that this surefoot makes otherwise, or a gait that the robot does not allow.
+        SurefootError: an observation that does not exist, or a gait that the robot does not allow.
     """
 
     def __init__(self, policy: PolicyRuntime, robot: RobotDescription) -> None:
         self.policy, self.robot, self.contract = policy, robot, policy.contract
+        self.task = task_from_contract(policy.contract, robot)
         contract = self.contract
         self.observer = Observer(robot, tuple(part.name for part in contract.observation), contract.action_names)
-        if tuple(self.observer.columns) != contract.columns:
-            raise SurefootError(
-                f"policy '{contract.name}' sees {choices(contract.columns)}; "
-                f"this surefoot would give it {choices(self.observer.columns)}"
-            )
-        self.gait = contract_gait(contract, robot)
+        self.gait = self.task.gait(robot)
         self.observation = np.zeros(self.observer.width)
         """What the policy saw last (O,), history left out."""
         self.feedback = np.zeros(len(contract.action_names))

@@ -8,13 +8,13 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from surefoot.arrays import Array
-from surefoot.deploy.commands import CommandSource
+from surefoot.deploy.command_sources import CommandSource
 from surefoot.deploy.controller import Controller
-from surefoot.deploy.loop import ControlLoop, Watch
+from surefoot.deploy.loop import ControlLoop, RunMonitor
 from surefoot.deploy.messages import Handshake, State
-from surefoot.deploy.motion import MotionRunner
-from surefoot.deploy.pacer import Timing
-from surefoot.deploy.recording.recorder import Recorder
+from surefoot.deploy.motion_runner import MotionRunner
+from surefoot.deploy.pacer import LoopTiming
+from surefoot.deploy.recorder import Recorder
 from surefoot.deploy.robot_link import LinkLostError, RobotLink
 from surefoot.deploy.safety import GO, Act, Guard, SafetyLimits, Verdict
 from surefoot.errors import SurefootError
@@ -29,7 +29,7 @@ PUNCTUAL, TRIES = 200, 10
 
 
 @dataclass(frozen=True)
-class Outcome:
+class RunOutcome:
     """How a run ended."""
 
     ended: str
@@ -49,7 +49,7 @@ class Deployment:
         link: to the robot.
         controller: the policy on it.
         operator: may ask to stop.
-        watch: is told how it goes.
+        monitor: is told how it goes.
         dry_run: compute everything, and neither arm nor send.
         commands: what steers it, of a policy with commands; without it the robot stands.
     """
@@ -59,12 +59,12 @@ class Deployment:
         link: RobotLink,
         controller: Controller,
         operator: StopSignals,
-        watch: Watch,
+        monitor: RunMonitor,
         dry_run: bool = False,
         commands: CommandSource | None = None,
     ) -> None:
         self.commands = commands
-        self.link, self.controller, self.operator, self.watch = link, controller, operator, watch
+        self.link, self.controller, self.operator, self.monitor = link, controller, operator, monitor
         self.contract, self.robot = controller.contract, controller.robot
         self.limits, self.dry_run = SafetyLimits.of(self.robot), dry_run
         self._moved = False
@@ -79,7 +79,7 @@ class Deployment:
             SurefootError: no robot, another one, one that tells nothing or that must not be armed; or a computer that
                 does not keep time.
         """
-        self.watch.phase("greet", 0.0)
+        self.monitor.phase("greet", 0.0)
         try:
             check(self.link.connect(state_period=self.contract.control_step))
             if not self.link.wait_for(lambda: self.link.state is not None, 1.0):
@@ -120,7 +120,9 @@ class Deployment:
 
         for _ in range(TRIES):
             guard = Guard(self.limits, step, self.link.session, math.inf)
-            loop = ControlLoop(self.link, step, guard, self.operator, self.watch, Timing(PUNCTUAL + 1), dry_run=True)
+            loop = ControlLoop(
+                self.link, step, guard, self.operator, self.monitor, LoopTiming(PUNCTUAL + 1), dry_run=True
+            )
             verdict = loop.follow("keep time", PUNCTUAL, compute)
             if verdict.act in (Act.GO, Act.SIT):
                 # The operator's wish to stop is for `run` to heed; a battery or a motor that is at its limit is not.
@@ -128,7 +130,7 @@ class Deployment:
         if verdict.act is not Act.GO and not self.operator.stops:
             raise SurefootError(f"the robot is not armed: {verdict.text}")
 
-    def run(self, recorder: Recorder, timing: Timing, keep: Keep, begun: Begun) -> Outcome:
+    def run(self, recorder: Recorder, timing: LoopTiming, keep: Keep, begun: Begun) -> RunOutcome:
         """Arm, stand up, run the policy, sit down, disarm.
 
         Args:
@@ -146,22 +148,22 @@ class Deployment:
             self.robot,
             contract.control_step,
             self.operator,
-            self.watch,
+            self.monitor,
             self.limits,
-            contract.task.get("fall_angle"),
+            self.controller.task.fall_angle,
             timing=timing,
             dry_run=self.dry_run,
         )
         if self.operator.stops:
-            return Outcome("stopped", "operator", "stopped before anything moved", False)
+            return RunOutcome("stopped", "operator", "stopped before anything moved", False)
         try:
             if not self.dry_run:
-                self.watch.phase("arm", 0.0)
+                self.monitor.phase("arm", 0.0)
                 runner.arm()
         except (LinkLostError, SurefootError) as error:
             if not self._moved:
                 raise SurefootError(str(error)) from error
-            return Outcome("fault", "arm", str(error), True)
+            return RunOutcome("fault", "arm", str(error), True)
         self._moved = True
         verdict, ran = runner.stand_up(self.robot.pose_angles(*contract.rest)), False
         if verdict.act is Act.GO:
@@ -179,7 +181,7 @@ class Deployment:
             if self.commands is not None:
                 changed = controller.give(self.commands.read(k * step))
                 if changed and not said:
-                    self.watch.warn(f"command out of range: {changed}")
+                    self.monitor.warn(f"command out of range: {changed}")
                 said = changed
             target = controller.command(k * step, controller.observe(k * step, state, missed))
             loop.inference = controller.inference
@@ -197,7 +199,7 @@ class Deployment:
 
         return loop.follow("run", recorder.max_steps, compute, after)
 
-    def _finish(self, runner: MotionRunner, verdict: Verdict, running: bool) -> Outcome:
+    def _finish(self, runner: MotionRunner, verdict: Verdict, running: bool) -> RunOutcome:
         """Bring the robot to rest, whatever ended the run, and whether the policy was running or not."""
         outcome = _outcome(verdict)
         try:
@@ -228,9 +230,9 @@ class Deployment:
             self.link.close()
 
 
-def _outcome(verdict: Verdict) -> Outcome:
+def _outcome(verdict: Verdict) -> RunOutcome:
     if verdict == GO:
-        return Outcome("time", "time", "done", False)
+        return RunOutcome("time", "time", "done", False)
     operator = verdict.reason == "operator"
     ended = {Act.FALL: "fall", Act.SIT: "stopped"}.get(verdict.act, "stopped" if operator else "fault")
-    return Outcome(ended, verdict.reason, verdict.text, not operator or verdict.act is Act.DAMP)
+    return RunOutcome(ended, verdict.reason, verdict.text, not operator or verdict.act is Act.DAMP)

@@ -19,14 +19,14 @@ from typing import Any, TextIO
 
 import numpy as np
 
-from surefoot.deploy.loop import Snapshot, Watch
+from surefoot.deploy.loop import RunMonitor, Snapshot
 
 WINDOW = 1000
 """Steps over which the display tells lateness."""
 _SCALE = 1e3
 
 
-class LiveDisplay(Watch):
+class LiveDisplay(RunMonitor):
     """Starts the display's process and feeds it.
 
     Args:
@@ -92,39 +92,39 @@ class LiveDisplay(Watch):
             self._process.kill()
 
 
-class Watches(Watch):
-    """Several that watch the same run; told as often as the first wants it."""
+class RunMonitors(RunMonitor):
+    """Several that monitor the same run; told as often as the first wants it."""
 
-    def __init__(self, *watches: Watch) -> None:
-        self._watches, self.period = watches, watches[0].period
+    def __init__(self, *monitors: RunMonitor) -> None:
+        self._monitors, self.period = monitors, monitors[0].period
 
     def phase(self, name: str, duration: float) -> None:
         """Tell all what the robot does."""
-        for watch in self._watches:
-            watch.phase(name, duration)
+        for monitor in self._monitors:
+            monitor.phase(name, duration)
 
     def tick(self, snapshot: Snapshot) -> None:
         """Tell all how the loop does."""
-        for watch in self._watches:
-            watch.tick(snapshot)
+        for monitor in self._monitors:
+            monitor.tick(snapshot)
 
     def warn(self, text: str) -> None:
         """Tell all something that the operator should know."""
-        for watch in self._watches:
-            watch.warn(text)
+        for monitor in self._monitors:
+            monitor.warn(text)
 
     def recording(self, text: str) -> None:
         """Tell all how recording goes."""
-        for watch in self._watches:
-            watch.recording(text)
+        for monitor in self._monitors:
+            monitor.recording(text)
 
     def close(self) -> None:
         """It is over for all."""
-        for watch in self._watches:
-            watch.close()
+        for monitor in self._monitors:
+            monitor.close()
 
 
-class PlainLines(Watch):
+class PlainLines(RunMonitor):
     """A line for each phase and warning, for everything that is no terminal."""
 
     def __init__(self, stream: TextIO | None = None) -> None:
@@ -148,7 +148,12 @@ class PlainLines(Watch):
             self._say(f"surefoot: {text}")
 
 
-class Picture:
+def open_display(title: str, stream: TextIO | None = None) -> LiveDisplay | PlainLines:
+    """Return a live display on a terminal, plain lines on any other stream; standard error, if none is given."""
+    return LiveDisplay(title) if (stream or sys.stderr).isatty() else PlainLines(stream)
+
+
+class StatusPanel:
     """What the display shows, from the messages that came."""
 
     def __init__(self) -> None:
@@ -206,10 +211,11 @@ class Picture:
 def show(lines: Iterable[str], stream: TextIO) -> None:
     """Draw on a terminal what messages tell until they end; a line that is no JSON object is passed over."""
     from rich.console import Console
-    from rich.live import Live
 
-    picture = Picture()
-    with Live(picture.draw(), console=Console(file=stream), auto_refresh=False) as live:
+    from surefoot.progress import ProgressDisplay
+
+    picture = StatusPanel()
+    with ProgressDisplay(Console(file=stream, force_terminal=True), picture.draw) as display:
         for line in lines:
             try:
                 message = json.loads(line)
@@ -217,7 +223,7 @@ def show(lines: Iterable[str], stream: TextIO) -> None:
                 continue
             if isinstance(message, dict):
                 picture.take(message)
-                live.update(picture.draw(), refresh=True)
+                display.refresh()
 
 
 def main() -> None:

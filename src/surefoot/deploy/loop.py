@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 from surefoot.arrays import Array
 from surefoot.deploy.messages import State
-from surefoot.deploy.pacer import Pacer, Timing
+from surefoot.deploy.pacer import LoopTiming, Pacer
 from surefoot.deploy.robot_link import LinkLostError, RobotLink
 from surefoot.deploy.safety import GO, Act, Guard, NotFiniteError, Verdict
 from surefoot.errors import SurefootError
@@ -29,7 +29,7 @@ EARLY = 0.0005
 
 @dataclass(frozen=True)
 class Snapshot:
-    """How the loop does, for whoever watches."""
+    """How the loop does, for monitors."""
 
     phase: str
     """What the robot is doing."""
@@ -51,8 +51,8 @@ class Snapshot:
     """Frames lost or damaged so far."""
 
 
-class Watch:
-    """Somebody who watches a run, and here says nothing; no method may take time."""
+class RunMonitor:
+    """No-op monitor of a run. Methods must return at once."""
 
     period = 0.1
     """Time between two calls of `tick` [s]."""
@@ -81,7 +81,7 @@ class ControlLoop:
         control_step: time between two commands [s].
         guard: judges each tick.
         operator: may ask to stop.
-        watch: is told how it goes.
+        monitor: is told how it goes.
         timing: keeps lateness.
         dry_run: compute everything and send nothing.
     """
@@ -92,11 +92,11 @@ class ControlLoop:
         control_step: float,
         guard: Guard,
         operator: StopSignals,
-        watch: Watch,
-        timing: Timing,
+        monitor: RunMonitor,
+        timing: LoopTiming,
         dry_run: bool = False,
     ) -> None:
-        self.link, self.guard, self.operator, self.watch = link, guard, operator, watch
+        self.link, self.guard, self.operator, self.monitor = link, guard, operator, monitor
         self.timing, self.dry_run, self.control_step = timing, dry_run, control_step
         self.pacer = Pacer(link.clock, control_step)
         self.target: Array | None = None
@@ -133,7 +133,7 @@ class ControlLoop:
         Returns:
             `GO`, or what ended the phase early; damping has been asked for already, where it is due.
         """
-        self.watch.phase(phase, steps * self.control_step)
+        self.monitor.phase(phase, steps * self.control_step)
         self._phase, self._steps = phase, steps
         self.pacer.restart()
         while True:
@@ -202,14 +202,14 @@ class ControlLoop:
         if not math.isnan(self.inference):
             self._worst = max(self.inference, self._worst) if not math.isnan(self._worst) else self.inference
         now = self.link.clock.now()
-        if now - self._told < self.watch.period:
+        if now - self._told < self.monitor.period:
             return
         for text in self.guard.warnings[self._told_warnings :]:
-            self.watch.warn(text)
+            self.monitor.warn(text)
         self._told_warnings = len(self.guard.warnings)
         done = self.timing.steps - self._told_steps
         statistics = self.link.statistics
-        self.watch.tick(
+        self.monitor.tick(
             Snapshot(
                 phase=self._phase,
                 left=max(self._steps - index, 0) * self.control_step,

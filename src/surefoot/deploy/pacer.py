@@ -66,7 +66,7 @@ class Pacer:
         return Tick(self.index, self.due(self.index), max(late, 0.0), missed)
 
 
-class Timing:
+class LoopTiming:
     """Lateness and computing times of a run, kept without making anything while it goes.
 
     Args:

@@ -12,16 +12,16 @@ _ASIDE = 0.3
 """Swing [rad] beyond which a leg lies beside the body."""
 
 
-def sitting(robot: RobotDescription) -> Array:
+def sitting_pose(robot: RobotDescription) -> Array:
     """Return the motor angles (M,) [rad] of the robot when it sits."""
     return robot.pose_angles(*robot.poses.sit)
 
 
-def lying(robot: RobotDescription, angles: ArrayLike) -> Array:
+def lying_pose(robot: RobotDescription, angles: ArrayLike) -> Array:
     """Return the motor angles (M,) [rad] with which legs lie beside a body on its belly, from how they came to lie.
 
     Legs that slid out to one side stay on it: unfolded flat they move freely, and can then be drawn in from there. Legs
-    under the body are put as in `sitting`; so are all legs of a robot whose sheet has no `poses.spread`.
+    under the body are put as in `sitting_pose`; so are all legs of a robot whose sheet has no `poses.spread`.
     """
     swing = robot.to_pose(angles)[-2]
     *first, rest, extension = robot.poses.sit
@@ -29,7 +29,7 @@ def lying(robot: RobotDescription, angles: ArrayLike) -> Array:
     return robot.pose_angles(*first, np.where(aside, (robot.poses.spread or 0.0) * np.sign(swing), rest), extension)
 
 
-def between(start: ArrayLike, end: ArrayLike, share: float) -> Array:
+def minimum_jerk(start: ArrayLike, end: ArrayLike, share: float) -> Array:
     """A pose on the way from `start` to `end`, at a share of the time from 0 to 1.
 
     The fifth-order polynomial of least jerk: speed and acceleration are 0 at both ends (Flash and Hogan 1985).

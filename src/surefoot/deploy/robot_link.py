@@ -14,11 +14,6 @@ from surefoot.errors import SurefootError
 
 STATE_PERIOD = 0.010
 """Time [s] between two states that a robot is asked for while it gets no commands."""
-LEAD = 0.005
-"""How long [s] before the next control step the robot is to send its state.
-
-At 921,600 baud a command of 8 motors takes 0.6 ms to come and a state 1.7 ms to go; 0.5 ms for the policy. The rest is
-to spare: a state that comes too late is a whole control step older, one that comes too early a millisecond or two."""
 _POLL = 0.002
 
 
@@ -65,10 +60,10 @@ class RobotLink(ABC):
     Args:
         clock: this computer's; in lockstep the robot follows it.
         session: number of the operator's session.
-        lead: how long before the next control step the robot is to send its state [s].
+        lead: how long before the next control step the robot is to send its state, in real time [s].
     """
 
-    def __init__(self, clock: Clock, session: int, lead: float = LEAD) -> None:
+    def __init__(self, clock: Clock, session: int, lead: float) -> None:
         self.clock, self.session = clock, session
         self.lockstep = isinstance(clock, LockstepClock)
         """Whether the robot follows this computer's clock."""

@@ -7,11 +7,11 @@ from collections.abc import Callable
 import numpy as np
 
 from surefoot.deploy.messages import Handshake, Mode
+from surefoot.emulator.capture_writer import PERIOD
 from surefoot.emulator.faults import FaultInjector, InjectedFault
 from surefoot.emulator.firmware import Firmware
 from surefoot.emulator.host_link import HostLink
 from surefoot.emulator.limits import Limits
-from surefoot.emulator.motion_capture import PERIOD
 from surefoot.emulator.plant import Plant
 from surefoot.emulator.signals import MotorOrder, Sensors
 
@@ -27,30 +27,27 @@ class Board:
 
     Args:
         plant: the body.
-        introduction: the robot's handshake.
+        handshake: the robot's handshake.
         link: its end of the link to hosts.
         limits: when the robot damps itself.
         faults: what goes wrong.
         stride: servo steps that the physics may advance at once while nothing arrives or is due. The microcontroller
             checks tilt, battery and heat only between them. With faults it is 1.
-        lead: time [s] before their use at which a deployment requests states. The control latency counts up to the
-            use, so readings are younger by this when a state is sent.
     """
 
     def __init__(
         self,
         plant: Plant,
-        introduction: Handshake,
+        handshake: Handshake,
         link: HostLink,
         limits: Limits | None = None,
         faults: dict[str, InjectedFault] | None = None,
         stride: int = 1,
-        lead: float = 0.0,
     ) -> None:
         faults = faults or {}
         self.stride = stride if not faults and plant.servo_every == 1 else 1
-        self.plant, self.limits, self.lead = plant, limits or Limits.of(plant.robot), lead
-        self.injector = FaultInjector(faults, plant, introduction)
+        self.plant, self.limits = plant, limits or Limits.of(plant.robot)
+        self.injector = FaultInjector(faults, plant, handshake)
         self.link = link
         link.chances = self.injector.chances
         self.now = self.reboots = 0
@@ -63,7 +60,7 @@ class Board:
         self._damped = self._last = MotorOrder(Mode.DISARMED, np.zeros(plant.robot.num_motors))
 
     def _boot(self) -> Firmware:
-        return Firmware(self.injector.introduction, self.limits)
+        return Firmware(self.injector.handshake, self.limits)
 
     @property
     def next_step(self) -> int:
@@ -142,7 +139,8 @@ class Board:
 
     def _read(self) -> Sensors:
         since = (self.now - self.plant.ticks * self._step) / 1e6
-        return self.injector.sensors(self.plant.read(since, self.lead))
+        # The control latency counts up to the use: when they are sent, readings are younger by the lead.
+        return self.injector.sensors(self.plant.read(since, self.link.lead))
 
     def _send(self) -> None:
         for packet in map(self.injector.packet, self.firmware.take()):

@@ -176,13 +176,13 @@ class FaultInjector:
     Args:
         faults: by name.
         plant: the body.
-        introduction: the robot's handshake; `self.introduction` is the one with its faults.
+        handshake: the robot's handshake; `self.handshake` is the one with its faults.
     """
 
-    def __init__(self, faults: dict[str, InjectedFault], plant: Plant, introduction: Handshake) -> None:
+    def __init__(self, faults: dict[str, InjectedFault], plant: Plant, handshake: Handshake) -> None:
         self._faults, self._plant = faults, plant
         self._rest = plant.robot.resting_angles
-        self.introduction = self._introduce(introduction)
+        self.handshake = self._introduce(handshake)
         self.armed_at: int | None = None
         """When the robot was first armed."""
         self.hangs_until = 0

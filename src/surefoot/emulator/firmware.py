@@ -102,12 +102,12 @@ class Firmware:
     """The microcontroller's program.
 
     Args:
-        introduction: the robot's handshake.
+        handshake: the robot's handshake.
         limits: when it damps itself.
     """
 
-    def __init__(self, introduction: Handshake, limits: Limits) -> None:
-        self.introduction, self.limits = introduction, limits
+    def __init__(self, handshake: Handshake, limits: Limits) -> None:
+        self.handshake, self.limits = handshake, limits
         self.watch = LinkWatch(microseconds(self.limits.clean_gap))
         self.mode, self.reason, self.owner = Mode.DISARMED, Reason.NONE, 0
         self.period = 0
@@ -117,7 +117,7 @@ class Firmware:
         """Commands dropped because they were too old."""
         self._out: list[Packet] = []
         self._sent = 0
-        self._order = self._damped = MotorOrder(Mode.DISARMED, np.zeros(len(introduction.motor_names)))
+        self._order = self._damped = MotorOrder(Mode.DISARMED, np.zeros(len(handshake.motor_names)))
         self._fresh = False
         self._state_period = microseconds(self.limits.state_period[1])
         self._report_after = 0
@@ -212,7 +212,7 @@ class Firmware:
     def _greet(self, now: int, hello: Hello) -> None:
         shortest, longest = self.limits.state_period
         self._state_period = microseconds(min(max(hello.state_period, shortest), longest))
-        self._say(now, replace(self.introduction, session=self.owner))
+        self._say(now, replace(self.handshake, session=self.owner))
         self.next_state = min(self.next_state, now + self._state_period)
 
     def _arm(self, now: int, arm: Arm) -> None:
@@ -238,7 +238,7 @@ class Firmware:
     # Commands.
 
     def _obey(self, now: int, number: int, message: Position | Pwm, age: float) -> None:
-        said = self.introduction
+        said = self.handshake
         if isinstance(message, Position):
             mode, values, low, high = Mode.POSITION, message.target, said.angle_low, said.angle_high
         else:

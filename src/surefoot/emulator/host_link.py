@@ -17,6 +17,8 @@ class HostLink(Protocol):
 
     chances: Mapping[str, float]
     """Chance of each harm of `faults.HARMS` that may happen now, 0 to 1 per packet."""
+    lead: float
+    """Time [s] between a state's sending and its use by a deployment; 0 in lockstep."""
 
     @property
     def statistics(self) -> LinkStatistics:

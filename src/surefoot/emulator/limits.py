@@ -53,7 +53,7 @@ class Limits:
         return cls(robot.battery.empty)
 
 
-def introduction(robot: RobotDescription, limits: Limits, firmware: str, servo_period: float) -> Handshake:
+def make_handshake(robot: RobotDescription, limits: Limits, firmware: str, servo_period: float) -> Handshake:
     """Return the handshake of a robot; the session is filled in when it is greeted.
 
     The extremes of leg space, with `ANGLE_ROOM`, are what a command may request.

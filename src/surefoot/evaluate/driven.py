@@ -11,8 +11,7 @@ from numpy.typing import ArrayLike
 from surefoot.arrays import Array
 from surefoot.errors import SurefootError
 from surefoot.evaluate.rollout import Policy
-from surefoot.robot import PhysicalParams
-from surefoot.robot.randomization import RandomizeConfig
+from surefoot.robot.params import PARAMETERS
 from surefoot.rotations import in_heading_frame
 from surefoot.task.commands import HeldCommand
 from surefoot.task.config import TaskConfig
@@ -75,7 +74,7 @@ class DrivenRobot:
 
     def __init__(self, policy: Policy, task: TaskConfig, make_world: SimulationFactory) -> None:
         pushes = replace(task.pushes, enabled=False)
-        task = replace(task, pushes=pushes, max_steps=_MAX_STEPS, randomize=RandomizeConfig())
+        task = replace(task, pushes=pushes, max_steps=_MAX_STEPS, randomize={})
         self._command = HeldCommand(1)
         self.policy = policy
         self.env = LocomotionEnv(task, 1, make_world, seed=1, autoreset=False, threads=1, source=self._command)
@@ -117,16 +116,16 @@ class DrivenRobot:
     def knobs(self) -> list[Knob]:
         """Return the numbers that can be set."""
         knobs = []
-        for name, declared in PhysicalParams.__dataclass_fields__.items():
-            if name in FIXED or declared.metadata["actuator"] not in ("", self.robot.actuator.kind):
+        for name, declared in PARAMETERS.items():
+            if name in FIXED or not declared.belongs_to(self.robot):
                 continue
             low, high = self.robot.allowed[name]
-            about = (declared.metadata["unit"], declared.metadata["meaning"], low, high)
-            values, width = getattr(self.env.world.params, name), declared.metadata["width"]
-            if width in ("one", "motors"):
+            about = (declared.unit, declared.meaning, low, high)
+            values = getattr(self.env.world.params, name)
+            if declared.per in ("", "motors"):
                 knobs.append(Knob(name, *about, float(values.mean())))
             else:
-                columns = zip(width.split(", "), values[0], strict=True)
+                columns = zip(declared.parts(()), values[0], strict=True)
                 knobs += [Knob(f"{name}.{column}", *about, float(value)) for column, value in columns]
         return knobs
 
@@ -145,7 +144,7 @@ class DrivenRobot:
         now, nominal = getattr(world.params, name), getattr(self.env.nominal, name)
         if column:
             values = now.copy()
-            values[:, PhysicalParams.__dataclass_fields__[name].metadata["width"].split(", ").index(column)] = value
+            values[:, PARAMETERS[name].parts(()).index(column)] = value
         else:
             mean = float(nominal.mean())
             values = nominal / mean * value if mean else np.full_like(now, value)

@@ -21,7 +21,6 @@ import pandas as pd
 from surefoot.arrays import Array
 from surefoot.evaluate.runs import summarize_runs
 from surefoot.evaluate.statistics import Interval, MeanEstimate, crossed_interval
-from surefoot.robot.randomization import RandomizeConfig
 from surefoot.task.config import TaskConfig
 
 
@@ -137,7 +136,7 @@ def gap_difference(base: PolicyGap, other: PolicyGap) -> tuple[MeanEstimate, Int
 
 def home_task(task: TaskConfig) -> TaskConfig:
     """Return the task in the policy's own simulator, with its actuator and latencies; no randomization, no pushes."""
-    return replace(task, randomize=RandomizeConfig(), pushes=replace(task.pushes, enabled=False))
+    return replace(task, randomize={}, pushes=replace(task.pushes, enabled=False))
 
 
 def away_task(task: TaskConfig) -> TaskConfig:

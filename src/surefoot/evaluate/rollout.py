@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -11,14 +10,10 @@ import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 
 from surefoot.arrays import Array
-from surefoot.configuration import from_mapping
 from surefoot.errors import SurefootError
-from surefoot.policy.contract import Contract
-from surefoot.robot import RobotDescription
 from surefoot.robot.params_file import param_values
 from surefoot.task.config import TaskConfig
 from surefoot.task.env import LocomotionEnv
-from surefoot.task.reference import make_reference
 from surefoot.task.trace import EpisodeTrace
 from surefoot.world.interface import SimulationFactory
 
@@ -32,19 +27,6 @@ class Policy(Protocol):
     def feedback(self, observation: ArrayLike) -> Array:
         """Return leg-space feedback (N, 2 L) [rad] for observations (N, O * history)."""
         ...
-
-
-def task_from_contract(contract: Contract) -> TaskConfig:
-    """Return the task of a policy, the table of its reference from the contract, not from a file."""
-    task = from_mapping(TaskConfig, contract.task, f"policy '{contract.name}': task")
-    reference = contract.reference
-    if reference is not None and reference.get("kind") == "table":
-        robot = RobotDescription.load(task.robot)
-        table_data = make_reference(reference, robot).to_dict()
-        rows = {part: {leg: tuple(row) for leg, row in table_data[part].items()} for part in robot.coordinates}
-        table = replace(task.reference, file=None, period=table_data["period"], rows=rows)
-        task = replace(task, reference=table)
-    return task
 
 
 def run_to_end(

@@ -20,14 +20,15 @@ from surefoot.arrays import Array
 from surefoot.errors import SurefootError
 from surefoot.evaluate.rollout import Policy, Progress, run_to_end
 from surefoot.robot import PhysicalParams, RobotDescription
-from surefoot.robot.randomization import ROWS, RandomizeConfig
+from surefoot.robot.params import PARAMETERS
+from surefoot.robot.randomization import ParamRange, Ranges, check_ranges, interval_of, mean_interval
 from surefoot.tables import plain_value
 from surefoot.task.config import MOST_STEPS, TaskConfig
 from surefoot.task.env import LocomotionEnv
 from surefoot.world.interface import Simulation, SimulationFactory, WorldConfig
 
-TestWorlds = Sequence[tuple[str, float]]
-"""Test worlds: a row of the table of ranges, or `push_force`, and the value for every motor and axis."""
+TestWorlds = Sequence[tuple[str, float, tuple[float, ...]]]
+"""Test worlds: a parameter, or `push_force`, its value, or mean value, and its values for each motor or axis."""
 PUSH_FORCE = "push_force"
 """Row of the force of pushes [N]."""
 NOMINAL = "nominal"
@@ -107,19 +108,24 @@ class Sensitivity:
 
 
 def make_test_worlds(
-    ranges: RandomizeConfig, values: int = 10, push_force: tuple[float, float] | None = None
+    ranges: Mapping[str, ParamRange],
+    nominal: PhysicalParams,
+    values: int = 10,
+    push_force: tuple[float, float] | None = None,
 ) -> TestWorlds:
-    """Return the test worlds of a table of ranges, and of a range of the force of pushes [N]; one row or more.
+    """Return the test worlds of ranges around nominal values, and of a range of the force of pushes [N].
 
     Each row takes two or more evenly spaced `values` in its range, both ends included; a range of one value takes one.
     """
-    rows = ranges.ranges | ({} if push_force is None else {PUSH_FORCE: push_force})
+    rows = {name: interval_of(bounds, getattr(nominal, name)[:1]) for name, bounds in ranges.items()}
+    if push_force is not None:
+        rows[PUSH_FORCE] = np.array(push_force[:1]), np.array(push_force[1:])
     if not rows:
-        raise SurefootError("the table of ranges has no rows; a sensitivity study needs 1 or more, such as table1's")
+        raise SurefootError("the table of ranges is empty; a sensitivity study needs 1 range or more, as table1's")
     return [
-        (row, float(value))
+        (row, float(value.flat[0] if np.ptp(value) == 0 else value.mean()), tuple(value.flat))
         for row, (low, high) in rows.items()
-        for value in np.linspace(low, high, values if high > low else 1)
+        for value in np.linspace(low, high, values if (high > low).any() else 1)
     ]
 
 
@@ -127,13 +133,15 @@ def row_unit(row: str) -> str:
     """Return the unit of a row's values; empty for a ratio."""
     if row == PUSH_FORCE:
         return "N"
-    unit = str(PhysicalParams.__dataclass_fields__[ROWS[row].params[0]].metadata["unit"])
+    unit = PARAMETERS[row].unit
     return "" if unit == "1" else unit
 
 
 def trained_ranges(task: TaskConfig) -> dict[str, tuple[float, float]]:
-    """Return the ranges of the rows that a policy of a task was trained in."""
-    return task.randomize.ranges | {PUSH_FORCE: task.pushes.force if task.pushes.enabled else (0.0, 0.0)}
+    """Return the ranges that a policy of a task was trained in, by row."""
+    nominal = task.nominal(RobotDescription.load(task.robot))
+    ranges = {name: mean_interval(given, getattr(nominal, name)) for name, given in task.randomize.items()}
+    return ranges | {PUSH_FORCE: task.pushes.force if task.pushes.enabled else (0.0, 0.0)}
 
 
 def episode_duration(task: TaskConfig) -> float:
@@ -146,7 +154,7 @@ def run_sensitivity(
     task: TaskConfig,
     make_world: SimulationFactory,
     *,
-    ranges: RandomizeConfig,
+    ranges: Ranges,
     push_force: tuple[float, float] | None = None,
     policy_name: str = "",
     values: int = 10,
@@ -169,7 +177,7 @@ def run_sensitivity(
         policy: gives the feedback.
         task: what is run; its own physical parameters are the nominal ones.
         make_world: makes the simulation.
-        ranges: rows to vary and their ranges, which the robot allows.
+        ranges: the parameters to vary and their ranges.
         push_force: least and greatest force [N] of a further row, `push_force`: in each of its worlds every push has
             one force. All directions are horizontal then.
         policy_name: for the results.
@@ -182,13 +190,18 @@ def run_sensitivity(
         robots: most robots side by side, for engines that take much memory for each; 0 means all. The result does not
             depend on it.
         progress: called with the share of the control steps that is done; an episode that ends early is done.
+
+    Raises:
+        SurefootError: no ranges, or ranges outside what the robot allows.
     """
     duration = episode_duration(task) if duration is None else duration
-    worlds = make_test_worlds(ranges, values, push_force)
+    robot = RobotDescription.load(task.robot)
+    check_ranges(ranges, robot)
+    worlds = make_test_worlds(ranges, task.nominal(robot), values, push_force)
     other_force = task.pushes.force if pushes else (0.0, 0.0)
     # The environment's own limit of control steps is out of reach: every robot has its own number.
     pushes_config = task.pushes.in_full(pushes, push_force)
-    task = replace(task, randomize=RandomizeConfig(), pushes=pushes_config, max_steps=MOST_STEPS)
+    task = replace(task, randomize={}, pushes=pushes_config, max_steps=MOST_STEPS)
     batch = max(robots // episodes - 1, 1) if robots else len(worlds)
     parts: list[pd.DataFrame] = []
     for first in range(0, len(worlds), batch):
@@ -198,7 +211,7 @@ def run_sensitivity(
         _share_streams(env, episodes)
         if push_force is not None:
             env.pusher.range[:] = other_force
-            for number, (row, value) in enumerate(chosen, start=1):
+            for number, (row, value, _) in enumerate(chosen, start=1):
                 if row == PUSH_FORCE:
                     env.pusher.range[number * episodes : (number + 1) * episodes] = value
         steps = np.maximum(np.round(duration / env.world.params.control_step), 1).astype(np.int64)
@@ -217,12 +230,12 @@ def run_sensitivity(
 
         parts.append(run_to_end(act, env, env.reset()[0], steps, report)[episodes if first else 0 :])
     runs = pd.concat(parts, ignore_index=True)
-    places = [(NOMINAL, "", np.nan), *((row, row_unit(row), value) for row, value in worlds)]
+    places = [(NOMINAL, "", np.nan), *((row, row_unit(row), value) for row, value, _ in worlds)]
     table = pd.DataFrame([place for place in places for _ in range(episodes)], columns=["row", "unit", "value"])
     # A diverged simulation counts as a fall: the policy has brought the robot to where the model does not hold.
     results = {"return": runs["return"], "speed": runs.speed, "fell": ~runs.balanced}
     table = table.assign(run=np.tile(np.arange(episodes), len(places)), **results)
-    nominal = {row: float(np.mean(getattr(env.nominal, ROWS[row].params[0])[0])) for row in ranges.ranges}
+    nominal = {name: float(np.mean(getattr(env.nominal, name)[0])) for name in ranges}
     if push_force is not None:
         nominal[PUSH_FORCE] = float(np.mean(other_force))
     return Sensitivity(policy_name, nominal, table)
@@ -235,10 +248,10 @@ def _in_worlds(make_world: SimulationFactory, worlds: TestWorlds, episodes: int)
         robot: RobotDescription, num_envs: int, nominal: PhysicalParams, seed: int, config: WorldConfig
     ) -> Simulation:
         params = nominal.rows(np.arange(num_envs))
-        for number, (row, value) in enumerate(worlds, start=1):
-            robots = slice(number * episodes, (number + 1) * episodes)
-            for name in () if row == PUSH_FORCE else ROWS[row].params:
-                getattr(params, name)[robots] = value
+        for number, (row, _, columns) in enumerate(worlds, start=1):
+            if row != PUSH_FORCE:
+                robots = slice(number * episodes, (number + 1) * episodes)
+                getattr(params, row)[robots] = np.clip(columns, *robot.allowed[row])
         return make_world(robot, num_envs, params, seed, config)
 
     return make

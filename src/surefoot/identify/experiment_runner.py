@@ -8,9 +8,9 @@ from dataclasses import fields, replace
 import numpy as np
 
 from surefoot.arrays import Array
-from surefoot.deploy.loop import Watch
+from surefoot.deploy.loop import RunMonitor
 from surefoot.deploy.messages import Handshake, Mode, State
-from surefoot.deploy.motion import MotionRunner
+from surefoot.deploy.motion_runner import MotionRunner
 from surefoot.deploy.robot_link import LinkLostError, RobotLink
 from surefoot.deploy.safety import Act, SafetyLimits
 from surefoot.errors import SurefootError
@@ -37,7 +37,7 @@ class _ExperimentRunner:
     """An experiment on a greeted robot; see `run_plan`."""
 
     def __init__(
-        self, link: RobotLink, plan: Plan, robot: RobotDescription, operator: StopSignals, watch: Watch
+        self, link: RobotLink, plan: Plan, robot: RobotDescription, operator: StopSignals, monitor: RunMonitor
     ) -> None:
         if link.handshake is None:
             raise SurefootError("the robot was not greeted")
@@ -50,7 +50,7 @@ class _ExperimentRunner:
         # Batteries sag under what an experiment asks for, and recover: only what would stop the robot itself counts.
         low = self.handshake.voltage_min + BATTERY_ROOM
         self._limits = replace(SafetyLimits.of(robot), state_age=steps, missed_steps=int(steps) - 1, battery_low=low)
-        self._watch = watch
+        self._monitor = monitor
         self._states: list[tuple[State, float, float]] = []
         self._sent: list[tuple[int, float, int, Array]] = []
         self._changes: list[tuple[float, int]] = []
@@ -88,7 +88,7 @@ class _ExperimentRunner:
     def _runner(self, mode: Mode) -> MotionRunner:
         tilt = self.handshake.tilt_limit
         return MotionRunner(
-            self.link, self.robot, self.period, self.operator, self._watch, self._limits, tilt, mode, self.lead
+            self.link, self.robot, self.period, self.operator, self._monitor, self._limits, tilt, mode, self.lead
         )
 
     def _run_phases(self) -> None:
@@ -138,7 +138,7 @@ class _ExperimentRunner:
     def _passed_limit(self, state: State, phase: Phase) -> str:
         """Return which limit of the plan is passed; empty, if none is."""
         plan, limits, names = self.plan, self.plan.limits, self.robot.motor_names
-        low, high = (self._low, self._high) if phase.use == "way" else (plan.angle_low, plan.angle_high)
+        low, high = (self._low, self._high) if phase.use == "transition" else (plan.angle_low, plan.angle_high)
         beyond = np.maximum(low - state.motor_angle, state.motor_angle - high)
         worst = int(np.argmax(beyond))
         if self._sent and beyond[worst] > limits.angle_room:
@@ -197,7 +197,7 @@ class _ExperimentRunner:
         return Recording(**arrays, meta=meta)
 
 
-def run_plan(link: RobotLink, plan: Plan, robot: RobotDescription, watch: Watch) -> Recording:
+def run_plan(link: RobotLink, plan: Plan, robot: RobotDescription, monitor: RunMonitor) -> Recording:
     """Watch a greeted robot at rest, go through all phases, let it go; return what was recorded, however it ended.
 
     Nothing is raised once motors may have moved: `meta["ended"]` tells why an experiment did not come to its end, such
@@ -207,4 +207,4 @@ def run_plan(link: RobotLink, plan: Plan, robot: RobotDescription, watch: Watch)
         SurefootError: the robot was not greeted, or does not arm.
     """
     with StopSignals() as operator:
-        return _ExperimentRunner(link, plan, robot, operator, watch).run()
+        return _ExperimentRunner(link, plan, robot, operator, monitor).run()

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from surefoot.arrays import Array
 from surefoot.errors import SurefootError
-from surefoot.identify.result import label_of
+from surefoot.identify.result import indexed_name
 from surefoot.robot import PhysicalParams
 
 SMALL = 1e-5
@@ -59,7 +59,7 @@ class Unknown:
     @property
     def label(self) -> str:
         """Name with index."""
-        return label_of(self.name, self.index)
+        return indexed_name(self.name, self.index)
 
 
 def params_of(base: PhysicalParams, unknowns: Sequence[Unknown], values: Array) -> PhysicalParams:
@@ -121,7 +121,7 @@ class Fit:
         return self.covariance / np.outer(scale, scale)
 
     @property
-    def told(self) -> NDArray[np.bool_]:
+    def identifiable(self) -> NDArray[np.bool_]:
         """Which unknowns the data tell: what is left open is clearly less than what was open before (n,)."""
         before = np.array([u.prior if u.prior is not None else (u.high - u.low) / 4 for u in self.unknowns])
         return self.deviation < UNTOLD * before
@@ -135,7 +135,7 @@ class Fit:
         ]
 
 
-def jacobian_of(model: Model, values: Array, residuals: Array) -> Array:
+def forward_jacobian(model: Model, values: Array, residuals: Array) -> Array:
     """Derivatives (m, n) by forward differences; unknowns of one colour are tried together."""
     unknowns = model.unknowns
     together: dict[int, list[int]] = {}
@@ -157,7 +157,7 @@ def jacobian_of(model: Model, values: Array, residuals: Array) -> Array:
 
 
 def fit_least_squares(
-    model: Model, start: Array | None = None, tell: Callable[[int, float], None] | None = None
+    model: Model, start: Array | None = None, report: Callable[[int, float], None] | None = None
 ) -> Fit:
     """Minimize the sum of squared residuals of a model within bounds, priors counted as residuals.
 
@@ -201,7 +201,7 @@ def fit_least_squares(
     def jacobian(x: Array, r: Array) -> Array:
         values, count = values_of(x)[0], len(r) - len(known)
         whole = np.zeros((len(r), len(scale)))
-        whole[:count] = jacobian_of(model, values, r[:count, 0])
+        whole[:count] = forward_jacobian(model, values, r[:count, 0])
         whole[count + np.arange(len(known)), known] = 1 / spread
         here[:] = [(x, r, whole * scale)]
         return here[0][2]
@@ -213,8 +213,8 @@ def fit_least_squares(
         raise SurefootError("the model breaks down where the fit begins; check robot and recording")
 
     def each(log: list[minimize.IterLog]) -> None:
-        if tell is not None:
-            tell(len(log), 2 * float(log[-1].objective) / len(begin))
+        if report is not None:
+            report(len(log), 2 * float(log[-1].objective) / len(begin))
 
     try:
         x, _ = minimize.least_squares(
@@ -233,7 +233,7 @@ def fit_least_squares(
     values = values_of(np.asarray(x).ravel())
     final = residual((values / scale)[:, None])[:, 0]
     count = len(final) - len(known)
-    own = jacobian_of(model, values, final[:count])
+    own = forward_jacobian(model, values, final[:count])
     covariance = _covariance(own, final[:count], model.blocks, known, spread, high - low)
     return Fit(unknowns, values, covariance, final[:count])
 
@@ -260,5 +260,5 @@ def _covariance(
     inverse = np.linalg.inv(hessian * np.outer(width, width)) * np.outer(width, width)
     sandwich = inverse @ middle @ inverse
     larger = np.maximum(np.diag(sandwich), np.diag(inverse))
-    stretch = np.sqrt(larger / np.maximum(np.diag(sandwich), 1e-300))
-    return sandwich * np.outer(stretch, stretch)
+    inflation = np.sqrt(larger / np.maximum(np.diag(sandwich), 1e-300))
+    return sandwich * np.outer(inflation, inflation)

@@ -3,7 +3,7 @@
     [params]                    values, for `surefoot train --params` and all other commands
     [sensors]                   what later fits need to know of the sensors
     [intervals]                 NAME = [low, high] of 95 %, or a list of such pairs, one a motor or axis
-    [told_by]                   NAME = "EXPERIMENT" that told it last
+    [identified_by]                   NAME = "EXPERIMENT" that told it last
     [identified.EXPERIMENT]     date and SHA-256 of the data, their file, version of surefoot
 
 A pair of infinities stands for a motor or axis of which nothing was told. Whatever else the file has stays.
@@ -28,7 +28,7 @@ from surefoot.robot.params_file import read_params, write_params
 
 NOTHING = (-math.inf, math.inf)
 """Interval of a number of which nothing is told."""
-_OURS = ("sensors", "intervals", "told_by", "identified")
+_OURS = ("sensors", "intervals", "identified_by", "identified")
 
 
 @dataclass(frozen=True)
@@ -77,14 +77,14 @@ def overlay(known: Known, found: Identification, robot: RobotDescription, source
     tables = deepcopy(known.tables)
     if found.sensors:
         tables["sensors"] = {**tables.get("sensors", {}), **found.sensors}
-    told = dict.fromkeys(item.name for item in found.estimates if item.told)
-    intervals, told_by = tables.setdefault("intervals", {}), tables.setdefault("told_by", {})
+    told = dict.fromkeys(item.name for item in found.estimates if item.identifiable)
+    intervals, identified_by = tables.setdefault("intervals", {}), tables.setdefault("identified_by", {})
     for name in told:
         intervals[name] = _interval(found, name, intervals.get(name), robot)
-        told_by[name] = found.experiment
+        identified_by[name] = found.experiment
     data = {"date": found.date, "data": found.digest, "file": source, "surefoot": __version__}
     tables.setdefault("identified", {})[found.experiment] = {key: value for key, value in data.items() if value}
-    names = {*known.given, *found.found()}
+    names = {*known.given, *found.identified_names()}
     given = tuple(name for name in PhysicalParams.names() if name in names)
     return Known(found.params(robot, known.params), given, tables)
 
@@ -96,8 +96,8 @@ def write_known(path: Path, robot: RobotDescription, known: Known) -> Path:
 
 
 def _interval(found: Identification, name: str, before: Any, robot: RobotDescription) -> list[Any]:
-    """The interval of a number, or one for each motor or axis: what is not told now stays as it was."""
-    items = [item for item in found.estimates if item.name == name and item.told]
+    """The interval of a number, or one for each motor or axis: what is not identifiable now stays as it was."""
+    items = [item for item in found.estimates if item.name == name and item.identifiable]
     if items[0].index is None:
         return list(items[0].interval)
     count = max(item.index or 0 for item in found.estimates if item.name == name) + 1

@@ -11,9 +11,9 @@ import numpy as np
 
 from surefoot.arrays import Array
 from surefoot.deploy.messages import Mode
-from surefoot.deploy.poses import between
+from surefoot.deploy.poses import minimum_jerk
 
-Use = Literal["fit", "check", "way"]
+Use = Literal["fit", "check", "transition"]
 Signal = Callable[[float, Array], Array]
 """What the motors are asked for (M,) at a time since the phase's start [s], from what they were asked for before."""
 FADE = 0.2
@@ -77,7 +77,7 @@ class Plan:
 
 def go_to(target: Array, duration: float) -> Signal:
     """Smoothly from wherever the motors were sent to `target` (M,) [rad]."""
-    return lambda t, start: between(start, target, t / duration)
+    return lambda t, start: minimum_jerk(start, target, t / duration)
 
 
 def hold(target: Array) -> Signal:

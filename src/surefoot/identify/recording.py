@@ -103,7 +103,7 @@ class Recording:
         return str(self.meta["digest"])
 
     @cached_property
-    def way(self) -> float:
+    def clock_offset(self) -> float:
         """Usual difference of a command's coming, on the robot's clock, and its sending, on the host's [s]."""
         told = self._told - self.sent_time
         return float(np.nanmedian(told)) if np.isfinite(told).any() else 0.0
@@ -111,7 +111,7 @@ class Recording:
     @cached_property
     def arrival(self) -> Array:
         """When each command came to the robot (C,) [s]: what states tell, else as long after sending as usual."""
-        return np.where(np.isfinite(self._told), self._told, self.sent_time + self.way)
+        return np.where(np.isfinite(self._told), self._told, self.sent_time + self.clock_offset)
 
     @cached_property
     def _told(self) -> Array:

@@ -19,7 +19,7 @@ FitProgress = Callable[[str, float], None]
 """Is told what a fit does, and the mean square of its residuals in standard deviations."""
 
 
-def silent(step: str, cost: float) -> None:
+def ignore_progress(step: str, cost: float) -> None:
     """Tell nobody how a fit goes."""
 
 
@@ -43,7 +43,7 @@ class Experiment:
         recording: Recording,
         known: PhysicalParams,
         sensors: dict[str, Any] | None = None,
-        tell: FitProgress = silent,
+        report: FitProgress = ignore_progress,
     ) -> Identification:
         """Find what a recording of it tells.
 
@@ -59,7 +59,7 @@ class Experiment:
         """
         notes = check_recording(recording, robot)
         module = import_module(f"surefoot.identify.{'rack' if self.rack else 'ground'}.fits")
-        found: Identification = getattr(module, f"fit_{self.name}")(robot, recording, known, sensors or {}, tell)
+        found: Identification = getattr(module, f"fit_{self.name}")(robot, recording, known, sensors or {}, report)
         date = str(recording.meta["date"])
         return replace(found, notes=(*notes, *found.notes), digest=recording.digest, date=date)
 

@@ -39,7 +39,7 @@ HELD = -1
 
 
 @dataclass(frozen=True)
-class Stretch:
+class Segment:
     """A part of a recording: commands, and the states among them. Its time begins with the first command."""
 
     order_tick: NDArray[np.int64]
@@ -60,7 +60,7 @@ class Stretch:
     """How long before their use [s] the control latency takes states to be sent."""
 
 
-def stretch_of(recording: Recording, first: int, last: int) -> Stretch:
+def segment_from_recording(recording: Recording, first: int, last: int) -> Segment:
     """The phases `first` to `last`, of which the first one must begin with servos at rest.
 
     Between phases of servos and of duties the robot is disarmed for some milliseconds, and its motors damped.
@@ -74,7 +74,7 @@ def stretch_of(recording: Recording, first: int, last: int) -> Stretch:
     kind = np.array([int(modes[int(phase)]) for phase in recording.sent_phase[mine]], np.int64)
     orders = recording.sent_value[mine]
     for sent, mode in recording.meta["mode_changes"]:
-        tick = int(recording.servo_step(sent + recording.way))
+        tick = int(recording.servo_step(sent + recording.clock_offset))
         if begins[0] < tick <= begins[-1]:
             place = int(np.searchsorted(begins, tick, side="right"))
             begins = np.insert(begins, place, tick)
@@ -88,7 +88,7 @@ def stretch_of(recording: Recording, first: int, last: int) -> Stretch:
     ticks = int(np.floor(state_time[-1] / dt + 1e-6)) + 1
     # The voltage falls when a command makes the current jump: what a step had is told by the state that follows.
     following = np.searchsorted(recording.time, (origin + np.arange(ticks)) * dt - CLOCK)
-    return Stretch(
+    return Segment(
         order_tick=begins - origin,
         order=orders,
         kind=kind,
@@ -100,8 +100,8 @@ def stretch_of(recording: Recording, first: int, last: int) -> Stretch:
     )
 
 
-def stretch_of_log(log: RobotLog, robot: RobotDescription) -> Stretch:
-    """Return a log as a stretch that begins with its first command.
+def segment_from_log(log: RobotLog, robot: RobotDescription) -> Segment:
+    """Return a log as a segment that begins with its first command.
 
     Robots settle at what is commanded of joints that stand still. Joints that move stand as those in the same place of
     other legs do; where all move, as they were first read.
@@ -109,7 +109,7 @@ def stretch_of_log(log: RobotLog, robot: RobotDescription) -> Stretch:
     dt, origin = robot.timing.servo_step, float(log.time[0])
     state_time = np.maximum(log.read_time - origin, 0.0)
     ticks = int(np.floor(state_time[-1] / dt + 1e-6)) + 1
-    return Stretch(
+    return Segment(
         order_tick=np.ceil((log.time - origin) / dt - 1e-6).astype(np.int64),
         order=log.command,
         kind=np.full(len(log.time), int(Mode.POSITION)),
@@ -121,7 +121,7 @@ def stretch_of_log(log: RobotLog, robot: RobotDescription) -> Stretch:
 
 
 def _standing(log: RobotLog, robot: RobotDescription) -> Array:
-    """Return the angles (M,) [rad] at which a robot stood before a log; see `stretch_of_log`."""
+    """Return the angles (M,) [rad] at which a robot stood before a log; see `segment_from_log`."""
     start, index = log.command[0].copy(), robot.leg_motor_index
     for motors in index.T:
         still = motors[~log.moving[motors]]
@@ -132,7 +132,7 @@ def _standing(log: RobotLog, robot: RobotDescription) -> Array:
 
 
 @dataclass(frozen=True)
-class Replayed:
+class ReplayedReadings:
     """What N simulated robots would have told of M motors in T states: arrays (N, T, M) [rad, rad/s, N m]."""
 
     motor_angle: Array
@@ -144,7 +144,7 @@ class Replayed:
 
 
 class Replayer:
-    """Simulated robots, `num_envs` at a time, that go through a stretch of a recording.
+    """Simulated robots, `num_envs` at a time, that go through a segment of a recording.
 
     Args:
         robot: what to simulate.
@@ -169,40 +169,40 @@ class Replayer:
         self._worlds = [SimWorld(robot, -(-num_envs // cores), config=config, engine=engine) for _ in range(cores)]
         self._pool = ThreadPoolExecutor(cores)
 
-    def run(self, stretch: Stretch, params: PhysicalParams) -> Replayed:
+    def run(self, segment: Segment, params: PhysicalParams) -> ReplayedReadings:
         """Go through it, with at most `num_envs` rows of parameters."""
-        return self._read(stretch, params, *self._simulate(stretch, params))
+        return self._read(segment, params, *self._simulate(segment, params))
 
-    def read_late(self, stretch: Stretch, params: PhysicalParams, latencies: Array) -> Array:
+    def read_late(self, segment: Segment, params: PhysicalParams, latencies: Array) -> Array:
         """Motor angles (K, T, M) [rad] that one simulated robot would tell with each of K control latencies [s]."""
-        history, torque = self._simulate(stretch, params)
+        history, torque = self._simulate(segment, params)
         rows = np.zeros(len(latencies), np.int64)
         many = params.rows(rows)
         many.control_latency[:] = latencies
-        return self._read(stretch, many, history[:, rows], torque[:, rows]).motor_angle
+        return self._read(segment, many, history[:, rows], torque[:, rows]).motor_angle
 
-    def _simulate(self, stretch: Stretch, params: PhysicalParams) -> tuple[Array, Array]:
+    def _simulate(self, segment: Segment, params: PhysicalParams) -> tuple[Array, Array]:
         """States (ticks + 1, N, width), and torques of the steps that led to them (ticks + 1, N, M)."""
         shares = np.array_split(np.arange(params.num_envs), min(len(self._worlds), params.num_envs))
         rows = [params.rows(share) for share in shares]
         go = partial(_go_through, torques=self._torques)
-        done = list(self._pool.map(go, self._worlds[: len(rows)], [stretch] * len(rows), rows))
+        done = list(self._pool.map(go, self._worlds[: len(rows)], [segment] * len(rows), rows))
         return np.concatenate([d[0] for d in done], axis=1), np.concatenate([d[1] for d in done], axis=1)
 
-    def _read(self, stretch: Stretch, params: PhysicalParams, history: Array, torque: Array) -> Replayed:
+    def _read(self, segment: Segment, params: PhysicalParams, history: Array, torque: Array) -> ReplayedReadings:
         motors, last, dt = self.robot.num_motors, len(history) - 1, self.robot.timing.servo_step
-        told = np.empty((params.num_envs, len(stretch.state_time), history.shape[2]))
+        told = np.empty((params.num_envs, len(segment.state_time), history.shape[2]))
         for row, latency in enumerate(params.control_latency.tolist()):
-            age = max(latency - stretch.lead, 0.0)
-            at = np.clip((stretch.state_time - age) / dt, 0.0, last)
+            age = max(latency - segment.lead, 0.0)
+            at = np.clip((segment.state_time - age) / dt, 0.0, last)
             before = np.minimum(at.astype(np.int64), last - 1)
             share = (at - before)[:, None]
             told[row] = (1 - share) * history[before, row] + share * history[before + 1, row]
-        ended = np.clip(np.floor(stretch.state_time / dt + 1e-3).astype(np.int64), 0, len(torque) - 1)
+        ended = np.clip(np.floor(segment.state_time / dt + 1e-3).astype(np.int64), 0, len(torque) - 1)
         imu = told[:, :, 2 * motors :]
         for row in range(params.num_envs):
-            read_imu(imu[row, :, :3], imu[row, :, 3:], stretch.state_time, params, np.full(len(imu[row]), row))
-        return Replayed(
+            read_imu(imu[row, :, :3], imu[row, :, 3:], segment.state_time, params, np.full(len(imu[row]), row))
+        return ReplayedReadings(
             motor_angle=told[:, :, :motors],
             motor_velocity=told[:, :, motors : 2 * motors],
             motor_torque=np.moveaxis(torque[ended] if len(torque) else torque, 1, 0),
@@ -210,30 +210,30 @@ class Replayer:
         )
 
 
-def _go_through(world: SimWorld, stretch: Stretch, params: PhysicalParams, torques: bool = True) -> tuple[Array, Array]:
-    """Go through a stretch; row k is the state at k servo steps, and the torque of the step before (or no torques)."""
+def _go_through(world: SimWorld, segment: Segment, params: PhysicalParams, torques: bool = True) -> tuple[Array, Array]:
+    """Go through a segment; row k is the state at k servo steps, and the torque of the step before (or no torques)."""
     rows, everyone = params.num_envs, np.arange(world.num_envs)
     given = params.rows(np.minimum(everyone, rows - 1))
     world.set_params(everyone, given)
     world.reset()
     actuation, advance = world.actuation, world.engine.advance
     active = np.where(everyone < rows, 1, 0)
-    actuation.voltage[:] = stretch.voltage[0]
+    actuation.voltage[:] = segment.voltage[0]
     steps, begin = round(SETTLE / world.robot.timing.servo_step), actuation.target.copy()
     for k in range(steps):
-        actuation.target[:] = begin + (stretch.start - begin) * min(2 * k / steps, 1.0)
+        actuation.target[:] = begin + (segment.start - begin) * min(2 * k / steps, 1.0)
         advance(active)
-    ticks, kept = len(stretch.voltage), len(actuation.times[0])
+    ticks, kept = len(segment.voltage), len(actuation.times[0])
     history = np.empty((ticks + 1, rows, actuation.sample.shape[1]))
     torque = np.empty((ticks + 1 if torques else 0, rows, actuation.target.shape[1]))
     history[0], torque[:1] = actuation.sample[:rows], actuation.motor_torque[:rows]
     order, tick = -1, 0
-    changes = [*stretch.order_tick.tolist(), ticks]
+    changes = [*segment.order_tick.tolist(), ticks]
     while tick < ticks:
-        while changes[order + 1] <= tick and order + 1 < len(stretch.order_tick):
+        while changes[order + 1] <= tick and order + 1 < len(segment.order_tick):
             order += 1
-            _obey(world, int(stretch.kind[order]), stretch.order[order], given)
-        actuation.voltage[:] = stretch.voltage[tick]
+            _obey(world, int(segment.kind[order]), segment.order[order], given)
+        actuation.voltage[:] = segment.voltage[tick]
         count = 1 if torques else min(changes[order + 1], ticks, tick + kept) - tick
         advance(count * active)
         if torques:

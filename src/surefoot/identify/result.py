@@ -32,7 +32,7 @@ ABSOLUTE = {"servo_latency": 6e-5, "control_latency": 6e-5, "motor_friction": 2e
 """Least deviation of values that may be near 0, in their units."""
 
 
-def label_of(name: str, index: int | None) -> str:
+def indexed_name(name: str, index: int | None) -> str:
     """Return a number's name, with its index in brackets if it has one."""
     return name if index is None else f"{name}[{index}]"
 
@@ -44,7 +44,7 @@ def with_floor(name: str, value: float, deviation: float) -> float:
 
 
 @dataclass(frozen=True)
-class Estimate:
+class ParameterEstimate:
     """A number that was found."""
 
     name: str
@@ -55,7 +55,7 @@ class Estimate:
     unit: str
     index: int | None = None
     """Which motor or axis, if it is not one for all."""
-    told: bool = True
+    identifiable: bool = True
     """Whether the data tell it; if not, the value is what was taken before, and must not be relied on."""
     low: float = -math.inf
     """Least value that it may have at all."""
@@ -63,17 +63,17 @@ class Estimate:
     """Greatest one."""
 
     @classmethod
-    def of_parameter(
+    def within_bounds(
         cls,
         robot: RobotDescription,
         name: str,
         value: float,
         deviation: float,
         index: int | None = None,
-        told: bool = True,
-    ) -> Estimate:
+        identifiable: bool = True,
+    ) -> ParameterEstimate:
         """Return an estimate of a physical parameter, with its unit, within what the robot allows."""
-        return cls(name, value, deviation, PhysicalParams.unit(name), index, told, *robot.allowed[name])
+        return cls(name, value, deviation, PhysicalParams.unit(name), index, identifiable, *robot.allowed[name])
 
     @property
     def interval(self) -> tuple[float, float]:
@@ -84,7 +84,7 @@ class Estimate:
     @property
     def label(self) -> str:
         """Name with index."""
-        return label_of(self.name, self.index)
+        return indexed_name(self.name, self.index)
 
 
 @dataclass(frozen=True)
@@ -123,7 +123,7 @@ class Identification:
 
     experiment: str
     robot: str
-    estimates: tuple[Estimate, ...]
+    estimates: tuple[ParameterEstimate, ...]
     checks: tuple[Check, ...] = ()
     correlations: tuple[tuple[str, str, float], ...] = ()
     """Pairs of numbers that the data can hardly tell apart."""
@@ -137,18 +137,18 @@ class Identification:
     date: str = ""
     """When they were recorded, ISO 8601."""
 
-    def estimate(self, name: str, index: int | None = None) -> Estimate:
+    def estimate(self, name: str, index: int | None = None) -> ParameterEstimate:
         """One of the estimates; a `KeyError`, if there is none of that name and index."""
         for item in self.estimates:
             if item.name == name and item.index == index:
                 return item
-        raise KeyError(label_of(name, index))
+        raise KeyError(indexed_name(name, index))
 
     def params(self, robot: RobotDescription, base: PhysicalParams) -> PhysicalParams:
         """One row of `base` with what was found in place of what it had, within what the robot allows."""
         params = base.rows(np.zeros(1, np.int64))
         for item in self.estimates:
-            if item.name not in PhysicalParams.names() or not item.told:
+            if item.name not in PhysicalParams.names() or not item.identifiable:
                 continue
             low, high = robot.allowed[item.name]
             array = getattr(params, item.name)
@@ -158,7 +158,7 @@ class Identification:
                 array[0, slice(None) if item.index is None else item.index] = np.clip(item.value, low, high)
         return params
 
-    def found(self) -> tuple[str, ...]:
+    def identified_names(self) -> tuple[str, ...]:
         """Names of physical parameters that it tells, each once."""
-        names = [item.name for item in self.estimates if item.told and item.name in PhysicalParams.names()]
+        names = [item.name for item in self.estimates if item.identifiable and item.name in PhysicalParams.names()]
         return tuple(dict.fromkeys(names))

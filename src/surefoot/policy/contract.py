@@ -1,4 +1,4 @@
-"""The contract of a policy file: everything needed to run it, and to refuse what does not match."""
+"""The contract of a policy file: what is needed to run the policy, and to refuse a robot that it is not for."""
 
 from __future__ import annotations
 
@@ -7,35 +7,23 @@ import json
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
-from surefoot.configuration import from_mapping, to_mapping
-from surefoot.errors import SurefootError, choices
-from surefoot.robot import RobotDescription
+from surefoot.configuration import Within, check_bounds, from_mapping, to_mapping
+from surefoot.errors import SurefootError
 from surefoot.robot.commands import CommandLimits
 
 KIND = "surefoot-policy"
-SCHEMA = 1
+SCHEMA = 2
 METADATA_KEY = "surefoot"
 """Property of the ONNX file that holds the contract."""
-RANGES = {
-    "control_step": (1e-4, 1.0, "s"),
-    "servo_latency": (0.0, 1.0, "s"),
-    "control_latency": (0.0, 1.0, "s"),
-    "servo_kp": (0.0, 1e4, "1/rad or N m/rad"),
-    "servo_kd": (0.0, 1e4, "s/rad or N m s/rad"),
-    "voltage": (1.0, 1e3, "V"),
-}
-"""What is assumed of a robot: least value, greatest value and unit, whatever the robot. Data sheets allow less."""
-TASK_RANGES = {
-    "fall_angle": (1e-3, math.pi, "rad"),
-    "max_steps": (1, 1_000_000, "control steps"),
-    "energy_weight": (0.0, 1e6, "m/J"),
-}
-"""Numbers of the task that a deployment uses."""
-_ANGLE = 2 * math.pi
+ASSUMED_PARAMS = ("control_step", "servo_latency", "control_latency", "servo_kp", "servo_kd", "voltage")
+"""Physical parameters that the contract states."""
+Angle = Annotated[float, Within(-2 * math.pi, 2 * math.pi)]
+Latency = Annotated[float, Within(0, 1)]
+Gain = Annotated[float | tuple[float, ...], Within(0, 1e4)]
 
 
 @dataclass(frozen=True)
@@ -49,12 +37,17 @@ class ObservationPart:
 
 @dataclass(frozen=True)
 class Contract:
-    """What a policy was made for, its inputs and outputs. Written as JSON at full precision."""
+    """What a policy needs to run on a robot. Written as JSON at full precision. Each fact stands in one place.
+
+    Bounds of the numbers here hold for every robot; data sheets allow less.
+    """
 
     name: str
     """Name of the policy."""
     robot: str
     """Name of the robot."""
+    description: str
+    """Robot's description: name of one that ships, or path of a folder."""
     motor_names: tuple[str, ...]
     """Motors, in the order of motor angles."""
     motor_signs: tuple[float, ...]
@@ -65,87 +58,68 @@ class Contract:
     """Parts of an observation, in order."""
     columns: tuple[str, ...]
     """Names of an observation's O numbers, in order."""
-    history: int
+    history: Annotated[int, Within(1, 100)]
     """Number of last observations in the policy's input, the newest first."""
     action_names: tuple[str, ...]
     """Names of the feedback's A numbers: COORDINATE.LEG for each coordinate of leg space in turn, or joint.MOTOR."""
-    low: tuple[float, ...]
-    """Least feedback, one an action: rad, extension of serial legs in lengths of the straight leg."""
-    high: tuple[float, ...]
+    low: tuple[Angle, ...]
+    """Least feedback, one an action: rad; extension of serial legs in lengths of the straight leg."""
+    high: tuple[Angle, ...]
     """Greatest feedback, one an action."""
     reference: dict[str, Any] | None
-    """The open loop part of the gait, as the task's reference writes itself; None: zero at all times."""
-    rest: tuple[float, ...]
+    """The open loop part of the gait, as `make_reference` reads it; None: zero at all times."""
+    rest: tuple[Angle, ...]
     """Pose of all legs in leg space in which an episode starts."""
-    control_step: float
+    control_step: Annotated[float, Within(1e-4, 1)]
     """Time between two commands [s]."""
-    servo_latency: float
-    """Assumed age of what the servo sees [s]."""
-    control_latency: float
-    """Assumed age of what the policy sees [s]."""
-    servo_kp: float | tuple[float, ...]
-    """Assumed proportional gain, or one for each motor: duty/rad of DC motors, N m/rad of joint actuators."""
-    servo_kd: float | tuple[float, ...]
-    """Assumed derivative gain, or one for each motor, per speed."""
-    voltage: float | None
-    """Assumed battery voltage [V]; None for joint actuators."""
+    servo_latency: Latency
+    """Nominal age of the servo's readings in training [s]."""
+    control_latency: Latency
+    """Nominal age of the policy's readings in training [s]."""
+    servo_kp: Gain
+    """Proportional gain in training, of all motors or of each: duty/rad of DC motors, N m/rad of joint actuators."""
+    servo_kd: Gain
+    """Derivative gain in training, of all motors or of each: per speed in rad/s."""
+    voltage: Annotated[float | None, Within(1, 1e3)]
+    """Nominal battery voltage in training [V]; None for joint actuators."""
     task: dict[str, Any]
-    """The task as configuration."""
+    """The rest of the task, for simulation: reward, randomization, ends of an episode."""
     config_hash: str
     """SHA-256 of the whole configuration, as `config_hash` makes it."""
     figures: dict[str, Any] = field(default_factory=dict)
     """Figures of the run that made the policy."""
     commands: CommandLimits | None = None
-    """Speeds and yaw rates that it can be told to follow, and what means stand; None: it is not steered."""
+    """Limits of the commands that the policy follows; None: it follows none."""
     version: str = ""
     """Version of surefoot that wrote it."""
     created: str = ""
     """When it was written, ISO 8601; may be empty."""
 
     def __post_init__(self) -> None:
-        """Refuse contradictions, and keep only what JSON can hold."""
+        """Refuse what does not fit, and keep only what JSON can hold."""
         for name in ("task", "figures", "reference"):
             object.__setattr__(self, name, plain(getattr(self, name)))
+        check_bounds(self, "contract")
         motors, actions = len(self.motor_names), len(self.action_names)
-        for name, length in (("motor_signs", motors), ("low", actions), ("high", actions)):
-            if len(getattr(self, name)) != length:
-                raise SurefootError(f"contract: {name} has {len(getattr(self, name))} numbers; it must have {length}")
+        lengths = {"motor_signs": motors, "low": actions, "high": actions, "servo_kp": motors, "servo_kd": motors}
+        for name, length in lengths.items():
+            numbers = getattr(self, name)
+            if isinstance(numbers, tuple) and len(numbers) != length:
+                raise SurefootError(f"contract.{name} has {len(numbers)} numbers; it must have {length}")
         legs = len(self.leg_names)
         if not actions or actions not in (2 * legs, 3 * legs, motors):
-            raise SurefootError(f"contract: {actions} actions for {legs} legs; a leg has two or three")
-        if not self.columns or self.history < 1:
-            raise SurefootError("contract: the policy observes nothing; columns and history must be 1 or more")
+            raise SurefootError(f"contract.action_names has {actions} names for {legs} legs; a leg has two or three")
+        if not self.columns:
+            raise SurefootError("contract.columns is empty; a policy observes one number or more")
         if any(abs(sign) != 1 for sign in self.motor_signs):
-            raise SurefootError(f"contract: motor_signs is {list(self.motor_signs)}; each must be 1 or -1")
-        bounds = zip(self.action_names, self.low, self.high, strict=True)
-        for name, low, high in bounds:
-            if not -_ANGLE <= low <= high <= _ANGLE:
+            raise SurefootError(f"contract.motor_signs is {list(self.motor_signs)}; each must be 1 or -1")
+        for name, low, high in zip(self.action_names, self.low, self.high, strict=True):
+            if low > high:
                 raise SurefootError(
-                    f"contract: bounds of {name} are [{low:g}, {high:g}]; the lower one first, both within 2 pi rad"
+                    f"contract: bounds of {name} are [{low:g}, {high:g}]; the lower bound must come first"
                 )
-        self._check_ranges()
-
-    def _check_ranges(self) -> None:
-        params = self.task.get("params") or {}
-        if not isinstance(params, dict):
-            raise SurefootError(f"contract: task.params is {params!r:.40}; it must be a table")
-        for value in self.rest:
-            _check_range("rest", value, -_ANGLE, _ANGLE, "rad")
-        for name, limits in RANGES.items():
-            if name == "voltage" and self.voltage is None:
-                continue
-            given = {name: getattr(self, name)}
-            if name in params:
-                given[f"task.params.{name}"] = params[name]
-            for place, values in given.items():
-                each = isinstance(values, list | tuple) and name in ("servo_kp", "servo_kd")
-                if each and len(values) != len(self.motor_names):
-                    raise SurefootError(f"contract: {place} has {len(values)} numbers; a robot has one for each motor")
-                for value in values if each else (values,):
-                    _check_range(place, value, *limits)
-        for name, limits in TASK_RANGES.items():
-            if name in self.task:
-                _check_range(f"task.{name}", self.task[name], *limits)
+        if "file" in (self.reference or {}):
+            raise SurefootError("contract.reference names a file; a policy holds the rows of its table itself")
 
     @property
     def width(self) -> int:
@@ -162,24 +136,20 @@ class Contract:
         """Read a contract.
 
         Raises:
-            SurefootError: no JSON, no contract, one of another schema, or one that does not fit.
+            SurefootError: no JSON, no contract, one of another schema, or other keys and values than a contract has.
         """
         try:
             data = json.loads(text, parse_constant=_finite, parse_float=_finite, parse_int=_whole)
         except ValueError as error:
             raise SurefootError(f"contract: is not JSON: {error}") from error
         if not isinstance(data, dict) or data.pop("kind", None) != KIND:
-            raise SurefootError(f"contract: is not a policy's; its kind must be '{KIND}'")
+            raise SurefootError(f"contract: its kind must be '{KIND}'")
         schema = data.pop("schema", None)
         if schema != SCHEMA:
-            raise SurefootError(f"contract: has schema {schema!r}; this surefoot reads schema {SCHEMA}")
+            raise SurefootError(
+                f"contract: has schema {schema!r:.40}; this surefoot reads schema {SCHEMA}: export the policy again"
+            )
         return from_mapping(cls, data, "contract")
-
-
-def _check_range(name: str, value: Any, low: float, high: float, unit: str) -> None:
-    """Refuse what is not a number from `low` to `high`."""
-    if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:
-        raise SurefootError(f"contract: {name} is {value!r:.40}; it must be a number from {low:g} to {high:g} {unit}")
 
 
 def _finite(text: str) -> float:
@@ -214,26 +184,3 @@ def config_hash(config: Mapping[str, Any]) -> str:
     """Return the SHA-256 of a configuration as canonical JSON: keys sorted, no blanks."""
     text = json.dumps(plain(config), sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False)
     return hashlib.sha256(text.encode()).hexdigest()
-
-
-def check_robot(contract: Contract, robot: RobotDescription) -> None:
-    """Refuse to run a policy on a robot that it was not made for.
-
-    Raises:
-        SurefootError: another robot, or other legs, motors, order or signs.
-    """
-    who = f"policy '{contract.name}'"
-    if contract.robot != robot.name:
-        raise SurefootError(f"{who} is for robot '{contract.robot}'; this robot is '{robot.name}'")
-    if contract.leg_names != robot.leg_names:
-        raise SurefootError(
-            f"{who} has legs {choices(contract.leg_names)}; {robot.name} has {choices(robot.leg_names)}"
-        )
-    for index, (theirs, ours) in enumerate(zip(contract.motor_names, robot.motor_names, strict=False)):
-        if theirs != ours:
-            raise SurefootError(f"{who} has '{theirs}' as motor {index}; {robot.name} has '{ours}' there")
-    if len(contract.motor_names) != robot.num_motors:
-        raise SurefootError(f"{who} has {len(contract.motor_names)} motors; {robot.name} has {robot.num_motors}")
-    for name, their_sign, our_sign in zip(robot.motor_names, contract.motor_signs, robot.motor_sign, strict=True):
-        if their_sign != our_sign:
-            raise SurefootError(f"{who} has sign {their_sign:+g} for {name}; {robot.name} has {our_sign:+g}")

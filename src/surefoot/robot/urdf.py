@@ -1,14 +1,9 @@
-"""Reader of a robot's URDF: links with their inertias and shapes, joints, and the forward kinematics of their tree.
-
-Engines read the same file with their own readers; this one checks a description without any engine.
-"""
+"""A robot as a URDF describes it: links with their inertias and shapes, joints, and the kinematics of their tree."""
 
 from __future__ import annotations
 
-import math
-import xml.etree.ElementTree as ElementTree
-from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
@@ -17,15 +12,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from surefoot.arrays import Array
-from surefoot.errors import SurefootError, accessible, choices
-from surefoot.files import read_configuration
-from surefoot.robot.rigid_body import RigidBody
-from surefoot.rotations import quat_matrix, rpy_matrix
+from surefoot.robot.rigid_body import RigidBody, fuse
+from surefoot.rotations import quat_matrix
 
 Color = tuple[int, int, int]
 """Red, green and blue, 0 to 255."""
 GREY: Color = (120, 130, 140)
 _NO_ANGLES: Mapping[str, ArrayLike] = MappingProxyType({})
+_NO_SHIFTS: Mapping[str, Array] = MappingProxyType({})
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +50,6 @@ class Shape:
 class Link:
     """A rigid link, all in its own frame. Shapes that are no box, cylinder or sphere are left out."""
 
-    name: str
     body: RigidBody
     visuals: tuple[Shape, ...]
     collisions: tuple[Shape, ...]
@@ -73,7 +66,7 @@ class Joint:
 
     name: str
     kind: str
-    """Type in the URDF: fixed, revolute, continuous, ..."""
+    """fixed, revolute or continuous."""
     parent: str
     child: str
     axis: tuple[float, float, float]
@@ -99,10 +92,24 @@ class Urdf:
     path: Path
     links: dict[str, Link]
     joints: dict[str, Joint]
-    root: str
-    """Name of the link that has no parent joint."""
-    tree: tuple[Joint, ...]
-    """All joints, each after the one that carries its parent."""
+
+    @cached_property
+    def root(self) -> str:
+        """Name of the link that has no parent joint."""
+        (root,) = self.links.keys() - {joint.child for joint in self.joints.values()}
+        return root
+
+    @cached_property
+    def tree(self) -> tuple[Joint, ...]:
+        """All joints, each after the one that carries its parent."""
+        tree: list[Joint] = []
+        waiting = [self.root]
+        while waiting:
+            parent = waiting.pop()
+            children = [joint for joint in self.joints.values() if joint.parent == parent]
+            tree += children
+            waiting += [joint.child for joint in children]
+        return tuple(tree)
 
     @property
     def total_mass(self) -> float:
@@ -155,167 +162,24 @@ class Urdf:
                 links.add(other.child)
         return links
 
+    def fuse_fixed_links(self, shifts: Mapping[str, Array] = _NO_SHIFTS) -> Urdf:
+        """Return the URDF with links that fixed joints join as one, which has the topmost one's name and frame.
 
-def attribute(element: ElementTree.Element | None, key: str, default: str = "") -> str:
-    """Return an attribute of an element; the default if either is missing."""
-    return default if element is None else element.get(key, default)
-
-
-def read_frame(element: ElementTree.Element | None, where: str = "a shape") -> Array:
-    """Return the frame (4, 4) of an <origin>, or of none; roll, pitch and yaw are about fixed axes."""
-    frame = np.eye(4)
-    frame[:3, :3] = rpy_matrix(*_floats(attribute(element, "rpy", "0 0 0"), 3, f"{where}: rpy"))
-    frame[:3, 3] = _floats(attribute(element, "xyz", "0 0 0"), 3, f"{where}: origin")
-    return frame
-
-
-def _floats(text: str, count: int, where: str) -> tuple[float, ...]:
-    try:
-        values = tuple(float(word) for word in text.split())
-    except ValueError:
-        values = ()
-    if len(values) != count or not all(map(math.isfinite, values)):
-        rule = "a finite number" if count == 1 else f"{count} finite numbers"
-        raise SurefootError(f"{where} is '{text}'; it must be {rule}")
-    return values
-
-
-def _float(element: ElementTree.Element | None, key: str, where: str, default: str = "") -> float:
-    return _floats(attribute(element, key, default), 1, f"{where}: {key}")[0]
-
-
-def read_urdf(path: Path) -> Urdf:
-    """Read a URDF.
-
-    Raises:
-        SurefootError: the file can't be read or is not a URDF, its joints are not a tree, or a link, joint or shape is
-            invalid.
-    """
-    try:
-        with accessible(path):
-            robot = ElementTree.fromstring(read_configuration(path))
-    except ElementTree.ParseError as error:
-        raise SurefootError(f"{path}: is not well-formed XML: {error}") from error
-    if robot.tag != "robot":
-        raise SurefootError(f"{path}: the root element is <{robot.tag}>; a URDF's is <robot>")
-    colors = {
-        item.get("name", ""): color
-        for item in robot.findall("material")
-        if (color := _read_color(item, f"{path}: material '{item.get('name')}'"))
-    }
-    links: dict[str, Link] = {}
-    for element in robot.findall("link"):
-        name = _new_name(path, element, links)
-        links[name] = _read_link(element, name, colors, f"{path}: link '{name}'")
-    joints: dict[str, Joint] = {}
-    for element in robot.findall("joint"):
-        name = _new_name(path, element, joints)
-        joints[name] = _read_joint(element, name, links, f"{path}: joint '{name}'")
-    return Urdf(path, links, joints, *_order(path, links, joints))
-
-
-def _new_name(path: Path, element: ElementTree.Element, names: Collection[str]) -> str:
-    name = element.get("name", "")
-    if name in names:
-        raise SurefootError(f"{path}: there are two {element.tag}s '{name}'; each must have a name of its own")
-    return name
-
-
-def _read_link(element: ElementTree.Element, name: str, colors: Mapping[str, Color], where: str) -> Link:
-    mass_element, tensor = element.find("inertial/mass"), element.find("inertial/inertia")
-    if mass_element is None or tensor is None:
-        raise SurefootError(f"{where} has no <inertial> with <mass> and <inertia>; every link needs both")
-    mass = _floats(attribute(mass_element, "value"), 1, f"{where}: mass")[0]
-    xx, yy, zz = (_float(tensor, key, where) for key in ("ixx", "iyy", "izz"))
-    xy, xz, yz = (_float(tensor, key, where, "0") for key in ("ixy", "ixz", "iyz"))
-    if not mass > 0:
-        raise SurefootError(f"{where}: mass is {mass:g}; it must be over 0 kg")
-    if not (min(xx, yy, zz) > 0 and 2 * max(xx, yy, zz) <= (xx + yy + zz) * (1 + 1e-9)):
-        raise SurefootError(
-            f"{where}: inertia ({xx:g}, {yy:g}, {zz:g}) is not a rigid body's; "
-            "each must be over 0 and none over the sum of the other two"
-        )
-    frame = read_frame(element.find("inertial/origin"), f"{where}: inertial")
-    turn, inertia = frame[:3, :3], np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-    visuals, collisions = (
-        tuple(shape for item in element.findall(use) if (shape := _read_shape(item, name, colors, f"{where}: {use}")))
-        for use in ("visual", "collision")
-    )
-    return Link(name, RigidBody(mass, frame[:3, 3], turn @ inertia @ turn.T), visuals, collisions)
-
-
-def _read_shape(element: ElementTree.Element, link: str, colors: Mapping[str, Color], where: str) -> Shape | None:
-    """Return a <visual> or <collision>; None for a mesh and other kinds."""
-    for kind in ("box", "cylinder", "sphere"):
-        if (solid := element.find(f"geometry/{kind}")) is not None:
-            break
-    else:
-        return None
-    where = f"{where}: {kind}"
-    if kind == "box":
-        size = tuple(side / 2 for side in _floats(attribute(solid, "size"), 3, f"{where}: size"))
-    else:
-        size = (_float(solid, "radius", where),)
-        if kind == "cylinder":
-            size = (*size, _float(solid, "length", where) / 2)
-    if not min(size) > 0:
-        raise SurefootError(f"{where} has a side, radius or length of {2 * min(size):g}; they must be over 0 m")
-    material = element.find("material")
-    color = None if material is None else _read_color(material, where) or colors.get(material.get("name", ""))
-    return Shape(link, kind, size, read_frame(element.find("origin"), where), color or GREY)
-
-
-def _read_color(material: ElementTree.Element, where: str) -> Color | None:
-    """Return the color of a material; None if it only names one."""
-    color = material.find("color")
-    if color is None:
-        return None
-    red, green, blue, _ = _floats(attribute(color, "rgba", "0.5 0.5 0.5 1"), 4, f"{where}: rgba")
-    return round(255 * red), round(255 * green), round(255 * blue)
-
-
-def _read_joint(element: ElementTree.Element, name: str, links: Collection[str], where: str) -> Joint:
-    parent, child = attribute(element.find("parent"), "link"), attribute(element.find("child"), "link")
-    for end in (parent, child):
-        if end not in links:
-            raise SurefootError(f"{where} joins '{end}', not a link; choices: {choices(links)}")
-    kind, limits = attribute(element, "type"), None
-    x, y, z = _floats(attribute(element.find("axis"), "xyz", "1 0 0"), 3, f"{where}: axis")
-    length = math.hypot(x, y, z)
-    if kind != "fixed" and length == 0.0:
-        raise SurefootError(f"{where}: axis is (0, 0, 0); it must have a direction")
-    frame = read_frame(element.find("origin"), where)
-    if kind == "revolute":
-        low, high = (
-            _floats(attribute(element.find("limit"), end, "0"), 1, f"{where}: limit {end}")[0]
-            for end in ("lower", "upper")
-        )
-        if not low < high:
-            raise SurefootError(f"{where}: limits are [{low:g}, {high:g}]; the lower one must be below the upper")
-        limits = low, high
-    return Joint(name, kind, parent, child, (x / (length or 1), y / (length or 1), z / (length or 1)), frame, limits)
-
-
-def _order(path: Path, links: Collection[str], joints: Mapping[str, Joint]) -> tuple[str, tuple[Joint, ...]]:
-    """Return the root and all joints from it outward; refuse joints that are not a tree."""
-    children = [joint.child for joint in joints.values()]
-    roots = [name for name in links if name not in children]
-    if len(roots) != 1:
-        raise SurefootError(
-            f"{path}: {len(roots)} links have no parent ({choices(roots)}); exactly one must be the root"
-        )
-    tree: list[Joint] = []
-    reached, waiting = set(roots), list(roots)
-    while waiting:
-        parent = waiting.pop()
-        for joint in joints.values():
-            if joint.parent == parent:
-                tree.append(joint)
-                if joint.child in reached:
-                    raise SurefootError(f"{path}: link '{joint.child}' has two parents; joints must be a tree")
-                reached.add(joint.child)
-                waiting.append(joint.child)
-    if len(reached) < len(links):
-        missing = choices(name for name in links if name not in reached)
-        raise SurefootError(f"{path}: links are joined in a circle ({missing}); joints must be a tree")
-    return roots[0], tuple(tree)
+        Visuals are left out. `shifts` (3,) [m] moves centres of mass of fused links, by name.
+        """
+        links: dict[str, Link] = {}
+        for top in dict.fromkeys(top for top, _ in self.places.values()):
+            parts = [(self.links[name], frame) for name, (other, frame) in self.places.items() if other == top]
+            body = fuse([(link.body, frame) for link, frame in parts])
+            shapes = [
+                replace(shape, link=top, frame=frame @ shape.frame)
+                for link, frame in parts
+                for shape in link.collisions
+            ]
+            links[top] = Link(replace(body, centre=body.centre + shifts.get(top, 0.0)), (), tuple(shapes))
+        joints: dict[str, Joint] = {}
+        for name, joint in self.joints.items():
+            top, frame = self.places[joint.parent]
+            if joint.kind != "fixed":
+                joints[name] = replace(joint, parent=top, frame=frame @ joint.frame)
+        return Urdf(self.path, links, joints)

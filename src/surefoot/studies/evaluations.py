@@ -14,21 +14,22 @@ import numpy as np
 import pandas as pd
 
 from surefoot import __version__
+from surefoot.configuration import to_mapping
 from surefoot.errors import SurefootError, choices
-from surefoot.evaluate.ensemble import ROBOTS
 from surefoot.evaluate.footfalls import analyze_footfalls
 from surefoot.evaluate.gap import PolicyGap, away_task, home_task
 from surefoot.evaluate.recorded import save_runs
-from surefoot.evaluate.rollout import run_episodes, task_from_contract
+from surefoot.evaluate.rollout import run_episodes
 from surefoot.evaluate.runs import measure_runs
 from surefoot.evaluate.sensitivity import Sensitivity, run_sensitivity
 from surefoot.files import whole_file
 from surefoot.policy.runtime import PolicyRuntime
-from surefoot.robot import RobotDescription
-from surefoot.robot.randomization import check_ranges, load_ranges
+from surefoot.robot.randomization import load_ranges
 from surefoot.tables import plain_value
 from surefoot.task.config import TaskConfig
+from surefoot.task.contract_mapping import task_from_contract
 from surefoot.task.trace import EpisodeTrace
+from surefoot.world.ensemble import ROBOTS
 from surefoot.world.registry import find_world
 
 SEED = 1
@@ -104,7 +105,6 @@ def _run_test_worlds(
     """Run test worlds in which one parameter is not nominal."""
     options = {name: settings[name] for name in ("values", "episodes", "seed")}
     ranges = load_ranges(settings["ranges"], robot=task.robot)
-    check_ranges(ranges, RobotDescription.load(task.robot))
     result = run_sensitivity(policy, task, find_world(settings["world"]), ranges=ranges, threads=threads, **options)
     return result.to_mapping(), {}
 
@@ -310,8 +310,7 @@ def _settings(name: str) -> dict[str, Any]:
     """Return the settings of an evaluation with the ranges themselves, not the name of their table."""
     settings = dict(EVALUATIONS[name].settings)
     if "ranges" in settings:
-        # A row that stays nominal is left out: one that a later version adds does not change the result.
-        settings["ranges"] = {row: list(bounds) for row, bounds in load_ranges(settings["ranges"]).ranges.items()}
+        settings["ranges"] = to_mapping(load_ranges(settings["ranges"]))
     return settings
 
 

@@ -12,7 +12,7 @@ from surefoot.configuration import Within, check_bounds, from_mapping, is_number
 from surefoot.errors import SurefootError, check_name, choices, located, quoted
 from surefoot.robot import DEFAULT_ROBOT, PhysicalParams, RobotDescription
 from surefoot.robot.params_file import ParamValue
-from surefoot.robot.randomization import RandomizeConfig, with_ranges
+from surefoot.robot.randomization import Ranges, check_ranges, resolve_ranges
 from surefoot.task.commands import CommandConfig
 from surefoot.task.gait import ActionKind, HybridGait, narrowed_bounds
 from surefoot.task.observation import IMU_AND_MOTORS_12D
@@ -179,8 +179,8 @@ class TaskConfig:
     """Weights of reward terms by name (`task.reward`), a second; without any the paper's reward."""
     pushes: PushConfig = field(default_factory=PushConfig)
     """Random pushes on the base."""
-    randomize: RandomizeConfig = field(default_factory=RandomizeConfig)
-    """Ranges from which every episode draws its physical parameters; in a file also the name of a table of ranges."""
+    randomize: Ranges = field(default_factory=dict)
+    """Ranges from which every episode draws physical parameters, by name; in a file also the name of a table."""
     params: dict[str, ParamValue] = field(default_factory=dict)
     """Physical parameters that differ from the robot's description, by name: a number, or one for each motor."""
     params_source: dict[str, str] = field(default_factory=dict)
@@ -199,6 +199,7 @@ class TaskConfig:
         check_name("name", self.name)
         check_bounds(self)
         check_terms(self.reward)
+        check_ranges(self.randomize)
 
     def gait(self, robot: RobotDescription) -> HybridGait:
         """Return the gait: reference and bounds of the feedback, which the robot must allow.
@@ -224,7 +225,7 @@ def preset_names(robot: str = DEFAULT_ROBOT) -> list[str]:
 
 def _tasks_of(robot: str) -> Path:
     """Return the folder with a robot's own tasks, which need not be there."""
-    return RobotDescription.folder_of(robot) / "tasks"
+    return RobotDescription.find_folder(robot) / "tasks"
 
 
 def load_task(task: str, robot: str | None = None) -> tuple[TaskConfig, dict[str, Any]]:
@@ -251,7 +252,7 @@ def load_task(task: str, robot: str | None = None) -> tuple[TaskConfig, dict[str
         data["robot"] = robot or DEFAULT_ROBOT
     with located(path):
         config = from_mapping(
-            TaskConfig, {"name": path.stem, **with_ranges(data, path.parent, data.get("robot", DEFAULT_ROBOT))}
+            TaskConfig, {"name": path.stem, **resolve_ranges(data, path.parent, data.get("robot", DEFAULT_ROBOT))}
         )
         if named and config.robot != DEFAULT_ROBOT:
             config = replace(config, name=f"{RobotDescription.load(config.robot).name}-{path.stem}")

@@ -7,11 +7,10 @@ import sys
 import tempfile
 import weakref
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import ModuleType
 from typing import Any, Literal
-from xml.etree import ElementTree
 
 import numpy as np
 
@@ -19,14 +18,15 @@ from surefoot.arrays import Array
 from surefoot.errors import SurefootError
 from surefoot.native_output import quiet
 from surefoot.robot import GRAVITY, RobotDescription
-from surefoot.robot.fused_urdf import fuse_urdf
-from surefoot.robot.urdf import read_frame
+from surefoot.robot.rigid_body import RigidBody
+from surefoot.robot.self_collision import collision_pairs
+from surefoot.robot.urdf import Link, Shape, Urdf
+from surefoot.robot.urdf_file import format_urdf
 from surefoot.rotations import matrix_quat
 from surefoot.world.actuation import CONTACT, RACK_HEIGHT, RATIOS
 from surefoot.world.bullet_kernels import pin_kernel, sole_kernel
 from surefoot.world.ground import Ground, uneven_floor
 from surefoot.world.interface import WorldConfig
-from surefoot.world.self_collision import collision_pairs
 
 SOLVER_ITERATIONS = 50
 """With 50, loops stay closed within .02 mm on a slow trot (.09 mm with constraint motors) and .4 mm at a gallop of
@@ -143,7 +143,7 @@ class BulletModel:
         self._meeting = collision_pairs(robot) if meeting is None else meeting
         self.robot, self.rack, self._p, self._ground = robot, config.rack, import_pybullet(), config.ground
         self.base_offset = base_offset.copy()
-        self._fused = fuse_urdf(robot.urdf, {robot.base: base_offset})
+        self._fused = robot.urdf.fuse_fixed_links({robot.base: base_offset})
         with quiet():
             try:
                 self.client = self._p.connect(self._p.DIRECT)
@@ -155,8 +155,9 @@ class BulletModel:
             self._load(settings)
 
     def _load(self, settings: BulletSettings) -> None:
-        p, client, robot, fused = self._p, self.client, self.robot, self._fused
-        base, base_frame = fused.place[robot.base]
+        p, client, robot, links = self._p, self.client, self.robot, self._fused.links
+        places = robot.urdf.places
+        base, base_frame = places[robot.base]
         if base != robot.urdf.root:
             raise SurefootError(f"{robot.urdf.path}: base '{robot.base}' moves against root '{robot.urdf.root}'")
         p.setTimeStep(robot.timing.servo_step, physicsClientId=client)
@@ -170,11 +171,12 @@ class BulletModel:
             physicsClientId=client,
         )
         self.ground = self.floor = self._lay(self._ground, settings.ground == "box")
-        meeting = {frozenset(fused.place[link][0] for link in pair) for pair in self._meeting}
+        meeting = {frozenset(places[link][0] for link in pair) for pair in self._meeting}
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / "fused.urdf"
-            text = fused.text if settings.feet == "sphere" else self._with_shanks()
-            path.write_text(self._with_rotors(text) if robot.actuator.kind == "joint" else text, encoding="utf-8")
+            urdf = self._fused if settings.feet == "sphere" else self._with_shanks(self._fused)
+            urdf = self._with_rotors(urdf) if robot.actuator.kind == "joint" else urdf
+            path.write_text(format_urdf(urdf, robot.name, principal=True), encoding="utf-8")
             try:
                 self.body = p.loadURDF(
                     str(path),
@@ -198,17 +200,17 @@ class BulletModel:
         geared = [name for name in robot.motor_names if f"{_ROTOR}{name}" in numbers]
         self.rotors = {self.joints[name]: numbers[f"{_ROTOR}{name}"] for name in geared}
         self.knees = [joint for joint in self.joints.values() if joint not in self.motors]
-        self.feet = [self.links[fused.place[leg.foot][0]] for leg in robot.legs]
+        self.feet = [self.links[places[leg.foot][0]] for leg in robot.legs]
         self._touching = list(self.links.values()) if meeting else [-1, *self.feet]
         centres, radii = zip(*(self._foot_sphere(leg.foot) for leg in robot.legs), strict=True)
         self.foot_centre, self.foot_radius = np.array(centres), np.array(radii)
-        _, axes = fused.bodies[base].principal()
+        _, axes = links[base].body.principal()
         at_base = np.linalg.inv(base_frame)
-        self.base_centre = (at_base @ [*fused.bodies[base].centre, 1.0])[:3]
+        self.base_centre = (at_base @ [*links[base].body.centre, 1.0])[:3]
         self.base_quat = matrix_quat(at_base[:3, :3] @ axes)
         # A base on a rack has no mass.
-        moving = {name: item for name, item in fused.bodies.items() if not (self.rack and name == base)}
-        self.mass = {name: (item.mass, item.principal()[0]) for name, item in moving.items()}
+        moving = {name: link.body for name, link in links.items() if not (self.rack and name == base)}
+        self.mass = {name: (body.mass, body.principal()[0]) for name, body in moving.items()}
         self._close_loops()
         nominal = robot.nominal_params()
         self.values = {name: float(nominal[name]) for name in PARAMETERS}
@@ -241,24 +243,20 @@ class BulletModel:
         p.changeDynamics(number, -1, lateralFriction=1.0, restitution=0.0, physicsClientId=client)
         return number
 
-    def _with_rotors(self, text: str) -> str:
+    def _with_rotors(self, urdf: Urdf) -> Urdf:
         """Return the URDF with a rotor beside every joint with a motor, on the link that the motor is fixed to.
 
         Bullet has no inertia of joints. One that is added to the link that the joint turns would resist the turning of
         the link before it too; a rotor that turns n times as fast, with 1 / n^2 of the inertia, does so by 1 / n.
         """
-        tree = ElementTree.fromstring(text)
-        for joint in tree.findall("joint"):
-            if joint.get("name") in self.robot.motor_names:
-                name = f"{_ROTOR}{joint.get('name')}"
-                body = ElementTree.SubElement(ElementTree.SubElement(tree, "link", name=name), "inertial")
-                ElementTree.SubElement(body, "mass", value=repr(_ROTOR_MASS))
-                moments = {key: "0" for key in ("ixy", "ixz", "iyz")} | {key: "1e-9" for key in ("ixx", "iyy", "izz")}
-                ElementTree.SubElement(body, "inertia", moments)
-                turning = ElementTree.SubElement(tree, "joint", name=name, type="continuous")
-                turning.extend(part for part in joint if part.tag in ("origin", "parent", "axis"))
-                ElementTree.SubElement(turning, "child", link=name)
-        return ElementTree.tostring(tree, encoding="unicode")
+        rotor = Link(RigidBody(_ROTOR_MASS, np.zeros(3), 1e-9 * np.eye(3)), (), ())
+        links, joints = dict(urdf.links), dict(urdf.joints)
+        for joint in urdf.joints.values():
+            if joint.name in self.robot.motor_names:
+                name = f"{_ROTOR}{joint.name}"
+                links[name] = rotor
+                joints[name] = replace(joint, name=name, kind="continuous", child=name, limits=None)
+        return Urdf(urdf.path, links, joints)
 
     def _gear_rotors(self) -> None:
         """Couple rotors to their joints, and give them their inertia."""
@@ -290,49 +288,35 @@ class BulletModel:
 
     def _foot_sphere(self, foot: str) -> tuple[Array, float]:
         """Return the centre [m] of a foot's sphere in its link's inertial frame, and its radius [m]."""
-        name, _ = self._fused.place[foot]
-        found = ElementTree.fromstring(self._fused.text).findall(f"link[@name='{name}']/collision")
-        spheres = [
-            (sphere, read_frame(item.find("origin")))
-            for item in found
-            if (sphere := item.find("geometry/sphere")) is not None
-        ]
-        if len(spheres) != 1:
-            raise SurefootError(
-                f"{self.robot.urdf.path}: a foot has {len(spheres)} spheres to stand on; Bullet needs one"
-            )
-        sphere, frame = spheres[0]
-        return self._fused.bodies[name].in_principal(frame[:3, 3]), float(sphere.get("radius", ""))
+        (sphere,) = self.robot.urdf.links[foot].collisions
+        top, frame = self.robot.urdf.places[foot]
+        return self._fused.links[top].body.in_principal((frame @ sphere.frame)[:3, 3]), sphere.size[0]
 
-    def _with_shanks(self) -> str:
+    def _with_shanks(self, urdf: Urdf) -> Urdf:
         """Return the URDF with boxes for feet: each lower link as wide as its visual, as long as to its foot."""
-        robot, tree = self.robot, ElementTree.fromstring(self._fused.text)
-        seen = ElementTree.parse(robot.urdf.path).getroot()
-        length = robot.five_bar.foot
-        for leg in robot.legs:
-            box = seen.find(f"link[@name='{leg.foot}']/visual/geometry/box")
-            link = tree.find(f"link[@name='{self._fused.place[leg.foot][0]}']")
-            if box is None or link is None:
+        links, length = dict(urdf.links), self.robot.five_bar.foot
+        frame = np.eye(4)
+        frame[2, 3] = length / 2
+        for leg in self.robot.legs:
+            box = next((shape for shape in self.robot.urdf.links[leg.foot].visuals if shape.kind == "box"), None)
+            if box is None:
                 raise SurefootError(
-                    f"{robot.urdf.path}: link '{leg.foot}' has no visual box; its collision box takes that width"
+                    f"{urdf.path}: link '{leg.foot}' has no visual box; its collision box takes that width"
                 )
-            for old in link.findall("collision"):
-                link.remove(old)
-            shape = ElementTree.SubElement(link, "collision")
-            ElementTree.SubElement(shape, "origin", xyz=f"0 0 {length / 2}", rpy="0 0 0")
-            width, depth, _ = box.get("size", "").split()
-            ElementTree.SubElement(ElementTree.SubElement(shape, "geometry"), "box", size=f"{width} {depth} {length}")
-        return ElementTree.tostring(tree, encoding="unicode")
+            top, _ = self.robot.urdf.places[leg.foot]
+            links[top] = replace(links[top], collisions=(Shape(top, "box", (*box.size[:2], length / 2), frame),))
+        return Urdf(urdf.path, links, urdf.joints)
 
     def _close_loops(self) -> None:
-        p, body, robot, fused = self._p, self.body, self.robot, self._fused
+        p, body, robot = self._p, self.body, self.robot
         self.pins, self._pin_links, places, axes = [], [], [], []
         for loop in robot.loops:
             ends, points = [], []
             for link, point in zip(loop.links, loop.points, strict=True):
-                name, frame = fused.place[link]
+                name, frame = robot.urdf.places[link]
+                at_link = self._fused.links[name].body
                 ends.append(self.links[name])
-                points.append(fused.bodies[name].in_principal((frame @ [*point, 1.0])[:3]))
+                points.append(at_link.in_principal((frame @ [*point, 1.0])[:3]))
             along = next(joint.axis for joint in robot.urdf.joints.values() if joint.child == name)
             at = [point.tolist() for point in points]
             self.pins.append(
@@ -342,7 +326,7 @@ class BulletModel:
             )
             self._pin_links.append(ends[1])
             places.append(points[1])
-            axes.append(fused.bodies[name].principal()[1].T @ along)
+            axes.append(at_link.principal()[1].T @ along)
         self._pin_places, self._pin_axes = np.reshape(places, (-1, 3)), np.reshape(axes, (-1, 3))
         self.pin_shift = np.zeros_like(self._pin_places)
 

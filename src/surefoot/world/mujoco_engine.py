@@ -8,6 +8,7 @@ inertias into its model, which so stays in the processor's cache for any masses.
 from __future__ import annotations
 
 import copy
+import ctypes
 import os
 from concurrent.futures import ThreadPoolExecutor, wait
 from functools import partial
@@ -51,6 +52,8 @@ class MujocoEngine:
         self.robot, self.actuation = robot, actuation
         # The Python package times MuJoCo's stages with a clock call each, some 3 % of a step; the times are not used.
         mujoco.set_mjcb_time(None)
+        # The engine reports robots that diverge; MuJoCo would write a file too, and gets a C function without effect.
+        mujoco.set_mju_user_warning(ctypes.CDLL(None).strlen)
         num_envs, self._ground = len(actuation.ticks), config.ground
         self._nominal = build_model(robot, config)
         self._scratch_model = copy.copy(self._nominal)

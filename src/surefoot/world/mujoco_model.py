@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.arrays import Array
-from surefoot.errors import SurefootError
+from surefoot.native_output import mujoco_errors
 from surefoot.robot import GRAVITY, RobotDescription
+from surefoot.robot.self_collision import collision_pairs
 from surefoot.world.actuation import RACK_HEIGHT
 from surefoot.world.ground import FLAT, Ground
 from surefoot.world.interface import WorldConfig
-from surefoot.world.self_collision import collision_pairs
 
 LOOP_SOLREF = (0.004, 1.0)
 LOOP_SOLIMP = (0.99, 0.99, 0.001, 0.5, 2.0)
@@ -31,10 +31,8 @@ def build_model(robot: RobotDescription, config: WorldConfig | None = None) -> m
     other collision shapes of the URDF meet the ground by MuJoCo's own contacts, and each other in the
     pairs of `collision_pairs`.
     """
-    try:
+    with mujoco_errors(robot.urdf.path):
         spec = mujoco.MjSpec.from_file(str(robot.urdf.path))
-    except ValueError as error:
-        raise SurefootError(f"{robot.urdf.path}: MuJoCo refuses it: {error}") from error
     spec.compiler.discardvisual = True
     config = config or WorldConfig()
     base = spec.body(robot.base)
@@ -90,7 +88,8 @@ def build_model(robot: RobotDescription, config: WorldConfig | None = None) -> m
     for pair in collision_pairs(robot):
         for one, other in product(*(spec.body(link).geoms for link in pair)):
             spec.add_pair(geomname1=one.name, geomname2=other.name)
-    return spec.compile()
+    with mujoco_errors(robot.urdf.path):
+        return spec.compile()
 
 
 def foot_geoms(robot: RobotDescription, model: mujoco.MjModel) -> NDArray[np.int64]:

@@ -20,7 +20,7 @@ from wire_vectors import EXAMPLES
 
 from surefoot.deploy.messages import Fault, Handshake, Message
 from surefoot.deploy.serial.c_header import c_header, main
-from surefoot.deploy.serial.codec import HEADER, MESSAGES, NUMBERS, VERSION, Codec, wires
+from surefoot.deploy.serial.codec import HEADER, MESSAGES, NUMBERS, VERSION, Codec, encodings
 from surefoot.deploy.serial.frames import CRC_BYTES, MAX_FRAME, Decoder, encode_frame
 from surefoot.errors import SurefootError
 
@@ -34,7 +34,7 @@ STRICT = ["-Wall", "-Wextra", "-Werror", "-pedantic", "-Wconversion", "-Wshadow"
 
 def numbers_on_the_line(kind: type[Message], name: str, value: Any) -> list[Any]:
     """What a field's value is in C: numbers, or bytes of a text."""
-    spec = wires(kind)[name]
+    spec = encodings(kind)[name]
     values = [value] if spec.count == 1 else list(value)
     if spec.kind == "text":
         return [text.encode() for text in values]
@@ -56,7 +56,7 @@ def c_examples() -> str:
         prints = []
         fill.append(f"    memset(&m_{name}, 0, sizeof(m_{name}));")
         for item in fields(message):  # type: ignore[arg-type]
-            spec = wires(kind)[item.name]
+            spec = encodings(kind)[item.name]
             numbers = numbers_on_the_line(kind, item.name, getattr(message, item.name))
             for at, number in enumerate(numbers):
                 place = f"{item.name}[{at}]" if spec.count != 1 else item.name
@@ -215,7 +215,7 @@ def test_frames_of_python_give_the_fields_in_c(program: Path):
         kind = type(example.message)
         for item in fields(example.message):  # type: ignore[arg-type]
             numbers = numbers_on_the_line(kind, item.name, getattr(example.message, item.name))
-            many = wires(kind)[item.name].count != 1
+            many = encodings(kind)[item.name].count != 1
             for at, number in enumerate(numbers):
                 shown = number.decode() if isinstance(number, bytes) else f"{number:.9g}"
                 shown = str(number) if isinstance(number, int) else shown

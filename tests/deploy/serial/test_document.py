@@ -11,7 +11,7 @@ import pytest
 from wire_vectors import DOCUMENT, EXAMPLES, TEXT, part
 
 from surefoot.deploy.messages import Mode, Position, Reason, State
-from surefoot.deploy.serial.codec import HEADER, MESSAGES, NUMBERS, VERSION, Codec, wires
+from surefoot.deploy.serial.codec import HEADER, MESSAGES, NUMBERS, VERSION, Codec, encodings
 from surefoot.deploy.serial.frames import MAX_FRAME, frame_bytes
 from surefoot.deploy.serial.port import BAUD
 
@@ -26,7 +26,7 @@ def test_every_field_of_every_message_stands_in_the_tables():
     expected = []
     for kind in MESSAGES:
         offset = 0
-        for name, spec in wires(kind).items():
+        for name, spec in encodings(kind).items():
             sort = f"text of {spec.length}" if spec.kind == "text" else spec.kind
             sort += "" if spec.count == 1 else f" × {spec.entries(8)}"
             scale = f"{spec.scale:g}".replace("e-0", "e-") if spec.scale else ""
@@ -69,7 +69,7 @@ def test_the_vectors_in_the_document_are_frames_with_the_values_in_the_document(
         assert title is not None
         assert title.groups() == (kind.__name__, str(example.sequence), f"{example.time:g}", str(len(example.data)))
         told = dict(re.findall(r"^\| `(\w+)` \| (.*) \|$", block, re.M))
-        assert list(told) == list(wires(kind))
+        assert list(told) == list(encodings(kind))
         for name, value in told.items():
             found = getattr(example.message, name)
             if isinstance(found, str | tuple):
@@ -95,7 +95,7 @@ def test_offsets_go_without_gaps_to_the_size_in_the_title():
             f"type {NUMBERS[kind]}, {'to' if NUMBERS[kind] < 64 else 'from'} the robot, {size} bytes\n"
         )
         offsets = [int(offset) for offset in re.findall(r"^\| (\d+) \|", block, re.M)]
-        sizes = [struct.calcsize("<" + spec.format(8)) for spec in wires(kind).values()]
+        sizes = [struct.calcsize("<" + spec.format(8)) for spec in encodings(kind).values()]
         assert [end - start for start, end in zip(offsets, [*offsets[1:], size], strict=True)] == sizes
 
 

@@ -12,21 +12,21 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from surefoot.deploy.serial.fields import MOTORS, Layout, Wire
+from surefoot.deploy.serial.fields import MOTORS, FieldEncoding, MessageLayout
 
 WIRES = dict(
-    small=Wire("u8"),
-    sign=Wire("i8"),
-    medium=Wire("u16"),
-    large=Wire("u32"),
-    real=Wire("f32"),
-    time=Wire("u32", scale=1e-6),
-    torque=Wire("i16", MOTORS, scale=1e-3),
-    signs=Wire("i8", MOTORS),
-    angles=Wire("f32", 3),
-    name=Wire("text", length=4),
-    names=Wire("text", MOTORS, length=2),
-    words=Wire("text", length=5, cut=True),
+    small=FieldEncoding("u8"),
+    sign=FieldEncoding("i8"),
+    medium=FieldEncoding("u16"),
+    large=FieldEncoding("u32"),
+    real=FieldEncoding("f32"),
+    time=FieldEncoding("u32", scale=1e-6),
+    torque=FieldEncoding("i16", MOTORS, scale=1e-3),
+    signs=FieldEncoding("i8", MOTORS),
+    angles=FieldEncoding("f32", 3),
+    name=FieldEncoding("text", length=4),
+    names=FieldEncoding("text", MOTORS, length=2),
+    words=FieldEncoding("text", length=5, cut=True),
 )
 Sample = make_dataclass("Sample", WIRES)
 """One field of every sort."""
@@ -58,7 +58,7 @@ BYTES = bytes.fromhex(
     "78 00 79 7A"
     "68 65 6C 6C 6F"
 )
-LAYOUT = Layout(Sample, WIRES, 2)
+LAYOUT = MessageLayout(Sample, WIRES, 2)
 
 
 def sample(**changes: Any) -> Any:
@@ -95,14 +95,14 @@ def test_arrays_come_as_doubles_that_may_be_written_to():
 @pytest.mark.parametrize(
     ("spec", "entries", "size", "format"),
     [
-        (Wire("u8"), 1, 1, "1B"),
-        (Wire("i16", count=3), 3, 6, "3h"),
-        (Wire("f32", count=MOTORS), 8, 32, "8f"),
-        (Wire("text", length=24), 1, 24, "24s"),
-        (Wire("text", length=2, count=3), 3, 6, "2s2s2s"),
+        (FieldEncoding("u8"), 1, 1, "1B"),
+        (FieldEncoding("i16", count=3), 3, 6, "3h"),
+        (FieldEncoding("f32", count=MOTORS), 8, 32, "8f"),
+        (FieldEncoding("text", length=24), 1, 24, "24s"),
+        (FieldEncoding("text", length=2, count=3), 3, 6, "2s2s2s"),
     ],
 )
-def test_a_field_knows_its_size(spec: Wire, entries: int, size: int, format: str):
+def test_a_field_knows_its_size(spec: FieldEncoding, entries: int, size: int, format: str):
     assert (spec.entries(8), struct.calcsize(f"<{spec.format(8)}"), spec.format(8)) == (entries, size, format)
 
 

@@ -30,8 +30,8 @@ from surefoot.deploy.messages import (
     Reason,
     State,
 )
-from surefoot.deploy.serial.codec import MAX_PAYLOAD, MESSAGES, NUMBERS, Codec, wires
-from surefoot.deploy.serial.fields import MOTORS, Wire
+from surefoot.deploy.serial.codec import MAX_PAYLOAD, MESSAGES, NUMBERS, Codec, encodings
+from surefoot.deploy.serial.fields import MOTORS, FieldEncoding
 from surefoot.errors import SurefootError
 
 CODEC = Codec(8)
@@ -97,7 +97,7 @@ def test_a_message_has_the_bytes_worked_by_hand(message: Message, payload: str):
 # There and back.
 
 
-def values_of(spec: Wire) -> st.SearchStrategy[Any]:
+def values_of(spec: FieldEncoding) -> st.SearchStrategy[Any]:
     """What the numbers of a field can tell exactly."""
     if spec.kind == "text":
         letters = st.characters(exclude_characters="\0", exclude_categories=("Cs",))
@@ -113,7 +113,7 @@ def values_of(spec: Wire) -> st.SearchStrategy[Any]:
 def messages(motors: int) -> st.SearchStrategy[Message]:
     """Messages of every kind, with any content that the wire can tell."""
 
-    def field(spec: Wire) -> st.SearchStrategy[Any]:
+    def field(spec: FieldEncoding) -> st.SearchStrategy[Any]:
         one = values_of(spec)
         if spec.count == 1:
             return one
@@ -121,7 +121,7 @@ def messages(motors: int) -> st.SearchStrategy[Message]:
         return many.map(tuple if spec.kind == "text" else lambda values: np.array(values, np.float64))
 
     return st.one_of(
-        *(st.builds(kind, **{name: field(spec) for name, spec in wires(kind).items()}) for kind in MESSAGES)
+        *(st.builds(kind, **{name: field(spec) for name, spec in encodings(kind).items()}) for kind in MESSAGES)
     )
 
 
@@ -135,7 +135,7 @@ def test_encode_and_decode_are_the_identity(message: Message):
 @given(st.data())
 def test_decode_and_encode_are_the_identity_on_every_payload_without_texts(data: st.DataObject):
     kind = data.draw(
-        st.sampled_from([kind for kind in MESSAGES if all(s.kind != "text" for s in wires(kind).values())])
+        st.sampled_from([kind for kind in MESSAGES if all(s.kind != "text" for s in encodings(kind).values())])
     )
     payload = data.draw(st.binary(min_size=TWO.size(kind), max_size=TWO.size(kind)))
     message = TWO.unpack(NUMBERS[kind], payload)
@@ -211,7 +211,7 @@ def test_another_length_is_not_understood(kind: type[Message]):
 
 def test_every_field_has_a_meaning_and_a_whole_number_of_steps_in_its_unit():
     for kind in MESSAGES:
-        for name, spec in wires(kind).items():
+        for name, spec in encodings(kind).items():
             assert spec.meaning, f"{kind.__name__}.{name}"
             if spec.scale:
                 assert round(1 / spec.scale) * spec.scale == pytest.approx(1.0, abs=1e-12)
@@ -229,7 +229,7 @@ def test_the_canonical_text_is_as_documented():
     assert "motor_names text 8 24 0 -" in lines
     assert "motor_torque i16 8 0 0.001 N m" in lines
     assert lines[-1] == ""
-    assert len(lines) == 1 + len(MESSAGES) + sum(len(wires(kind)) for kind in MESSAGES) + 1
+    assert len(lines) == 1 + len(MESSAGES) + sum(len(encodings(kind)) for kind in MESSAGES) + 1
 
 
 def test_robots_of_other_numbers_of_motors_have_another_schema():
@@ -239,7 +239,7 @@ def test_robots_of_other_numbers_of_motors_have_another_schema():
 def test_the_largest_robot_fills_its_frames():
     # 98 bytes and 41 a motor.
     assert Codec(21).size(MESSAGES[8]) == 959 <= MAX_PAYLOAD < 959 + 41
-    assert sum(spec.count == MOTORS for spec in wires(MESSAGES[8]).values()) == 6
+    assert sum(spec.count == MOTORS for spec in encodings(MESSAGES[8]).values()) == 6
     with pytest.raises(SurefootError, match="motors is 22"):
         Codec(22)
 

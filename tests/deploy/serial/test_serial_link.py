@@ -75,7 +75,7 @@ def test_backward_repeated_and_missing_numbers_are_counted_and_dropped(pty):
 
 def greeting(toy, session: int, sequence: int) -> bytes:
     """The frame of a handshake."""
-    handshake: Handshake = replace(toy.firmware.introduction, session=session)
+    handshake: Handshake = replace(toy.firmware.handshake, session=session)
     return encode_frame(CODEC, handshake, sequence, 0.0)
 
 

@@ -1,8 +1,8 @@
 """The page of `surefoot deploy --drive`: the robot's own state in a browser, and commands from there.
 
 The page runs in a process of its own, so that it can't make the control loop wait. The loop's process tells it how the
-robot is by the live display's pipe; what drives goes back by the command channel (`deploy.commands`), so that a page
-that is closed, hangs or is gone means stand.
+robot is by the live display's pipe; commands go back by the command channel (`deploy.command_sources`), so that
+the robot stands when the page is closed, hangs or is gone.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any, TextIO
 
 import numpy as np
 
-from surefoot.deploy.commands import send_command
+from surefoot.deploy.command_sources import send_command
 from surefoot.deploy.display import LiveDisplay
 from surefoot.deploy.loop import Snapshot
 from surefoot.errors import SurefootError
@@ -113,7 +113,7 @@ class Page:
         self._now: dict[str, Any] = {}
         view.show(self._robot)
         self._place([0.0, 0.0, 0.0], self._robot.resting_angles)
-        server.greet(
+        server.set_options(
             deployed=True,
             policies=[about["policy"]],
             worlds=["robot"],
@@ -129,7 +129,7 @@ class Page:
     def take(self, message: dict[str, Any]) -> None:
         """Take what the control loop's process tells."""
         if "warning" in message:
-            self._server.tell(error=str(message["warning"])[:300])
+            self._server.send(error=str(message["warning"])[:300])
         self._now.update(message)
         if "angles" in message:
             self._place(message["attitude"], message["angles"])
@@ -152,10 +152,10 @@ class Page:
                 send_command(self._about["channel"], *self._command)
         if now - self._told >= _NEWS:
             self._told = now
-            self._server.tell(news=self._news(drives))
+            self._server.send(report=self._news(drives))
 
     def _hear(self, given: dict[str, Any], now: float) -> None:
-        from surefoot.cli.drive import finite_numbers
+        from surefoot.cli.helpers.drive_page import finite_numbers
 
         try:
             if "command" in given and self._about["limits"]:
@@ -167,7 +167,7 @@ class Page:
                 # As Ctrl-C in the terminal: the robot sits and is disarmed.
                 os.kill(os.getppid(), signal.SIGINT)
         except (TypeError, ValueError):
-            self._server.tell(error="message refused")
+            self._server.send(error="message refused")
 
     def _news(self, drives: bool) -> dict[str, Any]:
         now = self._now

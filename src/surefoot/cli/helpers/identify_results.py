@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import json
 import math
-import sys
 from collections.abc import Callable, Iterator
 from importlib import import_module
 from pathlib import Path
@@ -18,8 +17,9 @@ from rich.text import Text
 
 from surefoot.errors import SurefootError, choices
 from surefoot.identify.overlay import Known, overlay, write_known
-from surefoot.identify.result import Estimate, Identification
-from surefoot.report.figures.identification import cells, full_name, known_before
+from surefoot.identify.result import Identification, ParameterEstimate
+from surefoot.progress import ProgressDisplay
+from surefoot.report.figures.identification import cells, full_name, prior_value
 from surefoot.report.pages.identification import write_report
 from surefoot.robot import RobotDescription
 
@@ -40,17 +40,16 @@ def check_installed(otherwise: str = "") -> None:
 
 @contextlib.contextmanager
 def fitting(what: str) -> Iterator[Callable[[str, float], None]]:
-    """Give a function that is told how a fit goes: a line that changes on a terminal, lines elsewhere; on stderr."""
-    console = Console(stderr=True, highlight=False, soft_wrap=True)
+    """Yield a callback that shows the progress of a fit on standard error."""
+    line = f"fit of {what}"
+    with ProgressDisplay(Console(stderr=True), lambda: Text(line), line_period=0.0, transient=True) as display:
 
-    def text(step: str, cost: float) -> str:
-        return f"fit of {what}: {step}" + (f", residuals {math.sqrt(cost):.3g} sigma" if cost >= 0 else "")
+        def report(step: str, cost: float) -> None:
+            nonlocal line
+            line = f"fit of {what}: {step}" + (f", residuals {math.sqrt(cost):.3g} sigma" if cost >= 0 else "")
+            display.refresh(f"surefoot: {line}", force_line=True)
 
-    if not console.is_terminal:
-        yield lambda step, cost: print(f"surefoot: {text(step, cost)}", file=sys.stderr, flush=True)
-        return
-    with console.status(f"fit of {what}") as status:
-        yield lambda step, cost: status.update(Text(text(step, cost)))
+        yield report
 
 
 def write(
@@ -62,7 +61,7 @@ def write(
     return [*files, *write_report(found, robot, known.params, folder, source)]
 
 
-def tell(
+def report(
     robot: RobotDescription,
     known: Known,
     found: Identification,
@@ -93,7 +92,7 @@ def tell(
 def _estimates(robot: RobotDescription, known: Known, found: Identification) -> Table:
     table = _table(f"{found.experiment}: {robot.name}", "parameter", "known" if known.given else "sheet", "found",
                    "95 % interval", "unit")  # fmt: skip
-    groups: dict[str, list[Estimate]] = {}
+    groups: dict[str, list[ParameterEstimate]] = {}
     for item in found.estimates:
         groups.setdefault(item.name, []).append(item)
     for name, items in groups.items():
@@ -104,7 +103,7 @@ def _estimates(robot: RobotDescription, known: Known, found: Identification) -> 
         for item in items:
             label = name if item.index is None else "  " + full_name(item.label, robot).removeprefix(name).strip()
             was, value, interval = cells(item, known.params)
-            table.add_row(Text(label), was or "-", value, interval, unit, style=None if item.told else "dim")
+            table.add_row(Text(label), was or "-", value, interval, unit, style=None if item.identifiable else "dim")
     return table
 
 
@@ -129,11 +128,11 @@ def as_mapping(robot: RobotDescription, known: Known, found: Identification) -> 
                 "name": item.name,
                 "index": item.index,
                 "label": full_name(item.label, robot),
-                "before": _finite(known_before(item, known.params)),
+                "before": _finite(prior_value(item, known.params)),
                 "value": _finite(item.value),
                 "interval": [_finite(end) for end in item.interval],
                 "unit": item.unit,
-                "told": item.told,
+                "identifiable": item.identifiable,
             }
             for item in found.estimates
         ],

@@ -14,14 +14,15 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from surefoot.cli.helpers.options import Baud, Json, Lockstep, Yes, ask_to_move, check_terminal
-from surefoot.deploy.display import LiveDisplay, PlainLines
-from surefoot.deploy.links import open_link
-from surefoot.deploy.loop import Snapshot, Watch
+from surefoot.check_result import first_failure
+from surefoot.cli.helpers.link_options import LinkOptions
+from surefoot.cli.helpers.options import Json, Yes, ask_to_move, check_terminal
+from surefoot.deploy.checks import check_handshake
+from surefoot.deploy.display import PlainLines, open_display
+from surefoot.deploy.loop import RunMonitor, Snapshot
 from surefoot.deploy.messages import Handshake
 from surefoot.deploy.pacer import undisturbed
 from surefoot.deploy.robot_link import LinkLostError, RobotLink
-from surefoot.deploy.serial.port import BAUD
 from surefoot.errors import SurefootError
 from surefoot.identify.experiment_runner import run_plan
 from surefoot.identify.plan import Plan
@@ -30,12 +31,10 @@ from surefoot.robot import DEFAULT_ROBOT, RobotDescription
 
 PLACES = {True: "hang free, its legs in the air", False: "sit on flat ground with a metre of room"}
 """Where the robot must be, by whether it is an experiment for the rack."""
-_PERIOD = 0.05
-"""How far the robot's servo period may be from the data sheet's, as a share."""
 
 
 @dataclass(frozen=True)
-class ExperimentCommand:
+class ExperimentCommand(LinkOptions):
     """Run an experiment on a robot, or take a recording of one, and find the physical parameters that it tells.
 
     What is going to happen is shown, and asked for, before a motor moves. The recording is kept however the experiment
@@ -54,8 +53,6 @@ class ExperimentCommand:
     record_only: bool = False
     """Record and do not fit; needs the bare install only."""
     yes: Yes = False
-    lockstep: Lockstep = False
-    baud: Baud = BAUD
     robot: str = DEFAULT_ROBOT
     """Name or folder of the robot's description."""
     json: Json = False
@@ -81,36 +78,21 @@ def run_experiment(command: ExperimentCommand, plan: Plan, robot: RobotDescripti
 
 @contextlib.contextmanager
 def _greeted(command: ExperimentCommand, robot: RobotDescription) -> Iterator[tuple[RobotLink, Handshake]]:
-    link = open_link(str(command.port), robot.num_motors, command.lockstep, command.baud)
+    link = command.open_link(str(command.port), robot.num_motors)
     try:
         handshake = link.connect()
-        check_robot(handshake, robot)
+        refuse_another_robot(handshake, robot)
         yield link, handshake
     finally:
         with contextlib.suppress(LinkLostError, OSError):
             link.close()
 
 
-def check_robot(handshake: Handshake, robot: RobotDescription) -> None:
-    """Refuse a robot that is not the one of the data sheet, and say what differs."""
-    if handshake.robot != robot.name:
-        raise SurefootError(f"the robot says that it is '{handshake.robot}', and the data sheet is of '{robot.name}'")
-    motors = zip(robot.motor_names, robot.motor_sign, handshake.motor_names, handshake.motor_signs, strict=True)
-    for index, (name, sign, their_name, their_sign) in enumerate(motors):
-        if name != their_name:
-            raise SurefootError(
-                f"motor {index} is '{their_name}' (robot), '{name}' (data sheet); names and order must be the same"
-            )
-        if float(sign) != float(their_sign):
-            raise SurefootError(
-                f"{name} has sign {their_sign:+g} (robot), {sign:+g} (data sheet); they must be the same"
-            )
-    period = robot.timing.servo_step
-    if abs(handshake.servo_period - period) > _PERIOD * period:
-        raise SurefootError(
-            f"the robot's servos step every {1e3 * handshake.servo_period:g} ms; the data sheet says {1e3 * period:g} "
-            f"ms, and it must be within {_PERIOD:.0%}"
-        )
+def refuse_another_robot(handshake: Handshake, robot: RobotDescription) -> None:
+    """Refuse a robot that is not the one of the data sheet."""
+    error = first_failure(check_handshake(handshake, robot))
+    if error is not None:
+        raise SurefootError(f"the robot is not as on its data sheet: {error}")
 
 
 def _show_plan(plan: Plan, handshake: Handshake, console: Console) -> None:
@@ -145,7 +127,7 @@ def _show_plan(plan: Plan, handshake: Handshake, console: Console) -> None:
 
 def _run(command: ExperimentCommand, link: RobotLink, plan: Plan, robot: RobotDescription, path: Path) -> Recording:
     with contextlib.ExitStack() as stack:
-        watch = Progress(plan, f"{plan.experiment} experiment, {robot.name}, {command.port}", sys.stderr)
+        watch = ExperimentProgress(plan, f"{plan.experiment} experiment, {robot.name}, {command.port}", sys.stderr)
         stack.callback(watch.close)
         if not command.lockstep:
             stack.enter_context(undisturbed())
@@ -154,40 +136,45 @@ def _run(command: ExperimentCommand, link: RobotLink, plan: Plan, robot: RobotDe
     return recording
 
 
-class Progress(Watch):
-    """How an experiment goes, and how long it still takes: a display on a terminal, lines elsewhere."""
+class ExperimentProgress(RunMonitor):
+    """Number of the phase and time left of a whole experiment, on the display of a robot.
+
+    Args:
+        plan: the experiment.
+        title: title of the display.
+        stream: where to show it.
+    """
 
     def __init__(self, plan: Plan, title: str, stream: TextIO) -> None:
-        self._display = LiveDisplay(title) if stream.isatty() else None
-        self._out = self._display or PlainLines(stream)
+        self._display = open_display(title, stream)
         self._phases, self._number, self._name = plan.phases, 0, ""
 
     def phase(self, name: str, duration: float) -> None:
-        """A phase begins."""
+        """Show the start of a phase."""
         self._number += 1
         self._name = f"{name}, {self._number} of {len(self._phases)}"
-        if self._display is not None:
-            self._display.phase(self._name, duration + self._later())
+        left = duration + self._remaining()
+        if isinstance(self._display, PlainLines):
+            self._display.phase(f"{self._name}, {left:.0f} s left", 0.0)
         else:
-            self._out.phase(f"{self._name}, {duration + self._later():.0f} s left", 0.0)
-
-    def _later(self) -> float:
-        """Time of the phases that come [s]."""
-        return sum(phase.duration for phase in self._phases[self._number :])
+            self._display.phase(self._name, left)
 
     def tick(self, snapshot: Snapshot) -> None:
-        """Several times a second."""
-        if self._display is not None:
-            self._display.tick(replace(snapshot, phase=self._name, left=snapshot.left + self._later()))
+        """Show the state of the robot."""
+        self._display.tick(replace(snapshot, phase=self._name, left=snapshot.left + self._remaining()))
+
+    def _remaining(self) -> float:
+        """Return the duration of the phases that follow [s]."""
+        return sum(phase.duration for phase in self._phases[self._number :])
 
     def warn(self, text: str) -> None:
-        """Something that the operator should know."""
-        self._out.warn(text)
+        """Show a warning."""
+        self._display.warn(text)
 
     def recording(self, text: str) -> None:
-        """How recording goes."""
-        self._out.recording(text)
+        """Show the state of the recording."""
+        self._display.recording(text)
 
     def close(self) -> None:
         """End the display."""
-        self._out.close()
+        self._display.close()

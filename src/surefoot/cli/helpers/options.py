@@ -54,13 +54,22 @@ Ray = Annotated[
 ]
 World = Annotated[str, tyro.conf.arg(help=f"Where to run: {choices(WORLDS)}.")]
 Json = Annotated[bool, tyro.conf.arg(help="Print one JSON object.")]
+RobotName = Annotated[
+    str | None, tyro.conf.arg(help="Name or folder of the robot; the one of the policy's task, if not given.")
+]
 PAGE_PORT = 8400
 """TCP port of a page in the browser, if none is given."""
 PagePort = Annotated[int, Within(0, 65535), tyro.conf.arg(help="TCP port of the page; 0 for a free one.")]
+Host = Annotated[
+    str | None,
+    tyro.conf.arg(
+        metavar="ADDRESS",
+        help="Address to listen at for other machines, such as 0.0.0.0; the page's address then holds a token. Without "
+        "it only this machine can open the page.",
+    ),
+]
 Port = Annotated[str, tyro.conf.arg(help="Serial port or pseudo-terminal of the robot, such as /dev/ttyUSB0.")]
-Lockstep = Annotated[bool, tyro.conf.arg(help="The robot is an emulator that runs with --lockstep.")]
 Yes = Annotated[bool, tyro.conf.arg(help="Do not ask before motors move.")]
-Baud = Annotated[int, Within(9600, 100_000_000), tyro.conf.arg(help="Bits a second of a serial port.")]
 
 
 def check_terminal(place: str) -> None:

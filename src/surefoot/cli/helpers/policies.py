@@ -2,28 +2,25 @@
 
 from __future__ import annotations
 
-import sys
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
-
 from surefoot.cli.helpers.simulator import Simulator
 from surefoot.configuration import to_mapping
-from surefoot.deploy.checks import contradiction, other_gains, unreadable_observation
+from surefoot.deploy.checks import check_policy
 from surefoot.errors import SurefootError, choices
-from surefoot.policy.contract import Contract, check_robot, config_hash
+from surefoot.policy.contract import config_hash
 from surefoot.policy.runtime import PolicyRuntime
+from surefoot.progress import ProgressBar
 from surefoot.robot import RobotDescription, parse_settings
-from surefoot.robot.randomization import RandomizeConfig, check_ranges
+from surefoot.robot.randomization import Ranges, check_ranges
 from surefoot.studies.handcrafted import HandcraftedGait
 from surefoot.task.commands import read_schedule
 from surefoot.task.config import TaskConfig
+from surefoot.task.contract_mapping import task_from_contract
 from surefoot.task.trace import EpisodeTrace
 from surefoot.world.registry import find_world
 
@@ -31,13 +28,18 @@ if TYPE_CHECKING:
     from surefoot.evaluate.rollout import Policy
 
 PACKAGE = Path(__file__).resolve().parents[2]
-SHELVES = (PACKAGE / "policies", PACKAGE.parents[1] / "policies")
-"""Where policies that ship lie: in an installed package, and in the repository."""
+SEARCH_PATHS = (PACKAGE / "policies", PACKAGE.parents[1] / "policies")
+"""Folders of policies that ship: of an installed package, and of the repository."""
+
+
+def shipped_policies() -> dict[str, Path]:
+    """Return the files of the policies that ship, by name."""
+    return {path.stem: path for folder in reversed(SEARCH_PATHS) for path in sorted(folder.glob("*.onnx"))}
 
 
 def find_policy(policy: str) -> Path:
     """Return the file of a policy given by path or by the name of one that ships; refuse what is neither."""
-    shipped = {path.stem: path for shelf in reversed(SHELVES) for path in sorted(shelf.glob("*.onnx"))}
+    shipped = shipped_policies()
     if Path(policy).is_file():
         return Path(policy)
     if policy in shipped:
@@ -53,29 +55,26 @@ def find_policies(policies: Sequence[str]) -> list[Path]:
     return [find_policy(policy) for policy in policies]
 
 
-def load_policy(path: Path, robot: str | None) -> tuple[PolicyRuntime, RobotDescription, TaskConfig]:
-    """Return a policy, the robot to run it on and the task it was made for; say on stderr that one has no digest.
-
-    The robot is given by name or folder; it is the one of the policy's task, if it is not given.
+def open_policy(path: Path, robot: str | None = None) -> tuple[PolicyRuntime, RobotDescription]:
+    """Return a policy and the robot to run it on, given by name or folder; the policy's own, if None.
 
     Raises:
-        SurefootError: a file that is no policy, one for another robot, or one whose contract is not what would be run.
+        SurefootError: a file that is no policy, or one for another robot.
     """
-    from surefoot.evaluate.rollout import task_from_contract
-
     policy = PolicyRuntime.load(path)
-    task = task_from_contract(policy.contract)
-    if robot is not None:
-        task = replace(task, robot=robot)
-    description = RobotDescription.load(task.robot)
-    _check_contract(policy.contract, description, task)
-    if policy.digest is None:
-        print(
-            f"surefoot: policy file {path}: is unsigned: it has no digest, so nothing shows that network and contract "
-            "belong together; for simulation only, deploy refuses it",
-            file=sys.stderr,
-        )
-    return policy, description, task
+    description = RobotDescription.load(robot or policy.contract.description)
+    check_policy(policy.contract, description)
+    return policy, description
+
+
+def load_policy(path: Path, robot: str | None) -> tuple[PolicyRuntime, RobotDescription, TaskConfig]:
+    """Return a policy, the robot to simulate it on and the task it was made for.
+
+    Control step, latencies, gains and voltage are those that the policy was trained with. Otherwise as `open_policy`.
+    """
+    policy, description = open_policy(path, robot)
+    task = task_from_contract(policy.contract, description)
+    return policy, description, replace(task, robot=robot or policy.contract.description)
 
 
 def load_gait(path: Path, robot: str | None) -> tuple[Policy, RobotDescription, TaskConfig, dict[str, str]]:
@@ -92,23 +91,6 @@ def load_gait(path: Path, robot: str | None) -> tuple[Policy, RobotDescription, 
     whole = {"task": to_mapping(task), "raibert": gait.raibert and to_mapping(gait.raibert)}
     about = {"name": task.name, "config_hash": config_hash(whole)}
     return replace(gait, task=task).policy(), RobotDescription.load(task.robot), task, about
-
-
-def _check_contract(contract: Contract, robot: RobotDescription, task: TaskConfig) -> None:
-    """Refuse a policy whose contract contradicts a simulation of its task, as `deploy` refuses it."""
-    check_robot(contract, robot)
-    # With all that the task leaves to defaults, for that is what is simulated.
-    whole, params = replace(contract, task=to_mapping(task)), task.nominal(robot)
-    why = (
-        unreadable_observation(contract, robot)
-        or contradiction(whole, robot)
-        or other_gains(contract, params.servo_kp[0].tolist(), params.servo_kd[0].tolist())
-    )
-    if why is not None:
-        raise SurefootError(
-            f"policy '{contract.name}' must not run on {robot.name}: {why}; the contract was edited or is of another "
-            "task: export the policy again"
-        )
 
 
 @dataclass(frozen=True)
@@ -161,7 +143,7 @@ def adjust_task(
     settings: Sequence[Sequence[str]],
     pushes: bool,
     thermal_protection: bool = False,
-    randomize: RandomizeConfig | None = None,
+    randomize: Ranges | None = None,
     simulator: Simulator | None = None,
     push_force: tuple[float, float] | None = None,
     commands: Path | None = None,
@@ -186,7 +168,7 @@ def adjust_task(
     task = replace(task, thermal_protection=task.thermal_protection or thermal_protection)
     task = (simulator or Simulator()).of(task, given)
     task.nominal(robot)  # refuses parameters that the robot does not allow
-    ranges = randomize or RandomizeConfig()
+    ranges = randomize or {}
     check_ranges(ranges, robot)
     told = replace(task.commands, ramp=0)
     if commands is not None:
@@ -223,17 +205,7 @@ def run_policy(
     """
     from surefoot.evaluate.rollout import run_episodes
 
-    with progress_bar(title or name) as progress:
+    with ProgressBar(title or name) as bar:
         return run_episodes(
-            policy, task, episodes, find_world(world), seed, threads, progress, world_name=world, policy_name=name
+            policy, task, episodes, find_world(world), seed, threads, bar.advance, world_name=world, policy_name=name
         )
-
-
-@contextmanager
-def progress_bar(what: str) -> Iterator[Callable[[float], None]]:
-    """Show a bar on stderr while something runs, on a terminal only; give what takes the share that is done, 0 to 1."""
-    console = Console(stderr=True)
-    columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
-        row = bar.add_task(what, total=1.0)
-        yield lambda share: bar.update(row, completed=share)

@@ -89,11 +89,12 @@ def _retest(search: Search, trial: TrialResult) -> Retest:
     import pandas as pd
 
     from surefoot.evaluate.gap import away_task
-    from surefoot.evaluate.rollout import run_episodes, task_from_contract
+    from surefoot.evaluate.rollout import run_episodes
     from surefoot.evaluate.runs import measure_runs
     from surefoot.policy.runtime import PolicyRuntime
     from surefoot.studies.evaluations import Result, cached_result
     from surefoot.studies.trials import Retest
+    from surefoot.task.contract_mapping import task_from_contract
 
     assert trial.policy is not None
     path, weight = trial.policy, search.config.train.task.energy_weight

@@ -5,17 +5,18 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Self
 
 from rich.console import Console
-from rich.live import Live
 from rich.table import Table
 
+from surefoot.progress import ProgressDisplay
 from surefoot.stop_signals import StopSignals
 from surefoot.studies.training import Training
 from surefoot.studies.workers import ProgressReport, TrainingsOutcome, ray_cluster, run_trainings
 
-_LINE_EVERY = 60.0
+_LINE_PERIOD = 60.0
+"""Least time between two lines on one training, where there is no terminal [s]."""
 
 
 def train_many(
@@ -46,24 +47,24 @@ def train_many(
         if count == 1:
             console.print("Stopping after the updates under way; once more stops at once.")
 
-    progress = _Progress(title, console)
+    display = QueueDisplay(title, console)
 
-    def report(training: Training, progress_report: ProgressReport) -> bool:
-        progress.told(training, progress_report)
-        return on_report(training, progress_report)
+    def report(training: Training, progress: ProgressReport) -> bool:
+        display.report_progress(training, progress)
+        return on_report(training, progress)
 
     def changed(training: Training, what: str, why: str) -> None:
         on_change(training, what, why)
-        progress.change(training, what)
+        display.report_change(training, what)
 
     # Ray listens to signals as well, and only the last one who began to listen hears them.
-    with ray_cluster(address, workers), StopSignals(on_signal=say, respect_nohup=True) as stops, progress:
+    with ray_cluster(address, workers), StopSignals(on_signal=say, respect_nohup=True) as stops, display:
         return run_trainings(trainings, workers, report, changed, lambda: stops.count)
 
 
 @dataclass
 class _Row:
-    """What is known of one training."""
+    """State of one training, as the display shows it."""
 
     training: Training
     state: str = ""
@@ -73,10 +74,9 @@ class _Row:
     rate: float = 0.0
     since: float = 0.0
     first: int = 0
-    spoke: float = 0.0
 
     def cells(self) -> tuple[str, ...]:
-        """The training's line, cell by cell."""
+        """Return the cells of the training's line."""
         config = self.training.config
         total = config.updates * config.samples_per_update
         speed = "-" if self.speed is None else f"{self.speed:.2f} m/s"
@@ -90,59 +90,51 @@ class _Row:
         steps = f"{self.steps:,} of {total:,}"
         return self.training.group, str(config.seed), self.state, steps, speed, gained, falls, left
 
+    def line(self) -> str:
+        """Return the training's line for a log."""
+        group, seed, state, steps, speed, gained, falls, left = self.cells()
+        line = f"{group:<20} seed {seed:<3} {state:<9} {steps} steps  {speed}  return {gained}  falls {falls}  {left}"
+        return line.rstrip()
 
-class _Progress:
-    """The display.
+
+class QueueDisplay(ProgressDisplay):
+    """Table of the trainings under way, and a line for each that starts or ends.
 
     Args:
-        title: over the table.
+        title: title of the table.
         console: where to show it.
     """
 
     def __init__(self, title: str, console: Console) -> None:
-        self._title, self._console = title, console
+        super().__init__(console, self._table, _LINE_PERIOD)
+        self._title = title
         self._rows: dict[str, _Row] = {}
-        self._live = Live(console=console, refresh_per_second=2, get_renderable=self._table)
 
-    def __enter__(self) -> _Progress:
-        """Start the display."""
-        self._console.print(self._title)
-        if self._console.is_terminal:
-            self._live.start()
-        return self
+    def __enter__(self) -> Self:
+        """Print the title, and start the display."""
+        self.print(self._title)
+        return super().__enter__()
 
-    def __exit__(self, *_: object) -> None:
-        """Stop the display."""
-        if self._console.is_terminal:
-            self._live.stop()
-
-    def told(self, training: Training, told: ProgressReport) -> None:
-        """Take in how far a training is."""
+    def report_progress(self, training: Training, progress: ProgressReport) -> None:
+        """Show the progress of a training."""
         row = self._rows[training.name]
-        row.steps = told.steps
-        row.speed = row.speed if told.speed is None else told.speed
-        row.evaluation = told.evaluations[-1] if told.evaluations else row.evaluation
+        row.steps = progress.steps
+        row.speed = row.speed if progress.speed is None else progress.speed
+        row.evaluation = progress.evaluations[-1] if progress.evaluations else row.evaluation
         now = time.monotonic()
         if not row.since:
             row.since, row.first = now, row.steps
         elif now > row.since:
             row.rate = (row.steps - row.first) / (now - row.since)
-        if not self._console.is_terminal and now - row.spoke > _LINE_EVERY:
-            self._say(row)
+        self.refresh(row.line(), training.name)
 
-    def change(self, training: Training, what: str) -> None:
-        """Take in that a training began or ended."""
+    def report_change(self, training: Training, event: str) -> None:
+        """Show that a training started or ended."""
         row = self._rows.setdefault(training.name, _Row(training))
-        row.state = {"started": "training", "done": "finished"}.get(what, what)
-        if what != "started":
+        row.state = {"started": "training", "done": "finished"}.get(event, event)
+        if event != "started":
             row.rate, row.since = 0.0, 0.0
-        self._say(row)
-
-    def _say(self, row: _Row) -> None:
-        row.spoke = time.monotonic()
-        group, seed, state, steps, speed, gained, falls, left = row.cells()
-        line = f"{group:<20} seed {seed:<3} {state:<9} {steps} steps  {speed}  return {gained}  falls {falls}  {left}"
-        self._console.print(line.rstrip())
+        self.print(row.line(), training.name)
 
     def _table(self) -> Table:
         table = Table(title=self._title, title_justify="left", box=None)

@@ -16,7 +16,7 @@ from pathlib import Path
 
 from surefoot.deploy.messages import DescribedEnum, Message, Mode, Reason
 from surefoot.deploy.serial.codec import HEADER, MESSAGES, NUMBERS, VERSION, Codec
-from surefoot.deploy.serial.fields import MOTORS, Wire
+from surefoot.deploy.serial.fields import MOTORS, FieldEncoding
 from surefoot.deploy.serial.frames import CRC_BYTES, MAX_FRAME, frame_bytes
 from surefoot.errors import SurefootError
 from surefoot.files import whole_file
@@ -122,7 +122,7 @@ def c_header(motors: int = DEFAULT_MOTORS) -> str:
     return "\n".join(parts)
 
 
-def counts(spec: Wire) -> str:
+def counts(spec: FieldEncoding) -> str:
     """What a field's number on the line counts, such as 1e-6 s; nothing for pure numbers and texts."""
     unit = "" if spec.unit == "1" else spec.unit
     scale = f"{spec.scale:g} ".replace("e-0", "e-") if spec.scale not in (0, 1) else ""

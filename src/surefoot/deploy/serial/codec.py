@@ -24,7 +24,7 @@ from surefoot.deploy.messages import (
     Pwm,
     State,
 )
-from surefoot.deploy.serial.fields import MOTORS, Layout, Wire
+from surefoot.deploy.serial.fields import MOTORS, FieldEncoding, MessageLayout
 from surefoot.errors import SurefootError
 
 VERSION = 1
@@ -33,10 +33,10 @@ HEADER = struct.Struct("<BBIIQ")
 """Version, type, schema hash, sequence number, time [us]."""
 MAX_PAYLOAD = 997
 """Bytes of a message that still fit a frame; see `frames.MAX_FRAME`."""
-_U8, _U16, _U32, _F32 = Wire("u8"), Wire("u16"), Wire("u32"), Wire("f32")
-_TIME = Wire("u32", scale=1e-6)
-_MOTORS, _VECTOR = Wire("f32", MOTORS), Wire("f32", 3)
-SCHEMA: dict[type[Message], tuple[int, dict[str, Wire]]] = {
+_U8, _U16, _U32, _F32 = FieldEncoding("u8"), FieldEncoding("u16"), FieldEncoding("u32"), FieldEncoding("f32")
+_TIME = FieldEncoding("u32", scale=1e-6)
+_MOTORS, _VECTOR = FieldEncoding("f32", MOTORS), FieldEncoding("f32", 3)
+SCHEMA: dict[type[Message], tuple[int, dict[str, FieldEncoding]]] = {
     Hello: (1, {"session": _U16, "state_period": _TIME}),
     Ping: (2, {"token": _U32}),
     Arm: (3, {"session": _U16, "mode": _U8, "command_period": _TIME, "report_after": _TIME}),
@@ -49,10 +49,10 @@ SCHEMA: dict[type[Message], tuple[int, dict[str, Wire]]] = {
         65,
         {
             "session": _U16,
-            "robot": Wire("text", length=24),
-            "firmware": Wire("text", length=40),
-            "motor_names": Wire("text", MOTORS, length=24),
-            "motor_signs": Wire("i8", MOTORS),
+            "robot": FieldEncoding("text", length=24),
+            "firmware": FieldEncoding("text", length=40),
+            "motor_names": FieldEncoding("text", MOTORS, length=24),
+            "motor_signs": FieldEncoding("i8", MOTORS),
             "servo_period": _TIME,
             "servo_kp": _MOTORS,
             "servo_kd": _MOTORS,
@@ -75,26 +75,26 @@ SCHEMA: dict[type[Message], tuple[int, dict[str, Wire]]] = {
             "mode": _U8,
             "reason": _U8,
             "command": _U32,
-            "command_age": Wire("u16", scale=1e-5),
+            "command_age": FieldEncoding("u16", scale=1e-5),
             "dropped": _U16,
             "motor_angle": _MOTORS,
             "motor_velocity": _MOTORS,
-            "motor_torque": Wire("i16", MOTORS, scale=1e-3),
+            "motor_torque": FieldEncoding("i16", MOTORS, scale=1e-3),
             "roll_pitch_yaw": _VECTOR,
             "angular_velocity_base": _VECTOR,
             "energy": _F32,
-            "voltage": Wire("u16", scale=1e-3),
-            "temperature": Wire("u8", MOTORS, scale=1.0),
+            "voltage": FieldEncoding("u16", scale=1e-3),
+            "temperature": FieldEncoding("u8", MOTORS, scale=1.0),
         },
     ),
-    Fault: (68, {"session": _U16, "reason": _U8, "text": Wire("text", length=80, cut=True)}),
+    Fault: (68, {"session": _U16, "reason": _U8, "text": FieldEncoding("text", length=80, cut=True)}),
 }
 """Number of each kind of message, and how its fields stand in a frame."""
 MESSAGES = tuple(SCHEMA)
 NUMBERS = {kind: number for kind, (number, _) in SCHEMA.items()}
 
 
-def wires(kind: type[Message]) -> dict[str, Wire]:
+def encodings(kind: type[Message]) -> dict[str, FieldEncoding]:
     """Return how the fields of a message stand in a frame, with their units and meanings."""
     _, encodings = SCHEMA[kind]
     return {item.name: replace(encodings[item.name], **item.metadata) for item in fields(kind)}  # type: ignore[arg-type]
@@ -110,7 +110,7 @@ class Codec:
     def __init__(self, motors: int) -> None:
         self.motors = motors
         self.kinds = {number: kind for kind, number in NUMBERS.items()}
-        self.layouts = {kind: Layout(kind, wires(kind), max(motors, 1)) for kind in MESSAGES}
+        self.layouts = {kind: MessageLayout(kind, encodings(kind), max(motors, 1)) for kind in MESSAGES}
         largest = max(map(self.size, MESSAGES))
         if motors < 1 or largest > MAX_PAYLOAD:
             raise SurefootError(f"motors is {motors}; it must be 1 or more, and messages at most {MAX_PAYLOAD} bytes")

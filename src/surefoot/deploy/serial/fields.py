@@ -19,7 +19,7 @@ _TOO_LARGE = (2 - 2**-24) * 2.0**127
 
 
 @dataclass(frozen=True)
-class Wire:
+class FieldEncoding:
     """How a field stands in a frame."""
 
     kind: str
@@ -48,7 +48,7 @@ class Wire:
         return f"{self.entries(motors)}{CODES[self.kind]}"
 
 
-class Layout:
+class MessageLayout:
     """The fields of one kind of message as bytes and back, for robots of a number of motors.
 
     No float of a scaled field or of an f32 is refused, so that a control loop never stops for one. Scaled numbers are
@@ -57,15 +57,15 @@ class Layout:
 
     Args:
         message: the dataclass.
-        wires: how each of its fields stands in a frame, in the order of the fields.
+        encodings: how each of its fields stands in a frame, in the order of the fields.
         motors: number of motors.
     """
 
-    def __init__(self, message: type, wires: dict[str, Wire], motors: int) -> None:
-        self.fields = wires
+    def __init__(self, message: type, encodings: dict[str, FieldEncoding], motors: int) -> None:
+        self.fields = encodings
         self.struct = struct.Struct("<" + "".join(spec.format(motors) for spec in self.fields.values()))
         self._message = message
-        self._plan: list[tuple[str, Wire, int, int, int]] = []
+        self._plan: list[tuple[str, FieldEncoding, int, int, int]] = []
         at = 0
         for name, spec in self.fields.items():
             end = at + spec.entries(motors)
@@ -130,7 +130,7 @@ def _numbers(kind: str, per: int, values: list[Any]) -> list[Any]:
     return values if kind == "f32" else [int(value) for value in values]
 
 
-def _texts(name: str, spec: Wire, values: Any) -> list[bytes]:
+def _texts(name: str, spec: FieldEncoding, values: Any) -> list[bytes]:
     found = []
     for value in values:
         raw = str(value).encode()

@@ -38,7 +38,7 @@ def encode_frame(codec: Codec, message: Message, sequence: int, time: float) -> 
         time: now, on the sender's clock [s]; before 0 counts as 0.
 
     Raises:
-        ValueError: numbers have run out, a time that is not finite, or a message that does not fit; see `Layout.pack`.
+        ValueError: a number out of range, a time that is not finite, or a message that does not fit.
     """
     if not 1 <= sequence < 2**32:
         raise ValueError(f"the number of a frame is {sequence}; it must be 1 to {2**32 - 1}")

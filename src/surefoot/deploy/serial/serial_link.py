@@ -31,6 +31,11 @@ from surefoot.deploy.serial.frames import Decoder, encode_frame
 from surefoot.deploy.serial.port import SerialPort
 from surefoot.errors import SurefootError
 
+LEAD = 0.005
+"""Time [s] between a state's sending and the control step that uses it.
+
+At 921,600 baud a command of 8 motors takes 0.6 ms and a state 1.7 ms; the policy takes 0.5 ms. The rest is a margin: a
+state that arrives too late is a whole control step older, one that arrives too early a millisecond or two."""
 _PATIENCE = (0.05, 0.15, 0.5, 1.3, 3.0)
 """Real time [s] after which a ping is sent again, and at last given up. A robot in lockstep answers within a few
 milliseconds, unless the line lost the ping or its pong: then waiting is in vain."""
@@ -51,7 +56,7 @@ class SerialLink(RobotLink):
     """
 
     def __init__(self, port: SerialPort, codec: Codec, clock: Clock, session: int | None = None) -> None:
-        super().__init__(clock, session or 1 + secrets.randbelow(2**16 - 1))
+        super().__init__(clock, session or 1 + secrets.randbelow(2**16 - 1), LEAD)
         self.port, self.codec = port, codec
         self.decoder = Decoder(codec, self.statistics)
         self.awaits_handshake = False

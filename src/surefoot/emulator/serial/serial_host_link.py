@@ -43,6 +43,7 @@ class SerialHostLink:
         baud: bits per second; 0: bytes take no time.
         seed: of what happens to frames on the way.
         patience: time [s] that hosts have for reading.
+        lead: see `HostLink`.
     """
 
     def __init__(
@@ -53,9 +54,10 @@ class SerialHostLink:
         baud: float = 0.0,
         seed: int = 0,
         patience: float = 0.0,
+        lead: float = 0.0,
     ) -> None:
         faults = faults or {}
-        self.port, self._patience = port, patience
+        self.port, self.lead, self._patience = port, lead, patience
         self.codec = Codec(motors)
         if "other-schema" in faults:
             self.codec.schema ^= 0xFFFF

@@ -28,7 +28,7 @@ from surefoot.identify.ground.motion import (
 from surefoot.identify.ground.plans import ends, sides
 from surefoot.identify.recording import Recording
 from surefoot.identify.registry import FitProgress
-from surefoot.identify.result import Check, Estimate, Identification, Series, with_floor
+from surefoot.identify.result import Check, Identification, ParameterEstimate, Series, with_floor
 from surefoot.robot import GRAVITY, PhysicalParams, RobotDescription
 
 STILL = ("stand still", "squat slowly")
@@ -37,7 +37,7 @@ TURNING = ("nod",)
 """Phases in which the base turns fast about y."""
 ROUNDS = 4
 SEEN = 0.15
-"""Standard deviation of what is told of the base's inertia, in shares of it, beyond which it is not told."""
+"""Standard deviation of what is told of the base's inertia, in shares of it, beyond which it is not identifiable."""
 SLIDING = 0.15
 """Speed of a foot over the ground [m/s] from which on it slides for sure."""
 LEAST = 2.0
@@ -52,7 +52,7 @@ TREND = 0.5
 
 
 def fit_mass(
-    robot: RobotDescription, recording: Recording, known: PhysicalParams, sensors: dict[str, Any], tell: FitProgress
+    robot: RobotDescription, recording: Recording, known: PhysicalParams, sensors: dict[str, Any], report: FitProgress
 ) -> Identification:
     """What the mass experiment tells; see `Experiment.fit`."""
     standing = ground_motion(robot, recording, known, sensors)
@@ -73,7 +73,7 @@ def fit_mass(
         found, covariance = regress(columns, lacking, standing.blocks[turning])
         params.base_mass_ratio[0] *= _within(robot, "base_mass_ratio", (total - legs) / base, params)
         params.base_inertia_ratio[0] *= _within(robot, "base_inertia_ratio", 1 + float(found[0]), params)
-        tell(f"round {k + 1}: {total:.3f} kg", float("nan"))
+        report(f"round {k + 1}: {total:.3f} kg", float("nan"))
     forces = InverseDynamics(robot, params).forces(standing.motion)
     mass_spread = float(np.hypot(block_deviation(weight, standing.blocks[still]) / GRAVITY, accuracy * total))
     inertia = float(params.base_inertia_ratio[0])
@@ -90,9 +90,9 @@ def fit_mass(
         "mass",
         robot.name,
         (
-            Estimate.of_parameter(robot, "base_mass_ratio", ratio, ratio_spread),
-            Estimate.of_parameter(robot, "base_inertia_ratio", inertia, inertia_spread, told=told),
-            Estimate("total_mass", total, with_floor("total_mass", total, mass_spread), "kg", low=0.0),
+            ParameterEstimate.within_bounds(robot, "base_mass_ratio", ratio, ratio_spread),
+            ParameterEstimate.within_bounds(robot, "base_inertia_ratio", inertia, inertia_spread, identifiable=told),
+            ParameterEstimate("total_mass", total, with_floor("total_mass", total, mass_spread), "kg", low=0.0),
             *_centre(robot, standing, forces, still, accuracy),
         ),
         notes=tuple(notes),
@@ -121,7 +121,7 @@ def _turning(standing: GroundMotion, forces: Forces, during: NDArray[np.bool_]) 
 
 def _centre(
     robot: RobotDescription, standing: GroundMotion, forces: Forces, still: NDArray[np.bool_], accuracy: float
-) -> list[Estimate]:
+) -> list[ParameterEstimate]:
     """Centre of mass of the whole robot, from its base's origin along x and y, from what each foot carries."""
     carried = forces.force[still, :, 1]
     total = carried.sum(axis=1)
@@ -134,7 +134,7 @@ def _centre(
     for axis, moment in enumerate((forward, left)):
         values = moment / total
         spread = float(np.hypot(block_deviation(values, standing.blocks[still]), accuracy * reach[axis]))
-        estimates.append(Estimate(f"centre_of_mass_{'xy'[axis]}", float(values.mean()), spread, "m"))
+        estimates.append(ParameterEstimate(f"centre_of_mass_{'xy'[axis]}", float(values.mean()), spread, "m"))
     return estimates
 
 
@@ -164,7 +164,7 @@ def _check(
 
 
 def fit_contact(
-    robot: RobotDescription, recording: Recording, known: PhysicalParams, sensors: dict[str, Any], tell: FitProgress
+    robot: RobotDescription, recording: Recording, known: PhysicalParams, sensors: dict[str, Any], report: FitProgress
 ) -> Identification:
     """What the contact experiment tells; see `Experiment.fit`."""
     standing = ground_motion(robot, recording, known, sensors)
@@ -174,15 +174,15 @@ def fit_contact(
     friction, points = _friction(robot, standing, forces, known)
     stiffness, damping, sunk = _compliance(robot, standing, forces)
     notes = ["feet are taken to be as stiff along the ground as into it; that is not measured"]
-    if not friction.told:
-        notes.insert(0, "feet that were dragged did not slide: their friction is not told")
+    if not friction.identifiable:
+        notes.insert(0, "feet that were dragged did not slide: their friction is not identifiable")
     found = (friction, stiffness, damping)
     return Identification("contact", robot.name, found, notes=tuple(notes), series=(*points, sunk))
 
 
 def _friction(
     robot: RobotDescription, standing: GroundMotion, forces: Forces, known: PhysicalParams
-) -> tuple[Estimate, tuple[Series, ...]]:
+) -> tuple[ParameterEstimate, tuple[Series, ...]]:
     """Coulomb's law on feet that slide along x: F_x = -mu F_z sign(v) + c, c from errors of the torque reports."""
     speed = _sliding_speed(robot, standing, forces)
     dragged = standing.during("drag")
@@ -200,7 +200,7 @@ def _friction(
         down += columns[:, 0].tolist()
     if not found:
         before, (low, high) = float(known.contact_friction[0]), robot.allowed["contact_friction"]
-        return Estimate.of_parameter(robot, "contact_friction", before, high - low, told=False), ()
+        return ParameterEstimate.within_bounds(robot, "contact_friction", before, high - low, identifiable=False), ()
     value = float(np.mean(found))
     spread = float(np.std(found, ddof=1)) if len(found) > 1 else SURE * value * 2
     own = float(np.sqrt(np.mean(weights)))
@@ -210,7 +210,7 @@ def _friction(
     labels = "dragged feet", "weight on the foot, against its motion [N]", "force along the ground [N]"
     nothing = np.full(len(order), np.nan)
     series = Series(*labels, x[order], np.array(along)[order], nothing, value * x[order], points=True)
-    return Estimate.of_parameter(robot, "contact_friction", value, deviation), (series,)
+    return ParameterEstimate.within_bounds(robot, "contact_friction", value, deviation), (series,)
 
 
 def _light(robot: RobotDescription, standing: GroundMotion) -> NDArray[np.bool_]:
@@ -234,7 +234,9 @@ def _sliding_speed(robot: RobotDescription, standing: GroundMotion, forces: Forc
     return speed
 
 
-def _compliance(robot: RobotDescription, standing: GroundMotion, forces: Forces) -> tuple[Estimate, Estimate, Series]:
+def _compliance(
+    robot: RobotDescription, standing: GroundMotion, forces: Forces
+) -> tuple[ParameterEstimate, ParameterEstimate, Series]:
     """F = k d + b dd/dt for differences of front and back feet: the base's own height is not known, and not needed.
 
     How much deeper front feet are than back feet follows from the base's pitch, which the gyro tells, and the legs'
@@ -265,8 +267,8 @@ def _compliance(robot: RobotDescription, standing: GroundMotion, forces: Forces)
     series = Series(*labels, time, _quick(more, step)[used], sheet, fitted)
     told = bool(stiffness < 0.3 * values[0])
     return (
-        Estimate.of_parameter(robot, "contact_stiffness", float(values[0]), stiffness, told=told),
-        Estimate("contact_damping", float(values[1]), damping, "N s/m", None, bool(damping < 0.5 * values[1])),
+        ParameterEstimate.within_bounds(robot, "contact_stiffness", float(values[0]), stiffness, identifiable=told),
+        ParameterEstimate("contact_damping", float(values[1]), damping, "N s/m", None, bool(damping < 0.5 * values[1])),
         series,
     )
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from surefoot.arrays import Array
-from surefoot.deploy.poses import between, sitting
+from surefoot.deploy.poses import minimum_jerk, sitting_pose
 from surefoot.identify.plan import ExperimentLimits, Phase, Plan, Signal, Use, go_to, hold, sweep
 from surefoot.robot import RobotDescription
 
@@ -36,26 +36,26 @@ def standing_up(robot: RobotDescription) -> list[Phase]:
         swing, extension = robot.to_pose(start)
         # Legs that slid out stay on their side; legs under the body stay there.
         aside = np.where(np.abs(swing) > 0.3, (robot.poses.spread or 0.0) * np.sign(swing), swing)
-        return between(start, robot.pose_angles(aside, extension), t / 1.0)
+        return minimum_jerk(start, robot.pose_angles(aside, extension), t / 1.0)
 
     def unfold(t: float, start: Array) -> Array:
         swing, _ = robot.to_pose(start)
-        return between(start, robot.pose_angles(swing, robot.poses.sit[-1]), t / 1.0)
+        return minimum_jerk(start, robot.pose_angles(swing, robot.poses.sit[-1]), t / 1.0)
 
-    sit, stand = sitting(robot), robot.pose_angles(0.0, robot.experiments.stance)
+    sit, stand = sitting_pose(robot), robot.pose_angles(0.0, robot.experiments.stance)
     return [
-        Phase("swing legs out", "legs beside the body, as folded as they are", 1.0, swing_out, use="way"),
-        Phase("unfold", "legs beside the body, unfolded", 1.0, unfold, use="way"),
-        Phase("draw in", "legs under the body", 1.0, go_to(sit, 1.0), use="way"),
-        Phase("sit", "the robot sits", 0.3, hold(sit), use="way"),
-        Phase("stand up", "the robot stands up", 1.5, go_to(stand, 1.5), use="way"),
-        Phase("stand", "the robot stands still", 0.5, hold(stand), use="way"),
+        Phase("swing legs out", "legs beside the body, as folded as they are", 1.0, swing_out, use="transition"),
+        Phase("unfold", "legs beside the body, unfolded", 1.0, unfold, use="transition"),
+        Phase("draw in", "legs under the body", 1.0, go_to(sit, 1.0), use="transition"),
+        Phase("sit", "the robot sits", 0.3, hold(sit), use="transition"),
+        Phase("stand up", "the robot stands up", 1.5, go_to(stand, 1.5), use="transition"),
+        Phase("stand", "the robot stands still", 0.5, hold(stand), use="transition"),
     ]
 
 
 def ground_plan(robot: RobotDescription, name: str, *phases: Phase) -> Plan:
     """Return the plan of an experiment on the ground: stand up, go through the phases, sit down."""
-    sit = Phase("sit down", "the robot sits down", 1.5, go_to(sitting(robot), 1.5), use="way")
+    sit = Phase("sit down", "the robot sits down", 1.5, go_to(sitting_pose(robot), 1.5), use="transition")
     low, high = robot.pose_angles(0.0, 0.0), robot.pose_angles(0.0, 1.2 * robot.experiments.high)
     reach = 1.5  # a robot that lies has its legs far to a side
     return Plan(
@@ -76,8 +76,8 @@ def drop(robot: RobotDescription, use: Use = "fit") -> Phase:
 
     def signal(t: float, start: Array) -> Array:
         if t < 0.5:
-            return between(start, high, t / 0.4)
-        return low if t < 1.0 else between(low, stand, (t - 1.0) / 0.3)
+            return minimum_jerk(start, high, t / 0.4)
+        return low if t < 1.0 else minimum_jerk(low, stand, (t - 1.0) / 0.3)
 
     return Phase("drop", "the robot rises, and drops by some centimetres", DROP, signal, use=use)
 

@@ -9,7 +9,7 @@ import numpy as np
 from surefoot.arrays import Array
 from surefoot.errors import SurefootError
 from surefoot.identify.logs.robot_log import IMU, SKIPPED, RobotLog
-from surefoot.identify.replay import Replayed, Replayer, stretch_of_log
+from surefoot.identify.replay import ReplayedReadings, Replayer, segment_from_log
 from surefoot.robot import PhysicalParams, RobotDescription
 
 
@@ -44,7 +44,7 @@ def _rms(errors: Array) -> float:
     return float(np.sqrt(np.mean(known**2))) if known.size else float("nan")
 
 
-def imu_of(replayed: Replayed) -> Array:
+def imu_of(replayed: ReplayedReadings) -> Array:
     """Return the channels of `IMU` (N, T, 4)."""
     return replayed.imu[:, :, [0, 1, 3, 4]]
 
@@ -57,7 +57,7 @@ def replay_log(log: RobotLog, robot: RobotDescription, params: PhysicalParams, r
     """
     if not log.counted.any():
         raise SurefootError(f"log {log.name} is {np.ptp(log.time):.2f} s long; errors count after {SKIPPED:g} s")
-    told = replayer.run(stretch_of_log(log, robot), params)
+    told = replayer.run(segment_from_log(log, robot), params)
     if not np.isfinite(told.motor_angle).all():
         raise SurefootError(f"the simulated robot breaks down in the replay of {log.name}; check its parameters")
     return LogErrors(log, told.motor_angle[0] - log.motor_angle, imu_of(told)[0] - log.imu)

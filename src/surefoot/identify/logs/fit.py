@@ -26,9 +26,9 @@ from surefoot.identify.logs.model import (
     unknowns_of,
 )
 from surefoot.identify.recording import digest_of
-from surefoot.identify.registry import FitProgress, silent
-from surefoot.identify.replay import Replayer, stretch_of_log
-from surefoot.identify.result import Check, Estimate, Identification, Series
+from surefoot.identify.registry import FitProgress, ignore_progress
+from surefoot.identify.replay import Replayer, segment_from_log
+from surefoot.identify.result import Check, Identification, ParameterEstimate, Series
 from surefoot.robot import PhysicalParams, RobotDescription
 
 EXPERIMENT = "logs"
@@ -48,7 +48,7 @@ def fit_logs(
     seconds: float = SECONDS,
     search: int = 0,
     seed: int = 1,
-    tell: FitProgress = silent,
+    report: FitProgress = ignore_progress,
 ) -> Identification:
     """Find physical parameters from logs of a robot.
 
@@ -75,12 +75,12 @@ def fit_logs(
         known.imu_mount[0, 2] = yaw
     unknowns = unknowns_of(robot, known, tuple(RULES) if names is None else names)
     model = LogModel(robot, runs, unknowns, known, seconds)
-    start = _searched(model, search, seed, tell) if search else None
-    fit = fit_least_squares(model, start, lambda step, cost: tell(f"step {step}", cost))
+    start = _searched(model, search, seed, report) if search else None
+    fit = fit_least_squares(model, start, lambda step, cost: report(f"step {step}", cost))
     found = params_of_logs(known, fit.unknowns, fit.values[None])
     estimates = _estimates(robot, known, found, fit)
     if yaw is not None:
-        estimates.append(Estimate.of_parameter(robot, "imu_mount", yaw, _MOUNT_DEVIATION, 2))
+        estimates.append(ParameterEstimate.within_bounds(robot, "imu_mount", yaw, _MOUNT_DEVIATION, 2))
     checks, series = _checks(robot, [*runs, *held_out], len(runs), known, found)
     logs = [run.log for run in (*runs, *held_out)]
     arrays = {f"{k:03d} {n}": getattr(log, n) for k, log in enumerate(logs) for n in ("time", "command", "motor_angle")}
@@ -108,12 +108,12 @@ def _mounted(robot: RobotDescription, runs: Sequence[LogRun], known: PhysicalPar
     replayer, cost = Replayer(robot, len(yaws), rack=False, torques=False), np.zeros(len(yaws))
     for log in standing:
         part = log.until(SECONDS)
-        told = imu_of(replayer.run(stretch_of_log(part, robot), tried.rows(np.arange(len(yaws)))))
+        told = imu_of(replayer.run(segment_from_log(part, robot), tried.rows(np.arange(len(yaws)))))
         cost += np.nan_to_num(np.sum((told - part.imu)[:, :, :2] ** 2, axis=(1, 2)), nan=np.inf)
     return yaws[int(np.argmin(cost))]
 
 
-def _searched(model: LogModel, generations: int, seed: int, tell: FitProgress) -> Array:
+def _searched(model: LogModel, generations: int, seed: int, report: FitProgress) -> Array:
     """Return values (n,) by CMA-ES over the unknowns that all motors share, in units of what is known beforehand.
 
     Raises:
@@ -140,11 +140,13 @@ def _searched(model: LogModel, generations: int, seed: int, tell: FitProgress) -
         evolution.tell(list(steps), costs.tolist())
         if costs.min() < least:
             best, least = tried[int(np.argmin(costs))], float(costs.min())
-        tell(f"search, generation {evolution.countiter}", least / len(model.blocks))
+        report(f"search, generation {evolution.countiter}", least / len(model.blocks))
     return best
 
 
-def _estimates(robot: RobotDescription, known: PhysicalParams, found: PhysicalParams, fit: Fit) -> list[Estimate]:
+def _estimates(
+    robot: RobotDescription, known: PhysicalParams, found: PhysicalParams, fit: Fit
+) -> list[ParameterEstimate]:
     """Return an estimate of each physical parameter that the unknowns change, with deviations carried over to it."""
     unknowns, count = fit.unknowns, len(fit.unknowns)
     steps = np.array([unknown.step for unknown in unknowns])
@@ -166,7 +168,9 @@ def _estimates(robot: RobotDescription, known: PhysicalParams, found: PhysicalPa
             if name == "base_offset" and place == 2:
                 continue
             estimates.append(
-                Estimate.of_parameter(robot, name, float(values[place]), float(np.sqrt(variances[place])), index)
+                ParameterEstimate.within_bounds(
+                    robot, name, float(values[place]), float(np.sqrt(variances[place])), index
+                )
             )
     return estimates
 
@@ -194,7 +198,7 @@ def _checks(
 
 
 def _notes(fit: Fit) -> tuple[str, ...]:
-    open_ = [unknown.label for unknown, told in zip(fit.unknowns, fit.told, strict=True) if not told]
+    open_ = [unknown.label for unknown, told in zip(fit.unknowns, fit.identifiable, strict=True) if not told]
     notes = []
     if open_:
         notes.append(f"the logs hardly tell {', '.join(open_)}: their intervals are what was known beforehand")

@@ -20,7 +20,7 @@ from surefoot.errors import SurefootError, choices
 from surefoot.identify.fitting import BLOCK, Unknown
 from surefoot.identify.logs.errors import imu_of
 from surefoot.identify.logs.robot_log import IMU, SKIPPED, RobotLog
-from surefoot.identify.replay import Replayer, stretch_of_log
+from surefoot.identify.replay import Replayer, segment_from_log
 from surefoot.robot import PhysicalParams, RobotDescription
 
 MOVING_NOISE = 0.006
@@ -203,7 +203,7 @@ class LogModel:
             params = params_of_logs(self.known, self.unknowns, values[first : first + BATCH])
             columns = []
             for number, (run, rows, noise) in enumerate(self._parts()):
-                told = self._replayers[run.rack].run(stretch_of_log(run.log, self.robot), params)
+                told = self._replayers[run.rack].run(segment_from_log(run.log, self.robot), params)
                 off = np.concatenate([told.motor_angle, imu_of(told)[:, :, :2]], axis=2)[:, rows]
                 off -= _readings(run.log)[rows]
                 # Attitudes of such IMUs drift from log to log: how they change counts.

@@ -20,8 +20,8 @@ from surefoot.identify.fitting import GAIN, TORQUE_GAIN
 from surefoot.identify.rack.model import RackModel, fit_on_rack, rack_estimates
 from surefoot.identify.recording import Recording, read_at
 from surefoot.identify.registry import FitProgress
-from surefoot.identify.replay import Replayer, Stretch, stretch_of
-from surefoot.identify.result import Check, Estimate, Identification, Series
+from surefoot.identify.replay import Replayer, Segment, segment_from_recording
+from surefoot.identify.result import Check, Identification, ParameterEstimate, Series
 from surefoot.robot import PhysicalParams, RobotDescription
 
 LEVEL = 0.002
@@ -44,7 +44,7 @@ CLEAR = 8.0
 """How many times the noise of speeds a spike's speed must be to count."""
 
 
-def imu_estimates(recording: Recording) -> list[Estimate]:
+def imu_estimates(recording: Recording) -> list[ParameterEstimate]:
     """Constant error of roll and pitch, and the noise on them, of a base that is held level and still."""
     tilt = recording.roll_pitch_yaw[:, :2]
     count = len(tilt)
@@ -52,23 +52,23 @@ def imu_estimates(recording: Recording) -> list[Estimate]:
     bias = float(np.hypot(noise / np.sqrt(count), LEVEL))
     spread = float(np.hypot(noise / np.sqrt(4 * count), 1e-5 + 0.004 * noise))
     return [
-        *(Estimate("imu_bias", float(tilt[:, axis].mean()), bias, "rad", axis) for axis in range(2)),
-        Estimate("imu_noise", noise, spread, "rad", low=0.0),
+        *(ParameterEstimate("imu_bias", float(tilt[:, axis].mean()), bias, "rad", axis) for axis in range(2)),
+        ParameterEstimate("imu_noise", noise, spread, "rad", low=0.0),
     ]
 
 
-def rest_voltage(recording: Recording) -> Estimate:
+def rest_voltage(recording: Recording) -> ParameterEstimate:
     """Voltage of the battery before motors moved."""
     resting = recording.voltage[: max(int(recording.meta["resting_states"]), 1)]
-    return Estimate("voltage", float(np.mean(resting)), VOLTAGE, "V", low=0.0)
+    return ParameterEstimate("voltage", float(np.mean(resting)), VOLTAGE, "V", low=0.0)
 
 
 def fit_motor(
-    robot: RobotDescription, recording: Recording, known: PhysicalParams, sensors: dict[str, Any], tell: FitProgress
+    robot: RobotDescription, recording: Recording, known: PhysicalParams, sensors: dict[str, Any], report: FitProgress
 ) -> Identification:
     """What the motor experiment tells; see `Experiment.fit`."""
     fitted, checked = recording.phases("fit"), recording.phases("check")
-    fit, model = fit_on_rack(robot, recording, stretch_of(recording, fitted[0], fitted[-1]), known, tell)
+    fit, model = fit_on_rack(robot, recording, segment_from_recording(recording, fitted[0], fitted[-1]), known, report)
     estimates = (*rack_estimates(robot, fit, known), *imu_estimates(recording), rest_voltage(recording))
     gains = np.zeros(robot.num_motors)
     for unknown, value in zip(fit.unknowns, fit.values, strict=True):
@@ -78,8 +78,10 @@ def fit_motor(
     checks: tuple[Check, ...] = ()
     series: tuple[Series, ...] = ()
     if checked:
-        checks, series = _check(robot, recording, known, found, gains, stretch_of(recording, checked[0], checked[-1]))
-    untold = [e.label for e in estimates if not e.told]
+        checks, series = _check(
+            robot, recording, known, found, gains, segment_from_recording(recording, checked[0], checked[-1])
+        )
+    untold = [e.label for e in estimates if not e.identifiable]
     return Identification(
         "motor",
         robot.name,
@@ -98,19 +100,19 @@ def _check(
     known: PhysicalParams,
     found: PhysicalParams,
     gains: Array,
-    stretch: Stretch,
+    segment: Segment,
 ) -> tuple[tuple[Check, ...], tuple[Series, ...]]:
-    """How well a stretch that was not fitted is repeated with what was known, and with what was found."""
+    """How well a segment that was not fitted is repeated with what was known, and with what was found."""
     replayer, motor = Replayer(robot, 1), 0
-    model = RackModel(robot, recording, stretch, [], known, replayer, every=1)
-    told = [replayer.run(stretch, params) for params in (known, found)]
+    model = RackModel(robot, recording, segment, [], known, replayer, every=1)
+    told = [replayer.run(segment, params) for params in (known, found)]
     before, after = (np.sqrt(np.mean(model.errors(one)[0] ** 2, axis=(1, 2))).tolist() for one in told)
 
     def series(label: str, quantity: str, gain: float) -> Series:
         was, now = (getattr(one, quantity)[0, :, motor] for one in told)
-        measured = getattr(recording, quantity)[stretch.states, motor]
+        measured = getattr(recording, quantity)[segment.states, motor]
         title = f"{robot.motor_names[motor]}, not fitted"
-        return Series(title, "time [s]", label, stretch.state_time, measured, was, now * gain)
+        return Series(title, "time [s]", label, segment.state_time, measured, was, now * gain)
 
     return (
         Check("motor angles", 1e3 * before[0], 1e3 * after[0], "mrad"),
@@ -123,16 +125,16 @@ def _curve(
     robot: RobotDescription, recording: Recording, model: RackModel, found: PhysicalParams, gains: Array
 ) -> Series:
     """Torque over current: what motors reported while they got a duty, less their own strength, beside the sheet's."""
-    stretch, motors = model.stretch, model.kept
-    order = np.searchsorted(stretch.order_tick * robot.timing.servo_step, stretch.state_time - 1e-4) - 1
-    driven = stretch.kind[order] == Mode.PWM
-    kept = stretch.states[driven]
+    segment, motors = model.segment, model.kept
+    order = np.searchsorted(segment.order_tick * robot.timing.servo_step, segment.state_time - 1e-4) - 1
+    driven = segment.kind[order] == Mode.PWM
+    kept = segment.states[driven]
     # A state's speeds are older than its torques by the control latency.
     later = recording.time[kept] + float(found.control_latency[0])
     speed = read_at(later, recording.time, recording.motor_velocity[:, motors])
     before = np.maximum(kept - 1, 0)
     current = motor_current(
-        stretch.order[order][driven][:, motors], speed, recording.voltage[before][:, None], found.torque_constant[0],
+        segment.order[order][driven][:, motors], speed, recording.voltage[before][:, None], found.torque_constant[0],
         found.resistance[0], robot.dc_motor.voltage_clip,
     )  # fmt: skip
     torque = np.abs(recording.motor_torque[kept][:, motors]) / (found.motor_strength[0] * (1 + gains))[motors]
@@ -160,7 +162,7 @@ class Spikes:
 
 
 def fit_latency(
-    robot: RobotDescription, recording: Recording, known: PhysicalParams, sensors: dict[str, Any], tell: FitProgress
+    robot: RobotDescription, recording: Recording, known: PhysicalParams, sensors: dict[str, Any], report: FitProgress
 ) -> Identification:
     """What the latency experiment tells; see `Experiment.fit`."""
     spikes = measure_spikes(recording)
@@ -170,7 +172,9 @@ def fit_latency(
             f"do the motors move at all?"
         )
     lead, fitted = float(recording.meta["lead"]), recording.phases("fit")
-    fit, _ = fit_on_rack(robot, recording, stretch_of(recording, fitted[0], fitted[-1]), known, tell, every=3)
+    fit, _ = fit_on_rack(
+        robot, recording, segment_from_recording(recording, fitted[0], fitted[-1]), known, report, every=3
+    )
     kept = ("servo_latency", "control_latency")
     estimates = {e.name: e for e in rack_estimates(robot, fit, known) if e.name in kept}
     at_robot, at_host = _median("spike_at_robot", spikes.age), _median("spike_at_host", spikes.host)
@@ -254,10 +258,12 @@ def _cost(since: Array, angles: Array, age: float, length: float) -> float:
     return float(np.sum((angles - basis @ found) ** 2))
 
 
-def _median(name: str, values: Array) -> Estimate:
+def _median(name: str, values: Array) -> ParameterEstimate:
     """Median, with the deviation that a median has: 1.25 times that of a mean, by the spread between quartiles."""
     spread = float(np.subtract(*np.percentile(values, [75, 25]))) / 1.349
-    return Estimate(name, float(np.median(values)), 1.2533 * max(spread, 1e-6) / np.sqrt(len(values)), "s", low=0.0)
+    return ParameterEstimate(
+        name, float(np.median(values)), 1.2533 * max(spread, 1e-6) / np.sqrt(len(values)), "s", low=0.0
+    )
 
 
 def _series(spikes: Spikes) -> Series:

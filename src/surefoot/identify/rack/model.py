@@ -12,8 +12,8 @@ from surefoot.errors import SurefootError
 from surefoot.identify.fitting import BLOCK, GAIN, TORQUE_GAIN, Fit, Unknown, fit_least_squares, params_of
 from surefoot.identify.recording import Recording
 from surefoot.identify.registry import FitProgress
-from surefoot.identify.replay import Replayed, Replayer, Stretch
-from surefoot.identify.result import Estimate, with_floor
+from surefoot.identify.replay import ReplayedReadings, Replayer, Segment
+from surefoot.identify.result import ParameterEstimate, with_floor
 from surefoot.robot import PhysicalParams, RobotDescription
 
 NOISE = np.array([2e-4, 0.05, 0.02])
@@ -56,7 +56,7 @@ class RackModel:
     Args:
         robot: its description.
         recording: of an experiment on the rack.
-        stretch: which part of it.
+        segment: which part of it.
         unknowns: what is to be found.
         base: all that is not, one row.
         replayer: simulated robots.
@@ -68,17 +68,17 @@ class RackModel:
         self,
         robot: RobotDescription,
         recording: Recording,
-        stretch: Stretch,
+        segment: Segment,
         unknowns: Sequence[Unknown],
         base: PhysicalParams,
         replayer: Replayer,
         every: int = 3,
         noise: Array = NOISE,
     ) -> None:
-        self.robot, self.recording, self.stretch, self.base = robot, recording, stretch, base
+        self.robot, self.recording, self.segment, self.base = robot, recording, segment, base
         self.unknowns, self.replayer, self.every, self.noise = unknowns, replayer, every, noise
         self.kept = moving_legs(robot, recording)
-        times = stretch.state_time[::every]
+        times = segment.state_time[::every]
         shape = (3, len(times), len(self.kept))
         self.blocks = np.broadcast_to((times / BLOCK).astype(np.int64)[None, :, None], shape).ravel()
         self._motor = np.broadcast_to(self.kept, shape).ravel()
@@ -102,14 +102,14 @@ class RackModel:
         for i, unknown in enumerate(self.unknowns):
             if unknown.name == TORQUE_GAIN:
                 gain[:, 0, unknown.index] += values[:, i]
-        return self.errors(self.replayer.run(self.stretch, params_of(self.base, self.unknowns, values)), gain)
+        return self.errors(self.replayer.run(self.segment, params_of(self.base, self.unknowns, values)), gain)
 
-    def errors(self, told: Replayed, gain: Array | float = 1.0) -> Array:
+    def errors(self, told: ReplayedReadings, gain: Array | float = 1.0) -> Array:
         """Angles [rad], speeds [rad/s], torques [N m] that K robots told, less those recorded (K, 3, T, kept motors).
 
         Torque reports are multiplied by a gain (K, 1, M).
         """
-        recording, kept, every = self.recording, self.stretch.states[:: self.every], self.every
+        recording, kept, every = self.recording, self.segment.states[:: self.every], self.every
         errors = [
             told.motor_angle[:, ::every] - recording.motor_angle[kept],
             told.motor_velocity[:, ::every] - recording.motor_velocity[kept],
@@ -122,8 +122,8 @@ class RackModel:
 
         All else is as in `base`: only the reading differs, so that one simulation serves for all.
         """
-        angles = self.replayer.read_late(self.stretch, self.base, latencies)[:, :: self.every]
-        errors = (angles - self.recording.motor_angle[self.stretch.states[:: self.every]])[..., self.kept]
+        angles = self.replayer.read_late(self.segment, self.base, latencies)[:, :: self.every]
+        errors = (angles - self.recording.motor_angle[self.segment.states[:: self.every]])[..., self.kept]
         costs = np.mean(errors**2, axis=(1, 2))
         padded = np.pad(costs, 1, constant_values=np.inf)
         lowest = np.flatnonzero((costs <= padded[:-2]) & (costs <= padded[2:]))
@@ -150,18 +150,18 @@ def motor_unknowns(
 def fit_on_rack(
     robot: RobotDescription,
     recording: Recording,
-    stretch: Stretch,
+    segment: Segment,
     known: PhysicalParams,
-    tell: FitProgress,
+    report: FitProgress,
     every: int = 5,
 ) -> tuple[Fit, RackModel]:
-    """Fit everything that a robot on its rack tells to a stretch of a recording."""
-    scan = RackModel(robot, recording, stretch, [], known, Replayer(robot, 1), 3 * every)
+    """Fit everything that a robot on its rack tells to a segment of a recording."""
+    scan = RackModel(robot, recording, segment, [], known, Replayer(robot, 1), 3 * every)
     fits = []
     for latency in scan.latency_valleys(LATENCIES)[:STARTS]:
-        tell(f"starting from a control latency of {1e3 * latency:.0f} ms", float("nan"))
+        report(f"starting from a control latency of {1e3 * latency:.0f} ms", float("nan"))
         unknowns = motor_unknowns(robot, known, latency, scan.kept)
-        fits.append(_fit_rounds(robot, recording, stretch, known, unknowns, tell, every))
+        fits.append(_fit_rounds(robot, recording, segment, known, unknowns, report, every))
         if fits[-1][1].noise[0] < GOOD:
             break
     return min(fits, key=lambda found: float(found[1].noise[0]))
@@ -170,18 +170,18 @@ def fit_on_rack(
 def _fit_rounds(
     robot: RobotDescription,
     recording: Recording,
-    stretch: Stretch,
+    segment: Segment,
     known: PhysicalParams,
     unknowns: list[Unknown],
-    tell: FitProgress,
+    report: FitProgress,
     every: int,
 ) -> tuple[Fit, RackModel]:
     """Fit from one start, again with as much noise as the fit before has left, until that holds."""
     replayer = Replayer(robot, len({u.colour for u in unknowns if u.colour is not None}) + 10)
     noise, start = NOISE, None
     for _ in range(_ROUNDS):
-        model = RackModel(robot, recording, stretch, unknowns, known, replayer, every, noise)
-        fit = fit_least_squares(model, start, tell=lambda k, cost: tell(f"iteration {k}", cost))
+        model = RackModel(robot, recording, segment, unknowns, known, replayer, every, noise)
+        fit = fit_least_squares(model, start, report=lambda k, cost: report(f"iteration {k}", cost))
         # What the model can't explain counts as noise, or it would be taken for knowledge.
         left = np.sqrt(np.mean(fit.residuals.reshape(3, -1) ** 2, axis=1))
         if np.all(left < 1.15):
@@ -190,18 +190,22 @@ def _fit_rounds(
     return fit, model
 
 
-def rack_estimates(robot: RobotDescription, fit: Fit, known: PhysicalParams) -> list[Estimate]:
-    """Estimates of physical parameters from a fit on the rack; motors that were not fitted are not told."""
+def rack_estimates(robot: RobotDescription, fit: Fit, known: PhysicalParams) -> list[ParameterEstimate]:
+    """Estimates of physical parameters from a fit on the rack; motors that were not fitted are not identifiable."""
     estimates = []
-    for u, value, deviation, told in zip(fit.unknowns, fit.values, fit.deviation, fit.told, strict=True):
+    for u, value, deviation, told in zip(fit.unknowns, fit.values, fit.deviation, fit.identifiable, strict=True):
         if u.name != TORQUE_GAIN:
             deviation = with_floor(u.name, float(value), float(deviation))
-            estimates.append(Estimate.of_parameter(robot, u.name, float(value), deviation, u.index, bool(told)))
+            estimates.append(
+                ParameterEstimate.within_bounds(robot, u.name, float(value), deviation, u.index, bool(told))
+            )
     fitted = {(e.name, e.index) for e in estimates}
     for motor in range(robot.num_motors):
         for name in _MOTOR_SIZES:
             if (name, motor) not in fitted:
                 low, high = robot.allowed[name]
                 value = float(getattr(known, name)[0, motor])
-                estimates.append(Estimate.of_parameter(robot, name, value, (high - low) / 4, motor, told=False))
+                estimates.append(
+                    ParameterEstimate.within_bounds(robot, name, value, (high - low) / 4, motor, identifiable=False)
+                )
     return estimates

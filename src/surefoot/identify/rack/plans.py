@@ -40,7 +40,7 @@ def motor_plan(robot: RobotDescription) -> Plan:
     other = chirps(middle, back * all_motors, 7.0, 1.5, 3.0, turned[::-1])
     jumps = middle + draw.uniform(-use.step, use.step, (16, motors))
     phases = [
-        Phase("unfold", "all legs to the middle of their reach", 1.5, go_to(middle, 1.5), use="way"),
+        Phase("unfold", "all legs to the middle of their reach", 1.5, go_to(middle, 1.5), use="transition"),
         Phase("hold", "all legs held", 0.6, hold(middle)),
         Phase("sweep slowly", f"every motor {use.sweep:g} rad to both sides, three strokes", 4.0, slow),
         Phase("chirp", f"every motor {use.chirp:g} rad to both sides, from 0.5 to 10 Hz", 8.0, wide),
@@ -49,7 +49,7 @@ def motor_plan(robot: RobotDescription) -> Plan:
     ]
     for height in np.concatenate([draw.permutation([use.part("duty", share) for share in HEIGHTS]) for _ in range(2)]):
         phases += [
-            Phase("centre", "all legs back to the middle", 0.5, go_to(middle, 0.3), use="way"),
+            Phase("centre", "all legs back to the middle", 0.5, go_to(middle, 0.3), use="transition"),
             Phase(
                 "PWM pulses",
                 f"motors without servo: pulses of {1e3 * PULSE:g} ms and up to {use.duty:g} duty there and back",
@@ -59,7 +59,7 @@ def motor_plan(robot: RobotDescription) -> Plan:
             ),
         ]
     phases += [
-        Phase("centre", "all legs back to the middle", 0.7, go_to(middle, 0.3), use="way"),
+        Phase("centre", "all legs back to the middle", 0.7, go_to(middle, 0.3), use="transition"),
         Phase("chirp back", f"every motor {back:g} rad to both sides, from 7 to 1.5 Hz", 3.0, other, use="check"),
         Phase("hold", "all legs held", 0.3, hold(middle), use="check"),
     ]
@@ -88,7 +88,7 @@ def latency_plan(robot: RobotDescription) -> Plan:
     fast = chirps(middle, np.full(motors, small), 2.0, 20.0, 3.0, turned)
     jumps = middle + draw.uniform(-most, most, (8, motors))
     phases = [
-        Phase("unfold", "all legs to the middle of their reach", 1.5, go_to(middle, 1.5), use="way"),
+        Phase("unfold", "all legs to the middle of their reach", 1.5, go_to(middle, 1.5), use="transition"),
         Phase("hold", "all legs held", 0.5, hold(middle)),
     ]
     for _ in range(GROUPS):
@@ -100,12 +100,12 @@ def latency_plan(robot: RobotDescription) -> Plan:
                 _spikes(use.spike * draw.choice([-1.0, 1.0], motors)),
                 Mode.PWM,
             ),
-            Phase("centre", "all legs back to the middle", 0.5, go_to(middle, 0.3), use="way"),
+            Phase("centre", "all legs back to the middle", 0.5, go_to(middle, 0.3), use="transition"),
         ]
     phases += [
         Phase("chirp", f"every motor {small:g} rad to both sides, from 2 to 20 Hz", 3.0, fast),
         Phase("steps", f"every motor jumps by up to {most:g} rad to both sides, 8 times", 2.0, steps(jumps, 0.25)),
-        Phase("hold", "all legs held", 0.3, hold(middle), use="way"),
+        Phase("hold", "all legs held", 0.3, hold(middle), use="transition"),
     ]
     return Plan(
         "latency", True, tuple(phases), middle - use.step, middle + use.step, use.spike, ExperimentLimits(use.torque)

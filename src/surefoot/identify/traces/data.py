@@ -17,7 +17,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.arrays import Array
-from surefoot.deploy.robot_link import LEAD
 from surefoot.errors import SurefootError
 from surefoot.robot import RobotDescription
 from surefoot.task.trace import EpisodeTrace
@@ -51,14 +50,15 @@ def torque_timings(robot: RobotDescription, trace: EpisodeTrace) -> tuple[Torque
     """Return what is possible for a trace.
 
     A simulation, and a robot in lockstep, report at the control step's end the torque of the servo step that ended
-    then. A robot in real time reports `LEAD` earlier the torque of the servo step that ended last, which began one to
-    two servo steps before.
+    then. A robot in real time reports the torque of the servo step that ended last, one to two servo steps after it
+    began, and `lead` before the control step's end.
     """
     step = robot.timing.servo_step
     at_end = TorqueTiming(step, 0.0)
-    if "firmware" not in trace.meta:
+    lead = float(trace.meta.get("lead", 0.0))
+    if not lead:
         return (at_end,)
-    return at_end, TorqueTiming(LEAD + 1.5 * step, REAL_TIME_SPREAD)
+    return at_end, TorqueTiming(lead + 1.5 * step, REAL_TIME_SPREAD)
 
 
 class MotorMotion:

@@ -22,13 +22,12 @@ import numpy as np
 
 from surefoot.actuator import motor_friction
 from surefoot.arrays import Array
-from surefoot.deploy.robot_link import LEAD
 from surefoot.errors import SurefootError, choices
 from surefoot.identify.fitting import GAIN, Fit, Unknown, fit_least_squares
 from surefoot.identify.ground.inverse_dynamics import InverseDynamics, Motion
 from surefoot.identify.recording import digest_of, read_at
-from surefoot.identify.registry import FitProgress, silent
-from surefoot.identify.result import Check, Estimate, Identification, Series, label_of, with_floor
+from surefoot.identify.registry import FitProgress, ignore_progress
+from surefoot.identify.result import Check, Identification, ParameterEstimate, Series, indexed_name, with_floor
 from surefoot.identify.traces.data import (
     TraceSegment,
     check_traces,
@@ -80,7 +79,7 @@ def fit_traces(
     traces: Sequence[EpisodeTrace],
     names: Sequence[str] | None,
     known: PhysicalParams,
-    tell: FitProgress = silent,
+    report: FitProgress = ignore_progress,
 ) -> Identification:
     """Find physical parameters from recorded runs of a robot.
 
@@ -109,16 +108,16 @@ def fit_traces(
     tried = [make_segments(robot, traces, bounds, timing) for timing in ways]
     found_valleys = [latency_valleys(robot, split_segments(segments)[0], bounds, known) for segments in tried]
     valleys, segments = min(zip(found_valleys, tried, strict=True), key=lambda one: one[0][0][0])
-    trial = _TraceFit(robot, segments, wanted, known, tell)
+    trial = _TraceFit(robot, segments, wanted, known, report)
     notes = trial.notes_on_traces(traces)
     fit = trial.fit(valleys)
-    final = trial.without_untold(fit)
+    final = trial.drop_unidentifiable(fit)
     estimates = trial.estimates(fit, final)
     found = Identification("traces", robot.name, tuple(estimates)).params(robot, known)
     check, series = trial.check(found, final)
     if MASS in wanted:
         total, ratio, deviation = _walking_mass(robot, segments, found)
-        estimates.append(Estimate(MASS, ratio, with_floor(MASS, ratio, deviation), "1", low=0.0))
+        estimates.append(ParameterEstimate(MASS, ratio, with_floor(MASS, ratio, deviation), "1", low=0.0))
         notes.append(
             f"the robot weighs {total:.2f} kg in all; {MASS} is what the base has of it if leg_mass_ratio is "
             f"{float(known.leg_mass_ratio[0]):g}, as it was known"
@@ -139,7 +138,7 @@ def fit_traces(
     )
 
 
-def _correlations(fit: Fit, estimates: Sequence[Estimate]) -> tuple[tuple[str, str, float], ...]:
+def _correlations(fit: Fit, estimates: Sequence[ParameterEstimate]) -> tuple[tuple[str, str, float], ...]:
     """Return pairs that can hardly be told apart.
 
     What does not come from the fit, such as errors of the torques' reports, is no motor's business but its own.
@@ -161,9 +160,9 @@ class _TraceFit:
         segments: Sequence[TraceSegment],
         wanted: tuple[str, ...],
         known: PhysicalParams,
-        tell: FitProgress,
+        report: FitProgress,
     ) -> None:
-        self.robot, self.wanted, self.known, self.tell = robot, wanted, known, tell
+        self.robot, self.wanted, self.known, self.report = robot, wanted, known, report
         self.fitted, self.held = split_segments(segments)
         self.motors = [name for name in wanted if name != MASS]
         self.noise = NOISE
@@ -177,8 +176,8 @@ class _TraceFit:
 
     def _solve(self, unknowns: Sequence[Unknown], start: Array, what: str = "") -> Fit:
         model = TorqueModel(self.robot, self.fitted, unknowns, self.known, self.moving, self.noise)
-        tell = (lambda step, cost: self.tell(f"{what}, step {step}", cost)) if what else None
-        return fit_least_squares(model, start, tell)
+        report = (lambda step, cost: self.report(f"{what}, step {step}", cost)) if what else None
+        return fit_least_squares(model, start, report)
 
     def fit(self, valleys: Sequence[tuple[float, float, float]]) -> Fit:
         """Return the best fit of all valleys of the latencies."""
@@ -196,21 +195,23 @@ class _TraceFit:
         self.noise = float(grown)
         return self._solve(best.unknowns, best.values, "once more")
 
-    def without_untold(self, fit: Fit) -> Fit:
-        """Fit once more with what is not told as it was known: all values together then give the recorded torques."""
-        kept = [bool(told) or u.name not in NAMES for u, told in zip(fit.unknowns, fit.told, strict=True)]
+    def drop_unidentifiable(self, fit: Fit) -> Fit:
+        """Fit again with unidentifiable parameters at their prior values, so that all give the recorded torques."""
+        kept = [bool(told) or u.name not in NAMES for u, told in zip(fit.unknowns, fit.identifiable, strict=True)]
         if all(kept):
             return fit
         return self._solve([u for u, keep in zip(fit.unknowns, kept, strict=True) if keep], fit.values[kept])
 
-    def estimates(self, fit: Fit, final: Fit) -> list[Estimate]:
+    def estimates(self, fit: Fit, final: Fit) -> list[ParameterEstimate]:
         """Return values of the final fit, with the deviations of the one in which nothing was held."""
         values = {u.label: float(v) for u, v in zip(final.unknowns, final.values, strict=True)}
-        spread = {u.label: (float(d), bool(t)) for u, d, t in zip(fit.unknowns, fit.deviation, fit.told, strict=True)}
+        spread = {
+            u.label: (float(d), bool(t)) for u, d, t in zip(fit.unknowns, fit.deviation, fit.identifiable, strict=True)
+        }
         estimates = []
         for name in self.motors:
             for index in range(self.robot.num_motors) if name == "motor_strength" else (None,):
-                label, before = label_of(name, index), getattr(self.known, name)[0]
+                label, before = indexed_name(name, index), getattr(self.known, name)[0]
                 value = values.get(label, float(np.mean(before) if index is None else before[index]))
                 extra = GAIN * value if index is not None else 0.0
                 if name in LATENCIES:
@@ -218,7 +219,7 @@ class _TraceFit:
                 # A motor at rest has as wide an interval as before.
                 own, told = spread.get(label, (SPREAD * value, False))
                 deviation = with_floor(name, value, float(np.hypot(own, extra)))
-                estimates.append(Estimate.of_parameter(self.robot, name, value, deviation, index, told))
+                estimates.append(ParameterEstimate.within_bounds(self.robot, name, value, deviation, index, told))
         return estimates
 
     def check(self, found: PhysicalParams, fit: Fit) -> tuple[Check, Series]:
@@ -257,7 +258,7 @@ class _TraceFit:
                 notes.append(f"trace {number}: {trace.duration:.2f} s are too short, or full of gaps; it is left out")
         if "motor_strength" in self.wanted:
             still = np.flatnonzero(~self.moving).tolist()
-            notes += [f"{names[motor]} never moves, so its strength is not told" for motor in still]
+            notes += [f"{names[motor]} never moves, so its strength is not identifiable" for motor in still]
         torque = np.concatenate([np.abs(segment.torque) for segment in segments])
         full = np.mean(torque > 0.97 * torque.max(axis=0), axis=0)
         notes += [
@@ -267,10 +268,10 @@ class _TraceFit:
         ]
         return notes
 
-    def notes_on_estimates(self, estimates: Sequence[Estimate]) -> list[str]:
+    def notes_on_estimates(self, estimates: Sequence[ParameterEstimate]) -> list[str]:
         """Return what the traces do not tell, and what depends on what."""
         notes = []
-        if untold := [e.label for e in estimates if not e.told]:
+        if untold := [e.label for e in estimates if not e.identifiable]:
             notes.append(f"the traces do not tell {choices(untold)}: what was known before is kept")
         if {"voltage", "torque_constant", "resistance"} <= set(self.wanted):
             volts = next(e.value for e in estimates if e.name == "voltage")
@@ -279,8 +280,9 @@ class _TraceFit:
                 "them; measure the battery, say so, and leave voltage out, and their intervals shrink"
             )
         if self.held[0].timing.spread:
+            lead = float(self.held[0].trace.meta["lead"])
             notes.append(
-                f"the robot told its readings in real time, {1e3 * LEAD:g} ms before they were used: a control latency "
+                f"the robot told its readings in real time, {1e3 * lead:g} ms before they were used: a control latency "
                 "below that is not seen, and acts as that"
             )
         return notes

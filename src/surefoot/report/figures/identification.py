@@ -13,9 +13,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from surefoot.identify.result import Estimate, Identification, Series
+from surefoot.identify.result import Identification, ParameterEstimate, Series
 from surefoot.report.figures.style import BLUE, INK, LEG_COLORS, ORANGE, QUIET, new_figure, spoken
 from surefoot.robot import PhysicalParams, RobotDescription
+from surefoot.robot.params import PARAMETERS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -68,9 +69,9 @@ def identification_figure(
     return Path(path)
 
 
-def _sorted(estimates: Sequence[Estimate]) -> tuple[list[Estimate], list[list[Estimate]]]:
+def _sorted(estimates: Sequence[ParameterEstimate]) -> tuple[list[ParameterEstimate], list[list[ParameterEstimate]]]:
     """Single numbers, those of axes among them, and groups of motors."""
-    groups: dict[str, list[Estimate]] = {}
+    groups: dict[str, list[ParameterEstimate]] = {}
     for item in estimates:
         groups.setdefault(item.name, []).append(item)
     several = [group for group in groups.values() if group[0].index is not None and len(group) > 3]
@@ -78,15 +79,15 @@ def _sorted(estimates: Sequence[Estimate]) -> tuple[list[Estimate], list[list[Es
     return single, several
 
 
-def _intervals(ax: Axes, items: Sequence[Estimate], robot: RobotDescription, known: PhysicalParams) -> None:
+def _intervals(ax: Axes, items: Sequence[ParameterEstimate], robot: RobotDescription, known: PhysicalParams) -> None:
     """Draw intervals in percent of what was known; what was 0 or unknown has its numbers only."""
     reach = 1.0
     for place, item in enumerate(items):
-        before, (low, high) = known_before(item, known), item.interval
+        before, (low, high) = prior_value(item, known), item.interval
         unit = "" if item.unit == "1" else f" {item.unit}"
         width = high - low
-        if not item.told:
-            ax.text(0.5, place, "not told", transform=ax.get_yaxis_transform(), **_SMALL, color=QUIET)
+        if not item.identifiable:
+            ax.text(0.5, place, "not identifiable", transform=ax.get_yaxis_transform(), **_SMALL, color=QUIET)
             said = ""
         else:
             said = f"{number(item.value, width)}  ({number(low, width)} to {number(high, width)}){unit}"
@@ -126,19 +127,19 @@ def _correlations(ax: Axes, found: Identification, robot: RobotDescription) -> N
     ax.set_title("Hardly told apart", fontweight="bold")
 
 
-def _motors(ax: Axes, items: Sequence[Estimate], robot: RobotDescription, known: PhysicalParams) -> None:
+def _motors(ax: Axes, items: Sequence[ParameterEstimate], robot: RobotDescription, known: PhysicalParams) -> None:
     """Draw one number of each motor with its interval, over what was known."""
     count = max(item.index or 0 for item in items) + 1
     names = index_names(items[0].name, robot)
     if len(names) < count:
         names = tuple(map(str, range(count)))
     for item in items:
-        place, before = item.index or 0, known_before(item, known)
+        place, before = item.index or 0, prior_value(item, known)
         if before is not None:
             ax.plot([place - 0.38, place + 0.38], [before, before], color=QUIET, linewidth=1.2, linestyle=(0, (2, 1.5)))
-        if not item.told:
-            ax.text(place, 0.04, "not told", transform=ax.get_xaxis_transform(), rotation=90, ha="center", va="bottom",
-                    fontsize=7.5, color=QUIET, bbox=_PAPER)  # fmt: skip
+        if not item.identifiable:
+            ax.text(place, 0.04, "not identifiable", transform=ax.get_xaxis_transform(), rotation=90, ha="center",
+                    va="bottom", fontsize=7.5, color=QUIET, bbox=_PAPER)  # fmt: skip
             continue
         low, high = item.interval
         leg = names[place].rsplit("_", 1)[0]
@@ -190,11 +191,9 @@ def _brackets(label: str) -> str:
 def index_names(name: str, robot: RobotDescription) -> tuple[str, ...]:
     """What the indices of a number stand for: motors, or axes; empty where that is not known."""
     motors = tuple(motor.removesuffix("_motor") for motor in robot.motor_names)
-    item: Any = PhysicalParams.__dataclass_fields__.get(name)
-    if item is None:
+    if name not in PARAMETERS:
         return motors if name.startswith(("motor", "torque")) else ("x", "y", "z")
-    width = str(item.metadata["width"])
-    return {"one": (), "motors": motors}.get(width, tuple(width.split(", ")))
+    return PARAMETERS[name].parts(motors)
 
 
 def full_name(label: str, robot: RobotDescription) -> str:
@@ -205,7 +204,7 @@ def full_name(label: str, robot: RobotDescription) -> str:
     return f"{name} {names[index]}" if 0 <= index < len(names) else label
 
 
-def known_before(item: Estimate, known: PhysicalParams) -> float | None:
+def prior_value(item: ParameterEstimate, known: PhysicalParams) -> float | None:
     """What a physical parameter was before; None for other numbers."""
     if item.name not in PhysicalParams.names():
         return None
@@ -213,13 +212,13 @@ def known_before(item: Estimate, known: PhysicalParams) -> float | None:
     return float(np.mean(values) if item.index is None else np.atleast_1d(values)[item.index])
 
 
-def cells(item: Estimate, known: PhysicalParams) -> tuple[str, str, str]:
+def cells(item: ParameterEstimate, known: PhysicalParams) -> tuple[str, str, str]:
     """What was known of a number, what was found and its interval, as texts; empty where there is none."""
-    before, (low, high) = known_before(item, known), item.interval
-    width = high - low if item.told else math.nan
+    before, (low, high) = prior_value(item, known), item.interval
+    width = high - low if item.identifiable else math.nan
     was = "" if before is None else number(before, width)
-    if not item.told:
-        return was, "not told", ""
+    if not item.identifiable:
+        return was, "not identifiable", ""
     return was, number(item.value, width), f"{number(low, width)} to {number(high, width)}"
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from surefoot import __version__
 from surefoot.files import whole_file
-from surefoot.identify.result import Estimate, Identification
+from surefoot.identify.result import Identification, ParameterEstimate
 from surefoot.report.figures.identification import cells, full_name, identification_figure
 from surefoot.report.pages import html
 from surefoot.robot import PhysicalParams, RobotDescription
@@ -39,7 +39,7 @@ def page(
 ) -> str:
     """The page as HTML, which holds its picture (PNG) and loads nothing from elsewhere; else as `write_report`."""
     title = f"{found.experiment}: what it tells of {found.robot}"
-    told = sum(item.told for item in found.estimates)
+    told = sum(item.identifiable for item in found.estimates)
     facts = [("data", source), ("recorded", found.date), ("SHA-256", found.digest), ("surefoot", __version__)]
     parts = [
         f"<h1>{escape(title)}</h1>",
@@ -59,7 +59,7 @@ def _section(title: str, content: str, kind: str = "table") -> list[str]:
     return [f"<h2>{escape(title)}</h2>", f"<{kind}>{content}</{kind}>"] if content else []
 
 
-def _estimates(estimates: Sequence[Estimate], robot: RobotDescription, known: PhysicalParams) -> str:
+def _estimates(estimates: Sequence[ParameterEstimate], robot: RobotDescription, known: PhysicalParams) -> str:
     rows = [html.row(("parameter", "before", "found", "95 % interval", "unit"), "tnnnt", "th")]
     for item in estimates:
         unit = "" if item.unit == "1" else item.unit

@@ -1,7 +1,7 @@
-"""The page in the browser and its web socket: who drives, who watches, what is refused.
+"""Server of a page in the browser: the page, its messages and the 3D view, on one port.
 
-One port serves the page, the messages as JSON and the 3D view, which is passed on from a port of this machine. The
-first tab drives; others watch until it leaves. Messages come from browsers and are hostile until checked.
+Messages are JSON over a web socket. The first tab drives; others watch until it leaves. Messages come from browsers
+and are hostile until checked. The 3D view is forwarded from a port of this machine.
 """
 
 from __future__ import annotations
@@ -10,10 +10,12 @@ import asyncio
 import contextlib
 import http
 import json
+import logging
 import queue
 import secrets
 import threading
 import time
+from collections.abc import Callable
 from typing import Any
 
 import websockets
@@ -27,72 +29,75 @@ from surefoot.report.pages.html import document
 from surefoot.report.pages.view import bare_viewer
 
 LOCAL = ("localhost", "127.0.0.1", "[::1]")
-_MOST_BYTES = 2000
-_MOST_MESSAGES = 400
+_MAX_MESSAGE_BYTES = 2000
+_MAX_MESSAGE_RATE = 400
 """Messages that a tab may send in a second; one that sends more is closed."""
-_MOST_TABS = 16
+_MAX_TABS = 16
 
 
 class PageServer:
     """Serves the page from a thread of its own.
 
     Args:
-        host: address to listen at; none: this machine only, and without a token.
+        host: address to listen at; this machine only and without a token, if None.
         port: TCP port; 0 for a free one.
-        view_port: of the 3D view, on this machine; none: the page has its own.
-        page: HTML; the page that drives, if not given.
+        view_port: port of the 3D view on this machine; None for a page with a scene of its own.
+        page: HTML; the drive page, if None.
 
     Raises:
-        SurefootError: a port that can't be listened at.
+        SurefootError: a port that can't be opened.
     """
 
     def __init__(self, host: str | None, port: int, view_port: int | None, page: str | None = None) -> None:
-        self._page = (document("page.html") if page is None else page).encode()
+        self._page = (page or document("page.html")).encode()
         self._token = "" if host is None else secrets.token_urlsafe(16)
         self._prefix = f"/{self._token}" if self._token else ""
         self._view_port = view_port
         self.inbox: queue.Queue[dict[str, Any]] = queue.Queue(maxsize=1000)
-        """What the driver's tab sent; `{"left": true}` where a driver left."""
-        self._hello: dict[str, Any] = {}
+        """Messages of the tab that drives; `{"left": true}` when it is closed."""
+        self._options: dict[str, Any] = {}
         self._tabs: list[ServerConnection] = []
         self._stop = asyncio.Event()
         ready: queue.Queue[int | OSError] = queue.Queue()
-        where = (host or "127.0.0.1", port)
-        self._thread = threading.Thread(target=lambda: asyncio.run(self._serve(*where, ready)), daemon=True)
+        address = host or "127.0.0.1"
+        self._thread = threading.Thread(target=lambda: asyncio.run(self._serve(address, port, ready)), daemon=True)
         self._thread.start()
         bound = ready.get()
         if isinstance(bound, OSError):
-            raise SurefootError(f"port {port} at {where[0]}: {bound.strerror or bound}; give another with --port")
+            raise SurefootError(f"port {port} at {address}: {bound.strerror or bound}; give another with --port")
         self.port = bound
         self.address = f"http://{host or 'localhost'}:{bound}{self._prefix}/"
-        """Where a browser finds the page."""
+        """URL of the page."""
 
     @property
     def tabs(self) -> int:
         """Number of open tabs."""
         return len(self._tabs)
 
-    def greet(self, **hello: Any) -> None:
-        """Tell all tabs, and those that come, what there is to choose."""
-        self._hello = hello
-        self._later(self._greet_all)
+    def set_options(self, **options: Any) -> None:
+        """Send all tabs, also future ones, what there is to choose from."""
+        self._options = options
+        self._call(self._send_options)
 
-    def tell(self, **news: Any) -> None:
-        """Tell all tabs something."""
-        text = json.dumps(news)
-        self._later(lambda: broadcast(self._tabs, text))
+    def send(self, **message: Any) -> None:
+        """Send a message to all tabs."""
+        text = json.dumps(message)
+        self._call(lambda: broadcast(self._tabs, text))
 
     def stop(self) -> None:
         """Close all tabs' connections and the port."""
-        self._later(self._stop.set)
+        self._call(self._stop.set)
         self._thread.join(timeout=5.0)
 
-    def _later(self, call: Any) -> None:
+    def _call(self, function: Callable[[], object]) -> None:
+        """Call a function in the server's thread."""
         with contextlib.suppress(RuntimeError):  # the loop has ended
-            self._loop.call_soon_threadsafe(call)
+            self._loop.call_soon_threadsafe(function)
 
     async def _serve(self, host: str, port: int, ready: queue.Queue[int | OSError]) -> None:
         self._loop = asyncio.get_running_loop()
+        logger = logging.getLogger("surefoot.page")
+        logger.setLevel(logging.CRITICAL)  # mistakes of browsers are not for the terminal
         try:
             async with serve(
                 self._handle,
@@ -101,10 +106,10 @@ class PageServer:
                 process_request=self._request,
                 select_subprotocol=lambda _, offered: next((one for one in offered if one.startswith("viser-v")), None),
                 compression=None,
-                max_size=_MOST_BYTES,
+                max_size=_MAX_MESSAGE_BYTES,
                 max_queue=16,
                 close_timeout=0.5,
-                logger=_quiet(),
+                logger=logger,
             ) as server:
                 ready.put(next(iter(server.sockets)).getsockname()[1])
                 await self._stop.wait()
@@ -112,9 +117,9 @@ class PageServer:
             ready.put(error)
 
     def _request(self, connection: ServerConnection, request: Request) -> Response | None:
-        """Refuse foreign hosts, origins and paths; answer with a page, or go on to a web socket (None)."""
+        """Refuse foreign hosts, origins and paths; return a page, or None for a web socket."""
         host, path = request.headers.get("Host", ""), request.path.partition("?")[0]
-        # With a name of another site that leads here, that site's script would be of this origin.
+        # Under another site's name that resolves to this machine, that site's scripts would have this origin.
         if not self._token and host.rpartition(":")[0] not in LOCAL:
             return connection.respond(http.HTTPStatus.FORBIDDEN, "only localhost\n")
         inside = path.startswith(f"{self._prefix}/")
@@ -133,86 +138,73 @@ class PageServer:
     async def _handle(self, connection: ServerConnection) -> None:
         assert connection.request is not None
         if connection.request.path.partition("?")[0].endswith("/viser"):
-            await self._pass_on(connection)
+            await self._forward_view(connection)
         else:
-            await self._tab(connection)
+            await self._handle_tab(connection)
 
-    async def _pass_on(self, connection: ServerConnection) -> None:
-        """Pass the view on to a browser; what the browser says to it is dropped."""
+    async def _forward_view(self, connection: ServerConnection) -> None:
+        """Forward the view to a browser; messages of the browser to it are dropped."""
         protocols = [connection.subprotocol] if connection.subprotocol else None
         with contextlib.suppress(websockets.ConnectionClosed, OSError):
             url = f"ws://127.0.0.1:{self._view_port}"
             async with connect(url, subprotocols=protocols, max_size=None, compression=None) as view:
 
-                async def send() -> None:
+                async def forward() -> None:
                     async for message in view:
                         await connection.send(message)
 
-                sending = asyncio.create_task(send())
+                task = asyncio.create_task(forward())
                 try:
                     async for _ in connection:
                         pass
                 finally:
-                    sending.cancel()
+                    task.cancel()
 
-    async def _tab(self, connection: ServerConnection) -> None:
-        if len(self._tabs) >= _MOST_TABS:
+    async def _handle_tab(self, connection: ServerConnection) -> None:
+        if len(self._tabs) >= _MAX_TABS:
             await connection.close(1013, "too many tabs")
             return
         self._tabs.append(connection)
-        self._greet_all()
+        self._send_options()
         begin, count = time.monotonic(), 0
         try:
             async for message in connection:
                 if time.monotonic() - begin > 1.0:
                     begin, count = time.monotonic(), 0
                 count += 1
-                if count > _MOST_MESSAGES:
+                if count > _MAX_MESSAGE_RATE:
                     await connection.close(1008, "too many messages")
                     return
-                self._take(connection, message)
+                self._receive(connection, message)
         except websockets.ConnectionClosed:
             pass
         finally:
-            drove = self._tabs[0] is connection
+            was_driver = self._tabs[0] is connection
             self._tabs.remove(connection)
-            if drove:
+            if was_driver:
                 self._put({"left": True})
-                self._greet_all()
+                self._send_options()
 
-    def _take(self, connection: ServerConnection, message: str | bytes) -> None:
+    def _receive(self, connection: ServerConnection, text: str | bytes) -> None:
         try:
-            given = json.loads(message, parse_constant=_refuse)
-        except (ValueError, RecursionError) as error:
-            self._answer(connection, f"message refused: {error}"[:200])
-            return
-        if self._tabs[0] is not connection:
-            self._answer(connection, "you watch; another browser drives")
-        elif isinstance(given, dict):
-            self._put(given)
+            message = json.loads(text, parse_constant=_refuse_constant)
+            error = "" if self._tabs[0] is connection else "you watch; another browser drives"
+        except (ValueError, RecursionError) as refused:
+            error = f"message refused: {refused}"[:200]
+        if error:
+            # Not awaited: a tab that does not read would hold up the count of its messages.
+            broadcast([connection], json.dumps({"error": error}))
+        elif isinstance(message, dict):
+            self._put(message)
 
-    @staticmethod
-    def _answer(connection: ServerConnection, error: str) -> None:
-        # Not waited for: a tab that does not read would hold up the count of its messages.
-        broadcast([connection], json.dumps({"error": error}))
-
-    def _put(self, given: dict[str, Any]) -> None:
+    def _put(self, message: dict[str, Any]) -> None:
         with contextlib.suppress(queue.Full):
-            self.inbox.put_nowait(given)
+            self.inbox.put_nowait(message)
 
-    def _greet_all(self) -> None:
+    def _send_options(self) -> None:
         for place, tab in enumerate(self._tabs):
-            broadcast([tab], json.dumps({**self._hello, "driver": place == 0, "tabs": len(self._tabs)}))
+            broadcast([tab], json.dumps({**self._options, "driver": place == 0, "tabs": len(self._tabs)}))
 
 
-def _refuse(word: str) -> float:
+def _refuse_constant(word: str) -> float:
     raise ValueError(f"{word} is not a number")
-
-
-def _quiet() -> Any:
-    """Return a logger that keeps what browsers do wrong off the terminal."""
-    import logging
-
-    logger = logging.getLogger("surefoot.page")
-    logger.setLevel(logging.CRITICAL)
-    return logger

@@ -1,32 +1,34 @@
-"""Reading of robots that surefoot never saw: any URDF or MJCF, through MuJoCo's parsers, as a tree of legs."""
+"""Reader of any quadruped's URDF or MJCF with MuJoCo's parsers; the one module of this package that needs MuJoCo."""
 
 from __future__ import annotations
 
+import contextlib
+import itertools
+import math
 import re
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
+from mujoco import mjtGeom, mjtJoint
 from numpy.typing import NDArray
 
 from surefoot.arrays import Array
-from surefoot.errors import SurefootError, accessible, choices
-from surefoot.files import read_configuration
-from surefoot.native_output import quiet
-from surefoot.robot.importing.imported import ImportedJoint, ImportedLeg, ImportedRobot
+from surefoot.errors import SurefootError, choices
+from surefoot.native_output import mujoco_errors
+from surefoot.robot.importing.imported import ImportedRobot
 from surefoot.robot.rigid_body import RigidBody, are_moments, fuse
-from surefoot.robot.urdf import attribute
+from surefoot.robot.urdf_file import attribute, read_xml
 
 FORWARD = {"+x": 0.0, "-x": np.pi, "+y": -np.pi / 2, "-y": np.pi / 2}
 """Directions in the file's frame that may be forward, and the turn about z that brings them to +x [rad]."""
 _FRONT = re.compile(r"front|fore|(?:^|[^a-z])(?:f[lr]|[lr]f)(?:[^a-z]|$)", re.IGNORECASE)
 _FOOT = re.compile(r"foot|toe|tip|sole|ankle", re.IGNORECASE)
-_ALONG = 1e-3
+_AXIS_TOLERANCE = 1e-3
 """How far an axis may be from the base's, as a cosine: files write pi/2 with five digits."""
-_TENSOR = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
-_MESH = (".stl", ".obj", ".msh")
+_MESH_SUFFIXES = (".stl", ".obj", ".msh")
 """Kinds of mesh that MuJoCo reads."""
 
 
@@ -35,125 +37,95 @@ def read_robot(path: Path, forward: str | None = None, meshes: bool = True) -> I
 
     Args:
         path: the file.
-        forward: direction in the file's frame that is forward, out of `FORWARD`; found from the legs' names and axes,
-            if not given.
+        forward: direction in the file's frame that is forward, out of `FORWARD`; None: by the legs' names and axes.
         meshes: whether to read a URDF's meshes; without them the base is a box with its inertia.
 
     Raises:
         SurefootError: a file that can't be read, or a robot that is not a quadruped with legs of two or three hinges.
     """
-    spec, speeds, notes = _load(path, meshes)
-    spec.compiler.discardvisual = True
-    spec.compiler.fusestatic = False
-    for key in list(spec.keys):
-        spec.delete(key)
-    try:
-        with quiet():
-            model = spec.compile()
-    except ValueError as error:
-        raise SurefootError(f"{path}: MuJoCo refuses it: {' '.join(str(error).split())}") from error
-    return _Reader(path, model, speeds, notes).tree(forward)
-
-
-def _load(path: Path, meshes: bool) -> tuple[Any, dict[str, float], list[str]]:
-    """Return the file as MuJoCo's specification, the speed limits that a URDF states, and notes."""
-    with accessible(path):
-        content = read_configuration(path)
-    if b"<!DOCTYPE" in content or b"<!ENTITY" in content:
-        raise SurefootError(f"{path}: declares XML entities; a robot's description has none")
-    try:
-        root = ElementTree.fromstring(content)
-    except ElementTree.ParseError as error:
-        raise SurefootError(f"{path}: is not well-formed XML: {error}") from error
-    notes: list[str] = []
+    root = read_xml(path)
     if root.tag not in ("mujoco", "robot"):
         raise SurefootError(f"{path}: the root element is <{root.tag}>; a URDF's is <robot>, an MJCF's <mujoco>")
+    notes: list[str] = []
     speeds = _prepare_urdf(root, path, meshes, notes) if root.tag == "robot" else {}
-    try:
-        with quiet():
-            if root.tag == "mujoco":
-                return mujoco.MjSpec.from_file(str(path)), speeds, notes
-            return mujoco.MjSpec.from_string(ElementTree.tostring(root, encoding="unicode")), speeds, notes
-    except ValueError as error:
-        raise SurefootError(f"{path}: MuJoCo refuses it: {' '.join(str(error).split())}") from error
+    with mujoco_errors(path):
+        if root.tag == "mujoco":
+            spec = mujoco.MjSpec.from_file(str(path))
+        else:
+            spec = mujoco.MjSpec.from_string(ElementTree.tostring(root, encoding="unicode"))
+        spec.compiler.discardvisual = True
+        spec.compiler.fusestatic = False
+        for key in list(spec.keys):
+            spec.delete(key)
+        model = spec.compile()
+    return _Reader(path, model, speeds, notes).read(forward)
 
 
 def _prepare_urdf(root: ElementTree.Element, path: Path, meshes: bool, notes: list[str]) -> dict[str, float]:
     """Make a URDF ready for MuJoCo: no visuals, meshes by absolute path; return the joints' speed limits."""
-    unread = set()
+    unreadable: set[str] = set()
     for link in root.findall("link"):
         for visual in link.findall("visual"):
             link.remove(visual)
         for shape in link.findall("collision"):
-            mesh = shape.find("geometry/mesh")
-            if mesh is None:
+            if (mesh := shape.find("geometry/mesh")) is None:
                 continue
-            if not meshes:
-                link.remove(shape)
-                continue
-            found = _mesh_file(mesh.get("filename", ""), path)
-            if found.suffix.lower() in _MESH:
-                mesh.set("filename", str(found))
+            file = _find_mesh(mesh.get("filename", ""), path) if meshes else None
+            if file is not None and file.suffix.lower() in _MESH_SUFFIXES:
+                mesh.set("filename", str(file))
             else:
-                unread.add(found.name)
                 link.remove(shape)
-    if unread:
-        notes.append(f"shapes that MuJoCo can't read are left out: {choices(sorted(unread))}")
+                unreadable |= {file.name} if file else set()
+    if unreadable:
+        notes.append(f"shapes that MuJoCo can't read are left out: {choices(sorted(unreadable))}")
     for old in root.findall("mujoco"):
         root.remove(old)
     compiler = ElementTree.SubElement(ElementTree.SubElement(root, "mujoco"), "compiler")
-    compiler.attrib |= {"strippath": "false", "fusestatic": "false", "discardvisual": "true"}
-    compiler.attrib |= {"balanceinertia": "true", "inertiafromgeom": "false"}
+    compiler.attrib |= {"strippath": "false", "balanceinertia": "true", "inertiafromgeom": "false"}
+    _prepare_inertias(root, path, notes)
     speeds = {}
     for joint in root.findall("joint"):
-        limit = joint.find("limit")
-        try:
-            speeds[joint.get("name", "")] = float("" if limit is None else limit.get("velocity", ""))
-        except ValueError:
-            continue
-    _check_inertias(root, path, notes)
+        with contextlib.suppress(ValueError):
+            speeds[joint.get("name", "")] = float(attribute(joint.find("limit"), "velocity"))
     return speeds
 
 
-def _check_inertias(root: ElementTree.Element, path: Path, notes: list[str]) -> None:
-    """Leave out inertias of links without mass, and note those that are no rigid body's."""
-    found, odd = 0, []
+def _prepare_inertias(root: ElementTree.Element, path: Path, notes: list[str]) -> None:
+    """Remove inertias of links without mass, and note those that no rigid body has, which MuJoCo balances."""
+    count, odd = 0, []
     for link in root.findall("link"):
-        inertial = link.find("inertial")
-        if inertial is None:
+        if (inertial := link.find("inertial")) is None:
             continue
         tensor = inertial.find("inertia")
         try:
             mass = float(attribute(inertial.find("mass"), "value"))
-            xx, xy, xz, yy, yz, zz = (float(attribute(tensor, key, "0")) for key in _TENSOR)
+            rows = (("ixx", "ixy", "ixz"), ("ixy", "iyy", "iyz"), ("ixz", "iyz", "izz"))
+            inertia = np.array([[float(attribute(tensor, key, "0")) for key in row] for row in rows])
         except ValueError:
             raise SurefootError(f"{path}: link '{link.get('name')}': its <inertial> has no numbers") from None
         if mass == 0.0 or tensor is None:
             link.remove(inertial)
             continue
-        found += 1
-        if mass > 0 and xx == yy == zz == 0.0:  # a point mass
-            tensor.attrib |= dict.fromkeys(("ixy", "ixz", "iyz"), "0")
-            continue
-        whole = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-        moments = np.linalg.eigvalsh(whole) if np.isfinite(whole).all() else np.full(3, np.nan)
-        if not (mass > 0 and are_moments(moments)):
+        count += 1
+        moments = np.linalg.eigvalsh(inertia) if np.isfinite(inertia).all() else np.full(3, np.nan)
+        point_mass = mass > 0 and not np.diag(inertia).any()
+        if not point_mass and not (mass > 0 and are_moments(moments)):
             odd.append(str(link.get("name")))
         if not moments.min() > 0:
             tensor.attrib |= dict.fromkeys(("ixy", "ixz", "iyz"), "0")
-    if not found:
+    if not count:
         raise SurefootError(f"{path}: no link has an <inertial> with a mass; masses and inertias are needed")
     if odd:
         notes.append(f"inertias that no rigid body has, balanced: {choices(odd)}")
 
 
-def _mesh_file(name: str, path: Path) -> Path:
+def _find_mesh(name: str, path: Path) -> Path:
     """Return the file of a mesh, beside the description or in a folder above it, as packages have it."""
     inside = Path(name.split("://", 1)[-1])
-    folders = (path.resolve().parent, *list(path.resolve().parents)[1:6])
     # package://NAME/rest: the package's folder may have another name.
-    for folder in folders:
-        for part in (inside, Path(*inside.parts[1:]) if len(inside.parts) > 1 else inside):
+    parts = (inside, Path(*inside.parts[1:])) if len(inside.parts) > 1 else (inside,)
+    for folder in path.resolve().parents[:6]:
+        for part in parts:
             if (folder / part).is_file():
                 return folder / part
     raise SurefootError(
@@ -161,60 +133,77 @@ def _mesh_file(name: str, path: Path) -> Path:
     )
 
 
+class _Foot(NamedTuple):
+    centre: Array
+    """(3,) [m]"""
+    radius: float
+    """[m]"""
+    source: str
+    """How it was recognized."""
+
+
 class _Reader:
-    """The steps from a compiled model to a tree."""
+    """Reader of a compiled model, at zero angles and with the base at the origin."""
 
     def __init__(self, path: Path, model: mujoco.MjModel, speeds: dict[str, float], notes: list[str]) -> None:
         self.path, self.model, self.speeds, self.notes = path, model, speeds, notes
-        self.data = mujoco.MjData(model)
         self.group = self._groups()
+        self.data = mujoco.MjData(model)
 
-    def _fail(self, text: str) -> SurefootError:
+    def _error(self, text: str) -> SurefootError:
         return SurefootError(f"{self.path}: {text}")
+
+    def _joints(self, body: int) -> range:
+        first = int(self.model.body_jntadr[body])
+        return range(first, first + int(self.model.body_jntnum[body]))
+
+    def _name(self, joint: int) -> str:
+        return str(self.model.joint(joint).name)
 
     def _groups(self) -> NDArray[np.int64]:
         """Return for each body the body whose joint moves it; what has no joint is fixed to its parent."""
         model = self.model
         group = np.zeros(model.nbody, np.int64)
-        free = [j for j in range(model.njnt) if model.jnt_type[j] == mujoco.mjtJoint.mjJNT_FREE]
         for body in range(1, model.nbody):
-            joints = range(model.body_jntadr[body], model.body_jntadr[body] + model.body_jntnum[body])
-            kinds = {int(model.jnt_type[j]) for j in joints}
-            if len(joints) > 1 or kinds - {int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_FREE)}:
-                raise self._fail(
+            kinds = [int(model.jnt_type[j]) for j in self._joints(body)]
+            if len(kinds) > 1 or set(kinds) - {int(mjtJoint.mjJNT_HINGE), int(mjtJoint.mjJNT_FREE)}:
+                raise self._error(
                     f"body '{model.body(body).name}' has joints that are no single hinge; legs have hinges"
                 )
-            top = not kinds and model.body_parentid[body] == 0 and not free
+            # Without a free joint, bodies on the world may be the base.
+            top = not kinds and model.body_parentid[body] == 0 and mjtJoint.mjJNT_FREE not in model.jnt_type
             group[body] = body if kinds or top else group[model.body_parentid[body]]
         return group
 
-    def tree(self, forward: str | None) -> ImportedRobot:
-        model, data = self.model, self.data
-        mujoco.mj_resetData(model, data)
+    def read(self, forward: str | None) -> ImportedRobot:
         chains, base = self._chains()
-        free = model.body_jntnum[base] and model.jnt_type[model.body_jntadr[base]] == mujoco.mjtJoint.mjJNT_FREE
-        if free:
-            address = model.jnt_qposadr[model.body_jntadr[base]]
-            data.qpos[address : address + 7] = [0, 0, 0, 1, 0, 0, 0]
-        mujoco.mj_kinematics(model, data)
-        self.turn, chosen = self._forward(chains, forward)
-        legs = [self._leg(chain) for chain in chains]
-        names = self._order(legs)
-        for how in dict.fromkeys(leg.foot_source for leg in legs):
-            found = [leg for leg in legs if leg.foot_source == how]
-            which = "feet" if found == legs else f"feet of {choices(leg.joints[-1].name for leg in found)}"
-            radii = choices(dict.fromkeys(f"{leg.foot_radius:.3g}" for leg in found))
-            self.notes.append(f"{which}: {how}, radius {radii} m")
-        centre, half = self._box(base)
+        data = self.data
+        for joint in self._joints(base):
+            if self.model.jnt_type[joint] == mjtJoint.mjJNT_FREE:
+                data.qpos[self.model.jnt_qposadr[joint] :][:7] = [0, 0, 0, 1, 0, 0, 0]
+        mujoco.mj_kinematics(self.model, data)
+        forward = forward or self._guess_forward(chains)
+        self._turn(FORWARD[forward])
+        joints = np.array([[self._joints(body)[0] for body in chain] for chain in chains])
+        feet = [self._foot(chain[-1], data.xanchor[joint]) for chain, joint in zip(chains, joints[:, -1], strict=True)]
+        order = self._order(data.xanchor[joints[:, -2]], np.array([foot.centre for foot in feet]))
+        joints, chains, feet = joints[order], [chains[leg] for leg in order], [feet[leg] for leg in order]
+        for source in dict.fromkeys(foot.source for foot in feet):
+            radii = {name: foot.radius for foot, name in zip(feet, joints[:, -1], strict=True) if foot.source == source}
+            which = "feet" if len(radii) == 4 else f"feet of {choices(map(self._name, radii))}"
+            radius = choices(dict.fromkeys(f"{radius:.3g}" for radius in radii.values()))
+            self.notes.append(f"{which}: {source}, radius {radius} m")
+        stem = self.path.stem if self.path.stem != "robot" else self.path.parent.name
         return ImportedRobot(
-            name=re.sub(
-                r"[^a-z0-9]+", "_", (self.path.stem if self.path.stem != "robot" else self.path.parent.name).lower()
-            ).strip("_"),
+            name=re.sub(r"[^a-z0-9]+", "_", stem.lower()).strip("_"),
             path=self.path,
+            forward=forward,
             base=self._body(base),
-            base_box=(centre, half),
-            legs=tuple(legs[k] for k in names),
-            forward=chosen,
+            base_box=self._box(base),
+            bodies=tuple(tuple(map(self._body, chain)) for chain in chains),
+            **self._hinges(joints),
+            feet=np.array([foot.centre for foot in feet]),
+            foot_radius=np.array([foot.radius for foot in feet]),
             notes=tuple(self.notes),
         )
 
@@ -222,196 +211,174 @@ class _Reader:
         """Return the four chains of moving bodies that hang from one base, and the base."""
         model = self.model
         movers = sorted({int(group) for group in self.group[1:]})
-        if not any(model.jnt_type[j] == mujoco.mjtJoint.mjJNT_HINGE for j in range(model.njnt)):
-            raise self._fail("nothing in it moves; a quadruped has four legs of hinges")
-        parent = {body: int(self.group[model.body_parentid[body]]) for body in movers}
+        if mjtJoint.mjJNT_HINGE not in model.jnt_type:
+            raise self._error("nothing in it moves; a quadruped has four legs of hinges")
         children: dict[int, list[int]] = {body: [] for body in (0, *movers)}
         for body in movers:
-            children[parent[body]].append(body)
+            children[int(self.group[model.body_parentid[body]])].append(body)
 
         def longest(body: int) -> list[int]:
-            below = [longest(child) for child in children[body]]
-            return [body, *max(below, key=len, default=[])]
+            return [body, *max(map(longest, children[body]), key=len, default=[])]
+
+        def below(body: int) -> list[int]:
+            return [body, *itertools.chain.from_iterable(map(below, children[body]))]
 
         # The base is what most legs hang from: the root, or below a mount without a free joint.
         base = max(movers, key=lambda body: (len(children[body]), -body))
         if len(children[base]) < 2 and len(children[0]) > len(children[base]):
-            raise self._fail("its legs hang from nothing that moves; the base needs to be a body")
+            raise self._error("its legs hang from nothing that moves; the base needs to be a body")
         chains = [longest(child) for child in children[base]]
         legs = [chain for chain in chains if len(chain) in (2, 3)]
         if len(legs) != 4:
             legs = chains
         for chain in chains:
             if chain not in legs:
-                self.notes.append(
-                    f"joint '{self._joint_name(chain[0])}' and what hangs from it are held still: no leg's"
-                )
-                self.group[np.isin(self.group, self._below(chain[0], children))] = base
+                name = self._name(self._joints(chain[0])[0])
+                self.notes.append(f"joint '{name}' and what hangs from it are held still: no leg's")
+                self.group[np.isin(self.group, below(chain[0]))] = base
         if model.neq or any(len(children[body]) > 1 for chain in legs for body in chain[:-1]):
             what = "closed loops" if model.neq else "legs that branch and no loop that closes them"
-            raise self._fail(f"it has {what}; surefoot reads serial legs; a sheet for five-bar legs is written by hand")
-        if len(legs) != 4:
-            raise self._fail(f"{len(legs)} legs hang from '{model.body(base).name}'; a quadruped has 4")
-        if len({len(chain) for chain in legs}) != 1 or len(legs[0]) > 3:
-            raise self._fail(
-                f"its legs have {choices(str(len(chain)) for chain in legs)} hinges; all must have 2, or all 3"
+            raise self._error(
+                f"it has {what}; surefoot reads serial legs; a sheet for five-bar legs is written by hand"
             )
+        if len(legs) != 4:
+            raise self._error(f"{len(legs)} legs hang from '{model.body(base).name}'; a quadruped has 4")
+        if len({len(chain) for chain in legs}) != 1 or len(legs[0]) > 3:
+            counts = choices(str(len(chain)) for chain in legs)
+            raise self._error(f"its legs have {counts} hinges; all must have 2, or all 3")
         return legs, base
 
-    def _below(self, body: int, children: dict[int, list[int]]) -> list[int]:
-        return [body, *(one for child in children[body] for one in self._below(child, children))]
+    def _guess_forward(self, chains: list[list[int]]) -> str:
+        """Return the direction that is forward: across the knees' axes, towards the legs whose names say front."""
+        hips = np.array([self.data.xanchor[self._joints(chain[0])[0]] for chain in chains])
+        knee = self.data.xaxis[self._joints(chains[0][-1])[0]]
+        axis = 0 if abs(knee[1]) > abs(knee[0]) else 1
+        names = [" ".join(self._name(self._joints(body)[0]) for body in chain) for chain in chains]
+        front = np.array([bool(_FRONT.search(name)) for name in names])
+        ahead = 1.0
+        if front.sum() == 2:
+            ahead = hips[front, axis].mean() - hips[~front, axis].mean()
+        else:
+            self.notes.append("forward is guessed: the joints' names do not say which legs are in front")
+        return f"{'+' if ahead > 0 else '-'}{'xy'[axis]}"
 
-    def _joint(self, body: int) -> int:
-        return int(self.model.body_jntadr[body])
-
-    def _joint_name(self, body: int) -> str:
-        return str(self.model.joint(self._joint(body)).name)
-
-    def _forward(self, chains: list[list[int]], given: str | None) -> tuple[Array, str]:
-        """Return the turn (3, 3) from the file's frame to one with x forward, and the direction that was chosen."""
-        if given is None:
-            hips = np.array([self.data.xanchor[self._joint(chain[0])] for chain in chains])
-            # Knees turn about the robot's left.
-            across = self.data.xaxis[self._joint(chains[0][-1])]
-            along_x = abs(across[1]) > abs(across[0])
-            named = [bool(_FRONT.search(" ".join(map(self._joint_name, chain)))) for chain in chains]
-            ahead = 1.0
-            if sum(named) == 2:
-                apart = hips[np.array(named)].mean(axis=0) - hips[~np.array(named)].mean(axis=0)
-                ahead = float(np.sign(apart[0 if along_x else 1]))
-            else:
-                self.notes.append("forward is guessed: the joints' names do not say which legs are in front")
-            given = f"{'+' if ahead > 0 else '-'}{'x' if along_x else 'y'}"
-        angle = FORWARD[given]
+    def _turn(self, angle: float) -> None:
+        """Turn all places and frames about z [rad], so that x is forward."""
         cos, sin = np.cos(angle).round(12), np.sin(angle).round(12)
-        return np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]]), given
-
-    def _place(self, point: Array) -> Array:
-        return self.turn @ point
+        turn, data = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]]), self.data
+        for places in (data.xpos, data.xipos, data.xanchor, data.xaxis, data.geom_xpos):
+            places[:] = places @ turn.T
+        for frames in (data.ximat, data.geom_xmat):
+            frames[:] = (turn @ frames.reshape(-1, 3, 3)).reshape(-1, 9)
 
     def _body(self, mover: int) -> RigidBody:
         """Return what moves with a body as one, in the base's frame."""
-        parts = []
-        for body in np.flatnonzero(self.group == mover):
-            if self.model.body_mass[body] <= 0:
-                continue
-            turn = self.turn @ self.data.ximat[body].reshape(3, 3)
-            inertia = turn @ np.diag(self.model.body_inertia[body]) @ turn.T
-            parts.append(
-                (RigidBody(float(self.model.body_mass[body]), self._place(self.data.xipos[body]), inertia), np.eye(4))
-            )
+        model, data, parts = self.model, self.data, []
+        for body in np.flatnonzero((self.group == mover) & (model.body_mass > 0)):
+            axes = data.ximat[body].reshape(3, 3)
+            inertia = axes @ np.diag(model.body_inertia[body]) @ axes.T
+            parts.append((RigidBody(float(model.body_mass[body]), data.xipos[body], inertia), np.eye(4)))
         if not parts:
-            raise self._fail(f"body '{self.model.body(mover).name}' has no mass; every moving part needs an inertia")
+            raise self._error(f"body '{model.body(mover).name}' has no mass; every moving part needs an inertia")
         return fuse(parts)
 
-    def _leg(self, chain: list[int]) -> ImportedLeg:
-        model, joints = self.model, []
-        for place, body in enumerate(chain):
-            number = self._joint(body)
-            axis, name = self.turn @ self.data.xaxis[number], self._joint_name(body)
-            wanted = (0, 1, 1)[place - len(chain)]
-            if abs(abs(axis[wanted]) - 1) > _ALONG:
-                what = ("abduction", "hip", "knee")[place - len(chain)]
-                raise self._fail(
-                    f"joint '{name}' should be the {what}, and its axis at zero is "
-                    f"({axis[0]:.2f}, {axis[1]:.2f}, {axis[2]:.2f}) with x forward; it must be along {'xy'[wanted]}"
-                )
-            exact = np.zeros(3)
-            exact[wanted] = np.sign(axis[wanted])
-            limited, span = bool(model.jnt_limited[number]), model.jnt_range[number]
-            dof = int(model.jnt_dofadr[number])
-            joints.append(
-                ImportedJoint(
-                    name=name,
-                    place=self._place(self.data.xanchor[number]),
-                    axis=exact,
-                    limits=(float(span[0]), float(span[1])) if limited else None,
-                    torque=self._torque(number),
-                    speed=self.speeds.get(name),
-                    damping=float(np.ravel(model.dof_damping[dof])[0]),
-                    friction=float(model.dof_frictionloss[dof]),
-                    rotor_inertia=float(model.dof_armature[dof]),
-                )
+    def _hinges(self, joints: NDArray[np.int64]) -> dict[str, Any]:
+        """Return what an `ImportedRobot` has of joints (4, m); refuse axes that are not along the base's x and y."""
+        model, axes, along = self.model, self.data.xaxis[joints], np.array((0, 1, 1)[-joints.shape[1] :])
+        cosines = np.take_along_axis(axes, along[None, :, None], axis=2)[..., 0]
+        for leg, k in np.argwhere(np.abs(np.abs(cosines) - 1) > _AXIS_TOLERANCE):
+            x, y, z = axes[leg, k]
+            part = ("abduction", "hip", "knee")[k - len(along)]
+            raise self._error(
+                f"joint '{self._name(joints[leg, k])}' should be the {part}, and its axis at zero is "
+                f"({x:.2f}, {y:.2f}, {z:.2f}) with x forward; it must be along {'xy'[along[k]]}"
             )
-        foot = self._foot(chain[-1], joints[-1].place)
-        return ImportedLeg(tuple(joints), tuple(self._body(body) for body in chain), *foot)
+        dofs = model.jnt_dofadr[joints]
+        names = [[self._name(joint) for joint in row] for row in joints]
+        return {
+            "joints": tuple(map(tuple, names)),
+            "places": self.data.xanchor[joints],
+            "axes": np.eye(3)[along] * np.sign(cosines)[..., None],
+            "limits": np.where(model.jnt_limited[joints][..., None], model.jnt_range[joints], np.nan),
+            "torque": np.array([[self._torque(joint) for joint in row] for row in joints]),
+            "speed": np.array([[self.speeds.get(name, np.nan) for name in row] for row in names]),
+            "damping": model.dof_damping.reshape(model.nv, -1)[dofs, 0],
+            "friction": model.dof_frictionloss[dofs],
+            "rotor_inertia": model.dof_armature[dofs],
+        }
 
-    def _torque(self, joint: int) -> float | None:
-        """Return the torque limit of a joint: its own, or its actuator's."""
+    def _torque(self, joint: int) -> float:
+        """Return the torque limit of a joint: its own, or its actuator's; NaN without one."""
         model = self.model
         if model.jnt_actfrclimited[joint]:
             return float(np.abs(model.jnt_actfrcrange[joint]).max())
-        for k in range(model.nu):
-            if model.actuator_trnid[k, 0] == joint:
-                gear = abs(float(model.actuator_gear[k, 0]))
-                if model.actuator_forcelimited[k]:
-                    return gear * float(np.abs(model.actuator_forcerange[k]).max())
-                if model.actuator_ctrllimited[k] and model.actuator_biastype[k] == mujoco.mjtBias.mjBIAS_NONE:
-                    return gear * float(np.abs(model.actuator_ctrlrange[k]).max())
-        return None
+        for k in np.flatnonzero(model.actuator_trnid[:, 0] == joint):
+            gear = abs(float(model.actuator_gear[k, 0]))
+            if model.actuator_forcelimited[k]:
+                return gear * float(np.abs(model.actuator_forcerange[k]).max())
+            if model.actuator_ctrllimited[k] and model.actuator_biastype[k] == mujoco.mjtBias.mjBIAS_NONE:
+                return gear * float(np.abs(model.actuator_ctrlrange[k]).max())
+        return math.nan
 
-    def _foot(self, body: int, knee: Array) -> tuple[Array, float, str]:
-        """Return centre [m] and radius [m] of a leg's foot, and what it was found by."""
-        model, data = self.model, self.data
-        bodies = np.flatnonzero(self.group == body)
-        geoms = [g for g in range(model.ngeom) if model.geom_bodyid[g] in bodies]
-        spheres = [g for g in geoms if model.geom_type[g] == mujoco.mjtGeom.mjGEOM_SPHERE]
+    def _geoms(self, mover: int) -> list[int]:
+        """Return the shapes that move with a body."""
+        return np.flatnonzero(self.group[self.model.geom_bodyid] == mover).tolist()
+
+    def _foot(self, body: int, knee: Array) -> _Foot:
+        """Return a leg's foot: the last link's sphere, else a link that is named so, else the end of its shapes."""
+        model, data, geoms = self.model, self.data, self._geoms(body)
+        spheres = [g for g in geoms if model.geom_type[g] == mjtGeom.mjGEOM_SPHERE]
         if spheres:
-            best = max(spheres, key=lambda g: float(np.linalg.norm(self._place(data.geom_xpos[g]) - knee)))
-            return self._place(data.geom_xpos[best]), float(model.geom_size[best, 0]), "the last link's sphere"
-        named = [b for b in bodies if _FOOT.search(model.body(int(b)).name)]
-        if named:
-            at = self._place(data.xpos[named[-1]])
-            return at, self._thickness(geoms, at), "a link named so"
-        ends = [corner for g in geoms for corner in self._corners(g)]
-        if not ends:
-            raise self._fail(f"'{model.body(body).name}' has neither a shape nor a link for its foot; add one")
-        lowest = max(ends, key=lambda point: float(np.linalg.norm(point - knee)))
-        reach = np.array([lowest[0], (np.min(ends, axis=0)[1] + np.max(ends, axis=0)[1]) / 2, lowest[2]])
-        radius = self._thickness(geoms, reach)
-        return reach + np.array([0.0, 0.0, radius]), radius, "the far end of the last link's shapes"
+            last = max(spheres, key=lambda g: float(np.linalg.norm(data.geom_xpos[g] - knee)))
+            return _Foot(data.geom_xpos[last], float(model.geom_size[last, 0]), "the last link's sphere")
+        if named := [b for b in np.flatnonzero(self.group == body) if _FOOT.search(model.body(int(b)).name)]:
+            centre = data.xpos[named[-1]]
+            return _Foot(centre, self._thickness(geoms, centre), "a link named so")
+        if not geoms:
+            raise self._error(f"'{model.body(body).name}' has neither a shape nor a link for its foot; add one")
+        ends = np.concatenate([self._corners(g) for g in geoms])
+        end = ends[np.argmax(np.linalg.norm(ends - knee, axis=1))]
+        end[1] = (ends[:, 1].min() + ends[:, 1].max()) / 2  # in the middle plane of the shapes
+        radius = self._thickness(geoms, end)
+        end[2] += radius
+        return _Foot(end, radius, "the far end of the last link's shapes")
 
     def _thickness(self, geoms: list[int], place: Array) -> float:
         """Return a radius [m] for a foot: half of the width of the shape that is nearest to it."""
-        length = float(np.linalg.norm(place - self._place(self.data.xanchor[0]))) if len(self.data.xanchor) else 0.3
-        usual = 0.06 * max(length, 0.1)
+        usual = 0.06 * max(float(np.linalg.norm(place - self.data.xanchor[0])), 0.1)
         if not geoms:
             return usual
-        nearest = min(geoms, key=lambda g: float(np.linalg.norm(self._place(self.data.geom_xpos[g]) - place)))
-        half = np.sort(self.model.geom_aabb[nearest, 3:])
-        return float(np.clip(half[0], 0.3 * usual, usual))
+        nearest = min(geoms, key=lambda g: float(np.linalg.norm(self.data.geom_xpos[g] - place)))
+        return float(np.clip(self.model.geom_aabb[nearest, 3:].min(), 0.3 * usual, usual))
 
-    def _corners(self, geom: int) -> list[Array]:
-        """Return points of a shape's hull: the vertices of a mesh, the corners of the box around another shape."""
-        model, turn, place = self.model, self.data.geom_xmat[geom].reshape(3, 3), self.data.geom_xpos[geom]
-        if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_MESH:
+    def _corners(self, geom: int) -> Array:
+        """Return points (p, 3) of a shape's hull: vertices of a mesh, or corners of the box around another shape."""
+        model = self.model
+        if model.geom_type[geom] == mjtGeom.mjGEOM_MESH:
             # The box around a mesh has its principal axes: the box around that one would be too large.
             first = model.mesh_vertadr[model.geom_dataid[geom]]
             points = model.mesh_vert[first : first + model.mesh_vertnum[model.geom_dataid[geom]]].astype(float)
         else:
-            signs = np.array([(a, b, c) for a in (-1, 1) for b in (-1, 1) for c in (-1, 1)])
+            signs = np.array(list(itertools.product((-1, 1), repeat=3)))
             points = model.geom_aabb[geom, :3] + model.geom_aabb[geom, 3:] * signs
-        return list((place + points @ turn.T) @ self.turn.T)
+        placed: Array = self.data.geom_xpos[geom] + points @ self.data.geom_xmat[geom].reshape(3, 3).T
+        return placed
 
     def _box(self, base: int) -> tuple[Array, Array]:
         """Return centre and half of the sides of a box around the base's shapes, or with its inertia."""
-        bodies = np.flatnonzero(self.group == base)
-        corners = [c for g in range(self.model.ngeom) if self.model.geom_bodyid[g] in bodies for c in self._corners(g)]
-        if corners:
-            low, high = np.min(corners, axis=0), np.max(corners, axis=0)
+        if geoms := self._geoms(base):
+            corners = np.concatenate([self._corners(g) for g in geoms])
+            low, high = corners.min(axis=0), corners.max(axis=0)
             return (low + high) / 2, (high - low) / 2
         body = self._body(base)
-        xx, yy, zz = np.diag(body.inertia)
-        squares = 1.5 / body.mass * np.array([yy + zz - xx, xx + zz - yy, xx + yy - zz])
+        moments = np.diag(body.inertia)
         self.notes.append("the base has no shape: a box with its inertia stands for it")
-        return body.centre, np.sqrt(np.maximum(squares, 1e-4))
+        return body.centre, np.sqrt(np.maximum(1.5 / body.mass * (moments.sum() - 2 * moments), 1e-4))
 
-    def _order(self, legs: list[ImportedLeg]) -> list[int]:
-        """Return the indices of front left, front right, back left and back right legs."""
-        hips = np.array([leg.joints[-2].place for leg in legs])
-        feet = np.array([leg.foot for leg in legs])
+    def _order(self, hips: Array, feet: Array) -> list[int]:
+        """Return the indices of the legs front left, front right, back left and back right, by places (4, 3)."""
         front, left = hips[:, 0] > hips[:, 0].mean(), feet[:, 1] > feet[:, 1].mean()
-        found = [np.flatnonzero((front == f) & (left == s)) for f in (True, False) for s in (True, False)]
-        if any(len(index) != 1 for index in found):
-            raise self._fail("its hips are not at four corners, one leg at each")
-        return [int(index[0]) for index in found]
+        corners = [np.flatnonzero((front == f) & (left == s)) for f in (True, False) for s in (True, False)]
+        if any(len(corner) != 1 for corner in corners):
+            raise self._error("its hips are not at four corners, one leg at each")
+        return [int(corner[0]) for corner in corners]

@@ -2,25 +2,27 @@
 
 from __future__ import annotations
 
+import json
 import math
-import xml.etree.ElementTree as ElementTree
-from collections.abc import Sequence
+import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from surefoot.arrays import Array
 from surefoot.errors import SurefootError, accessible, check_name
 from surefoot.files import whole_file
 from surefoot.robot.actuator import PLACEHOLDER_TORQUE
-from surefoot.robot.description import GRAVITY
-from surefoot.robot.importing.imported import LEGS, ImportedJoint, ImportedLeg, ImportedRobot, Knees
+from surefoot.robot.importing.imported import LEGS, ImportedRobot, Knees
 from surefoot.robot.rigid_body import RigidBody
-from surefoot.rotations import matrix_rpy
+from surefoot.robot.sheet import GRAVITY
+from surefoot.robot.urdf import Joint, Link, Shape, Urdf
+from surefoot.robot.urdf_file import format_urdf
 
 _PLACEHOLDER_SPEED = 100.0
 """A speed limit [rad/s] from which on it is a placeholder."""
-_ORIGIN = np.zeros(3)
 _Line = tuple[str, str]
 """A line of the sheet, and why it is a guess; empty for one that the file decides."""
 
@@ -46,18 +48,16 @@ def write_robot(robot: ImportedRobot, folder: Path, name: str, knees: Knees | No
     lines = _sheet(robot, name, knees)
     with accessible(folder, "made"):
         folder.mkdir(parents=True, exist_ok=True)
-    _write(folder / "robot.urdf", _urdf(robot, name))
-    _write(folder / "robot.toml", "\n".join(f"{line}  # guessed: {why}" if why else line for line, why in lines))
+    _write(folder / "robot.urdf", format_urdf(_urdf(robot), name))
+    _write(folder / "robot.toml", "\n".join(f"{line}  # guessed: {why}" if why else line for line, why in lines) + "\n")
     return list(dict.fromkeys([*robot.notes, *(f"{line}: {why}" for line, why in lines if why)]))
 
 
 def set_servo_step(folder: Path, step: float) -> str:
     """Write a shorter physics step [s] to the sheet of a robot that was just imported; return the guess as a line."""
     path, why = folder / "robot.toml", "s, the longest that servos, friction and feet allow"
-    lines = path.read_text(encoding="utf-8").split("\n")
-    number = next(k for k, line in enumerate(lines) if line.startswith("servo_step = "))
-    lines[number] = f"servo_step = {step:g}  # guessed: {why}"
-    _write(path, "\n".join(lines))
+    text = re.sub("(?m)^servo_step = .*", f"servo_step = {step:g}  # guessed: {why}", path.read_text(encoding="utf-8"))
+    _write(path, text)
     return f"servo_step = {step:g}: {why}"
 
 
@@ -70,15 +70,15 @@ def _sheet(robot: ImportedRobot, name: str, knees: Knees | None) -> list[_Line]:
     """Return the lines of a `robot.toml`."""
     signs, certain = robot.knee_signs(knees)
     legs: list[_Line] = []
-    for leg_name, leg, sign in zip(LEGS, robot.legs, signs, strict=True):
-        legs += _plain(f"[legs.{leg_name}]", f"motors = {_names(leg.joints)}", f'foot = "{leg_name}_foot"')
-        knee = f'knee = "{"forward" if sign > 0 else "backward"}"'
-        legs += [(knee, "" if certain else "the knees' limits do not say"), ("", "")]
-    step = 0.001 if robot.mass < 5 else 0.002
+    for leg, joints, sign in zip(LEGS, robot.joints, signs, strict=True):
+        legs += _plain("", f"[legs.{leg}]", f"motors = {json.dumps(joints)}", f'foot = "{leg}_foot"')
+        legs.append(
+            (f'knee = "{"forward" if sign > 0 else "backward"}"', "" if certain else "the knees' limits do not show it")
+        )
     return [
         *_plain(
             f"# {name}: made from {robot.path.name}, whose {robot.forward} is forward. SI units, radians.",
-            "# Lines with 'guessed' are not in that file: replace them by what is known of the robot.",
+            "# Lines with 'guessed' are not in that file: replace them by the robot's own numbers.",
             "",
             f'name = "{name}"',
             'urdf = "robot.urdf"',
@@ -87,20 +87,20 @@ def _sheet(robot: ImportedRobot, name: str, knees: Knees | None) -> list[_Line]:
             "# In the order of commands and readings; joint angle in the URDF = sign * motor angle.",
             "[motors]",
         ),
-        (f"order = {_names(_joints(robot))}", "leg by leg; take the order of the robot's own interface"),
-        *_plain("", "[legs]", "order = [" + ", ".join(f'"{leg}"' for leg in LEGS) + "]", ""),
+        (f"order = {json.dumps(sum(robot.joints, ()))}", "leg by leg; take the order of the robot's own interface"),
+        *_plain("", "[legs]", f"order = {json.dumps(LEGS)}"),
         *legs,
-        *_leg_space(robot),
-        ("", ""),
+        *_plain("", *_leg_space(robot)[:-1]),
+        (_leg_space(robot)[-1], "stands with legs straight down"),
+        *_plain("", "# All at the joint: after the gear.", "[actuator]", 'kind = "joint"'),
         *_actuator(robot),
         *_plain("", "[timing]"),
-        (f"servo_step = {step}", "s, of the actuators' controllers"),
+        (f"servo_step = {0.001 if robot.mass < 5 else 0.002}", "s, of the actuators' controllers"),
         ("control_step = 0.01", "s, between two commands of a policy"),
         ("servo_latency = 0.002", "s, age of what the actuators' controllers see"),
         ("control_latency = 0.01", "s, age of what a policy sees"),
         *_plain("", "[contact]"),
         ("friction = 0.8", "rubber on a floor"),
-        ("", ""),
     ]
 
 
@@ -108,160 +108,111 @@ def _plain(*lines: str) -> list[_Line]:
     return [(line, "") for line in lines]
 
 
-def _joints(robot: ImportedRobot) -> list[ImportedJoint]:
-    return [joint for leg in robot.legs for joint in leg.joints]
-
-
-def _names(joints: Sequence[ImportedJoint]) -> str:
-    return "[" + ", ".join(f'"{joint.name}"' for joint in joints) + "]"
-
-
-def _leg_space(robot: ImportedRobot) -> list[_Line]:
-    """Return the ranges of commands: what all joints can do, within usual ranges."""
-    low, high, aside = 0.35, 0.97, 0.5
-    for leg in robot.legs:
-        if (bends := leg.knee_range) is not None:
-            sign = 1 if sum(bends) > 0 else -1
-            bent, straight = max(sign * bend for bend in bends), max(0.0, min(sign * bend for bend in bends))
-            low, high = max(low, _extension(leg, bent) + 0.02), min(high, _extension(leg, straight) - 0.01)
-        if len(leg.joints) == 3 and leg.joints[0].limits:
-            aside = min(aside, *map(abs, leg.joints[0].limits))
+def _leg_space(robot: ImportedRobot) -> list[str]:
+    """Return lines with the ranges of commands, which are what all joints can do, within usual ranges."""
+    low, high, abduction = 0.35, 0.97, 0.5
+    upper, lower = np.linalg.norm(robot.links, axis=-1)
+    bends = np.sort(np.abs(robot.knee_bends), axis=1)
+    bends[np.prod(robot.knee_bends, axis=1) < 0, 0] = 0.0  # the straight leg is in the knee's range
+    reach = np.hypot(upper + lower * np.cos(bends.T), lower * np.sin(bends.T)) / (upper + lower)
+    low, high = (
+        float(np.fmax.reduce(reach[1] + 0.02, initial=low)),
+        float(np.fmin.reduce(reach[0] - 0.01, initial=high)),
+    )
+    abducts = len(robot.joints[0]) == 3
+    if abducts:
+        abduction = float(np.fmin.reduce(np.abs(robot.limits[:, 0]), axis=None, initial=abduction))
     rest = round(min(max(0.75, low + 0.05), high - 0.05), 3)
-    abducts = len(robot.legs[0].joints) == 3
     return [
-        *_plain(
-            "# What commands may ask of legs: abduction and swing in rad, extension in lengths of the straight leg.",
-            "[leg_space]",
-            *([f"abduction = [{-aside:.3g}, {aside:.3g}]"] if abducts else []),
-            "swing = [-1.0, 1.0]",
-            f"extension = [{low:.3g}, {high:.3g}]",
-        ),
-        (f"rest = {[0.0] * (1 + abducts) + [rest]}", "stands with legs straight down"),
+        "# What commands may ask of legs: abduction and swing in rad, extension in lengths of the straight leg.",
+        "[leg_space]",
+        *([f"abduction = [{-abduction:.3g}, {abduction:.3g}]"] if abducts else []),
+        "swing = [-1.0, 1.0]",
+        f"extension = [{low:.3g}, {high:.3g}]",
+        f"rest = {[0.0] * (1 + abducts) + [rest]}",
     ]
-
-
-def _extension(leg: ImportedLeg, bend: float) -> float:
-    """Return the distance from hip to foot at a bend of the knee [rad], over the straight leg's length."""
-    upper, lower = leg.lengths
-    return math.hypot(upper + lower * math.cos(bend), lower * math.sin(bend)) / (upper + lower)
 
 
 def _actuator(robot: ImportedRobot) -> list[_Line]:
-    joints, per_leg, torque_unit = _joints(robot), len(robot.legs[0].joints), robot.mass * GRAVITY * robot.length
+    """Return lines with the actuators' data: the file's, and usual ones in place of missing ones and placeholders."""
+    mass, length, shape = robot.mass, robot.length, robot.torque.shape
+    stiffness = mass * GRAVITY * length
 
-    def line(key: str, values: Sequence[float], unit: str, why: str = "") -> _Line:
+    def line(key: str, values: ArrayLike, unit: str, why: str = "") -> _Line:
         """Return a line with a number for all motors, one for each motor of a leg, or one for each motor."""
-        numbers = [float(f"{value:.4g}") for value in values]
-        of_leg = numbers[:per_leg]
-        value = numbers[0] if len(set(numbers)) == 1 else of_leg if of_leg * len(robot.legs) == numbers else numbers
+        numbers = np.array([[float(f"{value:.4g}") for value in row] for row in np.broadcast_to(values, shape)])
+        value = numbers.ravel().tolist() if np.ptp(numbers, axis=0).any() else numbers[0].tolist()
+        value = value if np.ptp(numbers) else value[0]
         return (f"{key} = {value}", f"{why} ({unit})") if why else (f"{key} = {value}  # {unit}", "")
 
-    def limit(
-        key: str, values: Sequence[float | None], placeholder: float, usual: float, unit: str, rule: str
-    ) -> tuple[list[float], _Line]:
-        """Return the limits, the usual one in place of a missing one or a placeholder, and their line."""
-        real = [value is not None and 0 < value < placeholder for value in values]
-        limits = [float(value or 0) if ok else usual for value, ok in zip(values, real, strict=True)]
-        return limits, line(key, limits, unit, "" if all(real) else f"{rule}; the file has no real limit")
+    def limit(values: Array, placeholder: float, usual: float, rule: str) -> tuple[Array, str]:
+        real = (values > 0) & (values < placeholder)
+        return np.where(real, values, usual), "" if real.all() else f"{rule}; the file has no real limit"
 
-    damping = 0.15 * torque_unit * math.sqrt(robot.length / GRAVITY)
-    torques = [joint.torque for joint in joints]
-    _, torque_line = limit(
-        "torque_limit", torques, PLACEHOLDER_TORQUE * torque_unit, 0.4 * torque_unit, "N m", ".4 m g l"
-    )
-    speeds, speed_line = limit(
-        "speed_limit",
-        [joint.speed for joint in joints],
-        _PLACEHOLDER_SPEED,
-        6 * math.sqrt(GRAVITY / robot.length),
-        "rad/s",
-        "6 sqrt(g / l)",
-    )
-    rotors = [joint.rotor_inertia or 0.005 * robot.mass * robot.length**2 for joint in joints]
-    why = "" if all(joint.rotor_inertia for joint in joints) else ".005 m l^2: gear ratio squared times the rotor's"
+    torque, torque_rule = limit(robot.torque, PLACEHOLDER_TORQUE * stiffness, 0.4 * stiffness, ".4 m g l")
+    speed, speed_rule = limit(robot.speed, _PLACEHOLDER_SPEED, 6 * math.sqrt(GRAVITY / length), "6 sqrt(g / l)")
+    has_rotor = robot.rotor_inertia > 0
+    rotor_rule = "" if has_rotor.all() else ".005 m l^2: gear ratio squared times the rotor's"
     return [
-        *_plain("# All at the joint: after the gear.", "[actuator]", 'kind = "joint"'),
-        line("kp", [torque_unit] * len(joints), "N m/rad", "m g l, the stiffness that carries the robot"),
-        line("kd", [damping] * len(joints), "N m s/rad", ".15 kp sqrt(l / g)"),
-        torque_line,
-        speed_line,
-        line("full_torque_speed", [0.5 * speed for speed in speeds], "rad/s", "half of the speed limit"),
-        line("rotor_inertia", rotors, "kg m2", why),
-        line("friction", [joint.friction for joint in joints], "N m, Coulomb"),
-        line("viscous_friction", [joint.damping for joint in joints], "N m s/rad"),
+        line("kp", stiffness, "N m/rad", "m g l, the stiffness that carries the robot"),
+        line("kd", 0.15 * stiffness * math.sqrt(length / GRAVITY), "N m s/rad", ".15 kp sqrt(l / g)"),
+        line("torque_limit", torque, "N m", torque_rule),
+        line("speed_limit", speed, "rad/s", speed_rule),
+        line("full_torque_speed", 0.5 * speed, "rad/s", "half of the speed limit"),
+        line("rotor_inertia", np.where(has_rotor, robot.rotor_inertia, 0.005 * mass * length**2), "kg m2", rotor_rule),
+        line("friction", robot.friction, "N m, Coulomb"),
+        line("viscous_friction", robot.damping, "N m s/rad"),
     ]
 
 
-def _urdf(robot: ImportedRobot, name: str) -> str:
-    """Return a URDF with frames along the base's and shapes of its own: a box, cylinders and spheres."""
-    root = ElementTree.Element("robot", name=name)
+def _urdf(robot: ImportedRobot) -> Urdf:
+    """Return links with frames along the base's and shapes of their own: a box, cylinders and spheres."""
     centre, half = robot.base_box
-    _shape(_link(root, "base", robot.base), "box", centre, size=_words(2 * half))
-    for leg_name, leg in zip(LEGS, robot.legs, strict=True):
+    links = {"base": _link(robot.base, np.zeros(3), Shape("base", "box", tuple(half), _frame(centre)))}
+    joints: dict[str, Joint] = {}
+    parts = ("hip", "upper", "lower")[-len(robot.joints[0]) :]
+    for k, leg in enumerate(LEGS):
         parent, origin = "base", np.zeros(3)
-        parts = ("hip", "upper", "lower")[-len(leg.joints) :]
-        for part, joint, body in zip(parts, leg.joints, leg.bodies, strict=True):
-            link_name = f"{leg_name}_{part}"
-            link = _link(root, link_name, body, joint.place)
-            _joint(root, joint, parent, link_name, joint.place - origin)
-            if part != "hip":
-                end = leg.foot if part == "lower" else leg.joints[-1].place
-                # Collinear with the link, and short of its ends, so that shapes of one leg do not touch.
-                start = np.array([joint.place[0], end[1], joint.place[2]])
+        ends = [None, *robot.places[k, -1:], robot.feet[k]][-len(parts) :]
+        for part, joint, body, place, axis, limits, end in zip(
+            parts, robot.joints[k], robot.bodies[k], robot.places[k], robot.axes[k], robot.limits[k], ends, strict=True
+        ):
+            name, shapes = f"{leg}_{part}", []
+            if end is not None:
                 radius = 0.06 * robot.length * (0.5 if part == "upper" else 0.3)
-                _cylinder(link, start - joint.place, end - joint.place, radius)
-            parent, origin = link_name, joint.place
-        foot = _link(root, f"{leg_name}_foot", RigidBody(1e-6, np.zeros(3), 1e-10 * np.eye(3)))
-        _shape(foot, "sphere", np.zeros(3), radius=f"{leg.foot_radius:.6g}")
-        ankle = ElementTree.SubElement(root, "joint", name=f"{leg_name}_ankle", type="fixed")
-        _ends(ankle, parent, f"{leg_name}_foot", leg.foot - origin)
-    ElementTree.indent(root)
-    return ElementTree.tostring(root, encoding="unicode") + "\n"
+                shapes = [_cylinder(name, np.array([0.0, end[1] - place[1], 0.0]), end - place, radius)]
+            links[name] = _link(body, place, *shapes)
+            limited, (x, y, z) = bool(np.isfinite(limits).all()), axis.tolist()
+            kind, span = ("revolute", (float(limits[0]), float(limits[1]))) if limited else ("continuous", None)
+            joints[joint] = Joint(joint, kind, parent, name, (x, y, z), _frame(place - origin), span)
+            parent, origin = name, place
+        foot, ankle = f"{leg}_foot", f"{leg}_ankle"
+        sphere = Shape(foot, "sphere", (float(robot.foot_radius[k]),), np.eye(4))
+        links[foot] = _link(RigidBody(1e-6, np.zeros(3), 1e-10 * np.eye(3)), np.zeros(3), sphere)
+        joints[ankle] = Joint(ankle, "fixed", parent, foot, (1.0, 0.0, 0.0), _frame(robot.feet[k] - origin))
+    return Urdf(robot.path, links, joints)
 
 
-def _words(values: Array) -> str:
-    return " ".join(f"{value:.9g}" for value in np.where(np.abs(values) < 1e-9, 0.0, values))
+def _frame(place: Array) -> Array:
+    frame = np.eye(4)
+    frame[:3, 3] = place
+    return frame
 
 
-def _link(root: ElementTree.Element, name: str, body: RigidBody, origin: Array = _ORIGIN) -> ElementTree.Element:
-    """Add a link whose frame is at `origin` (3,) [m]; `body` is in the base's frame."""
-    link = ElementTree.SubElement(root, "link", name=name)
-    inertial = ElementTree.SubElement(link, "inertial")
-    ElementTree.SubElement(inertial, "origin", xyz=_words(body.centre - origin), rpy="0 0 0")
-    ElementTree.SubElement(inertial, "mass", value=f"{body.mass:.9g}")
-    tensor = {f"i{'xyz'[r]}{'xyz'[c]}": f"{body.inertia[r, c]:.9g}" for r in range(3) for c in range(r, 3)}
-    ElementTree.SubElement(inertial, "inertia", tensor)
-    return link
+def _link(body: RigidBody, origin: Array, *shapes: Shape) -> Link:
+    """Return a link whose frame is at `origin` (3,) [m]; `body` is in the base's frame."""
+    return Link(replace(body, centre=body.centre - origin), shapes, shapes)
 
 
-def _ends(joint: ElementTree.Element, parent: str, child: str, place: Array) -> None:
-    ElementTree.SubElement(joint, "origin", xyz=_words(place), rpy="0 0 0")
-    ElementTree.SubElement(joint, "parent", link=parent)
-    ElementTree.SubElement(joint, "child", link=child)
+def _cylinder(link: str, start: Array, end: Array, radius: float) -> Shape:
+    """Return a cylinder along the line between two points (3,) [m] of the link's frame.
 
-
-def _joint(root: ElementTree.Element, imported: ImportedJoint, parent: str, child: str, place: Array) -> None:
-    kind = "revolute" if imported.limits else "continuous"
-    joint = ElementTree.SubElement(root, "joint", name=imported.name, type=kind)
-    _ends(joint, parent, child, place)
-    ElementTree.SubElement(joint, "axis", xyz=_words(imported.axis))
-    if imported.limits:
-        low, high = imported.limits
-        ElementTree.SubElement(joint, "limit", lower=f"{low:.9g}", upper=f"{high:.9g}", effort="1000", velocity="1000")
-
-
-def _shape(link: ElementTree.Element, kind: str, place: Array, rpy: str = "0 0 0", **sizes: str) -> None:
-    for use in ("visual", "collision"):
-        element = ElementTree.SubElement(link, use)
-        ElementTree.SubElement(element, "origin", xyz=_words(place), rpy=rpy)
-        ElementTree.SubElement(ElementTree.SubElement(element, "geometry"), kind, sizes)
-
-
-def _cylinder(link: ElementTree.Element, start: Array, end: Array, radius: float) -> None:
-    """Add a cylinder along the line between two points (3,) [m] of the link's frame."""
+    It is shorter than the line, so that shapes of one leg do not touch.
+    """
     length = float(np.linalg.norm(end - start))
     z = (end - start) / length
     x = np.cross([0.0, 1.0, 0.0], z)
     x /= np.linalg.norm(x)
-    rpy = _words(matrix_rpy(np.stack([x, np.cross(z, x), z], axis=1)))
-    _shape(link, "cylinder", (start + end) / 2, rpy, radius=f"{radius:.6g}", length=f"{0.9 * length:.6g}")
+    frame = _frame((start + end) / 2)
+    frame[:3, :3] = np.stack([x, np.cross(z, x), z], axis=1)
+    return Shape(link, "cylinder", (radius, 0.45 * length), frame)

@@ -9,8 +9,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from surefoot.deploy.recording.recorder import Recorder
-from surefoot.deploy.recording.run_saver import PartialFile, next_free
+from surefoot.deploy.recorder import Recorder
+from surefoot.deploy.run_saver import PartialFile, next_free
 from surefoot.errors import SurefootError
 from surefoot.task.partial_trace import Layout, recover, trace_of
 

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 from scripted import COMMAND_LIMITS as LIMITS
 
-from surefoot.deploy.commands import (
+from surefoot.deploy.command_sources import (
     FRESH,
     ChannelCommands,
     GamepadCommands,

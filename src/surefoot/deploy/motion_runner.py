@@ -11,10 +11,10 @@ from collections.abc import Callable
 import numpy as np
 
 from surefoot.arrays import Array
-from surefoot.deploy.loop import ControlLoop, Watch
+from surefoot.deploy.loop import ControlLoop, RunMonitor
 from surefoot.deploy.messages import Fault, Handshake, Mode, Reason, State
-from surefoot.deploy.pacer import Timing
-from surefoot.deploy.poses import between, lying, sitting
+from surefoot.deploy.pacer import LoopTiming
+from surefoot.deploy.poses import lying_pose, minimum_jerk, sitting_pose
 from surefoot.deploy.robot_link import RobotLink
 from surefoot.deploy.safety import GO, Act, Guard, SafetyLimits, Verdict
 from surefoot.errors import SurefootError
@@ -47,7 +47,7 @@ class MotionRunner:
         robot: its data sheet.
         control_step: time between two commands [s].
         operator: may ask to stop.
-        watch: is told how it goes.
+        monitor: is told how it goes.
         limits: when a motion ends early.
         tilt: roll or pitch [rad] that is a fall; the limits', if not given.
         mode: what the commands are.
@@ -65,12 +65,12 @@ class MotionRunner:
         robot: RobotDescription,
         control_step: float,
         operator: StopSignals,
-        watch: Watch | None = None,
+        monitor: RunMonitor | None = None,
         limits: SafetyLimits | None = None,
         tilt: float | None = None,
         mode: Mode = Mode.POSITION,
         lead: float | None = None,
-        timing: Timing | None = None,
+        timing: LoopTiming | None = None,
         dry_run: bool = False,
     ) -> None:
         if link.handshake is None:
@@ -79,8 +79,8 @@ class MotionRunner:
         self.handshake: Handshake = link.handshake
         self.mode = mode
         guard = Guard(limits or SafetyLimits.of(robot), control_step, link.session, tilt, mode)
-        watch, timing = watch or Watch(), timing or Timing(0)
-        self.loop = ControlLoop(link, control_step, guard, operator, watch, timing, dry_run)
+        monitor, timing = monitor or RunMonitor(), timing or LoopTiming(0)
+        self.loop = ControlLoop(link, control_step, guard, operator, monitor, timing, dry_run)
         self.clean_time = self.handshake.rearm_after + _CLEAN_MARGIN
         """Time [s] for which a damped robot wants a clean link, and a little more."""
         self.risen = False
@@ -173,7 +173,7 @@ class MotionRunner:
 
         def compute(k: int, state: State, missed: int) -> Array:
             self.check_state(state)
-            target = between(start, end, (k + 1) / steps)
+            target = minimum_jerk(start, end, (k + 1) / steps)
             return np.clip(target, self.handshake.angle_low, self.handshake.angle_high)
 
         return self.loop.follow(phase, steps, compute, upright=upright, sitting=sitting)
@@ -188,7 +188,7 @@ class MotionRunner:
         would stall at full current and then leap.
         """
         found = self.state.motor_angle
-        flat, drawn = lying(self.robot, found), sitting(self.robot)
+        flat, drawn = lying_pose(self.robot, found), sitting_pose(self.robot)
         for phase, start, end, duration in (
             ("lay legs flat", found, flat, FLAT),
             ("draw legs in", flat, drawn, FOLD),
@@ -209,7 +209,7 @@ class MotionRunner:
         standing stumbles over its own momentum when it is fast. A nod of more than the limit is no fall here: damped
         motors would do no better. The robot's own limit still holds.
         """
-        drawn = sitting(self.robot)
+        drawn = sitting_pose(self.robot)
         verdict = self.move("drop", drawn, DROP, upright=False, sitting=True)
         if verdict.act is not Act.GO:
             return verdict
@@ -217,11 +217,11 @@ class MotionRunner:
 
     def sit_down(self, upright: bool = True) -> Verdict:
         """Sit slowly, from the pose that was asked for last."""
-        return self.move("sit down", sitting(self.robot), SIT, upright=upright, sitting=True)
+        return self.move("sit down", sitting_pose(self.robot), SIT, upright=upright, sitting=True)
 
     def disarm(self) -> Verdict:
         """End commands in good order."""
-        self.loop.watch.phase("disarm", 0.0)
+        self.loop.monitor.phase("disarm", 0.0)
         return GO if self.release() else Verdict(Act.DAMP, "disarm", "the robot does not say that it has disarmed")
 
     def recover_from_fall(self) -> str:
@@ -231,7 +231,7 @@ class MotionRunner:
             LinkLostError: the robot is gone.
         """
         self.release(damp=True)
-        self.loop.watch.phase("lie still", _STILL_PATIENCE)
+        self.loop.monitor.phase("lie still", _STILL_PATIENCE)
         clock = self.link.clock
         earliest = clock.now() + self.clean_time
 
@@ -243,7 +243,7 @@ class MotionRunner:
             return "it does not come to rest and stays damped"
         if np.abs(self.state.roll_pitch_yaw[:2]).max() > self.handshake.tilt_limit:
             return "it lies on its side and stays damped"
-        self.loop.watch.phase("arm", 0.0)
+        self.loop.monitor.phase("arm", 0.0)
         try:
             self.arm()
         except SurefootError as error:

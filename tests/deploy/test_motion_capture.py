@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from surefoot.deploy.recording.motion_capture import base_and_feet, read_capture
+from surefoot.deploy.motion_capture import base_and_feet, read_capture
 from surefoot.errors import SurefootError
 from surefoot.rotations import quat_yaw
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from surefoot.deploy.recording.motion_capture import COLUMNS
+from surefoot.deploy.motion_capture import COLUMNS
 from surefoot.emulator.plant import Plant
 from surefoot.errors import SurefootError
 
@@ -17,7 +17,7 @@ PERIOD = 5_000
 _WRITE_EVERY = 0.05
 
 
-class MotionCapture:
+class CaptureWriter:
     """Writes rows of time [s] on the robot's clock, base link's origin [m], unit quaternion and contacts.
 
     The contact of a foot is the share of the time since the row before in which it touched the ground.

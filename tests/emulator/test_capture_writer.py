@@ -10,7 +10,7 @@ import pytest
 pytest.importorskip("mujoco")
 
 from surefoot.deploy.messages import Mode
-from surefoot.emulator.motion_capture import MotionCapture
+from surefoot.emulator.capture_writer import CaptureWriter
 from surefoot.emulator.plant import Plant
 from surefoot.emulator.signals import MotorOrder
 from surefoot.errors import SurefootError
@@ -23,7 +23,7 @@ def plant(robot) -> Plant:
     return Plant(robot)
 
 
-def run(capture: MotionCapture, plant: Plant, steps: int) -> None:
+def run(capture: CaptureWriter, plant: Plant, steps: int) -> None:
     for _ in range(steps):
         plant.step(DAMPED)
         capture.see(plant.ticks * 1000)
@@ -31,7 +31,7 @@ def run(capture: MotionCapture, plant: Plant, steps: int) -> None:
 
 @pytest.mark.parametrize("later", [False, True])
 def test_rows_are_what_is_seen_at_full_precision(plant, tmp_path, later):
-    capture = MotionCapture(tmp_path / "a.csv", plant, later)
+    capture = CaptureWriter(tmp_path / "a.csv", plant, later)
     run(capture, plant, 100)
     seen = plant.capture()
     capture.close()
@@ -48,14 +48,14 @@ def test_rows_are_what_is_seen_at_full_precision(plant, tmp_path, later):
 def test_a_file_that_cannot_be_written_is_told_at_once(plant, tmp_path):
     (tmp_path / "a.csv").write_text("mine")
     with pytest.raises(SurefootError, match="exists; give another name"):
-        MotionCapture(tmp_path / "a.csv", plant)
+        CaptureWriter(tmp_path / "a.csv", plant)
     with pytest.raises(SurefootError, match="No such file or directory"):
-        MotionCapture(tmp_path / "there" / "a.csv", plant)
+        CaptureWriter(tmp_path / "there" / "a.csv", plant)
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no full disk here")
 def test_a_full_disk_ends_the_recording_and_not_the_robot(plant, tmp_path):
-    capture = MotionCapture(tmp_path / "a.csv", plant)
+    capture = CaptureWriter(tmp_path / "a.csv", plant)
     capture._file.close()
     capture._file = Path("/dev/full").open("w", encoding="utf-8", buffering=1)  # noqa: SIM115
     run(capture, plant, 20)

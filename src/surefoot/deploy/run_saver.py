@@ -17,13 +17,13 @@ from typing import Any
 import numpy as np
 
 from surefoot.arrays import Array
-from surefoot.deploy.deployment import Deployment, Outcome
-from surefoot.deploy.pacer import Timing
-from surefoot.deploy.recording.motion_capture import base_and_feet, read_capture
-from surefoot.deploy.recording.recorder import Recorder
+from surefoot.deploy.deployment import Deployment, RunOutcome
+from surefoot.deploy.motion_capture import base_and_feet, read_capture
+from surefoot.deploy.pacer import LoopTiming
+from surefoot.deploy.recorder import Recorder
 from surefoot.errors import SurefootError, accessible
 from surefoot.task.partial_trace import SUFFIX, Layout, head_line, row_bytes, trace_of
-from surefoot.task.trace import ENERGY_WEIGHT, EpisodeTrace
+from surefoot.task.trace import EpisodeTrace
 
 FLUSH = 0.1
 """Time [s] between two writes."""
@@ -138,7 +138,7 @@ class RunSaver:
         run: int = 0,
     ) -> None:
         contract, robot = deployment.contract, deployment.robot
-        self.path, self.link, self._watch = path, deployment.link, deployment.watch
+        self.path, self.link, self._monitor = path, deployment.link, deployment.monitor
         controller = deployment.controller
         actions = len(controller.contract.action_names)
         layout = Layout(
@@ -156,9 +156,10 @@ class RunSaver:
             "motor_names": list(contract.motor_names),
             "observation_names": list(contract.columns),
             "params": {},
-            "energy_weight": contract.task.get("energy_weight", ENERGY_WEIGHT),
+            "energy_weight": controller.task.energy_weight,
             "max_steps": max_steps,
             "gait_period": controller.gait.reference.period,
+            "lead": self.link.lead,
             "firmware": handshake.firmware if handshake is not None else "",
             "config_hash": contract.config_hash,
             "dry_run": deployment.dry_run,
@@ -180,7 +181,7 @@ class RunSaver:
                 with tempfile.TemporaryFile(dir=self.path.parent):
                     pass
             self._partial = PartialFile(self.path.with_name(self.path.name + SUFFIX), self.recorder.layout, self.meta)
-            self._watch.recording(f"recording to {self.path}")
+            self._monitor.recording(f"recording to {self.path}")
 
     def keep(self, rows: Array) -> None:
         """Take rows that have been closed."""
@@ -188,13 +189,13 @@ class RunSaver:
             self._partial.add(rows)
             if self._partial.stopped and not self._told:
                 self._told = True
-                self._watch.recording(f"recording stopped: {self._partial.stopped}; the robot goes on")
+                self._monitor.recording(f"recording stopped: {self._partial.stopped}; the robot goes on")
 
     def begun(self, robot_time: float) -> None:
         """Take the robot's time [s] at which the policy started."""
         self.meta["robot_time_start"] = robot_time if np.isfinite(robot_time) else None
 
-    def finish(self, outcome: Outcome, timing: Timing, capture: Path | None) -> SavedRun:
+    def finish(self, outcome: RunOutcome, timing: LoopTiming, capture: Path | None) -> SavedRun:
         """Make the trace and write it.
 
         Args:

@@ -1,0 +1,100 @@
+"""The progress display of all commands: a picture that a terminal redraws in place, plain lines elsewhere."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Self
+
+from rich.console import Console, RenderableType
+from rich.live import Live
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
+
+_REDRAW_PERIOD = 0.1
+"""Least time between two drawings [s]."""
+
+
+class ProgressDisplay:
+    """Show the progress of some work while entered.
+
+    Args:
+        console: where to show it.
+        draw: returns the picture for a terminal.
+        line_period: least time between two lines on one topic where there is no terminal [s]; no lines, if None.
+        transient: remove the picture at the end.
+    """
+
+    def __init__(
+        self,
+        console: Console,
+        draw: Callable[[], RenderableType],
+        line_period: float | None = None,
+        transient: bool = False,
+    ) -> None:
+        self._console, self._line_period = console, line_period
+        self._live = Live(get_renderable=draw, console=console, auto_refresh=False, transient=transient)
+        self._started, self._drawn = time.monotonic(), 0.0
+        self._printed: dict[str, float] = {}
+
+    def __enter__(self) -> Self:
+        """Start the display."""
+        if self._console.is_terminal:
+            self._live.start(refresh=True)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Draw once more, and stop the display."""
+        self._live.stop()
+
+    def print(self, line: str, topic: str = "") -> None:
+        """Print a line that stays; on a terminal it stands above the picture."""
+        self._printed[topic] = time.monotonic()
+        self._console.print(line, highlight=False, soft_wrap=True)
+
+    def refresh(self, line: str = "", topic: str = "", force_line: bool = False) -> None:
+        """Redraw the picture on a terminal; elsewhere print a line, if it is forced or the topic's last one is old."""
+        now = time.monotonic()
+        if self._console.is_terminal:
+            if now - self._drawn > _REDRAW_PERIOD:
+                self._drawn = now
+                self._live.refresh()
+            return
+        age = now - self._printed.get(topic, self._started)
+        if self._line_period is not None and (force_line or age > self._line_period):
+            self.print(line, topic)
+
+
+class ProgressBar(ProgressDisplay):
+    """A bar that shows how much of some work is done.
+
+    Args:
+        title: name of the work.
+        console: where to show it; standard error, if not given.
+        total: amount of work; 1 is shown as a percentage, all else as a count.
+        done: amount that was done before.
+        line_period: as for `ProgressDisplay`.
+        transient: as for `ProgressDisplay`.
+    """
+
+    def __init__(
+        self,
+        title: str,
+        console: Console | None = None,
+        total: float = 1.0,
+        done: float = 0.0,
+        line_period: float | None = None,
+        transient: bool = True,
+    ) -> None:
+        console = console or Console(stderr=True)
+        bar = BarColumn(40 if total == 1.0 else None)
+        count = TaskProgressColumn() if total == 1.0 else MofNCompleteColumn()
+        columns = (TextColumn("{task.description}", markup=False), bar, count, TextColumn("{task.fields[text]}"))
+        self._bar = Progress(*columns, TimeRemainingColumn(), console=console, expand=total != 1.0)
+        self._task = self._bar.add_task(title, total=total, completed=int(done), text="")
+        self._total = total
+        super().__init__(console, lambda: self._bar, line_period, transient)
+
+    def advance(self, done: float, text: str = "", line: str = "") -> None:
+        """Show the amount of work that is done, with a text on a terminal and a line elsewhere."""
+        self._bar.update(self._task, completed=done, text=text)
+        self.refresh(line, force_line=done >= self._total)

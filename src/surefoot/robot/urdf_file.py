@@ -1,0 +1,244 @@
+"""Files of URDF: read with checks of all that is used of them, and written.
+
+Engines read a robot's file with readers of their own; this one checks it without any engine.
+"""
+
+from __future__ import annotations
+
+import math
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Collection, Iterable, Mapping
+from pathlib import Path
+
+import numpy as np
+
+from surefoot.arrays import Array
+from surefoot.errors import SurefootError, accessible, choices
+from surefoot.files import read_configuration
+from surefoot.robot.rigid_body import RigidBody
+from surefoot.robot.urdf import GREY, Color, Joint, Link, Shape, Urdf
+from surefoot.rotations import matrix_rpy, rpy_matrix
+
+KINDS = ("fixed", "revolute", "continuous")
+"""Types of joints that robots have here."""
+
+
+def read_xml(path: Path) -> ElementTree.Element:
+    """Return the root element of an XML file; refuse one that can't be read, and entities."""
+    with accessible(path):
+        content = read_configuration(path)
+    if b"<!DOCTYPE" in content or b"<!ENTITY" in content:
+        raise SurefootError(f"{path}: declares XML entities; a robot's description has none")
+    try:
+        return ElementTree.fromstring(content)
+    except ElementTree.ParseError as error:
+        raise SurefootError(f"{path}: is not well-formed XML: {error}") from error
+
+
+def attribute(element: ElementTree.Element | None, key: str, default: str = "") -> str:
+    """Return an attribute of an element; the default if either is missing."""
+    return default if element is None else element.get(key, default)
+
+
+def read_urdf(path: Path) -> Urdf:
+    """Read a URDF.
+
+    Raises:
+        SurefootError: the file can't be read or is not a URDF, its joints are not a tree, or a link, joint or shape is
+            invalid.
+    """
+    robot = read_xml(path)
+    if robot.tag != "robot":
+        raise SurefootError(f"{path}: the root element is <{robot.tag}>; a URDF's is <robot>")
+    colors = {
+        item.get("name", ""): color
+        for item in robot.findall("material")
+        if (color := _read_color(item, f"{path}: material '{item.get('name')}'"))
+    }
+    links = {
+        name: _read_link(element, name, colors, f"{path}: link '{name}'")
+        for name, element in _read_names(robot.findall("link"), path).items()
+    }
+    joints = {
+        name: _read_joint(element, name, links, f"{path}: joint '{name}'")
+        for name, element in _read_names(robot.findall("joint"), path).items()
+    }
+    children: set[str] = set()
+    for joint in joints.values():
+        if joint.child in children:
+            raise SurefootError(f"{path}: link '{joint.child}' has two parents; joints must be a tree")
+        children.add(joint.child)
+    roots = [name for name in links if name not in children]
+    if len(roots) != 1:
+        raise SurefootError(
+            f"{path}: {len(roots)} links have no parent ({choices(roots)}); exactly one must be the root"
+        )
+    urdf = Urdf(path, links, joints)
+    if missing := children - {joint.child for joint in urdf.tree}:
+        raise SurefootError(f"{path}: links are joined in a circle ({choices(sorted(missing))}); joints must be a tree")
+    return urdf
+
+
+def _read_names(elements: Iterable[ElementTree.Element], path: Path) -> dict[str, ElementTree.Element]:
+    """Return elements by their names; refuse two of one name."""
+    names: dict[str, ElementTree.Element] = {}
+    for element in elements:
+        if (name := element.get("name", "")) in names:
+            raise SurefootError(f"{path}: there are two {element.tag}s '{name}'; each must have a name of its own")
+        names[name] = element
+    return names
+
+
+def _read_numbers(text: str, count: int, where: str) -> tuple[float, ...]:
+    try:
+        values = tuple(float(word) for word in text.split())
+    except ValueError:
+        values = ()
+    if len(values) != count or not all(map(math.isfinite, values)):
+        rule = "a finite number" if count == 1 else f"{count} finite numbers"
+        raise SurefootError(f"{where} is '{text}'; it must be {rule}")
+    return values
+
+
+def _read_number(element: ElementTree.Element | None, key: str, where: str, default: str = "") -> float:
+    return _read_numbers(attribute(element, key, default), 1, where)[0]
+
+
+def _read_frame(element: ElementTree.Element | None, where: str) -> Array:
+    """Return the frame (4, 4) of an <origin>, or of none; roll, pitch and yaw are about fixed axes."""
+    frame = np.eye(4)
+    frame[:3, :3] = rpy_matrix(*_read_numbers(attribute(element, "rpy", "0 0 0"), 3, f"{where}: rpy"))
+    frame[:3, 3] = _read_numbers(attribute(element, "xyz", "0 0 0"), 3, f"{where}: origin")
+    return frame
+
+
+def _read_link(element: ElementTree.Element, name: str, colors: Mapping[str, Color], where: str) -> Link:
+    mass_element, tensor = element.find("inertial/mass"), element.find("inertial/inertia")
+    if mass_element is None or tensor is None:
+        raise SurefootError(f"{where} has no <inertial> with <mass> and <inertia>; every link needs both")
+    mass = _read_number(mass_element, "value", f"{where}: mass")
+    xx, yy, zz = (_read_number(tensor, key, f"{where}: {key}") for key in ("ixx", "iyy", "izz"))
+    xy, xz, yz = (_read_number(tensor, key, f"{where}: {key}", "0") for key in ("ixy", "ixz", "iyz"))
+    if not mass > 0:
+        raise SurefootError(f"{where}: mass is {mass:g}; it must be over 0 kg")
+    if not (min(xx, yy, zz) > 0 and 2 * max(xx, yy, zz) <= (xx + yy + zz) * (1 + 1e-9)):
+        raise SurefootError(
+            f"{where}: inertia ({xx:g}, {yy:g}, {zz:g}) is not a rigid body's; "
+            "each must be over 0 and none over the sum of the other two"
+        )
+    frame = _read_frame(element.find("inertial/origin"), f"{where}: inertial")
+    turn, inertia = frame[:3, :3], np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    visuals, collisions = (
+        tuple(shape for item in element.findall(use) if (shape := _read_shape(item, name, colors, f"{where}: {use}")))
+        for use in ("visual", "collision")
+    )
+    return Link(RigidBody(mass, frame[:3, 3], turn @ inertia @ turn.T), visuals, collisions)
+
+
+def _read_shape(element: ElementTree.Element, link: str, colors: Mapping[str, Color], where: str) -> Shape | None:
+    """Return a <visual> or <collision>; None for a mesh and other kinds."""
+    for kind in ("box", "cylinder", "sphere"):
+        if (solid := element.find(f"geometry/{kind}")) is not None:
+            break
+    else:
+        return None
+    where = f"{where}: {kind}"
+    if kind == "box":
+        size = tuple(side / 2 for side in _read_numbers(attribute(solid, "size"), 3, f"{where}: size"))
+    else:
+        size = (_read_number(solid, "radius", f"{where}: radius"),)
+        if kind == "cylinder":
+            size = (*size, _read_number(solid, "length", f"{where}: length") / 2)
+    if not min(size) > 0:
+        raise SurefootError(f"{where} has a side, radius or length of {2 * min(size):g}; they must be over 0 m")
+    material = element.find("material")
+    color = None if material is None else _read_color(material, where) or colors.get(material.get("name", ""))
+    return Shape(link, kind, size, _read_frame(element.find("origin"), where), color or GREY)
+
+
+def _read_color(material: ElementTree.Element, where: str) -> Color | None:
+    """Return the color of a material; None if it only names one."""
+    color = material.find("color")
+    if color is None:
+        return None
+    red, green, blue, _ = _read_numbers(attribute(color, "rgba", "0.5 0.5 0.5 1"), 4, f"{where}: rgba")
+    return round(255 * red), round(255 * green), round(255 * blue)
+
+
+def _read_joint(element: ElementTree.Element, name: str, links: Collection[str], where: str) -> Joint:
+    parent, child = attribute(element.find("parent"), "link"), attribute(element.find("child"), "link")
+    for end in (parent, child):
+        if end not in links:
+            raise SurefootError(f"{where} joins '{end}', not a link; choices: {choices(links)}")
+    kind, limits = attribute(element, "type"), None
+    if kind not in KINDS:
+        raise SurefootError(f"{where}: type is '{kind}'; choices: {choices(KINDS)}")
+    x, y, z = _read_numbers(attribute(element.find("axis"), "xyz", "1 0 0"), 3, f"{where}: axis")
+    length = math.hypot(x, y, z)
+    if kind != "fixed" and length == 0.0:
+        raise SurefootError(f"{where}: axis is (0, 0, 0); it must have a direction")
+    frame = _read_frame(element.find("origin"), where)
+    if kind == "revolute":
+        limit = element.find("limit")
+        low, high = (_read_number(limit, end, f"{where}: limit {end}", "0") for end in ("lower", "upper"))
+        if not low < high:
+            raise SurefootError(f"{where}: limits are [{low:g}, {high:g}]; the lower one must be below the upper")
+        limits = low, high
+    length = length or 1.0
+    return Joint(name, kind, parent, child, (x / length, y / length, z / length), frame, limits)
+
+
+def format_urdf(urdf: Urdf, name: str, *, principal: bool = False) -> str:
+    """Return a URDF as text, without colors.
+
+    Args:
+        urdf: links and joints.
+        name: name of the robot.
+        principal: whether to write each inertia as principal moments in a frame along the principal axes, since
+            readers differ in how they handle products of inertia, and all numbers so that they are read back the same.
+    """
+
+    def words(*values: float) -> str:
+        return " ".join(f"{value:.17g}" if principal else f"{value:.9g}" for value in values)
+
+    def add_origin(element: ElementTree.Element, frame: Array) -> None:
+        place, turn = frame[:3, 3], np.asarray(matrix_rpy(frame[:3, :3]))
+        if not principal:
+            place, turn = (np.where(np.abs(part) < 1e-9, 0.0, part) for part in (place, turn))
+        ElementTree.SubElement(element, "origin", xyz=words(*place), rpy=words(*turn))
+
+    root = ElementTree.Element("robot", name=name)
+    for link_name, link in urdf.links.items():
+        element = ElementTree.SubElement(root, "link", name=link_name)
+        inertial = ElementTree.SubElement(element, "inertial")
+        frame, inertia = np.eye(4), link.body.inertia
+        frame[:3, 3] = link.body.centre
+        if principal:
+            moments, frame[:3, :3] = link.body.principal()
+            inertia = np.diag(moments)
+        add_origin(inertial, frame)
+        ElementTree.SubElement(inertial, "mass", value=words(link.body.mass))
+        tensor = {f"i{'xyz'[r]}{'xyz'[c]}": words(inertia[r, c]) for r in range(3) for c in range(r, 3)}
+        ElementTree.SubElement(inertial, "inertia", tensor)
+        for use, shapes in (("visual", link.visuals), ("collision", link.collisions)):
+            for shape in shapes:
+                item = ElementTree.SubElement(element, use)
+                add_origin(item, shape.frame)
+                sizes = {"size": words(*(2 * side for side in shape.size))}
+                if shape.kind != "box":
+                    sizes = {"radius": words(shape.size[0])}
+                if shape.kind == "cylinder":
+                    sizes["length"] = words(2 * shape.size[1])
+                ElementTree.SubElement(ElementTree.SubElement(item, "geometry"), shape.kind, sizes)
+    for joint in urdf.joints.values():
+        element = ElementTree.SubElement(root, "joint", name=joint.name, type=joint.kind)
+        add_origin(element, joint.frame)
+        ElementTree.SubElement(element, "parent", link=joint.parent)
+        ElementTree.SubElement(element, "child", link=joint.child)
+        if joint.kind != "fixed":
+            ElementTree.SubElement(element, "axis", xyz=words(*joint.axis))
+        if joint.limits is not None:
+            low, high = map(words, joint.limits)
+            ElementTree.SubElement(element, "limit", lower=low, upper=high, effort="1000", velocity="1000")
+    ElementTree.indent(root)
+    return ElementTree.tostring(root, encoding="unicode") + "\n"

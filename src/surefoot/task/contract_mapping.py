@@ -1,0 +1,160 @@
+"""The contract of a task's policy, and the task of a policy's contract.
+
+A contract states what a robot needs to run the policy: its observation, reference, bounds, commands, gains and delays,
+as numbers for one robot. The rest of the task (reward, randomization, pushes) stands in `Contract.task`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from surefoot import __version__
+from surefoot.configuration import from_mapping, to_mapping
+from surefoot.errors import SurefootError, choices
+from surefoot.policy.contract import ASSUMED_PARAMS, Contract, ObservationPart, config_hash
+from surefoot.robot import GRAVITY, PhysicalParams, RobotDescription
+from surefoot.robot.commands import COMMANDS
+from surefoot.robot.params_file import ParamValue, param_values
+from surefoot.task.commands import CommandConfig
+from surefoot.task.config import FeedbackConfig, ReferenceConfig, TaskConfig
+from surefoot.task.gait import ActionKind, action_names
+
+if TYPE_CHECKING:
+    from surefoot.task.env import LocomotionEnv
+
+_STATED = ("robot", "observations", "history", "reference", "feedback", "action", "rest")
+"""Fields of the task that the contract states itself."""
+_LIMITS = (*COMMANDS, "relative", "acceleration", "heading_gain")
+"""Fields of the task's commands that the contract states as limits."""
+_STATED_KEYS = {
+    *(f"task.{name}" for name in _STATED),
+    *(f"task.commands.{name}" for name in _LIMITS),
+    *(f"task.params.{name}" for name in ASSUMED_PARAMS),
+}
+
+
+def make_contract(
+    env: LocomotionEnv, config: Any = None, figures: Mapping[str, Any] | None = None, created: str = ""
+) -> Contract:
+    """Return the contract of a policy that was trained in an environment.
+
+    Args:
+        env: the environment.
+        config: configuration of the whole run, a dataclass with a `name`: the policy's. The task's, if None.
+        figures: figures of the run.
+        created: when the policy was made, ISO 8601.
+    """
+    robot, gait, task, config = env.robot, env.gait, env.task, config or env.task
+    assumed: dict[str, Any] = param_values(task.nominal(robot), ASSUMED_PARAMS)
+    assumed |= {name: None for name in assumed if name not in PhysicalParams.names(robot)}
+    return Contract(
+        name=config.name,
+        robot=robot.name,
+        description=task.robot,
+        motor_names=robot.motor_names,
+        motor_signs=tuple(float(sign) for sign in robot.motor_sign),
+        leg_names=robot.leg_names,
+        observation=tuple(ObservationPart(**part) for part in env.observer.describe()),
+        columns=tuple(env.observer.columns),
+        history=task.history,
+        action_names=tuple(gait.action_names),
+        low=tuple(gait.low.tolist()),
+        high=tuple(gait.high.tolist()),
+        reference=None if task.reference.kind == "none" else gait.reference.to_dict(),
+        rest=task.rest or gait.rest,
+        **assumed,
+        task=_task_mapping(task),
+        config_hash=config_hash(to_mapping(config)),
+        figures=dict(figures or {}),
+        commands=task.commands.limits(robot),
+        version=__version__,
+        created=created,
+    )
+
+
+def _task_mapping(task: TaskConfig) -> dict[str, Any]:
+    """Return the part of a task that the contract does not state itself."""
+    data = {name: value for name, value in to_mapping(task).items() if name not in _STATED}
+    data["params"] = {name: value for name, value in data["params"].items() if name not in ASSUMED_PARAMS}
+    data["commands"] = {name: value for name, value in data["commands"].items() if name not in _LIMITS}
+    return data
+
+
+def task_from_contract(contract: Contract, robot: RobotDescription | None = None) -> TaskConfig:
+    """Return the task that a policy was made for.
+
+    Args:
+        contract: the policy's.
+        robot: the robot's description; the contract's own, if None.
+
+    Raises:
+        SurefootError: a key that contracts do not have, or values that do not fit the robot.
+    """
+    robot = robot or RobotDescription.load(contract.description)
+    keys = {f"task.{key}" for key in contract.task}
+    keys |= {f"task.{table}.{key}" for table in ("commands", "params") for key in contract.task.get(table) or {}}
+    if stated := keys & _STATED_KEYS:
+        raise SurefootError(f"{min(stated)} is not a key; the contract states it outside the task")
+    task = from_mapping(TaskConfig, contract.task, "task")
+    kind, feedback = _feedback(contract, robot)
+    return replace(
+        task,
+        robot=contract.description,
+        observations=tuple(part.name for part in contract.observation),
+        history=contract.history,
+        reference=_reference(contract, robot),
+        feedback=feedback,
+        action=kind,
+        rest=contract.rest,
+        commands=_commands(contract, task.commands),
+        params=task.params | _assumed_params(contract, robot),
+    )
+
+
+def _feedback(contract: Contract, robot: RobotDescription) -> tuple[ActionKind, FeedbackConfig]:
+    """Return what the feedback is added to, and its bounds on each coordinate."""
+    kind: ActionKind = "joint" if contract.action_names[0].startswith("joint.") else "leg"
+    names = action_names(robot, kind)
+    if list(contract.action_names) != names:
+        raise SurefootError(
+            f"its actions are {choices(contract.action_names)}; on {robot.name} they must be {choices(names)}"
+        )
+    coordinates = ("joint",) if kind == "joint" else robot.coordinates
+    low, high = (np.reshape(bound, (len(coordinates), -1)) for bound in (contract.low, contract.high))
+    bounds = zip(coordinates, low.min(axis=1).tolist(), high.max(axis=1).tolist(), strict=True)
+    return kind, FeedbackConfig(**{name: (least, most) for name, least, most in bounds})
+
+
+def _reference(contract: Contract, robot: RobotDescription) -> ReferenceConfig:
+    data = dict(contract.reference or {"kind": "none"})
+    if data.get("kind") == "table":
+        rows = {part: data.pop(part) for part in robot.coordinates if part in data}
+        data["rows"] = rows
+    return from_mapping(ReferenceConfig, data, "reference")
+
+
+def _commands(contract: Contract, config: CommandConfig) -> CommandConfig:
+    """Return how commands are drawn, within the contract's limits."""
+    limits = contract.commands
+    if limits is None:
+        return replace(config, forward=(0.0, 0.0), sideways=(0.0, 0.0), yaw_rate=(0.0, 0.0))
+    return replace(
+        config,
+        forward=limits.forward,
+        sideways=limits.sideways,
+        yaw_rate=limits.yaw_rate,
+        relative=False,
+        acceleration=limits.acceleration[0] / GRAVITY,
+        heading_gain=limits.heading_gain,
+    )
+
+
+def _assumed_params(contract: Contract, robot: RobotDescription) -> dict[str, ParamValue]:
+    """Return the contract's physical parameters that differ from the robot's description."""
+    nominal = param_values(PhysicalParams.nominal(robot), ASSUMED_PARAMS)
+    assumed = {name: getattr(contract, name) for name in ASSUMED_PARAMS}
+    return {name: value for name, value in assumed.items() if value is not None and value != nominal[name]}

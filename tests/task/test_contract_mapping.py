@@ -1,0 +1,70 @@
+"""The contract of a task's policy, and the task that is read from it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("mujoco")
+pytest.importorskip("gymnasium")
+
+from surefoot.cli.helpers.policies import find_policy
+from surefoot.errors import SurefootError
+from surefoot.policy.contract import Contract
+from surefoot.policy.runtime import PolicyRuntime
+from surefoot.robot import RobotDescription
+from surefoot.task.config import ReferenceConfig, TaskConfig, load_task
+from surefoot.task.contract_mapping import make_contract, task_from_contract
+from surefoot.task.env import LocomotionEnv
+from surefoot.task.reference import make_reference
+from surefoot.world.sim_world import SimWorld
+
+ROBOT = RobotDescription.load("minitaur")
+
+
+def contract_of(task: TaskConfig) -> Contract:
+    """Return the contract of a task's policy, written and read."""
+    return Contract.from_json(make_contract(LocomotionEnv(task, 1, SimWorld)).to_json())
+
+
+@pytest.mark.parametrize(("task", "robot"), [("trot", "minitaur"), ("steer", "go2"), ("scratch", "solo8")])
+def test_an_environment_of_the_task_of_a_contract_has_the_same_contract(task: str, robot: str):
+    contract = contract_of(replace(load_task(task, robot)[0], max_steps=77))
+    again = task_from_contract(contract)
+    assert (again.robot, again.max_steps) == (robot, 77)
+    assert contract_of(again) == replace(contract, config_hash=contract_of(again).config_hash)
+
+
+def test_the_task_of_a_contract_has_the_parameters_of_training():
+    params = {"voltage": 15.0, "imu_bias": (0.1, -0.2)}
+    task = replace(load_task("trot")[0], params=params, params_source={"file": "robot.toml"})
+    again = task_from_contract(contract_of(task))
+    assert (again.params, again.params_source) == (params, task.params_source)
+
+
+@pytest.mark.parametrize("policy", ["go2-steer", "pupper_v2-trot", "solo8-scratch", "gallop"])
+def test_a_policy_that_ships_states_each_fact_once(policy: str):
+    contract = PolicyRuntime.load(find_policy(policy)).contract
+    again = make_contract(LocomotionEnv(task_from_contract(contract), 1, SimWorld))
+    for name in ("reference", "low", "high", "rest", "commands", "columns", "servo_kp", "servo_kd", "control_step"):
+        assert getattr(again, name) == getattr(contract, name), name
+
+
+def test_a_table_comes_from_the_contract_and_not_from_its_file(tmp_path: Path):
+    columns = [f"{part}_{leg}" for part in ("swing", "extension") for leg in ROBOT.leg_names]
+    table = np.hstack([np.zeros((4, 4)), np.array([[1.8], [2.0], [1.9], [2.0]]) * np.ones((1, 4))])
+    np.savez(tmp_path / "t.npz", **dict(zip(columns, table.T, strict=True)))
+    reference = ReferenceConfig(kind="table", file=str(tmp_path / "t.npz"), period=0.5)
+    contract = contract_of(TaskConfig(reference=reference))
+    (tmp_path / "t.npz").unlink()
+    again = make_reference(task_from_contract(contract).reference.to_mapping(), ROBOT)
+    assert np.allclose(again.pose([0.125])[:, 1], 2.0)
+
+
+def test_a_task_with_an_unknown_key_is_refused():
+    contract = PolicyRuntime.load(find_policy("trot")).contract
+    with pytest.raises(SurefootError, match=r"task.colour is not a key"):
+        task_from_contract(replace(contract, task={**contract.task, "colour": "red"}))
