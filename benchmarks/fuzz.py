@@ -316,11 +316,11 @@ def _child(words: Sequence[str], place: Path, output: int) -> None:
         sys.stderr = io.TextIOWrapper(
             io.FileIO(2, "w", closefd=False), encoding="utf-8", errors="backslashreplace", write_through=True
         )
-        from surefoot.cli import train
+        from surefoot.cli.helpers import training
         from surefoot.cli.main import main
 
         # Figures and a video of each training would take most of the time.
-        train.finish = lambda *_: None
+        training.finish_run = lambda *_: None
         try:
             code = main(list(words))
         except SystemExit as stop:
@@ -507,7 +507,8 @@ def make_seeds(folder: Path, wanted: set[str]) -> None:
         "name: mine\nrobot: minitaur\nobservations: [roll, pitch, roll_rate, pitch_rate, motor_angles]\nhistory: 2\n"
         "reference:\n  kind: sine\n  swing: {amplitude: 0.3, frequency: 2.0, phase: 0.5, offset: 0.0}\n"
         "  extension: {amplitude: 0.2, frequency: 2.0, offset: 1.6}\nfeedback: {swing: [-0.2, 0.2], extension: [-0.2, "
-        "0.2]}\nenergy_weight: 0.005\nfall_angle: 0.5\nmax_steps: 4\npushes: {enabled: true, period: 1.2, duration: "
+        "0.2]}\nreward: {progress: 1.0, energy: -0.005}\n"
+        "fall_angle: 0.5\nmax_steps: 4\npushes: {enabled: true, period: 1.2, duration: "
         "0.06, force: [10, 20]}\nrandomize: table1\nparams: {voltage: 15.0}\nactuator: dc\ntrain:\n  seed: 3\n"
         "  ppo: {gamma: 0.99, policy_hidden: [8, 8], learning_rate: 0.001}\n"
     )
@@ -519,7 +520,7 @@ def make_seeds(folder: Path, wanted: set[str]) -> None:
     )
     (folder / "space.yaml").write_text(
         "ppo.learning_rate: {low: 0.0001, high: 0.01, log: true}\nppo.policy_hidden.0: {low: 8, high: 16, int: true}\n"
-        "task.energy_weight: {choices: [0.001, 0.01]}\n"
+        "task.reward.energy: {choices: [-0.001, -0.01]}\n"
     )
     header = [f"{part}_{leg}" for part in ("swing", "extension") for leg in robot.leg_names]
     rows = [[str(0.1 * k)] * 4 + ["1.6"] * 4 for k in range(4)]

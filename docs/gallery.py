@@ -9,7 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from surefoot.cli.helpers.policies import SEARCH_PATHS, adjust_task, find_policy, lasting, load_policy, run_policy
-from surefoot.files import whole_file
+from surefoot.files import atomic_write
 from surefoot.report.pages.recorded_runs import Recording, recording_page
 
 SECONDS = 5.0
@@ -35,6 +35,5 @@ if __name__ == "__main__":
     names = sorted({path.stem for path in SEARCH_PATHS[-1].glob("*.onnx")})
     page = recording_page([recorded(name) for name in names], "one")
     path = Path(__file__).with_name("gallery.html")
-    with whole_file(path) as file:
-        file.write(page.encode())
+    atomic_write(path, page)
     print(f"{path.name}: {len(names)} policies, {len(page) / 1e6:.2f} MB")

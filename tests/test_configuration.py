@@ -12,7 +12,7 @@ from typing import Annotated, Any
 import pytest
 
 from surefoot.configuration import Within, check_bounds, from_mapping, is_number, read_toml, read_yaml
-from surefoot.errors import SurefootError, check_name, quoted
+from surefoot.errors import SurefootError, check_name, quote
 from surefoot.files import CONFIGURATION_BYTES, check_readable, read_configuration, remove_abandoned
 
 
@@ -128,8 +128,8 @@ def test_a_quoted_value_is_short_whatever_it_is():
     for _ in range(60):
         bomb = [bomb] * 9
     for value in (bomb, {"a": bomb}, "x" * 10**6, 10**4000, list(range(10**5))):
-        assert len(quoted(value)) < 300
-    assert quoted([0, 1.5, "a"]) == "[0, 1.5, 'a']"
+        assert len(quote(value)) < 300
+    assert quote([0, 1.5, "a"]) == "[0, 1.5, 'a']"
 
 
 def test_a_configuration_is_a_regular_file_of_limited_size(tmp_path: Path):

@@ -14,7 +14,7 @@ from typing import Annotated, Any, TypeVar
 
 import yaml
 
-from surefoot.errors import SurefootError, accessible, choices, quoted
+from surefoot.errors import SurefootError, choices, describe_os_errors, quote
 from surefoot.files import read_configuration
 
 T = TypeVar("T")
@@ -53,11 +53,11 @@ class Within:
         elif isinstance(value, str):
             if len(value) > _TEXT or "\0" in value or any("\ud800" <= letter <= "\udfff" for letter in value):
                 rule = f"it must be Unicode text of {_TEXT} characters at most, none of them NUL"
-                raise SurefootError(f"{where} is {quoted(value)}; {rule}")
+                raise SurefootError(f"{where} is {quote(value)}; {rule}")
         elif isinstance(value, int | float) and not isinstance(value, bool):
             rule = self._broken(value)
             if rule:
-                shown = f"{value:g}" if isinstance(value, float) else quoted(value)
+                shown = f"{value:g}" if isinstance(value, float) else quote(value)
                 raise SurefootError(f"{where} is {shown}; it must be {rule}")
 
     def _broken(self, value: float) -> str:
@@ -85,10 +85,14 @@ NotNegative = Annotated[float, Within(0, 1e9)]
 def check_bounds(config: Any, where: str = "") -> None:
     """Refuse a dataclass with a number out of its field's bounds, which `Within` gives, or that is not finite.
 
-    Dataclasses in it are not looked into. `where` is its dotted name, for messages.
+    Dataclasses in it are checked too. `where` is its dotted name, for messages.
     """
     for name, within in _bounds(config.__class__).items():
-        within.check(f"{where}.{name}" if where else name, getattr(config, name))
+        value, place = getattr(config, name), f"{where}.{name}" if where else name
+        if dataclasses.is_dataclass(value):
+            check_bounds(value, place)
+        else:
+            within.check(place, value)
 
 
 @functools.cache
@@ -147,7 +151,7 @@ class _Loader(yaml.SafeLoader):
 
 def read_yaml(path: Path) -> dict[str, Any]:
     """Read a YAML file that holds one table; refuse what can't be read, is not YAML, or holds something else."""
-    with accessible(path):
+    with describe_os_errors(path):
         content = read_configuration(path)
     try:
         loader = _Loader(content.decode("utf-8"))
@@ -165,7 +169,7 @@ def read_yaml(path: Path) -> dict[str, Any]:
 
 def read_toml(path: Path) -> tuple[dict[str, Any], bytes]:
     """Read a TOML file; return it with the bytes that were read. Refuse what can't be read or is not TOML."""
-    with accessible(path):
+    with describe_os_errors(path):
         content = read_configuration(path)
     try:
         return tomllib.loads(content.decode("utf-8")), content
@@ -179,7 +183,7 @@ def from_mapping(kind: type[T], data: Mapping[str, Any], where: str = "", base: 
     """Make a dataclass from a mapping, nested dataclasses from nested mappings.
 
     Args:
-        kind: the dataclass.
+        kind: the dataclass; its `former_keys`, if any, say what to write in place of keys that it had once.
         data: keys and values; a key left out keeps the value of `base`, or the field's default.
         where: dotted name of this mapping, for error messages.
         base: an instance whose values hold where `data` has none.
@@ -191,12 +195,13 @@ def from_mapping(kind: type[T], data: Mapping[str, Any], where: str = "", base: 
     fields = {item.name: item for item in dataclasses.fields(kind)}  # type: ignore[arg-type]
     if not isinstance(data, Mapping):
         raise SurefootError(
-            f"{where or kind.__name__} is {quoted(data)}; it must be a table with keys out of: {choices(fields)}"
+            f"{where or kind.__name__} is {quote(data)}; it must be a table with keys out of: {choices(fields)}"
         )
     prefix = f"{where}." if where else ""
     for key in data:
         if key not in fields:
-            raise SurefootError(f"{prefix}{key} is not a key; choices: {choices(fields)}")
+            former = getattr(kind, "former_keys", {}).get(key)
+            raise SurefootError(f"{prefix}{key} is not a key; {former or f'choices: {choices(fields)}'}")
     values = {} if base is None else {name: getattr(base, name) for name in fields}
     for name, item in fields.items():
         if name in data:
@@ -214,7 +219,7 @@ def _convert(hint: Any, value: Any, where: str, base: Any) -> Any:
         return from_mapping(hint, value, where, base)  # type: ignore[arg-type]
     if origin is typing.Literal:
         if value not in typing.get_args(hint):
-            raise SurefootError(f"{where} is {quoted(value)}; choices: {choices(typing.get_args(hint))}")
+            raise SurefootError(f"{where} is {quote(value)}; choices: {choices(typing.get_args(hint))}")
         return value
     if origin in (typing.Union, types.UnionType):
         tables = [option for option in typing.get_args(hint) if dataclasses.is_dataclass(option)]
@@ -226,16 +231,16 @@ def _convert(hint: Any, value: Any, where: str, base: Any) -> Any:
             except SurefootError:
                 continue
         wanted = " or ".join(map(_name, typing.get_args(hint)))
-        raise SurefootError(f"{where} is {quoted(value)}; it must be {wanted}")
+        raise SurefootError(f"{where} is {quote(value)}; it must be {wanted}")
     if origin is tuple:
         args = typing.get_args(hint)
         if not isinstance(value, list | tuple) or (args[-1] is not Ellipsis and len(value) != len(args)):
-            raise SurefootError(f"{where} is {quoted(value)}; it must be {_name(hint)}")
+            raise SurefootError(f"{where} is {quote(value)}; it must be {_name(hint)}")
         kinds = [args[0]] * len(value) if args[-1] is Ellipsis else args
         return tuple(_convert(kinds[k], item, f"{where}[{k}]", None) for k, item in enumerate(value))
     if origin is dict:
         if not isinstance(value, Mapping):
-            raise SurefootError(f"{where} is {quoted(value)}; it must be a table")
+            raise SurefootError(f"{where} is {quote(value)}; it must be a table")
         return {
             str(key): _convert(typing.get_args(hint)[1], item, f"{where}.{key}", None) for key, item in value.items()
         }
@@ -246,10 +251,10 @@ def _convert(hint: Any, value: Any, where: str, base: Any) -> Any:
         try:
             return float(value)
         except OverflowError:
-            raise SurefootError(f"{where} is {quoted(value)}; it must be a finite number") from None
+            raise SurefootError(f"{where} is {quote(value)}; it must be a finite number") from None
     if isinstance(value, hint) and is_bool == (hint is bool):
         return value
-    raise SurefootError(f"{where} is {quoted(value)}; it must be {_name(hint)}")
+    raise SurefootError(f"{where} is {quote(value)}; it must be {_name(hint)}")
 
 
 def _name(hint: Any) -> str:

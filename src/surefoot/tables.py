@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from surefoot.files import whole_file
+from surefoot.files import atomic_write
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -38,8 +38,7 @@ def write_csv(path: str | Path, table: Rows | pd.DataFrame) -> Path:
     frame = frame.astype(dict.fromkeys(frame.select_dtypes("boolean"), "Int8"))
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
-    with whole_file(path) as file:
-        file.write(frame.to_csv(index=False, float_format="%.9g", lineterminator="\n").encode())
+    atomic_write(path, frame.to_csv(index=False, float_format="%.9g", lineterminator="\n"))
     return path
 
 

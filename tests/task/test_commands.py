@@ -216,7 +216,7 @@ def test_a_gait_that_follows_no_commands_keeps_its_own_frequency() -> None:
     go2 = RobotDescription.load("go2")
     trot, none = (load_task(name, "go2")[0].gait(go2).reference for name in ("trot", "scratch"))
     for reference, cycles in ((trot, 0.1 / trot.period), (none, 0.0)):
-        followed = CommandFilter.of(reference, LIMITS, go2, 1)
+        followed = CommandFilter.from_reference(reference, LIMITS, go2, 1)
         followed.reset(np.arange(1), np.zeros(1))
         followed.advance(np.array([[0.5, 0.0, 0.0]]), STEP, np.zeros(1))
         assert followed.state.phase == pytest.approx(cycles % 1.0)

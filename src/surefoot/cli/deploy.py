@@ -24,8 +24,8 @@ from surefoot.cli.helpers.options import (
     PolicyName,
     Port,
     check_folder,
-    how_to_show,
 )
+from surefoot.cli.helpers.output import show_command
 from surefoot.cli.helpers.parsing import parse
 from surefoot.configuration import Duration
 from surefoot.errors import SurefootError
@@ -208,7 +208,7 @@ def _tell(command: DeployCommand, deployment: Deployment, results: list[dict[str
         for result in results:
             _print_result(result)
         if traces := [result["trace"] for result in results if result["trace"] is not None]:
-            print(how_to_show(traces), flush=True)
+            print(show_command(traces), flush=True)
     return code
 
 

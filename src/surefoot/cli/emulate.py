@@ -99,7 +99,7 @@ def main(argv: list[str]) -> int:
             raise SurefootError(f"fault slow-servo is {period:g}; it must be whole servo steps of {step:g} s")
     check_takes_params(command.world)
     if command.viewer:
-        from surefoot.cli.play import has_display
+        from surefoot.cli.helpers.viewer import has_display
 
         if not has_display():
             raise SurefootError("viewer: there is no display here (DISPLAY is not set); run without --viewer")

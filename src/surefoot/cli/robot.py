@@ -14,8 +14,8 @@ from rich.prompt import Prompt
 
 from surefoot.cli.doctor import FAILED, print_result
 from surefoot.cli.helpers.options import Json, check_folder
+from surefoot.cli.helpers.output import table_lines
 from surefoot.cli.helpers.parsing import parse
-from surefoot.cli.main import table_lines
 from surefoot.errors import SurefootError, check_name, choices
 from surefoot.robot import RobotDescription
 from surefoot.robot.importing.imported import ImportedRobot, Knees

@@ -15,7 +15,7 @@ from surefoot.cli.helpers.options import Ray, Seed, Workers, check_folder
 from surefoot.cli.helpers.parsing import parse
 from surefoot.cli.helpers.training_queue import train_many
 from surefoot.configuration import Within
-from surefoot.errors import located
+from surefoot.errors import prefix_errors
 from surefoot.learn.config import Steps
 from surefoot.studies.search import Search, SearchConfig, check_holds_search, make_config
 from surefoot.studies.search_space import put
@@ -81,12 +81,12 @@ def main(argv: list[str]) -> int:
 
 def _check(config: SearchConfig) -> None:
     """Refuse a task that can't be simulated, as it is or at either end of every range, before anything is trained."""
-    from surefoot.cli.train import check_config
+    from surefoot.cli.helpers.training import check_config
 
     check_config(config.train)
     for end in (0, -1):
         values = {name: one.samples[end] for name, one in config.space.items()}
-        with located("space"):
+        with prefix_errors("space"):
             check_config(put(config.train, config.space, values))
 
 

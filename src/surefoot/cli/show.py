@@ -11,7 +11,7 @@ import tyro
 
 from surefoot.cli.helpers.options import PAGE_PORT, Host, PagePort, check_suffix
 from surefoot.cli.helpers.parsing import parse
-from surefoot.errors import SurefootError, quoted
+from surefoot.errors import SurefootError, quote
 from surefoot.robot import RobotDescription
 
 if TYPE_CHECKING:
@@ -49,11 +49,10 @@ def main(argv: list[str]) -> int:
 
     page = recording_page(_recordings(command), command.layout)
     if command.html is not None:
-        from surefoot.files import whole_file
+        from surefoot.files import atomic_write
 
         command.html.parent.mkdir(parents=True, exist_ok=True)
-        with whole_file(command.html) as file:
-            file.write(page.encode())
+        atomic_write(command.html, page)
         print(f"wrote {command.html}: {len(page) / 1e6:.1f} MB; opens in a browser")
         return 0
     server = PageServer(command.host, command.port, None, page)
@@ -86,7 +85,7 @@ def _recordings(command: ShowCommand) -> list[Recording]:
         if name not in robots:
             if name not in RobotDescription.available():
                 raise SurefootError(
-                    f"trace file {path}: is of robot {quoted(name)}, which does not ship; give its folder with --robot"
+                    f"trace file {path}: is of robot {quote(name)}, which does not ship; give its folder with --robot"
                 )
             robots[name] = RobotDescription.load(name)
     titles = [str(trace.meta["policy"])[:80] or path.stem for path, trace in found]

@@ -15,7 +15,7 @@ from surefoot.cli.helpers.options import Ray, Workers
 from surefoot.cli.helpers.parsing import parse
 from surefoot.cli.helpers.training_queue import train_many
 from surefoot.configuration import Seed
-from surefoot.errors import SurefootError, located
+from surefoot.errors import SurefootError, prefix_errors
 from surefoot.learn.config import Steps
 from surefoot.studies.study_config import StudyConfig, load_study, study_runs
 from surefoot.studies.training import Training
@@ -90,7 +90,7 @@ def main(argv: list[str]) -> int:
 
 def train(study: StudyConfig, runs: list[Training], command: StudyCommand, console: Console) -> TrainingsOutcome:
     """Train every run that is not finished, some at a time."""
-    from surefoot.cli.train import check_config
+    from surefoot.cli.helpers.training import check_config
 
     waiting = [run for run in runs if run.state != "finished"]
     if not waiting:
@@ -98,7 +98,7 @@ def train(study: StudyConfig, runs: list[Training], command: StudyCommand, conso
         return TrainingsOutcome()
     check_address(command.ray)
     for group, run in {run.group: run for run in waiting}.items():
-        with located(f"group {group}"):
+        with prefix_errors(f"group {group}"):
             check_config(run.config)
     title = f"{study.name}: {len(runs)} trainings, {len(runs) - len(waiting)} finished"
     return train_many(title, waiting, command.workers, command.ray, console)

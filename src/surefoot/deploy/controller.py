@@ -16,7 +16,7 @@ from surefoot.robot import RobotDescription
 from surefoot.robot.commands import STAND
 from surefoot.task.commands import CommandFilter, CommandState
 from surefoot.task.contract_mapping import task_from_contract
-from surefoot.task.observation import Moment, Observer
+from surefoot.task.observation import ObservationInputs, Observer
 from surefoot.world.interface import Readings
 
 
@@ -43,7 +43,7 @@ class Controller:
         """How long the policy took for it [s]."""
         self._history: NDArray[np.float32] | None = None
         limits = contract.commands
-        self.commands = None if limits is None else CommandFilter.of(self.gait.reference, limits, robot, 1)
+        self.commands = None if limits is None else CommandFilter.from_reference(self.gait.reference, limits, robot, 1)
         """What the gait follows, of a policy with commands."""
         self.given = np.array(STAND)
         """The command (3,) that is given, within the contract's limits: speeds [m/s], yaw rate [rad/s]."""
@@ -93,8 +93,8 @@ class Controller:
             else:
                 step = np.array([self.contract.control_step * (missed + 1)])
                 self.commands.advance(self.given[None], step, yaw)
-        moment_now = Moment(readings, self.gait.reference, self.feedback[None], self._state())
-        self.observation = self.observer.observe(moment_now)[0]
+        inputs = ObservationInputs(readings, self.gait.reference, self.feedback[None], self._state())
+        self.observation = self.observer.observe(inputs)[0]
         check_finite("observation", self.contract.columns, self.observation)
         if self._history is None:
             self._history = np.tile(self.observation, (self.contract.history, 1)).astype(np.float32)

@@ -21,7 +21,7 @@ from surefoot.deploy.deployment import Deployment, RunOutcome
 from surefoot.deploy.motion_capture import base_and_feet, read_capture
 from surefoot.deploy.pacer import LoopTiming
 from surefoot.deploy.recorder import Recorder
-from surefoot.errors import SurefootError, accessible
+from surefoot.errors import SurefootError, describe_os_errors
 from surefoot.task.partial_trace import SUFFIX, Layout, head_line, row_bytes, trace_of
 from surefoot.task.trace import EpisodeTrace
 
@@ -156,7 +156,7 @@ class RunSaver:
             "motor_names": list(contract.motor_names),
             "observation_names": list(contract.columns),
             "params": {},
-            "energy_weight": controller.task.energy_weight,
+            "energy_weight": controller.task.energy_weight(robot),
             "max_steps": max_steps,
             "gait_period": controller.gait.reference.period,
             "lead": self.link.lead,
@@ -176,7 +176,7 @@ class RunSaver:
             SurefootError: the folder can't be written.
         """
         if self.path is not None:
-            with accessible(f"folder {self.path.parent}", "written"):
+            with describe_os_errors(f"folder {self.path.parent}", "written"):
                 self.path.parent.mkdir(parents=True, exist_ok=True)
                 with tempfile.TemporaryFile(dir=self.path.parent):
                     pass

@@ -51,7 +51,7 @@ def _rate(meaning: str) -> FaultKind:
     return FaultKind(meaning, 0.05, high=1.0, unit="chance a frame")
 
 
-def _moment(meaning: str) -> FaultKind:
+def _observation_inputs(meaning: str) -> FaultKind:
     return FaultKind(meaning, 1.0, unit=_AFTER_ARMING)
 
 
@@ -71,7 +71,7 @@ FAULTS: dict[str, FaultKind] = {
         *(0.016, 0.0, 1.0, "s between batches"),
         real_time=True,
     ),
-    "unplug": _moment("the cable is pulled"),
+    "unplug": _observation_inputs("the cable is pulled"),
     "swap-motors": _motor("commands of a motor and of the one after it go to each other's"),
     "flip-sign": _motor("a motor turns the other way round its rest than it is told"),
     "flip-encoder": _motor("a motor's encoder reads the other way round its rest"),
@@ -84,14 +84,14 @@ FAULTS: dict[str, FaultKind] = {
     "other-gains": FaultKind("the robot states other servo gains", 1.5, 0.0, 100.0, "times the nominal ones"),
     "other-schema": FaultKind("the robot speaks another schema of the protocol"),
     "slow-servo": FaultKind("the servo runs slower, and says so", 0.002, 0.001, 0.1, "s between two steps"),
-    "stale-state": _moment("states tell again and again what one told"),
-    "repeat-sequence": _moment("all states have the same number"),
-    "backward-sequence": _moment("numbers of states go backward"),
+    "stale-state": _observation_inputs("states tell again and again what one told"),
+    "repeat-sequence": _observation_inputs("all states have the same number"),
+    "backward-sequence": _observation_inputs("numbers of states go backward"),
     "late-states": FaultKind("readings are older than they should be", 0.02, 0.0, 0.06, "s more"),
     "battery-low": FaultKind("the battery's voltage without load falls, 2 V a second", 12.0, 1.0, 30.0, "V", start=1.0),
     "motor-hot": FaultKind("the first motor grows hot, 40 degC a second", 95.0, 0.0, 250.0, "degC", start=1.0),
-    "tilt": _moment("a hard push from the side topples the robot"),
-    "reboot": _moment("the microcontroller starts anew, and knows nobody"),
+    "tilt": _observation_inputs("a hard push from the side topples the robot"),
+    "reboot": _observation_inputs("the microcontroller starts anew, and knows nobody"),
     "hang": FaultKind("the microcontroller's program stands still", 0.2, 0.0, 60.0, "s", start=1.0),
     "overload": FaultKind("physics needs more than real time", 1.5, 0.0, 1000.0, "times real time", real_time=True),
 }

@@ -15,7 +15,8 @@ from surefoot.robot.params import PARAMETERS
 from surefoot.rotations import in_heading_frame
 from surefoot.task.commands import HeldCommand
 from surefoot.task.config import TaskConfig
-from surefoot.task.env import LocomotionEnv, base_rates
+from surefoot.task.env import LocomotionEnv
+from surefoot.task.reward import base_rates
 from surefoot.world.interface import SimulationFactory
 
 FIXED = ("control_step",)

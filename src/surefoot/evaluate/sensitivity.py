@@ -21,9 +21,9 @@ from surefoot.errors import SurefootError
 from surefoot.evaluate.rollout import Policy, Progress, run_to_end
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.robot.params import PARAMETERS
-from surefoot.robot.randomization import ParamRange, Ranges, check_ranges, interval_of, mean_interval
+from surefoot.robot.randomization import ParamRange, Ranges, interval_of, mean_interval
 from surefoot.tables import plain_value
-from surefoot.task.config import MOST_STEPS, TaskConfig
+from surefoot.task.config import MAX_STEPS, TaskConfig
 from surefoot.task.env import LocomotionEnv
 from surefoot.world.interface import Simulation, SimulationFactory, WorldConfig
 
@@ -139,9 +139,10 @@ def row_unit(row: str) -> str:
 
 def trained_ranges(task: TaskConfig) -> dict[str, tuple[float, float]]:
     """Return the ranges that a policy of a task was trained in, by row."""
-    nominal = task.nominal(RobotDescription.load(task.robot))
+    robot = RobotDescription.load(task.robot)
+    nominal = task.nominal(robot)
     ranges = {name: mean_interval(given, getattr(nominal, name)) for name, given in task.randomize.items()}
-    return ranges | {PUSH_FORCE: task.pushes.force if task.pushes.enabled else (0.0, 0.0)}
+    return ranges | {PUSH_FORCE: task.pushes.force_range(robot.weight) if task.pushes.enabled else (0.0, 0.0)}
 
 
 def episode_duration(task: TaskConfig) -> float:
@@ -177,7 +178,7 @@ def run_sensitivity(
         policy: gives the feedback.
         task: what is run; its own physical parameters are the nominal ones.
         make_world: makes the simulation.
-        ranges: the parameters to vary and their ranges.
+        ranges: the parameters to vary and their ranges, within what the robot allows.
         push_force: least and greatest force [N] of a further row, `push_force`: in each of its worlds every push has
             one force. All directions are horizontal then.
         policy_name: for the results.
@@ -192,16 +193,15 @@ def run_sensitivity(
         progress: called with the share of the control steps that is done; an episode that ends early is done.
 
     Raises:
-        SurefootError: no ranges, or ranges outside what the robot allows.
+        SurefootError: no ranges.
     """
     duration = episode_duration(task) if duration is None else duration
     robot = RobotDescription.load(task.robot)
-    check_ranges(ranges, robot)
     worlds = make_test_worlds(ranges, task.nominal(robot), values, push_force)
-    other_force = task.pushes.force if pushes else (0.0, 0.0)
+    other_force = task.pushes.force_range(robot.weight) if pushes else (0.0, 0.0)
     # The environment's own limit of control steps is out of reach: every robot has its own number.
     pushes_config = task.pushes.in_full(pushes, push_force)
-    task = replace(task, randomize={}, pushes=pushes_config, max_steps=MOST_STEPS)
+    task = replace(task, randomize={}, pushes=pushes_config, max_steps=MAX_STEPS)
     batch = max(robots // episodes - 1, 1) if robots else len(worlds)
     parts: list[pd.DataFrame] = []
     for first in range(0, len(worlds), batch):

@@ -26,7 +26,7 @@ UNTOLD = 0.7
 """Share of a parameter's prior spread, or of a quarter of its bounds, beyond which the data are said not to tell it."""
 ALIKE = 0.8
 """Correlation from which on two numbers can hardly be told apart."""
-MOST_STEPS = 25
+MAX_STEPS = 25
 """Iterations of a fit, at most."""
 BLOCK = 0.25
 """Length [s] of the blocks of time within which residuals may hang together."""
@@ -222,7 +222,7 @@ def fit_least_squares(
             residual,
             [low / scale, high / scale],
             jacobian,
-            max_iter=MOST_STEPS,
+            max_iter=MAX_STEPS,
             verbose=minimize.Verbosity.SILENT,
             iter_callback=each,
             x_scale="jac",

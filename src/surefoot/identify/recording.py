@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from surefoot.arrays import Array
 from surefoot.configuration import is_number
 from surefoot.errors import SurefootError, choices
-from surefoot.files import check_readable, whole_file
+from surefoot.files import check_readable
+from surefoot.npz import write_npz
 from surefoot.robot import RobotDescription
 
 SCHEMA = 1
@@ -147,9 +148,7 @@ class Recording:
     def save(self, path: Path) -> Path:
         """Write it to an .npz file, whole or not at all."""
         arrays = {item.name: getattr(self, item.name) for item in fields(self) if item.name != "meta"}
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with whole_file(path) as file:
-            np.savez_compressed(file, meta=np.array(json.dumps(self.meta)), **arrays)
+        write_npz(path, arrays, self.meta)
         return path
 
 

@@ -15,6 +15,7 @@ import numpy as np
 
 from surefoot.arrays import Array
 from surefoot.robot import PhysicalParams, RobotDescription
+from surefoot.robot.params import PARAMETERS
 
 NORMAL_95 = 1.959964
 """Standard deviations on either side that hold 95 % of a normal distribution."""
@@ -73,7 +74,7 @@ class ParameterEstimate:
         identifiable: bool = True,
     ) -> ParameterEstimate:
         """Return an estimate of a physical parameter, with its unit, within what the robot allows."""
-        return cls(name, value, deviation, PhysicalParams.unit(name), index, identifiable, *robot.allowed[name])
+        return cls(name, value, deviation, PARAMETERS[name].unit, index, identifiable, *robot.allowed[name])
 
     @property
     def interval(self) -> tuple[float, float]:

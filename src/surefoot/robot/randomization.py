@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from surefoot.arrays import Array
 from surefoot.configuration import from_mapping, read_yaml, to_mapping
-from surefoot.errors import SurefootError, choices, located
+from surefoot.errors import SurefootError, choices, prefix_errors
 from surefoot.robot import DEFAULT_ROBOT, PhysicalParams, RobotDescription
 from surefoot.robot.params import PARAMETERS, check_parameter
 from surefoot.robot.params_file import read_params
@@ -31,7 +31,7 @@ Intervals = Interval | tuple[Interval, ...]
 
 @dataclass(frozen=True)
 class RelativeRange:
-    """A range around the nominal value; it has either `scale` or `add`. Draws are cut to what the robot allows."""
+    """A range around the nominal value; it has either `scale` or `add`. Draws are clipped to what the robot allows."""
 
     scale: Intervals | None = None
     """Factors of the nominal value."""
@@ -40,8 +40,14 @@ class RelativeRange:
     independent: bool | None = None
     """Whether each motor or axis draws a number of its own; as the parameter declares, if not given."""
 
+    @property
+    def intervals(self) -> Intervals:
+        """The intervals of `scale` or `add`."""
+        return self.scale or self.add or ()
+
 
 ParamRange = Interval | tuple[Interval, ...] | RelativeRange
+"""A range: absolute, in the parameter's unit, or relative."""
 Ranges = dict[str, ParamRange]
 """Ranges by the names of parameters."""
 
@@ -59,7 +65,6 @@ _FORMER_NAMES = {
     "spinning_friction": "contact_spinning_friction",
     "friction": "motor_friction: {scale: [LOW, HIGH], independent: true}",
     "viscous_friction": "motor_viscous_friction: {scale: [LOW, HIGH]}",
-    "scaled": "NAME: {scale: [LOW, HIGH]}",
 }
 """Keys of earlier versions, and what to write in their place."""
 _FIRST_STREAM_ENDS = "servo_latency"
@@ -88,9 +93,7 @@ def is_independent(name: str, given: ParamRange) -> bool:
 
 
 def _intervals(given: ParamRange) -> Intervals:
-    if isinstance(given, RelativeRange):
-        return given.scale or given.add or ()
-    return given
+    return given.intervals if isinstance(given, RelativeRange) else given
 
 
 def check_ranges(ranges: Mapping[str, ParamRange], robot: RobotDescription | None = None) -> None:
@@ -99,7 +102,7 @@ def check_ranges(ranges: Mapping[str, ParamRange], robot: RobotDescription | Non
         where = f"randomize.{name}"
         if name in _FORMER_NAMES:
             raise SurefootError(f"{where} is not a physical parameter; write {_FORMER_NAMES[name]}")
-        with located("randomize"):
+        with prefix_errors("randomize"):
             check_parameter(name, robot)
         if isinstance(given, RelativeRange):
             if (given.scale is None) == (given.add is None):
@@ -160,9 +163,9 @@ def load_ranges(name: str, folder: Path = Path(), robot: str | Path = DEFAULT_RO
         ranges = _ranges_from_intervals(path, description)
     else:
         data = read_yaml(path)
-        with located(path):
-            ranges = ranges_from_mapping(data)
-    with located(path):
+        with prefix_errors(path):
+            ranges = from_mapping(_Table, {"randomize": _without_none(data)}).randomize
+    with prefix_errors(path):
         check_ranges(ranges, description)
     return {name: ranges[name] for name in PARAMETERS if name in ranges}
 
@@ -170,13 +173,6 @@ def load_ranges(name: str, folder: Path = Path(), robot: str | Path = DEFAULT_RO
 @dataclass(frozen=True)
 class _Table:
     randomize: Ranges
-
-
-def ranges_from_mapping(data: Mapping[str, Any]) -> Ranges:
-    """Return ranges from plain lists and tables; entries that are None are left out."""
-    if former := [name for name in data if name in _FORMER_NAMES]:
-        check_ranges({name: (0.0, 0.0) for name in former})
-    return from_mapping(_Table, {"randomize": _without_none(data)}).randomize
 
 
 def _without_none(data: Mapping[str, Any]) -> dict[str, Any]:
@@ -210,7 +206,7 @@ def _ranges_from_intervals(path: Path, robot: RobotDescription) -> Ranges:
     for name, given in file.tables.get("intervals", {}).items():
         if name not in PARAMETERS:
             continue
-        with located(f"{path}: intervals.{name}"):
+        with prefix_errors(f"{path}: intervals.{name}"):
             pairs = _read_pairs(given)
         bounded = np.isfinite(pairs).all(axis=-1, keepdims=True)
         values = getattr(file.params, name)[0]
@@ -242,8 +238,8 @@ class Randomizer:
     dropped. Parameters that were added later take theirs from far ahead in the same stream.
 
     Args:
-        ranges: by parameter.
-        robot: its bounds hold.
+        ranges: by parameter; they must be what the robot allows.
+        robot: the robot's description.
         nominal: values of parameters that are not drawn, one row per robot.
         seed: seed of the streams.
     """
@@ -340,7 +336,6 @@ def draw_hidden(robot: RobotDescription, ranges: Mapping[str, ParamRange], seed:
     nominal = PhysicalParams.nominal(robot)
     ranges = {name: given for name, given in _HIDDEN.items() if PARAMETERS[name].belongs_to(robot)} | dict(ranges)
     ranges.pop("control_step", None)
-    check_ranges(ranges, robot)
     drawn = {}
     for name, given in ranges.items():
         # A stream for each name: draws of a parameter do not change with the others.

@@ -19,7 +19,7 @@ from surefoot.evaluate.gap import PolicyGap, gap_difference
 from surefoot.evaluate.runs import summarize_runs
 from surefoot.evaluate.sensitivity import Sensitivity
 from surefoot.evaluate.statistics import CONFIDENCE, Interval, MeanEstimate, t_interval, welch_interval
-from surefoot.files import whole_file
+from surefoot.files import atomic_write
 from surefoot.studies.evaluations import EVALUATIONS, Result, ResultFigure, gap_from_result
 from surefoot.tables import plain_rows, write_csv
 
@@ -243,8 +243,7 @@ def write_tables(comparison: Comparison, folder: Path) -> list[Path]:
         "missing": list(comparison.missing),
         **{name: plain_rows(table) for name, table in tables.items() if name != "episodes"},
     }
-    with whole_file(folder / "summary.json") as file:
-        file.write((json.dumps(summary, indent=2, allow_nan=False) + "\n").encode())
+    atomic_write(folder / "summary.json", json.dumps(summary, indent=2, allow_nan=False) + "\n")
     return [*files, folder / "summary.json"]
 
 

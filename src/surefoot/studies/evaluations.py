@@ -22,7 +22,7 @@ from surefoot.evaluate.recorded import save_runs
 from surefoot.evaluate.rollout import run_episodes
 from surefoot.evaluate.runs import measure_runs
 from surefoot.evaluate.sensitivity import Sensitivity, run_sensitivity
-from surefoot.files import whole_file
+from surefoot.files import atomic_write
 from surefoot.policy.runtime import PolicyRuntime
 from surefoot.robot.randomization import load_ranges
 from surefoot.tables import plain_value
@@ -289,8 +289,7 @@ def cached_result(policy: Path, name: str, settings: dict[str, Any], compute: Ca
         return cached
     result, path = compute(), _result_path(policy, name)
     path.parent.mkdir(exist_ok=True)
-    with whole_file(path) as file:
-        file.write(json.dumps({"identity": identity, "result": result}).encode() + b"\n")
+    atomic_write(path, json.dumps({"identity": identity, "result": result}) + "\n")
     return result
 
 

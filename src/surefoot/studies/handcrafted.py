@@ -12,8 +12,8 @@ from numpy.typing import ArrayLike
 
 from surefoot.arrays import Array
 from surefoot.configuration import from_mapping, read_yaml, to_mapping
-from surefoot.errors import SurefootError, located
-from surefoot.files import whole_file
+from surefoot.errors import SurefootError, prefix_errors
+from surefoot.files import atomic_write
 from surefoot.robot import RobotDescription
 from surefoot.studies.raibert import RaibertConfig, RaibertController
 from surefoot.task.config import TaskConfig, load_task
@@ -69,7 +69,7 @@ class HandcraftedGait:
             SurefootError: foot trajectories that the robot does not allow.
         """
         robot = RobotDescription.load(self.task.robot)
-        reference = make_reference(self.task.reference.to_mapping(), robot)
+        reference = make_reference(self.task.reference, robot)
         if self.raibert is None:
             return OpenLoop(len(self.task.gait(robot).action_names))
         assert isinstance(reference, FootReference)
@@ -81,9 +81,7 @@ class HandcraftedGait:
         task = {name: value for name, value in data.items() if value != default[name]}
         task["reference"] = {"kind": "foot", "foot": data["reference"]["foot"]}
         gains = None if self.raibert is None else to_mapping(self.raibert)
-        with whole_file(path) as file:
-            text = yaml.safe_dump({**task, KEY: {"raibert": gains, "about": self.about}}, sort_keys=False)
-            file.write(text.encode())
+        atomic_write(path, yaml.safe_dump({**task, KEY: {"raibert": gains, "about": self.about}}, sort_keys=False))
 
     @classmethod
     def load(cls, path: Path) -> HandcraftedGait:
@@ -93,7 +91,7 @@ class HandcraftedGait:
             SurefootError: it can't be read, is a task without a handcrafted gait, or does not fit.
         """
         data = read_yaml(path)
-        with located(path):
+        with prefix_errors(path):
             if KEY not in data:
                 raise SurefootError(f"{KEY} is missing; the file is of a task, not of a handcrafted gait")
             entry = from_mapping(_Entry, data[KEY] or {}, KEY)

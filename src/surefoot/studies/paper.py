@@ -13,9 +13,9 @@ from pathlib import Path
 from typing import Any
 
 from surefoot.configuration import from_mapping, read_yaml
-from surefoot.errors import SurefootError, accessible, located
+from surefoot.errors import SurefootError, describe_os_errors, prefix_errors
 from surefoot.evaluate.statistics import Interval, MeanEstimate
-from surefoot.files import check_readable, whole_file
+from surefoot.files import atomic_write, check_readable
 from surefoot.report.pages.html import page, picture, row
 
 CONTENT = Path(__file__).with_name("paper.yaml")
@@ -118,7 +118,7 @@ class PaperContent:
 
 def load_content() -> PaperContent:
     """Return the text of the page."""
-    with located(CONTENT):
+    with prefix_errors(CONTENT):
         return from_mapping(PaperContent, read_yaml(CONTENT))
 
 
@@ -163,8 +163,7 @@ def write_page(root: Path, path: Path, note: str = "") -> list[str]:
                 missing.append(one.file)
         parts += [f"<p><code>{escape(command)}</code></p>" for command in section.commands]
     path.parent.mkdir(parents=True, exist_ok=True)
-    with whole_file(path) as file:
-        file.write(page(content.title, parts).encode())
+    atomic_write(path, page(content.title, parts))
     return list(dict.fromkeys(missing))
 
 
@@ -195,7 +194,7 @@ def find_number(root: Path, source: NumberSource) -> Interval | MeanEstimate:
         SurefootError: a file that can't be read, without such a row, or without a number there.
     """
     path = root / source.file
-    with located(path):
+    with prefix_errors(path):
         if path.suffix == ".csv":
             rows = _read_rows(path, source.where)
             if len(rows) != 1:
@@ -219,7 +218,7 @@ def find_counts(root: Path, counts: ValueCounts) -> str:
         SurefootError: a file that can't be read, or without such a column in such rows.
     """
     path = root / counts.file
-    with located(path):
+    with prefix_errors(path):
         rows = _read_rows(path, counts.where)
         if not rows or rows[0].get(counts.count) is None:
             raise SurefootError(f"has no column {counts.count} in rows of {_describe(counts.where)}")
@@ -228,7 +227,7 @@ def find_counts(root: Path, counts: ValueCounts) -> str:
 
 
 def _read(path: Path) -> str:
-    with accessible(path.name):
+    with describe_os_errors(path.name):
         check_readable(path)
         return path.read_text(encoding="utf-8")
 

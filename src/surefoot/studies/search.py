@@ -17,8 +17,8 @@ from pathlib import Path
 from typing import Any
 
 from surefoot.configuration import Seed, from_mapping, read_yaml, write_yaml
-from surefoot.errors import SurefootError, accessible, located
-from surefoot.files import whole_file
+from surefoot.errors import SurefootError, describe_os_errors, prefix_errors
+from surefoot.files import atomic_write
 from surefoot.learn.config import Steps, TrainConfig
 from surefoot.seeding import generator
 from surefoot.studies.search_space import Dimension, as_params, load_space, put, suggest
@@ -75,7 +75,7 @@ def make_config(task: str, space: Path | None, seed: int, steps: Steps) -> Searc
         evaluate_every=max(1, steps // EVALUATIONS),
         evaluation_episodes=EVALUATION_EPISODES,
         # Trials may learn with weights of their own; they are compared with the task's.
-        evaluation_energy_weight=base.task.energy_weight,
+        evaluation_reward=base.task.reward,
     )
     return SearchConfig(train, load_space(space, train), seed)
 
@@ -107,7 +107,7 @@ class Search:
         elif settings.exists():
             raise SurefootError(f"{folder}: holds a search; go on with it by --resume, or give another --out")
         else:
-            with accessible(settings, "written"):
+            with describe_os_errors(settings, "written"):
                 write_yaml(settings, config)
         # This process has locked the folder: a lock of the journal was left by a process that was killed.
         Path(f"{self.journal}.lock").unlink(missing_ok=True)
@@ -123,7 +123,7 @@ class Search:
 
     def _check_same(self, settings: Path) -> None:
         data = read_yaml(settings)
-        with located(settings):
+        with prefix_errors(settings):
             stored = from_mapping(SearchConfig, data)
         if change := difference(stored, self.config):
             name, was, now = change
@@ -139,7 +139,7 @@ class Search:
         """Remove a last record of the journal that was cut off; refuse, unchanged, one that is damaged elsewhere."""
         if not self.journal.exists():
             return
-        with accessible(self.journal):
+        with describe_os_errors(self.journal):
             content = self.journal.read_bytes()
         *lines, rest = content.split(b"\n")
         for number, line in enumerate(lines, start=1):
@@ -153,8 +153,7 @@ class Search:
                     "move it away: the same command takes up every trial from its folder"
                 )
         if rest:
-            with whole_file(self.journal) as file:
-                file.write(b"".join(line + b"\n" for line in lines))
+            atomic_write(self.journal, b"".join(line + b"\n" for line in lines))
             self.notes.append(
                 f"{self.journal}: the last record was cut off and is removed; its content is read from the trials' "
                 "folders"
@@ -209,7 +208,7 @@ class Search:
         path = self.training(number).path / "config.yaml"
         if not path.exists():
             return sampler
-        with located(path):
+        with prefix_errors(path):
             params = as_params(self.config.space, from_mapping(TrainConfig, read_yaml(path)))
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)

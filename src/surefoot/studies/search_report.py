@@ -12,7 +12,7 @@ import pandas as pd
 
 from surefoot.evaluate.runs import summarize_runs
 from surefoot.evaluate.statistics import CONFIDENCE, Interval, MeanEstimate, decimal, t_interval
-from surefoot.files import whole_file
+from surefoot.files import atomic_write
 from surefoot.report.figures.runs import footfall_diagram
 from surefoot.report.figures.style import BLUE, GREEN, ORANGE, QUIET, heading, new_figure, place_labels
 from surefoot.studies.evaluations import load_gait_trace
@@ -69,8 +69,7 @@ def write_report(result: SearchResult, folder: Path, command: str) -> Path:
         "- [trials.csv](trials.csv): a row a trial\n- [best.csv](best.csv): a row a fresh episode of the best\n"
         "- [top.csv](top.csv): a row each of the best, claimed and fresh, and one over all of them",
     ]
-    with whole_file(folder / "README.md") as file:
-        file.write(("\n\n".join(text) + "\n").encode())
+    atomic_write(folder / "README.md", "\n\n".join(text) + "\n")
     return folder / "README.md"
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from surefoot.configuration import Seed, Within, check_bounds, from_mapping, read_yaml
-from surefoot.errors import SurefootError, check_name, choices, located
+from surefoot.errors import SurefootError, check_name, choices, prefix_errors
 from surefoot.learn.config import TrainConfig
 from surefoot.robot.randomization import resolve_ranges
 from surefoot.studies.training import Training, base_config
@@ -112,7 +112,7 @@ def load_study(path: Path) -> StudyConfig:
         SurefootError: it can't be read, or does not fit.
     """
     data = {"name": path.stem, **read_yaml(path)}
-    with located(path):
+    with prefix_errors(path):
         study = from_mapping(StudyConfig, data)
         if study.task not in preset_names():
             study = replace(study, task=str(path.parent / study.task))

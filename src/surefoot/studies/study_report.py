@@ -10,7 +10,7 @@ import numpy as np
 
 from surefoot.evaluate.gap import gap_difference
 from surefoot.evaluate.statistics import CONFIDENCE, Interval, MeanEstimate, decimal, t_interval
-from surefoot.files import whole_file
+from surefoot.files import atomic_write
 from surefoot.report.figures.parameters import parameter_figure, parameters_figure
 from surefoot.report.figures.runs import footfall_diagram
 from surefoot.studies.comparison import CONTENTS, FAR, Comparison, GroupResult, difference, late_gain, write_tables
@@ -62,8 +62,7 @@ def write_report(comparison: Comparison, folder: Path, command: str) -> Path:
         "## Files",
         "\n".join(f"- [{file.name}]({file.name}): {CONTENTS.get(file.stem, 'all but the episodes')}" for file in files),
     ]
-    with whole_file(folder / "README.md") as file:
-        file.write(("\n\n".join(text) + "\n").encode())
+    atomic_write(folder / "README.md", "\n\n".join(text) + "\n")
     return folder / "README.md"
 
 

@@ -17,19 +17,19 @@ import numpy as np
 
 from surefoot.arrays import Array
 from surefoot.configuration import Seed, Threads, Within, check_bounds, is_number, to_mapping
-from surefoot.errors import SurefootError, choices, quoted
+from surefoot.errors import SurefootError, choices, quote
 from surefoot.evaluate.footfalls import FEET
 from surefoot.evaluate.rollout import run_to_end
 from surefoot.robot import DEFAULT_ROBOT, GRAVITY, RobotDescription
 from surefoot.seeding import generator
 from surefoot.studies.handcrafted import HandcraftedGait, OpenLoop
 from surefoot.studies.raibert import HISTORY, OBSERVATIONS, RaibertConfig, RaibertController
-from surefoot.task.config import FeedbackConfig, FootConfig, ReferenceConfig, TaskConfig
+from surefoot.task.config import FeedbackConfig, TaskConfig
 from surefoot.task.env import LocomotionEnv
 from surefoot.task.foot import FootReference
 from surefoot.task.gait import HybridGait
 from surefoot.task.observation import IMU_4D
-from surefoot.task.reference import make_reference
+from surefoot.task.reference import FootConfig, ReferenceConfig, make_reference
 from surefoot.world.interface import SimulationFactory
 
 Gait = Literal["trot", "bound", "gallop", "free"]
@@ -181,7 +181,7 @@ class Tuner:
         for name, value in start.items():
             if not is_number(value):
                 raise SurefootError(
-                    f"parameter {name} of the gait to start from is {quoted(value)}; it must be a number"
+                    f"parameter {name} of the gait to start from is {quote(value)}; it must be a number"
                 )
         # A start in reach at one speed may be out of reach at another one: then it moves towards the default gait.
         for share in np.linspace(1.0, 0.0, 21).tolist():
@@ -253,7 +253,7 @@ class Tuner:
         config, env, starts = self.config, self._env, self.config.starts
         references = [self._reference(values) for values in candidates for _ in range(starts)]
         stacked = FootReference.stacked(references)
-        env.gait = HybridGait(self.robot, stacked, *self.feedback.of(self.robot.coordinates))
+        env.gait = HybridGait(self.robot, stacked, *self.feedback.bounds(self.robot.coordinates))
         policy: OpenLoop | RaibertController = OpenLoop(len(env.gait.action_names))
         if config.raibert:
             gains: dict[str, Any] = {
@@ -279,7 +279,7 @@ class Tuner:
     def _refusal(self, values: Mapping[str, float]) -> str:
         """Return why a gait is out of the legs' reach; empty if it is not."""
         try:
-            HybridGait(self.robot, self._reference(values), *self.feedback.of(self.robot.coordinates))
+            HybridGait(self.robot, self._reference(values), *self.feedback.bounds(self.robot.coordinates))
         except SurefootError as error:
             return str(error)
         return ""
@@ -289,6 +289,6 @@ class Tuner:
 
     def _reference(self, values: Mapping[str, float]) -> FootReference:
         foot = foot_config(values, self.config.gait, self.config.speed, self.reach)
-        reference = make_reference({"kind": "foot", "foot": vars(foot)}, self.robot)
+        reference = make_reference(ReferenceConfig(kind="foot", foot=foot), self.robot)
         assert isinstance(reference, FootReference)
         return reference

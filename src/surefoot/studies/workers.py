@@ -19,7 +19,7 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
-from surefoot.errors import SurefootError, accessible
+from surefoot.errors import SurefootError, describe_os_errors
 from surefoot.studies.training import Training
 
 if TYPE_CHECKING:
@@ -100,7 +100,7 @@ class Worker:
         gc.unfreeze()
         gc.collect()
         self._training = training
-        with accessible(training.path, "made"):
+        with describe_os_errors(training.path, "made"):
             training.path.mkdir(parents=True, exist_ok=True)
         self._lock.enter_context(alone(training.path, PATIENCE))
         training.check()

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from surefoot.arrays import Array
 from surefoot.configuration import Within, check_bounds
-from surefoot.errors import SurefootError, accessible, located, quoted
+from surefoot.errors import SurefootError, describe_os_errors, prefix_errors, quote
 from surefoot.files import check_readable
 from surefoot.robot import GRAVITY, RobotDescription
 from surefoot.robot.commands import COMMANDS, STAND, CommandLimits
@@ -25,9 +25,9 @@ _START_TIME = 1.5
 """Time in which a gait goes from standing to full steps, and back [sqrt(l / g)]."""
 _FILE_BYTES = 1_000_000
 """Most bytes of a file of commands."""
-HEADING_ERROR = 0.5
+MAX_HEADING_ERROR = 0.5
 """Greatest heading error [rad] that is corrected; beyond it the heading that is held follows the robot."""
-STANDING_HEADING_ERROR = 0.15
+MAX_STANDING_HEADING_ERROR = 0.15
 """Greatest heading error [rad] that a standing robot keeps, to correct it when it walks again."""
 
 
@@ -129,7 +129,7 @@ def read_schedule(path: Path) -> tuple[tuple[float, float, float, float], ...]:
     """
     names = ("time", *COMMANDS)
     rule = f"a file of commands is CSV with the columns {', '.join(names)}"
-    with accessible(f"commands {path}"):
+    with describe_os_errors(f"commands {path}"):
         check_readable(path)
         with path.open(encoding="utf-8", errors="replace", newline="") as file:
             text = file.read(_FILE_BYTES + 1)
@@ -140,14 +140,14 @@ def read_schedule(path: Path) -> tuple[tuple[float, float, float, float], ...]:
     except csv.Error as error:
         raise SurefootError(f"commands {path}: {error}; {rule}") from error
     if not rows or tuple(name.strip() for name in rows[0]) != names:
-        raise SurefootError(f"commands {path}: its first line is {quoted(','.join(rows[0]) if rows else '')}; {rule}")
+        raise SurefootError(f"commands {path}: its first line is {quote(','.join(rows[0]) if rows else '')}; {rule}")
     try:
         table = tuple(tuple(float(value) for value in row) for row in rows[1:] if row)
     except ValueError as error:
         raise SurefootError(f"commands {path}: {error}; {rule}") from error
     if not table:
         raise SurefootError(f"commands {path}: has no row; {rule}")
-    with located(str(path)):
+    with prefix_errors(str(path)):
         check_schedule(table)
     return table  # type: ignore[return-value]
 
@@ -315,7 +315,9 @@ class CommandFilter:
         """The heading that is held [rad], (N,)."""
 
     @classmethod
-    def of(cls, reference: Any, limits: CommandLimits, robot: RobotDescription, num_envs: int) -> CommandFilter:
+    def from_reference(
+        cls, reference: Any, limits: CommandLimits, robot: RobotDescription, num_envs: int
+    ) -> CommandFilter:
         """Return the filter of a robot's reference gait: its own `frequency`, if it follows commands."""
         own = getattr(reference, "frequency", None)
 
@@ -342,7 +344,7 @@ class CommandFilter:
         self.phase = (self.phase + self._frequency(self.followed) * step) % 1.0
         self.heading += self.followed[:, 2] * step
         error = (self.heading - yaw + np.pi) % (2 * np.pi) - np.pi
-        most = np.where(walks, HEADING_ERROR, STANDING_HEADING_ERROR)
+        most = np.where(walks, MAX_HEADING_ERROR, MAX_STANDING_HEADING_ERROR)
         self.heading_error = np.clip(error, -most, most)
         self.heading = yaw + self.heading_error
         self.correction = np.where(walks, limits.heading_gain * self.heading_error, 0.0)

@@ -20,8 +20,9 @@ from surefoot.robot import GRAVITY, PhysicalParams, RobotDescription
 from surefoot.robot.commands import COMMANDS
 from surefoot.robot.params_file import ParamValue, param_values
 from surefoot.task.commands import CommandConfig
-from surefoot.task.config import FeedbackConfig, ReferenceConfig, TaskConfig
+from surefoot.task.config import FeedbackConfig, TaskConfig
 from surefoot.task.gait import ActionKind, action_names
+from surefoot.task.reference import ReferenceConfig
 
 if TYPE_CHECKING:
     from surefoot.task.env import LocomotionEnv
@@ -106,7 +107,7 @@ def task_from_contract(contract: Contract, robot: RobotDescription | None = None
         robot=contract.description,
         observations=tuple(part.name for part in contract.observation),
         history=contract.history,
-        reference=_reference(contract, robot),
+        reference=from_mapping(ReferenceConfig, contract.reference or {}, "reference"),
         feedback=feedback,
         action=kind,
         rest=contract.rest,
@@ -127,14 +128,6 @@ def _feedback(contract: Contract, robot: RobotDescription) -> tuple[ActionKind, 
     low, high = (np.reshape(bound, (len(coordinates), -1)) for bound in (contract.low, contract.high))
     bounds = zip(coordinates, low.min(axis=1).tolist(), high.max(axis=1).tolist(), strict=True)
     return kind, FeedbackConfig(**{name: (least, most) for name, least, most in bounds})
-
-
-def _reference(contract: Contract, robot: RobotDescription) -> ReferenceConfig:
-    data = dict(contract.reference or {"kind": "none"})
-    if data.get("kind") == "table":
-        rows = {part: data.pop(part) for part in robot.coordinates if part in data}
-        data["rows"] = rows
-    return from_mapping(ReferenceConfig, data, "reference")
 
 
 def _commands(contract: Contract, config: CommandConfig) -> CommandConfig:

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from surefoot.arrays import Array
-from surefoot.errors import SurefootError, accessible, located
+from surefoot.errors import SurefootError, describe_os_errors, prefix_errors
 from surefoot.files import check_readable
 from surefoot.task.trace import EpisodeTrace
 
@@ -105,7 +105,7 @@ def recover(path: str | Path) -> EpisodeTrace:
         SurefootError: no such file, another kind of file, or one without a whole row.
     """
     path = Path(path)
-    with accessible(f"partial trace {path}"):
+    with describe_os_errors(f"partial trace {path}"):
         check_readable(path)
         data = path.read_bytes()
     line, _, body = data.partition(b"\n")
@@ -122,5 +122,5 @@ def recover(path: str | Path) -> EpisodeTrace:
     rows = np.frombuffer(body, "<f8", whole * layout.width).reshape(whole, layout.width).astype(float)
     if not whole:
         raise SurefootError(f"partial trace {path}: holds no whole control step")
-    with located(f"partial trace {path}"):
+    with prefix_errors(f"partial trace {path}"):
         return trace_of(layout, rows, {**meta, "ended": "fault", "reason": "cut off"})

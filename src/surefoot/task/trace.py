@@ -7,20 +7,18 @@ so all worlds are measured alike. numpy only: the robot's computer writes it too
 from __future__ import annotations
 
 import json
-import math
 import zipfile
 import zlib
 from dataclasses import dataclass, field, fields
-from io import BytesIO
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from surefoot.arrays import Array
-from surefoot.errors import SurefootError, choices, located
-from surefoot.files import DATA_BYTES, check_readable, whole_file
+from surefoot.errors import SurefootError, choices, prefix_errors
+from surefoot.npz import read_npz, write_npz
 
 SCHEMA = 1
 ENDINGS = ("time", "fall", "fault", "stopped")
@@ -152,13 +150,11 @@ class EpisodeTrace:
         path = Path(path)
         if path.suffix != ".npz":
             raise SurefootError(f"trace file {path}: the name must end in .npz")
-        path.parent.mkdir(parents=True, exist_ok=True)
         arrays = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "meta"}
         for name in _OPTIONAL:
             if np.isnan(arrays[name]).all():
                 del arrays[name]
-        with whole_file(path) as file:
-            np.savez_compressed(file, meta=np.array(json.dumps(self.meta)), **arrays)
+        write_npz(path, arrays, self.meta)
         return path
 
     @classmethod
@@ -166,7 +162,7 @@ class EpisodeTrace:
         """Read a trace; refuse a file that is missing, cut off, damaged, not a trace, or of another schema."""
         path = Path(path)
         try:
-            arrays = read_members(path)
+            arrays = read_npz(path)
             meta = json.loads(str(arrays.pop("meta")))
         except OSError as error:
             raise SurefootError(f"trace file {path}: cannot be read: {error.strerror}") from error
@@ -181,7 +177,7 @@ class EpisodeTrace:
         names = {f.name for f in fields(cls)} - {"meta"}
         if odd := names ^ {*arrays, *_OPTIONAL}:
             raise SurefootError(f"trace file {path}: not an episode trace: missing or unknown {choices(sorted(odd))}")
-        with located(f"trace file {path}"):
+        with prefix_errors(f"trace file {path}"):
             return cls(meta=meta, **arrays)
 
 
@@ -259,37 +255,3 @@ def _plain(value: object) -> object:
     if isinstance(value, Path):
         return str(value)
     raise TypeError(f"{type(value).__name__} {value!r}")
-
-
-def read_members(path: Path) -> dict[str, NDArray[Any]]:
-    """Read every array of an .npz file whole, so that each member's checksum is verified.
-
-    Raises:
-        OSError: no such file, or one that can't be read.
-        ValueError, EOFError, RuntimeError, zipfile.BadZipFile, zlib.error: a damaged file, one that unpacks to more
-            than `DATA_BYTES`, or one with objects in it.
-    """
-    check_readable(path)
-    with path.open("rb") as file:
-        start = file.read(2)
-        if not start:
-            raise EOFError("the file is empty")
-        if start != b"PK":
-            raise ValueError("not an .npz file")
-        file.seek(0)
-        with zipfile.ZipFile(file) as archive:
-            if sum(member.file_size for member in archive.infolist()) > DATA_BYTES:
-                raise ValueError(f"it unpacks to more than {DATA_BYTES} bytes")
-            return {name.removesuffix(".npy"): _member(archive.read(name)) for name in archive.namelist()}
-
-
-def _member(content: bytes) -> NDArray[Any]:
-    """Return the array of a .npy file, which must hold as many numbers as its header says."""
-    file = BytesIO(content)
-    version = np.lib.format.read_magic(file)
-    read_header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-    shape, _, kind = read_header(file)
-    if not kind.hasobject and math.prod(shape) * kind.itemsize > len(content):
-        raise ValueError(f"an array of shape {shape} is longer than its file")
-    file.seek(0)
-    return np.lib.format.read_array(file)

@@ -15,8 +15,8 @@ from pathlib import Path
 from rich.console import Console
 
 from surefoot.cli.helpers.options import Ray, Workers
-from surefoot.errors import SurefootError, accessible
-from surefoot.files import whole_file
+from surefoot.errors import SurefootError, describe_os_errors
+from surefoot.files import atomic_write
 
 QUICK_NOTE = (
     "A small version of everything, made in one go: short trainings of one seed, few trials. It shows that all "
@@ -110,8 +110,7 @@ def evaluate(makes: str, task: str, *words: object, quick: tuple[object, ...] = 
         output = io.StringIO()
         with contextlib.redirect_stdout(output):
             command(runs, "evaluate", f"policies/{task}.onnx", *words, *runs.quick_options(*quick), "--json")
-        with whole_file(runs.make_folder(str(Path(makes).parent)) / Path(makes).name) as file:
-            file.write(output.getvalue().encode())
+        atomic_write(runs.make_folder(str(Path(makes).parent)) / Path(makes).name, output.getvalue())
 
     return Stage(makes, make)
 
@@ -216,7 +215,7 @@ def make_all(runs: PaperRuns) -> bool:
     Raises:
         SurefootError: a command that failed; the results of the others stay.
     """
-    with accessible(runs.folder, "made"):
+    with describe_os_errors(runs.folder, "made"):
         runs.make_folder("")
     for number, stage in enumerate(STAGES, start=1):
         done = (runs.folder / stage.makes).exists()

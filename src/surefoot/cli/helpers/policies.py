@@ -16,7 +16,7 @@ from surefoot.policy.contract import config_hash
 from surefoot.policy.runtime import PolicyRuntime
 from surefoot.progress import ProgressBar
 from surefoot.robot import RobotDescription, parse_settings
-from surefoot.robot.randomization import Ranges, check_ranges
+from surefoot.robot.randomization import Ranges
 from surefoot.studies.handcrafted import HandcraftedGait
 from surefoot.task.commands import read_schedule
 from surefoot.task.config import TaskConfig
@@ -168,14 +168,12 @@ def adjust_task(
     task = replace(task, thermal_protection=task.thermal_protection or thermal_protection)
     task = (simulator or Simulator()).of(task, given)
     task.nominal(robot)  # refuses parameters that the robot does not allow
-    ranges = randomize or {}
-    check_ranges(ranges, robot)
     told = replace(task.commands, ramp=0)
     if commands is not None:
         if not task.commands.enabled:
             raise SurefootError(f"--commands is given; task '{task.name}' has no commands to follow")
         told = replace(told, schedule=read_schedule(commands))
-    return replace(task, randomize=ranges, pushes=task.pushes.in_full(pushes, push_force), commands=told)
+    return replace(task, randomize=randomize or {}, pushes=task.pushes.in_full(pushes, push_force), commands=told)
 
 
 def lasting(task: TaskConfig, robot: RobotDescription, duration: float) -> TaskConfig:

@@ -141,8 +141,10 @@ class RangeOptions:
 
     def apply(self, robot: str | Path, base: Ranges | None = None) -> Ranges:
         """Return the ranges for a robot, by name or folder; parameters without options are as in `base`."""
-        ranges = dict(base or {}) if self.table is None else load_ranges(self.table, robot=robot)
-        return {name: given for name, given in {**ranges, **self.ranges}.items() if given is not None}
+        below = (base or {}) if self.table is None else load_ranges(self.table, robot=robot)
+        ranges = {name: given for name, given in {**below, **self.ranges}.items() if given is not None}
+        check_ranges(ranges, RobotDescription.load(robot))
+        return ranges
 
 
 def take_ranges(words: list[str]) -> tuple[list[str], RangeOptions]:

@@ -19,7 +19,7 @@ from surefoot.deploy.serial.codec import HEADER, MESSAGES, NUMBERS, VERSION, Cod
 from surefoot.deploy.serial.fields import MOTORS, FieldEncoding
 from surefoot.deploy.serial.frames import CRC_BYTES, MAX_FRAME, frame_bytes
 from surefoot.errors import SurefootError
-from surefoot.files import whole_file
+from surefoot.files import atomic_write
 
 DEFAULT_MOTORS = 8
 FUNCTIONS = Path(__file__).with_name("functions.h")
@@ -198,8 +198,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         if options.out is None:
             print(text, end="")
         else:
-            with whole_file(options.out) as file:
-                file.write(text.encode())
+            atomic_write(options.out, text)
     except (SurefootError, OSError) as error:
         parser.error(str(error))
     return 0

@@ -21,7 +21,7 @@ import numpy as np
 
 from surefoot.arrays import Array
 from surefoot.configuration import from_mapping, read_yaml
-from surefoot.errors import SurefootError, choices, located
+from surefoot.errors import SurefootError, choices, prefix_errors
 from surefoot.identify.logs.table import Table, read_table
 from surefoot.robot import RobotDescription
 from surefoot.task.trace import LOG, EpisodeTrace
@@ -101,10 +101,10 @@ def import_log(path: Path, robot: RobotDescription, mapping: Path | None = None)
         columns = usual_mapping(robot)
     else:
         data = read_yaml(mapping)
-        with located(mapping):
+        with prefix_errors(mapping):
             columns = from_mapping(LogMapping, data)
             _check_motors(columns, robot)
-    with located(f"log {path}"):
+    with prefix_errors(f"log {path}"):
         return _trace(read_table(path), columns, robot, mapping is None, path.name)
 
 

@@ -21,7 +21,7 @@ import numpy as np
 import yaml
 
 from surefoot.arrays import Array
-from surefoot.errors import SurefootError, accessible
+from surefoot.errors import SurefootError, describe_os_errors
 from surefoot.files import check_readable
 from surefoot.identify.logs.robot_log import read_arrays
 
@@ -60,7 +60,7 @@ def read_table(path: Path) -> Table:
     readers = {".npz": _read_npz, ".csv": _read_csv, ".pkl": _read_pickle, ".pickle": _read_pickle}
     if suffix not in readers:
         raise SurefootError(f"is of kind '{suffix}'; kinds: {', '.join(readers)}, .mcap, .bag, or the folder of a bag")
-    with accessible("it"):
+    with describe_os_errors("it"):
         check_readable(path, FILE_BYTES)
     return readers[suffix](path)
 
@@ -89,7 +89,7 @@ def _table(arrays: Mapping[Any, Any]) -> Table:
 
 
 def _read_csv(path: Path) -> Table:
-    with accessible("it"):
+    with describe_os_errors("it"):
         text = path.read_text(encoding="utf-8-sig", errors="replace")
     lines = csv.reader(io.StringIO(text))
     try:
@@ -177,7 +177,7 @@ class _Unpickler(pickle.Unpickler):
 
 
 def _read_pickle(path: Path) -> Table:
-    with accessible("it"):
+    with describe_os_errors("it"):
         content = path.read_bytes()
     try:
         data = _plain(_Unpickler(io.BytesIO(content)).load(), itertools.count())
@@ -258,7 +258,7 @@ def _read_bag(path: Path) -> Table:
     from rosbags.typesys import Stores, get_typestore
 
     found: list[tuple[float, dict[str, float]]] = []
-    with accessible("it"):
+    with describe_os_errors("it"):
         if not path.exists():
             raise SurefootError("does not exist")
         if path.is_file():

@@ -19,7 +19,7 @@ import numpy as np
 import viser
 
 from surefoot.arrays import Array
-from surefoot.errors import SurefootError, located
+from surefoot.errors import SurefootError, prefix_errors
 from surefoot.evaluate.foot_forces import foot_forces
 from surefoot.evaluate.tracking import motion
 from surefoot.report.drawing.scene import extent, poses, scene
@@ -94,7 +94,7 @@ def recording_page(recordings: Sequence[Recording], layout: str = "side") -> str
     rate = min(RATE, _MOST_ROWS / max(sum(one.seconds for one in recordings), 1.0))
     runs = []
     for number, one in enumerate(recordings):
-        with located(one.name):
+        with prefix_errors(one.name):
             runs.append(_run(one, rate, f"/world/r{number}"))
     size = max(run["size"] for run, _ in runs)
     for number, (run, _) in enumerate(runs):
