@@ -19,8 +19,7 @@ from processes import EmulatorHere, emulators, refused, surefoot  # noqa: E402
 
 from surefoot.evaluate.sensitivity import make_test_worlds  # noqa: E402
 from surefoot.learn.config import load_train_config  # noqa: E402
-from surefoot.learn.export import export_trainer  # noqa: E402
-from surefoot.learn.trainer import Trainer  # noqa: E402
+from surefoot.learn.ppo_learner import PpoLearner  # noqa: E402
 from surefoot.robot import PhysicalParams, RobotDescription  # noqa: E402
 from surefoot.robot.randomization import draw_hidden, load_ranges  # noqa: E402
 from surefoot.world.interface import WorldConfig  # noqa: E402
@@ -38,7 +37,7 @@ def robot(request: pytest.FixtureRequest) -> RobotDescription:
 def policy(robot: RobotDescription, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Make the file of a trot that has learned nothing: it follows the reference."""
     config = replace(load_train_config("trot", robot.name), num_envs=2, threads=1)
-    return export_trainer(Trainer(config, SimWorld), tmp_path_factory.mktemp(robot.name) / "untrained.onnx")
+    return PpoLearner(config, SimWorld).export(tmp_path_factory.mktemp(robot.name) / "untrained.onnx")
 
 
 def test_leg_space_goes_to_motors_and_back(robot: RobotDescription, rng: np.random.Generator) -> None:

@@ -115,12 +115,12 @@ def check(folder: Path, trials: int) -> None:
 
 def check_same(folder: Path, number: int) -> None:
     """A trial that was lost and taken up again is what it would have been in one go, here and without Ray."""
-    from surefoot.learn.run import TrainingRun
     from surefoot.learn.run_folder import RunFolder
+    from surefoot.learn.training_loop import TrainingLoop
     from surefoot.world.sim_world import SimWorld
 
     _, config = RunFolder.open(folder / f"out/trials/trial_{number:04d}")
-    again = TrainingRun(config, RunFolder.create_at(config, folder / "again"), SimWorld)
+    again = TrainingLoop(config, RunFolder.create_at(config, folder / "again"), SimWorld)
     again.run(lambda *_: None)
     assert [untimed(row) for row in again.folder.rows()] == [untimed(row) for row in rows(folder, number)]
 

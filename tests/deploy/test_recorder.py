@@ -39,7 +39,7 @@ def recorded(a_state):
         return replace(a_state, roll_pitch_yaw=np.array([k / 100, 0.0, 0.0]), energy=float(k**2))
 
     recorder = Recorder(LAYOUT, STEP, 10)
-    recorder.begin(state(0))
+    recorder.begin(state(0), 100.0)
     for k in range(4):
         recorder.close(k, state(k), 100.0 + k * STEP)
         if k < 3:
@@ -63,8 +63,8 @@ def test_a_row_has_its_start_and_the_state_of_its_end(recorded):
 def test_missed_steps_repeat_what_the_servos_held(recorded):
     recorder, state = recorded
     recorder.open(*opened(3))
-    rows = recorder.close(6, state(6), 100.036)
-    assert len(rows) == 3
+    recorder.close(6, state(6), 100.036)
+    assert recorder.steps == 6
     assert recorder.missed == [4, 5]
     columns = LAYOUT.columns(recorder.rows)
     assert np.diff(columns["time"]) == pytest.approx(STEP)
@@ -105,7 +105,7 @@ def test_what_the_robot_does_not_know_is_nan_in_the_trace(recorded):
 
 
 def test_a_partial_file_gives_the_same_trace(recorded, tmp_path):
-    path = tmp_path / "deep" / "run.partial"
+    path = tmp_path / "run.partial"
     file = PartialFile(path, LAYOUT, META)
     for row in recorded[0].rows:
         file.add(row[None])
@@ -155,7 +155,7 @@ def test_a_file_that_is_no_partial_trace_is_refused(content, match, tmp_path):
         recover(path)
 
 
-def test_a_folder_that_cannot_be_made_stops_recording(tmp_path):
+def test_a_file_that_cannot_be_opened_stops_recording(tmp_path):
     (tmp_path / "file").write_text("")
     file = PartialFile(tmp_path / "file" / "run.partial", LAYOUT, META)
     file.add(np.zeros((1, LAYOUT.width)))

@@ -59,6 +59,7 @@ def test_table1_is_the_papers():
         ("imu_noise: [-0.05, 0]", "imu_noise is [-0.05, 0]; minitaur allows imu_noise from 0 to 0.5 (unit: rad)"),
         ("control_latency: [[0, 0], [0, 0]]", "randomize.control_latency has 2 intervals; it must have one"),
         ("imu_mount: [[0, 0], [0, 0]]", "has 2 intervals; it must have one, or one for each of roll, pitch, yaw"),
+        ("imu_mount: []", "randomize.imu_mount has 0 intervals; it must have one"),
         ("colour: [0, 1]", "randomize: 'colour' is not a physical parameter; choices: base_mass_ratio, leg_mass_ratio"),
         ("rotor_inertia: [0, 1]", "rotor_inertia belongs to motors of kind joint; the motors of minitaur are dc"),
         ("mass: [0.8, 1.2]", "randomize.mass is not a physical parameter; write base_mass_ratio and leg_mass_ratio"),

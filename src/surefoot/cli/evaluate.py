@@ -88,7 +88,7 @@ def _simulated(
     command: EvaluateCommand, given_ranges: RangeOptions
 ) -> tuple[list[EpisodeTrace], RobotDescription, dict[str, Any]]:
     """Run the policy; returns its traces, the robot, and how it was run."""
-    from surefoot.cli.helpers.policies import adjust_task, described, find_policy, load_gait, run_policy
+    from surefoot.cli.helpers.policies import adjust_task, describe_simulator, find_policy, load_gait, run_policy
     from surefoot.world.registry import find_world
 
     path = find_policy(str(command.policy))
@@ -119,7 +119,7 @@ def _simulated(
         "push_force": command.push_force,
         "randomize": to_mapping(ranges),
         "set": command.simulator.latencies | {name: task.params[name] for name in given},
-        **described(task),
+        **describe_simulator(task),
         "policy_file": str(path),
         "config_hash": known["config_hash"],
     }

@@ -202,7 +202,7 @@ def main(argv: list[str]) -> int:
 
 def _tasks(command: GapCommand, task: TaskConfig, robot: RobotDescription) -> tuple[TaskConfig, TaskConfig]:
     """Return the task of a policy at home, and in the other worlds, of the same duration."""
-    from surefoot.cli.helpers.policies import adjust_task, lasting
+    from surefoot.cli.helpers.policies import adjust_task, with_duration
     from surefoot.evaluate.gap import away_task, home_task
     from surefoot.evaluate.sensitivity import episode_duration
 
@@ -210,7 +210,7 @@ def _tasks(command: GapCommand, task: TaskConfig, robot: RobotDescription) -> tu
         simulator = Simulator(actuator, params=command.params)
         side = adjust_task(side, robot, (*command.settings, *settings), command.pushes, simulator=simulator)
         # Returns over different times could not be compared.
-        return lasting(side, robot, command.duration or episode_duration(task))
+        return with_duration(side, robot, command.duration or episode_duration(task))
 
     at_home = adjusted(home_task(task), command.from_settings, None)
     return at_home, adjusted(away_task(task), command.to_settings, command.to_actuator)
@@ -225,7 +225,7 @@ def _report(
     runs: dict[str, dict[str, RecordedTraces]],
 ) -> None:
     """Measure the runs of each policy in each world; write tables and figure, and print the results."""
-    from surefoot.cli.helpers.policies import described
+    from surefoot.cli.helpers.policies import describe_simulator
     from surefoot.evaluate.gap import PolicyGap
     from surefoot.evaluate.runs import measure_runs
     from surefoot.report.figures.runs import side_by_side
@@ -267,8 +267,8 @@ def _report(
                 "policy": one.name,
                 "policy_file": str(one.path),
                 "config_hash": one.policy.contract.config_hash,
-                "home": described(at_home),
-                "away": described(elsewhere),
+                "home": describe_simulator(at_home),
+                "away": describe_simulator(elsewhere),
                 "worlds": plain[one.name],
             }
             for one, (at_home, elsewhere) in zip(candidates, tasks, strict=True)

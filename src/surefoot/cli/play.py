@@ -39,7 +39,7 @@ def main(argv: list[str]) -> int:
     command = parse(PlayCommand, argv, "surefoot play")
     check_suffix("video", command.out, ".mp4")
     from surefoot.cli.helpers.episodes import film
-    from surefoot.cli.helpers.policies import adjust_task, find_policy, lasting, load_gait, run_policy
+    from surefoot.cli.helpers.policies import adjust_task, find_policy, load_gait, run_policy, with_duration
     from surefoot.cli.helpers.viewer import has_display, replay
     from surefoot.world.registry import find_world
 
@@ -50,7 +50,7 @@ def main(argv: list[str]) -> int:
     policy, robot, task, known = load_gait(path, command.robot)
     given = (task, robot, command.settings, command.pushes)
     task = adjust_task(*given, simulator=command.simulator, push_force=command.push_force, commands=command.commands)
-    task = lasting(task, robot, command.seconds)
+    task = with_duration(task, robot, command.seconds)
     window = command.out is None and has_display()
     # Imported before anything is simulated, so that a missing package is reported at once.
     for module in ("mujoco",) if window else ("imageio_ffmpeg", "PIL"):

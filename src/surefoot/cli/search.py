@@ -54,7 +54,7 @@ def main(argv: list[str]) -> int:
     """Run the command with the words after its name; returns the exit code."""
     command = parse(SearchCommand, argv, "surefoot search")
     from surefoot.cli.helpers.search_results import report
-    from surefoot.learn.run_lock import alone
+    from surefoot.learn.folder_lock import folder_lock
 
     config = make_config(command.task, command.space, command.seed, command.steps)
     if not command.report_only:
@@ -67,7 +67,7 @@ def main(argv: list[str]) -> int:
     _check(config)
     console = Console(highlight=False, soft_wrap=True)
     out.mkdir(parents=True, exist_ok=True)
-    with alone(out):
+    with folder_lock(out):
         search = Search(config, out, going_on)
         for note in search.notes:
             console.print(note)

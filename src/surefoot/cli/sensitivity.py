@@ -63,7 +63,7 @@ def main(argv: list[str]) -> int:
     command = parse(SensitivityCommand, argv, "surefoot sensitivity")
     import pandas as pd
 
-    from surefoot.cli.helpers.policies import described, find_policies, load_policies
+    from surefoot.cli.helpers.policies import describe_simulator, find_policies, load_policies
     from surefoot.progress import ProgressBar
     from surefoot.robot.randomization import load_ranges
     from surefoot.world.registry import WORLDS, find_world
@@ -115,7 +115,11 @@ def main(argv: list[str]) -> int:
             **settings,
             "policies": [
                 _summary(result)
-                | {"policy_file": str(one.path), "config_hash": one.policy.contract.config_hash, **described(task)}
+                | {
+                    "policy_file": str(one.path),
+                    "config_hash": one.policy.contract.config_hash,
+                    **describe_simulator(task),
+                }
                 for result, one, task in zip(results, loaded, tasks, strict=True)
             ],
             "files": [str(file) for file in files],

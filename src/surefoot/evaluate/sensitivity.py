@@ -21,7 +21,7 @@ from surefoot.errors import SurefootError
 from surefoot.evaluate.rollout import Policy, Progress, run_to_end
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.robot.params import PARAMETERS
-from surefoot.robot.randomization import ParamRange, Ranges, interval_of, mean_interval
+from surefoot.robot.randomization import ParamRange, Ranges, mean_interval, resolve_range
 from surefoot.tables import plain_value
 from surefoot.task.config import MAX_STEPS, TaskConfig
 from surefoot.task.env import LocomotionEnv
@@ -117,7 +117,7 @@ def make_test_worlds(
 
     Each row takes two or more evenly spaced `values` in its range, both ends included; a range of one value takes one.
     """
-    rows = {name: interval_of(bounds, getattr(nominal, name)[:1]) for name, bounds in ranges.items()}
+    rows = {name: resolve_range(bounds, getattr(nominal, name)[:1]) for name, bounds in ranges.items()}
     if push_force is not None:
         rows[PUSH_FORCE] = np.array(push_force[:1]), np.array(push_force[1:])
     if not rows:

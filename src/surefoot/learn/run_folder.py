@@ -23,7 +23,7 @@ from surefoot.errors import SurefootError, describe_os_errors, prefix_errors
 from surefoot.files import atomic_write, read_configuration, read_json_lines
 from surefoot.learn.config import TrainConfig
 
-FORMAT = 3
+FORMAT = 4
 _MAGIC = b"surefoot checkpoint 1\n"
 _KINDS = (bool, np.int64, np.float32, np.float64)
 _ARRAYS: list[Any] = [np.zeros(0).__reduce__()[0], np.ndarray, np.dtype, *(type(np.dtype(kind)) for kind in _KINDS)]

@@ -23,8 +23,8 @@ from surefoot.errors import SurefootError, describe_os_errors
 from surefoot.studies.training import Training
 
 if TYPE_CHECKING:
-    from surefoot.learn.run import TrainingRun
     from surefoot.learn.run_folder import RunFolder
+    from surefoot.learn.training_loop import TrainingLoop
 
 PATIENCE = 120.0
 """How long [s] a worker waits for another process to leave a folder: one that lost its parent may need an update."""
@@ -83,7 +83,7 @@ class Worker:
         os.makedirs(folder, exist_ok=True)
         os.chdir(folder)
         self._lock = contextlib.ExitStack()
-        self._run: TrainingRun | None = None
+        self._loop: TrainingLoop | None = None
 
     def begin(self, training: Training) -> ProgressReport:
         """Begin a training, or go on from the state of its folder.
@@ -91,18 +91,18 @@ class Worker:
         Raises:
             SurefootError: the folder is another training's, in use, or damaged.
         """
-        from surefoot.learn.run import TrainingRun
+        from surefoot.learn.folder_lock import folder_lock
         from surefoot.learn.run_folder import RunFolder
-        from surefoot.learn.run_lock import alone
+        from surefoot.learn.training_loop import TrainingLoop
         from surefoot.world.registry import find_world
 
-        # Free the training before, which a `Trainer` hides from the collector.
+        # Free the training before, which a `PpoLearner` hides from the collector.
         gc.unfreeze()
         gc.collect()
         self._training = training
         with describe_os_errors(training.path, "made"):
             training.path.mkdir(parents=True, exist_ok=True)
-        self._lock.enter_context(alone(training.path, PATIENCE))
+        self._lock.enter_context(folder_lock(training.path, PATIENCE))
         training.check()
         state = training.state
         if state == "new":
@@ -113,18 +113,18 @@ class Worker:
         if state == "finished":
             return self._last_report(folder)
         make_world = find_world(training.config.world)
-        self._run = TrainingRun(training.config, folder, make_world, resume=state == "started")
-        if self._run.finished:
+        self._loop = TrainingLoop(training.config, folder, make_world, resume=state == "started")
+        if self._loop.finished:
             return self.end(export=True)
-        return ProgressReport(self._run.trainer.steps, evaluations=tuple(folder.evaluations()))
+        return ProgressReport(self._loop.learner.steps, evaluations=tuple(folder.evaluations()))
 
     def advance(self) -> ProgressReport:
         """Train until the next report is due."""
-        assert self._run is not None
+        assert self._loop is not None
         until = time.monotonic() + _REPORT_PERIOD
         while True:
-            figures, evaluation = self._run.step()
-            if self._run.finished:
+            figures, evaluation = self._loop.step()
+            if self._loop.finished:
                 return self.end(export=True)
             if evaluation is not None or time.monotonic() > until:
                 speed = None if math.isnan(figures.speed_mean) else figures.speed_mean
@@ -132,18 +132,16 @@ class Worker:
 
     def end(self, export: bool) -> ProgressReport:
         """Export the policy, which marks the training as finished, or save the state to go on another time."""
-        from surefoot.learn.export import export_run
-
-        assert self._run is not None
-        run, self._run = self._run, None
+        assert self._loop is not None
+        loop, self._loop = self._loop, None
         if not (export and self._training.trial):
-            run.save()
-        run.close()
+            loop.save()
+        loop.close()
         if export:
-            export_run(run, run.folder.policy, last=self._training.trial)
-            return self._last_report(run.folder)
+            loop.export(loop.folder.policy, last=self._training.trial)
+            return self._last_report(loop.folder)
         self._lock.close()
-        return ProgressReport(run.trainer.steps)
+        return ProgressReport(loop.learner.steps)
 
     def _last_report(self, folder: RunFolder) -> ProgressReport:
         if self._training.trial:

@@ -12,7 +12,7 @@ from surefoot.configuration import Within, check_bounds, from_mapping, read_yaml
 from surefoot.errors import SurefootError, check_name, choices, prefix_errors, quote
 from surefoot.robot import DEFAULT_ROBOT, PhysicalParams, RobotDescription
 from surefoot.robot.params_file import ParamValue
-from surefoot.robot.randomization import Ranges, check_ranges, resolve_ranges
+from surefoot.robot.randomization import Ranges, check_ranges, resolve_table
 from surefoot.task.commands import CommandConfig
 from surefoot.task.gait import ActionKind, HybridGait, narrowed_bounds
 from surefoot.task.observation import IMU_AND_MOTORS_12D
@@ -171,7 +171,7 @@ def load_task(task: str, robot: str | None = None) -> tuple[TaskConfig, dict[str
         data["robot"] = robot or DEFAULT_ROBOT
     with prefix_errors(path):
         config = from_mapping(
-            TaskConfig, {"name": path.stem, **resolve_ranges(data, path.parent, data.get("robot", DEFAULT_ROBOT))}
+            TaskConfig, {"name": path.stem, **resolve_table(data, path.parent, data.get("robot", DEFAULT_ROBOT))}
         )
         if named and config.robot != DEFAULT_ROBOT:
             config = replace(config, name=f"{RobotDescription.load(config.robot).name}-{path.stem}")

@@ -1,4 +1,4 @@
-"""Finding a policy file and the task to run, from words of the command line; running it."""
+"""Policies and tasks of command lines: found, adjusted and run."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def find_policy(policy: str) -> Path:
 
 
 def find_policies(policies: Sequence[str]) -> list[Path]:
-    """Return the files of one policy or more; refuse none."""
+    """Return the files of one or more policies."""
     if not policies:
         raise SurefootError("no policy is given; give one or more .onnx files, or names of policies that ship")
     return [find_policy(policy) for policy in policies]
@@ -78,7 +78,7 @@ def load_policy(path: Path, robot: str | None) -> tuple[PolicyRuntime, RobotDesc
 
 
 def load_gait(path: Path, robot: str | None) -> tuple[Policy, RobotDescription, TaskConfig, dict[str, str]]:
-    """Return what runs a policy file or a handcrafted gait (.yaml), robot, task, name and hash of its configuration.
+    """Return a policy or handcrafted gait (.yaml), its robot and task, and the name and hash of its configuration.
 
     Raises:
         SurefootError: as `load_policy`, or a file that is no handcrafted gait.
@@ -88,9 +88,9 @@ def load_gait(path: Path, robot: str | None) -> tuple[Policy, RobotDescription, 
         return policy, description, task, {"name": policy.contract.name, "config_hash": policy.contract.config_hash}
     gait = HandcraftedGait.load(path)
     task = gait.task if robot is None else replace(gait.task, robot=robot)
-    whole = {"task": to_mapping(task), "raibert": gait.raibert and to_mapping(gait.raibert)}
-    about = {"name": task.name, "config_hash": config_hash(whole)}
-    return replace(gait, task=task).policy(), RobotDescription.load(task.robot), task, about
+    config = {"task": to_mapping(task), "raibert": gait.raibert and to_mapping(gait.raibert)}
+    identity = {"name": task.name, "config_hash": config_hash(config)}
+    return replace(gait, task=task).policy(), RobotDescription.load(task.robot), task, identity
 
 
 @dataclass(frozen=True)
@@ -98,17 +98,15 @@ class Candidate:
     """A policy that is compared with others."""
 
     name: str
-    """Name that tells it from the others."""
+    """Distinct name."""
     path: Path
-    """Its file."""
     policy: PolicyRuntime
-    """What runs it."""
     task: TaskConfig
     """The task that it was made for."""
 
 
 def load_policies(paths: Sequence[Path]) -> tuple[list[Candidate], RobotDescription]:
-    """Return the policies of one file or more, which are compared, and the one robot that all of them are for."""
+    """Return policies that are compared, and their one robot."""
     loaded = [load_policy(path, None) for path in paths]
     names = distinct_names([policy.contract.name for policy, _, _ in loaded], [path.stem for path in paths])
     robot = loaded[0][1]
@@ -118,8 +116,8 @@ def load_policies(paths: Sequence[Path]) -> tuple[list[Candidate], RobotDescript
                 f"policy '{name}' is for robot '{other.name}' and '{names[0]}' for '{robot.name}'; "
                 "policies that are compared must be for the same robot"
             )
-    found = zip(names, paths, loaded, strict=True)
-    return [Candidate(name, path, policy, task) for name, path, (policy, _, task) in found], robot
+    candidates = zip(names, paths, loaded, strict=True)
+    return [Candidate(name, path, policy, task) for name, path, (policy, _, task) in candidates], robot
 
 
 def distinct_names(names: Sequence[str], stems: Sequence[str]) -> list[str]:
@@ -152,7 +150,7 @@ def adjust_task(
 
     Args:
         task: as the policy was trained.
-        robot: says which values are allowed.
+        robot: its description limits the values.
         settings: words NAME=VALUE, as often as `--set` was given.
         pushes: whether the base is pushed, as hard and often as the task says; every push that is due is given.
         thermal_protection: switch off motors that overheat, whatever the task says.
@@ -164,25 +162,26 @@ def adjust_task(
     Raises:
         SurefootError: no such parameter, a value that the robot does not allow, or what does not go together.
     """
-    given = parse_settings([word for group in settings for word in group])
+    params = parse_settings([word for group in settings for word in group])
     task = replace(task, thermal_protection=task.thermal_protection or thermal_protection)
-    task = (simulator or Simulator()).of(task, given)
+    task = (simulator or Simulator()).of(task, params)
     task.nominal(robot)  # refuses parameters that the robot does not allow
-    told = replace(task.commands, ramp=0)
+    command_config = replace(task.commands, ramp=0)
     if commands is not None:
         if not task.commands.enabled:
             raise SurefootError(f"--commands is given; task '{task.name}' has no commands to follow")
-        told = replace(told, schedule=read_schedule(commands))
-    return replace(task, randomize=randomize or {}, pushes=task.pushes.in_full(pushes, push_force), commands=told)
+        command_config = replace(command_config, schedule=read_schedule(commands))
+    pushing = task.pushes.in_full(pushes, push_force)
+    return replace(task, randomize=randomize or {}, pushes=pushing, commands=command_config)
 
 
-def lasting(task: TaskConfig, robot: RobotDescription, duration: float) -> TaskConfig:
+def with_duration(task: TaskConfig, robot: RobotDescription, duration: float) -> TaskConfig:
     """Return the task with episodes of a duration [s], whatever its control step."""
     steps = round(duration / float(task.nominal(robot).control_step[0]))
     return replace(task, max_steps=max(steps, 1))
 
 
-def described(task: TaskConfig) -> dict[str, Any]:
+def describe_simulator(task: TaskConfig) -> dict[str, Any]:
     """Return actuator and physical parameters of a task, as JSON holds them."""
     return {"actuator": task.actuator, "params": task.params, "params_source": task.params_source}
 
@@ -197,9 +196,17 @@ def run_policy(
     name: str = "",
     title: str = "",
 ) -> list[EpisodeTrace]:
-    """Run episodes of a policy in the world of a name, with a progress bar; return their traces.
+    """Run episodes of a policy in a world, given by its name, with a progress bar; return their traces.
 
-    The policy goes by `name` in the traces, and by `title`, or else its name, over the bar.
+    Args:
+        policy: the policy.
+        task: its task.
+        episodes: how many.
+        world: as of `find_world`.
+        seed: of the episodes.
+        threads: of the simulation; 0 means one a core.
+        name: name of the policy in the traces.
+        title: title of the bar; the name, if empty.
     """
     from surefoot.evaluate.rollout import run_episodes
 

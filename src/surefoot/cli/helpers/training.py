@@ -18,9 +18,9 @@ from surefoot.progress import ProgressBar
 from surefoot.world.registry import find_world
 
 if TYPE_CHECKING:
-    from surefoot.learn.run import Evaluation, TrainingRun
+    from surefoot.learn.ppo_learner import UpdateFigures
     from surefoot.learn.run_folder import RunFolder
-    from surefoot.learn.trainer import UpdateFigures
+    from surefoot.learn.training_loop import Evaluation, TrainingLoop
 
 _LINE_PERIOD = 10.0
 """Least time between two lines of progress where there is no terminal [s]."""
@@ -72,7 +72,7 @@ class TrainingProgress(ProgressBar):
             )
 
 
-def finish_run(run: TrainingRun, folder: RunFolder) -> None:
+def finish_run(loop: TrainingLoop, folder: RunFolder) -> None:
     """Export the best policy and evaluate it: on the nominal robot, and with randomization and pushes if the task has.
 
     Tables, figures and a video of the median episode go to the run folder.
@@ -80,14 +80,13 @@ def finish_run(run: TrainingRun, folder: RunFolder) -> None:
     from surefoot.evaluate.gap import home_task
     from surefoot.evaluate.rollout import run_episodes
     from surefoot.evaluate.runs import summarize
-    from surefoot.learn.export import export_run
     from surefoot.policy.runtime import PolicyRuntime
     from surefoot.robot import RobotDescription
     from surefoot.studies.comparison import learning_curve
     from surefoot.studies.study_figures import learning_curves
 
-    export_run(run, folder.policy)
-    task, policy, world = run.config.task, PolicyRuntime.load(folder.policy), run.config.world
+    loop.export(folder.policy)
+    task, policy, world = loop.config.task, PolicyRuntime.load(folder.policy), loop.config.world
     robot, figures = RobotDescription.load(task.robot), folder.path / "figures"
     print(f"Evaluating over {_EPISODES} episodes ...", flush=True)
     nominal = home_task(task)

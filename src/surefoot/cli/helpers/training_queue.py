@@ -106,9 +106,10 @@ class QueueDisplay(ProgressDisplay):
     """
 
     def __init__(self, title: str, console: Console) -> None:
-        super().__init__(console, self._table, _LINE_PERIOD)
+        # The display draws its table at once.
         self._title = title
         self._rows: dict[str, _Row] = {}
+        super().__init__(console, self._table, _LINE_PERIOD)
 
     def __enter__(self) -> Self:
         """Print the title, and start the display."""
