@@ -20,7 +20,8 @@ from typing import Annotated, Any
 import numpy as np
 import tyro
 
-from surefoot.cli.helpers.policies import adjust_task, find_policy, load_gait
+from surefoot.cli.helpers.policies import find_policy, load_gait
+from surefoot.cli.helpers.simulator import RunOptions
 from surefoot.evaluate.footfalls import analyze_footfalls
 from surefoot.evaluate.rollout import Policy, run_episodes
 from surefoot.evaluate.runs import measure_runs
@@ -102,7 +103,7 @@ def run(entry: Entry, condition: str, command: Command) -> list[dict[str, Any]]:
     policy, task = entry.load()
     robot = RobotDescription.load(task.robot)
     steps = round(DURATION / float(task.nominal(robot).control_step[0]))
-    task = adjust_task(replace(task, max_steps=steps), robot, (), pushes=False, randomize=load_ranges(ranges))
+    task = RunOptions().apply(replace(task, max_steps=steps), robot, load_ranges(ranges))
     traces = run_episodes(policy, task, command.episodes, find_world(world), command.seed, command.threads)
     if command.draw and condition == "mujoco":
         footfall_diagram(traces[0], command.folder / f"{entry.name}-footfalls.png")

@@ -23,7 +23,7 @@ from surefoot.cli.helpers.options import (
 )
 from surefoot.cli.helpers.output import show_command
 from surefoot.cli.helpers.parsing import parse
-from surefoot.cli.helpers.simulator import Simulator
+from surefoot.cli.helpers.simulator import RunOptions, Simulator, describe_simulator, with_duration
 from surefoot.configuration import Duration
 from surefoot.errors import SurefootError, check_name
 
@@ -143,10 +143,9 @@ class GapCommand:
 def main(argv: list[str]) -> int:
     """Run the command with the words after its name; returns the exit code."""
     command = parse(GapCommand, argv, "surefoot gap")
-    from surefoot.cli.helpers.policies import find_policies, load_policies, run_policy
+    from surefoot.cli.helpers.policies import load_policies, run_policy
     from surefoot.world.registry import find_world
 
-    paths = find_policies(command.policies)
     home, away = Side.from_words("--from", command.home), [Side.from_words("--to", words) for words in command.away]
     _check_sides(command.out, home, away)
     for option, value, where in (
@@ -167,7 +166,7 @@ def main(argv: list[str]) -> int:
     for side in (home, *away):
         if side.world:
             find_world(side.world)
-    candidates, robot = load_policies(paths)
+    candidates, robot = load_policies(command.policies)
     tasks = [_tasks(command, one.task, robot) for one in candidates]
     names = [one.name for one in candidates]
     sides, worlds = (home, *away), []
@@ -202,13 +201,12 @@ def main(argv: list[str]) -> int:
 
 def _tasks(command: GapCommand, task: TaskConfig, robot: RobotDescription) -> tuple[TaskConfig, TaskConfig]:
     """Return the task of a policy at home, and in the other worlds, of the same duration."""
-    from surefoot.cli.helpers.policies import adjust_task, with_duration
     from surefoot.evaluate.gap import away_task, home_task
     from surefoot.evaluate.sensitivity import episode_duration
 
     def adjusted(side: TaskConfig, settings: Repeated, actuator: Literal["dc", "constraint"] | None) -> TaskConfig:
-        simulator = Simulator(actuator, params=command.params)
-        side = adjust_task(side, robot, (*command.settings, *settings), command.pushes, simulator=simulator)
+        simulator, words = Simulator(actuator, params=command.params), (*command.settings, *settings)
+        side = RunOptions(pushes=command.pushes, settings=words, simulator=simulator).apply(side, robot)
         # Returns over different times could not be compared.
         return with_duration(side, robot, command.duration or episode_duration(task))
 
@@ -225,7 +223,6 @@ def _report(
     runs: dict[str, dict[str, RecordedTraces]],
 ) -> None:
     """Measure the runs of each policy in each world; write tables and figure, and print the results."""
-    from surefoot.cli.helpers.policies import describe_simulator
     from surefoot.evaluate.gap import PolicyGap
     from surefoot.evaluate.runs import measure_runs
     from surefoot.report.figures.runs import side_by_side

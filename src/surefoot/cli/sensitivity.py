@@ -19,7 +19,7 @@ from surefoot.cli.helpers.options import (
     make_figures_folder,
 )
 from surefoot.cli.helpers.parsing import parse
-from surefoot.cli.helpers.simulator import Simulator, SimulatorOptions
+from surefoot.cli.helpers.simulator import Simulator, SimulatorOptions, describe_simulator
 from surefoot.configuration import Duration, Within, to_mapping
 
 if TYPE_CHECKING:
@@ -63,16 +63,15 @@ def main(argv: list[str]) -> int:
     command = parse(SensitivityCommand, argv, "surefoot sensitivity")
     import pandas as pd
 
-    from surefoot.cli.helpers.policies import describe_simulator, find_policies, load_policies
+    from surefoot.cli.helpers.policies import load_policies
     from surefoot.progress import ProgressBar
     from surefoot.robot.randomization import load_ranges
     from surefoot.world.registry import WORLDS, find_world
 
-    paths = find_policies(command.policies)
     make_world = find_world(command.world)
-    loaded, robot = load_policies(paths)
+    loaded, robot = load_policies(command.policies)
     ranges = load_ranges(command.ranges, robot=robot.folder)
-    tasks = [command.simulator.of(one.task) for one in loaded]
+    tasks = [command.simulator.apply(one.task) for one in loaded]
     for task in tasks:
         task.nominal(robot)  # refuses parameters that the robot does not allow
     make_figures_folder(command.out)
