@@ -32,7 +32,7 @@ from surefoot.evaluate.sensitivity import (
     run_sensitivity,
 )
 from surefoot.robot import PhysicalParams, RobotDescription
-from surefoot.robot.randomization import Ranges, load_ranges
+from surefoot.robot.randomization import Ranges, RelativeRange, load_ranges
 from surefoot.tables import write_csv
 from surefoot.task.config import TaskConfig, load_task
 from surefoot.world.interface import Readings
@@ -105,6 +105,15 @@ def test_worlds_are_the_ends_and_what_lies_between(robot: RobotDescription):
     worlds = make_test_worlds(ranges, PhysicalParams.nominal(robot), 3)
     mass = tuple(TestWorld(MASS, value) for value in (0.9, 1.0, 1.1))
     assert worlds == (*mass, TestWorld("voltage", 15.0))
+
+
+def test_a_relative_range_scales_the_values_of_all_motors():
+    robot = RobotDescription.load("go2")
+    nominal = PhysicalParams.nominal(robot)
+    least, greatest = make_test_worlds({"motor_friction": RelativeRange(scale=(0.5, 1.5))}, nominal, 2)
+    assert np.ptp(nominal.motor_friction) > 0
+    np.testing.assert_allclose(least.values, 0.5 * nominal.motor_friction[0])
+    assert greatest.value == pytest.approx(1.5 * nominal.motor_friction.mean())
 
 
 def test_returns_by_hand_over_the_same_time():

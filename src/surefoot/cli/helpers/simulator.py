@@ -91,7 +91,7 @@ def _with_file(task: TaskConfig, path: Path) -> TaskConfig:
     path = find_params(path, robot)
     found, expected = read_params(path, robot), float(task.nominal(robot).control_step[0])
     step = float(found.params.control_step[0])
-    if "control_step" in found.given and not math.isclose(step, expected, rel_tol=1e-9):
+    if "control_step" in found.names and not math.isclose(step, expected, rel_tol=1e-9):
         raise SurefootError(
             f"{path}: control_step is {step:g}, and the task's is {expected:g}; "
             "it belongs to the policy, not to the robot: leave it out of the file"
