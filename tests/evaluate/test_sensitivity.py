@@ -24,12 +24,7 @@ from surefoot.evaluate.rollout import run_episodes
 from surefoot.evaluate.runs import measure_runs
 from surefoot.evaluate.sensitivity import Sensitivity, find_breaks, make_test_worlds, row_unit, run_sensitivity
 from surefoot.robot import PhysicalParams, RobotDescription
-<<<<<<< HEAD
 from surefoot.robot.randomization import Ranges, RelativeRange, load_ranges
-from surefoot.tables import write_csv
-=======
-from surefoot.robot.randomization import Ranges, load_ranges
->>>>>>> main
 from surefoot.task.config import TaskConfig, load_task
 from surefoot.world.interface import Readings
 from surefoot.world.sim_world import SimWorld

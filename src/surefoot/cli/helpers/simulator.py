@@ -71,15 +71,9 @@ def _apply_file(task: TaskConfig, path: Path) -> TaskConfig:
     """
     robot = RobotDescription.load(task.robot)
     path = find_params(path, robot)
-<<<<<<< HEAD
-    found, expected = read_params(path, robot), float(task.nominal(robot).control_step[0])
-    step = float(found.params.control_step[0])
-    if "control_step" in found.names and not math.isclose(step, expected, rel_tol=1e-9):
-=======
     file, expected = read_params(path, robot), float(task.nominal(robot).control_step[0])
     step = float(file.params.control_step[0])
-    if "control_step" in file.given and not math.isclose(step, expected, rel_tol=1e-9):
->>>>>>> main
+    if "control_step" in file.names and not math.isclose(step, expected, rel_tol=1e-9):
         raise SurefootError(
             f"{path}: control_step is {step:g}, and the task's is {expected:g}; "
             "it belongs to the policy, not to the robot: leave it out of the file"
