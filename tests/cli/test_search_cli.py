@@ -84,7 +84,7 @@ def test_every_trial_counts_once_whatever_dies(tmp_path: Path) -> None:
         result = surefoot(*SEARCH, "--trials", "3", "--ray", made.address, "--resume", cwd=tmp_path)
         assert result.returncode == 0, result.stderr
         assert result.stderr == ""
-        assert "trials.log: the last record was cut off and is left out" in result.stdout
+        assert "trials.log: the last record was cut off and is removed" in result.stdout
     check(tmp_path, 3)
     check_same(tmp_path, int(lost))
     check_report(tmp_path / "out", 3)

@@ -16,6 +16,7 @@ from run_tables import runs_table
 pytest.importorskip("matplotlib")
 
 from surefoot.studies.paper import NumberSource, ValueCounts, find_counts, find_number, load_content
+from surefoot.studies.search import make_config
 from surefoot.studies.search_report import write_report
 from surefoot.studies.trials import Retest, SearchResult, TrialResult, best
 from surefoot.task.trace import EpisodeTrace
@@ -52,7 +53,7 @@ def result(tmp_path: Path, make_run: Callable[..., EpisodeTrace]) -> SearchResul
         for one in tops
     )
     importance = {"ppo.value_hidden": 0.75, "ppo.learning_rate": 0.25}
-    return SearchResult("gallop", 5, 1_000_000, 8, tuple(trials), importance, retests)
+    return SearchResult(make_config("gallop", None, 5, 1_000_000), tuple(trials), importance, retests)
 
 
 def test_selection_bias_is_the_claimed_return_less_that_of_fresh_episodes(result: SearchResult) -> None:

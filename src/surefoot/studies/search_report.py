@@ -44,14 +44,15 @@ def write_report(result: SearchResult, folder: Path, command: str) -> Path:
     write_csv(folder / "top.csv", _top_rows(result))
     search_figure(result, folder / "search.png")
     parameter_figure(result, folder / "parameters.png")
+    train = result.config.train
     states = [trial.state for trial in result.trials]
     counts = ", ".join(f"{states.count(state)} {state}" for state in dict.fromkeys(states))
     hours = sum(trial.seconds for trial in result.trials) / 3600
     text = [
-        f"# Search: {result.name}",
+        f"# Search: {train.task.name}",
         f"```sh\n{command}\n```",
-        f"{len(result.trials)} trials ({counts}) of {result.steps:,} control steps, {result.episodes} episodes an "
-        f"evaluation, seed {result.seed}; {hours:.2f} hours of training in all. {_TERMS}",
+        f"{len(result.trials)} trials ({counts}) of {train.steps:,} control steps, {train.evaluation_episodes} episodes an "
+        f"evaluation, seed {result.config.seed}; {hours:.2f} hours of training in all. {_TERMS}",
         "![Returns of all trials](search.png)",
         "## Best trials",
         markdown([_best_row(trial) for trial in best([one for one in result.trials if one.complete])[:_LISTED]]),
@@ -170,7 +171,7 @@ def _census(result: SearchResult, folder: Path) -> list[str]:
 
 def search_figure(result: SearchResult, path: Path) -> Path:
     """Draw returns of trials in order, their evaluations in training, and the distribution of returns."""
-    scale, unit = (1e6, "million ") if result.steps >= 2e5 else (1.0, "")
+    scale, unit = (1e6, "million ") if result.config.train.steps >= 2e5 else (1.0, "")
     with new_figure(path, (11.0, 3.8), columns=3) as (figure, (order, curves, spread)):
         for state, color in _COLORS.items():
             trials = [trial for trial in result.trials if trial.state == state]
@@ -198,7 +199,7 @@ def search_figure(result: SearchResult, path: Path) -> Path:
         spread.set_title("Trials by return (m)")
         spread.set_xlabel("return (m)")
         figure.legend(*order.get_legend_handles_labels(), loc="outside lower center", ncols=3)
-        heading(figure, f"Search: {result.name}, {len(result.trials)} trials")
+        heading(figure, f"Search: {result.config.train.task.name}, {len(result.trials)} trials")
     return path
 
 

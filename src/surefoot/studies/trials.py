@@ -12,6 +12,7 @@ import pandas as pd
 
 from surefoot.evaluate.statistics import Interval, t_interval
 from surefoot.studies.evaluations import Result
+from surefoot.studies.search import SearchConfig
 from surefoot.tables import plain_value
 
 
@@ -94,14 +95,8 @@ class Retest:
 class SearchResult:
     """A search, as its report shows it."""
 
-    name: str
-    """Name of the task."""
-    seed: int
-    """Seed of the search."""
-    steps: int
-    """Control steps of a trial that is not pruned."""
-    episodes: int
-    """Episodes of an evaluation of a trial."""
+    config: SearchConfig
+    """The search."""
     trials: tuple[TrialResult, ...]
     """All trials, by number."""
     importance: dict[str, float] = field(default_factory=dict)

@@ -45,9 +45,7 @@ def report(search: Search, command: str, console: Console) -> None:
         for trial in best(complete)[:TOP]:
             with console.status(f"evaluating trial {trial.number} in fresh episodes"):
                 retests.append(_retest(search, trial))
-    train, seed = search.config.train, search.config.seed
-    options = (train.steps, train.evaluation_episodes, tuple(trials), search.importance(), tuple(retests))
-    result = SearchResult(train.task.name, seed, *options)
+    result = SearchResult(search.config, tuple(trials), search.importance(), tuple(retests))
     console.print(f"Report: {write_report(result, search.folder, command)}")
 
 
