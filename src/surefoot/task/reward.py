@@ -20,6 +20,7 @@ from surefoot.robot import GRAVITY, RobotDescription
 from surefoot.rotations import in_heading_frame
 from surefoot.task.gait import HybridGait
 from surefoot.task.trace import ENERGY_WEIGHT
+from surefoot.world.ground import Ground
 from surefoot.world.interface import Truth
 
 PAPER_REWARD = {"progress": 1.0, "energy": -ENERGY_WEIGHT}
@@ -44,6 +45,11 @@ class Scales:
         """Return a robot's scales."""
         length = robot.leg_geometry.length
         return cls(length, float(np.sqrt(GRAVITY * length)), float(np.sqrt(GRAVITY / length)), robot.weight)
+
+
+def base_height(position: Array, ground: Ground) -> Array:
+    """Return heights (N,) [m] of points (N, 3) in the world over the level of the ground."""
+    return np.asarray(position[:, 2] - ground.level(position[:, :2]))
 
 
 def base_rates(before: Truth, after: Truth, duration: Array | float) -> tuple[Array, Array]:
@@ -73,8 +79,9 @@ class StepMotion:
     """Truth at the beginning."""
     after: Truth
     """Truth at the end."""
-    height: Array
-    """Height of the base above where it settled (N,) [m]."""
+    start_position: Array
+    """Where the base settled (N, 3) [m]."""
+    ground: Ground
     gait: HybridGait
     feedback: Array
     """Feedback of the step (N, A), see `HybridGait`."""
@@ -88,6 +95,11 @@ class StepMotion:
     @cached_property
     def _rates(self) -> tuple[Array, Array]:
         return base_rates(self.before, self.after, self.duration[:, None])
+
+    @property
+    def height(self) -> Array:
+        """Height of the base above where it settled (N,) [m]."""
+        return base_height(self.after.base_position_world, self.ground) - base_height(self.start_position, self.ground)
 
     @property
     def velocity(self) -> Array:
