@@ -94,7 +94,7 @@ def test_a_task_survives_writing_and_reading(tmp_path, name):
         ("reward: {speed: 1}", ["reward.speed is not a term; choices: progress, energy"]),
         ("reward: {progress: much}", ["reward.progress is 'much'; it must be a number"]),
         ("reward: {progress: 1.0e+7}", ["reward.progress is 1e+07; it must be 1000000 or less"]),
-        ("reward_limits: {tilt: 1}", ["reward_limits.tilt is not a term of the reward; choices: progress, energy"]),
+        ("reward_limits: {tilt: 1}", ["reward_limits.tilt is not a term of reward; choices: progress, energy"]),
     ],
 )
 def test_a_file_that_does_not_fit_is_refused_in_one_line(tmp_path, text, pieces):

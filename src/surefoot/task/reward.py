@@ -187,16 +187,16 @@ TERMS: dict[str, Term] = {
 """Every term that a task's reward can have. Costs have negative weights."""
 
 
-def check_reward(weights: Mapping[str, float], limits: Mapping[str, float]) -> None:
+def check_reward(weights: Mapping[str, float], limits: Mapping[str, float], key: str = "reward") -> None:
     """Refuse a reward without terms, terms that do not exist, and limits of terms that the reward does not have."""
     if not weights:
-        raise SurefootError(f"reward has no term; choices: {choices(TERMS)}")
+        raise SurefootError(f"{key} has no term; choices: {choices(TERMS)}")
     for name in weights:
         if name not in TERMS:
-            raise SurefootError(f"reward.{name} is not a term; choices: {choices(TERMS)}")
+            raise SurefootError(f"{key}.{name} is not a term; choices: {choices(TERMS)}")
     for name in limits:
         if name not in weights:
-            raise SurefootError(f"reward_limits.{name} is not a term of the reward; choices: {choices(weights)}")
+            raise SurefootError(f"reward_limits.{name} is not a term of {key}; choices: {choices(weights)}")
 
 
 def step_reward(weights: Mapping[str, float], limits: Mapping[str, float], motion: StepMotion) -> Array:
