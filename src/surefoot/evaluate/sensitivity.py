@@ -200,7 +200,7 @@ def run_sensitivity(
     worlds = make_test_worlds(ranges, task.nominal(robot), values, push_force)
     other_force = task.pushes.force_range(robot.weight) if pushes else (0.0, 0.0)
     # The environment's own limit of control steps is out of reach: every robot has its own number.
-    pushes_config = task.pushes.in_full(pushes, push_force)
+    pushes_config = task.pushes.for_evaluation(pushes, push_force)
     task = replace(task, randomize={}, pushes=pushes_config, max_steps=MAX_STEPS)
     batch = max(robots // episodes - 1, 1) if robots else len(worlds)
     parts: list[pd.DataFrame] = []
