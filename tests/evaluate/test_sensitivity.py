@@ -264,7 +264,7 @@ def test_the_nearest_break_comes_first():
         },
         {MASS: [0, 0, 0, 0, 4], LATENCY: [0, 0, 0, 1, 3]},
     )
-    latency, mass = find_breaks(study)
+    latency, mass = find_breaks(study).itertuples()
     assert (latency.row, latency.value, latency.above, latency.fraction) == (
         LATENCY,
         0.03,
@@ -294,7 +294,7 @@ def test_the_nearest_break_comes_first():
 )
 def test_breaks_on_both_sides(returns: list[float], falls: list[int], breaks: list[tuple[float, int, int]]):
     result = find_breaks(made_up({LATENCY: returns}, {LATENCY: falls}, nominal=10.0 if returns[0] > 0 else -1.0))
-    assert [(item.value, item.beyond, item.broken_beyond) for item in result] == [
+    assert [(item.value, item.beyond, item.broken_beyond) for item in result.itertuples()] == [
         (pytest.approx(value), beyond, broken) for value, beyond, broken in breaks
     ]
 

@@ -123,7 +123,7 @@ class RunOptions:
             if not task.commands.enabled:
                 raise SurefootError(f"--commands is given; task '{task.name}' has no commands to follow")
             commands = replace(commands, schedule=read_schedule(self.commands))
-        pushes = task.pushes.in_full(self.pushes, self.push_force)
+        pushes = task.pushes.for_evaluation(self.pushes, self.push_force)
         return replace(task, randomize=ranges or {}, pushes=pushes, commands=commands)
 
 
