@@ -38,7 +38,6 @@ class PaperRuns:
     folder: Path
     """Folder for all results."""
     quick: bool
-    """Small versions."""
     workers: Workers = 0
     ray: Ray = None
     console: Console = field(default_factory=lambda: Console(stderr=True, highlight=False, soft_wrap=True))
@@ -65,7 +64,6 @@ class Stage:
     makes: str
     """File that is there when it is done, from the folder of the runs."""
     make: Callable[[PaperRuns], None]
-    """Make it."""
 
 
 def command(runs: PaperRuns, *words: object) -> None:
