@@ -1,4 +1,4 @@
-"""Forces of the ground on the feet, as the motors' torques tell them."""
+"""Forces of the ground on the feet, computed from the motors' torques."""
 
 from __future__ import annotations
 
