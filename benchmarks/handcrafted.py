@@ -24,7 +24,7 @@ from surefoot.cli.helpers.policies import find_policy, load_gait
 from surefoot.cli.helpers.simulator import RunOptions
 from surefoot.evaluate.footfalls import analyze_footfalls
 from surefoot.evaluate.rollout import Policy, run_episodes
-from surefoot.evaluate.runs import Runs
+from surefoot.evaluate.runs import measure_runs
 from surefoot.evaluate.statistics import t_interval
 from surefoot.report.figures.runs import footfall_diagram
 from surefoot.report.figures.style import COLORS, MARKERS, new_figure
@@ -108,10 +108,11 @@ def run(entry: Entry, condition: str, command: Command) -> list[dict[str, Any]]:
     if command.draw and condition == "mujoco":
         footfall_diagram(traces[0], command.folder / f"{entry.name}-footfalls.png")
     key = {"gait": entry.name, "family": entry.family, "condition": condition, "digest": entry.digest}
+    rows = measure_runs(traces).drop(columns="world").to_dict("records")
     feet = [analyze_footfalls(trace) for trace in traces]
     return [
         {**key, **row, "pattern": foot.pattern, "duty_factor": np.mean(list(foot.duty_factor.values()))}
-        for row, foot in zip(Runs.of_traces(traces).rows(), feet, strict=True)
+        for row, foot in zip(rows, feet, strict=True)
     ]
 
 

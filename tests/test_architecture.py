@@ -47,7 +47,7 @@ ROBOT_SIDE = [
 ]
 """Modules that the robot's computer runs, besides `surefoot.deploy`."""
 NOT_ON_THE_ROBOT = {
-    *("mujoco", "numba", "llvmlite", "gymnasium", "scipy", "pybullet"),
+    *("mujoco", "numba", "llvmlite", "gymnasium", "scipy", "pandas", "pybullet"),
     *("torch", "tensordict", "rsl_rl", "tensorboard", "onnx", "stable_baselines3"),
     *("matplotlib", "imageio_ffmpeg", "PIL", "viser", "websockets"),
 }

@@ -30,7 +30,7 @@ from surefoot.cli import play
 from surefoot.cli.helpers.drive_page import DrivePage, serve
 from surefoot.deploy.command_sources import FileCommands
 from surefoot.errors import SurefootError
-from surefoot.evaluate.driven import Row
+from surefoot.evaluate.driven import DrivenStep
 from surefoot.report.pages.server import PageServer
 from surefoot.report.pages.view import RobotView
 
@@ -46,7 +46,7 @@ class Running:
     server: PageServer
 
     @property
-    def last(self) -> Row:
+    def last(self) -> DrivenStep:
         return self.drive.robot.rows[-1]
 
     def until(self, holds: Callable[[], object]) -> None:
@@ -56,7 +56,7 @@ class Running:
             assert time.monotonic() < end
             time.sleep(0.02)
 
-    def measure(self, seconds: float) -> list[Row]:
+    def measure(self, seconds: float) -> list[DrivenStep]:
         """Return the control steps of some simulated time [s] from now on."""
         robot, begin = self.drive.robot, self.drive.robot.time
         self.until(lambda: robot.time >= begin + seconds)
@@ -228,19 +228,19 @@ def page(running: Running, shared: Page) -> Page:
     return shared
 
 
-def torque(rows: list[Row]) -> float:
+def torque(rows: list[DrivenStep]) -> float:
     return float(np.mean([np.abs(row.torque).mean() for row in rows]))
 
 
-def height(rows: list[Row]) -> float:
+def height(rows: list[DrivenStep]) -> float:
     return float(np.mean([row.position[2] for row in rows]))
 
 
-def heat(rows: list[Row]) -> float:
+def heat(rows: list[DrivenStep]) -> float:
     return float(np.mean([row.heat for row in rows]))
 
 
-def shift(rows: list[Row]) -> float:
+def shift(rows: list[DrivenStep]) -> float:
     return float(max(np.linalg.norm(row.position[:2] - rows[0].position[:2]) for row in rows))
 
 

@@ -160,7 +160,7 @@ BAD = [
 def test_bad_input_gets_one_line_and_exit_code_2(
     words: list[str], message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("surefoot.studies.workers._CONNECTING", 0.5)
+    monkeypatch.setattr("surefoot.studies.workers._CONNECT_TIMEOUT", 0.5)
     (tmp_path / "unknown.yaml").write_text("ppo.leg: {low: 0, high: 1}")
     (tmp_path / "reversed.yaml").write_text("ppo.gamma: {low: 0.9, high: 0.8}")
     (tmp_path / "robot.yaml").write_text("task.robot: {choices: [minitaur, centipede]}")

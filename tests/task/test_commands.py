@@ -138,11 +138,14 @@ def test_a_file_of_commands_is_read(tmp_path: Path) -> None:
         ("", "its first line is"),
         ("t,x\n0,1\n", "its first line is 't,x'; a file of commands is CSV"),
         ("time,forward,sideways,yaw_rate\n", "has no row"),
-        ("time,forward,sideways,yaw_rate\n" + "0,1,0,0\n" * 130_000, "has more than 1000000 bytes"),
+        ("time,forward,sideways,yaw_rate\n" + "0,1,0,0\n" * 130_000, "it has 1040031 bytes; at most 1000000 are read"),
         ("time," + "x" * 200_000, "field larger than field limit"),
         ("time,forward,sideways,yaw_rate\n0,fast,0,0\n", "could not convert"),
-        ("time,forward,sideways,yaw_rate\n0,nan,0,0\n", "row 1 is"),
-        ("time,forward,sideways,yaw_rate\n0,1,0\n", "row 1 is"),
+        ("time,forward,sideways,yaw_rate\n0,nan,0,0\n", r"schedule\[0\]\[1\] is nan; it must be a finite number"),
+        (
+            "time,forward,sideways,yaw_rate\n0,1,0\n",
+            r"schedule\[0\] is \[0.0, 1.0, 0.0\]; it must be a list of 4 values",
+        ),
         ("time,forward,sideways,yaw_rate\n1,1,0,0\n1,0,0,0\n", "row 2 is at 1 s; times start at 0 s or later"),
     ],
 )

@@ -39,14 +39,6 @@ def test_an_episode_ends_after_its_steps_and_starts_anew_when_told_to(single):
     assert env.batch.steps.tolist() == [0]
 
 
-def test_a_fall_terminates(single):
-    env = single()
-    env.reset()
-    env.batch.world.tilt[0, 1] = 0.6
-    *_, terminated, truncated, _ = env.step(np.zeros(8))
-    assert (terminated, truncated) == (True, False)
-
-
 def test_it_goes_as_robot_0_of_a_batch():
     task = TaskConfig(feedback=FEEDBACK, params={"imu_noise": 0.02})
     one = LocomotionSingleEnv(task, SimWorld, seed=0)
@@ -95,15 +87,6 @@ def test_another_task_can_be_given_and_is_checked():
     assert env.observation_space.shape == (1,)
     with pytest.raises(SurefootError, match="task 'waltz' does not exist"):
         gymnasium.make("surefoot/Gallop-v0", task="waltz")
-
-
-def test_make_vec_gives_the_batch():
-    envs = gymnasium.make_vec("surefoot/Gallop-v0", num_envs=3, threads=1)
-    assert isinstance(envs, LocomotionEnv)
-    observation, _ = envs.reset(seed=0)
-    assert observation.shape == (3, 12)
-    envs.step(envs.action_space.sample())
-    envs.close()
 
 
 def test_gymnasiums_statistics_wrap_one_robot_and_a_batch():

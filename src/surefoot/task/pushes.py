@@ -70,6 +70,9 @@ class Pusher:
         weight: the robot's m g [N].
     """
 
+    arrays = ("force", "drawn", "before")
+    """Names of the arrays that change over time."""
+
     def __init__(self, config: PushConfig, num_envs: int, seed: int, weight: float) -> None:
         self.config = config
         self.streams = generators(seed, "pushes", num_envs)

@@ -82,7 +82,7 @@ def finish_run(loop: TrainingLoop, folder: RunFolder) -> None:
     from surefoot.evaluate.runs import summarize
     from surefoot.policy.runtime import PolicyRuntime
     from surefoot.robot import RobotDescription
-    from surefoot.studies.comparison import Curve
+    from surefoot.studies.comparison import learning_curve
     from surefoot.studies.study_figures import learning_curves
 
     loop.export(folder.policy)
@@ -106,7 +106,7 @@ def finish_run(loop: TrainingLoop, folder: RunFolder) -> None:
     figures.mkdir(exist_ok=True)
     rows = folder.rows()
     if any(row["return_mean"] is not None for row in rows):
-        learning_curves({task.name: [Curve.of_rows(rows)]}, figures / "learning_curve.png")
+        learning_curves({task.name: [learning_curve(rows)]}, figures / "learning_curve.png")
     episodes = sorted(traces["without_pushes"], key=lambda trace: trace.base_position_world[-1, 0])
     median = episodes[len(episodes) // 2]
     draw_episode(figures, median, robot)

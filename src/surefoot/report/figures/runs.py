@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from surefoot.arrays import Array
 from surefoot.evaluate.footfalls import Footfalls, analyze_footfalls
-from surefoot.evaluate.runs import Runs
+from surefoot.evaluate.runs import measure_runs
 from surefoot.report.figures.style import (
     BLUE,
     GREEN,
@@ -58,7 +58,7 @@ def footfall_diagram(trace: EpisodeTrace, path: str | Path) -> Path:
 def episode_plot(trace: EpisodeTrace, robot: RobotDescription, path: str | Path) -> Path:
     """Draw one episode: tilt, speed and power over its whole length, measured leg angles over one second."""
     step = np.diff(trace.time, prepend=0.0)
-    runs = Runs.of_traces([trace])
+    run = measure_runs([trace]).iloc[0]
     with new_figure(path, (9.0, 7.0), rows=3, columns=2) as (figure, axes):
         tilt, turn, speed, power, *legs = axes
         for name, color, angle in (
@@ -70,9 +70,9 @@ def episode_plot(trace: EpisodeTrace, robot: RobotDescription, path: str | Path)
         turn.plot(trace.time, np.unwrap(trace.roll_pitch_yaw[:, 2]), color=GREEN, linewidth=1.0)
         turn.set_title("Yaw as measured (rad)")
         forward = np.diff(trace.base_position_world[:, 0]) / step
-        _raw_and_smooth(speed, trace, forward, BLUE, runs.speed[0], "m/s")
+        _raw_and_smooth(speed, trace, forward, BLUE, run.speed, "m/s")
         speed.set_title("Forward speed (m/s)")
-        _raw_and_smooth(power, trace, trace.energy / step, ORANGE, runs.power[0], "W")
+        _raw_and_smooth(power, trace, trace.energy / step, ORANGE, run.power, "W")
         power.set_title("Mechanical power (W)")
         for ax in (tilt, turn, speed, power):
             ax.set_xlim(0.0, trace.duration)
