@@ -128,7 +128,7 @@ def turn_rate(model: Any) -> None:
 
 
 @pytest.mark.parametrize(("command", "edit"), [("doctor", cut_normalizer), ("deploy", turn_rate)])
-def test_a_policy_changed_after_its_export_is_refused_before_the_port_is_opened(
+def test_a_changed_policy_is_refused_before_the_port_is_opened(
     command: str, edit: Callable[[Any], None], tmp_path: Path
 ):
     model = onnx.load(find_policy("trot"))
