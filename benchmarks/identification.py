@@ -1,4 +1,4 @@
-"""Identify emulated robots whose parameters nobody was identifiable, and compare what was found with what was hidden.
+"""Identify emulated robots with hidden parameters, and compare estimates and true values.
 
     python benchmarks/identification.py --seeds 1-10 --worlds mujoco bullet --out build/identification.jsonl
 

@@ -154,7 +154,8 @@ class Comparison:
         command_error = rms(runs["MuJoCo"]["angles"] - [path(t) for t in runs["MuJoCo"]["time"]])
         print(
             f"{name:9} motor angles {rms(apart):.5f} rad RMS apart, {np.abs(apart).max():.5f} at most, "
-            f"each motor {np.sqrt(np.mean(apart**2, axis=0)).round(5).tolist()}; from the command {command_error:.3f} rad"
+            f"each motor {np.sqrt(np.mean(apart**2, axis=0)).round(5).tolist()}; from the command "
+            f"{command_error:.3f} rad"
         )
 
     def sines(self) -> None:
