@@ -71,7 +71,7 @@ def test_reference_and_feedback_add(robot):
     assert targets[robot.motor_names.index("front_left_2_motor")] == pytest.approx(2.05)
 
 
-def test_rest_is_the_middle_of_what_can_be_asked_for(robot):
+def test_rest_is_the_middle_of_the_range_of_commands(robot):
     assert scratch(robot).rest == pytest.approx((0.0, 1.5))
     assert HybridGait(robot, trot(robot), (-0.25, 0.25), (-0.25, 0.25)).rest == pytest.approx((0.0, 2.0))
 

@@ -25,7 +25,7 @@ def single():
     return make
 
 
-def test_an_episode_ends_after_its_steps_and_starts_anew_when_told_to(single):
+def test_an_episode_ends_after_its_steps_and_starts_anew_with_a_reset(single):
     env = single(max_steps=3)
     env.reset()
     env.batch.world.speed[:] = 1.0
@@ -39,7 +39,7 @@ def test_an_episode_ends_after_its_steps_and_starts_anew_when_told_to(single):
     assert env.batch.steps.tolist() == [0]
 
 
-def test_it_goes_as_robot_0_of_a_batch():
+def test_a_single_robot_moves_as_robot_0_of_a_batch():
     task = TaskConfig(feedback=FEEDBACK, params={"imu_noise": 0.02})
     one = LocomotionSingleEnv(task, SimWorld, seed=0)
     many = LocomotionEnv(task, 3, SimWorld, 0, autoreset=False, threads=1)
@@ -82,7 +82,7 @@ def test_an_id_can_bring_its_module_and_adds_no_time_limit_and_its_spec_survives
     assert again.observation_space.shape == (4,)
 
 
-def test_another_task_can_be_given_and_is_checked():
+def test_an_id_takes_another_task():
     env = gymnasium.make("surefoot/Gallop-v0", task=TaskConfig(feedback=FEEDBACK, observations=("roll",)))
     assert env.observation_space.shape == (1,)
     with pytest.raises(SurefootError, match="task 'waltz' does not exist"):

@@ -24,7 +24,7 @@ Range = tuple[float, float]
 _START_TIME = 1.5
 """Time in which a gait goes from standing to full steps, and back [sqrt(l / g)]."""
 _FILE_BYTES = 1_000_000
-"""Most bytes of a file of commands."""
+"""Size of the largest file of commands that is read."""
 MAX_HEADING_ERROR = 0.5
 """Greatest heading error [rad] that is corrected; beyond it the heading that is held follows the robot."""
 MAX_STANDING_HEADING_ERROR = 0.15
@@ -249,7 +249,7 @@ class CommandSampler(CommandSource):
 
 @dataclass(frozen=True)
 class CommandState:
-    """What a gait follows at one moment, for N robots."""
+    """Commands and phase that a gait follows, of N robots."""
 
     command: Array
     """Speeds forward and to the left [m/s] and yaw rate [rad/s], (N, 3): the given command, its change limited, and
@@ -273,7 +273,7 @@ class CommandFilter:
         frequency: gives the gait's frequency [Hz] (N,) for commands (N, 3).
     """
 
-    arrays = ("followed", "correction", "heading_error", "activity", "phase", "heading")
+    arrays = ("filtered_command", "correction", "heading_error", "activity", "phase", "heading")
     """Names of the arrays that change over time."""
 
     def __init__(
@@ -281,7 +281,7 @@ class CommandFilter:
     ) -> None:
         self.limits, self._frequency = limits, frequency
         self._start_rate = 1.0 / (_START_TIME * natural_period)
-        self.followed = np.zeros((num_envs, 3))
+        self.filtered_command = np.zeros((num_envs, 3))
         """The given commands, their change limited, (N, 3)."""
         self.correction = np.zeros(num_envs)
         """Yaw rate that holds the heading [rad/s], (N,)."""
@@ -307,29 +307,29 @@ class CommandFilter:
 
     def reset(self, rows: NDArray[np.int64], yaw: Array) -> None:
         """Let robots stand, whose IMU says `yaw` (N,) [rad]."""
-        for array in (self.followed, self.correction, self.heading_error, self.activity, self.phase):
+        for array in (self.filtered_command, self.correction, self.heading_error, self.activity, self.phase):
             array[rows] = 0.0
         self.heading[rows] = yaw[rows]
 
     def advance(self, target: Array, step: Array, yaw: Array) -> None:
         """Go on by a control step of `step` (N,) [s] with commands `target` (N, 3) and the IMU's `yaw` (N,) [rad]."""
         limits = self.limits
-        most = np.array(limits.acceleration) * step[:, None]
-        self.followed += np.clip(target - self.followed, -most, most)
-        walks = ~limits.stands(target) | ~limits.stands(self.followed)
+        change = np.array(limits.acceleration) * step[:, None]
+        self.filtered_command += np.clip(target - self.filtered_command, -change, change)
+        walks = ~limits.stands(target) | ~limits.stands(self.filtered_command)
         change = self._start_rate * step
         self.activity += np.clip(walks - self.activity, -change, change)
-        self.phase = (self.phase + self._frequency(self.followed) * step) % 1.0
-        self.heading += self.followed[:, 2] * step
+        self.phase = (self.phase + self._frequency(self.filtered_command) * step) % 1.0
+        self.heading += self.filtered_command[:, 2] * step
         error = (self.heading - yaw + np.pi) % (2 * np.pi) - np.pi
-        most = np.where(walks, MAX_HEADING_ERROR, MAX_STANDING_HEADING_ERROR)
-        self.heading_error = np.clip(error, -most, most)
+        limit = np.where(walks, MAX_HEADING_ERROR, MAX_STANDING_HEADING_ERROR)
+        self.heading_error = np.clip(error, -limit, limit)
         self.heading = yaw + self.heading_error
         self.correction = np.where(walks, limits.heading_gain * self.heading_error, 0.0)
 
     @property
     def state(self) -> CommandState:
         """What the gait follows now; its arrays are the caller's."""
-        command = self.followed.copy()
+        command = self.filtered_command.copy()
         command[:, 2] += self.correction
         return CommandState(command, self.activity.copy(), self.phase.copy())

@@ -92,7 +92,7 @@ def finish_run(loop: TrainingLoop, folder: RunFolder) -> None:
     if task.randomize:
         kinds["randomized"] = (replace(nominal, randomize=task.randomize), _RANDOMIZED_EPISODES)
     if task.pushes.enabled:
-        kinds["with_pushes"] = (replace(nominal, pushes=task.pushes.in_full(True)), _EPISODES)
+        kinds["with_pushes"] = (replace(nominal, pushes=task.pushes.for_evaluation(True)), _EPISODES)
     name = policy.contract.name
     traces = {
         kind: run_episodes(policy, task, episodes, find_world(world), seed=0, world_name=world, policy_name=name)
