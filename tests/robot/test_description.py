@@ -107,7 +107,7 @@ def test_joint_angles_are_the_urdfs_and_close_the_loops(robot: RobotDescription)
         theta = angles[robot.leg_motor_index[number]]
         assert [joints[name][0] for name in leg.motors] == [theta[0], -theta[1]]
         assert [joints[name][0] for name in leg.knees] == robot.five_bar.knee_angles(theta).tolist()
-    assert {name: values[1] for name, values in joints.items()} == robot.resting_joint_angles
+    assert {name: values[1] for name, values in joints.items()} == robot.joint_angles(robot.resting_angles)
 
 
 def test_a_body_is_as_long_as_its_legs_are_apart_where_the_sheet_does_not_say(folder: Path):

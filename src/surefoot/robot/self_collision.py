@@ -60,12 +60,12 @@ def _core(shape: Shape) -> tuple[Array, float]:
 
 def _reach(robot: RobotDescription, shape: Shape) -> tuple[Array, Array]:
     """Return the bounds (3,) [m] of a shape in the root's frame over all angles of its joints."""
-    chain = robot.urdf.chain(shape.link)
-    hinges = [joint for joint in chain if joint.kind != "fixed"]
+    urdf = robot.urdf
+    hinges = [joint for joint in urdf.tree if joint.kind != "fixed" and shape.link in urdf.below(joint.name)]
     spans = np.clip([joint.limits or (-math.pi, math.pi) for joint in hinges], -math.pi, math.pi).tolist()
     grid = [np.linspace(low, high, _SAMPLES.get(len(hinges), 5)) for low, high in spans]
     angles = np.array(list(product(*grid)), float).T
-    frames = robot.urdf.frames(dict(zip([joint.name for joint in hinges], angles, strict=True)), chain)
+    frames = urdf.frames(dict(zip([joint.name for joint in hinges], angles, strict=True)))
     points, radius = _core(shape)
     places = _place(points, frames[shape.link]).reshape(-1, 3)
     room = radius + _MARGIN * robot.leg_geometry.length

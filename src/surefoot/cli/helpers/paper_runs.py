@@ -15,6 +15,7 @@ from pathlib import Path
 from rich.console import Console
 
 from surefoot.cli.helpers.options import Ray, Workers
+from surefoot.cli.helpers.output import make_console
 from surefoot.errors import SurefootError, describe_os_errors
 from surefoot.files import atomic_write
 
@@ -40,7 +41,7 @@ class PaperRuns:
     quick: bool
     workers: Workers = 0
     ray: Ray = None
-    console: Console = field(default_factory=lambda: Console(stderr=True, highlight=False, soft_wrap=True))
+    console: Console = field(default_factory=lambda: make_console(stderr=True))
 
     def workers_options(self) -> list[str]:
         """Return the options of commands that run many trainings."""
