@@ -27,7 +27,7 @@ from surefoot.identify.ground.motion import (
 )
 from surefoot.identify.ground.plans import ends, sides
 from surefoot.identify.recording import Recording
-from surefoot.identify.registry import FitProgress
+from surefoot.identify.result import FitProgress
 from surefoot.identify.result import Check, Identification, ParameterEstimate, Series, with_floor
 from surefoot.robot import GRAVITY, PhysicalParams, RobotDescription
 

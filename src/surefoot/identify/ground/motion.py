@@ -14,7 +14,7 @@ from surefoot.arrays import Array
 from surefoot.errors import SurefootError
 from surefoot.identify.ground.inverse_dynamics import Forces, InverseDynamics, Motion
 from surefoot.identify.plan import Use
-from surefoot.identify.recording import CLOCK, Recording, read_at
+from surefoot.identify.recording import CLOCK_RESOLUTION, Recording, read_at
 from surefoot.robot import GRAVITY, PhysicalParams, RobotDescription
 
 STEP = 0.002
@@ -126,7 +126,7 @@ def _since_command(robot: RobotDescription, recording: Recording, params: Physic
     steps = []
     for back in range(count, 0, -1):
         begins = times - back * dt
-        order = np.clip(np.searchsorted(recording.arrival, begins + CLOCK, side="right") - 1, 0, None)
+        order = np.clip(np.searchsorted(recording.arrival, begins + CLOCK_RESOLUTION, side="right") - 1, 0, None)
         seen = begins - params.servo_latency[0] + age
         duty = servo_duty(
             recording.sent_value[order],

@@ -26,7 +26,7 @@ from surefoot.identify.logs.model import (
     unknowns_of,
 )
 from surefoot.identify.recording import digest_of
-from surefoot.identify.registry import FitProgress, ignore_progress
+from surefoot.identify.result import FitProgress, ignore_progress
 from surefoot.identify.replay import Replayer, segment_from_log
 from surefoot.identify.result import Check, Identification, ParameterEstimate, Series
 from surefoot.robot import PhysicalParams, RobotDescription

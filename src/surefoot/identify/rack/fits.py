@@ -19,7 +19,7 @@ from surefoot.errors import SurefootError
 from surefoot.identify.fitting import GAIN, TORQUE_GAIN
 from surefoot.identify.rack.model import RackModel, fit_on_rack, rack_estimates
 from surefoot.identify.recording import Recording, read_at
-from surefoot.identify.registry import FitProgress
+from surefoot.identify.result import FitProgress
 from surefoot.identify.replay import Replayer, Segment, segment_from_recording
 from surefoot.identify.result import Check, Identification, ParameterEstimate, Series
 from surefoot.robot import PhysicalParams, RobotDescription

@@ -11,7 +11,7 @@ from surefoot.arrays import Array
 from surefoot.errors import SurefootError
 from surefoot.identify.fitting import BLOCK, GAIN, TORQUE_GAIN, Fit, Unknown, fit_least_squares, params_of
 from surefoot.identify.recording import Recording
-from surefoot.identify.registry import FitProgress
+from surefoot.identify.result import FitProgress
 from surefoot.identify.replay import ReplayedReadings, Replayer, Segment
 from surefoot.identify.result import ParameterEstimate, with_floor
 from surefoot.robot import PhysicalParams, RobotDescription
@@ -122,7 +122,7 @@ class RackModel:
 
         All else is as in `base`: only the reading differs, so that one simulation serves for all.
         """
-        angles = self.replayer.read_late(self.segment, self.base, latencies)[:, :: self.every]
+        angles = self.replayer.angles_with_latencies(self.segment, self.base, latencies)[:, :: self.every]
         errors = (angles - self.recording.motor_angle[self.segment.states[:: self.every]])[..., self.kept]
         costs = np.mean(errors**2, axis=(1, 2))
         padded = np.pad(costs, 1, constant_values=np.inf)

@@ -26,7 +26,7 @@ from surefoot.errors import SurefootError, choices
 from surefoot.identify.fitting import GAIN, Fit, Unknown, fit_least_squares
 from surefoot.identify.ground.inverse_dynamics import InverseDynamics, Motion
 from surefoot.identify.recording import digest_of, read_at
-from surefoot.identify.registry import FitProgress, ignore_progress
+from surefoot.identify.result import FitProgress, ignore_progress
 from surefoot.identify.result import Check, Identification, ParameterEstimate, Series, indexed_name, with_floor
 from surefoot.identify.traces.data import (
     TraceSegment,
