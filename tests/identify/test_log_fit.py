@@ -10,7 +10,7 @@ import pytest
 pytest.importorskip("mujoco")
 
 from surefoot.errors import SurefootError
-from surefoot.identify.logs.errors import imu_of
+from surefoot.identify.logs.errors import imu_channels
 from surefoot.identify.logs.fit import _mounted, _searched, fit_logs
 from surefoot.identify.logs.model import LogModel, LogRun, params_of_logs, unknowns_of
 from surefoot.identify.logs.robot_log import RobotLog
@@ -104,7 +104,7 @@ def test_an_imu_that_is_mounted_the_other_way_is_found(pupper: RobotDescription,
     command[:, 2::6] -= 0.4 * np.linspace(0, 1, len(command))[:, None]
     blank = replace(first, command=command)
     told = Replayer(pupper, 1, rack=False, torques=False).run(segment_from_log(blank, pupper), truth)
-    log = replace(blank, motor_angle=told.motor_angle[0], imu=imu_of(told)[0])
+    log = replace(blank, motor_angle=told.motor_angle[0], imu=imu_channels(told)[0])
     assert np.ptp(log.imu[:, :2], axis=0).min() > 0.01
     assert _mounted(pupper, [LogRun(log, False)], nominal) == np.pi
     assert _mounted(pupper, [LogRun(hanging, True)], nominal) is None

@@ -12,7 +12,7 @@ import pytest
 from surefoot.errors import SurefootError
 from surefoot.identify.logs import table as log_table
 from surefoot.identify.logs.importing import import_log, missing_columns
-from surefoot.identify.logs.robot_log import log_of_trace
+from surefoot.identify.logs.robot_log import log_from_trace
 from surefoot.identify.logs.table import read_table
 from surefoot.robot import RobotDescription
 from surefoot.task.trace import EpisodeTrace
@@ -50,7 +50,7 @@ def test_a_table_in_degrees_and_milliseconds(tmp_path: Path, pupper: RobotDescri
     # It is a trace like others: it can be kept, and replayed.
     again = EpisodeTrace.load(trace.save(tmp_path / "trace.npz"))
     np.testing.assert_array_equal(again.target, trace.target)
-    assert log_of_trace("log", again).timing()["repeated_times"] == pytest.approx(1 / 3)
+    assert log_from_trace("log", again).timing()["repeated_times"] == pytest.approx(1 / 3)
 
 
 def test_a_pickle_of_rows_and_one_of_arrays(tmp_path: Path, pupper: RobotDescription):

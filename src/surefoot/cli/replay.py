@@ -52,14 +52,14 @@ def main(argv: list[str]) -> int:
         import_module("matplotlib")
     robot = RobotDescription.load(command.robot)
     params = given_params(robot, command.params, command.settings)
-    from surefoot.identify.logs.errors import errors_of_recorded, replay_log
+    from surefoot.identify.logs.errors import compare_logs, replay_log
     from surefoot.identify.logs.robot_log import read_log
     from surefoot.identify.replay import Replayer
     from surefoot.world.registry import check_takes_params
 
     check_takes_params(command.world)
     log = read_log(command.trace, robot)
-    other = None if command.beside is None else errors_of_recorded(log, read_log(command.beside, robot))
+    other = None if command.beside is None else compare_logs(log, read_log(command.beside, robot))
     replayer = Replayer(robot, 1, command.rack, command.world, torques=False)
     errors = replay_log(log, robot, params, replayer)
     told: dict[str, Any] = {
