@@ -316,11 +316,11 @@ def _child(words: Sequence[str], place: Path, output: int) -> None:
         sys.stderr = io.TextIOWrapper(
             io.FileIO(2, "w", closefd=False), encoding="utf-8", errors="backslashreplace", write_through=True
         )
-        from surefoot.cli import train
+        from surefoot.cli.helpers import training
         from surefoot.cli.main import main
 
         # Figures and a video of each training would take most of the time.
-        train.finish = lambda *_: None
+        training.finish_run = lambda *_: None
         try:
             code = main(list(words))
         except SystemExit as stop:
@@ -463,17 +463,17 @@ def _signed(arrays: dict[str, Any]) -> dict[str, Any]:
 
 
 def _policy(content: bytes, rng: random.Random) -> bytes:
-    """A policy with another contract, and without the digest that would tell."""
+    """A policy with another contract, and the digest that matches it."""
     import onnx
 
     from surefoot.policy.contract import METADATA_KEY
+    from surefoot.policy.digest import add_digest
 
     model = onnx.load(io.BytesIO(content))
     (entry,) = (entry for entry in model.metadata_props if entry.key == METADATA_KEY)
     text = json.dumps(_leaf(json.loads(entry.value), rng))
     onnx.helper.set_model_props(model, {METADATA_KEY: text})
-    made: bytes = model.SerializeToString()
-    return made
+    return add_digest(model.SerializeToString())
 
 
 def make_seeds(folder: Path, wanted: set[str]) -> None:
@@ -487,6 +487,7 @@ def make_seeds(folder: Path, wanted: set[str]) -> None:
 
     from surefoot.cli.helpers.policies import find_policy
     from surefoot.policy.contract import METADATA_KEY
+    from surefoot.policy.digest import add_digest
     from surefoot.robot import RobotDescription
 
     model = onnx.load(find_policy("trot"))
@@ -494,19 +495,20 @@ def make_seeds(folder: Path, wanted: set[str]) -> None:
     contract = json.loads(entry.value)
     contract["task"]["max_steps"] = 5
     onnx.helper.set_model_props(model, {METADATA_KEY: json.dumps(contract)})
-    onnx.save(model, folder / "policy.onnx")
+    (folder / "policy.onnx").write_bytes(add_digest(model.SerializeToString()))
     robot = RobotDescription.load("minitaur")
     shutil.copytree(robot.folder, folder / "robot")
     (folder / "params.toml").write_text(
         'robot = "minitaur"\n[params]\nvoltage = 15.4\nimu_bias = [0.01, 0.02]\nmotor_strength = 0.9\n'
         '[sensors]\nage = 0.001\n[identified.motor]\ndate = "2020-01-01"\n'
     )
-    (folder / "ranges.yaml").write_text("mass: [0.9, 1.1]\nvoltage: [14.0, 16.0]\nlatency: null\n")
+    (folder / "ranges.yaml").write_text("base_mass_ratio: [0.9, 1.1]\nvoltage: [14.0, 16.0]\ncontrol_latency: null\n")
     (folder / "task.yaml").write_text(
         "name: mine\nrobot: minitaur\nobservations: [roll, pitch, roll_rate, pitch_rate, motor_angles]\nhistory: 2\n"
         "reference:\n  kind: sine\n  swing: {amplitude: 0.3, frequency: 2.0, phase: 0.5, offset: 0.0}\n"
         "  extension: {amplitude: 0.2, frequency: 2.0, offset: 1.6}\nfeedback: {swing: [-0.2, 0.2], extension: [-0.2, "
-        "0.2]}\nenergy_weight: 0.005\nfall_angle: 0.5\nmax_steps: 4\npushes: {enabled: true, period: 1.2, duration: "
+        "0.2]}\nreward: {progress: 1.0, energy: -0.005}\n"
+        "fall_angle: 0.5\nmax_steps: 4\npushes: {enabled: true, period: 1.2, duration: "
         "0.06, force: [10, 20]}\nrandomize: table1\nparams: {voltage: 15.0}\nactuator: dc\ntrain:\n  seed: 3\n"
         "  ppo: {gamma: 0.99, policy_hidden: [8, 8], learning_rate: 0.001}\n"
     )
@@ -518,7 +520,7 @@ def make_seeds(folder: Path, wanted: set[str]) -> None:
     )
     (folder / "space.yaml").write_text(
         "ppo.learning_rate: {low: 0.0001, high: 0.01, log: true}\nppo.policy_hidden.0: {low: 8, high: 16, int: true}\n"
-        "task.energy_weight: {choices: [0.001, 0.01]}\n"
+        "task.reward.energy: {choices: [-0.001, -0.01]}\n"
     )
     header = [f"{part}_{leg}" for part in ("swing", "extension") for leg in robot.leg_names]
     rows = [[str(0.1 * k)] * 4 + ["1.6"] * 4 for k in range(4)]

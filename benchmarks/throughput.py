@@ -41,7 +41,7 @@ from surefoot.cli.helpers.policies import find_policy
 from surefoot.learn.config import load_train_config
 from surefoot.learn.trainer import Trainer
 from surefoot.policy.runtime import PolicyRuntime
-from surefoot.robot.randomization import RandomizeConfig, load_ranges
+from surefoot.robot.randomization import Ranges, load_ranges
 from surefoot.task.config import TaskConfig
 from surefoot.task.contract_mapping import task_from_contract
 from surefoot.task.env import LocomotionEnv
@@ -156,8 +156,10 @@ class Bench:
         """Set up what the longer turns need."""
         table1 = load_ranges("table1", robot=self.env.task.robot)
         self.episode_env = self._env(self.env.task, self.env.task.randomize)
-        self.drawn_env = self._env(self.env.task, replace(table1, control_step=None))
-        self.unequal_env = self._env(self.env.task, RandomizeConfig(control_step=table1.control_step))
+        self.drawn_env = self._env(
+            self.env.task, {name: given for name, given in table1.items() if name != "control_step"}
+        )
+        self.unequal_env = self._env(self.env.task, {"control_step": table1["control_step"]})
         self.redraw_seconds = 0.0
         self._time_redraws(self.drawn_env)
         config = load_train_config(self.training, self.env.task.robot)
@@ -167,7 +169,7 @@ class Bench:
         for trainer in (self.trainer, self.drawn_trainer):
             trainer.update()
 
-    def _env(self, task: TaskConfig, ranges: RandomizeConfig) -> LocomotionEnv:
+    def _env(self, task: TaskConfig, ranges: Ranges) -> LocomotionEnv:
         drawn = replace(task, randomize=ranges)
         return LocomotionEnv(drawn, self.num_envs, SimWorld, seed=1, threads=self.threads)
 

@@ -29,8 +29,9 @@ from surefoot.learn.config import load_train_config
 from surefoot.learn.trainer import Trainer
 from surefoot.robot.commands import COMMANDS
 from surefoot.tables import write_csv
-from surefoot.task.config import FeedbackConfig, ReferenceConfig, TaskConfig
+from surefoot.task.config import FeedbackConfig, TaskConfig
 from surefoot.task.pushes import PushConfig
+from surefoot.task.reference import ReferenceConfig
 from surefoot.world.sim_world import SimWorld
 
 FRESH = 7_000_003

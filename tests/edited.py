@@ -12,22 +12,19 @@ import pytest
 
 from surefoot.cli.helpers.policies import find_policy
 from surefoot.policy.contract import METADATA_KEY
-from surefoot.policy.digest import stamped
+from surefoot.policy.digest import add_digest
 from surefoot.robot import RobotDescription
 
 
-def edited_policy(
-    path: Path, change: Callable[[dict[str, Any]], object], policy: str = "gallop", signed: bool = True
-) -> Path:
-    """Write a policy whose contract is changed, with a digest that fits, or with none."""
+def edited_policy(path: Path, change: Callable[[dict[str, Any]], object], policy: str = "gallop") -> Path:
+    """Write a policy whose contract is changed, with a digest that matches."""
     onnx = pytest.importorskip("onnx")
     model = onnx.load(find_policy(policy))
     (entry,) = (entry for entry in model.metadata_props if entry.key == METADATA_KEY)
     contract = json.loads(entry.value)
     change(contract)
     onnx.helper.set_model_props(model, {METADATA_KEY: json.dumps(contract)})
-    content = model.SerializeToString()
-    path.write_bytes(stamped(content) if signed else content)
+    path.write_bytes(add_digest(model.SerializeToString()))
     return path
 
 

@@ -66,9 +66,9 @@ def test_it_stands_alike_in_both_engines(robot: RobotDescription) -> None:
 
 def test_table_1_can_be_drawn_and_set(robot: RobotDescription) -> None:
     ranges = load_ranges("table1", robot=robot.name)
-    worlds = make_test_worlds(ranges, 2)
-    assert {world.row for world in worlds} == set(ranges.ranges)
-    drawn = draw_hidden(robot, ranges.ranges, 1)
+    worlds = make_test_worlds(ranges, PhysicalParams.nominal(robot), 2)
+    assert {world.row for world in worlds} == set(ranges)
+    drawn = draw_hidden(robot, ranges, 1)
     world = SimWorld(robot, 1, drawn, config=WorldConfig(threads=1))
     world.step(world.resting_angles[None])
     assert isinstance(drawn, PhysicalParams)

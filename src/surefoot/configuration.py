@@ -78,15 +78,21 @@ Threads = Annotated[int, Within(0, 1024)]
 """Number of threads; 0 means one a core."""
 Duration = Annotated[float, Within(0, 3600, above=True)]
 """Length of a run [s]."""
+Positive = Annotated[float, Within(0, 1e9, above=True)]
+NotNegative = Annotated[float, Within(0, 1e9)]
 
 
 def check_bounds(config: Any, where: str = "") -> None:
     """Refuse a dataclass with a number out of its field's bounds, which `Within` gives, or that is not finite.
 
-    Dataclasses in it are not looked into. `where` is its dotted name, for messages.
+    Dataclasses in it are checked too. `where` is its dotted name, for messages.
     """
     for name, within in _bounds(config.__class__).items():
-        within.check(f"{where}.{name}" if where else name, getattr(config, name))
+        value, place = getattr(config, name), f"{where}.{name}" if where else name
+        if dataclasses.is_dataclass(value):
+            check_bounds(value, place)
+        else:
+            within.check(place, value)
 
 
 @functools.cache
@@ -177,7 +183,7 @@ def from_mapping(kind: type[T], data: Mapping[str, Any], where: str = "", base: 
     """Make a dataclass from a mapping, nested dataclasses from nested mappings.
 
     Args:
-        kind: the dataclass.
+        kind: the dataclass; its `former_keys`, if any, say what to write in place of keys that it had once.
         data: keys and values; a key left out keeps the value of `base`, or the field's default.
         where: dotted name of this mapping, for error messages.
         base: an instance whose values hold where `data` has none.
@@ -194,7 +200,8 @@ def from_mapping(kind: type[T], data: Mapping[str, Any], where: str = "", base: 
     prefix = f"{where}." if where else ""
     for key in data:
         if key not in fields:
-            raise SurefootError(f"{prefix}{key} is not a key; choices: {choices(fields)}")
+            former = getattr(kind, "former_keys", {}).get(key)
+            raise SurefootError(f"{prefix}{key} is not a key; {former or f'choices: {choices(fields)}'}")
     values = {} if base is None else {name: getattr(base, name) for name in fields}
     for name, item in fields.items():
         if name in data:
@@ -256,6 +263,8 @@ def _name(hint: Any) -> str:
         return f"a list of {'' if args[-1] is Ellipsis else f'{len(args)} '}values, each {_name(args[0])}"
     if typing.get_origin(hint) is dict:
         return f"a table of values, each {_name(typing.get_args(hint)[1])}"
+    if dataclasses.is_dataclass(hint):
+        return f"a table with keys out of: {choices(item.name for item in dataclasses.fields(hint))}"
     return _KIND.get(hint, str(hint))
 
 

@@ -144,7 +144,7 @@ def test_a_damaged_policy_is_refused(tmp_path: Path, policy: Path):
 def test_a_policy_for_another_robot_is_refused(policy: Path, tmp_path: Path):
     refused(
         surefoot("evaluate", policy, "--robot", maxitaur(tmp_path / "maxitaur")),
-        "policy 'untrained' is for robot 'minitaur'; this robot is 'maxitaur'",
+        "policy 'untrained' must not run on maxitaur: it is for robot 'minitaur'",
     )
 
 
@@ -152,7 +152,7 @@ def test_play_writes_a_video_where_there_is_no_display(policy: Path, tmp_path: P
     ffmpeg = pytest.importorskip("imageio_ffmpeg")
     done = surefoot("play", policy, "--seconds", "0.4", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
-    assert done.stdout == "untrained.mp4\n"
+    assert done.stdout == "wrote untrained.mp4\n"
     frames = ffmpeg.read_frames(str(tmp_path / "untrained.mp4"))
     meta = next(frames)
     assert meta["size"] == (960, 540)

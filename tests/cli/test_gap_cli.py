@@ -37,10 +37,9 @@ def policies(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("policies")
     edited_policy(folder / "gallop.onnx", lambda contract: contract["task"].update(max_steps=60))
     latencies = {"control_latency": 0.0, "servo_latency": 0.0}
-    ideal = {"max_steps": 60, "actuator": "constraint", "params": latencies}
 
     def make_ideal(contract: dict[str, Any]) -> None:
-        contract["task"].update(ideal)
+        contract["task"].update(max_steps=60, actuator="constraint")
         contract.update(latencies)
 
     edited_policy(folder / "trot.onnx", make_ideal, "trot")
@@ -228,7 +227,7 @@ def test_policies_for_different_robots_are_refused(here: Path):
     robot = maxitaur(here / "maxitaur")
 
     def other(contract: dict[str, Any]) -> None:
-        contract["robot"], contract["task"]["robot"] = "maxitaur", str(robot)
+        contract.update(robot="maxitaur", description=str(robot))
 
     edited_policy(here / "other.onnx", other, "trot")
     refused_gap(["gallop.onnx", "other.onnx", "--to", "mujoco"], "policy 'trot' is for robot 'maxitaur'")
@@ -237,7 +236,7 @@ def test_policies_for_different_robots_are_refused(here: Path):
         contract["motor_signs"] = [-sign for sign in contract["motor_signs"]]
 
     edited_policy(here / "confused.onnx", confused, "trot")
-    refused_gap(["confused.onnx", "--to", "mujoco"], "policy 'trot' has sign")
+    refused_gap(["confused.onnx", "--to", "mujoco"], "policy 'trot' must not run on minitaur: front_left_2_motor has")
 
 
 def test_motors_that_overheat_go_with_dc_motors_only(here: Path):

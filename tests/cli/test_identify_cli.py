@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 from processes import SUREFOOT, EmulatorHere, emulators, refused, surefoot
 
-from surefoot.cli.helpers.identify_run import check_handshake
+from surefoot.cli.helpers.identify_run import refuse_another_robot
 from surefoot.emulator.limits import Limits, make_handshake
 from surefoot.errors import SurefootError
 from surefoot.identify.registry import EXPERIMENTS
@@ -255,17 +255,17 @@ def test_ctrl_c_ends_it_and_keeps_what_was_recorded(hanging: EmulatorHere, tmp_p
 
 def test_an_experiment_refuses_another_robot_than_the_data_sheets(robot: RobotDescription):
     said = make_handshake(robot, Limits.of(robot), "", robot.timing.servo_step)
-    check_handshake(said, robot)
+    refuse_another_robot(said, robot)
     signs = np.array(said.motor_signs, float)
     signs[3] *= -1
     for other, why in (
-        (replace(said, robot="cat"), "robot: is 'cat' (robot), 'minitaur' (data sheet)"),
+        (replace(said, robot="cat"), "robot: it is 'cat', the data sheet is of 'minitaur'"),
         (replace(said, motor_names=said.motor_names[::-1]), "motors: motor 0 is '"),
         (replace(said, servo_period=0.002), "servo period: 2 ms; the data sheet says 1 ms"),
         (replace(said, motor_signs=signs), f"motor signs: {robot.motor_names[3]} has "),
     ):
         with pytest.raises(SurefootError, match=re.escape(f"the robot is not as on its data sheet: {why}")):
-            check_handshake(other, robot)
+            refuse_another_robot(other, robot)
 
 
 class Terminal(io.StringIO):

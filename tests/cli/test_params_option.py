@@ -152,7 +152,7 @@ def test_sensitivity_takes_the_robot_as_the_nominal_one():
 
 
 def test_an_evaluation_and_a_sensitivity_study_in_another_simulator():
-    Path("ranges.yaml").write_text("mass: [0.9, 1.1]\n")
+    Path("ranges.yaml").write_text("base_mass_ratio: [0.9, 1.1]\n")
     study = "sensitivity trot --values 2 --episodes 1 --duration 0.12 --ranges ranges.yaml"
     options = "--actuator constraint --control-latency 0"
     own, ideal = (result(f"evaluate trot --episodes 1 {more}", *ONE) for more in ("", f"{options} --servo-latency 0"))
@@ -285,9 +285,9 @@ def test_where_nothing_is_simulated_anew_it_is_refused(line: str, part: str):
 def test_a_policy_with_another_control_step_keeps_it(here: Path):
     def change(contract: dict[str, Any]) -> None:
         contract.update(control_step=0.008, voltage=14.0)
-        contract["task"].update(max_steps=20, params={"control_step": 0.008, "voltage": 14.0})
+        contract["task"].update(max_steps=20)
 
-    edited_policy(here / "slow.onnx", change, "trot", signed=False)
+    edited_policy(here / "slow.onnx", change, "trot")
     Path("step.toml").write_text("[params]\ncontrol_step = 0.006\n")
     for words, step in (("--params robot.toml", 0.008), ("--params robot.toml --set control_step=0.007", 0.007)):
         found = result(f"evaluate slow.onnx {words}", *SHORT)

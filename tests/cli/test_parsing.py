@@ -45,10 +45,13 @@ FAR = [
     ("sensitivity trot --control-latency 1", "control_latency is 1; minitaur allows 0 to 0.1"),
     ("train trot --control-latency 1", "control_latency is 1; minitaur allows 0 to 0.1"),
     ("gap trot --to mujoco --threads -1", "threads is -1; it must be 0 or more"),
-    ("train trot --randomize.latency 0.03 0.01", "randomize.latency is [0.03, 0.01]; the lower bound must come first"),
-    ("train trot --randomize.latency 0 15", "[0, 15]; minitaur allows control_latency from 0 to 0.1 (unit: s)"),
-    ("train ranges.yaml", "ranges.yaml: randomize.mass is [1.2, 0.8]; the lower bound must come first"),
-    ("evaluate trot --randomize.mass 80 120", "minitaur allows base_mass_ratio from 0.2 to 5"),
+    (
+        "train trot --randomize.control_latency 0.03 0.01",
+        "[0.03, 0.01]; the lower bound must come first",
+    ),
+    ("train trot --randomize.control-latency 0 15", "[0, 15]; minitaur allows control_latency from 0 to 0.1 (unit: s)"),
+    ("train ranges.yaml", "ranges.yaml: randomize.voltage is [16, 15]; the lower bound must come first"),
+    ("evaluate trot --randomize.base_mass_ratio 80 120", "minitaur allows base_mass_ratio from 0.2 to 5"),
     ("evaluate trot --randomize nowhere", "'nowhere' does not exist; choices: ensemble, none, table1, or the path"),
     ("train walk", "task 'walk' does not exist; choices: gallop, gallop-robust, scratch, steer, trot"),
     ("train gallop --num-envs 0", "num_envs is 0; it must be 1 or more"),
@@ -83,7 +86,7 @@ def test_what_is_out_of_bounds_is_refused_at_once(line: str, said: str, tmp_path
     (tmp_path / "digits.yaml").write_text(f"fall_angle: {'9' * 6000}\n")
     (tmp_path / "large.yaml").write_text(f"fall_angle: 1{'0' * 400}\n")
     (tmp_path / "list.yaml").write_text("train: [1]\n")
-    (tmp_path / "ranges.yaml").write_text("randomize: {mass: [1.2, 0.8]}\n")
+    (tmp_path / "ranges.yaml").write_text("randomize: {voltage: [16, 15]}\n")
     os.mkfifo(tmp_path / "pipe")
     before = sorted(tmp_path.iterdir())
     refused(surefoot(*line.split(" "), cwd=tmp_path), said)

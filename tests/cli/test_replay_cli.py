@@ -53,11 +53,11 @@ def test_what_an_import_found_is_told_as_json(tmp_path: Path, capsys: pytest.Cap
     assert (told["timing"]["rows"], told["timing"]["repeated_times"]) == (4, pytest.approx(1 / 3))
     assert EpisodeTrace.load(told["trace"]).num_steps == 4
     assert main(["trace", "export"]) == 2
-    assert "'export' is no action; choices: import" in capsys.readouterr().err
+    assert "'export' is not an action; choices: import" in capsys.readouterr().err
     assert (main(["trace"]), main(["trace", "--help"])) == (2, 0)
     said = capsys.readouterr()
     assert said.out == said.err
-    assert said.out.startswith("usage: surefoot trace import FILE")
+    assert said.out.startswith("usage: surefoot trace ACTION")
 
 
 @pytest.mark.parametrize(

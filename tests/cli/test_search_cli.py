@@ -32,7 +32,7 @@ SPACE = """
 ppo.learning_rate: {low: 1.0e-4, high: 3.0e-3, log: true}
 ppo.policy_hidden.0: {low: 8, high: 16, int: true}
 ppo.activation: {choices: [elu, tanh]}
-task.energy_weight: {low: 0.002, high: 0.02, log: true}
+task.reward.energy: {low: -0.02, high: -0.002, log: true}
 """
 STEPS = 16384
 UPDATES = STEPS // 256

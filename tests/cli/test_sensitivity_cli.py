@@ -17,8 +17,8 @@ pytest.importorskip("matplotlib")
 from surefoot.cli.helpers.policies import distinct_names, find_policy
 
 SHORT = ("--values", "2", "--episodes", "1", "--duration", "0.12", "--threads", "1")
-ROWS = ["mass", "motor_friction", "inertia", "motor_strength", "control_step", "latency", "voltage"]
-ROWS += ["contact_friction", "imu_bias", "imu_noise"]
+ROWS = ["base_mass_ratio", "leg_mass_ratio", "motor_friction", "base_inertia_ratio", "leg_inertia_ratio"]
+ROWS += ["motor_strength", "control_step", "control_latency", "voltage", "contact_friction", "imu_bias", "imu_noise"]
 
 
 def test_tables_and_figures(tmp_path: Path):
@@ -33,11 +33,11 @@ def test_tables_and_figures(tmp_path: Path):
     assert [(world["policy"], world["row"]) for world in worlds] == [
         (policy, row) for policy in ("trot", "gallop") for row in ROWS for _ in range(2)
     ]
-    assert [float(world["value"]) for world in worlds if world["row"] == "latency"] == [0.0, 0.04, 0.0, 0.04]
+    assert [float(world["value"]) for world in worlds if world["row"] == "control_latency"] == [0.0, 0.04, 0.0, 0.04]
     for row in ROWS:
         assert f" {row} " in done.stdout
-    assert re.search(r"^ trot .* 20 +0 of 20 *$", done.stdout, re.MULTILINE)
-    assert "wrote sensitivity: sensitivity.csv, episodes.csv, aggregate.png, mass.png" in done.stdout
+    assert re.search(r"^ trot .* 24 +0 of 24 *$", done.stdout, re.MULTILINE)
+    assert "wrote sensitivity: sensitivity.csv, episodes.csv, aggregate.png, base_mass_ratio.png" in done.stdout
 
 
 def test_json_is_one_object_and_the_ranges_are_the_user_s(tmp_path: Path):
@@ -60,7 +60,7 @@ def test_json_is_one_object_and_the_ranges_are_the_user_s(tmp_path: Path):
 
 
 def test_the_force_of_pushes_is_a_row(tmp_path: Path):
-    (tmp_path / "r.yaml").write_text("mass: [0.9, 1.0]\n")
+    (tmp_path / "r.yaml").write_text("base_mass_ratio: [0.9, 1.0]\n")
     words = ("trot", "--ranges", "r.yaml", "--push-force", "0", "400", "--values", "2", "--episodes", "2", "--json")
     done = surefoot("sensitivity", *words, "--duration", "2", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
@@ -71,7 +71,7 @@ def test_the_force_of_pushes_is_a_row(tmp_path: Path):
         worlds = {(world["row"], float(world["value"])): world for world in csv.DictReader(file)}
     assert {world["unit"] for (row, _), world in worlds.items() if row == "push_force"} == {"N"}
     # Without force, and with nominal mass, it is the nominal world; only the row's own worlds are pushed.
-    assert worlds["push_force", 0.0]["return_mean"] == worlds["mass", 1.0]["return_mean"]
+    assert worlds["push_force", 0.0]["return_mean"] == worlds["base_mass_ratio", 1.0]["return_mean"]
     assert [int(world["falls"]) for world in worlds.values()] == [0, 0, 0, 2]
 
 
@@ -80,7 +80,7 @@ def test_policies_of_one_name_are_told_apart(tmp_path: Path):
         (tmp_path / folder).mkdir(exist_ok=True)
         shutil.copy(find_policy("trot"), tmp_path / folder / f"{name}.onnx")
     words = ("sensitivity", "a/mine.onnx", "b/mine.onnx", "b/other.onnx", *SHORT, "--ranges", "r.yaml", "--json")
-    (tmp_path / "r.yaml").write_text("mass: [0.8, 1.2]\n")
+    (tmp_path / "r.yaml").write_text("base_mass_ratio: [0.8, 1.2]\n")
     done = surefoot(*words, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     policies = json.loads(done.stdout)["policies"]

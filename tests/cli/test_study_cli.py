@@ -139,7 +139,13 @@ def check_results(out: Path) -> None:
     report = (out / "README.md").read_text()
     assert "surefoot study tiny.yaml --workers 2" in report
     assert "| 4-D, randomized, against 4-D |" in report
-    for name in ("learning_curves.png", "groups.png", "parameters.png", "parameters/latency.png", "sensitivity.csv"):
+    for name in (
+        "learning_curves.png",
+        "groups.png",
+        "parameters.png",
+        "parameters/control_latency.png",
+        "sensitivity.csv",
+    ):
         assert (out / name).stat().st_size > 1000, name
 
 

@@ -86,7 +86,7 @@ def test_ctrl_c_on_a_terminal_saves_and_resume_finishes(tmp_path: Path) -> None:
         shown += part
     assert process.wait(timeout=60) == 130
     text = shown.decode(errors="replace")
-    assert "To resume:" in text
+    assert "to resume: surefoot train --resume" in text
     assert "steps/s" in text
     run = log[0].parent
     assert (run / "checkpoints" / "latest.ckpt").exists()

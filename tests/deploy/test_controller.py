@@ -40,14 +40,13 @@ def test_a_simulated_episode_gets_the_same_targets(path, a_state):
     """Readings of a simulated episode, given to the robot's side step by step."""
     pytest.importorskip("mujoco")
     pytest.importorskip("gymnasium")
-    from surefoot.robot.randomization import RandomizeConfig
     from surefoot.task.contract_mapping import task_from_contract
     from surefoot.task.env import LocomotionEnv
     from surefoot.world.sim_world import SimWorld
 
     policy = PolicyRuntime.load(path)
     task = task_from_contract(policy.contract)
-    task = replace(task, pushes=replace(task.pushes, enabled=False), randomize=RandomizeConfig())
+    task = replace(task, pushes=replace(task.pushes, enabled=False), randomize={})
     env = LocomotionEnv(task, 1, SimWorld, 3, autoreset=False, threads=1)
     controller = Controller(policy, RobotDescription.load(policy.contract.robot))
     observation, _ = env.reset()

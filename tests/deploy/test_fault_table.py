@@ -30,7 +30,7 @@ from processes import Emulator, EmulatorHere, TooBusyError, emulators
 from surefoot.deploy.messages import Arm, Bye, Damp, Disarm, Fault, Hello, Mode, Position, Reason, State
 from surefoot.deploy.poses import sitting_pose
 from surefoot.policy.contract import METADATA_KEY
-from surefoot.policy.digest import DIGEST_KEY, stamped
+from surefoot.policy.digest import DIGEST_KEY, add_digest
 from surefoot.robot import RobotDescription
 from surefoot.task.partial_trace import SUFFIX, recover
 
@@ -130,7 +130,7 @@ def policies(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
     def write(model: Any, name: str) -> None:
         helper.set_model_props(model, {one.key: one.value for one in model.metadata_props if one.key != DIGEST_KEY})
-        (folder / f"{name}.onnx").write_bytes(stamped(model.SerializeToString()))
+        (folder / f"{name}.onnx").write_bytes(add_digest(model.SerializeToString()))
 
     for name, nodes in ways.items():
         model = onnx.load(TROT)

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import ArrayLike, NDArray
+from references import read_reference
 
 pytest.importorskip("mujoco")
 pytest.importorskip("gymnasium")
@@ -20,7 +21,6 @@ from surefoot.robot import RobotDescription
 from surefoot.task.config import FeedbackConfig, TaskConfig, load_task
 from surefoot.task.env import LocomotionEnv
 from surefoot.task.gait import HybridGait
-from surefoot.task.reference import make_reference
 from surefoot.task.trace import EpisodeTrace
 from surefoot.world.sim_world import SimWorld
 
@@ -145,7 +145,7 @@ def test_what_can_not_be_run_is_refused(episodes: int, seed: int, message: str):
 
 
 def test_action_is_the_inverse_of_feedback(rng: np.random.Generator):
-    gait = HybridGait(ROBOT, make_reference(None, ROBOT), (-0.2, 0.4), (1.5, 1.5))
+    gait = HybridGait(ROBOT, read_reference({}, ROBOT), (-0.2, 0.4), (1.5, 1.5))
     unit = rng.uniform(-1, 1, (20, 8))
     unit[:, 4:] = 0
     assert np.allclose(gait.action(gait.feedback(unit)), unit)

@@ -18,7 +18,6 @@ from surefoot.errors import SurefootError
 from surefoot.evaluate.footfalls import FEET
 from surefoot.evaluate.gap import PolicyGap, away_task, home_task
 from surefoot.evaluate.runs import Estimate, Runs, summarize
-from surefoot.robot.randomization import RandomizeConfig
 from surefoot.tables import plain_value, write_csv
 from surefoot.task.config import TaskConfig
 from surefoot.task.trace import EpisodeTrace
@@ -166,14 +165,14 @@ TRAINED = TaskConfig(
     actuator="constraint",
     params={"control_latency": 0.0, "servo_latency": 0.0},
     params_source={"file": "robot.toml"},
-    randomize=RandomizeConfig(mass=(0.8, 1.2)),
+    randomize={"base_mass_ratio": (0.8, 1.2)},
 )
 
 
 def test_at_home_nothing_is_drawn_and_nothing_pushed():
     pushed = replace(TRAINED, pushes=replace(TRAINED.pushes, enabled=True))
     home = home_task(pushed)
-    assert (home.randomize.ranges, home.pushes.enabled) == ({}, False)
+    assert (home.randomize, home.pushes.enabled) == ({}, False)
     assert home.pushes == replace(TRAINED.pushes, enabled=False)
     assert replace(home, randomize=pushed.randomize, pushes=pushed.pushes) == pushed
 

@@ -90,7 +90,7 @@ def test_a_run_of_the_same_seed_ends_alike_to_the_last_bit_though_it_was_interru
 
 
 def test_a_run_with_drawn_parameters_and_symmetry_resumes_exactly(tmp_path: Path) -> None:
-    task = {**TINY["task"], "params": {}, "randomize": vars(load_ranges("table1"))}
+    task = {**TINY["task"], "params": {}, "randomize": load_ranges("table1")}
     config = tiny_config(task=task, ppo={"symmetry": True, "fall_cost": 1.0}, steps=16 * 16 * 3)
     through = train(tmp_path / "through", config)
     stopped = train(tmp_path / "stopped", config, stop_after=2)

@@ -12,10 +12,11 @@ from tensordict import TensorDict
 from surefoot.errors import SurefootError
 from surefoot.learn.symmetry import MirrorSamples, mirror_columns, mirror_name, reference_shift
 from surefoot.robot.randomization import load_ranges
-from surefoot.task.config import FeedbackConfig, ReferenceConfig, TaskConfig, WaveConfig, load_task
+from surefoot.task.config import FeedbackConfig, TaskConfig, load_task
 from surefoot.task.env import LocomotionEnv
 from surefoot.task.observation import PARTS
 from surefoot.task.pushes import PushConfig
+from surefoot.task.reference import ReferenceConfig, WaveConfig
 from surefoot.world.sim_world import SimWorld
 
 

@@ -59,7 +59,7 @@ def test_a_fall_costs_its_price_once_and_nothing_else_changes():
 def test_robust_presets_draw_table_1_and_feet_of_any_stiffness(preset):
     config: TrainConfig = load_train_config(preset)
     stiffness = {"contact_stiffness": (3000.0, 30000.0)}
-    assert config.task.randomize.ranges == load_ranges("table1").ranges | stiffness
+    assert config.task.randomize == load_ranges("table1") | stiffness
 
 
 def test_threads_of_torch_wait_asleep() -> None:

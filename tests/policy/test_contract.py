@@ -1,4 +1,4 @@
-"""The contract: a round trip without loss, and refusals in one line."""
+"""The contract of a policy file."""
 
 from __future__ import annotations
 

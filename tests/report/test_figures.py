@@ -160,19 +160,21 @@ def test_a_gap_figure_takes_one_set_of_worlds(tmp_path: Path) -> None:
 
 def sensitivity(policy: str = "trot", values: int = 5, episodes: int = 4, level: float = 3.0) -> Sensitivity:
     """Test worlds of latency and mass, in which the robot falls at the upper end of each."""
-    worlds = [TestWorld("latency", float(value)) for value in np.linspace(0.0, 0.04, values)]
-    worlds += [TestWorld("mass", float(value)) for value in np.linspace(0.8, 1.2, values)]
+    worlds = [TestWorld("control_latency", float(value)) for value in np.linspace(0.0, 0.04, values)]
+    worlds += [TestWorld("base_mass_ratio", float(value)) for value in np.linspace(0.8, 1.2, values)]
     along = np.tile(np.linspace(0.0, 1.0, values), 2)[:, None]
     returns = level - 2.0 * along + np.linspace(-0.2, 0.2, episodes)
     fell = np.broadcast_to(along > 0.7, returns.shape)
-    nominal = Nominal({"latency": 0.02, "mass": 1.0}, np.full(4, 2.0), np.zeros(4, np.bool_), np.zeros(4))
+    nominal = Nominal(
+        {"control_latency": 0.02, "base_mass_ratio": 1.0}, np.full(4, 2.0), np.zeros(4, np.bool_), np.zeros(4)
+    )
     return Sensitivity(policy, tuple(worlds), returns, fell, returns / 6.0, nominal)
 
 
 def test_returns_and_falls_against_a_parameter(tmp_path: Path, drawn: list[Figure]) -> None:
     group = [sensitivity(level=3.0), sensitivity(level=4.0)]
     groups = {"trot": [sensitivity()], "group": group, **{f"other {i}": [sensitivity(episodes=1)] for i in range(9)}}
-    parameter_figure("latency", groups, tmp_path / "a.png")
+    parameter_figure("control_latency", groups, tmp_path / "a.png")
     first, second, *_ = lines(drawn[0], 0, 3)
     np.testing.assert_allclose(first, np.linspace(3.0, 1.0, 5))
     np.testing.assert_allclose(second, np.linspace(3.5, 1.5, 5))
@@ -180,14 +182,16 @@ def test_returns_and_falls_against_a_parameter(tmp_path: Path, drawn: list[Figur
     band = drawn[0].axes[0].collections[1].get_paths()[0].vertices
     assert (band[:, 1].min(), band[:, 1].max()) == (pytest.approx(1.0), pytest.approx(4.0))
     parameters_figure(groups, tmp_path / "all.png")
-    assert [ax.get_title(loc="left") for ax in drawn[1].axes] == ["Latency (s)", "Mass"]
+    assert [ax.get_title(loc="left") for ax in drawn[1].axes] == ["Control latency (s)", "Base mass ratio"]
     np.testing.assert_allclose(lines(drawn[1], 1, 3)[1], np.linspace(3.5, 1.5, 5))
     assert len({ax.get_ylim() for ax in drawn[1].axes}) == 1
 
 
 def test_the_range_trained_in_is_shaded(tmp_path: Path, drawn: list[Figure]) -> None:
     groups = {"trot": [sensitivity()], "gallop": [sensitivity("gallop")]}
-    parameter_figure("latency", groups, tmp_path / "a.png", {"trot": {}, "gallop": {"latency": (0.01, 0.03)}})
+    parameter_figure(
+        "control_latency", groups, tmp_path / "a.png", {"trot": {}, "gallop": {"control_latency": (0.01, 0.03)}}
+    )
     (span,) = drawn[0].axes[0].patches
     assert (span.get_x(), span.get_width()) == (pytest.approx(0.01), pytest.approx(0.02))
     # The nominal value is marked, and where the trot was trained.

@@ -255,12 +255,12 @@ SHEET, URDF = "robot.toml", "minitaur.urdf"
         (
             'motors = ["back_right_1_motor", "back_right_2_motor"]',
             'motors = ["back_right_1_motor"]',
-            "legs.back_right.motors has 1 names ... two motors and two knees",
+            "legs.back_right has 1 motors and 2 knees; a leg has 2 motors and 2 knees, with leg_geometry",
         ),
         (
             'knees = ["back_right_1_knee", "back_right_2_knee"]',
             'knees = ["back_right_1_knee"]',
-            "legs.back_right.knees has 1 names ... two, with leg_geometry",
+            "legs.back_right has 2 motors and 1 knees; a leg has 2 motors",
         ),
         ('kind = "dc"', 'kind = "steam"', "actuator.kind is 'steam' ... choices: dc, joint"),
         ("kp = 1.0", "kp = [1.0, 2.0, 3.0]", "actuator.kp has 3 numbers ... it takes one, 2 for ... or 8 in the"),

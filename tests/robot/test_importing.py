@@ -54,12 +54,10 @@ def test_a_tree_has_what_the_file_says(tmp_path: Path) -> None:
     assert tree.mass == pytest.approx(6 + 4 * 1.3)
     assert tree.length == pytest.approx(0.4)
     assert tree.forward == "+x"
-    first = tree.legs[LEGS.index("front_left")]
-    np.testing.assert_allclose(first.foot, [0.2, 0.14, -0.4], atol=1e-12)
-    assert first.foot_radius == 0.02
-    assert [joint.name for joint in first.joints] == ["FL_abduction", "FL_hip", "FL_knee"]
-    assert first.joints[0].limits == (-1.0, 1.0)
-    assert first.joints[1].limits is None
+    np.testing.assert_allclose(tree.feet[0], [0.2, 0.14, -0.4], atol=1e-12)
+    assert tree.foot_radius.tolist() == [0.02] * 4
+    assert tree.joints[0] == ("FL_abduction", "FL_hip", "FL_knee")
+    np.testing.assert_array_equal(tree.limits[0], [(-1.0, 1.0), (np.nan, np.nan), (-2.6, -0.5)])
     np.testing.assert_allclose(tree.base_box, ([0, 0, 0], [0.2, 0.1, 0.05]), atol=1e-12)
     assert tree.knee_signs(None) == ([-1] * 4, True)
     assert "feet: the last link's sphere, radius 0.02 m" in tree.notes
@@ -79,7 +77,7 @@ def test_what_is_written_loads_and_keeps_masses_and_kinematics(tmp_path: Path) -
     assert all("guessed" in line for line in (tmp_path / "dog/robot.toml").read_text().splitlines() if "kp =" in line)
     np.testing.assert_allclose(
         robot.leg_mounts + robot.leg_geometry.foot_position(np.zeros((4, 3))),
-        [one.foot for one in tree.legs],
+        tree.feet,
         atol=1e-9,
     )
     # Inertias about the whole robot's centre of mass are those of the file.
@@ -132,9 +130,9 @@ def test_a_robot_that_faces_elsewhere_is_turned(tmp_path: Path) -> None:
     )
     tree = read_robot(write(tmp_path, mjcf(legs)))
     assert tree.forward == "-y"
-    np.testing.assert_allclose(tree.legs[0].foot, [0.2, 0.14, -0.4], atol=1e-9)
+    np.testing.assert_allclose(tree.feet[0], [0.2, 0.14, -0.4], atol=1e-9)
     # The file's x axis is the robot's left: knees turned about it as about +y.
-    np.testing.assert_allclose(tree.legs[0].joints[1].axis, [0, 1, 0])
+    np.testing.assert_allclose(tree.axes[0, 1], [0, 1, 0])
 
 
 def test_axes_that_point_the_other_way_are_kept_in_the_signs(tmp_path: Path) -> None:
@@ -154,7 +152,7 @@ def test_axes_that_point_the_other_way_are_kept_in_the_signs(tmp_path: Path) -> 
 def test_a_meshless_urdf_with_two_motors_a_leg(tmp_path: Path) -> None:
     robot = SHIPPED["solo8"]
     tree = read_robot(robot.urdf.path)
-    assert [len(one.joints) for one in tree.legs] == [2] * 4
+    assert [len(leg) for leg in tree.joints] == [2] * 4
     assert tree.knee_signs("inward") == ([-1, -1, 1, 1], True)
     assert tree.knee_signs(None) == ([-1] * 4, False)
 
@@ -294,20 +292,19 @@ def test_torques_are_limited_by_joints_or_by_their_actuators(tmp_path: Path) -> 
     text = quadruped(extra=motors)
     text = text.replace('<joint name="FL_abduction"', '<joint name="FL_abduction" actuatorfrcrange="-24 20"')
     tree = read_robot(write(tmp_path, text))
-    assert [joint.torque for joint in tree.legs[LEGS.index("front_left")].joints] == [24.0, 27.0, 9.0]
     # What a position servo is sent are angles.
-    assert [joint.torque for joint in tree.legs[LEGS.index("front_right")].joints] == [None] * 3
+    np.testing.assert_array_equal(tree.torque, [(24.0, 27.0, 9.0), *[[np.nan] * 3] * 3])
 
 
 def test_feet_without_spheres_are_the_far_ends_of_boxes(tmp_path: Path) -> None:
     box = '<geom type="box" size=".015 .01 .1" pos=".005 0 -.1"/>'
     legs = "".join(leg(name, 0.2 * x, 0.08 * y, foot=box) for name, (x, y) in CORNERS.items())
     tree = read_robot(write(tmp_path, mjcf(legs)))
-    radius = tree.legs[0].foot_radius
+    radius = tree.foot_radius[0]
     # Half of the box's thinnest side.
     assert radius == pytest.approx(0.01)
     # The corner that is furthest from the knee, in the box's middle plane, a radius above its end.
-    np.testing.assert_allclose(tree.legs[0].foot, [0.22, 0.14, -0.4 + radius], atol=1e-9)
+    np.testing.assert_allclose(tree.feet[0], [0.22, 0.14, -0.4 + radius], atol=1e-9)
     assert f"feet: the far end of the last link's shapes, radius {radius:.3g} m" in tree.notes
 
 
@@ -331,7 +328,7 @@ def test_forward_is_guessed_where_no_name_tells(tmp_path: Path) -> None:
     back = read_robot(path, "-x")
     assert (back.forward, [note for note in back.notes if "guessed" in note]) == ("-x", [])
     # Turned by half: the last leg of the file is the front left one.
-    assert back.legs[LEGS.index("front_left")].joints[0].name == "leg3_abduction"
+    assert back.joints[LEGS.index("front_left")][0] == "leg3_abduction"
 
 
 def test_meshes_are_found_as_packages_have_them_and_unreadable_ones_are_noted(tmp_path: Path) -> None:

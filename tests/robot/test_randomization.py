@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+import re
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -14,68 +15,62 @@ from scipy import stats
 from surefoot.configuration import from_mapping
 from surefoot.errors import SurefootError
 from surefoot.robot import PhysicalParams, RobotDescription
+from surefoot.robot.params import PARAMETERS
 from surefoot.robot.params_file import read_params
 from surefoot.robot.randomization import (
-    ROWS,
-    RandomizeConfig,
     Randomizer,
-    _ranges_of_intervals,
+    Ranges,
+    RelativeRange,
     check_ranges,
     load_ranges,
     range_names,
+    ranges_from_mapping,
 )
 from surefoot.seeding import generators
 from surefoot.task.config import FeedbackConfig, TaskConfig, load_task
 from surefoot.task.env import LocomotionEnv
 from surefoot.task.pushes import PushConfig
 from surefoot.world.mujoco_model import build_model
-from surefoot.world.registry import WORLDS
 from surefoot.world.sim_world import SimWorld
 
-SET = {row: what for row, what in ROWS.items() if what.how == "set"}
-"""Rows whose numbers are the parameters; the others are tried below."""
-TABLE_1 = {
-    "mass": (0.80, 1.20),
+TABLE_1: Ranges = {
+    "base_mass_ratio": (0.80, 1.20),
+    "leg_mass_ratio": (0.80, 1.20),
     "motor_friction": (0.0, 0.05),
-    "inertia": (0.50, 1.50),
+    "base_inertia_ratio": (0.50, 1.50),
+    "leg_inertia_ratio": (0.50, 1.50),
     "motor_strength": (0.80, 1.20),
     "control_step": (0.003, 0.020),
-    "latency": (0.0, 0.040),
+    "control_latency": (0.0, 0.040),
     "voltage": (14.0, 16.8),
     "contact_friction": (0.5, 1.25),
     "imu_bias": (-0.05, 0.05),
     "imu_noise": (0.0, 0.05),
 }
 """Tan et al. 2018, table I, in SI units."""
-MORE = {
+FULL: Ranges = {
+    **TABLE_1,
     "torque_constant": (0.08, 0.11),
     "resistance": (0.15, 0.22),
     "servo_latency": (0.0, 0.010),
     "contact_stiffness": (1500.0, 6000.0),
-    "spinning_friction": (0.002, 0.006),
+    "contact_spinning_friction": (0.002, 0.006),
     "knee_friction": (0.0, 0.02),
     "knee_play": (0.0001, 0.0005),
     "floor_unevenness": (0.001, 0.004),
     "imu_mount": (-0.02, 0.02),
+    "servo_kp": (0.9, 1.1),
     "imu_yaw_drift": (-0.02, 0.02),
+    "contact_shear_ratio": (0.5, 1.5),
 }
-FULL = RandomizeConfig(**TABLE_1, **MORE)
-NUMBERS = {
-    **{row: 1 for row in SET},
-    "mass": 2,  # base, legs
-    "inertia": 2,  # base, legs
-    "motor_strength": 8,  # each motor
-    "imu_bias": 2,  # roll, pitch
-    "imu_mount": 3,  # roll, pitch, yaw
-}
-"""How many numbers an episode draws from each row."""
+COUNT = len(FULL) + 7 + 1 + 2
+"""Numbers that an episode draws: motor_strength, imu_bias and imu_mount have one for each motor or axis."""
 
 
-def numbers(params: PhysicalParams, row: str) -> np.ndarray:
-    """The numbers (N, k) of one row; one that all motors share counts once."""
-    if row == "motor_friction":
-        return params.motor_friction[:, :1]
-    return np.concatenate([getattr(params, name).reshape(params.num_envs, -1) for name in ROWS[row].params], axis=1)
+def numbers(params: PhysicalParams, name: str) -> np.ndarray:
+    """The numbers (N, k) of one parameter; one that all motors share counts once."""
+    values = getattr(params, name).reshape(params.num_envs, -1)
+    return values if PARAMETERS[name].independent else values[:, :1]
 
 
 def same(first: PhysicalParams, second: PhysicalParams) -> bool:
@@ -84,7 +79,7 @@ def same(first: PhysicalParams, second: PhysicalParams) -> bool:
 
 @pytest.fixture
 def make_randomizer(robot):
-    def make(num_envs: int = 4, config: RandomizeConfig = FULL, seed: int = 5, **nominal: float) -> Randomizer:
+    def make(num_envs: int = 4, config: Ranges = FULL, seed: int = 5, **nominal: float) -> Randomizer:
         return Randomizer(config, robot, PhysicalParams.nominal(robot, num_envs).with_values(robot, **nominal), seed)
 
     return make
@@ -100,11 +95,10 @@ def many(robot) -> list[PhysicalParams]:
     return [randomizer.draw(np.arange(100)) for _ in range(40)]
 
 
-@pytest.mark.parametrize("row", SET)
-def test_draws_are_uniform_over_the_range(many, row):
-    drawn = np.concatenate([numbers(params, row) for params in many])
-    low, high = FULL.ranges[row]
-    assert drawn.shape == (4000, NUMBERS[row])
+@pytest.mark.parametrize("name", FULL)
+def test_draws_are_uniform_over_the_range(many, name):
+    drawn = np.concatenate([numbers(params, name) for params in many])
+    low, high = FULL[name]
     assert drawn.min() >= low
     assert drawn.max() <= high
     for column in drawn.T:
@@ -112,22 +106,22 @@ def test_draws_are_uniform_over_the_range(many, row):
 
 
 def test_all_numbers_are_independent(many):
-    drawn = np.array([np.concatenate([numbers(params, row) for row in SET], axis=1) for params in many])
-    assert drawn.shape == (40, 100, 32)
+    drawn = np.array([np.concatenate([numbers(params, name) for name in FULL], axis=1) for params in many])
+    assert drawn.shape == (40, 100, COUNT)
     assert np.all(many[0].motor_friction == many[0].motor_friction[:, :1])  # all motors share one
-    between = np.corrcoef(drawn.reshape(4000, 32), rowvar=False) - np.eye(32)
+    between = np.corrcoef(drawn.reshape(4000, COUNT), rowvar=False) - np.eye(COUNT)
     # The standard error of a correlation of 4000 pairs is .016; this is four of them.
     assert np.abs(between).max() < 0.064
     for first, second in ((drawn[:-1], drawn[1:]), (drawn[:, :-1], drawn[:, 1:])):  # episodes, and robots, in a row
-        for k in range(32):
+        for k in range(COUNT):
             assert abs(np.corrcoef(first[..., k].ravel(), second[..., k].ravel())[0, 1]) < 0.064
 
 
-def test_what_has_no_row_or_no_range_stays_nominal(make_randomizer, robot):
-    randomizer = make_randomizer(3, RandomizeConfig(mass=(0.8, 1.2)), servo_kp=1.5, voltage=15.0)
+def test_a_parameter_without_a_range_stays_nominal(make_randomizer, robot):
+    randomizer = make_randomizer(3, {"base_mass_ratio": (0.8, 1.2)}, servo_kp=1.5, voltage=15.0)
     drawn = randomizer.draw(np.array([2, 0]))
     expected = PhysicalParams.nominal(robot, 2).with_values(robot, servo_kp=1.5, voltage=15.0)
-    for name in set(PhysicalParams.names()) - {"base_mass_ratio", "leg_mass_ratio"}:
+    for name in set(PhysicalParams.names()) - {"base_mass_ratio"}:
         assert np.array_equal(getattr(drawn, name), getattr(expected, name)), name
     assert np.all(randomizer.nominal.base_mass_ratio == 1.0)  # a draw leaves the nominal values alone
     assert np.all(drawn.base_mass_ratio != 1.0)
@@ -152,30 +146,28 @@ def test_the_order_of_resets_does_not_matter(make_randomizer):
     assert same(one.draw(np.arange(4)), other.draw(np.arange(4)))
 
 
-@pytest.mark.parametrize("row", SET)
-def test_a_row_dropped_or_narrowed_leaves_the_others_draws(make_randomizer, row):
-    low, high = FULL.ranges[row]
+@pytest.mark.parametrize("name", FULL)
+def test_a_range_dropped_or_narrowed_leaves_the_other_draws(make_randomizer, name):
+    low, high = FULL[name]
     width = high - low
     narrow = (low + 0.25 * width, low + 0.5 * width)
-    full, dropped, narrowed = (
-        make_randomizer(config=replace(FULL, **change)) for change in ({}, {row: None}, {row: narrow})
-    )
+    without = {other: given for other, given in FULL.items() if other != name}
+    full, dropped, narrowed = (make_randomizer(config=ranges) for ranges in (FULL, without, {**FULL, name: narrow}))
     for _ in range(2):
         drawn = [randomizer.draw(np.arange(4)) for randomizer in (full, dropped, narrowed)]
-        for other in set(SET) - {row}:
+        for other in without:
             for params in drawn[1:]:
                 assert np.array_equal(numbers(drawn[0], other), numbers(params, other)), other
-        for name in ROWS[row].params:
-            was, now = getattr(drawn[0], name), getattr(drawn[2], name)
-            # The same number from 0 to 1, over a quarter of the range.
-            np.testing.assert_allclose((now - narrow[0]) / (narrow[1] - narrow[0]), (was - low) / width, atol=1e-12)
+        was, now = getattr(drawn[0], name), getattr(drawn[2], name)
+        # The same number from 0 to 1, over a quarter of the range.
+        np.testing.assert_allclose((now - narrow[0]) / (narrow[1] - narrow[0]), (was - low) / width, atol=1e-12)
 
 
-def test_rows_that_draw_apart_leave_the_stream_as_it_was(make_randomizer):
+def test_later_parameters_leave_the_stream_as_it_was(make_randomizer):
     randomizer, streams = make_randomizer(), generators(5, "randomize", 4)
     for _ in range(3):
         params = randomizer.draw(np.arange(4))
-        # In the rows' order: mass 2, motor friction 1, inertia 2, strength 8, control step, latency, voltage, ...
+        # In the parameters' order: mass 2, motor friction 1, inertia 2, strength 8, control step, latency, voltage, ...
         unit = np.array([stream.uniform(size=23) for stream in streams])
         np.testing.assert_array_equal(params.base_mass_ratio, 0.8 + (1.2 - 0.8) * unit[:, 0])
         np.testing.assert_array_equal(params.voltage, 14.0 + (16.8 - 14.0) * unit[:, 15])
@@ -193,10 +185,11 @@ STILL: dict[str, Any] = {
 
 def make_env(ranges: dict[str, Any], num_envs: int = 4, seed: int = 1, **task: Any) -> LocomotionEnv:
     """Robots that stand still at first, with these ranges."""
-    config = TaskConfig(**{**STILL, "randomize": RandomizeConfig(**ranges), **task})
+    config = TaskConfig(**{**STILL, "randomize": ranges, **task})
     return LocomotionEnv(config, num_envs, SimWorld, seed, threads=1)
 
 
+RATIOS = ("base_mass_ratio", "leg_mass_ratio", "base_inertia_ratio", "leg_inertia_ratio")
 FINE = {"control_step": 0.001}
 """A command for every servo step, so that the truth of every servo step is known."""
 
@@ -208,7 +201,7 @@ def wave(env: LocomotionEnv, k: int) -> np.ndarray:
 
 
 def test_what_robots_weigh_and_how_deep_their_feet_stand_is_as_drawn(robot):
-    env = make_env({"mass": (0.8, 1.2), "contact_stiffness": (1500.0, 6000.0)}, num_envs=12)
+    env = make_env({name: FULL[name] for name in (*RATIOS[:2], "contact_stiffness")}, num_envs=12)
     for _ in range(450):
         env.world.step(env.world.resting_angles)
     depth, params = robot.five_bar.foot_radius - env.world.foot_positions()[:, :, 2], env.world.params
@@ -247,7 +240,7 @@ def own_motion(model: mujoco.MjModel, start: np.ndarray, forces: list[tuple[np.n
 
 
 def test_mass_and_inertia_move_as_in_a_model_of_our_own():
-    env = make_env({row: FULL.ranges[row] for row in ("mass", "inertia")}, num_envs=3, params=FINE)
+    env = make_env({name: FULL[name] for name in RATIOS}, num_envs=3, params=FINE)
     engine = env.world.engine
     size = mujoco.mj_stateSize(build_model(env.robot), mujoco.mjtState.mjSTATE_INTEGRATION)
     start = engine.get_state(np.arange(3))[:, :size]
@@ -260,7 +253,7 @@ def test_mass_and_inertia_move_as_in_a_model_of_our_own():
             path[i].append(data.qpos.copy())
     for i in range(3):
         assert np.array_equal(own_motion(own_model(env, i), start[i], forces[i]), path[i])
-        for name in ("base_mass_ratio", "leg_mass_ratio", "base_inertia_ratio", "leg_inertia_ratio"):
+        for name in RATIOS:
             other = own_motion(own_model(env, i, without=name), start[i], forces[i])
             assert np.abs(other - path[i]).max() > 1e-6
 
@@ -282,8 +275,8 @@ def torques_by_hand(env: LocomotionEnv, target: np.ndarray, angle: np.ndarray, s
 
 
 def test_the_motors_answer_as_drawn():
-    rows = ("motor_strength", "motor_friction", "voltage", "torque_constant", "resistance", "servo_latency")
-    env = make_env({row: FULL.ranges[row] for row in rows}, num_envs=3, params=FINE)
+    names = ("motor_strength", "motor_friction", "voltage", "torque_constant", "resistance", "servo_latency")
+    env = make_env({name: FULL[name] for name in names}, num_envs=3, params=FINE)
     robot, datas, model = env.robot, env.world.engine.datas, build_model(env.robot)
     dofs = [model.joint(name).dofadr[0] for name in robot.motor_names]
     target = np.array([wave(env, k) for k in range(80)])
@@ -296,8 +289,8 @@ def test_the_motors_answer_as_drawn():
         applied.append([data.qfrc_applied[dofs] * robot.motor_sign for data in datas])
     went = target, np.array(angle), np.array(speed)
     np.testing.assert_allclose(applied, torques_by_hand(env, *went), rtol=1e-9, atol=1e-9)
-    for row in rows:  # which is also the name of its parameter
-        apart = np.abs(applied - torques_by_hand(env, *went, **{row: robot.nominal_params()[row]})).max(axis=0)
+    for name in names:
+        apart = np.abs(applied - torques_by_hand(env, *went, **{name: robot.nominal_params()[name]})).max(axis=0)
         assert np.all(apart > 1e-6)  # each motor of each robot
 
 
@@ -319,13 +312,10 @@ def same_path(first: list[np.ndarray], second: list[np.ndarray]) -> bool:
 
 
 def changed(env: LocomotionEnv, before: PhysicalParams) -> np.ndarray:
-    """Whether each number of each row of the table differs from before, (N, rows)."""
+    """Whether each parameter of the table differs from before, (N, parameters)."""
     now = env.world.params
     return np.array(
-        [
-            [np.any(getattr(now, name)[i] != getattr(before, name)[i]) for row in TABLE_1 for name in ROWS[row].params]
-            for i in range(env.num_envs)
-        ]
+        [[np.any(getattr(now, name)[i] != getattr(before, name)[i]) for name in TABLE_1] for i in range(env.num_envs)]
     )
 
 
@@ -373,7 +363,7 @@ def test_the_end_of_an_episode_draws_anew():
 
 
 def test_without_autoreset_an_episode_that_is_over_keeps_its_parameters():
-    task = TaskConfig(**{**STILL, "randomize": RandomizeConfig(**TABLE_1), "max_steps": 2})
+    task = TaskConfig(**{**STILL, "randomize": TABLE_1, "max_steps": 2})
     env = LocomotionEnv(task, 2, SimWorld, 1, autoreset=False, threads=1)
     env.reset()
     before = kept(env)
@@ -414,7 +404,7 @@ def test_a_robots_episodes_do_not_depend_on_the_batch():
 
 
 def test_a_state_taken_and_given_back_goes_on_alike():
-    table = {row: bounds for row, bounds in {**TABLE_1, **MORE}.items() if row not in WORLDS["bullet"].models}
+    table = {name: given for name, given in FULL.items() if not PARAMETERS[name].engines}
     env, other = (make_env(table, num_envs=2, seed=seed, **PUSHED) for seed in (1, 2))
     run(env, 30)
     state = env.get_state()
@@ -428,8 +418,7 @@ def test_a_state_taken_and_given_back_goes_on_alike():
 
 
 def test_a_range_of_the_nominal_value_is_as_no_range(robot):
-    nominal = robot.nominal_params()
-    ranges = {row: (nominal[what.params[0]],) * 2 for row, what in SET.items()}
+    ranges = {name: (value, value) for name, value in robot.nominal_params().items() if name in FULL}
     values = {"max_steps": 15, "start_linear_speed": 0.05}
     env, plain = make_env(ranges, **values), make_env({}, **values)
     assert env.randomizer.enabled
@@ -442,24 +431,26 @@ def test_without_ranges_nothing_is_drawn(robot):
     run(env, 12)
     expected = PhysicalParams.nominal(robot, 4).with_values(robot, voltage=15.0)
     assert same(kept(env), expected)
-    assert TaskConfig().randomize == RandomizeConfig() == load_ranges("none")
-    assert load_ranges("none").ranges == {}
+    assert TaskConfig().randomize == load_ranges("none") == {}
 
 
 # --- what a critic may know -------------------------------------------------------------------------------
 
 
 def test_scaled_is_from_minus_one_to_one(make_randomizer, many):
-    randomizer = make_randomizer()
+    randomizer = make_randomizer(100)
     scaled = np.concatenate([randomizer.scaled(params) for params in many])
-    assert scaled.shape == (4000, 32)
+    assert scaled.shape == (4000, COUNT)
     assert np.abs(scaled).max() <= 1 + 1e-12
     assert np.all(scaled.min(axis=0) < -0.99)
     assert np.all(scaled.max(axis=0) > 0.99)
 
 
 def test_scaled_by_hand(robot, make_randomizer):
-    config = RandomizeConfig(mass=(0.8, 1.2), voltage=(14.0, 16.0), imu_bias=(-0.05, 0.05), resistance=(0.2, 0.2))
+    config = {
+        **{"base_mass_ratio": (0.8, 1.2), "leg_mass_ratio": (0.8, 1.2), "voltage": (14.0, 16.0)},
+        **{"imu_bias": (-0.05, 0.05), "resistance": (0.2, 0.2)},
+    }
     params = PhysicalParams.nominal(robot, 2).with_values(
         robot,
         base_mass_ratio=[0.8, 1.2],
@@ -476,7 +467,7 @@ def test_the_critics_state_grows_by_what_is_drawn():
     plain = make_env({}).privileged().shape[1]
     for ranges, width in (
         ({"motor_friction": (0.0, 0.05)}, 1),
-        ({"imu_bias": (-0.05, 0.05), "latency": (0.01, 0.01)}, 2),
+        ({"imu_bias": (-0.05, 0.05), "control_latency": (0.01, 0.01)}, 2),
         (TABLE_1, 20),
     ):
         env = make_env(ranges)
@@ -489,31 +480,59 @@ def test_the_critics_state_grows_by_what_is_drawn():
 
 
 def test_table1_is_the_papers():
-    assert load_ranges("table1").ranges == TABLE_1
+    assert load_ranges("table1") == TABLE_1
     assert range_names() == ["ensemble", "none", "table1"]
 
 
 @pytest.mark.parametrize(
     ("ranges", "pieces"),
     [
-        ({"latency": [0.03, 0.01]}, ["randomize.latency is [0.03, 0.01]", "the lower bound must come first"]),
-        ({"latency": [0.0, 15]}, ["randomize.latency is [0, 15]", "control_latency from 0 to 0.1 (unit: s)"]),
-        ({"latency": [-0.01, 0.02]}, ["randomize.latency is [-0.01, 0.02]", "from 0 to 0.1 (unit: s)"]),
+        (
+            {"control_latency": [0.03, 0.01]},
+            ["randomize.control_latency is [0.03, 0.01]", "lower bound must"],
+        ),
+        ({"control_latency": [0.0, 15]}, ["randomize.control_latency is [0, 15]", "from 0 to 0.1 (unit: s)"]),
+        ({"control_latency": [-0.01, 0.02]}, ["randomize.control_latency is [-0.01, 0.02]", "from 0 to 0.1 (unit: s)"]),
+        ({"control_latency": [[0, 0.01], [0, 0.02]]}, ["randomize.control_latency has 2 intervals; it must have one"]),
         ({"control_step": [3, 20]}, ["randomize.control_step is [3, 20]", "from 0.001 to 0.05 (unit: s)"]),
-        ({"mass": [80, 120]}, ["randomize.mass is [80, 120]", "minitaur allows base_mass_ratio from 0.2 to 5"]),
-        ({"voltage": [14.0, 168.0]}, ["randomize.voltage is [14, 168]", "voltage from 5 to 30 (unit: V)"]),
+        (
+            {"leg_mass_ratio": [80, 120]},
+            ["randomize.leg_mass_ratio is [80, 120]", "minitaur allows leg_mass_ratio"],
+        ),
         ({"imu_noise": [-0.05, 0.05]}, ["randomize.imu_noise", "imu_noise from 0 to 0.5 (unit: rad)"]),
-        ({"voltage": [14.0, float("inf")]}, ["randomize.voltage is [14, inf]", "finite"]),
-        ({"voltage": [14.0, float("nan")]}, ["randomize.voltage is [14, nan]"]),
-        ({"mass": 0.8}, ["randomize.mass is 0.8", "2 values, each a number"]),
-        ({"mass": ["light", "heavy"]}, ["randomize.mass is ['light', 'heavy']"]),
-        ({"colour": [0, 1]}, ["randomize.colour is not a key", "choices: mass, motor_friction", "servo_latency"]),
+        ({"voltage": [14.0, float("inf")]}, ["randomize.voltage"]),
+        ({"voltage": [14.0, float("nan")]}, ["randomize.voltage"]),
+        ({"voltage": 0.8}, ["randomize.voltage is 0.8; it must be a list of 2 values, each a number or"]),
+        ({"voltage": ["low", "high"]}, ["randomize.voltage is ['low', 'high']"]),
+        ({"voltage": {}}, ["randomize.voltage must have one of scale and add"]),
+        ({"voltage": {"scale": [0.9, 1.1], "add": [0, 1]}}, ["randomize.voltage must have one of scale and add"]),
+        (
+            {"voltage": {"factor": [0.9, 1.1]}},
+            ["randomize.voltage.factor is not a key; choices: scale, add"],
+        ),
+        ({"voltage": {"add": [1, -1]}}, ["randomize.voltage.add is [1, -1]; the lower bound must come first"]),
+        ({"servo_kp": {"scale": [-0.5, 1.0]}}, ["randomize.servo_kp.scale is [-0.5, 1]; factors are 0 or more"]),
+        (
+            {"knee_play": {"scale": [0, 2]}},
+            ["randomize.knee_play.scale is given; write add, as knee_play"],
+        ),
+        (
+            {"imu_mount": [[0, 0.1], [0, 0.1]]},
+            ["2 intervals; it must have one, or one for each of roll, pitch"],
+        ),
+        ({"colour": [0, 1]}, ["'colour' is not a physical parameter; choices: base_mass_ratio,"]),
+        ({"rotor_inertia": [0, 1]}, ["rotor_inertia belongs to motors of kind joint; the motors of minitaur are dc"]),
+        (
+            {"mass": [0.8, 1.2]},
+            ["randomize.mass is not a", "; write base_mass_ratio and leg_mass_ratio"],
+        ),
+        ({"friction": [0.8, 1.2]}, ["write motor_friction: {scale: [LOW, HIGH], independent: true}"]),
     ],
 )
 def test_ranges_that_cannot_be_are_refused(robot, ranges, pieces):
     feedback = {"extension": [1.5, 2.5]}
     for make in (
-        lambda: check_ranges(from_mapping(RandomizeConfig, ranges, "randomize"), robot),
+        lambda: check_ranges(ranges_from_mapping(ranges), robot),
         lambda: LocomotionEnv(from_mapping(TaskConfig, {"feedback": feedback, "randomize": ranges}), 1, SimWorld),
     ):
         with pytest.raises(SurefootError) as caught:
@@ -523,21 +542,62 @@ def test_ranges_that_cannot_be_are_refused(robot, ranges, pieces):
             assert piece in str(caught.value)
 
 
-def test_a_table_that_is_not_there_is_refused(tmp_path: Path):
-    with pytest.raises(SurefootError) as caught:
-        load_ranges("tabel1")
-    assert (
-        str(caught.value)
-        == "randomize 'tabel1' does not exist; choices: ensemble, none, table1, or the path of a YAML file"
-    )
-    with pytest.raises(SurefootError, match="does not exist"):
-        load_ranges(str(tmp_path))
-    (tmp_path / "bad.yaml").write_text("mass: [1.2, 0.8]\n")
-    with pytest.raises(SurefootError, match=r"bad.yaml: randomize.mass is \[1.2, 0.8\]; the lower bound must come"):
-        load_ranges(str(tmp_path / "bad.yaml"))
-    (tmp_path / "cut.yaml").write_text("mass: [1.2,\n")
-    with pytest.raises(SurefootError, match=r"cut.yaml: is not YAML"):
-        load_ranges(str(tmp_path / "cut.yaml"))
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("tabel1", "randomize 'tabel1' does not exist; choices: ensemble, none, table1, or the path of a YAML file"),
+        (".", "does not exist"),
+        ("order.yaml", "order.yaml: randomize.voltage is [16, 15]; the lower bound must come first"),
+        ("cut.yaml", "cut.yaml: is not YAML"),
+        ("scaled.yaml", "scaled.yaml: randomize.scaled is not a physical parameter; write NAME: {scale: [LOW, HIGH]}"),
+    ],
+)
+def test_a_table_that_is_missing_or_wrong_is_refused(tmp_path: Path, name: str, message: str):
+    (tmp_path / "order.yaml").write_text("voltage: [16, 15]\n")
+    (tmp_path / "cut.yaml").write_text("voltage: [16,\n")
+    (tmp_path / "scaled.yaml").write_text("scaled: {voltage: [0.9, 1.1]}\n")
+    with pytest.raises(SurefootError, match=re.escape(message)):
+        load_ranges(name, tmp_path)
+
+
+OTHERS = {name: given for name, given in TABLE_1.items() if name != "control_latency"}
+
+
+@pytest.mark.parametrize(
+    ("randomize", "expected"),
+    [
+        ("", {}),
+        ("randomize: none", {}),
+        ("randomize: table1", TABLE_1),
+        ("randomize: mine.yaml", {"voltage": (15.0, 16.0)}),  # the path counts from the task's file
+        ("randomize: {control_latency: [0, 0.02], voltage: null}", {"control_latency": (0.0, 0.02)}),
+        (
+            "randomize: {table: table1, control_latency: null, contact_stiffness: [3000, 30000]}",
+            OTHERS | {"contact_stiffness": (3e3, 3e4)},
+        ),
+        ("randomize: {servo_kp: {scale: [0.9, 1.1]}}", {"servo_kp": RelativeRange(scale=(0.9, 1.1))}),
+        ("randomize: {imu_bias: [[0, 0.1], [0, 0]]}", {"imu_bias": ((0.0, 0.1), (0.0, 0.0))}),
+    ],
+)
+def test_a_task_names_a_table_or_has_its_own(tmp_path: Path, monkeypatch, randomize: str, expected: Ranges):
+    (tmp_path / "mine.yaml").write_text("voltage: [15, 16]\n")
+    (tmp_path / "elsewhere").mkdir()
+    monkeypatch.chdir(tmp_path / "elsewhere")
+    assert load_task(task_file(tmp_path, randomize))[0].randomize == expected
+
+
+@pytest.mark.parametrize(
+    ("randomize", "message"),
+    [
+        ("tabel1", "tabel1' does not exist; choices: ensemble, none"),
+        ("3", "randomize is 3; it must be a table"),
+        ("{table: tabel1}", "tabel1' does not exist; choices: ensemble, none, table1"),
+        ("{table: table1, speed: [1, 2]}", "'speed' is not a physical parameter; choices: base_mass_ratio"),
+    ],
+)
+def test_a_task_with_ranges_that_do_not_fit_is_refused(tmp_path: Path, randomize: str, message: str):
+    with pytest.raises(SurefootError, match=rf"task\.yaml: .*{message}"):
+        load_task(task_file(tmp_path, f"randomize: {randomize}"))
 
 
 def task_file(folder: Path, randomize: str) -> str:
@@ -546,54 +606,18 @@ def task_file(folder: Path, randomize: str) -> str:
     return str(path)
 
 
-def test_a_task_names_a_table_or_has_its_own(tmp_path: Path):
-    assert load_task(task_file(tmp_path, ""))[0].randomize.ranges == {}
-    assert load_task(task_file(tmp_path, "randomize: none"))[0].randomize.ranges == {}
-    assert load_task(task_file(tmp_path, "randomize: table1"))[0].randomize.ranges == TABLE_1
-    own = "randomize:\n  mass: [0.9, 1.1]\n  latency: [0, 0.02]\n  voltage: null"
-    assert load_task(task_file(tmp_path, own))[0].randomize.ranges == {"mass": (0.9, 1.1), "latency": (0.0, 0.02)}
-    both = "randomize: {table: table1, latency: null, contact_stiffness: [3000, 30000]}"
-    expected = {row: given for row, given in TABLE_1.items() if row != "latency"}
-    assert load_task(task_file(tmp_path, both))[0].randomize.ranges == expected | {"contact_stiffness": (3e3, 3e4)}
-    (tmp_path / "mine.yaml").write_text("voltage: [15, 16]\n")
-    by_path = load_task(task_file(tmp_path, f"randomize: {tmp_path / 'mine.yaml'}"))[0]
-    assert by_path.randomize.ranges == {"voltage": (15.0, 16.0)}
-    for given, said in (
-        ("tabel1", "tabel1' does not exist; choices: ensemble, none"),
-        ("3", "is 3; it must be a table"),
-    ):
-        with pytest.raises(SurefootError, match=rf"task\.yaml: randomize .*{said}"):
-            load_task(task_file(tmp_path, f"randomize: {given}"))
+# --- ranges around nominal values -------------------------------------------------------------------------
 
 
-def test_a_tables_path_counts_from_the_tasks_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    # As that of a reference does, wherever surefoot is run.
-    (tmp_path / "mine.yaml").write_text("voltage: [15, 16]\n")
-    task = task_file(tmp_path, "randomize: mine.yaml")
-    (tmp_path / "elsewhere").mkdir()
-    monkeypatch.chdir(tmp_path / "elsewhere")
-    assert load_task(task)[0].randomize.ranges == {"voltage": (15.0, 16.0)}
-
-
-@pytest.mark.parametrize(
-    ("randomize", "pieces"),
-    [
-        ("randomize: {table: tabel1}", ["tabel1' does not exist; choices: ensemble, none, table1"]),
-        ("randomize: {table: table1, speed: [1, 2]}", ["randomize.speed is not a key; choices: mass"]),
-    ],
-)
-def test_a_task_with_ranges_that_do_not_fit_is_refused(tmp_path: Path, randomize, pieces):
-    with pytest.raises(SurefootError) as caught:
-        load_task(task_file(tmp_path, randomize))
-    for piece in pieces:
-        assert piece in str(caught.value)
-
-
-def test_rows_around_the_nominal_values_are_factors_or_sums_of_them():
+def test_relative_ranges_are_factors_or_summands_of_nominal_values():
     robot = RobotDescription.load("pupper_v2")
     offsets = np.linspace(-0.02, 0.02, 12)
     nominal = PhysicalParams.nominal(robot, 40).with_values(robot, motor_offset=offsets[None])
-    ranges = RandomizeConfig(servo_kp=(0.9, 1.1), friction=(0.0, 2.0), motor_offset=(-0.01, 0.01))
+    ranges: Ranges = {
+        "motor_friction": RelativeRange(scale=(0.0, 2.0), independent=True),
+        "servo_kp": RelativeRange(scale=(0.9, 1.1)),
+        "motor_offset": RelativeRange(add=(-0.01, 0.01)),
+    }
     randomizer = Randomizer(ranges, robot, nominal, 3)
     drawn = randomizer.draw(np.arange(40))
     factors = drawn.servo_kp / nominal.servo_kp
@@ -603,54 +627,81 @@ def test_rows_around_the_nominal_values_are_factors_or_sums_of_them():
     assert np.ptp(drawn.motor_friction / nominal.motor_friction, axis=1).min() > 0.5
     assert np.abs(drawn.motor_offset - offsets).max() <= 0.01
     scaled = randomizer.scaled(drawn)
-    assert scaled.shape == (40, 1 + 12 + 12) == (40, len(randomizer.columns))
-    np.testing.assert_allclose(scaled[:, 0], 10 * (factors[:, 0] - 1))
+    assert scaled.shape == (40, 12 + 1 + 12) == (40, len(randomizer.columns))
+    np.testing.assert_allclose(scaled[:, 12], 10 * (factors[:, 0] - 1))
     assert np.abs(scaled).max() <= 1.0 + 1e-9
-    # The draws of rows that were there before do not depend on the new ones.
-    both = replace(ranges, contact_friction=(0.5, 1.0))
-    alone = RandomizeConfig(contact_friction=(0.5, 1.0))
-    first, second = (Randomizer(one, robot, nominal, 3).draw(np.arange(40)) for one in (both, alone))
+    # Draws of other parameters do not depend on these.
+    friction: Ranges = {"contact_friction": (0.5, 1.0)}
+    first, second = (Randomizer(one, robot, nominal, 3).draw(np.arange(40)) for one in (ranges | friction, friction))
     np.testing.assert_array_equal(first.contact_friction, second.contact_friction)
+
+
+def test_a_shared_draw_scales_every_motor_by_one_factor(robot):
+    nominal = PhysicalParams.nominal(robot, 5)
+    strength = RelativeRange(scale=(0.8, 1.2), independent=False)
+    randomizer = Randomizer({"motor_strength": strength, "voltage": (14.0, 15.0)}, robot, nominal, 3)
+    drawn = randomizer.draw(np.arange(5))
+    assert np.ptp(drawn.motor_strength, axis=1).max() == 0
+    assert randomizer.columns == ["motor_strength", "voltage"]
+    # The first motor's number, where each draws its own.
+    each = Randomizer({"motor_strength": (0.8, 1.2)}, robot, nominal, 3).draw(np.arange(5))
+    np.testing.assert_array_equal(drawn.motor_strength[:, 0], each.motor_strength[:, 0])
+
+
+def test_relative_draws_are_cut_to_what_the_robot_allows(robot):
+    ranges: Ranges = {"imu_noise": RelativeRange(add=(-0.2, -0.1)), "control_step": RelativeRange(scale=(100.0, 200.0))}
+    drawn = Randomizer(ranges, robot, PhysicalParams.nominal(robot, 5), 3).draw(np.arange(5))
+    assert np.all(drawn.imu_noise == 0.0)
+    assert np.all(drawn.control_step == 0.05)
+
+
+def test_each_axis_draws_from_its_own_interval(robot):
+    ranges: Ranges = {"imu_mount": ((0.0, 0.0), (-0.2, -0.1), (0.1, 0.2))}
+    randomizer = Randomizer(ranges, robot, PhysicalParams.nominal(robot, 50), 3)
+    drawn = randomizer.draw(np.arange(50)).imu_mount
+    assert np.all(drawn[:, 0] == 0.0)
+    assert np.all((drawn[:, 1] >= -0.2) & (drawn[:, 1] <= -0.1))
+    assert np.all((drawn[:, 2] >= 0.1) & (drawn[:, 2] <= 0.2))
+    assert abs(np.corrcoef(drawn[:, 1], drawn[:, 2])[0, 1]) < 0.5
+
+
+# --- ranges of an identified robot ------------------------------------------------------------------------
 
 
 def test_ranges_of_an_identified_robot_are_its_intervals():
     robot = RobotDescription.load("pupper_v2")
-    found = read_params(robot.folder / "identified.toml", robot)
-    ranges = load_ranges("identified", robot="pupper_v2").ranges
-    low, high = found.tables["intervals"]["contact_friction"]
-    assert ranges["contact_friction"] == (low, high)
-    gain = float(found.params.servo_kp[0, 0])
-    np.testing.assert_allclose(ranges["servo_kp"], np.array(found.tables["intervals"]["servo_kp"]) / gain)
-    assert ranges["motor_offset"][0] < 0 < ranges["motor_offset"][1]
-    check_ranges(RandomizeConfig(**ranges), robot)
+    file = read_params(robot.folder / "identified.toml", robot)
+    intervals, ranges = file.tables["intervals"], load_ranges("identified", robot="pupper_v2")
+    assert ranges.keys() == intervals.keys()
+    for name in ("contact_friction", "servo_kp", "contact_shear_ratio"):
+        assert ranges[name] == tuple(intervals[name])
+    for name in ("motor_friction", "motor_offset"):
+        assert ranges[name] == tuple(map(tuple, intervals[name]))
+    # An axis without an interval keeps its value.
+    assert ranges["imu_mount"] == ((0.0, 0.0), (0.0, 0.0), tuple(intervals["imu_mount"][2]))
+    drawn = Randomizer(ranges, robot, file.params.rows([0] * 20), 1).draw(np.arange(20))
+    assert np.all(drawn.imu_mount[:, :2] == 0.0)
+    assert np.ptp(drawn.contact_shear_ratio) > 0.1
+    low, high = np.transpose(intervals["motor_friction"])
+    assert np.all((drawn.motor_friction >= low) & (drawn.motor_friction <= high))
     with pytest.raises(SurefootError, match="randomize 'identified' does not exist"):
         load_ranges("identified", robot="minitaur")
 
 
 @pytest.mark.parametrize(
-    ("robot", "ranges", "said"),
-    [
-        ("go2", {"voltage": (14.0, 16.0)}, "voltage is given; it belongs to motors of kind dc, those of go2 are joint"),
-        ("pupper_v2", {"servo_kp": (-0.5, 1.0)}, r"randomize\.servo_kp is \[-0\.5, 1\]; factors are 0 or more"),
-    ],
-)
-def test_ranges_that_a_robot_can_t_have_are_refused(robot: str, ranges: dict[str, Any], said: str):
-    with pytest.raises(SurefootError, match=said):
-        check_ranges(RandomizeConfig(**ranges), RobotDescription.load(robot))
-
-
-@pytest.mark.parametrize(
-    ("intervals", "said"),
+    ("intervals", "message"),
     [
         ("", "has no intervals to draw from"),
         ("[intervals]\ncontact_friction = [nan, nan]", "has no intervals to draw from"),
         ("[intervals]\ncontact_friction = 0.5", r"intervals\.contact_friction: must be a pair of numbers"),
         ('[intervals]\ncontact_friction = ["low", "high"]', r"intervals\.contact_friction: must be a pair of numbers"),
         ("[intervals]\ncontact_friction = [[0.4, 0.5, 0.6]]", r"intervals\.contact_friction: must be a pair"),
+        ("[intervals]\nimu_mount = [[0.0, 0.1]]", r"fit\.toml: randomize\.imu_mount has 1 intervals; it must have one"),
     ],
 )
-def test_intervals_that_are_none_are_refused(tmp_path: Path, intervals: str, said: str):
-    robot = RobotDescription.load("pupper_v2")
-    (tmp_path / "found.toml").write_text(f"[params]\ncontact_friction = 0.5\n{intervals}\n")
-    with pytest.raises(SurefootError, match=said):
-        _ranges_of_intervals(tmp_path / "found.toml", robot)
+def test_a_file_without_intervals_is_refused(tmp_path: Path, intervals: str, message: str):
+    folder = tmp_path / "pupper_v2"
+    shutil.copytree(RobotDescription.load("pupper_v2").folder, folder)
+    (folder / "fit.toml").write_text(f"[params]\ncontact_friction = 0.5\n{intervals}\n")
+    with pytest.raises(SurefootError, match=message):
+        load_ranges("fit", robot=folder)

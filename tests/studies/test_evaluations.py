@@ -75,7 +75,7 @@ def test_nominal_episodes_run_in_the_policys_own_simulator(rollouts: Rollouts) -
     assert asked["task"].actuator == "constraint"
     assert asked["task"].params == task.params
     assert not asked["task"].pushes.enabled
-    assert not asked["task"].randomize.ranges
+    assert not asked["task"].randomize
 
 
 def test_gap_runs_are_at_home_and_on_the_robot_of_the_data_sheet(rollouts: Rollouts) -> None:
@@ -89,7 +89,7 @@ def test_gap_runs_are_at_home_and_on_the_robot_of_the_data_sheet(rollouts: Rollo
     for asked in rollouts.asked:
         assert (asked["episodes"], asked["threads"], asked["policy_name"]) == (3, 2, "walker")
         assert not asked["task"].pushes.enabled
-        assert not asked["task"].randomize.ranges
+        assert not asked["task"].randomize
         # Not the episodes that policies are chosen by.
         assert asked["seed"] != EVALUATIONS["nominal"].settings["seed"]
     assert {world: len(traces) for world, traces in kept.items()} == {
@@ -166,7 +166,7 @@ def test_a_row_that_stays_nominal_is_no_part_of_a_result(policy: Path, rollouts:
     result = evaluate(policy, "table1", find_world)
     place = policy.parent / "evaluations" / "table1.json"
     record = json.loads(place.read_text())
-    assert set(record["of"]["ranges"]) == set(load_ranges("table1").ranges)
+    assert set(record["of"]["ranges"]) == set(load_ranges("table1"))
     assert stored_result(policy, "table1") == result
     record["of"]["ranges"]["play"] = [0.0, 0.1]
     place.write_text(json.dumps(record))

@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from references import read_reference
 
 from surefoot.errors import SurefootError
 from surefoot.robot import RobotDescription
 from surefoot.studies.raibert import OBSERVATIONS, RaibertConfig, RaibertController
 from surefoot.task.foot import FootReference
-from surefoot.task.reference import make_reference
 
 ROBOT = RobotDescription.load("minitaur")
 LEG = ROBOT.leg_geometry
@@ -31,7 +31,7 @@ SPEED = 0.4
 
 
 def reference(**other: Any) -> FootReference:
-    found = make_reference({"kind": "foot", "foot": {"frequency": 2.0, **PATH, **other}}, ROBOT)
+    found = read_reference({"kind": "foot", "foot": {"frequency": 2.0, **PATH, **other}}, ROBOT)
     assert isinstance(found, FootReference)
     return found
 

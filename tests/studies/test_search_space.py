@@ -9,7 +9,7 @@ import pytest
 
 from surefoot.errors import SurefootError
 from surefoot.learn.config import TrainConfig, load_train_config
-from surefoot.studies.search_space import Dimension, as_params, get, load_space, put
+from surefoot.studies.search_space import Dimension, as_params, get, load_space, put, suggest
 
 SPACE = """
 ppo.learning_rate: {low: 0.0001, high: 0.01, log: true}
@@ -50,7 +50,7 @@ def test_the_spaces_that_ship_fit_the_tasks_that_ship() -> None:
     gallop, trot = load_train_config("gallop"), load_train_config("trot")
     without, with_reference = load_space(None, gallop), load_space(None, trot)
     searched = {"ppo.policy_hidden.0", "ppo.value_hidden", "ppo.learning_rate", "ppo.gamma", "ppo.clip", "num_envs"}
-    assert searched | {"ppo.entropy_coefficient", "ppo.init_std", "task.energy_weight"} < set(without)
+    assert searched | {"ppo.entropy_coefficient", "ppo.init_std", "task.reward.energy"} < set(without)
     assert set(with_reference) - set(without) == {
         "task.reference.swing.frequency",
         "task.reference.swing.amplitude",
@@ -58,6 +58,25 @@ def test_the_spaces_that_ship_fit_the_tasks_that_ship() -> None:
     }
     # The paper's own layers are within.
     assert {"ppo.policy_hidden.0": 185, "ppo.policy_hidden.1": 95}.items() <= as_params(without, gallop).items()
+
+
+def test_logarithmic_range_of_negative_values_draws_their_magnitudes(tmp_path: Path) -> None:
+    optuna = pytest.importorskip("optuna")
+    gallop = load_train_config("gallop")
+    space = load_space(space_file(tmp_path, "task.reward.energy: {low: -0.02, high: -0.002, log: true}"), gallop)
+    trial = optuna.trial.FixedTrial({"task.reward.energy": 0.004})
+    values = suggest(space, trial)
+    assert values == {"task.reward.energy": -0.004}
+    (distribution,) = trial.distributions.values()
+    assert (distribution.low, distribution.high, distribution.log) == (0.002, 0.02, True)
+    assert as_params(space, put(gallop, space, values)) == trial.params
+
+
+def test_costs_of_energy_are_searched_where_the_reward_has_them() -> None:
+    terms = {"gallop": {"task.reward.energy"}, "go2-trot": {"task.reward.transport_cost"}, "go2-steer": set()}
+    for task, searched in terms.items():
+        space = load_space(None, load_train_config(task))
+        assert {name for name in space if name.startswith("task.reward.")} == searched
 
 
 BAD = [
@@ -70,7 +89,10 @@ BAD = [
     ),
     ("ppo.gamma: {low: 0.99, high: 0.9}", "ppo.gamma: low is 0.99 and high is 0.9; low must be below high"),
     ("ppo.gamma: {low: 0.5, high: 1.5}", "ppo.gamma is 1.5; it must be 1 or less"),
-    ("ppo.learning_rate: {low: 0, high: 1, log: true}", "ppo.learning_rate: low is 0; with log it must be over 0"),
+    (
+        "ppo.learning_rate: {low: 0, high: 1, log: true}",
+        "ppo.learning_rate: low is 0 and high is 1; with log both must be on one side of 0",
+    ),
     ("ppo.epochs: {low: 1.5, high: 3, int: true}", "ppo.epochs: low is 1.5 and high is 3; with int they must be whole"),
     ("ppo.epochs: {low: 1, high: 3}", r"ppo.epochs is 1.0; it must be a whole number"),
     ("ppo.gamma: {low: 0.9}", "ppo.gamma: it needs low and high, or choices"),

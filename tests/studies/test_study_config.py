@@ -46,23 +46,23 @@ def test_groups_keep_what_they_do_not_name(tmp_path: Path) -> None:
     assert drawn.task.observations == ("roll", "motor_angles")
     assert (plain.task.max_steps, drawn.task.max_steps) == (70, 70)
     assert plain.ppo == trot.ppo
-    assert plain.task.randomize.ranges == {}
+    assert plain.task.randomize == {}
     assert drawn.task.randomize == load_ranges("table1")
     assert (study.label("plain"), study.label("drawn")) == ("plain", "Drawn")
     # Runs share cores and save often.
     assert (plain.threads, plain.learning_threads, plain.checkpoint_every) == (1, 1, CHECKPOINT_EVERY)
 
 
-def test_a_named_table_replaces_every_range(tmp_path: Path) -> None:
-    (tmp_path / "few.yaml").write_text("mass: [0.9, 1.1]\n")
+def test_a_groups_ranges_replace_those_of_the_study(tmp_path: Path) -> None:
+    (tmp_path / "few.yaml").write_text("leg_mass_ratio: [0.9, 1.1]\n")
     text = (
         "train: {task: {randomize: table1}}\n"
-        "groups: {a: {train: {task: {randomize: few.yaml}}}, b: {train: {task: {randomize: {latency: [0, 0.01]}}}}}"
+        "groups:\n  a: {train: {task: {randomize: few.yaml}}}\n"
+        "  b: {train: {task: {randomize: {table: table1, voltage: [15, 16]}}}}"
     )
     study = load_study(study_file(tmp_path, text))
-    assert group_config(study, "a").task.randomize.ranges == {"mass": (0.9, 1.1)}
-    # A table of rows changes these rows alone.
-    assert group_config(study, "b").task.randomize == replace(load_ranges("table1"), latency=(0.0, 0.01))
+    assert group_config(study, "a").task.randomize == {"leg_mass_ratio": (0.9, 1.1)}
+    assert group_config(study, "b").task.randomize == load_ranges("table1") | {"voltage": (15.0, 16.0)}
 
 
 def test_a_task_counts_from_the_studys_file(tmp_path: Path) -> None:
@@ -203,7 +203,7 @@ def test_the_robustness_study_is_what_it_says() -> None:
     assert small.task.observations == ("roll", "pitch", "roll_rate", "pitch_rate")
     assert large.task.observations == ("roll", "pitch", "roll_rate", "pitch_rate", "motor_angles")
     assert not small.task.pushes.enabled
-    assert not small.task.randomize.ranges
+    assert not small.task.randomize
     assert large.task.pushes.enabled
     assert large.task.pushes.probability == load_train_config("trot").task.pushes.probability
     assert large.task.randomize == load_ranges("table1")
@@ -227,4 +227,4 @@ def test_the_reality_gap_study_is_what_it_says() -> None:
         assert (task.params["control_latency"], task.params["servo_latency"]) == (0.0, 0.0)
     assert three.params == {}
     assert not {"control_latency", "servo_latency"} & set(other.params)
-    assert len({group_config(study, name).task.energy_weight for name in study.groups}) == 1
+    assert all(group_config(study, name).task.reward == {"progress": 1.0, "energy": -0.00133} for name in study.groups)

@@ -14,21 +14,22 @@ import pytest
 pytest.importorskip("matplotlib")
 
 from surefoot.evaluate.sensitivity import make_test_worlds
-from surefoot.robot.randomization import RandomizeConfig
+from surefoot.robot import PhysicalParams, RobotDescription
+from surefoot.robot.randomization import Ranges
 from surefoot.studies.comparison import Comparison, Curve, GroupResult, SeedResult, study_tables
 from surefoot.studies.study_report import write_report
 from surefoot.task.trace import EpisodeTrace
 
 MakeRun = Callable[..., EpisodeTrace]
-RANGES = RandomizeConfig(latency=(0.0, 0.04), voltage=(14.0, 16.8), mass=(0.8, 1.2))
-WORLDS = make_test_worlds(RANGES, 5)
-NOMINAL = {"latency": 0.0, "voltage": 16.0}
+RANGES: Ranges = {"leg_mass_ratio": (0.8, 1.2), "control_latency": (0.0, 0.04), "voltage": (14.0, 16.8)}
+WORLDS = make_test_worlds(RANGES, PhysicalParams.nominal(RobotDescription.load("minitaur")), 5)
+NOMINAL = {"control_latency": 0.0, "voltage": 16.0}
 
 
 def sensitivity(random: np.random.Generator, level: float, droop: float) -> dict[str, object]:
     """Returns that fall from the nominal value to the ends of each row's range."""
-    place = np.array([(w.value - RANGES.ranges[w.row][0]) / np.ptp(RANGES.ranges[w.row]) for w in WORLDS])
-    mean = level - droop * (2 * place - 1) ** 2 * np.array([1 + (w.row == "latency") for w in WORLDS])
+    place = np.array([(w.value - RANGES[w.row][0]) / np.ptp(RANGES[w.row]) for w in WORLDS])
+    mean = level - droop * (2 * place - 1) ** 2 * np.array([1 + (w.row == "control_latency") for w in WORLDS])
     returns = mean[:, None] + 0.1 * random.standard_normal((len(WORLDS), 4))
     return {
         "worlds": [[w.row, w.value] for w in WORLDS],

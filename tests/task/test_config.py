@@ -100,8 +100,18 @@ def test_written_and_read_again_it_is_the_same(tmp_path, name):
         ("robot: !!python/object:os.system x", ["is not YAML"]),
         ("base: waltz", ["base is 'waltz'", "choices: ", "trot"]),
         ("base: [trot]", ["base is", "choices: "]),
-        ("push_weight: 3", ["push_weight is 3", "two numbers"]),
-        ("push_weight: [1, -1]", ["pushes.force"]),
+        ("energy_weight: 0.01", ["energy_weight is not a key; write", "`reward: {progress: 1.0, energy: -0.008}`"]),
+        ("cost_weight: 0.4", ["cost_weight is not a key; write", "transport_cost: -0.42"]),
+        ("target_speed: 0.4", ["target_speed is not a key; write", "`reward_limits: {progress: 0.6}`"]),
+        (
+            "push_weight: [0, 1]",
+            ["push_weight is not a key; write it as `pushes: {relative: true, force: [0.0, 0.8]}`"],
+        ),
+        ("reward: {}", ["reward has no term; choices: progress, energy"]),
+        ("reward: {speed: 1}", ["reward.speed is not a term; choices: progress, energy"]),
+        ("reward: {progress: much}", ["reward.progress is 'much'; it must be a number"]),
+        ("reward: {progress: 1.0e+7}", ["reward.progress is 1e+07; it must be 1000000 or less"]),
+        ("reward_limits: {tilt: 1}", ["reward_limits.tilt is not a term of the reward; choices: progress, energy"]),
     ],
 )
 def test_a_file_that_does_not_fit_is_refused_in_one_line(tmp_path, text, pieces):
@@ -146,8 +156,3 @@ def test_a_task_lays_its_own_values_over_those_of_its_base(tmp_path: Path) -> No
     assert task == replace(base, name="mine", max_steps=7, reference=replace(base.reference, foot=foot))
     assert train["steps"] == 5
     assert train["ppo"]["policy_hidden"] == [125, 89]
-
-
-def test_forces_of_pushes_scale_with_the_robots_weight() -> None:
-    task = load_task("trot-robust", "go2")[0]
-    assert task.pushes.force == (0.0, pytest.approx(0.8 * RobotDescription.load("go2").weight))

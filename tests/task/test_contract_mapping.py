@@ -16,10 +16,10 @@ from surefoot.errors import SurefootError
 from surefoot.policy.contract import Contract
 from surefoot.policy.runtime import PolicyRuntime
 from surefoot.robot import RobotDescription
-from surefoot.task.config import ReferenceConfig, TaskConfig, load_task
+from surefoot.task.config import TaskConfig, load_task
 from surefoot.task.contract_mapping import make_contract, task_from_contract
 from surefoot.task.env import LocomotionEnv
-from surefoot.task.reference import make_reference
+from surefoot.task.reference import ReferenceConfig, make_reference
 from surefoot.world.sim_world import SimWorld
 
 ROBOT = RobotDescription.load("minitaur")
@@ -60,11 +60,11 @@ def test_a_table_comes_from_the_contract_and_not_from_its_file(tmp_path: Path):
     reference = ReferenceConfig(kind="table", file=str(tmp_path / "t.npz"), period=0.5)
     contract = contract_of(TaskConfig(reference=reference))
     (tmp_path / "t.npz").unlink()
-    again = make_reference(task_from_contract(contract).reference.to_mapping(), ROBOT)
+    again = make_reference(task_from_contract(contract).reference, ROBOT)
     assert np.allclose(again.pose([0.125])[:, 1], 2.0)
 
 
 def test_a_task_with_an_unknown_key_is_refused():
     contract = PolicyRuntime.load(find_policy("trot")).contract
-    with pytest.raises(SurefootError, match=r"policy 'trot': task.colour is not a key"):
+    with pytest.raises(SurefootError, match=r"task.colour is not a key"):
         task_from_contract(replace(contract, task={**contract.task, "colour": "red"}))

@@ -12,9 +12,10 @@ from scripted import ScriptedWorld
 
 from surefoot.errors import SurefootError
 from surefoot.robot import PhysicalParams, RobotDescription
-from surefoot.task.config import FeedbackConfig, ReferenceConfig, TaskConfig, WaveConfig, load_task
-from surefoot.task.env import LocomotionEnv, has_fallen, locomotion_reward
+from surefoot.task.config import FeedbackConfig, TaskConfig, load_task
+from surefoot.task.env import LocomotionEnv, has_fallen
 from surefoot.task.pushes import PushConfig
+from surefoot.task.reference import ReferenceConfig, WaveConfig
 from surefoot.world.interface import Truth
 from surefoot.world.sim_world import SimWorld
 
@@ -75,7 +76,7 @@ def test_an_observation_once_given_does_not_change(make_env):
 
 
 def test_an_episode_is_truncated_after_its_steps_and_has_its_figures(make_env):
-    env = make_env(2, max_steps=3, energy_weight=0.01)
+    env = make_env(2, max_steps=3, reward={"progress": 1.0, "energy": -0.01})
     env.reset()
     for k, speed in enumerate((0.0, 1.0, 2.0)):
         env.world.speed[:], env.world.power[:] = (speed, 0.0), 100.0
@@ -257,39 +258,7 @@ def test_the_first_observation_is_a_standing_robot():
     np.testing.assert_allclose(observation[:, 4:], np.pi / 2, atol=0.3)
 
 
-# --- by hand ----------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("displacement", "energy", "weight", "expected"),
-    [
-        (0.008, 0.0, 0.008, 0.008),
-        (0.008, 1.0, 0.008, 0.0),  # 1 J costs 8 mm
-        (0.0, 0.6, 0.008, -0.0048),
-        (-0.002, 0.5, 0.008, -0.006),
-        (0.01, 2.0, 0.0, 0.01),
-        (0.01, 2.0, 0.001, 0.008),
-    ],
-)
-def test_reward_of_a_step(displacement, energy, weight, expected):
-    reward = locomotion_reward(np.array([displacement]), np.array([energy]), weight)
-    np.testing.assert_allclose(reward, [expected], atol=1e-15)
-
-
-def test_progress_counts_up_to_a_greatest_displacement():
-    displacement, energy = np.array([0.002, 0.004, 0.009, -0.002]), np.array([0.0, 0.5, 0.5, 0.0])
-    reward = locomotion_reward(displacement, energy, 0.008, 0.004)
-    np.testing.assert_allclose(reward, [0.002, 0.0, 0.0, -0.002], atol=1e-15)
-
-
-def test_target_speed_limits_the_progress_of_an_environments_reward():
-    task = replace(load_task("trot")[0], target_speed=0.5)
-    env = LocomotionEnv(task, 2, ScriptedWorld, autoreset=False)
-    env.reset()
-    env.world.speed[:], env.world.power[:] = (0.4, 3.0), 10.0
-    reward = env.step(np.zeros((2, 8)))[1]
-    # 6 ms: 2.4 mm go forward, 18 mm count as 3 mm; .06 J cost .48 mm.
-    np.testing.assert_allclose(reward, [0.0024 - 0.00048, 0.003 - 0.00048])
+# --- ends of an episode ------------------------------------------------------------------------------------
 
 
 def at(angles: list[tuple[float, float, float]], height: float = 0.2) -> Truth:

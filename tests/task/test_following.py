@@ -6,13 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from references import read_reference
 
 from surefoot.errors import SurefootError
 from surefoot.robot import RobotDescription
 from surefoot.task.commands import CommandState
 from surefoot.task.config import load_task
 from surefoot.task.following import FollowingReference
-from surefoot.task.reference import make_reference
 
 ROBOTS = ("minitaur", "solo8", "go2", "pupper_v2")
 
@@ -105,7 +105,7 @@ def test_the_longest_stride_holds_with_its_frequency() -> None:
 
 def test_what_a_contract_holds_makes_the_same_gait_again() -> None:
     reference = reference_of("go2")
-    again = make_reference(reference.to_dict(), reference.robot, reference.limits)
+    again = read_reference(reference.to_dict(), reference.robot, reference.limits)
     given = state((0.5, 0.1, 0.3))
     assert again.pose(0.0, given) == pytest.approx(reference.pose(0.0, given), abs=1e-12)
 
@@ -113,7 +113,7 @@ def test_what_a_contract_holds_makes_the_same_gait_again() -> None:
 def test_without_commands_there_is_nothing_to_follow() -> None:
     reference = reference_of("go2")
     with pytest.raises(SurefootError, match=r"reference\.kind is follow; it needs commands"):
-        make_reference(reference.to_dict(), reference.robot)
+        read_reference(reference.to_dict(), reference.robot)
 
 
 def test_a_stride_out_of_reach_is_refused() -> None:
@@ -121,4 +121,4 @@ def test_a_stride_out_of_reach_is_refused() -> None:
     data = reference.to_dict()
     data["foot"]["stroke"] = dict.fromkeys(reference.feet.legs, 0.8)
     with pytest.raises(SurefootError, match="out of the leg's reach"):
-        make_reference(data | {"stride_gain": 3.0}, reference.robot, reference.limits)
+        read_reference(data | {"stride_gain": 3.0}, reference.robot, reference.limits)

@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from references import read_reference
 
 from surefoot.robot import RobotDescription
 from surefoot.task.foot import FootReference
-from surefoot.task.reference import make_reference
 
 ROBOT = RobotDescription.load("minitaur")
 LEG = ROBOT.leg_geometry
@@ -18,7 +18,7 @@ LEG = ROBOT.leg_geometry
 def make(**other: Any) -> FootReference:
     values = {"frequency": 2.0, "stroke": 0.1, "clearance": 0.03, "duty_factor": 0.6, "phase": 0.0}
     values |= {"height": 0.2, "offset": 0.01, "depth": 0.005}
-    reference = make_reference({"kind": "foot", "foot": values | other}, ROBOT)
+    reference = read_reference({"kind": "foot", "foot": values | other}, ROBOT)
     assert isinstance(reference, FootReference)
     return reference
 

@@ -6,13 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from references import read_reference
 
 from surefoot.errors import SurefootError
 from surefoot.robot import RobotDescription
 from surefoot.task.commands import CommandState
 from surefoot.task.config import load_task
 from surefoot.task.gait import HybridGait
-from surefoot.task.reference import make_reference
 
 PHASE = {"front_left": 0.0, "back_left": np.pi, "front_right": np.pi, "back_right": 0.0}
 
@@ -20,12 +20,12 @@ PHASE = {"front_left": 0.0, "back_left": np.pi, "front_right": np.pi, "back_righ
 def trot(robot: RobotDescription, amplitude: float = 0.35):
     wave = {"amplitude": amplitude, "frequency": 2.0, "phase": PHASE}
     data = {"kind": "sine", "swing": wave | {"amplitude": 0.3}, "extension": wave | {"offset": 2.0}}
-    return make_reference(data, robot)
+    return read_reference(data, robot)
 
 
 def scratch(robot: RobotDescription) -> HybridGait:
     """From scratch: no reference; swing +-.5, extension from 1 to 2."""
-    return HybridGait(robot, make_reference(None, robot), (-0.5, 0.5), (1.0, 2.0))
+    return HybridGait(robot, read_reference({}, robot), (-0.5, 0.5), (1.0, 2.0))
 
 
 # Actions -1, 0 and 1 are the lower bound, the middle and the upper bound; there is nothing beyond.
@@ -147,7 +147,7 @@ def test_angles_of_all_commands_in_leg_space(robot):
 
 
 def test_the_edge_of_the_legs_range_is_allowed(robot):
-    reference = make_reference(None, robot)
+    reference = read_reference({}, robot)
     gait = HybridGait(robot, reference, robot.leg_space["swing"], robot.leg_space["extension"])
     assert gait.low[0] == -1.0
     assert gait.high[-1] == 2.7
@@ -178,7 +178,7 @@ def test_a_damped_drive_follows_a_reference_that_leads_by_its_lag(task: str):
 def test_commands_that_lead_stay_within_what_legs_allow(robot: RobotDescription):
     foot = {"frequency": 3.0, "stroke": 0.1, "clearance": 0.05, "duty_factor": 0.5, "phase": 0.0, "height": 0.2}
     data = {"kind": "foot", "foot": {**foot, "offset": 0.0, "depth": 0.0}, "velocity_feedforward": 1.0}
-    gait = HybridGait(robot, make_reference(data, robot), (-0.1, 0.1), (-0.1, 0.1))
+    gait = HybridGait(robot, read_reference(data, robot), (-0.1, 0.1), (-0.1, 0.1))
     targets = gait.motor_targets(np.linspace(0, 1, 200), np.zeros((200, 8)))
     pose = robot.to_pose(targets)
     for part, (low, high) in enumerate(robot.leg_space.values()):
@@ -187,4 +187,4 @@ def test_commands_that_lead_stay_within_what_legs_allow(robot: RobotDescription)
     least, greatest = gait.angle_extent()
     assert (targets >= least - 1e-9).all()
     assert (targets <= greatest + 1e-9).all()
-    assert make_reference(gait.reference.to_dict(), robot).to_dict() == gait.reference.to_dict()
+    assert read_reference(gait.reference.to_dict(), robot).to_dict() == gait.reference.to_dict()

@@ -16,10 +16,11 @@ from scripted import ScriptedWorld
 from surefoot.configuration import from_mapping, to_mapping
 from surefoot.errors import SurefootError
 from surefoot.policy.contract import Contract
-from surefoot.task.config import FeedbackConfig, ReferenceConfig, TaskConfig, WaveConfig
+from surefoot.task.config import FeedbackConfig, TaskConfig
 from surefoot.task.contract_mapping import make_contract
 from surefoot.task.env import LocomotionEnv
 from surefoot.task.observation import IMU_AND_MOTORS_12D, PARTS, Observer, phase
+from surefoot.task.reference import ReferenceConfig, WaveConfig
 from surefoot.world.interface import Readings
 
 WIDTHS = {

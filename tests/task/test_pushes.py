@@ -12,6 +12,11 @@ from surefoot.task.pushes import PushConfig, Pusher
 STEP = 0.006
 
 
+def make_pusher(config: PushConfig, num_envs: int, seed: int) -> Pusher:
+    """Return the pusher of robots that weigh 100 N."""
+    return Pusher(config, num_envs, seed, 100.0)
+
+
 def forces(pusher: Pusher, steps: int, first: int = 0) -> np.ndarray:
     """Force in each control step (steps, N, 3); time is that of the step's start."""
     path = []
@@ -22,7 +27,7 @@ def forces(pusher: Pusher, steps: int, first: int = 0) -> np.ndarray:
 
 
 def test_a_push_comes_every_200_steps_and_keeps_its_force_for_10_steps():
-    path = forces(Pusher(PushConfig(enabled=True), 2, seed=1), 1000)
+    path = forces(make_pusher(PushConfig(enabled=True), 2, seed=1), 1000)
     expected = [k for k in range(1000) if k >= 200 and k % 200 < 10]
     for robot in range(2):
         assert np.flatnonzero(path[:, robot].any(axis=1)).tolist() == expected
@@ -33,7 +38,7 @@ def test_a_push_comes_every_200_steps_and_keeps_its_force_for_10_steps():
 
 
 def test_pushes_are_uniform_in_size_and_direction():
-    many = forces(Pusher(PushConfig(enabled=True), 2000, seed=3), 1, first=200)[0]
+    many = forces(make_pusher(PushConfig(enabled=True), 2000, seed=3), 1, first=200)[0]
     size = np.linalg.norm(many, axis=1)
     assert size.min() >= 130
     assert size.max() <= 220
@@ -48,14 +53,14 @@ def test_pushes_are_uniform_in_size_and_direction():
 
 def test_horizontal_pushes_have_their_whole_force_in_the_plane():
     config = PushConfig(enabled=True, direction="horizontal", force=(60.0, 60.0))
-    many = forces(Pusher(config, 2000, seed=3), 1, first=200)[0]
+    many = forces(make_pusher(config, 2000, seed=3), 1, first=200)[0]
     assert not many[:, 2].any()
     np.testing.assert_allclose(np.linalg.norm(many, axis=1), 60.0)
     assert stats.kstest(np.arctan2(many[:, 1], many[:, 0]), "uniform", (-np.pi, 2 * np.pi)).pvalue > 0.01
 
 
 def test_a_ramp_lets_the_force_grow_over_a_robots_first_pushes_through_all_its_episodes():
-    pusher = Pusher(PushConfig(enabled=True, force=(100.0, 100.0), ramp=4), 1, seed=1)
+    pusher = make_pusher(PushConfig(enabled=True, force=(100.0, 100.0), ramp=4), 1, seed=1)
     sizes = []
     for _ in range(3):  # episodes with two pushes each
         path = forces(pusher, 500)[:, 0]
@@ -71,28 +76,35 @@ def test_policies_are_tested_with_every_push_in_full_force():
     assert trained.in_full(False, (20.0, 40.0)) == PushConfig(enabled=True, force=(20.0, 40.0), direction="horizontal")
 
 
+def test_relative_forces_count_the_robots_weight():
+    config = PushConfig(enabled=True, relative=True, force=(0.5, 0.5))
+    pushed = forces(make_pusher(config, 1, seed=1), 1, first=200)
+    np.testing.assert_allclose(np.linalg.norm(pushed), 50.0)
+    assert config.in_full(True, (20.0, 40.0)).force_range(100.0) == (20.0, 40.0)
+
+
 @pytest.mark.parametrize("probability", [0.0, 0.3, 1.0])
 def test_pushes_are_given_with_their_probability(probability: float):
-    pusher = Pusher(PushConfig(enabled=True, probability=probability), 2000, seed=3)
+    pusher = make_pusher(PushConfig(enabled=True, probability=probability), 2000, seed=3)
     given = forces(pusher, 10, first=200).any(axis=2)
     assert given[0].mean() == pytest.approx(probability, abs=0.03)
     assert np.all(given == given[0])  # one draw a push, not one a step
 
 
 def test_a_robots_pushes_do_not_depend_on_the_batch():
-    few = forces(Pusher(PushConfig(enabled=True), 2, seed=5), 450)
-    lots = forces(Pusher(PushConfig(enabled=True), 9, seed=5), 450)
+    few = forces(make_pusher(PushConfig(enabled=True), 2, seed=5), 450)
+    lots = forces(make_pusher(PushConfig(enabled=True), 9, seed=5), 450)
     assert np.array_equal(few, lots[:, :2])
 
 
 @pytest.mark.parametrize(("seed", "same"), [(5, True), (6, False)])
 def test_pushes_depend_on_the_seed_alone(seed, same):
-    one, other = (forces(Pusher(PushConfig(enabled=True), 2, seed=s), 250) for s in (5, seed))
+    one, other = (forces(make_pusher(PushConfig(enabled=True), 2, seed=s), 250) for s in (5, seed))
     assert np.array_equal(one, other) == same
 
 
 def test_a_reset_starts_the_clock_anew_and_ends_a_push():
-    pusher = Pusher(PushConfig(enabled=True), 2, seed=1)
+    pusher = make_pusher(PushConfig(enabled=True), 2, seed=1)
     forces(pusher, 203)
     assert pusher.force.any(axis=1).all()
     pusher.reset(np.array([1]))
@@ -108,7 +120,7 @@ def test_a_reset_starts_the_clock_anew_and_ends_a_push():
 
 @pytest.mark.parametrize("step", [0.003, 0.0045, 0.02])
 def test_any_control_step_gets_every_push(step):
-    pusher = Pusher(PushConfig(enabled=True), 1, seed=1)
+    pusher = make_pusher(PushConfig(enabled=True), 1, seed=1)
     started = 0
     for k in range(round(6.1 / step)):
         before = pusher.force.any()

@@ -7,6 +7,7 @@ import pytest
 
 from surefoot.errors import SurefootError
 from surefoot.robot import PhysicalParams
+from surefoot.robot.params import PARAMETERS
 from surefoot.world import registry
 from surefoot.world.interface import WorldConfig
 from surefoot.world.registry import WORLDS, WorldEntry, check_takes_params, find_world, make_world
@@ -46,7 +47,7 @@ def test_a_world_with_parameters_of_its_own_is_refused_where_others_are_set():
         check_takes_params("ensemble")
 
 
-@pytest.mark.parametrize("name", sorted(WORLDS["bullet"].models))
+@pytest.mark.parametrize("name", sorted(name for name, declared in PARAMETERS.items() if declared.engines))
 def test_a_parameter_that_the_engine_does_not_model_is_refused(make_world, name):
     world = make_world(2)
     with pytest.raises(SurefootError, match=f"{name} is 0.001; world mujoco does not model it: set 0, or use"):

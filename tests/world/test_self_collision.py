@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 
 from surefoot.robot import RobotDescription
+from surefoot.robot.self_collision import collision_pairs
 from surefoot.world.interface import WorldConfig
 from surefoot.world.mujoco_model import build_model
-from surefoot.world.self_collision import collision_pairs
 from surefoot.world.sim_world import SimWorld
 
 GO2 = RobotDescription.load("go2")

@@ -24,8 +24,8 @@ from surefoot.cli.helpers.options import (
     PolicyName,
     Port,
     check_folder,
-    how_to_show,
 )
+from surefoot.cli.helpers.output import show_command
 from surefoot.cli.helpers.parsing import parse
 from surefoot.configuration import Duration
 from surefoot.errors import SurefootError
@@ -85,7 +85,7 @@ def main(argv: list[str]) -> int:
     if command.drive:
         import_module("viser")  # what is not installed is told before the robot is asked
     from surefoot.check_result import first_failure
-    from surefoot.cli.helpers.policies import find_policy
+    from surefoot.cli.helpers.policies import find_policy, open_policy
     from surefoot.deploy.checks import check_contract
     from surefoot.deploy.command_sources import ChannelCommands, CommandSource, open_commands
     from surefoot.deploy.controller import Controller
@@ -93,17 +93,14 @@ def main(argv: list[str]) -> int:
     from surefoot.deploy.display import PlainLines, RunMonitors, open_display
     from surefoot.deploy.loop import RunMonitor
     from surefoot.deploy.pacer import undisturbed
-    from surefoot.policy.runtime import PolicyRuntime
-    from surefoot.robot import RobotDescription
     from surefoot.stop_signals import StopSignals
 
-    policy = PolicyRuntime.load(find_policy(command.policy))
+    policy, robot = open_policy(find_policy(command.policy))
     contract = policy.contract
-    robot = RobotDescription.load(contract.description)
     controller = Controller(policy, robot)
 
     def check(handshake: Handshake) -> None:
-        why = first_failure(check_contract(contract, handshake, robot, policy.digest))
+        why = first_failure(check_contract(contract, handshake, robot))
         if why is not None:
             raise SurefootError(f"policy '{contract.name}' must not run on this robot: {why}")
 
@@ -211,7 +208,7 @@ def _tell(command: DeployCommand, deployment: Deployment, results: list[dict[str
         for result in results:
             _print_result(result)
         if traces := [result["trace"] for result in results if result["trace"] is not None]:
-            print(how_to_show(traces), flush=True)
+            print(show_command(traces), flush=True)
     return code
 
 

@@ -1,4 +1,4 @@
-"""`surefoot doctor`: everything that can be wrong between a policy and a robot, found before the robot runs."""
+"""`surefoot doctor`: check policy, link, robot and computer before the policy runs."""
 
 from __future__ import annotations
 
@@ -15,18 +15,16 @@ from surefoot.check_result import CheckResult
 from surefoot.cli.helpers.link_options import LinkOptions
 from surefoot.cli.helpers.options import Json, PolicyName, Port, Yes, ask_to_move, check_terminal
 from surefoot.cli.helpers.parsing import parse
-from surefoot.cli.helpers.policies import find_policy
+from surefoot.cli.helpers.policies import find_policy, open_policy
 from surefoot.configuration import Within
 from surefoot.deploy.doctor.examination import STEPS, examine
-from surefoot.deploy.doctor.link import PINGS
+from surefoot.deploy.doctor.link_check import PINGS
 from surefoot.deploy.robot_link import LinkLostError
 from surefoot.errors import SurefootError
-from surefoot.policy.runtime import PolicyRuntime
-from surefoot.robot import RobotDescription
 
 FAILED = 3
 """Exit code when a check failed."""
-_WORDS = {True: ("pass", "green"), False: ("FAIL", "bold red"), None: ("not done", "yellow")}
+_LABELS = {True: ("pass", "green"), False: ("FAIL", "bold red"), None: ("not done", "yellow")}
 
 
 @dataclass(frozen=True)
@@ -58,16 +56,14 @@ def main(argv: list[str]) -> int:
     command = parse(DoctorCommand, argv, "surefoot doctor")
     if command.rack and command.ground:
         raise SurefootError("--rack and --ground don't go together; a robot hangs or sits: give one")
-    policy = PolicyRuntime.load(find_policy(command.policy))
-    contract = policy.contract
-    robot = RobotDescription.load(command.robot or contract.description)
+    policy, robot = open_policy(find_policy(command.policy), command.robot)
     if (command.rack or command.ground) and not command.yes:
         place = "hang free, its legs in the air" if command.rack else "sit on flat ground with a metre of room"
         check_terminal(place)
         ask_to_move(place)
     console = Console(highlight=False, soft_wrap=True, emoji=False)
     if not command.json:
-        console.print(f"policy '{contract.name}' for {contract.robot}, port {command.port}", markup=False)
+        console.print(f"policy '{policy.contract.name}' for {robot.name}, port {command.port}", markup=False)
     link = command.open_link(command.port, robot.num_motors)
     results = []
     try:
@@ -81,8 +77,8 @@ def main(argv: list[str]) -> int:
     counts = Counter(result.passed for result in results)
     if command.json:
         data = {
-            "policy": contract.name,
-            "robot": contract.robot,
+            "policy": policy.contract.name,
+            "robot": robot.name,
             "port": command.port,
             "passed": not counts[False],
             "checks": [asdict(result) for result in results],
@@ -95,8 +91,8 @@ def main(argv: list[str]) -> int:
 
 def print_result(console: Console, result: CheckResult) -> None:
     """Print a result in one line. The remedy of a failed check gets a second one."""
-    word, style = _WORDS[result.passed]
+    label, style = _LABELS[result.passed]
     remedy = f": {result.remedy}" if result.passed is None else ""
-    console.print(Text.assemble((f"{word:<8}", style), f"  {result.name:<20}  {result.message}{remedy}"))
+    console.print(Text.assemble((f"{label:<8}", style), f"  {result.name:<20}  {result.message}{remedy}"))
     if result.passed is False:
         console.print(Text(f"{'':<32}to do: {result.remedy}"))

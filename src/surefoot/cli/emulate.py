@@ -99,7 +99,7 @@ def main(argv: list[str]) -> int:
             raise SurefootError(f"fault slow-servo is {period:g}; it must be whole servo steps of {step:g} s")
     check_takes_params(command.world)
     if command.viewer:
-        from surefoot.cli.play import has_display
+        from surefoot.cli.helpers.viewer import has_display
 
         if not has_display():
             raise SurefootError("viewer: there is no display here (DISPLAY is not set); run without --viewer")
@@ -125,7 +125,7 @@ def _params(command: EmulateCommand, robot: RobotDescription) -> PhysicalParams:
         return given_params(robot, command.params, command.settings)
     from surefoot.robot.randomization import draw_hidden, load_ranges
 
-    params = draw_hidden(robot, load_ranges(command.hidden_ranges, robot=robot.folder).ranges, command.hidden_seed)
+    params = draw_hidden(robot, load_ranges(command.hidden_ranges, robot=robot.folder), command.hidden_seed)
     if command.hidden_out is not None:
         write_params(command.hidden_out, robot, params, {"origin": {"hidden_seed": command.hidden_seed}})
     return params

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
-from surefoot.cli.helpers.options import Count, Json, Threads, how_to_show, make_figures_folder
+from surefoot.cli.helpers.episodes import draw_episode, print_summaries
+from surefoot.cli.helpers.options import Count, Json, Threads, make_figures_folder
+from surefoot.cli.helpers.output import print_json, show_command
 from surefoot.cli.helpers.parsing import parse
-from surefoot.cli.helpers.simulator import GivenRanges, RunOptions, take_ranges
+from surefoot.cli.helpers.simulator import RangeOptions, RunOptions, take_ranges
+from surefoot.configuration import to_mapping
 from surefoot.errors import SurefootError
-from surefoot.robot.commands import COMMANDS
 
 if TYPE_CHECKING:
     from surefoot.robot import RobotDescription
@@ -25,7 +26,7 @@ class EvaluateCommand(RunOptions):
     """Run a policy for some episodes and print speed, power, return and gait; or measure runs that were recorded.
 
     With --randomize NAME (table1, none, or a YAML file) every episode draws its physical parameters;
-    --randomize.ROW LOW HIGH sets or changes one row, such as --randomize.latency 0.010 0.030.
+    --randomize.NAME LOW HIGH sets or changes one range, such as --randomize.control-latency 0.010 0.030.
     --trace FILE measures what a robot or a simulation recorded, by the same functions, and simulates nothing.
     """
 
@@ -51,7 +52,7 @@ def main(argv: list[str]) -> int:
     words, given = take_ranges(argv)
     command = parse(EvaluateCommand, words, "surefoot evaluate")
     if command.trace:
-        traces, robot, about = _recorded(command, given != GivenRanges(None, {}))
+        traces, robot, about = _recorded(command, given != RangeOptions(None, {}))
     elif command.policy is None:
         raise SurefootError("no POLICY and no --trace is given; give one of them")
     else:
@@ -72,19 +73,19 @@ def main(argv: list[str]) -> int:
             drawn.append(tracking_figure(traces, command.out / "tracking.png"))
         summary["files"] = [str(file) for file in [*files, *drawn]]
     if command.json:
-        print(json.dumps(summary, allow_nan=False))
+        print_json(summary)
     else:
         print_summaries({f"{summary['policy']} in {summary['world']}": summary})
         for file in summary.get("files", []):
             if file.endswith(".png"):
                 print(f"wrote {file}")
         if command.out is not None and not command.trace:
-            print(how_to_show([command.out / "episode_000.npz"]))
+            print(show_command([command.out / "episode_000.npz"]))
     return 0
 
 
 def _simulated(
-    command: EvaluateCommand, given_ranges: GivenRanges
+    command: EvaluateCommand, given_ranges: RangeOptions
 ) -> tuple[list[EpisodeTrace], RobotDescription, dict[str, Any]]:
     """Run the policy; returns its traces, the robot, and how it was run."""
     from surefoot.cli.helpers.policies import adjust_task, described, find_policy, load_gait, run_policy
@@ -93,7 +94,7 @@ def _simulated(
     path = find_policy(str(command.policy))
     find_world(command.world)
     policy, robot, task, known = load_gait(path, command.robot)
-    ranges = given_ranges.of(robot.folder)
+    ranges = given_ranges.apply(robot.folder)
     task = adjust_task(
         *(task, robot, command.settings, command.pushes),
         *(command.thermal_protection, ranges, command.simulator, command.push_force),
@@ -116,7 +117,7 @@ def _simulated(
         "seed": command.seed,
         "pushes": task.pushes.enabled,
         "push_force": command.push_force,
-        "randomize": {row: list(bounds) for row, bounds in ranges.ranges.items()},
+        "randomize": to_mapping(ranges),
         "set": command.simulator.latencies | {name: task.params[name] for name in given},
         **described(task),
         "policy_file": str(path),
@@ -148,68 +149,3 @@ def _recorded(command: EvaluateCommand, drawn: bool) -> tuple[list[EpisodeTrace]
             )
     make_figures_folder(command.out)
     return [trace for _, trace in found], robot, {"traces": [str(path) for path, _ in found]}
-
-
-def draw_episode(folder: Path, trace: EpisodeTrace, robot: RobotDescription) -> list[Path]:
-    """Draw a footfall diagram and a plot of an episode; return the files."""
-    import numpy as np
-
-    from surefoot.report.figures.runs import episode_plot, footfall_diagram
-
-    plot = episode_plot(trace, robot, folder / "episode.png")
-    # Without switches in the feet nothing is known of footfalls.
-    if np.isnan(trace.foot_contact).any():
-        return [plot]
-    return [footfall_diagram(trace, folder / "footfalls.png"), plot]
-
-
-def print_summaries(summaries: dict[str, dict[str, Any]]) -> None:
-    """Print the figures of evaluations, a column for each."""
-    from surefoot.tables import print_table
-
-    columns = {name: _summary_texts(summary) for name, summary in summaries.items()}
-    measures = next(iter(columns.values()))
-    print_table([{"": measure} | {name: texts[measure] for name, texts in columns.items()} for measure in measures])
-
-
-def _tracking_texts(summary: dict[str, Any]) -> dict[str, str]:
-    """Return the errors of following commands as text, where there were commands."""
-    texts = {}
-    for key, label in (("rmse", "RMSE"), ("rmse_stride", "RMSE over strides")):
-        if key in summary:
-            parts = [f"{'-' if x is None else format(x, '.3f')} {COMMANDS[name]}" for name, x in summary[key].items()]
-            texts[f"{label}: {', '.join(COMMANDS).replace('_', ' ')}"] = ", ".join(parts)
-    return texts
-
-
-def _summary_texts(summary: dict[str, Any]) -> dict[str, str]:
-    """Return the figures of an evaluation as text, by what they measure."""
-
-    def text(key: str, unit: str, deviation: str = "") -> str:
-        value = summary[key]
-        if value is None:
-            return "-"
-        return f"{value:.3f}" + (f" ± {summary[deviation]:.3f}" if deviation else "") + f" {unit}".rstrip()
-
-    falls = f"{summary['falls']} of {summary['episodes']}"
-    for name in ("faults", "stopped"):
-        if summary.get(name):
-            falls += f", {summary[name]} {name}"
-    duty, phases = summary["duty_factor"], summary["phases"]
-    texts = {
-        "falls": falls,
-        "steps": f"{summary['steps_mean']:.1f}",
-        "speed": text("speed_mean", "m/s", "speed_std"),
-        "power": text("power_mean", "W"),
-        "return": text("return_mean", "", "return_std"),
-        "distance": text("distance_mean", "m"),
-        "drift": text("drift_mean", "m"),
-        "cost of transport": text("cost_of_transport_mean", ""),
-        **_tracking_texts(summary),
-        # Without any duty factor nothing is known of the feet.
-        "gait": summary["gait"] if any(value is not None for value in duty.values()) else "-",
-    }
-    for leg in duty:
-        numbers = ["-" if value is None else f"{value:.2f}" for value in (duty[leg], phases[leg])]
-        texts[f"{leg.replace('_', ' ')}: duty factor, phase"] = ", ".join(numbers)
-    return texts

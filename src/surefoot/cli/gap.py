@@ -19,9 +19,9 @@ from surefoot.cli.helpers.options import (
     Seed,
     Settings,
     Threads,
-    how_to_show,
     make_figures_folder,
 )
+from surefoot.cli.helpers.output import show_command
 from surefoot.cli.helpers.parsing import parse
 from surefoot.cli.helpers.simulator import Simulator
 from surefoot.configuration import Duration
@@ -248,7 +248,7 @@ def _report(
         print_table([row for gap in (*gaps, *pooled) for row in gap.text_rows()], title, 2)
         print_files(files, out)
         first = next(iter(runs.values()))
-        print(how_to_show(found[0][0] for found in first.values()))
+        print(show_command(found[0][0] for found in first.values()))
         return
     plain = {name: plain_rows(part) for name, part in rows.items()}
     told = {

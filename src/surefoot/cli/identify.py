@@ -15,8 +15,8 @@ from typing import Annotated, Any
 
 from surefoot.cli.helpers.identify_run import ExperimentCommand, run_experiment
 from surefoot.cli.helpers.options import Json, Seed, check_folder, check_suffix
+from surefoot.cli.helpers.output import table_lines
 from surefoot.cli.helpers.parsing import parse
-from surefoot.cli.main import table_lines
 from surefoot.configuration import Within
 from surefoot.errors import SurefootError, choices
 from surefoot.identify.overlay import Known, read_known

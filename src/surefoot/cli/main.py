@@ -5,9 +5,10 @@ from __future__ import annotations
 import importlib
 import os
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 from surefoot import __version__
+from surefoot.cli.helpers.output import table_lines
 from surefoot.errors import SurefootError, choices
 from surefoot.stop_signals import enable_interrupt
 
@@ -107,9 +108,3 @@ def _fail(message: str) -> int:
     line = "".join(letter if letter.isprintable() else "?" for letter in line)
     print(f"surefoot: error: {line}", file=sys.stderr)
     return 2
-
-
-def table_lines(rows: Mapping[str, str], width: int = 0) -> str:
-    """Return names, in a column of `width` characters or more, with what they stand for."""
-    width = max(width, *map(len, rows))
-    return "\n".join(f"  {name:<{width}}  {what}" for name, what in rows.items())

@@ -1,10 +1,9 @@
-"""`surefoot robot new FILE` and `surefoot robot check FOLDER`: from anybody's URDF or MJCF to a robot to train."""
+"""`surefoot robot new FILE` and `surefoot robot check FOLDER`: from a URDF or MJCF to a robot to train."""
 
 from __future__ import annotations
 
 import json
 import sys
-from collections import Counter
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated, Literal
@@ -15,8 +14,8 @@ from rich.prompt import Prompt
 
 from surefoot.cli.doctor import FAILED, print_result
 from surefoot.cli.helpers.options import Json, check_folder
+from surefoot.cli.helpers.output import table_lines
 from surefoot.cli.helpers.parsing import parse
-from surefoot.cli.main import table_lines
 from surefoot.errors import SurefootError, check_name, choices
 from surefoot.robot import RobotDescription
 from surefoot.robot.importing.imported import ImportedRobot, Knees
@@ -24,7 +23,7 @@ from surefoot.robot.importing.writer import set_servo_step, write_robot
 
 ACTIONS = {
     "new": "read a robot from a URDF or MJCF, and write its folder",
-    "check": "find what is wrong with a robot's description",
+    "check": "check a robot's description",
 }
 PICTURE = "robot.png"
 """File of a robot's folder: the robot in its resting pose, axes and legs named."""
@@ -34,7 +33,7 @@ PICTURE = "robot.png"
 class NewCommand:
     """Read a quadruped from a URDF or MJCF, and write its folder: robot.urdf, robot.toml and a picture.
 
-    Base, legs, motors, knees and feet are found from the tree of joints. What the file does not say is guessed; every
+    Base, legs, motors, knees and feet are derived from the tree of joints. What the file lacks is guessed; every
     guess is printed, and stands as a comment in robot.toml.
     """
 
@@ -54,7 +53,7 @@ class NewCommand:
 
 @dataclass(frozen=True)
 class CheckCommand:
-    """Find what is wrong with a robot's description, one line a check: pass or FAIL, why, and what to do.
+    """Check a robot's description, one line a check: pass or FAIL, why, and what to do.
 
     Exit code 0: all passed; 3: something failed; 2: the description can't be read.
     """
@@ -73,64 +72,56 @@ def main(argv: list[str]) -> int:
         raise SurefootError(f"'{argv[0]}' is not an action; choices: {choices(ACTIONS)}")
     if argv[0] == "new":
         return _new(parse(NewCommand, argv[1:], "surefoot robot new"))
-    return _check(parse(CheckCommand, argv[1:], "surefoot robot check"))
+    command = parse(CheckCommand, argv[1:], "surefoot robot check")
+    return _check(RobotDescription.load(command.robot), command.json)
 
 
 def _new(command: NewCommand) -> int:
     from surefoot.report.drawing.robot_picture import save_robot_picture
     from surefoot.robot.importing.reader import read_robot
-    from surefoot.world.robot_check import longest_servo_step
+    from surefoot.world.description_checks import longest_servo_step
 
-    tree = read_robot(command.file, command.forward, command.meshes)
-    name = command.name or tree.name
+    imported = read_robot(command.file, command.forward, command.meshes)
+    name = command.name or imported.name
     check_name("name", name)
     folder = command.out or Path(name)
     check_folder(folder)
-    console = Console(highlight=False, soft_wrap=True, emoji=False)
-    console.print(
-        f"{name}: {tree.mass:.2f} kg, {4 * len(tree.legs[0].joints)} motors, legs of {tree.length:.3f} m, "
-        f"forward is {tree.forward} of the file",
-        markup=False,
+    print(
+        f"{name}: {imported.mass:.2f} kg, {imported.torque.size} motors, legs of {imported.length:.3f} m, "
+        f"forward is {imported.forward} of the file"
     )
-    guesses = write_robot(tree, folder, name, command.knees or _ask_knees(tree))
+    guesses = write_robot(imported, folder, name, command.knees or _ask_knees(imported))
     robot = RobotDescription.load(folder)
-    if (step := longest_servo_step(robot)) is not None:
+    if (step := longest_servo_step(robot)) < robot.timing.servo_step:
         guesses = [line for line in guesses if not line.startswith("servo_step")] + [set_servo_step(folder, step)]
         robot = RobotDescription.load(folder)
     for line in guesses:
-        console.print(f"guessed  {line}", markup=False)
+        print(f"guessed  {line}")
     save_robot_picture(robot, folder / PICTURE)
-    console.print(f"wrote {folder}: robot.toml, robot.urdf, {PICTURE}", markup=False)
-    return _report(robot, console)
+    print(f"wrote {folder}: robot.toml, robot.urdf, {PICTURE}")
+    return _check(robot)
 
 
-def _ask_knees(tree: ImportedRobot) -> Knees | None:
-    """Ask where knees point, if limits do not say and there is somebody to ask."""
-    _, known = tree.knee_signs(None)
-    if known or not sys.stdin.isatty():
+def _ask_knees(robot: ImportedRobot) -> Knees | None:
+    """Ask where knees point, if limits do not show it and there is somebody to ask."""
+    _, certain = robot.knee_signs(None)
+    if certain or not sys.stdin.isatty():
         return None
     answer = Prompt.ask("Where do the knees point?", choices=["forward", "backward", "inward", "outward"])
     return answer  # type: ignore[return-value]
 
 
-def _check(command: CheckCommand) -> int:
-    robot = RobotDescription.load(command.robot)
-    if not command.json:
-        return _report(robot, Console(highlight=False, soft_wrap=True, emoji=False))
-    from surefoot.world.robot_check import check_robot
+def _check(robot: RobotDescription, as_json: bool = False) -> int:
+    from surefoot.world.description_checks import run_description_checks
 
-    results = list(check_robot(robot))
-    failed = any(result.passed is False for result in results)
-    print(json.dumps({"robot": robot.name, "passed": not failed, "checks": [asdict(item) for item in results]}))
+    console, results = Console(highlight=False, soft_wrap=True, emoji=False), []
+    for result in run_description_checks(robot):
+        results.append(result)
+        if not as_json:
+            print_result(console, result)
+    failed = sum(result.passed is False for result in results)
+    if as_json:
+        print(json.dumps({"robot": robot.name, "passed": not failed, "checks": [asdict(item) for item in results]}))
+    else:
+        print(f"{len(results) - failed} passed, {failed} failed")
     return FAILED if failed else 0
-
-
-def _report(robot: RobotDescription, console: Console) -> int:
-    from surefoot.world.robot_check import check_robot
-
-    counts: Counter[bool | None] = Counter()
-    for result in check_robot(robot):
-        counts[result.passed] += 1
-        print_result(console, result)
-    console.print(f"{counts[True]} passed, {counts[False]} failed", markup=False)
-    return FAILED if counts[False] else 0

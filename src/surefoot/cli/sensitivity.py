@@ -20,7 +20,7 @@ from surefoot.cli.helpers.options import (
 )
 from surefoot.cli.helpers.parsing import parse
 from surefoot.cli.helpers.simulator import Simulator, SimulatorOptions
-from surefoot.configuration import Duration, Within
+from surefoot.configuration import Duration, Within, to_mapping
 
 if TYPE_CHECKING:
     from surefoot.evaluate.sensitivity import Sensitivity
@@ -63,14 +63,13 @@ def main(argv: list[str]) -> int:
     command = parse(SensitivityCommand, argv, "surefoot sensitivity")
     from surefoot.cli.helpers.policies import described, find_policies, load_policies
     from surefoot.progress import ProgressBar
-    from surefoot.robot.randomization import check_ranges, load_ranges
+    from surefoot.robot.randomization import load_ranges
     from surefoot.world.registry import WORLDS, find_world
 
     paths = find_policies(command.policies)
     make_world = find_world(command.world)
     loaded, robot = load_policies(paths)
     ranges = load_ranges(command.ranges, robot=robot.folder)
-    check_ranges(ranges, robot)
     tasks = [command.simulator.of(one.task) for one in loaded]
     for task in tasks:
         task.nominal(robot)  # refuses parameters that the robot does not allow
@@ -100,7 +99,7 @@ def main(argv: list[str]) -> int:
         whole = {
             "world": command.world,
             "robot": robot.name,
-            "ranges": {row: list(given) for row, given in ranges.ranges.items()},
+            "ranges": to_mapping(ranges),
             **told,
             "policies": [
                 _summary(result)

@@ -90,7 +90,7 @@ def main(argv: list[str]) -> int:
 
 def train(study: StudyConfig, runs: list[Training], command: StudyCommand, console: Console) -> Outcome:
     """Train every run that is not finished, some at a time, and show how far each is."""
-    from surefoot.cli.train import check_config
+    from surefoot.cli.helpers.training import check_config
 
     waiting = [run for run in runs if run.state != "finished"]
     if not waiting:

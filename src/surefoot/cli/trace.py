@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
-import json
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
 import tyro
 
-from surefoot.cli.helpers.options import Json, check_suffix, how_to_show
+from surefoot.cli.helpers.options import Json, check_suffix
+from surefoot.cli.helpers.output import print_json, run_action, show_command
 from surefoot.cli.helpers.parsing import parse
-from surefoot.cli.main import table_lines
-from surefoot.errors import SurefootError, choices
+from surefoot.errors import choices
 from surefoot.robot import RobotDescription
-
-ACTIONS = {"import": "make a trace of a log: NPZ, CSV, pickle, MCAP or ROS bag"}
 
 
 @dataclass(frozen=True)
@@ -38,16 +34,12 @@ class ImportCommand:
 
 
 def main(argv: list[str]) -> int:
-    """Run the command with the words after its name; returns the exit code."""
-    if not argv or argv[0] in ("-h", "--help"):
-        print(
-            f"usage: surefoot trace import FILE ...\n\n{table_lines(ACTIONS)}",
-            file=sys.stdout if argv else sys.stderr,
-        )
-        return 0 if argv else 2
-    if argv[0] not in ACTIONS:
-        raise SurefootError(f"'{argv[0]}' is no action; choices: {choices(ACTIONS)}")
-    command = parse(ImportCommand, argv[1:], "surefoot trace import")
+    """Run the command with the words after its name; return the exit code."""
+    return run_action(argv, "trace", ACTIONS)
+
+
+def _import(argv: list[str]) -> int:
+    command = parse(ImportCommand, argv, "surefoot trace import")
     check_suffix("out", command.out, ".npz")
     robot = RobotDescription.load(command.robot)
     from surefoot.identify.logs.importing import import_log, missing_columns
@@ -58,7 +50,7 @@ def main(argv: list[str]) -> int:
     missing = missing_columns(trace)
     trace.save(command.out)
     if command.json:
-        print(json.dumps({"trace": str(command.out), "missing": missing, "timing": timing}))
+        print_json({"trace": str(command.out), "missing": missing, "timing": timing})
         return 0
     steps = [1e3 * timing[f"{name}_step"] for name in ("least", "median", "greatest")]
     print(f"{timing['rows']} rows, {timing['seconds']:.2f} s; steps of {steps[0]:.2f} to {steps[2]:.2f} ms, ", end="")
@@ -68,5 +60,8 @@ def main(argv: list[str]) -> int:
     if missing:
         print(f"missing: {choices(missing)}")
     print(f"wrote {command.out}")
-    print(how_to_show([command.out]))
+    print(show_command([command.out]))
     return 0
+
+
+ACTIONS = {"import": ("make a trace of a log: NPZ, CSV, pickle, MCAP or ROS bag", _import)}

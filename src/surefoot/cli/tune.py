@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, fields
 from pathlib import Path
 
-from surefoot.cli.evaluate import print_summaries
+from surefoot.cli.helpers.episodes import print_summaries
 from surefoot.cli.helpers.options import Count, check_suffix
 from surefoot.cli.helpers.parsing import parse
 from surefoot.cli.helpers.policies import run_policy

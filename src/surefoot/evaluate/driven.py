@@ -11,12 +11,12 @@ from numpy.typing import ArrayLike
 from surefoot.arrays import Array
 from surefoot.errors import SurefootError
 from surefoot.evaluate.rollout import Policy
-from surefoot.robot import PhysicalParams
-from surefoot.robot.randomization import RandomizeConfig
+from surefoot.robot.params import PARAMETERS
 from surefoot.rotations import in_heading_frame
 from surefoot.task.commands import HeldCommand
 from surefoot.task.config import TaskConfig
-from surefoot.task.env import LocomotionEnv, base_rates
+from surefoot.task.env import LocomotionEnv
+from surefoot.task.reward import base_rates
 from surefoot.world.interface import SimulationFactory
 
 FIXED = ("control_step",)
@@ -76,7 +76,7 @@ class DrivenRobot:
 
     def __init__(self, policy: Policy, task: TaskConfig, make_world: SimulationFactory, kept: int = 4000) -> None:
         pushes = replace(task.pushes, enabled=False)
-        task = replace(task, pushes=pushes, max_steps=_MOST_STEPS, randomize=RandomizeConfig())
+        task = replace(task, pushes=pushes, max_steps=_MOST_STEPS, randomize={})
         self._given = HeldCommand(1)
         self.policy = policy
         self.env = LocomotionEnv(task, 1, make_world, seed=1, autoreset=False, threads=1, source=self._given)
@@ -118,16 +118,16 @@ class DrivenRobot:
     def knobs(self) -> list[Knob]:
         """Return what can be set."""
         found = []
-        for name, declared in PhysicalParams.__dataclass_fields__.items():
-            if name in FIXED or declared.metadata["actuator"] not in ("", self.robot.actuator.kind):
+        for name, declared in PARAMETERS.items():
+            if name in FIXED or not declared.belongs_to(self.robot):
                 continue
             low, high = self.robot.allowed[name]
-            about = (declared.metadata["unit"], declared.metadata["meaning"], low, high)
-            values, width = getattr(self.env.world.params, name), declared.metadata["width"]
-            if width in ("one", "motors"):
+            about = (declared.unit, declared.meaning, low, high)
+            values = getattr(self.env.world.params, name)
+            if declared.per in ("", "motors"):
                 found.append(Knob(name, *about, float(values.mean())))
             else:
-                columns = zip(width.split(", "), values[0], strict=True)
+                columns = zip(declared.parts(()), values[0], strict=True)
                 found += [Knob(f"{name}.{column}", *about, float(value)) for column, value in columns]
         return found
 
@@ -146,7 +146,7 @@ class DrivenRobot:
         now, nominal = getattr(world.params, name), getattr(self.env.nominal, name)
         if column:
             wanted = now.copy()
-            wanted[:, PhysicalParams.__dataclass_fields__[name].metadata["width"].split(", ").index(column)] = value
+            wanted[:, PARAMETERS[name].parts(()).index(column)] = value
         else:
             mean = float(nominal.mean())
             wanted = nominal / mean * value if mean else np.full_like(now, value)

@@ -22,7 +22,6 @@ from surefoot.arrays import Array
 from surefoot.errors import SurefootError, choices
 from surefoot.evaluate.runs import Estimate, Runs
 from surefoot.evaluate.statistics import Interval, crossed_interval
-from surefoot.robot.randomization import RandomizeConfig
 from surefoot.task.config import TaskConfig
 
 
@@ -123,7 +122,7 @@ def gap_difference(base: PolicyGap, other: PolicyGap) -> tuple[Estimate, Interva
 
 def home_task(task: TaskConfig) -> TaskConfig:
     """The task as the policy's own simulator has it: its actuator and latencies; nothing drawn, nothing pushed."""
-    return replace(task, randomize=RandomizeConfig(), pushes=replace(task.pushes, enabled=False))
+    return replace(task, randomize={}, pushes=replace(task.pushes, enabled=False))
 
 
 def away_task(task: TaskConfig) -> TaskConfig:

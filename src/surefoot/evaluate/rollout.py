@@ -181,7 +181,7 @@ def run_episodes(
         "leg_names": list(env.robot.leg_names),
         "motor_names": list(env.robot.motor_names),
         "observation_names": list(env.observer.columns),
-        "energy_weight": task.energy_weight,
+        "energy_weight": task.energy_weight(env.robot),
         "gait_period": env.gait.reference.period,
         "max_steps": task.max_steps,
         "params_source": task.params_source,

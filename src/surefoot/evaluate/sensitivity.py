@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -20,7 +20,8 @@ from surefoot.errors import SurefootError, at_least
 from surefoot.evaluate.rollout import Policy, Progress, run_to_end
 from surefoot.evaluate.runs import Runs
 from surefoot.robot import PhysicalParams, RobotDescription
-from surefoot.robot.randomization import ROWS, RandomizeConfig, check_ranges
+from surefoot.robot.params import PARAMETERS
+from surefoot.robot.randomization import ParamRange, Ranges, check_ranges, interval_of, mean_interval
 from surefoot.task.config import MOST_STEPS, TaskConfig
 from surefoot.task.env import LocomotionEnv
 from surefoot.world.interface import Simulation, SimulationFactory, WorldConfig
@@ -32,14 +33,16 @@ PUSH_FORCE = "push_force"
 
 @dataclass(frozen=True)
 class TestWorld:
-    """A world that differs from the nominal one in one row of a table of ranges."""
+    """A world that differs from the nominal one in one physical parameter, or in the force of pushes."""
 
     __test__ = False  # no test of pytest's, whatever its name
 
     row: str
-    """Row of the table, or `push_force`."""
+    """The parameter, or `push_force`."""
     value: float
-    """What all parameters of the row are set to, for every motor and axis."""
+    """Its value; the mean, where motors or axes differ."""
+    values: tuple[float, ...] = field(default=(), compare=False, repr=False)
+    """Its value for each motor or axis; empty in results that were read from a file."""
 
 
 @dataclass(frozen=True)
@@ -171,20 +174,25 @@ class Sensitivity:
 
 
 def make_test_worlds(
-    ranges: RandomizeConfig, values: int = 10, push_force: tuple[float, float] | None = None
+    ranges: Mapping[str, ParamRange],
+    nominal: PhysicalParams,
+    values: int = 10,
+    push_force: tuple[float, float] | None = None,
 ) -> tuple[TestWorld, ...]:
-    """The test worlds of a table of ranges, and of a range of the force of pushes [N]; one row or more.
+    """Return the test worlds of ranges around nominal values, and of a range of the force of pushes [N].
 
     Each row takes two or more evenly spaced `values` in its range, both ends included; a range of one value takes one.
     """
     at_least("values", values, 2)
-    rows = ranges.ranges | ({} if push_force is None else {PUSH_FORCE: push_force})
+    rows = {name: interval_of(given, getattr(nominal, name)[:1]) for name, given in ranges.items()}
+    if push_force is not None:
+        rows[PUSH_FORCE] = np.array(push_force[:1]), np.array(push_force[1:])
     if not rows:
-        raise SurefootError("the table of ranges has no rows; a sensitivity study needs 1 or more, such as table1's")
+        raise SurefootError("the table of ranges is empty; a sensitivity study needs 1 range or more, as table1's")
     return tuple(
-        TestWorld(row, float(value))
+        TestWorld(row, float(value.flat[0] if np.ptp(value) == 0 else value.mean()), tuple(value.flat))
         for row, (low, high) in rows.items()
-        for value in np.linspace(low, high, values if high > low else 1)
+        for value in np.linspace(low, high, values if (high > low).any() else 1)
     )
 
 
@@ -192,13 +200,16 @@ def row_unit(row: str) -> str:
     """Unit of a row's values; empty for a ratio."""
     if row == PUSH_FORCE:
         return "N"
-    unit = str(PhysicalParams.__dataclass_fields__[ROWS[row].params[0]].metadata["unit"])
+    unit = PARAMETERS[row].unit if row in PARAMETERS else ""  # results of earlier versions have other rows
     return "" if unit == "1" else unit
 
 
 def trained_ranges(task: TaskConfig) -> dict[str, tuple[float, float]]:
-    """Return the ranges of the rows that a policy of a task was trained in."""
-    return task.randomize.ranges | {PUSH_FORCE: task.pushes.force if task.pushes.enabled else (0.0, 0.0)}
+    """Return the ranges that a policy of a task was trained in, by row."""
+    robot = RobotDescription.load(task.robot)
+    nominal = task.nominal(robot)
+    ranges = {name: mean_interval(given, getattr(nominal, name)) for name, given in task.randomize.items()}
+    return ranges | {PUSH_FORCE: task.pushes.force_range(robot.weight) if task.pushes.enabled else (0.0, 0.0)}
 
 
 def episode_duration(task: TaskConfig) -> float:
@@ -211,7 +222,7 @@ def run_sensitivity(
     task: TaskConfig,
     make_world: SimulationFactory,
     *,
-    ranges: RandomizeConfig,
+    ranges: Ranges,
     push_force: tuple[float, float] | None = None,
     policy_name: str = "",
     values: int = 10,
@@ -234,7 +245,7 @@ def run_sensitivity(
         policy: gives the feedback.
         task: what is run; its own physical parameters are the nominal ones.
         make_world: makes the simulation.
-        ranges: rows to vary and their ranges.
+        ranges: the parameters to vary and their ranges.
         push_force: least and greatest force [N] of a further row, `push_force`: in each of its worlds every push has
             one force. All directions are horizontal then.
         policy_name: for the results.
@@ -256,12 +267,13 @@ def run_sensitivity(
     duration = episode_duration(task) if duration is None else duration
     if not 0 < duration < math.inf:
         raise SurefootError(f"duration is {duration:g} s; it must be over 0")
-    worlds = make_test_worlds(ranges, values, push_force)
-    check_ranges(ranges, RobotDescription.load(task.robot))
-    others = task.pushes.force if pushes else (0.0, 0.0)
+    robot = RobotDescription.load(task.robot)
+    check_ranges(ranges, robot)
+    worlds = make_test_worlds(ranges, task.nominal(robot), values, push_force)
+    others = task.pushes.force_range(robot.weight) if pushes else (0.0, 0.0)
     task = replace(
         task,
-        randomize=RandomizeConfig(),
+        randomize={},
         pushes=task.pushes.in_full(pushes, push_force),
         # Every robot ends by its own number of control steps, which the environment knows nothing about.
         max_steps=MOST_STEPS,
@@ -298,7 +310,7 @@ def run_sensitivity(
         np.concatenate([part[episodes if n else 0 :] for n, part in enumerate(column)]).reshape(-1, episodes)
         for column in zip(*((part.returns, ~part.balanced, part.speed) for part in parts), strict=True)
     )
-    rows = {row: float(np.mean(getattr(env.nominal, ROWS[row].params[0])[0])) for row in ranges.ranges}
+    rows = {name: float(np.mean(getattr(env.nominal, name)[0])) for name in ranges}
     if push_force is not None:
         rows[PUSH_FORCE] = float(np.mean(others))
     nominal = Nominal(rows, returns[0], fell[0], speed[0])
@@ -314,8 +326,8 @@ def _in_worlds(make_world: SimulationFactory, worlds: Sequence[TestWorld], episo
         params = nominal.rows(np.arange(num_envs))
         for number, world in enumerate(worlds, start=1):
             rows = slice(number * episodes, (number + 1) * episodes)
-            for name in () if world.row == PUSH_FORCE else ROWS[world.row].params:
-                getattr(params, name)[rows] = world.value
+            if world.row != PUSH_FORCE:
+                getattr(params, world.row)[rows] = np.clip(world.values, *robot.allowed[world.row])
         return make_world(robot, num_envs, params, seed, config)
 
     return make

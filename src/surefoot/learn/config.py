@@ -9,6 +9,7 @@ from typing import Annotated, Any, Literal
 from surefoot.configuration import Seed, Threads, Within, check_bounds, from_mapping
 from surefoot.errors import SurefootError, check_name, located, quoted
 from surefoot.task.config import TaskConfig, load_task
+from surefoot.task.reward import check_reward
 
 Layers = tuple[Annotated[int, Within(1, 10_000)], ...]
 """Units of the hidden layers of a network."""
@@ -87,8 +88,8 @@ class TrainConfig:
     """Control steps between two evaluations of the deterministic policy."""
     evaluation_episodes: Annotated[int, Within(1, 10_000)] = 8
     """Episodes of such an evaluation."""
-    evaluation_energy_weight: Annotated[float, Within(0, 1e6)] | None = None
-    """Weight of energy in the returns of evaluations [m/J]; the task's, if not given."""
+    evaluation_reward: Annotated[dict[str, float], Within(-1e6, 1e6)] = field(default_factory=dict)
+    """Weights of reward terms in the returns of evaluations; the task's, if there are none."""
     checkpoint_every: Steps = 1_000_000
     """Control steps between two checkpoints that are kept."""
     threads: Threads = 0
@@ -106,6 +107,8 @@ class TrainConfig:
         """Refuse values out of bounds."""
         check_name("name", self.name)
         check_bounds(self)
+        if self.evaluation_reward:
+            check_reward(self.evaluation_reward, self.task.reward_limits)
         if self.samples_per_update < self.ppo.minibatches:
             raise SurefootError(
                 f"num_envs {self.num_envs} x steps_per_update {self.steps_per_update} gives fewer samples than "

@@ -46,8 +46,8 @@ class Evaluation:
 
 def evaluate_policy(trainer: Trainer, make_world: SimulationFactory, episodes: int) -> Evaluation:
     """Run the deterministic policy for whole episodes, always from the same seed."""
-    config, found, weight = trainer.config, [], trainer.config.evaluation_energy_weight
-    ruled = config.task if weight is None else replace(config.task, energy_weight=weight)
+    config, found = trainer.config, []
+    ruled = replace(config.task, reward=config.evaluation_reward or config.task.reward)
     for pushed in (False, True) if config.task.pushes.enabled else (False,):
         task = replace(ruled, pushes=replace(config.task.pushes, enabled=pushed, ramp=0))
         task = replace(task, commands=replace(task.commands, ramp=0))

@@ -67,7 +67,7 @@ class Contract:
     high: tuple[Angle, ...]
     """Greatest feedback, one an action."""
     reference: dict[str, Any] | None
-    """The open loop part of the gait, as `make_reference` reads it; None: zero at all times."""
+    """The open loop part of the gait, as `ReferenceConfig` reads it; None: zero at all times."""
     rest: tuple[Angle, ...]
     """Pose of all legs in leg space in which an episode starts."""
     control_step: Annotated[float, Within(1e-4, 1)]

@@ -13,7 +13,7 @@ from onnx import TensorProto, helper, numpy_helper
 from surefoot.errors import SurefootError, choices
 from surefoot.files import whole_file
 from surefoot.policy.contract import METADATA_KEY, Contract
-from surefoot.policy.digest import read_parts, stamped
+from surefoot.policy.digest import add_digest, read_parts
 from surefoot.policy.network import INPUT, OPSET, OUTPUT, check_network
 
 IR_VERSION = 8
@@ -23,7 +23,7 @@ Layer = tuple[NDArray[np.float32], NDArray[np.float32]]
 
 
 class _Graph:
-    """Nodes and constants, one after the other; `value` is the name of the last result."""
+    """Nodes and constants of a graph; `value` is the name of the last result."""
 
     def __init__(self) -> None:
         self.nodes: list[onnx.NodeProto] = []
@@ -34,20 +34,19 @@ class _Graph:
         self.constants.append(numpy_helper.from_array(np.asarray(array, np.float32), name))
         return name
 
-    def then(self, kind: str, *others: str, to: str = "", **attributes: Any) -> str:
+    def apply(self, kind: str, *others: str, result: str = "", **attributes: Any) -> None:
         """Apply an operator to the last result and other values."""
-        result = to or f"{kind.lower()}_{len(self.nodes)}"
+        result = result or f"{kind.lower()}_{len(self.nodes)}"
         self.nodes.append(helper.make_node(kind, [self.value, *others], [result], **attributes))
         self.value = result
-        return result
 
     def activate(self, activation: str) -> None:
         before = self.value
         if activation == "swish":
-            self.then("Sigmoid")
-            self.then("Mul", before)
+            self.apply("Sigmoid")
+            self.apply("Mul", before)
         else:
-            self.then(ACTIVATIONS[activation])
+            self.apply(ACTIVATIONS[activation])
 
 
 def build_model(
@@ -60,33 +59,33 @@ def build_model(
     Args:
         layers: weight (out, in) and bias (out,) of each layer; the activation stands between two of them.
         mean: subtracted from the observation, (O * history,), raw SI units.
-        scale: what is divided by, (O * history,).
+        scale: divisor of the observation, (O * history,).
         activation: one of `ACTIVATIONS`.
-        contract: goes into the metadata; its bounds go into the graph.
+        contract: written into the metadata; its bounds are constants of the graph.
 
     Raises:
-        SurefootError: an activation that is not known, or layers that do not fit the contract.
+        SurefootError: an unknown activation, or layers that do not fit the contract.
     """
     if activation not in ACTIVATIONS:
         raise SurefootError(f"activation is '{activation}'; choices: {choices(ACTIVATIONS)}")
     inputs, outputs = contract.width, len(contract.action_names)
-    found = (layers[0][0].shape[1], layers[-1][0].shape[0])
-    if found != (inputs, outputs):
+    widths = (layers[0][0].shape[1], layers[-1][0].shape[0])
+    if widths != (inputs, outputs):
         raise SurefootError(
-            f"the network takes {found[0]} and gives {found[1]}; its contract says {inputs} and {outputs}"
+            f"the network takes {widths[0]} and gives {widths[1]}; its contract says {inputs} and {outputs}"
         )
     low, high = np.array(contract.low), np.array(contract.high)
     graph = _Graph()
-    graph.then("Sub", graph.constant("observation_mean", np.reshape(mean, (1, inputs))))
-    graph.then("Div", graph.constant("observation_scale", np.reshape(scale, (1, inputs))))
+    graph.apply("Sub", graph.constant("observation_mean", np.reshape(mean, (1, inputs))))
+    graph.apply("Div", graph.constant("observation_scale", np.reshape(scale, (1, inputs))))
     for index, (weight, bias) in enumerate(layers):
         if index:
             graph.activate(activation)
         names = (graph.constant(f"weight_{index}", weight), graph.constant(f"bias_{index}", bias))
-        graph.then("Gemm", *names, transB=1)
-    graph.then("Clip", graph.constant("minus_one", -1.0), graph.constant("one", 1.0))
-    graph.then("Mul", graph.constant("half_width", (high - low)[None] / 2))
-    graph.then("Add", graph.constant("middle", (high + low)[None] / 2), to=OUTPUT)
+        graph.apply("Gemm", *names, transB=1)
+    graph.apply("Clip", graph.constant("minus_one", -1.0), graph.constant("one", 1.0))
+    graph.apply("Mul", graph.constant("half_width", (high - low)[None] / 2))
+    graph.apply("Add", graph.constant("middle", (high + low)[None] / 2), result=OUTPUT)
     model = helper.make_model(
         helper.make_graph(
             graph.nodes,
@@ -109,9 +108,9 @@ def export_policy(actor: Any, activation: str, contract: Contract, path: str | P
     """Write an actor as a policy file; the file appears whole or not at all.
 
     Args:
-        actor: rsl_rl's `MLPModel`, whose deterministic output is the action in [-1, 1].
+        actor: rsl_rl's `MLPModel`; its deterministic output is the action in [-1, 1].
         activation: of its hidden layers, one of `ACTIVATIONS`.
-        contract: what the file says about itself.
+        contract: the policy's.
         path: .onnx to write.
 
     Raises:
@@ -134,7 +133,7 @@ def export_policy(actor: Any, activation: str, contract: Contract, path: str | P
         raise SurefootError(f"policy file {path}: {error}; it is not written") from error
     path.parent.mkdir(parents=True, exist_ok=True)
     with whole_file(path) as file:
-        file.write(stamped(data))
+        file.write(add_digest(data))
     return path
 
 

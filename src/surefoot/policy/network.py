@@ -12,7 +12,7 @@ import math
 import numpy as np
 
 from surefoot.errors import SurefootError, choices
-from surefoot.policy.protobuf import BYTES, MANY, NUMBER, NUMBERS, message
+from surefoot.policy.protobuf import BYTES, MANY, NUMBER, NUMBERS, read_message
 
 OPSET = 17
 """Version of the operators' definitions that surefoot writes and reads."""
@@ -45,41 +45,41 @@ def check_network(graph: bytes) -> None:
     Raises:
         SurefootError: another operator or attribute, constants of another type or not finite, or too many or too large.
     """
-    parts = message(graph, "graph", _GRAPH)
+    parts = read_message(graph, "graph", _GRAPH)
     if len(parts[1]) > MAX_NODES:
         raise SurefootError(f"its network has {len(parts[1])} nodes; at most {MAX_NODES} are allowed")
     shapes: dict[bytes, tuple[int, ...]] = {}
     for tensor in parts[5]:
         name, shape = _constant(tensor)
         if name in shapes:
-            raise SurefootError(f"its network has constant {_shown(name)} twice")
+            raise SurefootError(f"its network has constant {_quoted(name)} twice")
         shapes[name] = shape
     results = {INPUT.encode()}
     for node in parts[1]:
         result = _node(node, shapes, results)
         if result in results or result in shapes:
-            raise SurefootError(f"its network has value {_shown(result)} twice")
+            raise SurefootError(f"its network has value {_quoted(result)} twice")
         results.add(result)
 
 
 def _constant(tensor: bytes) -> tuple[bytes, tuple[int, ...]]:
     """Return the name and shape of a constant."""
-    parts = message(tensor, "constant", _TENSOR)
+    parts = read_message(tensor, "constant", _TENSOR)
     name, shape, data = b"".join(parts[8]), tuple(parts[1]), b"".join(parts[9])
     if len(shape) > 2 or any(not 0 < size <= MAX_WIDTH for size in shape):
         raise SurefootError(
-            f"constant {_shown(name)} has shape {shape}; at most 2 dimensions of 1 to {MAX_WIDTH} are allowed"
+            f"constant {_quoted(name)} has shape {shape}; at most 2 dimensions of 1 to {MAX_WIDTH} are allowed"
         )
     if parts[2] != [_FLOAT] or len(data) != 4 * math.prod(shape):
-        raise SurefootError(f"constant {_shown(name)} does not hold 32-bit numbers for its shape {shape}")
+        raise SurefootError(f"constant {_quoted(name)} does not hold 32-bit numbers for its shape {shape}")
     if not np.isfinite(np.frombuffer(data, "<f4")).all():
-        raise SurefootError(f"constant {_shown(name)} holds numbers that are not finite")
+        raise SurefootError(f"constant {_quoted(name)} holds numbers that are not finite")
     return name, shape
 
 
 def _node(node: bytes, shapes: dict[bytes, tuple[int, ...]], results: set[bytes]) -> bytes:
     """Check a node; return the name of its result."""
-    parts = message(node, "node", _NODE)
+    parts = read_message(node, "node", _NODE)
     kind = b"".join(parts[4]).decode(errors="replace")
     inputs, outputs = parts[1], parts[2]
     if kind not in OPERATORS:
@@ -89,16 +89,16 @@ def _node(node: bytes, shapes: dict[bytes, tuple[int, ...]], results: set[bytes]
     weights = inputs[1:2] if kind == "Gemm" else []
     for name in inputs[1:]:
         if name not in shapes and (name not in results or kind == "Gemm"):
-            raise SurefootError(f"its network has a {kind} of {_shown(name)}, which is not a value that it can take")
+            raise SurefootError(f"its network has a {kind} of {_quoted(name)}, which is not a value that it can take")
         # More than one row beside the batch would make the result as large as both together.
         if math.prod(shapes.get(name, ())[:-1]) > 1 and name not in weights:
-            raise SurefootError(f"its network has a {kind} of {_shown(name)}, which has more than one row")
-    attributes = [message(attribute, "attribute", _ATTRIBUTE) for attribute in parts[5]]
+            raise SurefootError(f"its network has a {kind} of {_quoted(name)}, which has more than one row")
+    attributes = [read_message(attribute, "attribute", _ATTRIBUTE) for attribute in parts[5]]
     if attributes != ([_TRANSPOSED] if kind == "Gemm" else []):
         raise SurefootError(f"its network has a {kind} with other attributes than surefoot writes")
     return bytes(outputs[0])
 
 
-def _shown(name: bytes) -> str:
+def _quoted(name: bytes) -> str:
     """Return a name from a file, safe to print."""
     return repr(name[:40].decode(errors="replace"))

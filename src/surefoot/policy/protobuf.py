@@ -11,45 +11,45 @@ from typing import Any
 
 from surefoot.errors import SurefootError
 
-VARINT, EIGHT_BYTES, LENGTH, FOUR_BYTES = 0, 1, 2, 5
+VARINT, LENGTH = 0, 2
 NUMBER, NUMBERS, BYTES, MANY = (VARINT, False), (VARINT, True), (LENGTH, False), (LENGTH, True)
 """Kinds of fields: an integer, several, one run of bytes (text or a message), several."""
-MOST = 1024
-"""How often a field that may repeat stands in a message at most."""
+MAX_REPETITIONS = 1024
+"""How often a repeated field stands in a message at most."""
+_SIZES = {1: 8, 5: 4}
+"""Bytes of a number of fixed size, by wire type."""
 
-Layout = Mapping[int, tuple[int, bool]]
 
-
-def message(data: bytes, name: str, layout: Layout) -> dict[int, list[Any]]:
+def read_message(data: bytes, name: str, layout: Mapping[int, tuple[int, bool]]) -> dict[int, list[Any]]:
     """Return all values of each field of a message, in order; a missing field has none.
 
     Args:
         data: the message.
-        name: what it is called when it is refused.
+        name: name of the message, for errors.
         layout: kind of each field that it may have, by number.
 
     Raises:
         SurefootError: no message, a field that is not in the layout or of another kind, or one too often.
     """
-    found: dict[int, list[Any]] = {number: [] for number in layout}
+    values: dict[int, list[Any]] = {number: [] for number in layout}
     for number, wire, value in _fields(data):
+        error = None
         if number not in layout or layout[number][0] != wire:
-            raise SurefootError(f"is damaged or not ONNX as surefoot writes it: its {name} has a field {number}.{wire}")
-        found[number].append(value)
-        if len(found[number]) > (MOST if layout[number][1] else 1):
-            raise SurefootError(
-                f"is damaged or not ONNX as surefoot writes it: its {name} has field {number} more than "
-                f"{len(found[number]) - 1} times"
-            )
-    return found
+            error = f"a field {number}.{wire}"
+        elif len(values[number]) == (limit := MAX_REPETITIONS if layout[number][1] else 1):
+            error = f"field {number} more than {limit} times"
+        if error:
+            raise SurefootError(f"is damaged or not ONNX as surefoot writes it: its {name} has {error}")
+        values[number].append(value)
+    return values
 
 
-def field(number: int, value: bytes) -> bytes:
+def encode_field(number: int, value: bytes) -> bytes:
     """Return a field that holds bytes, encoded for a message."""
-    return _varint(number << 3 | LENGTH) + _varint(len(value)) + value
+    return _encode_varint(number << 3 | LENGTH) + _encode_varint(len(value)) + value
 
 
-def _varint(number: int) -> bytes:
+def _encode_varint(number: int) -> bytes:
     out = bytearray()
     while number > 0x7F:
         out.append(number & 0x7F | 0x80)
@@ -70,8 +70,8 @@ def _fields(data: bytes) -> Iterator[tuple[int, int, int | bytes]]:
             continue
         if wire == LENGTH:
             size, at = _read_varint(data, at)
-        elif wire in (EIGHT_BYTES, FOUR_BYTES):
-            size = 8 if wire == EIGHT_BYTES else 4
+        elif wire in _SIZES:
+            size = _SIZES[wire]
         else:
             raise SurefootError(f"is damaged or not ONNX: byte {start} starts no field")
         if at + size > len(data):
@@ -83,10 +83,7 @@ def _fields(data: bytes) -> Iterator[tuple[int, int, int | bytes]]:
 def _read_varint(data: bytes, at: int) -> tuple[int, int]:
     """Return a varint (seven bits a byte, the lowest first) and the position after it."""
     number = 0
-    for place in range(10):
-        if at + place >= len(data):
-            break
-        byte = data[at + place]
+    for place, byte in enumerate(data[at : at + 10]):
         number |= (byte & 0x7F) << 7 * place
         if byte < 0x80:
             return number, at + place + 1

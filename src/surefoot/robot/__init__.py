@@ -1,9 +1,10 @@
 """The robot: URDF, data sheet, leg space and the physical parameters that may differ from the data sheet."""
 
-from surefoot.robot.description import DEFAULT_ROBOT, GRAVITY, RobotDescription
+from surefoot.robot.description import DEFAULT_ROBOT, RobotDescription
 from surefoot.robot.leg import FiveBar, leg_to_motor, motor_to_leg
 from surefoot.robot.params import PhysicalParams, parse_settings
 from surefoot.robot.serial_leg import SerialLegs
+from surefoot.robot.sheet import GRAVITY
 
 __all__ = [
     "DEFAULT_ROBOT",

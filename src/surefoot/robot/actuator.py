@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
-from typing import Annotated, Any, ClassVar, TypeVar
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 
 from surefoot.arrays import Array
-from surefoot.configuration import Within
-from surefoot.errors import SurefootError
+from surefoot.configuration import NotNegative, Positive, Within, from_mapping
+from surefoot.errors import SurefootError, choices, quoted
 
-_Positive = Annotated[float, Within(0, 1e9, above=True)]
 _OF_JOINT_ACTUATORS = ("load_friction", "presliding", "rotor_inertia", "torque_limit")
-_NotNegative = Annotated[float, Within(0, 1e9)]
 _Each = Annotated[float | tuple[float, ...], Within(0, 1e9)]
 """One number for all motors, one for each motor of a leg, or one for each motor."""
 
@@ -29,16 +27,16 @@ HEAT_LOSS = 0.5
 class DcMotorData:
     """Voltage-driven motor and servo, nominal. Units as in a sheet's `[actuator]`."""
 
-    torque_constant: _Positive
-    resistance: _Positive
-    voltage: _Positive
-    voltage_clip: _Positive
+    torque_constant: Positive
+    resistance: Positive
+    voltage: Positive
+    voltage_clip: Positive
     kp: _Each
     kd: _Each
     torque_table_current: tuple[float, ...]
     torque_table_torque: tuple[float, ...]
-    overheat_torque: _Positive
-    overheat_time: _NotNegative
+    overheat_torque: Positive
+    overheat_time: NotNegative
     friction: _Each = 0.0
     viscous_friction: _Each = 0.0
 
@@ -90,11 +88,11 @@ class JointActuatorData:
     presliding: _Each = 0.0
     """Angle [rad] over which friction builds up when a motor turns back: it sticks; 0: friction depends on the speed
     alone, and a motor at rest creeps."""
-    speed_filter: _NotNegative = 0.0
+    speed_filter: NotNegative = 0.0
     """Time constant [s] of the first-order filter on the speed that the PD controller uses."""
     overheat_torque: _Each = 1e9
     """Torque [N m] that a motor may give for `overheat_time` only."""
-    overheat_time: _NotNegative = 1.0
+    overheat_time: NotNegative = 1.0
 
     kind: ClassVar[str] = "joint"
 
@@ -108,7 +106,6 @@ class JointActuatorData:
 
 
 ActuatorData = DcMotorData | JointActuatorData
-_Data = TypeVar("_Data", bound=DcMotorData | JointActuatorData)
 
 
 def _servo(kp: Any, kd: Any, friction: Any, viscous: Any) -> dict[str, Any]:
@@ -116,27 +113,29 @@ def _servo(kp: Any, kd: Any, friction: Any, viscous: Any) -> dict[str, Any]:
     return {name: np.asarray(value, float) for name, value in given.items()}
 
 
-def per_motor(data: _Data, order: Sequence[str], legs: Sequence[Sequence[str]]) -> _Data:
-    """Return the data with one number for each motor where it had a list for each leg's motors.
+def read_actuator(table: Mapping[str, Any], order: Sequence[str], legs: Sequence[Sequence[str]]) -> ActuatorData:
+    """Return the motors' data of a sheet's table.
+
+    A list with one number for each motor of a leg holds for every leg; it becomes one with a number for each motor.
 
     Args:
-        data: as the sheet has them.
+        table: `[actuator]` of the sheet.
         order: names of all motors.
         legs: names of each leg's motors.
-
-    Raises:
-        SurefootError: a list of another length.
     """
+    kinds: dict[str, type[DcMotorData] | type[JointActuatorData]] = {"dc": DcMotorData, "joint": JointActuatorData}
+    kind = table.get("kind", "dc")
+    if kind not in list(kinds):  # it may be unhashable
+        raise SurefootError(f"actuator.kind is {quoted(kind)}; choices: {choices(kinds)}")
+    data = from_mapping(kinds[kind], {key: value for key, value in table.items() if key != "kind"}, "actuator")
+    place = {name: k for leg in legs for k, name in enumerate(leg)}
     changed: dict[str, Any] = {}
-    for item in fields(data):
-        value = getattr(data, item.name)
-        if isinstance(value, tuple) and not item.name.startswith("torque_table"):
-            if len(value) not in (len(order), len(legs[0])):
+    for name, value in vars(data).items():
+        if isinstance(value, tuple) and not name.startswith("torque_table") and len(value) != len(order):
+            if len(value) != len(legs[0]):
                 raise SurefootError(
-                    f"actuator.{item.name} has {len(value)} numbers; it takes one, {len(legs[0])} for the motors of "
+                    f"actuator.{name} has {len(value)} numbers; it takes one, {len(legs[0])} for the motors of "
                     f"each leg, or {len(order)} in the motor order"
                 )
-            if len(value) != len(order):
-                place = {name: k for leg in legs for k, name in enumerate(leg)}
-                changed[item.name] = tuple(value[place[name]] for name in order)
+            changed[name] = tuple(value[place[motor]] for motor in order)
     return replace(data, **changed)

@@ -8,10 +8,9 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from surefoot.configuration import Within, from_mapping
+from surefoot.configuration import Positive, Within, from_mapping
 from surefoot.robot.actuator import ActuatorData, DcMotorData
 
-_Positive = Annotated[float, Within(0, 1e9, above=True)]
 _Duty = Annotated[float, Within(0, 1)]
 
 _EXTENSIONS = {
@@ -29,33 +28,33 @@ _TORQUE = 8 / 7
 class Experiments:
     """Extensions in the legs' own unit, motor angles in rad."""
 
-    stance: _Positive
+    stance: Positive
     """Extension in which the robot stands, and around which legs on a rack move."""
-    high: _Positive
+    high: Positive
     """Extension from which it drops."""
-    low: _Positive
+    low: Positive
     """Extension to which it draws its legs in when it drops."""
-    squat: _Positive
+    squat: Positive
     """Amplitude of the extension when it squats."""
-    nod: _Positive
+    nod: Positive
     """Amplitude of the extension when front and back legs move against each other."""
-    lift: _Positive
+    lift: Positive
     """How much shorter legs get whose feet are dragged."""
-    shorter: _Positive
+    shorter: Positive
     """How much less legs are extended on the side that the doctor lowers."""
-    longer: _Positive
+    longer: Positive
     """How much more on the other side."""
-    sweep: _Positive
+    sweep: Positive
     """Amplitude of slow sines of motors [rad]."""
-    chirp: _Positive
+    chirp: Positive
     """Amplitude of fast ones [rad]."""
-    step: _Positive
+    step: Positive
     """Largest step of a motor's target [rad]."""
     duty: _Duty
     """Greatest duty of PWM pulses."""
     spike: _Duty
     """Duty of PWM spikes of a single command."""
-    torque: _Positive
+    torque: Positive
     """Torque [N m] beyond which an experiment ends."""
 
     def part(self, name: str, share: float) -> float:

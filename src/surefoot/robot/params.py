@@ -12,26 +12,60 @@ from surefoot.arrays import Array
 from surefoot.errors import SurefootError, choices
 
 
-class _Described(Protocol):
-    """What parameters ask of a robot's description."""
+class _Robot(Protocol):
+    """The part of a robot's description that parameters need."""
 
     @property
     def name(self) -> str: ...
     @property
     def num_motors(self) -> int: ...
     @property
+    def motor_names(self) -> tuple[str, ...]: ...
+    @property
     def actuator(self) -> Any: ...
     def nominal_params(self) -> dict[str, Any]: ...
     def check_allowed(self, name: str, values: Array) -> None: ...
 
 
-def _row(unit: str, meaning: str, bounds: tuple[float, float], width: str = "one", actuator: str = "") -> Any:
-    """Declare a parameter.
+@dataclass(frozen=True)
+class Parameter:
+    """The declaration of a physical parameter."""
 
-    `bounds` hold where a robot's sheet does not say what is allowed. With `actuator`, only robots with motors of that
-    kind have it; for others it is 0.
-    """
-    return field(metadata={"unit": unit, "meaning": meaning, "width": width, "bounds": bounds, "actuator": actuator})
+    unit: str
+    """Unit; 1 for ratios."""
+    meaning: str
+    """What it is."""
+    bounds: tuple[float, float]
+    """Least and greatest value, where a robot's sheet does not say what is allowed."""
+    per: str = ""
+    """"motors" where each motor has a value, names of axes where each axis has one, such as "x, y, z"; else empty."""
+    nominal: float = 0.0
+    """Value of a robot whose description states none."""
+    scalable: bool = True
+    """Whether a range may be given as factors of the nominal value; not where that is 0 for most robots."""
+    independent: bool = False
+    """Whether each motor or axis draws a value of its own, unless a range says otherwise; else all share one."""
+    actuator: str = ""
+    """Kind of the motors that have it, for others it is 0; empty: every motor."""
+    engines: tuple[str, ...] = ()
+    """Worlds whose engines model it, elsewhere it must be 0; empty: every engine."""
+
+    def belongs_to(self, robot: _Robot) -> bool:
+        """Return whether a robot's kind of motors has the parameter."""
+        return self.actuator in ("", robot.actuator.kind)
+
+    def parts(self, motor_names: tuple[str, ...]) -> tuple[str, ...]:
+        """Return the names of the motors or axes that have values of their own; none for a parameter of one number."""
+        return motor_names if self.per == "motors" else tuple(self.per.split(", ")) if self.per else ()
+
+
+def _ratio(meaning: str, bounds: tuple[float, float] = (0.2, 5.0), per: str = "", independent: bool = False) -> Any:
+    return _parameter("1", meaning, bounds, per, 1.0, independent=independent)
+
+
+def _parameter(unit: str, meaning: str, bounds: tuple[float, float], *options: Any, **named: Any) -> Any:
+    """Declare a parameter; see `Parameter`."""
+    return field(metadata={"parameter": Parameter(unit, meaning, bounds, *options, **named)})
 
 
 @dataclass(frozen=True)
@@ -39,69 +73,111 @@ class PhysicalParams:
     """Physical parameters of a batch of robots; each array's first axis is `num_envs`.
 
     Randomization draws them, identification fits them, a world applies them. Ratios multiply the
-    description's value.
+    description's value. A further parameter goes to the end: random draws are taken in the order of this list.
     """
 
-    base_mass_ratio: Array = _row("1", "mass of the base with its fixed links, over the description's", (0.2, 5.0))
-    leg_mass_ratio: Array = _row("1", "mass of every moving link, over the description's", (0.2, 5.0))
-    base_inertia_ratio: Array = _row("1", "rotational inertia of the base, over the description's", (0.2, 5.0))
-    leg_inertia_ratio: Array = _row("1", "rotational inertia of every moving link, over the description's", (0.2, 5.0))
-    motor_strength: Array = _row("1", "motor torque, over the motor model's", (0.0, 2.0), "motors")
-    motor_friction: Array = _row("N m", "Coulomb friction in each motor", (0.0, 20.0), "motors")
-    motor_viscous_friction: Array = _row("N m s/rad", "viscous friction in each motor", (0.0, 10.0), "motors")
-    torque_constant: Array = _row(
+    base_mass_ratio: Array = _ratio("mass of the base with its fixed links, over the description's")
+    leg_mass_ratio: Array = _ratio("mass of every moving link, over the description's")
+    motor_friction: Array = _parameter("N m", "Coulomb friction in each motor", (0.0, 20.0), "motors")
+    base_inertia_ratio: Array = _ratio("rotational inertia of the base, over the description's")
+    leg_inertia_ratio: Array = _ratio("rotational inertia of every moving link, over the description's")
+    motor_strength: Array = _ratio("motor torque, over the motor model's", (0.0, 2.0), per="motors", independent=True)
+    control_step: Array = _parameter("s", "time between two commands of the policy", (0.001, 0.050))
+    control_latency: Array = _parameter("s", "age of the readings that the policy observes", (0.0, 0.100))
+    voltage: Array = _parameter("V", "battery voltage", (5.0, 30.0), actuator="dc")
+    contact_friction: Array = _parameter("1", "lateral friction coefficient of the feet", (0.05, 3.0))
+    imu_bias: Array = _parameter(
+        "rad", "constant error of roll and pitch", (-0.5, 0.5), "roll, pitch", scalable=False, independent=True
+    )
+    imu_noise: Array = _parameter(
+        "rad", "standard deviation of the white noise on roll and pitch", (0.0, 0.5), scalable=False
+    )
+    torque_constant: Array = _parameter(
         "N m/A", "torque constant K_t, also the back-EMF constant", (0.01, 1.0), actuator="dc"
     )
-    resistance: Array = _row("Ohm", "armature resistance R", (0.02, 5.0), actuator="dc")
-    voltage: Array = _row("V", "battery voltage", (5.0, 30.0), actuator="dc")
-    servo_kp: Array = _row(
+    resistance: Array = _parameter("Ohm", "armature resistance R", (0.02, 5.0), actuator="dc")
+    servo_latency: Array = _parameter("s", "age of the motor angles and speeds that the servo uses", (0.0, 0.020))
+    contact_stiffness: Array = _parameter("N/m", "stiffness of the feet against the ground", (300.0, 100_000.0))
+    contact_spinning_friction: Array = _parameter(
+        "m", "friction torque of a foot about the contact normal, over the normal force", (0.0, 0.5)
+    )
+    knee_friction: Array = _parameter(
+        "N m", "Coulomb friction in each knee joint; Bullet only", (0.0, 0.5), scalable=False, engines=("bullet",)
+    )
+    knee_play: Array = _parameter(
+        "m",
+        "radial clearance of the pins that close the loops; Bullet only",
+        (0.0, 0.005),
+        scalable=False,
+        engines=("bullet",),
+    )
+    floor_unevenness: Array = _parameter(
+        "m", "standard deviation of the floor's height; Bullet only", (0.0, 0.02), scalable=False, engines=("bullet",)
+    )
+    imu_mount: Array = _parameter(
+        "rad",
+        "roll, pitch and yaw of the IMU against the base",
+        (-0.5, 0.5),
+        "roll, pitch, yaw",
+        scalable=False,
+        independent=True,
+    )
+    servo_kp: Array = _parameter(
         "1/rad, N m/rad",
         "proportional gain: duty of a DC motor's servo, torque of a joint actuator",
         (0.0, 2000.0),
         "motors",
     )
-    servo_kd: Array = _row(
+    servo_kd: Array = _parameter(
         "s/rad, N m s/rad",
         "derivative gain: duty of a DC motor's servo, torque of a joint actuator",
         (0.0, 100.0),
         "motors",
     )
-    servo_latency: Array = _row("s", "age of the motor angles and speeds that the servo uses", (0.0, 0.020))
-    control_latency: Array = _row("s", "age of the readings that the policy observes", (0.0, 0.100))
-    control_step: Array = _row("s", "time between two commands of the policy", (0.001, 0.050))
-    contact_friction: Array = _row("1", "lateral friction coefficient of the feet", (0.05, 3.0))
-    contact_stiffness: Array = _row("N/m", "stiffness of the feet against the ground", (300.0, 100_000.0))
-    contact_spinning_friction: Array = _row(
-        "m", "friction torque of a foot about the contact normal, over the normal force", (0.0, 0.5)
+    motor_viscous_friction: Array = _parameter("N m s/rad", "viscous friction in each motor", (0.0, 10.0), "motors")
+    load_friction: Array = _parameter(
+        "1", "friction of a joint actuator over its torque", (0.0, 0.9), "motors", actuator="joint"
     )
-    knee_friction: Array = _row("N m", "Coulomb friction in each knee joint; Bullet only", (0.0, 0.5))
-    knee_play: Array = _row("m", "radial clearance of the pins that close the loops; Bullet only", (0.0, 0.005))
-    floor_unevenness: Array = _row("m", "standard deviation of the floor's height; Bullet only", (0.0, 0.02))
-    imu_bias: Array = _row("rad", "constant error of roll and pitch", (-0.5, 0.5), "roll, pitch")
-    imu_noise: Array = _row("rad", "standard deviation of the white noise on roll and pitch", (0.0, 0.5))
-    imu_mount: Array = _row("rad", "roll, pitch and yaw of the IMU against the base", (-0.5, 0.5), "roll, pitch, yaw")
-    load_friction: Array = _row("1", "friction of a joint actuator over its torque", (0.0, 0.9), "motors", "joint")
-    speed_filter: Array = _row(
+    speed_filter: Array = _parameter(
         "s",
         "time constant of the first-order filter on the speed that a joint actuator uses",
         (0.0, 0.1),
         actuator="joint",
     )
-    rotor_inertia: Array = _row("kg m2", "inertia of each rotor, at its joint", (0.0, 1.0), "motors", "joint")
-    torque_limit: Array = _row(
-        "N m", "greatest torque of a joint actuator at low speed", (1e-6, 1e9), "motors", "joint"
+    rotor_inertia: Array = _parameter(
+        "kg m2", "inertia of each rotor, at its joint", (0.0, 1.0), "motors", actuator="joint"
     )
-    presliding: Array = _row(
+    torque_limit: Array = _parameter(
+        "N m", "greatest torque of a joint actuator at low speed", (1e-6, 1e9), "motors", actuator="joint"
+    )
+    motor_offset: Array = _parameter(
+        "rad",
+        "angle that each motor's encoder measures, less the true one",
+        (-0.5, 0.5),
+        "motors",
+        scalable=False,
+        independent=True,
+    )
+    base_offset: Array = _parameter(
+        "m",
+        "centre of mass of the base, less the description's",
+        (-0.1, 0.1),
+        "x, y, z",
+        scalable=False,
+        independent=True,
+    )
+    imu_yaw_drift: Array = _parameter(
+        "rad/s", "bias of the gyro about z, with which the IMU's yaw drifts", (-0.5, 0.5), scalable=False
+    )
+    presliding: Array = _parameter(
         "rad",
         "angle over which a joint actuator's friction builds up; 0: it depends on the speed alone",
         (0.0, 0.2),
         "motors",
-        "joint",
+        scalable=False,
+        actuator="joint",
     )
-    motor_offset: Array = _row("rad", "angle that each motor's encoder tells, less the true one", (-0.5, 0.5), "motors")
-    contact_shear_ratio: Array = _row("1", "stiffness of the feet along the ground, over that against it", (0.01, 10.0))
-    base_offset: Array = _row("m", "centre of mass of the base, less the description's", (-0.1, 0.1), "x, y, z")
-    imu_yaw_drift: Array = _row("rad/s", "bias of the gyro about z, with which the IMU's yaw drifts", (-0.5, 0.5))
+    contact_shear_ratio: Array = _ratio("stiffness of the feet along the ground, over that against it", (0.01, 10.0))
 
     @property
     def num_envs(self) -> int:
@@ -109,35 +185,28 @@ class PhysicalParams:
         return len(self.base_mass_ratio)
 
     @classmethod
-    def names(cls) -> list[str]:
-        """Return the names of all parameters."""
-        return [item.name for item in fields(cls)]
+    def names(cls, robot: _Robot | None = None) -> list[str]:
+        """Return the names of all parameters, or of those that a robot's kind of motors has."""
+        return [name for name, item in PARAMETERS.items() if robot is None or item.belongs_to(robot)]
 
     @classmethod
     def unit(cls, name: str) -> str:
         """Return the unit of a parameter; 1 for ratios."""
-        return str(cls.__dataclass_fields__[name].metadata["unit"])
+        return PARAMETERS[name].unit
 
     @classmethod
-    def actuator_kind(cls, name: str) -> str:
-        """Return the kind of motors that have a parameter; empty if all have it."""
-        return str(cls.__dataclass_fields__[name].metadata["actuator"])
-
-    @classmethod
-    def nominal(cls, robot: _Described, num_envs: int = 1) -> PhysicalParams:
+    def nominal(cls, robot: _Robot, num_envs: int = 1) -> PhysicalParams:
         """Return the parameters that the robot's description states, for `num_envs` robots."""
-        nominal = robot.nominal_params()
-        widths = {
-            "one": (),
-            "motors": (robot.num_motors,),
-            "roll, pitch": (2,),
-            "roll, pitch, yaw": (3,),
-            "x, y, z": (3,),
-        }
-        shapes = {item.name: (num_envs, *widths[item.metadata["width"]]) for item in fields(cls)}
-        return cls(**{name: np.broadcast_to(nominal[name], shape).astype(np.float64) for name, shape in shapes.items()})
+        nominal, motors = robot.nominal_params(), robot.motor_names
+        widths = {name: (len(parts),) if (parts := item.parts(motors)) else () for name, item in PARAMETERS.items()}
+        return cls(
+            **{
+                name: np.broadcast_to(nominal[name], (num_envs, *width)).astype(np.float64)
+                for name, width in widths.items()
+            }
+        )
 
-    def with_values(self, robot: _Described, **values: ArrayLike) -> PhysicalParams:
+    def with_values(self, robot: _Robot, **values: ArrayLike) -> PhysicalParams:
         """Return a copy with some parameters set, each given for all robots or one row per robot.
 
         Raises:
@@ -145,20 +214,15 @@ class PhysicalParams:
         """
         changed = {}
         for name, value in values.items():
-            if name not in self.names():
-                raise SurefootError(f"'{name}' is not a physical parameter; choices: {choices(self.names())}")
-            if (kind := self.actuator_kind(name)) not in ("", robot.actuator.kind):
-                raise SurefootError(
-                    f"{name} belongs to motors of kind {kind}; the motors of {robot.name} are {robot.actuator.kind}"
-                )
+            check_parameter(name, robot)
             now = getattr(self, name)
-            given = np.asarray(value, dtype=np.float64)
-            if given.ndim == 1 and now.ndim == 2 and len(given) == len(now) and len(given) != now.shape[1]:
-                given = given[:, None]
+            array = np.asarray(value, dtype=np.float64)
+            if array.ndim == 1 and now.ndim == 2 and len(array) == len(now) and len(array) != now.shape[1]:
+                array = array[:, None]
             try:
-                changed[name] = np.broadcast_to(given, now.shape).copy()
+                changed[name] = np.broadcast_to(array, now.shape).copy()
             except ValueError as error:
-                raise SurefootError(f"{name} has shape {given.shape}; it must fit {now.shape}") from error
+                raise SurefootError(f"{name} has shape {array.shape}; it must fit {now.shape}") from error
             robot.check_allowed(name, changed[name])
         return replace(self, **changed)
 
@@ -166,20 +230,34 @@ class PhysicalParams:
         """Return the parameters of some of the robots, by index."""
         return replace(self, **{name: getattr(self, name)[np.asarray(index)] for name in self.names()})
 
-    def check(self, robot: _Described) -> None:
+    def check(self, robot: _Robot) -> None:
         """Raise `SurefootError` for a value outside what the robot's description allows."""
-        for name in self.names():
-            if self.actuator_kind(name) in ("", robot.actuator.kind):
-                robot.check_allowed(name, getattr(self, name))
+        for name in self.names(robot):
+            robot.check_allowed(name, getattr(self, name))
 
     def set_rows(self, index: ArrayLike, params: PhysicalParams) -> None:
-        """Take other parameters for the robots at `index`, one row each."""
+        """Replace the parameters of the robots at `index`, one row each."""
         for name in self.names():
             getattr(self, name)[index] = getattr(params, name)
 
 
+PARAMETERS: dict[str, Parameter] = {item.name: item.metadata["parameter"] for item in fields(PhysicalParams)}
+"""The declaration of every parameter, by name."""
+
+
+def check_parameter(name: str, robot: _Robot | None = None) -> None:
+    """Refuse a name that is no physical parameter, or one that a robot's kind of motors does not have."""
+    if name not in PARAMETERS:
+        raise SurefootError(f"'{name}' is not a physical parameter; choices: {choices(PARAMETERS)}")
+    if robot is not None and not PARAMETERS[name].belongs_to(robot):
+        kind = PARAMETERS[name].actuator
+        raise SurefootError(
+            f"{name} belongs to motors of kind {kind}; the motors of {robot.name} are {robot.actuator.kind}"
+        )
+
+
 def parse_settings(settings: list[str] | tuple[str, ...]) -> dict[str, float]:
-    """Read `name=value` words as given on a command line.
+    """Read `name=value` words of a command line.
 
     Raises:
         SurefootError: a word is not of that form, or names no physical parameter.
@@ -187,8 +265,7 @@ def parse_settings(settings: list[str] | tuple[str, ...]) -> dict[str, float]:
     parsed = {}
     for setting in settings:
         name, _, text = setting.partition("=")
-        if name not in PhysicalParams.names():
-            raise SurefootError(f"'{name}' is not a physical parameter; choices: {choices(PhysicalParams.names())}")
+        check_parameter(name)
         try:
             parsed[name] = float(text)
         except ValueError:

@@ -138,8 +138,7 @@ def write_params(
     others = {key: value for key, value in (tables or {}).items() if key != "robot"}
     lines = _lines({"robot": robot.name, **{key: value for key, value in others.items() if not _is_table(value)}})
     lines += ["", "[params]"]
-    own = [name for name in PhysicalParams.names() if PhysicalParams.actuator_kind(name) in ("", robot.actuator.kind)]
-    for name in own if names is None else names:
+    for name in PhysicalParams.names(robot) if names is None else names:
         value = np.asarray(getattr(params, name)[0])
         unit = PhysicalParams.unit(name)
         lines.append(f"{name} = {_toml(value.tolist())}  # {unit}")

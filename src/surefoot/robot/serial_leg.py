@@ -14,12 +14,20 @@ beta is 0 for the straight leg, over 0 where the knee points forward, under 0 wh
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from surefoot.arrays import Array
+from surefoot.errors import SurefootError
+from surefoot.robot.sheet import Leg
+
+_AXIS_TOLERANCE = 1e-6
+"""How far a leg's axes may be from the base's axes, as cosines."""
+_MIN_LENGTH = 1e-3
+"""Length [m] under which a link is none."""
 
 
 @dataclass(frozen=True)
@@ -47,6 +55,48 @@ class SerialLegs:
     """phi_2 [rad]."""
     knee: Array
     """Sign of beta: 1 for knees that point forward, -1 for knees that point backward."""
+
+    @classmethod
+    def from_places(
+        cls, legs: Sequence[Leg], mounts: Array, places: Array, axes: Array, signs: Array, feet: Array
+    ) -> SerialLegs:
+        """Return the legs of a robot at zero angles, all places and axes in the base's frame.
+
+        Args:
+            legs: names of the legs and their motors, and where knees point.
+            mounts: places (L, 3) [m] from which `foot_position` counts.
+            places: points (L, m, 3) [m] on the joints' axes.
+            axes: directions (L, m, 3) of the axes.
+            signs: joint angle over motor angle (L, m), 1 or -1.
+            feet: centres (L, 3) [m] of the feet.
+
+        Raises:
+            SurefootError: axes that are not along the base's x (abduction) and y (hip, knee), or a link without length.
+        """
+        along = np.array((0, 1, 1)[-places.shape[1] :])
+        cosines = np.take_along_axis(axes, along[None, :, None], axis=2)[..., 0]
+        for row, motor in np.argwhere(np.abs(np.abs(cosines) - 1.0) > _AXIS_TOLERANCE):
+            x, y, z = axes[row, motor]
+            raise SurefootError(
+                f"legs.{legs[row].name}: {legs[row].motors[motor]}: its axis at zero is ({x:.3g}, {y:.3g}, {z:.3g}) "
+                f"in the base frame; it must be along {'xy'[along[motor]]}"
+            )
+        hips, knees = places[:, -2], places[:, -1]
+        links = np.stack([knees - hips, feet - knees])[..., [0, 2]]
+        lengths = np.array([[np.linalg.norm(link) for link in row] for row in links])
+        for part, row in np.argwhere(~(lengths > _MIN_LENGTH)):
+            name = ("hip to knee", "knee to foot")[part]
+            raise SurefootError(f"legs.{legs[row].name}: {name} is {lengths[part, row]:.3g} m long; a leg has links")
+        return cls(
+            turn=np.sign(cosines) * signs,
+            side=np.where(feet[:, 1] >= 0, 1.0, -1.0),
+            hip=np.column_stack([feet[:, 1], hips[:, 2]]) - mounts[:, 1:],
+            upper=lengths[0],
+            lower=lengths[1],
+            upper_angle=np.arctan2(-links[0, :, 0], -links[0, :, 1]),
+            lower_angle=np.arctan2(-links[1, :, 0], -links[1, :, 1]),
+            knee=np.array([1.0 if leg.knee == "forward" else -1.0 for leg in legs]),
+        )
 
     @property
     def abducts(self) -> bool:

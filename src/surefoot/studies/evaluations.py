@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 
 from surefoot import __version__
+from surefoot.configuration import to_mapping
 from surefoot.errors import SurefootError, choices
-from surefoot.evaluate.ensemble import ROBOTS
 from surefoot.evaluate.footfalls import analyze_footfalls
 from surefoot.evaluate.gap import PolicyGap, away_task, home_task
 from surefoot.evaluate.recorded import save_runs
@@ -31,6 +31,7 @@ from surefoot.tables import plain_value
 from surefoot.task.config import TaskConfig
 from surefoot.task.contract_mapping import task_from_contract
 from surefoot.task.trace import EpisodeTrace
+from surefoot.world.ensemble import ROBOTS
 from surefoot.world.interface import SimulationFactory
 
 SEED = 1
@@ -302,8 +303,7 @@ def _settings(name: str) -> dict[str, Any]:
     """Return everything that decides what an evaluation does with a policy."""
     settings = dict(EVALUATIONS[name].settings)
     if "ranges" in settings:
-        # A row that stays nominal has no range: one that a later version adds does not make a result another one.
-        settings["ranges"] = {row: list(bounds) for row, bounds in load_ranges(settings["ranges"]).ranges.items()}
+        settings["ranges"] = to_mapping(load_ranges(settings["ranges"]))
     return settings
 
 

@@ -69,7 +69,7 @@ class HandcraftedGait:
             SurefootError: foot trajectories that the robot does not allow.
         """
         robot = RobotDescription.load(self.task.robot)
-        reference = make_reference(self.task.reference.to_mapping(), robot)
+        reference = make_reference(self.task.reference, robot)
         if self.raibert is None:
             return OpenLoop(len(self.task.gait(robot).action_names))
         assert isinstance(reference, FootReference)

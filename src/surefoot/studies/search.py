@@ -81,7 +81,7 @@ def make_config(task: str, space: Path | None, seed: int, steps: Steps) -> Searc
         evaluate_every=max(1, steps // EVALUATIONS),
         evaluation_episodes=EVALUATION_EPISODES,
         # Trials may learn by weights of their own; they are compared by the task's.
-        evaluation_energy_weight=base.task.energy_weight,
+        evaluation_reward=base.task.reward,
     )
     return SearchConfig(train, load_space(space, train), seed)
 

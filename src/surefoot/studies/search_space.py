@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 _SPACES = Path(__file__).parent / "spaces"
 _OWN = (
-    *("name", "seed", "steps", "evaluate_every", "evaluation_episodes", "evaluation_energy_weight"),
+    *("name", "seed", "steps", "evaluate_every", "evaluation_episodes", "evaluation_reward"),
     *("checkpoint_every", "threads", "learning_threads"),
 )
 """Fields that a search sets itself, the same for all trials but the seed."""
@@ -32,7 +32,7 @@ class Dimension:
     high: float | None = None
     """Greatest value."""
     log: bool = False
-    """Whether values are drawn on a logarithmic scale."""
+    """Whether values are drawn on a logarithmic scale, of their magnitudes where all are negative."""
     int: bool = False
     """Whether values are whole numbers."""
     choices: tuple[Any, ...] = ()
@@ -53,8 +53,10 @@ class Dimension:
             raise SurefootError("it needs low and high, or choices")
         if not self.low < self.high:
             raise SurefootError(f"low is {self.low:g} and high is {self.high:g}; low must be below high")
-        if self.log and self.low <= 0:
-            raise SurefootError(f"low is {self.low:g}; with log it must be over 0")
+        if self.log and self.low <= 0 <= self.high:
+            raise SurefootError(
+                f"low is {self.low:g} and high is {self.high:g}; with log both must be on one side of 0"
+            )
         if self.int and (self.low % 1 or self.high % 1):
             raise SurefootError(f"low is {self.low:g} and high is {self.high:g}; with int they must be whole numbers")
 
@@ -63,6 +65,11 @@ class Dimension:
         """Values that a configuration must accept for the field: the ends of the range, or all choices."""
         ends = (self.low, self.high)
         return self.choices or (tuple(round(end or 0.0) for end in ends) if self.int else ends)
+
+    @property
+    def draws_magnitudes(self) -> bool:
+        """Whether magnitudes of negative values are drawn."""
+        return self.log and self.high is not None and self.high < 0
 
 
 Space = dict[str, Dimension]
@@ -73,8 +80,8 @@ def load_space(path: Path | None, config: TrainConfig) -> Space:
     """Read a space, and refuse what is not for this configuration.
 
     Args:
-        path: YAML file; the spaces that ship, if None: for learning, and for a reference of sinusoids if the task has
-            one.
+        path: YAML file; the spaces that ship, if None: for learning, with the weights of the task's own reward terms,
+            and for a reference of sinusoids if the task has one.
         config: what holds for all that is not searched.
 
     Raises:
@@ -87,6 +94,9 @@ def load_space(path: Path | None, config: TrainConfig) -> Space:
     for one in paths:
         with located(one):
             for name, entry in read_yaml(one).items():
+                term = str(name).removeprefix("task.reward.")
+                if path is None and term != name and term not in config.task.reward:
+                    continue  # Another task's term.
                 with located(name):
                     space[str(name)] = from_mapping(Dimension, entry)
             check_space(space, config)
@@ -162,8 +172,10 @@ def suggest(space: Space, trial: Trial) -> dict[str, Any]:
         if one.choices:
             values[name] = json.loads(trial.suggest_categorical(name, [json.dumps(choice) for choice in one.choices]))
         else:
-            low, high = one.samples
-            values[name] = (trial.suggest_int if one.int else trial.suggest_float)(name, low, high, log=one.log)
+            sign = -1 if one.draws_magnitudes else 1
+            low, high = sorted(sign * end for end in one.samples)
+            suggest_number = trial.suggest_int if one.int else trial.suggest_float
+            values[name] = sign * suggest_number(name, low, high, log=one.log)
     return values
 
 
@@ -174,6 +186,7 @@ def as_params(space: Space, config: TrainConfig) -> dict[str, Any]:
         value = get(config, name)
         if not dimension.choices:
             inside = is_number(value) and dimension.low <= value <= dimension.high
+            value = -value if inside and dimension.draws_magnitudes else value
         else:
             inside, value = value in dimension.choices, json.dumps(value)
         if inside:

@@ -11,7 +11,7 @@ from typing import Annotated, Any
 from surefoot.configuration import Seed, Within, check_bounds, from_mapping, read_yaml
 from surefoot.errors import SurefootError, check_name, choices, located
 from surefoot.learn.config import TrainConfig
-from surefoot.robot.randomization import with_ranges
+from surefoot.robot.randomization import resolve_ranges
 from surefoot.studies.training import Training, base_config
 from surefoot.task.config import preset_names
 
@@ -132,7 +132,7 @@ def _with_paths(train: dict[str, Any], folder: Path) -> dict[str, Any]:
     if not isinstance(task, Mapping):
         return train
     # A named table of ranges replaces every range there was.
-    task = with_ranges(dict(task), folder)
+    task = resolve_ranges(dict(task), folder)
     reference = task.get("reference")
     if isinstance(reference, Mapping) and isinstance(reference.get("file"), str):
         task["reference"] = {**reference, "file": str((folder / reference["file"]).resolve())}

@@ -24,12 +24,12 @@ from surefoot.robot import DEFAULT_ROBOT, GRAVITY, RobotDescription
 from surefoot.seeding import generator
 from surefoot.studies.handcrafted import HandcraftedGait, OpenLoop
 from surefoot.studies.raibert import HISTORY, OBSERVATIONS, RaibertConfig, RaibertController
-from surefoot.task.config import FeedbackConfig, FootConfig, ReferenceConfig, TaskConfig
+from surefoot.task.config import FeedbackConfig, TaskConfig
 from surefoot.task.env import LocomotionEnv
 from surefoot.task.foot import FootReference
 from surefoot.task.gait import HybridGait
 from surefoot.task.observation import IMU_4D
-from surefoot.task.reference import make_reference
+from surefoot.task.reference import FootConfig, ReferenceConfig, make_reference
 from surefoot.world.interface import SimulationFactory
 
 Gait = Literal["trot", "bound", "gallop", "free"]
@@ -287,6 +287,6 @@ class Tuner:
 
     def _reference(self, values: Mapping[str, float]) -> FootReference:
         foot = foot_config(values, self.config.gait, self.config.speed, self.reach)
-        found = make_reference({"kind": "foot", "foot": vars(foot)}, self.robot)
+        found = make_reference(ReferenceConfig(kind="foot", foot=foot), self.robot)
         assert isinstance(found, FootReference)
         return found

@@ -14,14 +14,15 @@ import numpy as np
 
 from surefoot import __version__
 from surefoot.configuration import from_mapping, to_mapping
-from surefoot.errors import SurefootError, choices, located
+from surefoot.errors import SurefootError, choices
 from surefoot.policy.contract import ASSUMED_PARAMS, Contract, ObservationPart, config_hash
 from surefoot.robot import GRAVITY, PhysicalParams, RobotDescription
 from surefoot.robot.commands import COMMANDS
 from surefoot.robot.params_file import ParamValue, param_values
 from surefoot.task.commands import CommandConfig
-from surefoot.task.config import FeedbackConfig, ReferenceConfig, TaskConfig
+from surefoot.task.config import FeedbackConfig, TaskConfig
 from surefoot.task.gait import ActionKind, action_names
+from surefoot.task.reference import ReferenceConfig
 
 if TYPE_CHECKING:
     from surefoot.task.env import LocomotionEnv
@@ -30,6 +31,11 @@ _STATED = ("robot", "observations", "history", "reference", "feedback", "action"
 """Fields of the task that the contract states itself."""
 _LIMITS = (*COMMANDS, "relative", "acceleration", "heading_gain")
 """Fields of the task's commands that the contract states as limits."""
+_STATED_KEYS = {
+    *(f"task.{name}" for name in _STATED),
+    *(f"task.commands.{name}" for name in _LIMITS),
+    *(f"task.params.{name}" for name in ASSUMED_PARAMS),
+}
 
 
 def make_contract(
@@ -45,7 +51,7 @@ def make_contract(
     """
     robot, gait, task, config = env.robot, env.gait, env.task, config or env.task
     assumed: dict[str, Any] = param_values(task.nominal(robot), ASSUMED_PARAMS)
-    assumed |= {name: None for name in assumed if PhysicalParams.actuator_kind(name) not in ("", robot.actuator.kind)}
+    assumed |= {name: None for name in assumed if name not in PhysicalParams.names(robot)}
     return Contract(
         name=config.name,
         robot=robot.name,
@@ -90,24 +96,24 @@ def task_from_contract(contract: Contract, robot: RobotDescription | None = None
         SurefootError: a key that contracts do not have, or values that do not fit the robot.
     """
     robot = robot or RobotDescription.load(contract.description)
-    with located(f"policy '{contract.name}'"):
-        for key in _STATED:
-            if key in contract.task:
-                raise SurefootError(f"task.{key} is not a key; the contract states it outside the task")
-        task = from_mapping(TaskConfig, contract.task, "task")
-        kind, feedback = _feedback(contract, robot)
-        return replace(
-            task,
-            robot=contract.description,
-            observations=tuple(part.name for part in contract.observation),
-            history=contract.history,
-            reference=_reference(contract, robot),
-            feedback=feedback,
-            action=kind,
-            rest=contract.rest,
-            commands=_commands(contract, task.commands),
-            params=task.params | _assumed_params(contract, robot),
-        )
+    keys = {f"task.{key}" for key in contract.task}
+    keys |= {f"task.{table}.{key}" for table in ("commands", "params") for key in contract.task.get(table) or {}}
+    if stated := keys & _STATED_KEYS:
+        raise SurefootError(f"{min(stated)} is not a key; the contract states it outside the task")
+    task = from_mapping(TaskConfig, contract.task, "task")
+    kind, feedback = _feedback(contract, robot)
+    return replace(
+        task,
+        robot=contract.description,
+        observations=tuple(part.name for part in contract.observation),
+        history=contract.history,
+        reference=from_mapping(ReferenceConfig, contract.reference or {}, "reference"),
+        feedback=feedback,
+        action=kind,
+        rest=contract.rest,
+        commands=_commands(contract, task.commands),
+        params=task.params | _assumed_params(contract, robot),
+    )
 
 
 def _feedback(contract: Contract, robot: RobotDescription) -> tuple[ActionKind, FeedbackConfig]:
@@ -122,14 +128,6 @@ def _feedback(contract: Contract, robot: RobotDescription) -> tuple[ActionKind, 
     low, high = (np.reshape(bound, (len(coordinates), -1)) for bound in (contract.low, contract.high))
     bounds = zip(coordinates, low.min(axis=1).tolist(), high.max(axis=1).tolist(), strict=True)
     return kind, FeedbackConfig(**{name: (least, most) for name, least, most in bounds})
-
-
-def _reference(contract: Contract, robot: RobotDescription) -> ReferenceConfig:
-    data = dict(contract.reference or {"kind": "none"})
-    if data.get("kind") == "table":
-        rows = {part: data.pop(part) for part in robot.coordinates if part in data}
-        data["rows"] = rows
-    return from_mapping(ReferenceConfig, data, "reference")
 
 
 def _commands(contract: Contract, config: CommandConfig) -> CommandConfig:

@@ -18,25 +18,11 @@ from surefoot.task.commands import CommandFilter, CommandSource, CommandState
 from surefoot.task.config import TaskConfig
 from surefoot.task.observation import Moment, Observer, gait_phase
 from surefoot.task.pushes import Pusher
-from surefoot.task.reward import Scales, StepMotion, reward_rate
+from surefoot.task.reward import Scales, StepMotion, step_reward
 from surefoot.world.ground import FLAT, Ground
 from surefoot.world.interface import Readings, Simulation, SimulationFactory, Truth, WorldConfig
 
 __all__ = ["LocomotionEnv", "LocomotionSingleEnv", "SimulationFactory"]
-
-
-def locomotion_reward(displacement: Array, energy: Array, energy_weight: float, most: Array | float = np.inf) -> Array:
-    """Return the reward of a control step: (p_n - p_{n-1}) . d - w dt |tau . qdot|, summed over its servo steps.
-
-    Source: Tan et al. 2018, eq. 2; the direction d is the world's x axis. The paper's has no greatest displacement.
-
-    Args:
-        displacement: how far the base moved along d [m], (N,).
-        energy: integral of |tau . qdot| over the step [J], (N,).
-        energy_weight: w [m/J].
-        most: greatest displacement that counts [m], a number or (N,).
-    """
-    return np.minimum(displacement, most) - energy_weight * energy
 
 
 def has_fallen(truth: Truth, angle: float, height: float = 0.0, ground: Ground = FLAT) -> NDArray[np.bool_]:
@@ -56,29 +42,12 @@ def _height(position: Array, ground: Ground) -> Array:
     return heights
 
 
-def base_rates(before: Truth, after: Truth, step: Array | float) -> tuple[Array, Array]:
-    """Return mean rates of the base over a control step, for N robots.
-
-    Args:
-        before: truth at the beginning.
-        after: truth at the end.
-        step: its duration [s], a number or (N, 1).
-
-    Returns:
-        Velocity in the heading frame of the beginning [m/s] and rates of roll, pitch and yaw [rad/s], (N, 3) each.
-    """
-    velocity = (after.base_position_world - before.base_position_world) / step
-    turned = (after.roll_pitch_yaw - before.roll_pitch_yaw + np.pi) % (2 * np.pi) - np.pi
-    return in_heading_frame(velocity, before.roll_pitch_yaw[:, 2]), turned / step
-
-
 class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
     """A batch of robots on one task.
 
     Observations (N, O) are raw SI readings. Actions (N, A) in [-1, 1] span the feedback's bounds: each coordinate of
-    leg space in turn, of every leg, or every motor's angle; see `HybridGait`. Rewards are those of Tan et al. 2018,
-    eq. 2, in metres, with progress up to the task's `target_speed` if it has one. An
-    episode is terminated by a fall or a diverged simulation, and truncated after `max_steps`. With
+    leg space in turn, of every leg, or every motor's angle; see `HybridGait`. Rewards are the task's, see
+    `task.reward`. An episode is terminated by a fall or a diverged simulation, and truncated after `max_steps`. With
     `autoreset`, a robot whose episode is over starts anew in the same step (`AutoresetMode.SAME_STEP`): the
     observation returned is the new episode's first one, and `info` holds `final_obs` and, for every episode
     that ended, its `figures`. Without it, time stands still for a robot whose episode is over, until its reset.
@@ -110,7 +79,7 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
         self.robot = robot = RobotDescription.load(task.robot)
         self.gait = task.gait(robot)
         self.observer = Observer(robot, task.observations, self.gait.action_names)
-        self._scales = Scales.of(robot)
+        self._scales = Scales.from_robot(robot)
         self.nominal = task.nominal(robot).rows(np.zeros(max(num_envs, 1), np.int64))
         self._make_world = make_world
         self._make(seed)
@@ -132,7 +101,7 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
         )
         self._ground = config.ground
         self.world: Simulation = self._make_world(self.robot, self.num_envs, self.nominal, seed, config)
-        self.pusher = Pusher(task.pushes, self.num_envs, seed)
+        self.pusher = Pusher(task.pushes, self.num_envs, seed, self.robot.weight)
         self.randomizer = Randomizer(task.randomize, self.robot, self.nominal, seed)
         limits = task.commands.limits(self.robot)
         self.source: CommandSource | None = None
@@ -210,12 +179,7 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
         self.readings = world.step(self.target, active)
         before, self.truth = self.truth, world.truth()
         diverged = self.truth.diverged
-        if task.reward:
-            reward = world.params.control_step * reward_rate(task.reward, self._motion(before, last))
-        else:
-            displacement = self.truth.base_position_world[:, 0] - before.base_position_world[:, 0]
-            most = np.inf if task.target_speed is None else task.target_speed * world.params.control_step
-            reward = locomotion_reward(displacement, self.truth.energy, task.energy_weight, most)
+        reward = step_reward(task.reward, task.reward_limits, self._motion(before, last))
         if self.source is not None and self.commands is not None:
             self.source.update(self.readings.time)
             self.commands.advance(self.source.command, world.params.control_step, self.readings.roll_pitch_yaw[:, 2])
@@ -246,20 +210,16 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
 
     def _motion(self, before: Truth, last_feedback: Array) -> StepMotion:
         """Return the motion of the control step that just ended, which began with a truth and the feedback before."""
-        truth, step = self.truth, self.world.params.control_step[:, None]
-        velocity, turn = base_rates(before, truth, step)
         zero = np.zeros((self.num_envs, 3))
         return StepMotion(
             scales=self._scales,
-            velocity=velocity,
-            turn=turn,
-            tilt=truth.roll_pitch_yaw[:, :2],
-            height=_height(truth.base_position_world, self._ground) - _height(self.start_position, self._ground),
-            power=truth.energy / step[:, 0],
-            torque=truth.motor_torque,
-            heat=truth.heat / step,
-            action=self.gait.action(self.feedback),
-            last_action=self.gait.action(last_feedback),
+            duration=self.world.params.control_step,
+            before=before,
+            after=self.truth,
+            height=_height(self.truth.base_position_world, self._ground) - _height(self.start_position, self._ground),
+            gait=self.gait,
+            feedback=self.feedback,
+            last_feedback=last_feedback,
             command=zero if self.commands is None else self.commands.followed,
             heading_error=zero[:, 0] if self.commands is None else self.commands.heading_error,
         )

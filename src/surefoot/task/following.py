@@ -20,9 +20,6 @@ from surefoot.robot.commands import CommandLimits
 from surefoot.task.commands import HEADING_ERROR, CommandState
 from surefoot.task.foot import RATE_STEP, FootReference
 
-STRIDE_GAIN = (0.0, 3.0)
-FREQUENCY_RISE = (0.0, 3.0)
-TURN_GAIN = (0.0, 100.0)
 _PHASES = 48
 
 
@@ -52,11 +49,6 @@ class FollowingReference:
 
     def __post_init__(self) -> None:
         """Check that legs reach every stride."""
-        bounds = {"stride_gain": STRIDE_GAIN, "frequency_rise": FREQUENCY_RISE, "turn_gain": TURN_GAIN}
-        for name, (low, high) in bounds.items():
-            value = getattr(self, name)
-            if not low <= value <= high:
-                raise SurefootError(f"reference.{name} is {value:g}; it must be {low:g} to {high:g}")
         legs, resting = self.robot.leg_geometry, self._resting()
         _, aside, below = legs.foot_position(resting).T
         axis = below - legs.foot_in_plane(resting)[:, 1]
@@ -155,7 +147,6 @@ class FollowingReference:
         return self._extent
 
     def to_dict(self) -> dict[str, Any]:
-        """Return everything that `make_reference` needs to make it again, as JSON values."""
-        own = {"stride_gain": self.stride_gain, "frequency_rise": self.frequency_rise}
-        own |= {"turn_gain": self.turn_gain} if self.turn_gain != 1.0 else {}
-        return {**self.feet.to_dict(), "kind": "follow", **own}
+        """Return the `ReferenceConfig` that makes it again, as JSON values."""
+        gains = {name: getattr(self, name) for name in ("stride_gain", "frequency_rise", "turn_gain")}
+        return {**self.feet.to_dict(), "kind": "follow", **gains}

@@ -18,23 +18,10 @@ from surefoot.errors import SurefootError
 from surefoot.robot.leg import Legs
 from surefoot.task.commands import CommandState
 
-_LENGTH = 10.0
-QUANTITIES = {
-    "stroke": (-_LENGTH, _LENGTH),
-    "clearance": (0.0, _LENGTH),
-    "duty_factor": (0.05, 0.95),
-    "phase": (-1000.0, 1000.0),
-    "height": (0.0, _LENGTH),
-    "offset": (-_LENGTH, _LENGTH),
-    "depth": (0.0, _LENGTH),
-}
-"""What each leg has of its own, least and greatest. A foot with a duty factor of 0 or 1 would be infinitely fast."""
+QUANTITIES = ("stroke", "clearance", "duty_factor", "phase", "height", "offset", "depth")
+"""What each leg has of its own."""
 LENGTHS = ("stroke", "clearance", "height", "offset", "depth")
 """Those that are lengths."""
-FREQUENCY = (0.01, 50.0)
-"""Least and greatest frequency [Hz]."""
-VELOCITY_FEEDFORWARD = (0.0, 1.0)
-"""Least and greatest feedforward [s]."""
 RATE_STEP = 0.002
 """Half of the time [s] over which the velocity of a pose is taken."""
 _SAMPLES = 360
@@ -45,7 +32,7 @@ class FootReference:
     """Paths of feet; arrays (L,), or (N, L) where each of N robots has its own.
 
     Raises:
-        SurefootError: a number out of range, or a path out of the leg's reach.
+        SurefootError: a path out of the leg's reach.
     """
 
     legs: tuple[str, ...]
@@ -71,17 +58,7 @@ class FootReference:
     _extent: tuple[tuple[float, float], ...] = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        """Check the paths."""
-        if not VELOCITY_FEEDFORWARD[0] <= self.velocity_feedforward <= VELOCITY_FEEDFORWARD[1]:
-            raise SurefootError(
-                f"reference.velocity_feedforward is {self.velocity_feedforward:g} s; it must be "
-                f"{VELOCITY_FEEDFORWARD[0]:g} to {VELOCITY_FEEDFORWARD[1]:g} s"
-            )
-        for name, (least, most) in (("frequency", FREQUENCY), *QUANTITIES.items()):
-            values = getattr(self, name)
-            bad = values[(values < least) | (values > most)]
-            if bad.size:
-                raise SurefootError(f"reference.foot.{name} is {bad[0]:g}; it must be {least:g} to {most:g}")
+        """Refuse paths out of reach."""
         paths = self.path(np.linspace(0.0, 1.0, _SAMPLES, endpoint=False)[:, None])
         poses = self.leg.plane_pose(paths)
         lost = ~np.isfinite(poses[0])
@@ -153,7 +130,7 @@ class FootReference:
         return self._extent
 
     def to_dict(self) -> dict[str, Any]:
-        """Return everything that `make_reference` needs to make it again, as JSON values."""
+        """Return the `ReferenceConfig` that makes it again, as JSON values."""
         values = {name: dict(zip(self.legs, getattr(self, name).tolist(), strict=True)) for name in QUANTITIES}
         ahead = {"velocity_feedforward": self.velocity_feedforward} if self.velocity_feedforward else {}
         return {"kind": "foot", "foot": {"frequency": float(self.frequency), **values}, **ahead}

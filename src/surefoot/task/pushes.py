@@ -26,6 +26,8 @@ class PushConfig:
     """How long a push lasts [s]."""
     force: Annotated[tuple[float, float], Within(0, 1e6)] = (130.0, 220.0)
     """Least and greatest force [N]."""
+    relative: bool = False
+    """Whether forces count the robot's weight m g, else N."""
     direction: Literal["any", "horizontal"] = "any"
     """any: uniform over the sphere, as the paper; horizontal: uniform over the circle, the whole force sideways."""
     ramp: Annotated[int, Within(0, 1_000_000)] = 0
@@ -49,17 +51,29 @@ class PushConfig:
         With a `force` from least to greatest [N] directions are horizontal and robots are pushed in any case.
         """
         if force is not None:
-            return replace(self, enabled=True, probability=1.0, ramp=0, force=force, direction="horizontal")
-        return replace(self, enabled=enabled, probability=1.0, ramp=0)
+            self = replace(self, force=force, relative=False, direction="horizontal")
+        return replace(self, enabled=enabled or force is not None, probability=1.0, ramp=0)
+
+    def force_range(self, weight: float) -> tuple[float, float]:
+        """Return the least and greatest force [N] on a robot of a weight m g [N]."""
+        unit = weight if self.relative else 1.0
+        return self.force[0] * unit, self.force[1] * unit
 
 
 class Pusher:
-    """Draws a force for each push of each robot, uniform in magnitude and in direction."""
+    """Draws a force for each push of each robot, uniform in magnitude and in direction.
 
-    def __init__(self, config: PushConfig, num_envs: int, seed: int) -> None:
+    Args:
+        config: when and how hard robots are pushed.
+        num_envs: robots.
+        seed: seeds the streams.
+        weight: the robot's m g [N].
+    """
+
+    def __init__(self, config: PushConfig, num_envs: int, seed: int, weight: float) -> None:
         self.config = config
         self.streams = generators(seed, "pushes", num_envs)
-        self.range = np.tile(np.array(config.force, np.float64), (num_envs, 1))
+        self.range = np.tile(config.force_range(weight), (num_envs, 1))
         """Least and greatest force [N] of each robot's pushes, (N, 2)."""
         self.force = np.zeros((num_envs, 3))
         self.drawn = np.zeros(num_envs, np.int64)

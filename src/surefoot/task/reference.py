@@ -10,27 +10,26 @@ from __future__ import annotations
 import zipfile
 import zlib
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from surefoot.arrays import Array
-from surefoot.configuration import is_number
-from surefoot.errors import SurefootError, choices, quoted
+from surefoot.configuration import Within, check_bounds
+from surefoot.errors import SurefootError, choices
 from surefoot.files import check_readable
 from surefoot.robot import GRAVITY, RobotDescription
 from surefoot.robot.commands import CommandLimits
-from surefoot.task import foot
 from surefoot.task.commands import CommandState
 from surefoot.task.following import FollowingReference
-from surefoot.task.foot import FootReference
+from surefoot.task.foot import LENGTHS, FootReference
 
-_QUANTITIES = ("amplitude", "frequency", "phase", "offset")
-FOLLOWING_GAINS = ("stride_gain", "frequency_rise", "turn_gain")
-"""Numbers that a reference of kind follow has besides those of its feet."""
+PerLeg = float | dict[str, float]
+"""One number, or one for each leg by name."""
+Length = Annotated[PerLeg, Within(0, 10)]
 # What NumPy raises for files that are empty, cut off or of another kind.
 _UNREADABLE = (
     *(OSError, ValueError, KeyError, EOFError, IndexError, TypeError, AttributeError),
@@ -39,8 +38,82 @@ _UNREADABLE = (
 
 
 @dataclass(frozen=True)
+class WaveConfig:
+    """A sinusoid for each leg: amplitude sin(2 pi frequency t + phase) + offset."""
+
+    amplitude: PerLeg = 0.0
+    """rad"""
+    frequency: Annotated[PerLeg, Within(0, 1e6)] = 0.0
+    """Hz"""
+    phase: PerLeg = 0.0
+    """rad"""
+    offset: PerLeg = 0.0
+    """rad"""
+
+
+@dataclass(frozen=True)
+class FootConfig:
+    """Paths of the feet in their legs' planes. A duty factor of 0 or 1 would ask for an infinite speed."""
+
+    frequency: Annotated[float, Within(0.01, 50)] = 2.0
+    """Cycles a second [Hz]."""
+    stroke: Annotated[PerLeg, Within(-10, 10)] = 0.1
+    """How far a foot goes backward in stance, relative to the base [m]; below 0: forward."""
+    clearance: Length = 0.03
+    """How far a foot is lifted in the middle of its swing [m]."""
+    duty_factor: Annotated[PerLeg, Within(0.05, 0.95)] = 0.5
+    """Part of the cycle that a foot is on the ground."""
+    phase: Annotated[PerLeg, Within(-1000, 1000)] = 0.0
+    """When a foot's cycle begins, with its touchdown [cycles]."""
+    height: Length = 0.22
+    """Of the motor axis over the foot's end at touchdown and lift-off [m]."""
+    offset: Annotated[PerLeg, Within(-10, 10)] = 0.0
+    """Of the middle of the stroke, forward from the motor axis [m]."""
+    depth: Length = 0.0
+    """How far a foot is pressed below that height in the middle of its stance [m]."""
+
+
+@dataclass(frozen=True)
+class ReferenceConfig:
+    """The open loop part of the gait."""
+
+    kind: Literal["none", "sine", "table", "foot", "follow"] = "none"
+    """none: zero at all times; sine: `swing` and `extension`; table: poses out of `file`, every `period`;
+    foot: paths of the feet, `foot`; follow: the same with strides that follow the task's commands."""
+    abduction: WaveConfig = field(default_factory=WaveConfig)
+    """Abduction of the legs, for kind sine; of robots that have it."""
+    swing: WaveConfig = field(default_factory=WaveConfig)
+    """Swing of the legs, for kind sine."""
+    extension: WaveConfig = field(default_factory=WaveConfig)
+    """Extension of the legs, for kind sine."""
+    file: str | None = None
+    """CSV or NPZ file with columns swing_LEG and extension_LEG, for kind table."""
+    period: Annotated[float, Within(0, 3600, above=True)] | None = None
+    """Time [s] in which the table is gone through once."""
+    foot: FootConfig = field(default_factory=FootConfig)
+    """Paths of the feet, for kinds foot and follow."""
+    stride_gain: Annotated[float, Within(0, 3)] = 1.15
+    """Stride over that of a foot that does not slip, for kind follow; `foot.stroke` is the longest."""
+    frequency_rise: Annotated[float, Within(0, 3)] = 0.0
+    """Frequency gained at the longest stride, over the frequency on the spot, for kind follow."""
+    turn_gain: Annotated[float, Within(0, 100)] = 1.0
+    """What a stride has for turning, over that of a foot that does not slip, for kind follow."""
+    velocity_feedforward: Annotated[float, Within(0, 10)] = 0.0
+    """Time [s] by which commands lead along the velocity of the reference, for kinds foot and follow."""
+    relative: bool = False
+    """Lengths of `foot` count lengths l of the straight leg, its frequency natural frequencies sqrt(g / l) / 2 pi, and
+    `velocity_feedforward` the actuators' k_d / k_p."""
+    rows: dict[str, dict[str, tuple[float, ...]]] | None = None
+    """The table itself, in place of `file`: under each coordinate of leg space, each leg's poses."""
+
+    def __post_init__(self) -> None:
+        """Refuse values out of bounds."""
+        check_bounds(self, "reference")
+
+
+@dataclass(frozen=True)
 class Wave:
-    """Sinusoids, one a leg: amplitude sin(2 pi frequency t + phase) + offset; arrays (L,), rad and Hz."""
+    """Sinusoids, one a leg, as of a `WaveConfig`; arrays (L,), rad and Hz."""
 
     amplitude: Array
     frequency: Array
@@ -93,7 +166,7 @@ class SineReference:
         return tuple(wave.extent for wave in self.waves.values())
 
     def to_dict(self) -> dict[str, Any]:
-        """Return everything that `make_reference` needs to make it again, as JSON values."""
+        """Return the `ReferenceConfig` that makes it again, as JSON values."""
         return {"kind": "sine", **{part: wave.to_dict(self.legs) for part, wave in self.waves.items()}}
 
 
@@ -125,159 +198,128 @@ class TableReference:
         return tuple((float(part.min()), float(part.max())) for part in np.moveaxis(self.rows, 1, 0))
 
     def to_dict(self) -> dict[str, Any]:
-        """Return what `make_reference` needs to make it again, as JSON values: rows in place of the file."""
+        """Return the `ReferenceConfig` that makes it again, as JSON values: rows in place of the file."""
         rows = {
             part: dict(zip(self.legs, self.rows[:, k].T.tolist(), strict=True))
             for k, part in enumerate(self.coordinates)
         }
-        return {"kind": "table", "period": self.period, **rows}
+        return {"kind": "table", "period": self.period, "rows": rows}
 
 
 Reference = SineReference | TableReference | FootReference | FollowingReference
 
 
 def make_reference(
-    data: Mapping[str, Any] | None, robot: RobotDescription, commands: CommandLimits | None = None
+    config: ReferenceConfig, robot: RobotDescription, commands: CommandLimits | None = None
 ) -> Reference:
-    """Make a reference for a robot's legs from configuration.
+    """Make the reference of a robot's legs.
 
-    Five forms: nothing (zero at all times); `kind: sine` with a table for each coordinate of leg space, each with
-    `amplitude`, `frequency`, `phase` and `offset`, each a number or a mapping from leg to number; `kind:
-    table` with `period` and either `file` (CSV or NPZ) or the rows themselves under each coordinate; `kind:
-    foot` with `foot`: `frequency`, and the quantities of a `FootReference`, each a number or a mapping from leg to
-    number; with `relative`, lengths count lengths of the straight leg l, the frequency natural frequencies
-    sqrt(g / l) / 2 pi, and `velocity_feedforward` the actuators' k_d / k_p; `kind: follow` with `foot` as before, whose
-    stroke is the longest stride, `stride_gain`, `frequency_rise` and, if it is not 1, `turn_gain`, for a robot with
-    commands.
+    Args:
+        config: what it is; of kind none a sinusoid without amplitude.
+        robot: the robot.
+        commands: what the robot can be commanded, for kind follow.
 
     Raises:
-        SurefootError: an unknown key or leg, a value that is not a number, a table that does not fit, or a foot out
-            of reach.
+        SurefootError: an unknown leg, a table that does not fit, or a foot out of reach.
     """
-    legs = robot.leg_names
-    data = {"kind": "sine"} if data is None else data
-    kind = data.get("kind")
-    if kind == "sine":
-        _only(data, "reference", ("kind", *robot.coordinates))
-        waves = {part: _wave(data.get(part) or {}, f"reference.{part}", legs) for part in robot.coordinates}
-        return SineReference(legs, waves)
-    if kind == "table":
-        return _table(data, legs, robot.coordinates)
-    if kind == "foot":
-        return _foot(data, robot)
-    if kind == "follow":
+    if config.kind == "table":
+        return _table_reference(config, robot)
+    if config.kind == "foot":
+        return _foot_reference(config, robot)
+    if config.kind == "follow":
         if commands is None:
             raise SurefootError("reference.kind is follow; it needs commands with a range, and the task has none")
-        named = {"turn_gain": 1.0, **data}
-        gains = {name: _number(named.get(name), f"reference.{name}") for name in FOLLOWING_GAINS}
-        feet = _foot({key: value for key, value in data.items() if key not in gains}, robot)
-        return FollowingReference(robot, feet, commands, **gains)
-    raise SurefootError(f"reference.kind is {kind!r}; choices: sine, table, foot, follow")
+        gains = {name: getattr(config, name) for name in ("stride_gain", "frequency_rise", "turn_gain")}
+        return FollowingReference(robot, _foot_reference(config, robot), commands, **gains)
+    waves = {"abduction": config.abduction, "swing": config.swing, "extension": config.extension}
+    if config.kind == "none":
+        waves = dict.fromkeys(waves, WaveConfig())
+    if "abduction" not in robot.coordinates and waves["abduction"] != WaveConfig():
+        raise SurefootError(f"reference.abduction is not zero; the legs of {robot.name} have no abduction")
+    legs = robot.leg_names
+    return SineReference(
+        legs, {part: Wave(**_values_by_leg(waves[part], f"reference.{part}", legs)) for part in robot.coordinates}
+    )
 
 
-def _only(data: Mapping[str, Any], where: str, keys: tuple[str, ...]) -> None:
-    if not isinstance(data, Mapping):
-        raise SurefootError(f"{where} is {quoted(data)}; it must be a table with keys out of: {choices(keys)}")
-    for key in data:
-        if key not in keys:
-            raise SurefootError(f"{where}.{key} is not a key; choices: {choices(keys)}")
+def _values_by_leg(config: WaveConfig | FootConfig, where: str, legs: tuple[str, ...]) -> dict[str, Array]:
+    """Return each quantity of all legs (L,), of one number or of numbers by leg."""
+    values = {}
+    for name, value in vars(config).items():
+        if not isinstance(value, Mapping):
+            value = dict.fromkeys(legs, value)
+        _check_names(value, legs, f"{where}.{name}")
+        values[name] = np.array([value[leg] for leg in legs], float)
+    return values
 
 
-def _number(value: Any, where: str) -> float:
-    if not is_number(value):
-        raise SurefootError(f"{where} is {quoted(value)}; it must be a finite number")
-    return float(value)
-
-
-def _per_leg(given: Any, where: str, legs: tuple[str, ...]) -> Array:
-    """Return the numbers (L,) of all legs, given as one number or by leg."""
-    if not isinstance(given, Mapping):
-        return np.full(len(legs), _number(given, where))
-    _only(given, where, legs)
-    missing = [leg for leg in legs if leg not in given]
+def _check_names(table: Mapping[str, Any], names: tuple[str, ...], where: str) -> None:
+    """Refuse a table that has other keys than these, or lacks one."""
+    for key in table:
+        if key not in names:
+            raise SurefootError(f"{where}.{key} is not a key; choices: {choices(names)}")
+    missing = [name for name in names if name not in table]
     if missing:
-        raise SurefootError(f"{where} has no number for {choices(missing)}; every leg needs one")
-    return np.array([_number(given[leg], f"{where}.{leg}") for leg in legs])
+        raise SurefootError(f"{where} lacks {choices(missing)}; it needs {choices(names)}")
 
 
-def _foot(data: Mapping[str, Any], robot: RobotDescription) -> FootReference:
-    where, names = "reference.foot", ("frequency", *foot.QUANTITIES)
-    _only(data, "reference", ("kind", "foot", "relative", "velocity_feedforward"))
-    given: Any = data.get("foot") or {}
-    _only(given, where, names)
-    for name in names:
-        if name not in given:
-            raise SurefootError(f"{where}.{name} is missing; a reference of kind foot needs it")
-    values = {name: _per_leg(given[name], f"{where}.{name}", robot.leg_names) for name in foot.QUANTITIES}
-    frequency = np.array(_number(given["frequency"], f"{where}.frequency"))
-    ahead = _number(data.get("velocity_feedforward", 0.0), "reference.velocity_feedforward")
-    if data.get("relative"):
+def _foot_reference(config: ReferenceConfig, robot: RobotDescription) -> FootReference:
+    values = _values_by_leg(config.foot, "reference.foot", robot.leg_names)
+    frequency, ahead = np.array(values.pop("frequency")[0]), config.velocity_feedforward
+    if config.relative:
         length = robot.leg_geometry.length
         frequency = frequency * np.sqrt(GRAVITY / length) / (2 * np.pi)
-        values |= {name: values[name] * length for name in foot.LENGTHS}
+        values |= {name: values[name] * length for name in LENGTHS}
         nominal = robot.nominal_params()
         ahead *= float(np.mean(nominal["servo_kd"]) / np.mean(nominal["servo_kp"]))
     return FootReference(robot.leg_names, robot.leg_geometry, frequency, velocity_feedforward=ahead, **values)
 
 
-def _wave(data: Mapping[str, Any], where: str, legs: tuple[str, ...]) -> Wave:
-    _only(data, where, _QUANTITIES)
-    values = {key: _per_leg(data.get(key, 0.0), f"{where}.{key}", legs) for key in _QUANTITIES}
-    if np.any(values["frequency"] < 0):
-        raise SurefootError(f"{where}.frequency is {values['frequency'].min():g}; it must not be below 0 Hz")
-    return Wave(**values)
-
-
-def _table(data: Mapping[str, Any], legs: tuple[str, ...], coordinates: tuple[str, ...]) -> TableReference:
-    _only(data, "reference", ("kind", "period", "file", *coordinates))
-    period = _number(data.get("period"), "reference.period")
-    if not period > 0:
-        raise SurefootError(f"reference.period is {period:g}; it must be over 0 s")
-    where = "reference"
-    parts: list[Array] = []
-    if "file" in data:
-        where = str(Path(str(data["file"])))
-        parts = _read_table(Path(where), legs, coordinates)
-    else:
+def _table_reference(config: ReferenceConfig, robot: RobotDescription) -> TableReference:
+    legs, coordinates = robot.leg_names, robot.coordinates
+    if config.rows is not None:
+        where = "reference.rows"
+        _check_names(config.rows, coordinates, where)
         for part in coordinates:
-            _only(data.get(part, {}), f"reference.{part}", legs)
-            try:
-                parts.append(np.array([data[part][leg] for leg in legs], dtype=np.float64).T)
-            except (KeyError, ValueError, TypeError, OverflowError):
-                raise SurefootError(
-                    f"reference.{part} must give one list of numbers, equally long, for {choices(legs)}"
-                ) from None
-    if len({part.shape for part in parts}) != 1 or parts[0].ndim != 2 or len(parts[0]) < 2:
-        raise SurefootError(f"{where}: the table has {len(parts[0])} row(s); a periodic reference needs 2 or more")
-    bad = ~np.isfinite(np.concatenate(parts, axis=1)).all(axis=1)
+            _check_names(config.rows[part], legs, f"{where}.{part}")
+        columns = {f"{part}_{leg}": np.array(config.rows[part][leg]) for part in coordinates for leg in legs}
+    elif config.file is not None:
+        where = config.file
+        columns = _read_table(Path(config.file), [f"{part}_{leg}" for part in coordinates for leg in legs])
+    else:
+        raise SurefootError("reference.file is missing; a reference of kind table needs a CSV or NPZ file")
+    if config.period is None:
+        raise SurefootError("reference.period is missing; a reference of kind table needs the time of its rows [s]")
+    lengths = sorted({len(column) for column in columns.values()})
+    if len(lengths) != 1:
+        raise SurefootError(f"{where}: columns differ in length ({choices(map(str, lengths))}); make them equal")
+    if lengths[0] < 2:
+        raise SurefootError(f"{where}: the table has {lengths[0]} row(s); a periodic reference needs 2 or more")
+    rows = np.stack(list(columns.values()), axis=1)
+    bad = ~np.isfinite(rows).all(axis=1)
     if bad.any():
         raise SurefootError(
             f"{where}: row {int(np.argmax(bad)) + 1} of the table is not finite; every pose must be a number"
         )
-    return TableReference(legs, period, coordinates, np.stack(parts, axis=1))
+    return TableReference(legs, config.period, coordinates, rows.reshape(len(rows), len(coordinates), len(legs)))
 
 
-def _read_table(path: Path, legs: tuple[str, ...], coordinates: tuple[str, ...]) -> list[Array]:
-    columns = [f"{part}_{leg}" for part in coordinates for leg in legs]
-    rule = f"a table has columns {choices(columns)}"
+def _read_table(path: Path, names: list[str]) -> dict[str, Array]:
+    """Return the named columns of a CSV or NPZ file."""
+    rule = f"a table has columns {choices(names)}"
+    if path.suffix not in (".csv", ".npz"):
+        raise SurefootError(f"{path}: is not a .csv or .npz file; {rule}")
     try:
         check_readable(path)
         if path.suffix == ".npz":
             with np.load(path) as archive:
                 table = {name: np.atleast_1d(archive[name]).astype(float) for name in archive.files}
-        elif path.suffix == ".csv":
+        else:
             read = np.genfromtxt(path, delimiter=",", names=True, dtype=float)
             table = {name: np.atleast_1d(read[name]) for name in read.dtype.names or ()}
-        else:
-            raise SurefootError(f"{path}: is not a .csv or .npz file; {rule}")
-    except SurefootError:
-        raise
     except _UNREADABLE as error:
         raise SurefootError(f"{path}: can't be read as a table: {' '.join(str(error).split())}; {rule}") from error
-    missing = [name for name in columns if name not in table]
-    if missing:
-        raise SurefootError(f"{path}: has no column {missing[0]}; {rule}")
-    lengths = {len(table[name]) for name in columns}
-    if len(lengths) != 1:
-        raise SurefootError(f"{path}: columns differ in length ({choices(map(str, sorted(lengths)))}); make them equal")
-    return np.split(np.stack([table[name] for name in columns], axis=1), len(coordinates), axis=1)
+    for name in names:
+        if name not in table:
+            raise SurefootError(f"{path}: has no column {name}; {rule}")
+    return {name: table[name] for name in names}

@@ -1,26 +1,34 @@
-"""Reward terms: each a function of one control step's motion, of one line, with its unit and source.
+"""Reward terms: each a function of one control step's motion, with its unit and source.
 
-A task's `reward` gives weights by name; the reward of a control step is its duration times the weighted sum. Terms are
-made dimensionless with the robot's own scales, so that the same weights serve every robot: lengths by the straight leg
-l, times by sqrt(l / g), torques by m g l. Without weights a task has the paper's reward, `task.env.locomotion_reward`.
+A task's `reward` gives weights by name, and its `reward_limits` the greatest values that count. A term is a sum over
+the control step or a rate; the reward is the weighted sum of both, rates times the step's duration. Rates are
+dimensionless by the robot's own scales, so that the same weights serve every robot: lengths by the straight leg l,
+times by sqrt(l / g), torques by m g l.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from surefoot.arrays import Array
-from surefoot.configuration import is_number
-from surefoot.errors import SurefootError, choices, quoted
+from surefoot.errors import SurefootError, choices
 from surefoot.robot import GRAVITY, RobotDescription
+from surefoot.rotations import in_heading_frame
+from surefoot.task.gait import HybridGait
+from surefoot.task.trace import ENERGY_WEIGHT
+from surefoot.world.interface import Truth
+
+PAPER_REWARD = {"progress": 1.0, "energy": -ENERGY_WEIGHT}
+"""Tan et al. 2018, eq. 2: (p_n - p_{n-1}) . d - w dt |tau . qdot|, d the world's x axis."""
 
 
 @dataclass(frozen=True)
 class Scales:
-    """What a robot's motion is measured by."""
+    """Units of a robot's motion."""
 
     length: float
     """Straight leg l [m]."""
@@ -32,39 +40,84 @@ class Scales:
     """m g [N]."""
 
     @classmethod
-    def of(cls, robot: RobotDescription) -> Scales:
+    def from_robot(cls, robot: RobotDescription) -> Scales:
         """Return a robot's scales."""
         length = robot.leg_geometry.length
         return cls(length, float(np.sqrt(GRAVITY * length)), float(np.sqrt(GRAVITY / length)), robot.weight)
 
 
+def base_rates(before: Truth, after: Truth, duration: Array | float) -> tuple[Array, Array]:
+    """Return mean rates of the base over a control step, for N robots.
+
+    Args:
+        before: truth at the beginning.
+        after: truth at the end.
+        duration: of the step [s], a number or (N, 1).
+
+    Returns:
+        Velocity in the heading frame of the beginning [m/s] and rates of roll, pitch and yaw [rad/s], (N, 3) each.
+    """
+    velocity = (after.base_position_world - before.base_position_world) / duration
+    turned = (after.roll_pitch_yaw - before.roll_pitch_yaw + np.pi) % (2 * np.pi) - np.pi
+    return in_heading_frame(velocity, before.roll_pitch_yaw[:, 2]), turned / duration
+
+
 @dataclass(frozen=True)
 class StepMotion:
-    """The true motion of N robots over a control step, in the heading frame: upright, with the base's yaw."""
+    """The true motion of N robots over a control step. The heading frame is upright and has the base's yaw."""
 
     scales: Scales
-    velocity: Array
-    """Mean velocity of the base over the step (N, 3) [m/s]: forward, left, up."""
-    turn: Array
-    """Mean rates of roll, pitch and yaw over the step (N, 3) [rad/s]."""
-    tilt: Array
-    """Roll and pitch (N, 2) [rad]."""
+    duration: Array
+    """Of the control step (N,) [s]."""
+    before: Truth
+    """Truth at the beginning."""
+    after: Truth
+    """Truth at the end."""
     height: Array
     """Height of the base above where it settled (N,) [m]."""
-    power: Array
-    """Mean of |tau . qdot| (N,) [W]."""
-    torque: Array
-    """Motor torques at the end of the step (N, M) [N m]."""
-    heat: Array
-    """Mean heat of the motors (N, M) [W]."""
-    action: Array
-    """Feedback in half widths of its bounds (N, A)."""
-    last_action: Array
-    """That of the step before (N, A)."""
+    gait: HybridGait
+    feedback: Array
+    """Feedback of the step (N, A), see `HybridGait`."""
+    last_feedback: Array
+    """Feedback of the step before (N, A)."""
     command: Array
     """Speeds forward and to the left and yaw rate that are followed, without the correction of the heading (N, 3)."""
     heading_error: Array
     """Heading that is held less the robot's (N,) [rad]."""
+
+    @cached_property
+    def _rates(self) -> tuple[Array, Array]:
+        return base_rates(self.before, self.after, self.duration[:, None])
+
+    @property
+    def velocity(self) -> Array:
+        """Mean velocity of the base in the heading frame (N, 3) [m/s]: forward, left, up."""
+        return self._rates[0]
+
+    @property
+    def turn(self) -> Array:
+        """Mean rates of roll, pitch and yaw (N, 3) [rad/s]."""
+        return self._rates[1]
+
+    @property
+    def power(self) -> Array:
+        """Mean of |tau . qdot| (N,) [W]."""
+        return self.after.energy / self.duration
+
+    @property
+    def heat(self) -> Array:
+        """Mean heat of the motors (N, M) [W]."""
+        return self.after.heat / self.duration[:, None]
+
+    @cached_property
+    def action(self) -> Array:
+        """Normalized feedback (N, A), -1 to 1 between its bounds."""
+        return self.gait.action(self.feedback)
+
+    @property
+    def action_change(self) -> Array:
+        """Normalized feedback less that of the step before (N, A)."""
+        return self.action - self.gait.action(self.last_feedback)
 
 
 @dataclass(frozen=True)
@@ -77,6 +130,8 @@ class Term:
     """Gives its values (N,)."""
     source: str
     """Where it comes from."""
+    is_sum: bool = False
+    """Whether it is a sum over the control step; else a rate."""
 
 
 def _near(error: Array, scale: float, width: float) -> Array:
@@ -87,11 +142,19 @@ def _near(error: Array, scale: float, width: float) -> Array:
 
 _RUDIN = "Rudin et al. 2022, Learning to Walk in Minutes, table of rewards"
 
+_TAN = "Tan et al. 2018, eq. 2"
+
 TERMS: dict[str, Term] = {
-    "progress": Term("speed forward, sqrt(g l)", lambda m: m.velocity[:, 0] / m.scales.speed, "Tan et al. 2018, eq. 2"),
-    "power": Term(
-        "power, m g sqrt(g l)", lambda m: m.power / (m.scales.weight * m.scales.speed), "Tan et al. 2018, eq. 2"
+    "progress": Term(
+        "displacement along the world's x axis, m",
+        lambda m: m.after.base_position_world[:, 0] - m.before.base_position_world[:, 0],
+        _TAN,
+        is_sum=True,
     ),
+    "energy": Term("|tau . qdot| dt, J", lambda m: m.after.energy, _TAN, is_sum=True),
+    "transport_cost": Term("energy over m g, m", lambda m: m.after.energy / m.scales.weight, _TAN, is_sum=True),
+    "forward_speed": Term("speed, sqrt(g l)", lambda m: m.velocity[:, 0] / m.scales.speed, _TAN),
+    "power": Term("power, m g sqrt(g l)", lambda m: m.power / (m.scales.weight * m.scales.speed), _TAN),
     "track_velocity": Term(
         "1", lambda m: _near(m.velocity[:, :2] - m.command[:, :2], m.scales.speed, 0.12), f"{_RUDIN}; narrower"
     ),
@@ -109,10 +172,12 @@ TERMS: dict[str, Term] = {
     "heading_error": Term("|e|, rad", lambda m: np.abs(m.heading_error), "heading that is held"),
     "vertical_speed": Term("v_z^2, g l", lambda m: (m.velocity[:, 2] / m.scales.speed) ** 2, _RUDIN),
     "roll_pitch_rate": Term("w^2, g / l", lambda m: ((m.turn[:, :2] / m.scales.rate) ** 2).sum(axis=1), _RUDIN),
-    "tilt": Term("angle^2, rad^2", lambda m: (m.tilt**2).sum(axis=1), _RUDIN),
+    "tilt": Term("angle^2, rad^2", lambda m: (m.after.roll_pitch_yaw[:, :2] ** 2).sum(axis=1), _RUDIN),
     "height": Term("height^2, l^2", lambda m: (m.height / m.scales.length) ** 2, _RUDIN),
     "torque": Term(
-        "tau^2, (m g l)^2", lambda m: ((m.torque / (m.scales.weight * m.scales.length)) ** 2).sum(axis=1), _RUDIN
+        "tau^2, (m g l)^2",
+        lambda m: ((m.after.motor_torque / (m.scales.weight * m.scales.length)) ** 2).sum(axis=1),
+        _RUDIN,
     ),
     "heat": Term(
         "M times the root mean square over motors of their heat, m g sqrt(g l)",
@@ -120,22 +185,50 @@ TERMS: dict[str, Term] = {
         "R I^2 at servo rate; squares, since the hottest motor ends a run",
     ),
     "feedback": Term("mean of squares", lambda m: (m.action**2).mean(axis=1), "keeps the network's part small"),
-    "feedback_change": Term("mean of squares", lambda m: ((m.action - m.last_action) ** 2).mean(axis=1), _RUDIN),
+    "feedback_change": Term("mean of squares", lambda m: (m.action_change**2).mean(axis=1), _RUDIN),
 }
-"""Every term a task's reward can have. Costs have negative weights."""
-
-_MOST = 1e6
+"""Every term that a task's reward can have. Costs have negative weights."""
 
 
-def check_terms(weights: Mapping[str, float]) -> None:
-    """Refuse weights of terms that do not exist, or that are no numbers."""
-    for name, weight in weights.items():
+def check_reward(weights: Mapping[str, float], limits: Mapping[str, float]) -> None:
+    """Refuse a reward without terms, terms that do not exist, and limits of terms that the reward does not have."""
+    if not weights:
+        raise SurefootError(f"reward has no term; choices: {choices(TERMS)}")
+    for name in weights:
         if name not in TERMS:
             raise SurefootError(f"reward.{name} is not a term; choices: {choices(TERMS)}")
-        if not is_number(weight) or not abs(weight) <= _MOST:
-            raise SurefootError(f"reward.{name} is {quoted(weight)}; a weight is a number within {_MOST:g}")
+    for name in limits:
+        if name not in weights:
+            raise SurefootError(f"reward_limits.{name} is not a term of the reward; choices: {choices(weights)}")
 
 
-def reward_rate(weights: Mapping[str, float], motion: StepMotion) -> Array:
-    """Return the weighted sum of terms (N,) [1/s]."""
-    return np.asarray(sum(weight * TERMS[name].value(motion) for name, weight in weights.items()), float)
+def step_reward(weights: Mapping[str, float], limits: Mapping[str, float], motion: StepMotion) -> Array:
+    """Return the reward (N,) of a control step.
+
+    Args:
+        weights: of terms by name.
+        limits: greatest values that count, by term; of a sum per second.
+        motion: of the step.
+    """
+    totals = {True: np.zeros(len(motion.duration)), False: np.zeros(len(motion.duration))}
+    for name, weight in weights.items():
+        term = TERMS[name]
+        value = term.value(motion)
+        if name in limits:
+            value = np.minimum(value, limits[name] * motion.duration if term.is_sum else limits[name])
+        totals[term.is_sum] += weight * value
+    return totals[True] + motion.duration * totals[False]
+
+
+def energy_weight(weights: Mapping[str, float], weight: float) -> float:
+    """Return w [m/J] of the paper's reward, which measures returns of traces: cost of energy over weight of progress.
+
+    The paper's own w if the reward has no progress.
+
+    Args:
+        weights: of terms by name.
+        weight: the robot's m g [N].
+    """
+    if not (progress := weights.get("progress", 0.0)) > 0:
+        return ENERGY_WEIGHT
+    return max(-weights.get("energy", 0.0) - weights.get("transport_cost", 0.0) / weight, 0.0) / progress

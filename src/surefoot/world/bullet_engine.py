@@ -18,12 +18,12 @@ from numpy.typing import NDArray
 
 from surefoot.arrays import Array
 from surefoot.robot import PhysicalParams, RobotDescription
+from surefoot.robot.self_collision import collision_pairs
 from surefoot.rotations import quat_matrix, xyzw_matrix
 from surefoot.world.actuation import RACK_HEIGHT, SPEED_LIMIT, ActuationState, bases_on_rack
 from surefoot.world.bullet_kernels import JOINTS, OMEGA, VELOCITY, Layout, base_links, observe, substep
 from surefoot.world.bullet_model import PARAMETERS, PUBLISHED, BulletModel, BulletSettings, import_pybullet
 from surefoot.world.interface import WorldConfig
-from surefoot.world.self_collision import collision_pairs
 
 Index = NDArray[np.int64]
 

@@ -19,6 +19,7 @@ from surefoot.errors import SurefootError
 from surefoot.native_output import quiet
 from surefoot.robot import GRAVITY, RobotDescription
 from surefoot.robot.rigid_body import RigidBody
+from surefoot.robot.self_collision import collision_pairs
 from surefoot.robot.urdf import Link, Shape, Urdf
 from surefoot.robot.urdf_file import format_urdf
 from surefoot.rotations import matrix_quat
@@ -26,7 +27,6 @@ from surefoot.world.actuation import CONTACT, RACK_HEIGHT, RATIOS
 from surefoot.world.bullet_kernels import pin_kernel, sole_kernel
 from surefoot.world.ground import Ground, uneven_floor
 from surefoot.world.interface import WorldConfig
-from surefoot.world.self_collision import collision_pairs
 
 SOLVER_ITERATIONS = 50
 """With 50, loops stay closed within .02 mm on a slow trot (.09 mm with constraint motors) and .4 mm at a gallop of

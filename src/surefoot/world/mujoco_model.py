@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from surefoot.arrays import Array
 from surefoot.native_output import mujoco_errors
 from surefoot.robot import GRAVITY, RobotDescription
+from surefoot.robot.self_collision import collision_pairs
 from surefoot.world.actuation import RACK_HEIGHT
 from surefoot.world.ground import FLAT, Ground
 from surefoot.world.interface import WorldConfig
-from surefoot.world.self_collision import collision_pairs
 
 LOOP_SOLREF = (0.004, 1.0)
 LOOP_SOLIMP = (0.99, 0.99, 0.001, 0.5, 2.0)

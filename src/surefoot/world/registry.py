@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from surefoot.errors import SurefootError, choices
 from surefoot.robot import PhysicalParams, RobotDescription
+from surefoot.robot.params import PARAMETERS
 from surefoot.world.interface import Simulation, SimulationFactory, WorldConfig
 
 if TYPE_CHECKING:
@@ -33,8 +34,6 @@ class WorldEntry:
     """Extra of surefoot that installs this package."""
     options: Mapping[str, Any] = field(default_factory=dict)
     """Options of the engine's class."""
-    models: frozenset[str] = frozenset()
-    """Physical parameters that this engine models and some others do not."""
     uses_threads: bool = True
     """The engine steps its robots on several threads; where it does not, processes share the robots."""
     max_robots: int | None = None
@@ -49,7 +48,6 @@ _BULLET = WorldEntry(
     "surefoot.world.bullet_engine:BulletEngine",
     package="pybullet",
     extra="bullet",
-    models=frozenset({"knee_friction", "knee_play", "floor_unevenness"}),
     uses_threads=False,
     max_robots=256,  # of the 1024 clients that PyBullet has room for; each takes some 33 MB
     robots_side_by_side=128,
@@ -58,7 +56,7 @@ WORLDS = {
     "mujoco": WorldEntry("surefoot.world.mujoco_engine:MujocoEngine", package="mujoco", extra="sim"),
     "bullet": _BULLET,
     "bullet-published": replace(_BULLET, options={"published": True}),
-    "ensemble": replace(_BULLET, draw_params="surefoot.evaluate.ensemble:draw_ensemble"),
+    "ensemble": replace(_BULLET, draw_params="surefoot.world.ensemble:draw_ensemble"),
 }
 DEFAULT_WORLD = "mujoco"
 
@@ -121,12 +119,13 @@ def check_takes_params(name: str) -> None:
 
 def check_modelled(name: str, params: PhysicalParams) -> None:
     """Raise `SurefootError` for a physical parameter other than 0 that the engine of a world does not model."""
-    for world, entry in WORLDS.items():
-        for parameter in sorted(entry.models - WORLDS[name].models):
-            if (values := getattr(params, parameter)).any():
-                value = values[values != 0][0]
+    for parameter, declared in PARAMETERS.items():
+        if declared.engines and WORLDS[name].engine not in (WORLDS[world].engine for world in declared.engines):
+            values = getattr(params, parameter)
+            if values.any():
                 raise SurefootError(
-                    f"{parameter} is {value:g}; world {name} does not model it: set 0, or use world {world}"
+                    f"{parameter} is {values[values != 0][0]:g}; world {name} does not model it: "
+                    f"set 0, or use world {' or '.join(declared.engines)}"
                 )
 
 

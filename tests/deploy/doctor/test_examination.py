@@ -15,13 +15,13 @@ pytest.importorskip("numba")  # the toy robot runs the emulator's firmware
 
 from surefoot.check_result import CheckResult
 from surefoot.cli.helpers.policies import find_policy
-from surefoot.deploy.doctor import rack as doctor_rack
+from surefoot.deploy.doctor import rack_check
+from surefoot.deploy.doctor.doctor_motion import DoctorMotion, MotionStoppedError
 from surefoot.deploy.doctor.examination import check_computer, examine, time_inference
-from surefoot.deploy.doctor.ground import Tilted, check_tilts, tilted
-from surefoot.deploy.doctor.leashed_robot import LeashedRobot, MotionStoppedError
-from surefoot.deploy.doctor.link import LinkFigures, bursts, check_link, measure_link, rate
-from surefoot.deploy.doctor.rack import Wiggle, check_motors, check_response, fit_response
-from surefoot.deploy.doctor.rest import Sample, check_rest
+from surefoot.deploy.doctor.link_check import LinkFigures, check_link, clock_rate, measure_bursts, measure_link
+from surefoot.deploy.doctor.rack_check import MotorStep, check_motors, check_response, fit_response
+from surefoot.deploy.doctor.rest_check import TimedState, check_rest
+from surefoot.deploy.doctor.tilt_check import TiltReading, check_tilts, read_tilt
 from surefoot.deploy.messages import Mode, State
 from surefoot.deploy.poses import sitting_pose
 from surefoot.deploy.robot_link import RobotLink
@@ -48,19 +48,19 @@ class Never:
 
 
 def test_frames_that_come_together_are_one_burst():
-    assert bursts(np.array([0.0, 0.005, 0.010, 0.015])) == (1.0, pytest.approx(0.005))
+    assert measure_bursts(np.array([0.0, 0.005, 0.010, 0.015])) == (1.0, pytest.approx(0.005))
     # An adapter that gathers: three frames at once, every 16 ms.
-    assert bursts(np.repeat([0.0, 0.016, 0.032], 3)) == (3.0, pytest.approx(0.016))
-    assert bursts(np.array([])) == (0.0, 0.0)
-    assert bursts(np.array([1.0])) == (1.0, 0.0)
+    assert measure_bursts(np.repeat([0.0, 0.016, 0.032], 3)) == (3.0, pytest.approx(0.016))
+    assert measure_bursts(np.array([])) == (0.0, 0.0)
+    assert measure_bursts(np.array([1.0])) == (1.0, 0.0)
 
 
 def test_the_rate_of_a_clock_is_found_beneath_delays(rng: np.random.Generator):
     here = np.linspace(0, 1, 200)
     for true in (0.5, 1.0, 1.02):
         delays = np.where(np.arange(200) % 7 == 0, 0.0, rng.uniform(0, 0.005, 200))
-        assert rate(7.0 + true * here, here + delays) == pytest.approx(true, abs=1e-3)
-    assert rate(np.zeros(2), np.zeros(2)) == 1.0
+        assert clock_rate(7.0 + true * here, here + delays) == pytest.approx(true, abs=1e-3)
+    assert clock_rate(np.zeros(2), np.zeros(2)) == 1.0
 
 
 def figures(trips: Any = 0.001, **changed: Any) -> LinkFigures:
@@ -114,17 +114,17 @@ def test_pings_that_are_lost_are_counted(link: RobotLink, toy: Any):
 # At rest.
 
 
-def samples_of(state: State, rng: np.random.Generator, count: int = 100, **changed: Any) -> list[Sample]:
+def samples_of(state: State, rng: np.random.Generator, count: int = 100, **changed: Any) -> list[TimedState]:
     """States of a robot at rest whose gyro is noisy."""
     made = []
     for index in range(count):
         values = {name: value(index) if callable(value) else value for name, value in changed.items()}
         values.setdefault("angular_velocity_base", 0.004 + 0.003 * rng.standard_normal(3))
-        made.append(Sample(0.01 * index, replace(state, **values)))
+        made.append(TimedState(0.01 * index, replace(state, **values)))
     return made
 
 
-def rest_failures(samples: list[Sample], robot: RobotDescription, link: RobotLink) -> dict[str, CheckResult]:
+def rest_failures(samples: list[TimedState], robot: RobotDescription, link: RobotLink) -> dict[str, CheckResult]:
     handshake = link.connect()
     found = check_rest(samples, robot, handshake, SafetyLimits.of(robot))
     assert [one.name for one in found] == ["battery", "temperature", "encoders", "IMU"]
@@ -236,11 +236,11 @@ def test_the_delay_of_a_step_response_is_found(delay: float, frequency: float, d
     assert fit.rise == pytest.approx(there, abs=3e-3)
 
 
-def wiggles(moved: np.ndarray, delay: float = 0.017, frequency: float = 90.0) -> list[Wiggle]:
+def wiggles(moved: np.ndarray, delay: float = 0.017, frequency: float = 90.0) -> list[MotorStep]:
     """What was seen when each motor was asked for .05 rad: row i is how far all went when motor i was asked."""
     age = np.arange(0.002, 0.15, 0.003)
     share = step_response(age, delay, frequency, 0.9)
-    return [Wiggle(motor, 0.05, row, age, share) for motor, row in enumerate(moved)]
+    return [MotorStep(motor, 0.05, row, age, share) for motor, row in enumerate(moved)]
 
 
 RIGHT = 0.048 * np.eye(8)
@@ -320,7 +320,8 @@ def test_latency_is_skipped_when_motors_do_not_answer():
 
 def test_the_frame_of_an_imu_that_is_mounted_right_passes():
     found = check_tilts(
-        Tilted(np.array([0.001, 0.07]), np.array([0.0, 0.075])), Tilted(np.array([-0.17, 0.01]), np.array([-0.16, 0.0]))
+        TiltReading(np.array([0.001, 0.07]), np.array([0.0, 0.075])),
+        TiltReading(np.array([-0.17, 0.01]), np.array([-0.16, 0.0])),
     )
     assert [one.passed for one in found] == [True, True, True]
 
@@ -337,7 +338,7 @@ def test_the_frame_of_an_imu_that_is_mounted_right_passes():
 )
 def test_an_imu_that_is_mounted_wrong_is_found(mounted: np.ndarray, failed: list[int], todo: str):
     front, left = mounted @ [0.001, 0.07], mounted @ [-0.17, 0.01]
-    found = check_tilts(Tilted(front, front), Tilted(left, left))
+    found = check_tilts(TiltReading(front, front), TiltReading(left, left))
     assert [index for index, one in enumerate(found) if one.passed is False] == failed
     assert all(todo in found[index].remedy for index in failed)
 
@@ -345,7 +346,7 @@ def test_an_imu_that_is_mounted_wrong_is_found(mounted: np.ndarray, failed: list
 def test_rates_in_degrees_or_mirrored_are_found():
     front, left = np.array([0.0, 0.07]), np.array([-0.17, 0.0])
     for factor in (57.3, -1.0, 0.0):
-        found = check_tilts(Tilted(front, factor * front), Tilted(left, factor * left))
+        found = check_tilts(TiltReading(front, factor * front), TiltReading(left, factor * left))
         assert [one.passed for one in found] == [True, True, False]
 
 
@@ -354,7 +355,7 @@ def test_a_tilt_is_read_from_states_with_the_bias_taken_off(a_state: State):
     times = np.arange(0, 2, 0.006)
     bias = np.array([0.01, 0.01, 0.0])
     samples = [
-        Sample(
+        TimedState(
             t,
             replace(
                 a_state,
@@ -364,7 +365,7 @@ def test_a_tilt_is_read_from_states_with_the_bias_taken_off(a_state: State):
         )
         for t in times
     ]
-    seen = tilted(samples, bias)
+    seen = read_tilt(samples, bias)
     assert seen.angles == pytest.approx([0.0, 0.08], abs=1e-9)
     assert seen.turned == pytest.approx([0.0, 0.08], abs=1e-3)
 
@@ -391,29 +392,29 @@ def test_every_inference_is_timed(policy: PolicyRuntime):
 # Motion.
 
 
-def move(link: RobotLink, robot: RobotDescription, operator: Any = Never, **options: Any) -> LeashedRobot:
+def move(link: RobotLink, robot: RobotDescription, operator: Any = Never, **options: Any) -> DoctorMotion:
     if link.handshake is None:
         link.connect()
         assert link.wait_for(lambda: link.state is not None, 1.0)
-    return LeashedRobot(link, robot, 0.006, operator, options.pop("leash", 0.15), **options)
+    return DoctorMotion(link, robot, 0.006, operator, options.pop("max_error", 0.15), **options)
 
 
 def test_a_motion_is_smooth_and_ends_disarmed(link: RobotLink, robot: RobotDescription, toy: Any):
     end = toy.angle + 0.3
-    with move(link, robot, leash=1.0) as leashed:
-        leashed.go(end, 0.6)
+    with move(link, robot, max_error=1.0) as motion:
+        motion.go(end, 0.6)
     assert np.allclose(toy.angle, end, atol=1e-6)
     targets = np.array([message.target[0] for _, message in toy.heard if type(message).__name__ == "Position"])
     assert np.abs(np.diff(targets, prepend=0.9)).max() < 0.3 * 1.9 * 0.006 / 0.6  # least jerk: 15/8 of the mean speed
-    assert len(leashed.samples) >= 100
+    assert len(motion.states) >= 100
     assert toy.kinds() == ["Hello", "Arm", "Position", "Disarm"]
     assert toy.firmware.mode == Mode.DISARMED
     assert link.on_state is None
 
 
 def test_a_robot_on_the_ground_sits_before_it_is_disarmed(link: RobotLink, robot: RobotDescription, toy: Any):
-    with move(link, robot, sits=True) as leashed:
-        leashed.go(pose_of(robot, 0.0, 1.5), 0.5)
+    with move(link, robot, sits=True) as motion:
+        motion.go(pose_of(robot, 0.0, 1.5), 0.5)
     assert np.allclose(toy.angle, sitting_pose(robot), atol=1e-6)
     assert toy.firmware.mode == Mode.DISARMED
 
@@ -426,10 +427,10 @@ def test_a_motor_that_strays_damps_all(link: RobotLink, robot: RobotDescription,
 
     toy.sensors = stray
     start = toy.angle.copy()
-    leashed = move(link, robot)
-    with pytest.raises(MotionStoppedError, match=r"back_left_1_motor is .0.40 rad from where it was sent"), leashed:
-        leashed.hold(start, 0.5)
-    assert leashed.strayed == (3, pytest.approx(0.4))
+    motion = move(link, robot)
+    with pytest.raises(MotionStoppedError, match=r"back_left_1_motor is .0.40 rad from where it was sent"), motion:
+        motion.hold(start, 0.5)
+    assert motion.tracking_error == (3, pytest.approx(0.4))
     assert toy.kinds()[-1] == "Damp"
     assert toy.firmware.mode == Mode.FAULT
 
@@ -444,9 +445,9 @@ def test_ctrl_c_sits_and_once_more_damps(
             return stops if link.clock.now() > 0.3 else 0
 
     stand = pose_of(robot, 0.0, 1.5)
-    leashed = move(link, robot, Impatient(), sits=True)
-    with pytest.raises(MotionStoppedError) as stopped, leashed:
-        leashed.go(stand, 5.0)
+    motion = move(link, robot, Impatient(), sits=True)
+    with pytest.raises(MotionStoppedError) as stopped, motion:
+        motion.go(stand, 5.0)
     assert stopped.value.verdict.reason == "operator"
     assert toy.kinds()[-1] == last
     assert toy.firmware.mode == mode
@@ -454,9 +455,9 @@ def test_ctrl_c_sits_and_once_more_damps(
 
 
 def test_an_exception_in_the_middle_damps(link: RobotLink, robot: RobotDescription, toy: Any):
-    def fail(leashed: LeashedRobot) -> None:
-        with leashed:
-            leashed.hold(toy.angle.copy(), 0.1)
+    def fail(motion: DoctorMotion) -> None:
+        with motion:
+            motion.hold(toy.angle.copy(), 0.1)
             raise ZeroDivisionError
 
     with pytest.raises(ZeroDivisionError):
@@ -487,7 +488,7 @@ def test_a_toy_that_is_as_old_as_the_policy_expects_passes_all(
     found = list(examine(link, policy, robot, on_rack=True, **QUICK))
     assert [one.name for one in found if one.passed is False] == []
     by_name = {one.name: one for one in found}
-    assert all(by_name[name].passed for name in doctor_rack.NAMES)
+    assert all(by_name[name].passed for name in rack_check.NAMES)
     assert by_name["control latency"].value == pytest.approx(0.018, abs=0.004)
     assert toy.firmware.mode == Mode.DISARMED
 
@@ -515,7 +516,7 @@ def test_a_wiggle_that_is_stopped_says_which_motor(
     toy.sensors = runaway
     link.connect()
     assert link.wait_for(lambda: link.state is not None, 1.0)
-    found = doctor_rack.wiggle_motors(link, policy.contract, robot, Never())  # type: ignore[arg-type]
+    found = rack_check.step_motors(link, policy.contract, robot, Never())  # type: ignore[arg-type]
     assert found[0].passed is False
     assert (
         "back_left_2_motor went -0.25 rad from where it was sent while back_left_2_motor was asked" in found[0].message

@@ -17,7 +17,7 @@ from rich.text import Text
 from surefoot.check_result import first_failure
 from surefoot.cli.helpers.link_options import LinkOptions
 from surefoot.cli.helpers.options import Json, Yes, ask_to_move, check_terminal
-from surefoot.deploy.checks import check_identity, check_servo_period
+from surefoot.deploy.checks import check_handshake
 from surefoot.deploy.display import PlainLines, open_display
 from surefoot.deploy.loop import RunMonitor, Snapshot
 from surefoot.deploy.messages import Handshake
@@ -81,16 +81,16 @@ def _greeted(command: ExperimentCommand, robot: RobotDescription) -> Iterator[tu
     link = command.open_link(str(command.port), robot.num_motors)
     try:
         handshake = link.connect()
-        check_handshake(handshake, robot)
+        refuse_another_robot(handshake, robot)
         yield link, handshake
     finally:
         with contextlib.suppress(LinkLostError, OSError):
             link.close()
 
 
-def check_handshake(handshake: Handshake, robot: RobotDescription) -> None:
+def refuse_another_robot(handshake: Handshake, robot: RobotDescription) -> None:
     """Refuse a robot that is not the one of the data sheet."""
-    error = first_failure([*check_identity(robot, handshake=handshake), check_servo_period(robot, handshake)])
+    error = first_failure(check_handshake(handshake, robot))
     if error is not None:
         raise SurefootError(f"the robot is not as on its data sheet: {error}")
 

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import shlex
 import sys
-from collections.abc import Iterable
 from importlib import import_module
-from itertools import islice
 from pathlib import Path
 from typing import Annotated
 
@@ -95,11 +92,6 @@ def check_folder(path: Path | None) -> None:
     """Refuse a file where `--out` must be a folder."""
     if path is not None and path.exists() and not path.is_dir():
         raise SurefootError(f"out is {path}; it must be a folder")
-
-
-def how_to_show(traces: Iterable[Path | str]) -> str:
-    """Return a line that names the command which shows traces in the browser, the first four of them."""
-    return f"to look at: surefoot show {shlex.join(map(str, islice(traces, 4)))}"
 
 
 def make_figures_folder(path: Path | None) -> None:

@@ -2,23 +2,21 @@
 
 from __future__ import annotations
 
-import sys
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from surefoot.check_result import first_failure
 from surefoot.cli.helpers.simulator import Simulator
 from surefoot.configuration import to_mapping
-from surefoot.deploy.checks import check_description
+from surefoot.deploy.checks import check_policy
 from surefoot.errors import SurefootError, choices
 from surefoot.policy.contract import config_hash
 from surefoot.policy.runtime import PolicyRuntime
 from surefoot.progress import ProgressBar
 from surefoot.robot import RobotDescription, parse_settings
-from surefoot.robot.randomization import RandomizeConfig, check_ranges
+from surefoot.robot.randomization import Ranges, check_ranges
 from surefoot.studies.handcrafted import HandcraftedGait
 from surefoot.task.commands import read_schedule
 from surefoot.task.config import TaskConfig
@@ -57,31 +55,26 @@ def find_policies(policies: Sequence[str]) -> list[Path]:
     return [find_policy(policy) for policy in policies]
 
 
-def load_policy(path: Path, robot: str | None) -> tuple[PolicyRuntime, RobotDescription, TaskConfig]:
-    """Return a policy, the robot to run it on and the task it was made for; warn on stderr of one without a digest.
-
-    Args:
-        path: the policy file.
-        robot: name or folder of the robot; the policy's own, if None. Control step, latencies, gains and voltage are
-            those that the policy was trained with.
+def open_policy(path: Path, robot: str | None = None) -> tuple[PolicyRuntime, RobotDescription]:
+    """Return a policy and the robot to run it on, given by name or folder; the policy's own, if None.
 
     Raises:
         SurefootError: a file that is no policy, or one for another robot.
     """
     policy = PolicyRuntime.load(path)
-    folder = robot or policy.contract.description
-    description = RobotDescription.load(folder)
-    error = first_failure(check_description(policy.contract, description))
-    if error is not None:
-        raise SurefootError(f"policy '{policy.contract.name}' must not run on {description.name}: {error}")
-    task = replace(task_from_contract(policy.contract, description), robot=folder)
-    if policy.digest is None:
-        print(
-            f"surefoot: policy file {path}: is unsigned: it has no digest, so nothing shows that network and contract "
-            "belong together; for simulation only, deploy refuses it",
-            file=sys.stderr,
-        )
-    return policy, description, task
+    description = RobotDescription.load(robot or policy.contract.description)
+    check_policy(policy.contract, description)
+    return policy, description
+
+
+def load_policy(path: Path, robot: str | None) -> tuple[PolicyRuntime, RobotDescription, TaskConfig]:
+    """Return a policy, the robot to simulate it on and the task it was made for.
+
+    Control step, latencies, gains and voltage are those that the policy was trained with. Otherwise as `open_policy`.
+    """
+    policy, description = open_policy(path, robot)
+    task = task_from_contract(policy.contract, description)
+    return policy, description, replace(task, robot=robot or policy.contract.description)
 
 
 def load_gait(path: Path, robot: str | None) -> tuple[Policy, RobotDescription, TaskConfig, dict[str, str]]:
@@ -150,7 +143,7 @@ def adjust_task(
     settings: Sequence[Sequence[str]],
     pushes: bool,
     thermal_protection: bool = False,
-    randomize: RandomizeConfig | None = None,
+    randomize: Ranges | None = None,
     simulator: Simulator | None = None,
     push_force: tuple[float, float] | None = None,
     commands: Path | None = None,
@@ -175,7 +168,7 @@ def adjust_task(
     task = replace(task, thermal_protection=task.thermal_protection or thermal_protection)
     task = (simulator or Simulator()).of(task, given)
     task.nominal(robot)  # refuses parameters that the robot does not allow
-    ranges = randomize or RandomizeConfig()
+    ranges = randomize or {}
     check_ranges(ranges, robot)
     told = replace(task.commands, ramp=0)
     if commands is not None:

@@ -109,18 +109,18 @@ def _retest(search: Search, trial: TrialResult) -> Retest:
     from surefoot.task.contract_mapping import task_from_contract
 
     assert trial.policy is not None
-    path, weight = trial.policy, search.config.train.task.energy_weight
+    path, reward = trial.policy, search.config.train.task.reward
 
     def runs(world: str) -> Runs:
         def make() -> Result:
             policy = PolicyRuntime.load(path)
-            task = replace(task_from_contract(policy.contract), energy_weight=weight)
+            task = replace(task_from_contract(policy.contract), reward=reward)
             task = replace(task, pushes=replace(task.pushes, enabled=False))
             task = task if world == "mujoco" else away_task(task)
             traces = run_episodes(policy, task, EPISODES, find_world(world), SEED, world_name=world)
             return Runs.of_traces(traces).to_mapping()
 
-        settings = {"world": world, "episodes": EPISODES, "seed": SEED, "energy_weight": weight}
+        settings = {"world": world, "episodes": EPISODES, "seed": SEED, "reward": reward}
         return Runs.from_mapping(made_once(path, f"fresh_{world}", settings, make))
 
     has_bullet = find_spec("pybullet") is not None

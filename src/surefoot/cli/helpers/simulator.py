@@ -1,6 +1,6 @@
 """Another simulator and other ranges than the task's.
 
-`--params`, `--actuator`, `--control-latency`, `--servo-latency`; `--randomize NAME`, `--randomize.ROW LOW HIGH`.
+`--params`, `--actuator`, `--control-latency`, `--servo-latency`; `--randomize TABLE`, `--randomize.NAME LOW HIGH`.
 """
 
 from __future__ import annotations
@@ -16,14 +16,25 @@ import tyro
 
 from surefoot.cli.helpers.options import Pushes, PushForce, RobotName, Seed, Settings, World
 from surefoot.errors import SurefootError, choices
-from surefoot.robot import RobotDescription
+from surefoot.robot import DEFAULT_ROBOT, PhysicalParams, RobotDescription
+from surefoot.robot.params import PARAMETERS
 from surefoot.robot.params_file import ParamValue, find_params, read_params
-from surefoot.robot.randomization import ROWS, RandomizeConfig, load_ranges, range_names
+from surefoot.robot.randomization import (
+    ParamRange,
+    Ranges,
+    RelativeRange,
+    check_ranges,
+    load_ranges,
+    mean_interval,
+    range_names,
+)
 from surefoot.task.config import TaskConfig
 from surefoot.world.interface import WorldConfig
 
-_RANGES_HELP = """--randomize NAME           ranges that an episode draws its parameters from: {names}, or a YAML file
---randomize.ROW LOW HIGH   another range for one row; --randomize.ROW none drops it. Rows and ranges of table1:"""
+_RANGES_HELP = """--randomize TABLE           ranges that an episode draws its parameters from: {names}, or a YAML file
+--randomize.NAME LOW HIGH   another range for one parameter; scale LOW HIGH: factors of its nominal value;
+                            add LOW HIGH: added to it; none: it is not drawn. Names and ranges of table1:"""
+_RELATIVE = ("scale", "add")
 
 
 @dataclass(frozen=True)
@@ -109,37 +120,36 @@ class RunOptions:
 
 
 def ranges_help() -> str:
-    """Return the help of `--randomize`, with the rows of the paper's table."""
-    drawn = load_ranges("table1").ranges
+    """Return the help of `--randomize`, with the ranges of the paper's table."""
+    table, nominal = load_ranges("table1"), PhysicalParams.nominal(RobotDescription.load(DEFAULT_ROBOT))
+    intervals = {name: mean_interval(given, getattr(nominal, name)) for name, given in table.items()}
     lines = _RANGES_HELP.format(names=choices(range_names())).splitlines()
-    lines += [f"    {row:<17}{low:g} to {high:g}" for row, (low, high) in drawn.items()]
-    others = f"and, not in table1: {choices(row for row in ROWS if row not in drawn)}"
+    lines += [f"    {name:<20}{low:g} to {high:g}" for name, (low, high) in intervals.items()]
+    others = f"and, not in table1: {choices(name for name in PARAMETERS if name not in table)}"
     lines += textwrap.wrap(others, 100, initial_indent="    ", subsequent_indent="    ")
     return textwrap.indent("\n".join(lines), "  ")
 
 
 @dataclass(frozen=True)
-class GivenRanges:
-    """What `--randomize` says on a command line."""
+class RangeOptions:
+    """The options `--randomize` of a command line."""
 
     table: str | None
     """Name or path of a table of ranges."""
-    rows: dict[str, tuple[float, float] | None]
-    """Rows with other ranges, or without."""
+    ranges: dict[str, ParamRange | None]
+    """Ranges in place of the table's; None drops one."""
 
-    def of(self, robot: str | Path, base: RandomizeConfig | None = None) -> RandomizeConfig:
-        """Return the ranges for a robot, by name or folder; what is not given is as in `base`, or not drawn."""
-        config = base or RandomizeConfig()
-        if self.table is not None:
-            config = load_ranges(self.table, robot=robot)
-        return replace(config, **self.rows)
+    def apply(self, robot: str | Path, base: Ranges | None = None) -> Ranges:
+        """Return the ranges for a robot, by name or folder; parameters without options are as in `base`."""
+        ranges = dict(base or {}) if self.table is None else load_ranges(self.table, robot=robot)
+        return {name: given for name, given in {**ranges, **self.ranges}.items() if given is not None}
 
 
-def take_ranges(words: list[str]) -> tuple[list[str], GivenRanges]:
-    """Take `--randomize` out of a command's words; return the other words, and what it says."""
+def take_ranges(words: list[str]) -> tuple[list[str], RangeOptions]:
+    """Take the options `--randomize` out of a command's words; return the other words, and the options."""
     rest: list[str] = []
     table: str | None = None
-    rows: dict[str, tuple[float, float] | None] = {}
+    ranges: dict[str, ParamRange | None] = {}
     queue = list(words)
     while queue:
         word = queue.pop(0)
@@ -149,23 +159,34 @@ def take_ranges(words: list[str]) -> tuple[list[str], GivenRanges]:
                 raise SurefootError(f"--randomize has no value; choices: {choices(range_names())}, or a YAML file")
             table = value if equals else queue.pop(0)
         elif name.startswith("--randomize."):
-            row = name.removeprefix("--randomize.").replace("-", "_")
-            if row not in ROWS:
-                raise SurefootError(f"{name} is not a row that can be drawn; choices: {choices(ROWS)}")
-            given = [value or (queue.pop(0) if queue and not queue[0].startswith("--") else "")]
-            dropped = given[0].lower() == "none"
-            if given[0] and not dropped and queue and not queue[0].startswith("--"):
-                given.append(queue.pop(0))
-            rows[row] = None if dropped else _range(name, given)
+            parameter = name.removeprefix("--randomize.").replace("-", "_")
+            check_ranges({parameter: (0.0, 0.0)})
+            values = [value] if equals else []
+            while queue and not queue[0].startswith("--") and len(values) < _count(values):
+                values.append(queue.pop(0))
+            ranges[parameter] = _read_range(name, values)
         else:
             rest.append(word)
-    return rest, GivenRanges(table, rows)
+    return rest, RangeOptions(table, ranges)
 
 
-def _range(option: str, given: list[str]) -> tuple[float, float]:
+def _count(values: list[str]) -> int:
+    """Return how many words a range has that begins with some words."""
+    first = values[0].lower() if values else ""
+    return {"none": 1, "scale": 3, "add": 3}.get(first, 2)
+
+
+def _read_range(option: str, words: list[str]) -> ParamRange | None:
+    kind = words[0].lower() if words else ""
+    if kind == "none":
+        return None
     try:
-        low, high = (float(word) for word in given)
+        low, high = (float(word) for word in words[kind in _RELATIVE :])
     except ValueError:
-        said = " ".join(given) or "nothing"
-        raise SurefootError(f"{option} is {said}; it takes two numbers, LOW HIGH, or none") from None
-    return low, high
+        message = " ".join(words) or "nothing"
+        raise SurefootError(
+            f"{option} is {message}; it takes LOW HIGH, scale LOW HIGH, add LOW HIGH, or none"
+        ) from None
+    if kind == "scale":
+        return RelativeRange(scale=(low, high))
+    return RelativeRange(add=(low, high)) if kind == "add" else (low, high)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import multiprocessing
+import os
 import signal
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -32,6 +33,11 @@ _KINDS = {
 _PERIOD = 33_000
 """Time between two poses of an emulated robot [us]."""
 _BASE = 7
+
+
+def has_display() -> bool:
+    """Return whether a window can be opened here."""
+    return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
 
 
 def build_stage(shapes: Sequence[Shape]) -> mujoco.MjModel:

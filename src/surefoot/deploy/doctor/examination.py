@@ -1,4 +1,4 @@
-"""The doctor: every check of a policy, a link, this computer and a robot, in the order in which they may be done."""
+"""The doctor: all checks of a policy, a link, this computer and a robot, in order."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from surefoot.arrays import Array
 from surefoot.check_result import CheckResult, judge, skipped
 from surefoot.deploy.checks import check_contract
 from surefoot.deploy.clock import MonotonicClock
-from surefoot.deploy.doctor import ground, rack
-from surefoot.deploy.doctor.link import PINGS, check_link, measure_link
-from surefoot.deploy.doctor.rest import check_rest, watch
+from surefoot.deploy.doctor import rack_check, tilt_check
+from surefoot.deploy.doctor.link_check import PINGS, check_link, measure_link
+from surefoot.deploy.doctor.rest_check import check_rest, record_states
 from surefoot.deploy.pacer import Pacer, undisturbed
 from surefoot.deploy.robot_link import LinkLostError, RobotLink
 from surefoot.deploy.safety import SafetyLimits
@@ -23,15 +23,13 @@ from surefoot.policy.runtime import PolicyRuntime
 from surefoot.robot import RobotDescription
 from surefoot.stop_signals import StopSignals
 
-PATIENCE = 5
-"""How often a robot that is not at rest is looked at, for a second each time."""
-_ON_RACK = "hang the robot free, legs in the air, and run with --rack"
-_ON_GROUND = "put the robot on flat ground and run with --ground"
+REST_ATTEMPTS = 5
+"""How often a robot that is not at rest is observed, for a second each time."""
 STEPS = 2000
 """Control steps of the loop that is timed, and inferences."""
-SHARE = 0.5
+MAX_SHARE = 0.5
 """Share of a control step within which the 99.9th percentile of inference, and of lateness, must be."""
-MISSED = 0.001
+MAX_MISSED = 0.001
 """Share of control steps that may be missed."""
 _WARM_UP = 50
 
@@ -48,10 +46,10 @@ def examine(
     """Do all checks, one after another; nothing moves unless everything before it passed.
 
     Args:
-        link: to the robot, not greeted yet.
-        policy: the policy.
-        robot: the data sheet that it is for.
-        on_rack: wiggle the motors: the robot hangs free, its legs in the air.
+        link: to the robot, before its handshake.
+        policy: the policy, which fits the data sheet.
+        robot: the data sheet.
+        on_rack: step the motors: the robot hangs free, its legs in the air.
         on_ground: stand up and tilt: the robot sits on flat ground.
         pings: of the link's check.
         steps: of the control loop's check, and inferences.
@@ -62,117 +60,111 @@ def examine(
     contract = policy.contract
     failed: list[str] = []
 
-    def kept(results: list[CheckResult]) -> list[CheckResult]:
+    def note_failures(results: list[CheckResult]) -> list[CheckResult]:
         failed.extend(result.name for result in results if result.passed is False)
         return results
 
     try:
         handshake = link.connect()
-        yield from kept(check_contract(contract, handshake, robot, policy.digest))
+        yield from note_failures(check_contract(contract, handshake, robot))
         figures = measure_link(link, pings)
-        yield from kept(check_link(figures, link.lead, contract.control_step, link.lockstep))
-        for _ in range(PATIENCE):
-            # A robot that was just put down, or switched on, is given some time to come to rest.
-            samples = watch(link)
-            at_rest = check_rest(samples, robot, handshake, SafetyLimits.of(robot))
-            if all(result.passed for result in at_rest):
+        yield from note_failures(check_link(figures, link.lead, contract.control_step, link.lockstep))
+        for _ in range(REST_ATTEMPTS):
+            # A robot that was just put down, or switched on, has some time to come to rest.
+            at_rest = record_states(link)
+            results = check_rest(at_rest, robot, handshake, SafetyLimits.of(robot))
+            if all(result.passed for result in results):
                 break
-        yield from kept(at_rest)
+        yield from note_failures(results)
         if link.lockstep:
-            why = "in lockstep nothing depends on how fast this computer is"
-            yield from skipped(("inference", "control loop"), why, "run without --lockstep")
+            message = "in lockstep nothing depends on how fast this computer is"
+            yield from skipped(("inference", "control loop"), message, "run without --lockstep")
         else:
             inference = time_inference(policy, steps)
-            late, missed = time_loop(policy, link, steps)
-            yield from kept(check_computer(inference, late, missed, contract.control_step))
-        tilt_robot = partial(ground.tilt_robot, at_rest=samples)
-        for wanted, names, need, motion in (
-            (on_rack, rack.NAMES, _ON_RACK, rack.wiggle_motors),
-            (on_ground, ground.NAMES, _ON_GROUND, tilt_robot),
+            yield from note_failures(check_computer(inference, *time_loop(policy, link, steps), contract.control_step))
+        tilt_robot = partial(tilt_check.tilt_robot, at_rest=at_rest)
+        hang, sit = "hang the robot free, legs in the air, and run with", "put the robot on flat ground and run with"
+        for moves, names, motion, remedy in (
+            (on_rack, rack_check.NAMES, rack_check.step_motors, f"{hang} --rack"),
+            (on_ground, tilt_check.NAMES, tilt_robot, f"{sit} --ground"),
         ):
-            if not wanted:
-                yield from skipped(names, "needs motors that move", need)
-            elif failed:
+            if not moves:
+                yield from skipped(names, "needs motors that move", remedy)
+                continue
+            if failed:
                 yield from skipped(names, f"nothing moves while a check fails ({choices(failed)})")
-            else:
-                with undisturbed(), StopSignals() as operator:
-                    try:
-                        found = motion(link, contract, robot, operator)
-                    except SurefootError as error:
-                        first = CheckResult(
-                            names[0], False, str(error), "switch the robot off and on, and run it again"
-                        )
-                        found = [first, *skipped(names[1:], "nothing has moved")]
-                yield from found
+                continue
+            with undisturbed(), StopSignals() as operator:
+                try:
+                    results = motion(link, contract, robot, operator)
+                except SurefootError as error:
+                    refusal = CheckResult(names[0], False, str(error), "switch the robot off and on, and run it again")
+                    results = [refusal, *skipped(names[1:], "nothing has moved")]
+            yield from results
     except LinkLostError as error:
-        todo = "check plug and cable; the robot damps its motors by itself"
-        yield CheckResult("link", False, f"{error}; all further checks are left out", todo)
+        remedy = "check plug and cable; the robot damps its motors by itself"
+        yield CheckResult("link", False, f"{error}; all further checks are left out", remedy)
 
 
 def time_inference(policy: PolicyRuntime, count: int = STEPS) -> Array:
-    """Times [s] that the policy takes for observations drawn at random, warmed up."""
+    """Return the times [s] of inferences from random observations, after a warm-up."""
     width = policy.contract.width
     observations = np.random.default_rng(0).normal(scale=0.3, size=(64, 1, width)).astype(np.float32)
-    taken = np.empty(count)
+    times = np.empty(count + _WARM_UP)
     with undisturbed():
-        for index in range(-_WARM_UP, count):
+        for index in range(count + _WARM_UP):
             start = time.perf_counter()
             policy.feedback(observations[index % 64])
-            taken[index if index >= 0 else 0] = time.perf_counter() - start
-    return taken
+            times[index] = time.perf_counter() - start
+    return times[_WARM_UP:]
 
 
 def time_loop(policy: PolicyRuntime, link: RobotLink, steps: int = STEPS) -> tuple[Array, int]:
-    """Lateness [s] of the steps of a control loop in real time, and how many steps were missed.
+    """Return the lateness [s] of the steps of a control loop in real time, and the number of missed steps.
 
-    The loop reads the port, runs the policy at its control step and sends a frame, as a deployment does; the frame is
-    a ping.
+    As a deployment does, the loop reads the port, runs the policy at its control step and sends a packet, here a ping.
 
     Raises:
         LinkLostError: the port is gone.
     """
-    step, width = policy.contract.control_step, policy.contract.width
-    observation = np.zeros((1, width), np.float32)
-    late, missed, done = np.zeros(steps), 0, 0
+    observation = np.zeros((1, policy.contract.width), np.float32)
+    late: list[float] = []
+    missed = 0
     with undisturbed():
-        pacer = Pacer(MonotonicClock(), step)
+        pacer = Pacer(MonotonicClock(), policy.contract.control_step)
         while pacer.index < steps - 1:
             tick = pacer.next()
             link.update()
             policy.feedback(observation)
             link.ping()
-            late[done] = tick.late
+            late.append(tick.late)
             missed += tick.missed
-            done += 1
-    return late[:done], missed
+    return np.array(late), missed
 
 
 def check_computer(inference: Array, late: Array, missed: int, control_step: float) -> list[CheckResult]:
-    """Judge the times of `time_inference` and `time_loop`."""
-    return [_inference(inference, control_step), _loop(late, missed, control_step)]
-
-
-def _inference(taken: Array, control_step: float) -> CheckResult:
-    median, slow = map(float, np.percentile(taken, (50, 99.9)))
-    step = f"a control step has {1e3 * control_step:g}"
-    told = f"median {1e3 * median:.3f} ms, 99.9th percentile {1e3 * slow:.3f} ms; {step}"
-    todo = "close other programs, take a faster computer, or train a smaller network"
-    return judge("inference", slow <= SHARE * control_step, told, f"; at most {SHARE:.0%} of it", todo, median)
-
-
-def _loop(late: Array, missed: int, control_step: float) -> CheckResult:
-    median, worst = map(float, np.percentile(late, (50, 99.9)))
+    """Judge the results of `time_inference` and `time_loop`."""
+    median, slow = map(float, np.percentile(inference, (50, 99.9)))
+    median_late, worst_late = map(float, np.percentile(late, (50, 99.9)))
     steps = len(late) + missed
-    told = (
-        f"lateness: median {1e3 * median:.3f} ms, 99.9th percentile {1e3 * worst:.3f} ms; "
-        f"{missed} of {steps} steps missed"
-    )
-    return judge(
-        "control loop",
-        worst <= SHARE * control_step and missed <= MISSED * steps,
-        told,
-        f"; at most {1e3 * SHARE * control_step:g} ms late and {MISSED:.1%} missed",
-        "close other programs, let the process run in real time (sudo setcap cap_sys_nice+ep on Python, or a limit "
-        "rtprio), and turn power saving off",
-        worst,
-    )
+    return [
+        judge(
+            "inference",
+            slow <= MAX_SHARE * control_step,
+            f"median {1e3 * median:.3f} ms, 99.9th percentile {1e3 * slow:.3f} ms; a control step has "
+            f"{1e3 * control_step:g}",
+            f"; at most {MAX_SHARE:.0%} of it",
+            "close other programs, take a faster computer, or train a smaller network",
+            median,
+        ),
+        judge(
+            "control loop",
+            worst_late <= MAX_SHARE * control_step and missed <= MAX_MISSED * steps,
+            f"lateness: median {1e3 * median_late:.3f} ms, 99.9th percentile {1e3 * worst_late:.3f} ms; "
+            f"{missed} of {steps} steps missed",
+            f"; at most {1e3 * MAX_SHARE * control_step:g} ms late and {MAX_MISSED:.1%} missed",
+            "close other programs, let the process run in real time (sudo setcap cap_sys_nice+ep on Python, or a limit "
+            "rtprio), and turn power saving off",
+            worst_late,
+        ),
+    ]

@@ -16,6 +16,7 @@ import numpy as np
 from surefoot.identify.result import Identification, ParameterEstimate, Series
 from surefoot.report.figures.style import BLUE, INK, LEG_COLORS, ORANGE, QUIET, new_figure, spoken
 from surefoot.robot import PhysicalParams, RobotDescription
+from surefoot.robot.params import PARAMETERS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -190,11 +191,9 @@ def _brackets(label: str) -> str:
 def index_names(name: str, robot: RobotDescription) -> tuple[str, ...]:
     """What the indices of a number stand for: motors, or axes; empty where that is not known."""
     motors = tuple(motor.removesuffix("_motor") for motor in robot.motor_names)
-    item: Any = PhysicalParams.__dataclass_fields__.get(name)
-    if item is None:
+    if name not in PARAMETERS:
         return motors if name.startswith(("motor", "torque")) else ("x", "y", "z")
-    width = str(item.metadata["width"])
-    return {"one": (), "motors": motors}.get(width, tuple(width.split(", ")))
+    return PARAMETERS[name].parts(motors)
 
 
 def full_name(label: str, robot: RobotDescription) -> str:

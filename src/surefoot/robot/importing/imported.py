@@ -1,7 +1,4 @@
-"""A quadruped with serial legs as a URDF or MJCF describes it.
-
-All places and directions are in the base's frame with all joints at zero, x forward and z up.
-"""
+"""A quadruped with serial legs as a URDF or MJCF describes it."""
 
 from __future__ import annotations
 
@@ -28,104 +25,77 @@ _KNEE_SIGNS = {
 
 
 @dataclass(frozen=True)
-class ImportedJoint:
-    """A hinge of a leg, as the file has it."""
-
-    name: str
-    place: Array
-    """A point on its axis (3,) [m]."""
-    axis: Array
-    """Its direction (3,), of length 1."""
-    limits: tuple[float, float] | None
-    """Least and greatest angle [rad]."""
-    torque: float | None
-    """Greatest torque [N m]."""
-    speed: float | None
-    """Greatest speed [rad/s]."""
-    damping: float
-    """Viscous friction [N m s/rad]."""
-    friction: float
-    """Coulomb friction [N m]."""
-    rotor_inertia: float
-    """Inertia of the rotor at the joint [kg m2]."""
-
-
-@dataclass(frozen=True)
-class ImportedLeg:
-    """A chain of hinges from the base to a foot."""
-
-    joints: tuple[ImportedJoint, ...]
-    bodies: tuple[RigidBody, ...]
-    """What each joint turns, up to the next one; in the base's frame."""
-    foot: Array
-    """Centre of the foot (3,) [m]."""
-    foot_radius: float
-    """[m]"""
-    foot_source: str = ""
-    """How the foot was recognized."""
-
-    @property
-    def links(self) -> tuple[Array, Array]:
-        """Upper and lower link in the leg's plane, hip to knee and knee to foot: x and z (2,) [m]."""
-        hip, knee = (joint.place for joint in self.joints[-2:])
-        return (knee - hip)[[0, 2]], (self.foot - knee)[[0, 2]]
-
-    @property
-    def lengths(self) -> tuple[float, float]:
-        """Lengths of upper and lower link [m]."""
-        upper, lower = self.links
-        return float(np.linalg.norm(upper)), float(np.linalg.norm(lower))
-
-    @property
-    def knee_range(self) -> tuple[float, float] | None:
-        """Least and greatest bend beta of the knee [rad] (see `serial_leg`) by its limits; None if it has none."""
-        knee, (upper, lower) = self.joints[-1], self.links
-        if knee.limits is None or knee.limits[1] - knee.limits[0] > 2 * math.pi:
-            return None
-        angle = math.atan2(-lower[0], -lower[1]) - math.atan2(-upper[0], -upper[1])
-        at_zero = (angle + math.pi) % (2 * math.pi) - math.pi
-        low, high = sorted(knee.axis[1] * limit + at_zero for limit in knee.limits)
-        return low, high
-
-    @property
-    def knee_sign(self) -> int:
-        """1 if the middle of the knee's range points forward, -1 if backward, 0 if the range does not show it."""
-        middle = sum(self.knee_range or (0.0, 0.0)) / 2
-        return 0 if abs(middle) < 0.1 else int(math.copysign(1, middle))
-
-
-@dataclass(frozen=True)
 class ImportedRobot:
-    """A quadruped as a file describes it."""
+    """A robot with four legs, in the order of `LEGS`, of m hinges each: (abduction,) hip, knee.
+
+    Places and directions are in the base's frame with all joints at zero, x forward and z up. A number that the file
+    does not have is NaN.
+    """
 
     name: str
     path: Path
+    forward: str
+    """Direction in the file's frame that is forward."""
     base: RigidBody
     base_box: tuple[Array, Array]
     """Centre and half of the sides (3,) [m] of a box around the base."""
-    legs: tuple[ImportedLeg, ...]
-    """In the order of `LEGS`."""
-    forward: str
-    """Direction in the file's frame that is forward."""
+    joints: tuple[tuple[str, ...], ...]
+    """Names of the hinges by leg, (4, m)."""
+    bodies: tuple[tuple[RigidBody, ...], ...]
+    """What each hinge turns, up to the next one, (4, m)."""
+    places: Array
+    """A point on each axis (4, m, 3) [m]."""
+    axes: Array
+    """Directions of the axes (4, m, 3), exactly along x or y."""
+    limits: Array
+    """Least and greatest angles (4, m, 2) [rad]."""
+    torque: Array
+    """Greatest torques (4, m) [N m]."""
+    speed: Array
+    """Greatest speeds (4, m) [rad/s]."""
+    damping: Array
+    """Viscous friction (4, m) [N m s/rad]."""
+    friction: Array
+    """Coulomb friction (4, m) [N m]."""
+    rotor_inertia: Array
+    """Inertia of the rotors at the joints (4, m) [kg m2]."""
+    feet: Array
+    """Centres of the feet (4, 3) [m]."""
+    foot_radius: Array
+    """Radii of the feet (4,) [m]."""
     notes: tuple[str, ...] = ()
     """What was guessed or left out."""
 
     @property
     def mass(self) -> float:
         """Mass of the whole robot [kg]."""
-        return self.base.mass + sum(body.mass for leg in self.legs for body in leg.bodies)
+        return self.base.mass + sum(body.mass for leg in self.bodies for body in leg)
+
+    @property
+    def links(self) -> Array:
+        """Upper and lower links in the legs' planes, hip to knee and knee to foot: x and z (2, 4, 2) [m]."""
+        hips, knees = self.places[:, -2], self.places[:, -1]
+        return np.stack([knees - hips, self.feet - knees])[..., [0, 2]]
 
     @property
     def length(self) -> float:
         """Mean length of the straight legs [m]."""
-        return float(np.mean([sum(leg.lengths) for leg in self.legs]))
+        return float(np.linalg.norm(self.links, axis=-1).sum(axis=0).mean())
+
+    @property
+    def knee_bends(self) -> Array:
+        """Least and greatest bends beta (4, 2) [rad] of the knees (see `serial_leg`); NaN without limits."""
+        upper, lower = np.arctan2(-self.links[..., 0], -self.links[..., 1])
+        at_zero = (lower - upper + math.pi) % (2 * math.pi) - math.pi
+        limits = np.where(np.ptp(self.limits[:, -1:], axis=-1) <= 2 * math.pi, self.limits[:, -1], np.nan)
+        return np.sort(self.axes[:, -1, 1:2] * limits + at_zero[:, None])
 
     def knee_signs(self, knees: Knees | None) -> tuple[list[int], bool]:
         """Return 1 for each leg whose knee points forward, -1 backward; and whether that is certain.
 
-        Without `knees`, the joints' limits decide; knees whose limits do not show it point backward.
+        Without `knees`, the middles of the joints' ranges decide; knees whose limits do not show it point backward.
         """
         if knees is not None:
             return _KNEE_SIGNS[knees], True
-        signs = [leg.knee_sign for leg in self.legs]
-        return [sign or -1 for sign in signs], all(signs)
+        middle = np.nan_to_num(self.knee_bends.mean(axis=1))
+        return np.where(middle >= 0.1, 1, -1).tolist(), bool((np.abs(middle) >= 0.1).all())

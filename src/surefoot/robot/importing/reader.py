@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
+import math
 import re
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
@@ -15,7 +18,7 @@ from numpy.typing import NDArray
 from surefoot.arrays import Array
 from surefoot.errors import SurefootError, choices
 from surefoot.native_output import mujoco_errors
-from surefoot.robot.importing.imported import ImportedJoint, ImportedLeg, ImportedRobot
+from surefoot.robot.importing.imported import ImportedRobot
 from surefoot.robot.rigid_body import RigidBody, are_moments, fuse
 from surefoot.robot.urdf_file import attribute, read_xml
 
@@ -27,7 +30,6 @@ _AXIS_TOLERANCE = 1e-3
 """How far an axis may be from the base's, as a cosine: files write pi/2 with five digits."""
 _MESH_SUFFIXES = (".stl", ".obj", ".msh")
 """Kinds of mesh that MuJoCo reads."""
-_PRODUCTS = dict.fromkeys(("ixy", "ixz", "iyz"), "0")
 
 
 def read_robot(path: Path, forward: str | None = None, meshes: bool = True) -> ImportedRobot:
@@ -61,7 +63,7 @@ def read_robot(path: Path, forward: str | None = None, meshes: bool = True) -> I
 
 def _prepare_urdf(root: ElementTree.Element, path: Path, meshes: bool, notes: list[str]) -> dict[str, float]:
     """Make a URDF ready for MuJoCo: no visuals, meshes by absolute path; return the joints' speed limits."""
-    unreadable = set()
+    unreadable: set[str] = set()
     for link in root.findall("link"):
         for visual in link.findall("visual"):
             link.remove(visual)
@@ -71,29 +73,25 @@ def _prepare_urdf(root: ElementTree.Element, path: Path, meshes: bool, notes: li
             file = _find_mesh(mesh.get("filename", ""), path) if meshes else None
             if file is not None and file.suffix.lower() in _MESH_SUFFIXES:
                 mesh.set("filename", str(file))
-                continue
-            link.remove(shape)
-            if file is not None:
-                unreadable.add(file.name)
+            else:
+                link.remove(shape)
+                unreadable |= {file.name} if file else set()
     if unreadable:
         notes.append(f"shapes that MuJoCo can't read are left out: {choices(sorted(unreadable))}")
     for old in root.findall("mujoco"):
         root.remove(old)
     compiler = ElementTree.SubElement(ElementTree.SubElement(root, "mujoco"), "compiler")
-    compiler.attrib |= {"strippath": "false", "fusestatic": "false", "discardvisual": "true"}
-    compiler.attrib |= {"balanceinertia": "true", "inertiafromgeom": "false"}
+    compiler.attrib |= {"strippath": "false", "balanceinertia": "true", "inertiafromgeom": "false"}
     _prepare_inertias(root, path, notes)
     speeds = {}
     for joint in root.findall("joint"):
-        try:
+        with contextlib.suppress(ValueError):
             speeds[joint.get("name", "")] = float(attribute(joint.find("limit"), "velocity"))
-        except ValueError:
-            continue
     return speeds
 
 
 def _prepare_inertias(root: ElementTree.Element, path: Path, notes: list[str]) -> None:
-    """Remove inertias of links without mass, and note those that no rigid body has."""
+    """Remove inertias of links without mass, and note those that no rigid body has, which MuJoCo balances."""
     count, odd = 0, []
     for link in root.findall("link"):
         if (inertial := link.find("inertial")) is None:
@@ -101,23 +99,20 @@ def _prepare_inertias(root: ElementTree.Element, path: Path, notes: list[str]) -
         tensor = inertial.find("inertia")
         try:
             mass = float(attribute(inertial.find("mass"), "value"))
-            keys = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
-            xx, xy, xz, yy, yz, zz = (float(attribute(tensor, key, "0")) for key in keys)
+            rows = (("ixx", "ixy", "ixz"), ("ixy", "iyy", "iyz"), ("ixz", "iyz", "izz"))
+            inertia = np.array([[float(attribute(tensor, key, "0")) for key in row] for row in rows])
         except ValueError:
             raise SurefootError(f"{path}: link '{link.get('name')}': its <inertial> has no numbers") from None
         if mass == 0.0 or tensor is None:
             link.remove(inertial)
             continue
         count += 1
-        if mass > 0 and xx == yy == zz == 0.0:  # a point mass
-            tensor.attrib |= _PRODUCTS
-            continue
-        whole = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-        moments = np.linalg.eigvalsh(whole) if np.isfinite(whole).all() else np.full(3, np.nan)
-        if not (mass > 0 and are_moments(moments)):
+        moments = np.linalg.eigvalsh(inertia) if np.isfinite(inertia).all() else np.full(3, np.nan)
+        point_mass = mass > 0 and not np.diag(inertia).any()
+        if not point_mass and not (mass > 0 and are_moments(moments)):
             odd.append(str(link.get("name")))
         if not moments.min() > 0:
-            tensor.attrib |= _PRODUCTS
+            tensor.attrib |= dict.fromkeys(("ixy", "ixz", "iyz"), "0")
     if not count:
         raise SurefootError(f"{path}: no link has an <inertial> with a mass; masses and inertias are needed")
     if odd:
@@ -138,6 +133,15 @@ def _find_mesh(name: str, path: Path) -> Path:
     )
 
 
+class _Foot(NamedTuple):
+    centre: Array
+    """(3,) [m]"""
+    radius: float
+    """[m]"""
+    source: str
+    """How it was recognized."""
+
+
 class _Reader:
     """Reader of a compiled model, at zero angles and with the base at the origin."""
 
@@ -153,8 +157,8 @@ class _Reader:
         first = int(self.model.body_jntadr[body])
         return range(first, first + int(self.model.body_jntnum[body]))
 
-    def _joint_name(self, body: int) -> str:
-        return str(self.model.joint(self._joints(body)[0]).name)
+    def _name(self, joint: int) -> str:
+        return str(self.model.joint(joint).name)
 
     def _groups(self) -> NDArray[np.int64]:
         """Return for each body the body whose joint moves it; what has no joint is fixed to its parent."""
@@ -174,27 +178,32 @@ class _Reader:
     def read(self, forward: str | None) -> ImportedRobot:
         chains, base = self._chains()
         data = self.data
-        mujoco.mj_resetData(self.model, data)
         for joint in self._joints(base):
             if self.model.jnt_type[joint] == mjtJoint.mjJNT_FREE:
                 data.qpos[self.model.jnt_qposadr[joint] :][:7] = [0, 0, 0, 1, 0, 0, 0]
         mujoco.mj_kinematics(self.model, data)
         forward = forward or self._guess_forward(chains)
         self._turn(FORWARD[forward])
-        legs = self._in_order([self._leg(chain) for chain in chains])
-        for source in dict.fromkeys(leg.foot_source for leg in legs):
-            some = [leg for leg in legs if leg.foot_source == source]
-            which = "feet" if some == legs else f"feet of {choices(leg.joints[-1].name for leg in some)}"
-            radii = choices(dict.fromkeys(f"{leg.foot_radius:.3g}" for leg in some))
-            self.notes.append(f"{which}: {source}, radius {radii} m")
+        joints = np.array([[self._joints(body)[0] for body in chain] for chain in chains])
+        feet = [self._foot(chain[-1], data.xanchor[joint]) for chain, joint in zip(chains, joints[:, -1], strict=True)]
+        order = self._order(data.xanchor[joints[:, -2]], np.array([foot.centre for foot in feet]))
+        joints, chains, feet = joints[order], [chains[leg] for leg in order], [feet[leg] for leg in order]
+        for source in dict.fromkeys(foot.source for foot in feet):
+            radii = {name: foot.radius for foot, name in zip(feet, joints[:, -1], strict=True) if foot.source == source}
+            which = "feet" if len(radii) == 4 else f"feet of {choices(map(self._name, radii))}"
+            radius = choices(dict.fromkeys(f"{radius:.3g}" for radius in radii.values()))
+            self.notes.append(f"{which}: {source}, radius {radius} m")
         stem = self.path.stem if self.path.stem != "robot" else self.path.parent.name
         return ImportedRobot(
             name=re.sub(r"[^a-z0-9]+", "_", stem.lower()).strip("_"),
             path=self.path,
+            forward=forward,
             base=self._body(base),
             base_box=self._box(base),
-            legs=tuple(legs),
-            forward=forward,
+            bodies=tuple(tuple(map(self._body, chain)) for chain in chains),
+            **self._hinges(joints),
+            feet=np.array([foot.centre for foot in feet]),
+            foot_radius=np.array([foot.radius for foot in feet]),
             notes=tuple(self.notes),
         )
 
@@ -224,7 +233,7 @@ class _Reader:
             legs = chains
         for chain in chains:
             if chain not in legs:
-                name = self._joint_name(chain[0])
+                name = self._name(self._joints(chain[0])[0])
                 self.notes.append(f"joint '{name}' and what hangs from it are held still: no leg's")
                 self.group[np.isin(self.group, below(chain[0]))] = base
         if model.neq or any(len(children[body]) > 1 for chain in legs for body in chain[:-1]):
@@ -244,7 +253,8 @@ class _Reader:
         hips = np.array([self.data.xanchor[self._joints(chain[0])[0]] for chain in chains])
         knee = self.data.xaxis[self._joints(chains[0][-1])[0]]
         axis = 0 if abs(knee[1]) > abs(knee[0]) else 1
-        front = np.array([bool(_FRONT.search(" ".join(map(self._joint_name, chain)))) for chain in chains])
+        names = [" ".join(self._name(self._joints(body)[0]) for body in chain) for chain in chains]
+        front = np.array([bool(_FRONT.search(name)) for name in names])
         ahead = 1.0
         if front.sum() == 2:
             ahead = hips[front, axis].mean() - hips[~front, axis].mean()
@@ -263,50 +273,42 @@ class _Reader:
 
     def _body(self, mover: int) -> RigidBody:
         """Return what moves with a body as one, in the base's frame."""
-        parts = []
-        for body in np.flatnonzero((self.group == mover) & (self.model.body_mass > 0)):
-            axes = self.data.ximat[body].reshape(3, 3)
-            inertia = axes @ np.diag(self.model.body_inertia[body]) @ axes.T
-            part = RigidBody(float(self.model.body_mass[body]), self.data.xipos[body].copy(), inertia)
-            parts.append((part, np.eye(4)))
+        model, data, parts = self.model, self.data, []
+        for body in np.flatnonzero((self.group == mover) & (model.body_mass > 0)):
+            axes = data.ximat[body].reshape(3, 3)
+            inertia = axes @ np.diag(model.body_inertia[body]) @ axes.T
+            parts.append((RigidBody(float(model.body_mass[body]), data.xipos[body], inertia), np.eye(4)))
         if not parts:
-            raise self._error(f"body '{self.model.body(mover).name}' has no mass; every moving part needs an inertia")
+            raise self._error(f"body '{model.body(mover).name}' has no mass; every moving part needs an inertia")
         return fuse(parts)
 
-    def _leg(self, chain: list[int]) -> ImportedLeg:
-        joints = []
-        parts = (("abduction", 0), ("hip", 1), ("knee", 1))[-len(chain) :]
-        for (part, axis), body in zip(parts, chain, strict=True):
-            joints.append(self._hinge(self._joints(body)[0], part, axis))
-        foot = self._foot(chain[-1], joints[-1].place)
-        return ImportedLeg(tuple(joints), tuple(self._body(body) for body in chain), *foot)
-
-    def _hinge(self, joint: int, part: str, along: int) -> ImportedJoint:
-        """Return a joint that should turn about the base's x (0) or y axis (1)."""
-        model, axis, name = self.model, self.data.xaxis[joint], str(self.model.joint(joint).name)
-        if abs(abs(axis[along]) - 1) > _AXIS_TOLERANCE:
+    def _hinges(self, joints: NDArray[np.int64]) -> dict[str, Any]:
+        """Return what an `ImportedRobot` has of joints (4, m); refuse axes that are not along the base's x and y."""
+        model, axes, along = self.model, self.data.xaxis[joints], np.array((0, 1, 1)[-joints.shape[1] :])
+        cosines = np.take_along_axis(axes, along[None, :, None], axis=2)[..., 0]
+        for leg, k in np.argwhere(np.abs(np.abs(cosines) - 1) > _AXIS_TOLERANCE):
+            x, y, z = axes[leg, k]
+            part = ("abduction", "hip", "knee")[k - len(along)]
             raise self._error(
-                f"joint '{name}' should be the {part}, and its axis at zero is "
-                f"({axis[0]:.2f}, {axis[1]:.2f}, {axis[2]:.2f}) with x forward; it must be along {'xy'[along]}"
+                f"joint '{self._name(joints[leg, k])}' should be the {part}, and its axis at zero is "
+                f"({x:.2f}, {y:.2f}, {z:.2f}) with x forward; it must be along {'xy'[along[k]]}"
             )
-        exact = np.zeros(3)
-        exact[along] = np.sign(axis[along])
-        low, high = model.jnt_range[joint]
-        dof = int(model.jnt_dofadr[joint])
-        return ImportedJoint(
-            name=name,
-            place=self.data.xanchor[joint].copy(),
-            axis=exact,
-            limits=(float(low), float(high)) if model.jnt_limited[joint] else None,
-            torque=self._torque(joint),
-            speed=self.speeds.get(name),
-            damping=float(np.ravel(model.dof_damping[dof])[0]),
-            friction=float(model.dof_frictionloss[dof]),
-            rotor_inertia=float(model.dof_armature[dof]),
-        )
+        dofs = model.jnt_dofadr[joints]
+        names = [[self._name(joint) for joint in row] for row in joints]
+        return {
+            "joints": tuple(map(tuple, names)),
+            "places": self.data.xanchor[joints],
+            "axes": np.eye(3)[along] * np.sign(cosines)[..., None],
+            "limits": np.where(model.jnt_limited[joints][..., None], model.jnt_range[joints], np.nan),
+            "torque": np.array([[self._torque(joint) for joint in row] for row in joints]),
+            "speed": np.array([[self.speeds.get(name, np.nan) for name in row] for row in names]),
+            "damping": model.dof_damping.reshape(model.nv, -1)[dofs, 0],
+            "friction": model.dof_frictionloss[dofs],
+            "rotor_inertia": model.dof_armature[dofs],
+        }
 
-    def _torque(self, joint: int) -> float | None:
-        """Return the torque limit of a joint: its own, or its actuator's."""
+    def _torque(self, joint: int) -> float:
+        """Return the torque limit of a joint: its own, or its actuator's; NaN without one."""
         model = self.model
         if model.jnt_actfrclimited[joint]:
             return float(np.abs(model.jnt_actfrcrange[joint]).max())
@@ -316,34 +318,30 @@ class _Reader:
                 return gear * float(np.abs(model.actuator_forcerange[k]).max())
             if model.actuator_ctrllimited[k] and model.actuator_biastype[k] == mujoco.mjtBias.mjBIAS_NONE:
                 return gear * float(np.abs(model.actuator_ctrlrange[k]).max())
-        return None
+        return math.nan
 
     def _geoms(self, mover: int) -> list[int]:
         """Return the shapes that move with a body."""
         return np.flatnonzero(self.group[self.model.geom_bodyid] == mover).tolist()
 
-    def _foot(self, body: int, knee: Array) -> tuple[Array, float, str]:
-        """Return centre [m] and radius [m] of a leg's foot, and how it was recognized."""
+    def _foot(self, body: int, knee: Array) -> _Foot:
+        """Return a leg's foot: the last link's sphere, else a link that is named so, else the end of its shapes."""
         model, data, geoms = self.model, self.data, self._geoms(body)
-
-        def from_knee(place: Array) -> float:
-            return float(np.linalg.norm(place - knee))
-
         spheres = [g for g in geoms if model.geom_type[g] == mjtGeom.mjGEOM_SPHERE]
         if spheres:
-            last = max(spheres, key=lambda g: from_knee(data.geom_xpos[g]))
-            return data.geom_xpos[last].copy(), float(model.geom_size[last, 0]), "the last link's sphere"
-        named = [b for b in np.flatnonzero(self.group == body) if _FOOT.search(model.body(int(b)).name)]
-        if named:
-            at = data.xpos[named[-1]].copy()
-            return at, self._thickness(geoms, at), "a link named so"
-        ends = [corner for g in geoms for corner in self._corners(g)]
-        if not ends:
+            last = max(spheres, key=lambda g: float(np.linalg.norm(data.geom_xpos[g] - knee)))
+            return _Foot(data.geom_xpos[last], float(model.geom_size[last, 0]), "the last link's sphere")
+        if named := [b for b in np.flatnonzero(self.group == body) if _FOOT.search(model.body(int(b)).name)]:
+            centre = data.xpos[named[-1]]
+            return _Foot(centre, self._thickness(geoms, centre), "a link named so")
+        if not geoms:
             raise self._error(f"'{model.body(body).name}' has neither a shape nor a link for its foot; add one")
-        end = max(ends, key=from_knee)
-        end = np.array([end[0], (np.min(ends, axis=0)[1] + np.max(ends, axis=0)[1]) / 2, end[2]])
+        ends = np.concatenate([self._corners(g) for g in geoms])
+        end = ends[np.argmax(np.linalg.norm(ends - knee, axis=1))]
+        end[1] = (ends[:, 1].min() + ends[:, 1].max()) / 2  # in the middle plane of the shapes
         radius = self._thickness(geoms, end)
-        return end + np.array([0.0, 0.0, radius]), radius, "the far end of the last link's shapes"
+        end[2] += radius
+        return _Foot(end, radius, "the far end of the last link's shapes")
 
     def _thickness(self, geoms: list[int], place: Array) -> float:
         """Return a radius [m] for a foot: half of the width of the shape that is nearest to it."""
@@ -353,8 +351,8 @@ class _Reader:
         nearest = min(geoms, key=lambda g: float(np.linalg.norm(self.data.geom_xpos[g] - place)))
         return float(np.clip(self.model.geom_aabb[nearest, 3:].min(), 0.3 * usual, usual))
 
-    def _corners(self, geom: int) -> list[Array]:
-        """Return points of a shape's hull: the vertices of a mesh, the corners of the box around another shape."""
+    def _corners(self, geom: int) -> Array:
+        """Return points (p, 3) of a shape's hull: vertices of a mesh, or corners of the box around another shape."""
         model = self.model
         if model.geom_type[geom] == mjtGeom.mjGEOM_MESH:
             # The box around a mesh has its principal axes: the box around that one would be too large.
@@ -363,26 +361,24 @@ class _Reader:
         else:
             signs = np.array(list(itertools.product((-1, 1), repeat=3)))
             points = model.geom_aabb[geom, :3] + model.geom_aabb[geom, 3:] * signs
-        return list(self.data.geom_xpos[geom] + points @ self.data.geom_xmat[geom].reshape(3, 3).T)
+        placed: Array = self.data.geom_xpos[geom] + points @ self.data.geom_xmat[geom].reshape(3, 3).T
+        return placed
 
     def _box(self, base: int) -> tuple[Array, Array]:
         """Return centre and half of the sides of a box around the base's shapes, or with its inertia."""
-        corners = [corner for g in self._geoms(base) for corner in self._corners(g)]
-        if corners:
-            low, high = np.min(corners, axis=0), np.max(corners, axis=0)
+        if geoms := self._geoms(base):
+            corners = np.concatenate([self._corners(g) for g in geoms])
+            low, high = corners.min(axis=0), corners.max(axis=0)
             return (low + high) / 2, (high - low) / 2
         body = self._body(base)
-        xx, yy, zz = np.diag(body.inertia)
-        squares = 1.5 / body.mass * np.array([yy + zz - xx, xx + zz - yy, xx + yy - zz])
+        moments = np.diag(body.inertia)
         self.notes.append("the base has no shape: a box with its inertia stands for it")
-        return body.centre, np.sqrt(np.maximum(squares, 1e-4))
+        return body.centre, np.sqrt(np.maximum(1.5 / body.mass * (moments.sum() - 2 * moments), 1e-4))
 
-    def _in_order(self, legs: list[ImportedLeg]) -> list[ImportedLeg]:
-        """Return the legs as front left, front right, back left and back right."""
-        hips = np.array([leg.joints[-2].place for leg in legs])
-        feet = np.array([leg.foot for leg in legs])
+    def _order(self, hips: Array, feet: Array) -> list[int]:
+        """Return the indices of the legs front left, front right, back left and back right, by places (4, 3)."""
         front, left = hips[:, 0] > hips[:, 0].mean(), feet[:, 1] > feet[:, 1].mean()
         corners = [np.flatnonzero((front == f) & (left == s)) for f in (True, False) for s in (True, False)]
         if any(len(corner) != 1 for corner in corners):
             raise self._error("its hips are not at four corners, one leg at each")
-        return [legs[int(corner[0])] for corner in corners]
+        return [int(corner[0]) for corner in corners]

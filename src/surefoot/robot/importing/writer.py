@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
+import json
 import math
-from collections.abc import Sequence
+import re
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from surefoot.arrays import Array
 from surefoot.errors import SurefootError, accessible, check_name
 from surefoot.files import whole_file
 from surefoot.robot.actuator import PLACEHOLDER_TORQUE
-from surefoot.robot.description import GRAVITY
-from surefoot.robot.importing.imported import LEGS, ImportedJoint, ImportedLeg, ImportedRobot, Knees
+from surefoot.robot.importing.imported import LEGS, ImportedRobot, Knees
 from surefoot.robot.rigid_body import RigidBody
+from surefoot.robot.sheet import GRAVITY
 from surefoot.robot.urdf import Joint, Link, Shape, Urdf
 from surefoot.robot.urdf_file import format_urdf
 
@@ -47,17 +49,15 @@ def write_robot(robot: ImportedRobot, folder: Path, name: str, knees: Knees | No
     with accessible(folder, "made"):
         folder.mkdir(parents=True, exist_ok=True)
     _write(folder / "robot.urdf", format_urdf(_urdf(robot), name))
-    _write(folder / "robot.toml", "\n".join(f"{line}  # guessed: {why}" if why else line for line, why in lines))
+    _write(folder / "robot.toml", "\n".join(f"{line}  # guessed: {why}" if why else line for line, why in lines) + "\n")
     return list(dict.fromkeys([*robot.notes, *(f"{line}: {why}" for line, why in lines if why)]))
 
 
 def set_servo_step(folder: Path, step: float) -> str:
     """Write a shorter physics step [s] to the sheet of a robot that was just imported; return the guess as a line."""
     path, why = folder / "robot.toml", "s, the longest that servos, friction and feet allow"
-    lines = path.read_text(encoding="utf-8").split("\n")
-    number = next(k for k, line in enumerate(lines) if line.startswith("servo_step = "))
-    lines[number] = f"servo_step = {step:g}  # guessed: {why}"
-    _write(path, "\n".join(lines))
+    text = re.sub("(?m)^servo_step = .*", f"servo_step = {step:g}  # guessed: {why}", path.read_text(encoding="utf-8"))
+    _write(path, text)
     return f"servo_step = {step:g}: {why}"
 
 
@@ -70,15 +70,15 @@ def _sheet(robot: ImportedRobot, name: str, knees: Knees | None) -> list[_Line]:
     """Return the lines of a `robot.toml`."""
     signs, certain = robot.knee_signs(knees)
     legs: list[_Line] = []
-    for leg_name, leg, sign in zip(LEGS, robot.legs, signs, strict=True):
-        legs += _plain(f"[legs.{leg_name}]", f"motors = {_names(leg.joints)}", f'foot = "{leg_name}_foot"')
-        knee = f'knee = "{"forward" if sign > 0 else "backward"}"'
-        legs += [(knee, "" if certain else "the knees' limits do not say"), ("", "")]
-    step = 0.001 if robot.mass < 5 else 0.002
+    for leg, joints, sign in zip(LEGS, robot.joints, signs, strict=True):
+        legs += _plain("", f"[legs.{leg}]", f"motors = {json.dumps(joints)}", f'foot = "{leg}_foot"')
+        legs.append(
+            (f'knee = "{"forward" if sign > 0 else "backward"}"', "" if certain else "the knees' limits do not show it")
+        )
     return [
         *_plain(
             f"# {name}: made from {robot.path.name}, whose {robot.forward} is forward. SI units, radians.",
-            "# Lines with 'guessed' are not in that file: replace them by what is known of the robot.",
+            "# Lines with 'guessed' are not in that file: replace them by the robot's own numbers.",
             "",
             f'name = "{name}"',
             'urdf = "robot.urdf"',
@@ -87,20 +87,20 @@ def _sheet(robot: ImportedRobot, name: str, knees: Knees | None) -> list[_Line]:
             "# In the order of commands and readings; joint angle in the URDF = sign * motor angle.",
             "[motors]",
         ),
-        (f"order = {_names(_joints(robot))}", "leg by leg; take the order of the robot's own interface"),
-        *_plain("", "[legs]", "order = [" + ", ".join(f'"{leg}"' for leg in LEGS) + "]", ""),
+        (f"order = {json.dumps(sum(robot.joints, ()))}", "leg by leg; take the order of the robot's own interface"),
+        *_plain("", "[legs]", f"order = {json.dumps(LEGS)}"),
         *legs,
-        *_leg_space(robot),
-        ("", ""),
+        *_plain("", *_leg_space(robot)[:-1]),
+        (_leg_space(robot)[-1], "stands with legs straight down"),
+        *_plain("", "# All at the joint: after the gear.", "[actuator]", 'kind = "joint"'),
         *_actuator(robot),
         *_plain("", "[timing]"),
-        (f"servo_step = {step}", "s, of the actuators' controllers"),
+        (f"servo_step = {0.001 if robot.mass < 5 else 0.002}", "s, of the actuators' controllers"),
         ("control_step = 0.01", "s, between two commands of a policy"),
         ("servo_latency = 0.002", "s, age of what the actuators' controllers see"),
         ("control_latency = 0.01", "s, age of what a policy sees"),
         *_plain("", "[contact]"),
         ("friction = 0.8", "rubber on a floor"),
-        ("", ""),
     ]
 
 
@@ -108,87 +108,60 @@ def _plain(*lines: str) -> list[_Line]:
     return [(line, "") for line in lines]
 
 
-def _joints(robot: ImportedRobot) -> list[ImportedJoint]:
-    return [joint for leg in robot.legs for joint in leg.joints]
-
-
-def _names(joints: Sequence[ImportedJoint]) -> str:
-    return "[" + ", ".join(f'"{joint.name}"' for joint in joints) + "]"
-
-
-def _leg_space(robot: ImportedRobot) -> list[_Line]:
-    """Return the ranges of commands: what all joints can do, within usual ranges."""
-    low, high, aside = 0.35, 0.97, 0.5
-    for leg in robot.legs:
-        if (bends := leg.knee_range) is not None:
-            sign = 1 if sum(bends) > 0 else -1
-            bent, straight = max(sign * bend for bend in bends), max(0.0, min(sign * bend for bend in bends))
-            low, high = max(low, _extension(leg, bent) + 0.02), min(high, _extension(leg, straight) - 0.01)
-        if len(leg.joints) == 3 and leg.joints[0].limits:
-            aside = min(aside, *map(abs, leg.joints[0].limits))
+def _leg_space(robot: ImportedRobot) -> list[str]:
+    """Return lines with the ranges of commands, which are what all joints can do, within usual ranges."""
+    low, high, abduction = 0.35, 0.97, 0.5
+    upper, lower = np.linalg.norm(robot.links, axis=-1)
+    bends = np.sort(np.abs(robot.knee_bends), axis=1)
+    bends[np.prod(robot.knee_bends, axis=1) < 0, 0] = 0.0  # the straight leg is in the knee's range
+    reach = np.hypot(upper + lower * np.cos(bends.T), lower * np.sin(bends.T)) / (upper + lower)
+    low, high = (
+        float(np.fmax.reduce(reach[1] + 0.02, initial=low)),
+        float(np.fmin.reduce(reach[0] - 0.01, initial=high)),
+    )
+    abducts = len(robot.joints[0]) == 3
+    if abducts:
+        abduction = float(np.fmin.reduce(np.abs(robot.limits[:, 0]), axis=None, initial=abduction))
     rest = round(min(max(0.75, low + 0.05), high - 0.05), 3)
-    abducts = len(robot.legs[0].joints) == 3
     return [
-        *_plain(
-            "# What commands may ask of legs: abduction and swing in rad, extension in lengths of the straight leg.",
-            "[leg_space]",
-            *([f"abduction = [{-aside:.3g}, {aside:.3g}]"] if abducts else []),
-            "swing = [-1.0, 1.0]",
-            f"extension = [{low:.3g}, {high:.3g}]",
-        ),
-        (f"rest = {[0.0] * (1 + abducts) + [rest]}", "stands with legs straight down"),
+        "# What commands may ask of legs: abduction and swing in rad, extension in lengths of the straight leg.",
+        "[leg_space]",
+        *([f"abduction = [{-abduction:.3g}, {abduction:.3g}]"] if abducts else []),
+        "swing = [-1.0, 1.0]",
+        f"extension = [{low:.3g}, {high:.3g}]",
+        f"rest = {[0.0] * (1 + abducts) + [rest]}",
     ]
 
 
-def _extension(leg: ImportedLeg, bend: float) -> float:
-    """Return the distance from hip to foot at a bend of the knee [rad], over the straight leg's length."""
-    upper, lower = leg.lengths
-    return math.hypot(upper + lower * math.cos(bend), lower * math.sin(bend)) / (upper + lower)
-
-
 def _actuator(robot: ImportedRobot) -> list[_Line]:
-    joints, per_leg, torque_unit = _joints(robot), len(robot.legs[0].joints), robot.mass * GRAVITY * robot.length
+    """Return lines with the actuators' data: the file's, and usual ones in place of missing ones and placeholders."""
+    mass, length, shape = robot.mass, robot.length, robot.torque.shape
+    stiffness = mass * GRAVITY * length
 
-    def line(key: str, values: Sequence[float], unit: str, why: str = "") -> _Line:
+    def line(key: str, values: ArrayLike, unit: str, why: str = "") -> _Line:
         """Return a line with a number for all motors, one for each motor of a leg, or one for each motor."""
-        numbers = [float(f"{value:.4g}") for value in values]
-        of_leg = numbers[:per_leg]
-        value = numbers[0] if len(set(numbers)) == 1 else of_leg if of_leg * len(robot.legs) == numbers else numbers
+        numbers = np.array([[float(f"{value:.4g}") for value in row] for row in np.broadcast_to(values, shape)])
+        value = numbers.ravel().tolist() if np.ptp(numbers, axis=0).any() else numbers[0].tolist()
+        value = value if np.ptp(numbers) else value[0]
         return (f"{key} = {value}", f"{why} ({unit})") if why else (f"{key} = {value}  # {unit}", "")
 
-    def limit(
-        key: str, values: Sequence[float | None], placeholder: float, usual: float, unit: str, rule: str
-    ) -> tuple[list[float], _Line]:
-        """Return the limits, the usual one in place of a missing one or a placeholder, and their line."""
-        real = [value is not None and 0 < value < placeholder for value in values]
-        limits = [float(value or 0) if ok else usual for value, ok in zip(values, real, strict=True)]
-        return limits, line(key, limits, unit, "" if all(real) else f"{rule}; the file has no real limit")
+    def limit(values: Array, placeholder: float, usual: float, rule: str) -> tuple[Array, str]:
+        real = (values > 0) & (values < placeholder)
+        return np.where(real, values, usual), "" if real.all() else f"{rule}; the file has no real limit"
 
-    damping = 0.15 * torque_unit * math.sqrt(robot.length / GRAVITY)
-    torques = [joint.torque for joint in joints]
-    _, torque_line = limit(
-        "torque_limit", torques, PLACEHOLDER_TORQUE * torque_unit, 0.4 * torque_unit, "N m", ".4 m g l"
-    )
-    speeds, speed_line = limit(
-        "speed_limit",
-        [joint.speed for joint in joints],
-        _PLACEHOLDER_SPEED,
-        6 * math.sqrt(GRAVITY / robot.length),
-        "rad/s",
-        "6 sqrt(g / l)",
-    )
-    rotors = [joint.rotor_inertia or 0.005 * robot.mass * robot.length**2 for joint in joints]
-    why = "" if all(joint.rotor_inertia for joint in joints) else ".005 m l^2: gear ratio squared times the rotor's"
+    torque, torque_rule = limit(robot.torque, PLACEHOLDER_TORQUE * stiffness, 0.4 * stiffness, ".4 m g l")
+    speed, speed_rule = limit(robot.speed, _PLACEHOLDER_SPEED, 6 * math.sqrt(GRAVITY / length), "6 sqrt(g / l)")
+    has_rotor = robot.rotor_inertia > 0
+    rotor_rule = "" if has_rotor.all() else ".005 m l^2: gear ratio squared times the rotor's"
     return [
-        *_plain("# All at the joint: after the gear.", "[actuator]", 'kind = "joint"'),
-        line("kp", [torque_unit] * len(joints), "N m/rad", "m g l, the stiffness that carries the robot"),
-        line("kd", [damping] * len(joints), "N m s/rad", ".15 kp sqrt(l / g)"),
-        torque_line,
-        speed_line,
-        line("full_torque_speed", [0.5 * speed for speed in speeds], "rad/s", "half of the speed limit"),
-        line("rotor_inertia", rotors, "kg m2", why),
-        line("friction", [joint.friction for joint in joints], "N m, Coulomb"),
-        line("viscous_friction", [joint.damping for joint in joints], "N m s/rad"),
+        line("kp", stiffness, "N m/rad", "m g l, the stiffness that carries the robot"),
+        line("kd", 0.15 * stiffness * math.sqrt(length / GRAVITY), "N m s/rad", ".15 kp sqrt(l / g)"),
+        line("torque_limit", torque, "N m", torque_rule),
+        line("speed_limit", speed, "rad/s", speed_rule),
+        line("full_torque_speed", 0.5 * speed, "rad/s", "half of the speed limit"),
+        line("rotor_inertia", np.where(has_rotor, robot.rotor_inertia, 0.005 * mass * length**2), "kg m2", rotor_rule),
+        line("friction", robot.friction, "N m, Coulomb"),
+        line("viscous_friction", robot.damping, "N m s/rad"),
     ]
 
 
@@ -197,25 +170,26 @@ def _urdf(robot: ImportedRobot) -> Urdf:
     centre, half = robot.base_box
     links = {"base": _link(robot.base, np.zeros(3), Shape("base", "box", tuple(half), _frame(centre)))}
     joints: dict[str, Joint] = {}
-    for leg_name, leg in zip(LEGS, robot.legs, strict=True):
+    parts = ("hip", "upper", "lower")[-len(robot.joints[0]) :]
+    for k, leg in enumerate(LEGS):
         parent, origin = "base", np.zeros(3)
-        parts = ("hip", "upper", "lower")[-len(leg.joints) :]
-        for part, joint, body in zip(parts, leg.joints, leg.bodies, strict=True):
-            name, shapes = f"{leg_name}_{part}", []
-            if part != "hip":
-                end = leg.foot if part == "lower" else leg.joints[-1].place
-                start = np.array([joint.place[0], end[1], joint.place[2]])
+        ends = [None, *robot.places[k, -1:], robot.feet[k]][-len(parts) :]
+        for part, joint, body, place, axis, limits, end in zip(
+            parts, robot.joints[k], robot.bodies[k], robot.places[k], robot.axes[k], robot.limits[k], ends, strict=True
+        ):
+            name, shapes = f"{leg}_{part}", []
+            if end is not None:
                 radius = 0.06 * robot.length * (0.5 if part == "upper" else 0.3)
-                shapes = [_cylinder(name, start - joint.place, end - joint.place, radius)]
-            links[name] = _link(body, joint.place, *shapes)
-            kind, (x, y, z) = "revolute" if joint.limits else "continuous", joint.axis.tolist()
-            frame = _frame(joint.place - origin)
-            joints[joint.name] = Joint(joint.name, kind, parent, name, (x, y, z), frame, joint.limits)
-            parent, origin = name, joint.place
-        foot, ankle = f"{leg_name}_foot", f"{leg_name}_ankle"
-        sphere = Shape(foot, "sphere", (leg.foot_radius,), np.eye(4))
+                shapes = [_cylinder(name, np.array([0.0, end[1] - place[1], 0.0]), end - place, radius)]
+            links[name] = _link(body, place, *shapes)
+            limited, (x, y, z) = bool(np.isfinite(limits).all()), axis.tolist()
+            kind, span = ("revolute", (float(limits[0]), float(limits[1]))) if limited else ("continuous", None)
+            joints[joint] = Joint(joint, kind, parent, name, (x, y, z), _frame(place - origin), span)
+            parent, origin = name, place
+        foot, ankle = f"{leg}_foot", f"{leg}_ankle"
+        sphere = Shape(foot, "sphere", (float(robot.foot_radius[k]),), np.eye(4))
         links[foot] = _link(RigidBody(1e-6, np.zeros(3), 1e-10 * np.eye(3)), np.zeros(3), sphere)
-        joints[ankle] = Joint(ankle, "fixed", parent, foot, (1.0, 0.0, 0.0), _frame(leg.foot - origin))
+        joints[ankle] = Joint(ankle, "fixed", parent, foot, (1.0, 0.0, 0.0), _frame(robot.feet[k] - origin))
     return Urdf(robot.path, links, joints)
 
 

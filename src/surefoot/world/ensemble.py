@@ -23,7 +23,7 @@ FIRST_SEED = 1
 
 def ensemble_params(robot: RobotDescription, num_envs: int) -> PhysicalParams:
     """Return the physical parameters of the first `num_envs` robots of the ensemble, one row each."""
-    ranges = load_ranges(RANGES, robot=robot.folder).ranges
+    ranges = load_ranges(RANGES, robot=robot.folder)
     drawn = [draw_hidden(robot, ranges, FIRST_SEED + k) for k in range(min(ROBOTS, num_envs))]
     rows = {name: np.concatenate([getattr(one, name) for one in drawn]) for name in PhysicalParams.names()}
     return PhysicalParams(**rows).rows(np.arange(num_envs) % ROBOTS)

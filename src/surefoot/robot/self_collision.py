@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from surefoot.arrays import Array
-from surefoot.robot import RobotDescription
+from surefoot.robot.description import RobotDescription
 from surefoot.robot.urdf import Shape
 
 _SAMPLES = {1: 61, 2: 25, 3: 9}

@@ -1,0 +1,100 @@
+"""Table, figures and video of episodes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from surefoot.robot.commands import COMMANDS
+
+if TYPE_CHECKING:
+    from surefoot.robot import RobotDescription
+    from surefoot.task.trace import EpisodeTrace
+
+
+def draw_episode(folder: Path, trace: EpisodeTrace, robot: RobotDescription) -> list[Path]:
+    """Draw a footfall diagram and a plot of an episode; return the files."""
+    import numpy as np
+
+    from surefoot.report.figures.runs import episode_plot, footfall_diagram
+
+    plot = episode_plot(trace, robot, folder / "episode.png")
+    # Without switches in the feet nothing is known of footfalls.
+    if np.isnan(trace.foot_contact).any():
+        return [plot]
+    return [footfall_diagram(trace, folder / "footfalls.png"), plot]
+
+
+def print_summaries(summaries: dict[str, dict[str, Any]]) -> None:
+    """Print the figures of evaluations, a column for each."""
+    from surefoot.tables import print_table
+
+    columns = {name: _summary_texts(summary) for name, summary in summaries.items()}
+    measures = next(iter(columns.values()))
+    print_table([{"": measure} | {name: texts[measure] for name, texts in columns.items()} for measure in measures])
+
+
+def _tracking_texts(summary: dict[str, Any]) -> dict[str, str]:
+    """Return the errors of following commands as text, where there were commands."""
+    texts = {}
+    for key, label in (("rmse", "RMSE"), ("rmse_stride", "RMSE over strides")):
+        if key in summary:
+            parts = [f"{'-' if x is None else format(x, '.3f')} {COMMANDS[name]}" for name, x in summary[key].items()]
+            texts[f"{label}: {', '.join(COMMANDS).replace('_', ' ')}"] = ", ".join(parts)
+    return texts
+
+
+def _summary_texts(summary: dict[str, Any]) -> dict[str, str]:
+    """Return the figures of an evaluation as text, by what they measure."""
+
+    def text(key: str, unit: str, deviation: str = "") -> str:
+        value = summary[key]
+        if value is None:
+            return "-"
+        return f"{value:.3f}" + (f" ± {summary[deviation]:.3f}" if deviation else "") + f" {unit}".rstrip()
+
+    falls = f"{summary['falls']} of {summary['episodes']}"
+    for name in ("faults", "stopped"):
+        if summary.get(name):
+            falls += f", {summary[name]} {name}"
+    duty, phases = summary["duty_factor"], summary["phases"]
+    texts = {
+        "falls": falls,
+        "steps": f"{summary['steps_mean']:.1f}",
+        "speed": text("speed_mean", "m/s", "speed_std"),
+        "power": text("power_mean", "W"),
+        "return": text("return_mean", "", "return_std"),
+        "distance": text("distance_mean", "m"),
+        "drift": text("drift_mean", "m"),
+        "cost of transport": text("cost_of_transport_mean", ""),
+        **_tracking_texts(summary),
+        # Without any duty factor nothing is known of the feet.
+        "gait": summary["gait"] if any(value is not None for value in duty.values()) else "-",
+    }
+    for leg in duty:
+        numbers = ["-" if value is None else f"{value:.2f}" for value in (duty[leg], phases[leg])]
+        texts[f"{leg.replace('_', ' ')}: duty factor, phase"] = ", ".join(numbers)
+    return texts
+
+
+def film(robot: RobotDescription, trace: EpisodeTrace, path: Path) -> Path:
+    """Write a video (.mp4) of a trace; return its path."""
+    from surefoot.report.drawing.renderer import Camera
+    from surefoot.report.drawing.scene import extent, scene, trace_poses
+    from surefoot.report.drawing.video import render_video
+
+    shapes, poses = scene(robot), trace_poses(robot, trace)
+    camera = Camera.for_robot(extent(robot))
+    return render_video(shapes, poses, trace.time, path, overlay=_captions(trace), follow=robot.base, camera=camera)
+
+
+def _captions(trace: EpisodeTrace) -> list[str]:
+    """Return a text for each control step of a trace: policy, world, and speed over the last half second."""
+    half = max(round(0.5 / trace.meta["control_step"]), 1)
+    lines = []
+    for step, time in enumerate(trace.time):
+        start = max(step + 1 - half, 0)
+        moved = trace.base_position_world[step + 1, 0] - trace.base_position_world[start, 0]
+        since = time - (trace.time[start - 1] if start else 0.0)
+        lines.append(f"{trace.meta['policy']} in {trace.meta['world']}\n{time:4.1f} s   {moved / since:5.2f} m/s")
+    return lines

@@ -1,0 +1,61 @@
+"""What commands print: results as JSON, tables of names, the command to run next."""
+
+from __future__ import annotations
+
+import json
+import shlex
+import sys
+from collections.abc import Callable, Iterable, Mapping
+from itertools import islice
+from pathlib import Path
+
+from rich.console import Console
+
+from surefoot.errors import SurefootError, choices
+
+
+def make_console(stderr: bool = False) -> Console:
+    """Return a console that prints texts as they are, on lines of any length."""
+    return Console(stderr=stderr, highlight=False, soft_wrap=True, emoji=False, markup=False)
+
+
+def print_json(result: Mapping[str, object]) -> None:
+    """Print a result as one JSON object. Numbers that are not finite must be None."""
+    print(json.dumps(result, allow_nan=False, default=str), flush=True)
+
+
+def next_command(purpose: str, *words: object) -> str:
+    """Return a line that names the command for a purpose, such as `to resume: surefoot train --resume RUN`."""
+    return f"to {purpose}: {shlex.join(['surefoot', *map(str, words)])}"
+
+
+def show_command(traces: Iterable[Path | str]) -> str:
+    """Return a line that names the command which shows traces in the browser, the first four of them."""
+    return next_command("look at", "show", *islice(traces, 4))
+
+
+def table_lines(rows: Mapping[str, str], width: int = 0) -> str:
+    """Return names, in a column of `width` characters or more, with their meanings."""
+    width = max(width, *map(len, rows))
+    return "\n".join(f"  {name:<{width}}  {meaning}" for name, meaning in rows.items())
+
+
+def run_action(argv: list[str], command: str, actions: Mapping[str, tuple[str, Callable[[list[str]], int]]]) -> int:
+    """Run the action of a command that the first word names; print the actions if there is none.
+
+    Args:
+        argv: words after the command.
+        command: its name.
+        actions: by name, a line of help and the function that takes the other words and returns the exit code.
+
+    Raises:
+        SurefootError: a word that is not an action.
+    """
+    if not argv or argv[0] in ("-h", "--help"):
+        lines = table_lines({name: line for name, (line, _) in actions.items()})
+        usage = f"usage: surefoot {command} ACTION ...\n\nactions:\n{lines}"
+        print(usage, file=sys.stdout if argv else sys.stderr)
+        return 0 if argv else 2
+    if argv[0] not in actions:
+        raise SurefootError(f"'{argv[0]}' is not an action; choices: {choices(actions)}")
+    return actions[argv[0]][1](argv[1:])

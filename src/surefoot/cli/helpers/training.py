@@ -1,0 +1,119 @@
+"""One training: checks before it, its progress, and what is made of it at its end."""
+
+from __future__ import annotations
+
+import json
+import math
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rich.console import Console
+
+from surefoot.cli.helpers.episodes import draw_episode, film, print_summaries
+from surefoot.cli.helpers.output import next_command, show_command
+from surefoot.learn.config import TrainConfig
+from surefoot.progress import ProgressBar
+from surefoot.world.registry import find_world
+
+if TYPE_CHECKING:
+    from surefoot.learn.run import Evaluation, TrainingRun
+    from surefoot.learn.run_folder import RunFolder
+    from surefoot.learn.trainer import UpdateFigures
+
+_LINE_PERIOD = 10.0
+"""Least time between two lines of progress where there is no terminal [s]."""
+_EPISODES = 20
+_RANDOMIZED_EPISODES = 100
+"""Episodes with randomized parameters: falls are rare there, and robots differ."""
+
+
+def check_config(config: TrainConfig) -> None:
+    """Refuse an invalid task, or an invalid run to start from, before a run folder is made."""
+    from surefoot.learn.run_folder import RunFolder
+    from surefoot.task.env import LocomotionEnv
+
+    LocomotionEnv(config.task, 1, find_world(config.world), threads=1)
+    if config.start_from is not None:
+        RunFolder.open(Path(config.start_from))
+
+
+class TrainingProgress(ProgressBar):
+    """Bar of a run with steps a second, speed and return; a line for each evaluation.
+
+    Args:
+        config: the run.
+        console: where to show it.
+        done: control steps done before, if the run is resumed.
+    """
+
+    def __init__(self, config: TrainConfig, console: Console, done: int = 0) -> None:
+        self._steps, self._done = config.updates * config.samples_per_update, done
+        super().__init__(config.task.name, console, self._steps, done, _LINE_PERIOD, transient=False)
+        self._start = time.monotonic()
+        self._return = self._speed = math.nan
+
+    def report(self, figures: UpdateFigures, evaluation: Evaluation | None) -> None:
+        """Show the figures of an update."""
+        if not math.isnan(figures.return_mean):
+            self._return, self._speed = figures.return_mean, figures.speed_mean
+        rate = (figures.steps - self._done) / (time.monotonic() - self._start)
+        text = f"{rate:,.0f} steps/s  speed {self._speed:.2f} m/s  return {self._return:.2f}"
+        left = (self._steps - figures.steps) / rate
+        line = f"{figures.steps:>9,} of {self._steps:,} steps  {text}  {left:.0f} s left"
+        self.advance(figures.steps, text, line)
+        if evaluation is not None:
+            pushed = f", {evaluation.pushed_falls} with pushes" if evaluation.pushed_falls else ""
+            self.print(
+                f"{evaluation.steps:>9,} steps, evaluated: {evaluation.speed_mean:.2f} m/s, "
+                f"return {evaluation.return_mean:.2f}, {evaluation.power_mean:.0f} W, {evaluation.falls} falls{pushed}",
+                "evaluation",
+            )
+
+
+def finish_run(run: TrainingRun, folder: RunFolder) -> None:
+    """Export the best policy and evaluate it: on the nominal robot, and with randomization and pushes if the task has.
+
+    Tables, figures and a video of the median episode go to the run folder.
+    """
+    from surefoot.evaluate.gap import home_task
+    from surefoot.evaluate.rollout import run_episodes
+    from surefoot.evaluate.runs import summarize
+    from surefoot.learn.export import export_run
+    from surefoot.policy.runtime import PolicyRuntime
+    from surefoot.robot import RobotDescription
+    from surefoot.studies.comparison import Curve
+    from surefoot.studies.study_figures import learning_curves
+
+    export_run(run, folder.policy)
+    task, policy, world = run.config.task, PolicyRuntime.load(folder.policy), run.config.world
+    robot, figures = RobotDescription.load(task.robot), folder.path / "figures"
+    print(f"Evaluating over {_EPISODES} episodes ...", flush=True)
+    nominal = home_task(task)
+    kinds = {"without_pushes": (nominal, _EPISODES)}
+    if task.randomize:
+        kinds["randomized"] = (replace(nominal, randomize=task.randomize), _RANDOMIZED_EPISODES)
+    if task.pushes.enabled:
+        kinds["with_pushes"] = (replace(nominal, pushes=task.pushes.in_full(True)), _EPISODES)
+    name = policy.contract.name
+    traces = {
+        kind: run_episodes(policy, task, episodes, find_world(world), seed=0, world_name=world, policy_name=name)
+        for kind, (task, episodes) in kinds.items()
+    }
+    summaries = {kind: summarize(episodes, robot.urdf.total_mass) for kind, episodes in traces.items()}
+    (folder.path / "evaluation.json").write_text(json.dumps(summaries, indent=2) + "\n", encoding="utf-8")
+    print("Drawing figures and video ...", flush=True)
+    figures.mkdir(exist_ok=True)
+    rows = folder.rows()
+    if any(row["return_mean"] is not None for row in rows):
+        learning_curves({task.name: [Curve.of_rows(rows)]}, figures / "learning_curve.png")
+    episodes = sorted(traces["without_pushes"], key=lambda trace: trace.base_position_world[-1, 0])
+    median = episodes[len(episodes) // 2]
+    draw_episode(figures, median, robot)
+    film(robot, median, figures / "video.mp4")
+    median.save(figures / "episode.npz")
+    print_summaries({kind.replace("_", " "): summary for kind, summary in summaries.items()})
+    print(f"Policy, table, figures and video are in {folder.path}")
+    print(show_command([figures / "episode.npz"]))
+    print(next_command("drive it", "drive", folder.policy), flush=True)

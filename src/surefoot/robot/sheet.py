@@ -1,0 +1,244 @@
+"""A robot's data sheet, `robot.toml`: its tables, and usual values where it is silent."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Annotated, Any, Literal
+
+from surefoot.configuration import NotNegative, Positive, Within, from_mapping, is_number
+from surefoot.errors import SurefootError, choices, quoted
+from surefoot.robot.leg import FiveBar, Legs
+from surefoot.robot.urdf import Urdf
+
+GRAVITY = 9.81
+"""Acceleration of free fall [m/s2]."""
+Range = tuple[float, float]
+Point = tuple[float, float, float]
+_Voltage = Annotated[float, Within(1, 1e3)]
+
+_USUAL_SPACE = {"abduction": (-0.5, 0.5), "swing": (-1.0, 1.0), "extension": (0.35, 0.97)}
+"""What a command may ask of a serial leg: angles [rad], and extension in lengths of the straight leg."""
+_USUAL_REST = 0.75
+"""Extension of a serial leg at rest, in lengths of the straight leg."""
+_SINK = 0.01
+"""How far a foot sinks in under its share of the weight, in leg lengths."""
+
+
+@dataclass(frozen=True)
+class Leg:
+    """One leg: names of its motor joints, of joints without a motor, and of its foot's link.
+
+    Motors of a five-bar leg are theta_1 and theta_2, those of a serial leg (abduction,) hip and knee.
+    """
+
+    motors: tuple[str, ...]
+    foot: str
+    knees: tuple[str, ...] = ()
+    knee: Literal["forward", "backward"] = "backward"
+    """Where the knee of a serial leg points."""
+    name: str = ""
+    """In the sheet it is the name of the leg's table."""
+
+
+@dataclass(frozen=True)
+class Loop:
+    """A pin joint between two links: its place [m] in each link's frame."""
+
+    links: tuple[str, str]
+    points: tuple[Point, Point]
+
+
+@dataclass(frozen=True)
+class Timing:
+    """Servo step, control step and both latencies [s], nominal."""
+
+    servo_step: Positive = 0.001
+    control_step: Positive = 0.010
+    servo_latency: NotNegative = 0.002
+    control_latency: NotNegative = 0.010
+
+
+@dataclass(frozen=True)
+class ContactData:
+    """Foot against ground: friction coefficient, spinning friction [m], stiffness [N/m] and damping [N s/m]."""
+
+    stiffness: Positive
+    damping: Positive
+    friction: Positive = 0.8
+    spinning_friction: NotNegative = 0.004
+    self_collision: bool = False
+    """Whether legs collide with each other and with the base; usually serial legs do."""
+
+
+@dataclass(frozen=True)
+class Poses:
+    """Poses between gaits, in leg space, of all legs alike."""
+
+    sit: tuple[float, ...]
+    """How the robot sits: low enough to fall from unharmed when its motors are let go."""
+    spread: float | None = None
+    """Swing [rad] of legs that lie beside the body, about as far as they slide when motors are let go; None: legs
+    do not slide out from under the body."""
+
+
+@dataclass(frozen=True)
+class Battery:
+    """Voltages of the battery [V]."""
+
+    nominal: _Voltage
+    warn: _Voltage
+    """Voltage under load below which a deployment warns."""
+    low: _Voltage
+    """Voltage under load below which a robot sits down."""
+    empty: _Voltage
+    """Voltage below which a robot damps itself."""
+
+    def __post_init__(self) -> None:
+        """Refuse voltages that do not rise from empty to warn."""
+        if not self.empty <= self.low <= self.warn:
+            raise SurefootError(
+                f"battery: empty is {self.empty:g} V, low {self.low:g} V, warn {self.warn:g} V; they must rise"
+            )
+
+
+@dataclass(frozen=True)
+class Motors:
+    """Motor joints in order, and the sign of each: joint angle = sign * motor angle; usually all 1."""
+
+    order: tuple[str, ...]
+    sign: tuple[Literal[-1, 1], ...] = ()
+
+
+@dataclass(frozen=True)
+class LegSpace:
+    """What a command may ask of a leg, and where it rests; angles in rad."""
+
+    abduction: Range | None = None
+    swing: Range | None = None
+    extension: Range | None = None
+    rest: tuple[float, ...] | None = None
+
+
+@dataclass(frozen=True)
+class Sheet:
+    """A `robot.toml` as it stands; `legs` has the legs' `order` and a table for each."""
+
+    name: str
+    urdf: str
+    base: str
+    motors: Motors
+    legs: dict[str, Any]
+    actuator: dict[str, Any]
+    body_length: Annotated[float | None, Within(0, 1e9, above=True)] = None
+    leg_geometry: FiveBar | None = None
+    loops: tuple[Loop, ...] = ()
+    leg_space: LegSpace = field(default_factory=LegSpace)
+    timing: Timing = field(default_factory=Timing)
+    contact: dict[str, Any] = field(default_factory=dict)
+    poses: dict[str, Any] = field(default_factory=dict)
+    battery: dict[str, Any] = field(default_factory=dict)
+    experiments: dict[str, Any] = field(default_factory=dict)
+    allowed: dict[str, Range] = field(default_factory=dict)
+
+
+def read_legs(sheet: Sheet, urdf: Urdf) -> tuple[Leg, ...]:
+    """Return the legs of a sheet, in order; refuse names that the URDF does not have, and legs of different kinds."""
+    hinges = [name for name, joint in urdf.joints.items() if joint.kind != "fixed"]
+    motors, tables = sheet.motors.order, dict(sheet.legs)
+    order = tables.pop("order", None)
+    if not isinstance(order, list) or not order or sorted(map(str, order)) != sorted(tables):
+        raise SurefootError(f"legs.order is {quoted(order)}; it must name each leg once: {choices(tables)}")
+    legs = tuple(replace(from_mapping(Leg, tables[name], f"legs.{name}"), name=name) for name in order)
+    check_names("base", (sheet.base,), urdf.links)
+    check_names("motors.order", motors, hinges)
+    for index, loop in enumerate(sheet.loops):
+        check_names(f"loops[{index}].links", loop.links, [joint.child for joint in urdf.joints.values()])
+    for leg in legs:
+        where = f"legs.{leg.name}"
+        check_names(f"{where}.motors", leg.motors, motors)
+        check_names(f"{where}.knees", leg.knees, hinges)
+        check_names(f"{where}.foot", (leg.foot,), urdf.links)
+        counts, knees = ((2,), 2) if sheet.leg_geometry else ((2, 3), 0)
+        if len(leg.motors) not in counts or len(leg.motors) != len(legs[0].motors) or len(leg.knees) != knees:
+            rule = "2 motors and 2 knees, with leg_geometry" if knees else "2 or 3 motors, all legs alike, and no knees"
+            raise SurefootError(f"{where} has {len(leg.motors)} motors and {len(leg.knees)} knees; a leg has {rule}")
+        feet = [shape.kind for shape in urdf.links[leg.foot].collisions]
+        if feet != ["sphere"]:
+            raise SurefootError(
+                f"{where}.foot: link '{leg.foot}' has as collision shapes: {choices(feet) or 'none'}; "
+                "a foot has one, a sphere"
+            )
+    used = [name for leg in legs for name in leg.motors]
+    if sorted(used) != sorted(motors):
+        raise SurefootError(
+            f"motors.order names {len(motors)} motors; each must belong to one leg; legs use {choices(used)}"
+        )
+    return legs
+
+
+def check_names(key: str, names: Sequence[str], valid: Iterable[str]) -> None:
+    """Refuse names that the robot does not have, and names that stand twice."""
+    for name in names:
+        if name not in valid:
+            raise SurefootError(f"{key} names '{name}', which the robot does not have; choices: {choices(valid)}")
+    if len(set(names)) != len(names):
+        raise SurefootError(f"{key} is {quoted(list(names))}; names must not repeat")
+
+
+def check_ranges(where: str, ranges: Mapping[str, Range]) -> None:
+    """Refuse ranges whose bounds are in the wrong order."""
+    for name, (low, high) in ranges.items():
+        if not low <= high:
+            raise SurefootError(f"{where}.{name} is [{low:g}, {high:g}]; the lower bound must come first")
+
+
+def complete_leg_space(table: LegSpace, legs: Legs) -> tuple[dict[str, Range], tuple[float, ...]]:
+    """Return the range of each coordinate and the resting pose: the sheet's, or usual ones for serial legs."""
+    names = legs.coordinates
+    if "abduction" not in names and table.abduction is not None:
+        raise SurefootError("leg_space.abduction is given; these legs have no abduction")
+    if legs.units[-1] == "rad" and not (table.swing and table.extension and table.rest):
+        raise SurefootError("leg_space has no swing, extension or rest; legs with leg_geometry need them")
+    space = {name: getattr(table, name) or _USUAL_SPACE[name] for name in names}
+    check_ranges("leg_space", space)
+    rest = table.rest or (*[0.0] * (len(names) - 1), _USUAL_REST)
+    if len(rest) != len(names):
+        raise SurefootError(f"leg_space.rest has {len(rest)} numbers; it must have {choices(names)}")
+    return space, rest
+
+
+def complete_poses(table: Mapping[str, Any], space: Mapping[str, Range]) -> Poses:
+    """Return the poses between gaits; robots sit with legs straight down, as short as commands allow."""
+    sit = [*[0.0] * (len(space) - 1), space["extension"][0]]
+    poses = from_mapping(Poses, {"sit": sit, **table}, "poses")
+    if len(poses.sit) != len(space):
+        raise SurefootError(f"poses.sit has {len(poses.sit)} numbers; it must have {choices(space)}")
+    for (name, (low, high)), value in zip(space.items(), poses.sit, strict=True):
+        if not low <= value <= high:
+            raise SurefootError(f"poses.sit has {name} {value:g}; leg_space allows {low:g} to {high:g}")
+    return poses
+
+
+def complete_battery(table: Mapping[str, Any], voltage: float) -> Battery:
+    """Return the battery's voltages: cells of 3.7 V are low at 3.3 V and empty at 2.9 V."""
+    nominal = _number(table, "nominal", voltage)
+    usual = {"nominal": nominal, "warn": 0.9 * nominal, "low": 0.88 * nominal, "empty": 0.78 * nominal}
+    return from_mapping(Battery, {**usual, **table}, "battery")
+
+
+def complete_contact(table: Mapping[str, Any], weight: float, length: float) -> ContactData:
+    """Return the feet's contact; stiffness and damping from a foot's share of the weight [N] and the leg's length [m].
+
+    A foot sinks in by 1 % of the leg's length under its share, and its damping is that of a quarter of the robot on
+    this spring at a damping ratio of .5.
+    """
+    stiffness = _number(table, "stiffness", weight / (_SINK * length))
+    usual = {"stiffness": stiffness, "damping": math.sqrt(max(stiffness, 0.0) * weight / GRAVITY)}
+    return from_mapping(ContactData, {**usual, **table}, "contact")
+
+
+def _number(table: Mapping[str, Any], key: str, usual: float) -> float:
+    """Return a number of a table, which is checked later; the usual one, where it has none."""
+    return float(table[key]) if is_number(table.get(key)) else usual

@@ -1,0 +1,157 @@
+"""Checks of a robot's description before anything is trained on it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import mujoco
+import numpy as np
+
+from surefoot.arrays import Array
+from surefoot.check_result import CheckResult, judge
+from surefoot.errors import SurefootError, choices
+from surefoot.robot import GRAVITY, RobotDescription
+from surefoot.robot.actuator import PLACEHOLDER_TORQUE, JointActuatorData
+from surefoot.robot.rigid_body import are_moments
+from surefoot.world.mujoco_model import build_model, foot_geoms, resting_qpos
+from surefoot.world.sim_world import SimWorld
+
+MAX_STANDING_TORQUE = 0.6
+"""Share of a motor's torque that standing may take: a trot stands on half of the legs."""
+MIRROR_TOLERANCE = 0.02
+"""Share by which mirrored masses and lengths may differ."""
+MAX_TILT = 0.2
+"""Roll or pitch [rad] of a robot that stands."""
+MAX_SAG = 0.2
+"""Share of its resting height by which a standing robot may sag."""
+STAND_TIME = 2.0
+"""How long it must stand [s]."""
+_DAMPER = 1.5
+"""Steps, in times m / B, up to which a damper B that is computed at the step's start is stable; 2 is the limit."""
+
+
+def run_description_checks(robot: RobotDescription) -> Iterator[CheckResult]:
+    """Yield the results for masses, limits, mirrored sides, feet, standing, frequencies and physics step."""
+    model = build_model(robot)
+    yield _check_masses(robot)
+    yield _check_torque_limits(robot)
+    yield _check_sides(robot)
+    radius = float(model.geom_size[foot_geoms(robot, model), 0].mean())
+    yield CheckResult("feet", True, f"{len(robot.legs)} spheres of {1e3 * radius:.0f} mm")
+    yield from _check_stand(robot, model)
+    frequencies, limits = _step_limits(robot, model)
+    yield CheckResult("frequencies", True, frequencies, value=math.sqrt(GRAVITY / robot.leg_geometry.length) / math.tau)
+    step, cause, longest = robot.timing.servo_step, min(limits, key=lambda name: limits[name]), _round_down(limits)
+    message = f"{1e3 * step:g} ms; at most {1e3 * limits[cause]:.2g} ms by {cause}"
+    yield judge("physics step", step <= limits[cause], message, "", f"set timing.servo_step to {longest:g}", longest)
+
+
+def longest_servo_step(robot: RobotDescription) -> float:
+    """Return the longest physics step [s] that is stable for a robot, rounded down."""
+    return _round_down(_step_limits(robot, build_model(robot))[1])
+
+
+def _round_down(limits: dict[str, float]) -> float:
+    """Return the least limit [s], rounded down to hundredths of a millisecond."""
+    return max(math.floor(1e5 * min(limits.values())), 1) / 1e5
+
+
+def _check_masses(robot: RobotDescription) -> CheckResult:
+    links = robot.urdf.fuse_fixed_links().links
+    odd = [name for name, link in links.items() if not are_moments(np.linalg.eigvalsh(link.body.inertia))]
+    share = max(link.mass for link in links.values()) / robot.urdf.total_mass
+    message = f"{robot.urdf.total_mass:.2f} kg, {share:.0%} in one body"
+    rule = f"; no rigid body has the inertia of {choices(odd)}: none of the moments may be over the sum of the others"
+    return judge("masses", not odd, message, rule, "correct these inertias in the URDF", robot.urdf.total_mass)
+
+
+def _check_torque_limits(robot: RobotDescription) -> CheckResult:
+    if not isinstance(robot.actuator, JointActuatorData):
+        return CheckResult("torque limits", True, "DC motors: by voltage and the torque-current curve")
+    torque, unit = np.asarray(robot.actuator.torque_limit), robot.weight * robot.leg_geometry.length
+    message = f"{_span(torque)} N m, {_span(torque / unit)} m g l"
+    rule = f"; over {PLACEHOLDER_TORQUE:g} m g l is a placeholder"
+    remedy = "state the actuator's real torque in actuator.torque_limit"
+    real = bool((torque <= PLACEHOLDER_TORQUE * unit).all())
+    return judge("torque limits", real, message, rule, remedy, float(torque.max()))
+
+
+def _check_sides(robot: RobotDescription) -> CheckResult:
+    """Compare the hips and masses of the legs with those of the legs across the middle plane."""
+    links, joints = robot.urdf.fuse_fixed_links().links, robot.urdf.joints
+    masses = [sum(links[joints[name].child].mass for name in (*leg.motors, *leg.knees)) for leg in robot.legs]
+    differing = []
+    for leg, mirror in enumerate(robot.leg_mounts * [1.0, -1.0, 1.0]):
+        distances = np.linalg.norm(robot.leg_mounts - mirror, axis=1)
+        other = int(np.argmin(distances))
+        apart = distances[other] > MIRROR_TOLERANCE * robot.leg_geometry.length
+        if other == leg or apart or abs(masses[leg] - masses[other]) > MIRROR_TOLERANCE * masses[leg]:
+            differing.append(robot.leg_names[leg])
+    rule = f"{choices(differing)}: no mirror image within {MIRROR_TOLERANCE:.0%} of the leg's length and mass"
+    remedy = "correct the places of the hips and the masses of the legs, or go on if the robot is built so"
+    message = rule if differing else "left and right are mirror images"
+    return judge("left and right", not differing, message, "", remedy)
+
+
+def _check_stand(robot: RobotDescription, model: mujoco.MjModel) -> Iterator[CheckResult]:
+    remedy = "choose another leg_space.rest, stiffer gains or the right masses"
+    try:
+        world = SimWorld(robot, 1)
+    except SurefootError as error:
+        yield CheckResult("stands", False, str(error), remedy)
+        return
+    expected = float(resting_qpos(robot, model)[2])
+    for _ in range(round(STAND_TIME / robot.timing.control_step)):
+        world.step(world.resting_angles[None])
+    truth = world.truth()
+    tilt, height = float(np.abs(truth.roll_pitch_yaw[0, :2]).max()), float(truth.base_position_world[0, 2])
+    stands = not world.divergences and tilt < MAX_TILT and height > (1 - MAX_SAG) * expected
+    message = f"after {STAND_TIME:g} s: tilt {tilt:.2f} rad, base at {height:.3f} m of {expected:.3f} m"
+    rule = f"; tilt must stay under {MAX_TILT:g} rad, the base above {1 - MAX_SAG:.0%}"
+    yield judge("stands", stands, message, rule, remedy, tilt)
+    if stands and isinstance(robot.actuator, JointActuatorData):
+        share = np.abs(truth.motor_torque[0]) / robot.actuator.torque_limit
+        worst = int(np.argmax(share))
+        message = f"{robot.motor_names[worst]} has {share[worst]:.0%} of its limit"
+        rule = f"; at most {MAX_STANDING_TORQUE:.0%}, as a trot stands on half of the legs"
+        passed = bool(share.max() <= MAX_STANDING_TORQUE)
+        yield judge("torque to stand", passed, message, rule, "stand with straighter legs", float(share.max()))
+
+
+def _step_limits(robot: RobotDescription, model: mujoco.MjModel) -> tuple[str, dict[str, float]]:
+    """Return the frequencies of legs, servos and feet in words, and the longest stable step [s] by its cause."""
+    message = f"leg as a pendulum {math.sqrt(GRAVITY / robot.leg_geometry.length) / math.tau:.2f} Hz"
+    data = mujoco.MjData(model)
+    data.qpos[:] = resting_qpos(robot, model)
+    mujoco.mj_forward(model, data)
+    inertia = np.zeros((model.nv, model.nv))
+    mujoco.mj_fullM(model, data, inertia)
+    limits = {}
+    if isinstance(robot.actuator, JointActuatorData):
+        # With the base free, each motor feels the inertia that its own force meets.
+        dofs = [int(model.joint(name).dofadr[0]) for name in robot.motor_names]
+        felt = 1.0 / np.diag(np.linalg.inv(inertia))[dofs]
+        kp, kd, friction = map(np.asarray, (robot.actuator.kp, robot.actuator.kd, robot.actuator.friction))
+        servo, damping = np.sqrt(kp / felt), kd / (2 * np.sqrt(np.maximum(kp * felt, 1e-12)))
+        message += f", servos {_span(servo / math.tau)} Hz at damping ratios {_span(damping)}"
+        limits["the servos' damping"] = 0.5 * float(np.min(felt / np.maximum(kd, 1e-9)))
+        limits["the servos' stiffness"] = 0.3 / float(servo.max())
+        limits["Coulomb friction"] = 0.1 * float(np.min(felt / np.maximum(friction, 1e-9)))
+    masses = [_foot_mass(model, data, inertia, int(geom)) for geom in foot_geoms(robot, model)]
+    contact = math.sqrt(robot.contact.stiffness / min(masses))
+    limits["the feet's stiffness"] = 0.5 / contact
+    limits["the feet's damping"] = _DAMPER * min(masses) / robot.contact.damping
+    return f"{message}, feet on the ground {contact / math.tau:.0f} Hz", limits
+
+
+def _foot_mass(model: mujoco.MjModel, data: mujoco.MjData, inertia: Array, geom: int) -> float:
+    """Return the mass [kg] that a vertical force on a foot meets."""
+    jacobian = np.zeros((3, model.nv))
+    mujoco.mj_jac(model, data, jacobian, None, data.geom_xpos[geom], int(model.geom_bodyid[geom]))
+    return 1.0 / float(jacobian[2] @ np.linalg.solve(inertia, jacobian[2]))
+
+
+def _span(values: Array) -> str:
+    low, high = float(np.min(values)), float(np.max(values))
+    return f"{low:.3g}" if math.isclose(low, high, rel_tol=5e-3) else f"{low:.3g} to {high:.3g}"
