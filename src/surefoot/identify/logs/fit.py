@@ -184,9 +184,9 @@ def _checks(
         motor = int(np.argmax(np.where(run.log.moving, after.by_motor, -1.0)))
         shown = run.log.until(_SHOWN)
         rows, angles = slice(0, len(shown.time)), shown.motor_angle[:, motor]
-        simulated = (angles + one.motor_angle[rows, motor] for one in (before, after))
+        was, now = (angles + one.motor_angle[rows, motor] for one in (before, after))
         labels = f"{robot.motor_names[motor]}, {what}", "time [s]", "angle [rad]"
-        series.append(Series(*labels, shown.read_time, angles, *simulated))
+        series.append(Series(*labels, shown.read_time, angles, was, now))
     return tuple(checks), tuple(series)
 
 

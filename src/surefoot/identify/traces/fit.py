@@ -249,10 +249,8 @@ class _TraceFit:
         motor = int(np.argmax(np.where(self.moving, np.std(measured, axis=0), -1.0)))
         rows = slice(0, min(len(first.rows), round(1.0 / first.trace.meta["control_step"])))
         labels = f"{robot.motor_names[motor]}, not fitted", "time [s]", "torque [N m]"
-        curves = (values[rows, motor] for values in (measured, *predicted))
-        return Check("motor torques", before, after, "N m"), Series(
-            *labels, first.trace.time[first.rows[rows]], *curves
-        )
+        time, (torque, was, now) = first.trace.time[first.rows[rows]], (v[rows, motor] for v in (measured, *predicted))
+        return Check("motor torques", before, after, "N m"), Series(*labels, time, torque, was, now)
 
     def describe_traces(self, traces: Sequence[EpisodeTrace]) -> list[str]:
         """Return notes on defects of the data."""
