@@ -88,7 +88,7 @@ def run_policy(env: Any, policy: PolicyRuntime, draw: np.random.Generator) -> tu
             roll_pitch_yaw=np.array(bullet.getEulerFromQuaternion(quat)),
             angular_velocity_base=base_to_world.T @ seen[28:31],
         )
-        minitaur.Step(controller.command(k * step, controller.observe(k * step, state)))
+        minitaur.Step(controller.compute_target(k * step, controller.observe(k * step, state)))
         fell = bool(np.abs(minitaur.GetTrueBaseRollPitchYaw()[:2]).max() > task.fall_angle)
         k += 1
     return (minitaur.GetBasePosition()[0] - start) / (k * step), fell

@@ -21,12 +21,10 @@ from pathlib import Path
 
 from rounds import measure, ratio_quartiles
 
-from surefoot.learn.export import export_run
-from surefoot.learn.run import TrainingRun
 from surefoot.learn.run_folder import RunFolder
+from surefoot.learn.training_loop import TrainingLoop
 from surefoot.studies.training import Training, base_config
 from surefoot.studies.workers import ray_cluster, run_trainings
-from surefoot.world.registry import find_world
 from surefoot.world.sim_world import SimWorld
 
 
@@ -51,9 +49,9 @@ class Turns:
     def bare(self) -> tuple[int, float]:
         start = time.perf_counter()
         for training in self.trainings():
-            run = TrainingRun(training.config, RunFolder.create_at(training.config, training.path), SimWorld)
-            run.run(lambda *_: None)
-            export_run(run, run.folder.policy, last=True)
+            loop = TrainingLoop(training.config, RunFolder.create_at(training.config, training.path), SimWorld)
+            loop.run(lambda *_: None)
+            loop.export(loop.folder.policy, last=True)
         return self.count, time.perf_counter() - start
 
     def on_ray(self, workers: int) -> tuple[int, float]:
@@ -64,7 +62,7 @@ class Turns:
                 ends.append(time.perf_counter())
 
         start = time.perf_counter()
-        outcome = run_trainings(self.trainings(), find_world, workers, lambda *_: False, change)
+        outcome = run_trainings(self.trainings(), workers, lambda *_: False, change)
         seconds = time.perf_counter() - start
         if len(outcome.done) < self.count:
             raise RuntimeError(f"trainings failed: {outcome.failed}")

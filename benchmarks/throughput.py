@@ -39,7 +39,7 @@ from rounds import measure, ratio_quartiles
 
 from surefoot.cli.helpers.policies import find_policy
 from surefoot.learn.config import load_train_config
-from surefoot.learn.trainer import Trainer
+from surefoot.learn.ppo_learner import PpoLearner
 from surefoot.policy.runtime import PolicyRuntime
 from surefoot.robot.randomization import Ranges, load_ranges
 from surefoot.task.config import TaskConfig
@@ -164,10 +164,10 @@ class Bench:
         self._time_redraws(self.drawn_env)
         config = load_train_config(self.training, self.env.task.robot)
         config = replace(config, threads=self.threads, learning_threads=self.threads)
-        self.trainer = Trainer(config, SimWorld)
-        self.drawn_trainer = Trainer(replace(config, task=replace(config.task, randomize=table1)), SimWorld)
-        for trainer in (self.trainer, self.drawn_trainer):
-            trainer.update()
+        self.learner = PpoLearner(config, SimWorld)
+        self.drawn_learner = PpoLearner(replace(config, task=replace(config.task, randomize=table1)), SimWorld)
+        for learner in (self.learner, self.drawn_learner):
+            learner.update()
 
     def _env(self, task: TaskConfig, ranges: Ranges) -> LocomotionEnv:
         drawn = replace(task, randomize=ranges)
@@ -307,19 +307,19 @@ class Bench:
 
     def train(self) -> tuple[int, float]:
         """Learning added: one update."""
-        return self._train(self.trainer)
+        return self._train(self.learner)
 
     def train_drawn(self) -> tuple[int, float]:
         """Learning with all of table I drawn."""
-        return self._train(self.drawn_trainer)
+        return self._train(self.drawn_learner)
 
-    def _train(self, trainer: Trainer) -> tuple[int, float]:
-        world = trainer.env.world
+    def _train(self, learner: PpoLearner) -> tuple[int, float]:
+        world = learner.env.world
         start = self.clock()
-        trainer.update()
+        learner.update()
         seconds = self.clock() - start
-        servo_steps = world.params.control_step.mean() / trainer.env.robot.timing.servo_step
-        return int(trainer.config.samples_per_update * servo_steps), seconds
+        servo_steps = world.params.control_step.mean() / learner.env.robot.timing.servo_step
+        return int(learner.config.samples_per_update * servo_steps), seconds
 
 
 def authors_rate() -> float | None:

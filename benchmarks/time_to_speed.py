@@ -18,25 +18,25 @@ from typing import Any
 import numpy as np
 
 from surefoot.learn.config import load_train_config
-from surefoot.learn.run import evaluate_policy
-from surefoot.learn.trainer import Trainer
+from surefoot.learn.ppo_learner import PpoLearner
+from surefoot.learn.training_loop import evaluate_policy
 from surefoot.task.env import LocomotionEnv
 from surefoot.world.sim_world import SimWorld
 
 TARGET = 1.34
 
 
-def early_speed(trainer: Trainer, seconds: float = 1.5) -> float:
+def early_speed(learner: PpoLearner, seconds: float = 1.5) -> float:
     """Speed [m/s] of the deterministic policy over an episode's first moments, standing start included.
 
     A policy that runs at all is at speed by the last third, which alone counts.
     """
-    env = early_env(trainer)
+    env = early_env(learner)
     observation, _ = env.reset()
     steps = round(seconds / env.world.params.control_step[0])
     last = steps // 3
     for k in range(steps):
-        observation, *_ = env.step(trainer.act(observation))
+        observation, *_ = env.step(learner.act(observation))
         if k == steps - last - 1:
             before, since = env.truth.base_position_world[:, 0], env.readings.time
     forward = env.truth.base_position_world[:, 0] - before
@@ -44,9 +44,9 @@ def early_speed(trainer: Trainer, seconds: float = 1.5) -> float:
 
 
 @cache
-def early_env(trainer: Trainer) -> LocomotionEnv:
-    """Few robots on the trainer's task."""
-    config = trainer.config
+def early_env(learner: PpoLearner) -> LocomotionEnv:
+    """Few robots on the learner's task."""
+    config = learner.config
     return LocomotionEnv(config.task, 4, SimWorld, config.seed, autoreset=False, threads=config.threads)
 
 
@@ -59,8 +59,8 @@ def main() -> int:
     options = parser.parse_args()
     start, start_cpu = time.perf_counter(), time.process_time()
     config = replace(load_train_config("gallop"), seed=options.seed)
-    trainer = Trainer(config, SimWorld)
-    world: Any = trainer.env.world
+    learner = PpoLearner(config, SimWorld)
+    world: Any = learner.env.world
     engine = world.engine
     advance, physics = engine.advance, [0.0]
 
@@ -73,20 +73,20 @@ def main() -> int:
     dt = world.params.control_step[0]
     reached, evaluations, next_evaluation = None, 0, 0
     while reached is None and time.perf_counter() - start < options.limit:
-        figures = trainer.update()
+        figures = learner.update()
         # An evaluation costs as much as ten updates: only ask where exploration alone already runs, then where a short
         # one says so, and not again at once after one that failed.
-        promising = trainer.steps >= next_evaluation and figures.reward_rate / dt > 0.35
-        if promising and early_speed(trainer) > 0.7 * TARGET:
-            evaluations, next_evaluation = evaluations + 1, trainer.steps + 30_000
-            evaluation = evaluate_policy(trainer, SimWorld, 8)
+        promising = learner.steps >= next_evaluation and figures.reward_rate / dt > 0.35
+        if promising and early_speed(learner) > 0.7 * TARGET:
+            evaluations, next_evaluation = evaluations + 1, learner.steps + 30_000
+            evaluation = evaluate_policy(learner, SimWorld, 8)
             if evaluation.speed_mean >= TARGET and evaluation.falls == 0:
                 reached = evaluation
     seconds = time.perf_counter() - start
     result = {
         "seconds": round(seconds, 1),
         "cpu_seconds": round(time.process_time() - start_cpu, 1),
-        "control_steps": trainer.steps,
+        "control_steps": learner.steps,
         "evaluations": evaluations,
         "physics_share": round(physics[0] / seconds, 3),
         "reached": reached is not None,
@@ -96,11 +96,11 @@ def main() -> int:
     if options.json:
         print(json.dumps(result))
     elif reached is None:
-        print(f"{TARGET} m/s not reached in {seconds:.0f} s and {trainer.steps:,} control steps")
+        print(f"{TARGET} m/s not reached in {seconds:.0f} s and {learner.steps:,} control steps")
     else:
         print(
             f"{reached.speed_mean:.2f} m/s after {seconds:.1f} s ({result['cpu_seconds']:.1f} s on processors) and "
-            f"{trainer.steps:,} control steps; {evaluations} evaluations; "
+            f"{learner.steps:,} control steps; {evaluations} evaluations; "
             f"{100 * result['physics_share']:.0f} % of the time was physics"
         )
     return 0 if reached else 1

@@ -26,7 +26,7 @@ from surefoot.arrays import Array
 from surefoot.evaluate.rollout import run_episodes
 from surefoot.evaluate.tracking import STRIDE, Tracking
 from surefoot.learn.config import load_train_config
-from surefoot.learn.trainer import Trainer
+from surefoot.learn.ppo_learner import PpoLearner
 from surefoot.robot.commands import COMMANDS
 from surefoot.tables import write_csv
 from surefoot.task.config import FeedbackConfig, TaskConfig
@@ -41,14 +41,14 @@ SECONDS = 8.0
 
 
 class TrainedPolicy:
-    """The deterministic policy of a trainer, as a policy file's runtime gives it."""
+    """The deterministic policy of a learner, as a policy file's runtime gives it."""
 
-    def __init__(self, trainer: Trainer) -> None:
-        self.trainer = trainer
+    def __init__(self, learner: PpoLearner) -> None:
+        self.learner = learner
 
     def feedback(self, observation: ArrayLike) -> Array:
         """Return the feedback (N, A) for observations (N, O * history)."""
-        return self.trainer.env.gait.feedback(self.trainer.act(np.asarray(observation, np.float32)))
+        return self.learner.env.gait.feedback(self.learner.act(np.asarray(observation, np.float32)))
 
 
 def fresh_commands(task: TaskConfig, control_step: float) -> TaskConfig:
@@ -65,12 +65,12 @@ def from_scratch(task: TaskConfig) -> TaskConfig:
     return replace(task, reference=ReferenceConfig(), feedback=wide, observations=seen)
 
 
-def measure(trainer: Trainer, episodes: int) -> dict[str, Any]:
+def measure(learner: PpoLearner, episodes: int) -> dict[str, Any]:
     """Return errors and falls of the present policy on fresh commands."""
-    config, env = trainer.config, trainer.env
+    config, env = learner.config, learner.env
     task = fresh_commands(config.task, float(env.nominal.control_step[0]))
-    traces = run_episodes(TrainedPolicy(trainer), task, episodes, SimWorld, config.seed + FRESH, config.threads)
-    found = Tracking.of_traces(traces, env.gait.reference.period or STRIDE)
+    traces = run_episodes(TrainedPolicy(learner), task, episodes, SimWorld, config.seed + FRESH, config.threads)
+    found = Tracking.from_traces(traces, env.gait.reference.period or STRIDE)
     return {
         "rmse": found.rmse.round(4).tolist(),
         "rmse_stride": found.rmse_stride.round(4).tolist(),
@@ -114,21 +114,21 @@ def main() -> int:
     spent = 0.0
     curve: list[dict[str, Any]] = []
     start = time.perf_counter()
-    trainer = Trainer(config, SimWorld)
+    learner = PpoLearner(config, SimWorld)
     while spent < 60 * options.minutes:
-        trainer.update()
+        learner.update()
         spent += time.perf_counter() - start
         if options.every and spent > 60 * options.every * (len(curve) + 1):
             curve.append(
-                {"seconds": round(spent, 1), "control_steps": trainer.steps, **measure(trainer, options.episodes)}
+                {"seconds": round(spent, 1), "control_steps": learner.steps, **measure(learner, options.episodes)}
             )
             if options.out:
                 write_curve(options.out, run, curve)
             if not options.json:
                 print(curve[-1], flush=True)
         start = time.perf_counter()
-    seconds = {"seconds": round(spent, 1), "control_steps": trainer.steps, "robot": trainer.env.robot.name}
-    result = {**seconds, "seed": options.seed, **measure(trainer, options.episodes)}
+    seconds = {"seconds": round(spent, 1), "control_steps": learner.steps, "robot": learner.env.robot.name}
+    result = {**seconds, "seed": options.seed, **measure(learner, options.episodes)}
     print(json.dumps({**result, "curve": curve} if curve else result) if options.json else result)
     return 0
 

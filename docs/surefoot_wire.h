@@ -338,7 +338,7 @@ typedef enum {
     SUREFOOT_NOTHING, /* nothing yet */
     SUREFOOT_FRAME,   /* a whole, known frame: see `header` and surefoot_payload */
     SUREFOOT_DAMAGED, /* bytes that are no whole frame */
-    SUREFOOT_FOREIGN, /* a whole frame of another version or schema; `header` tells which */
+    SUREFOOT_FOREIGN, /* a whole frame of another version or schema, which are in `header` */
     SUREFOOT_UNKNOWN  /* a whole frame of a type, or of a length, that this schema does not have */
 } surefoot_event;
 
@@ -359,7 +359,7 @@ static inline const uint8_t *surefoot_payload(const surefoot_decoder *decoder)
     return decoder->held + sizeof(surefoot_header);
 }
 
-/* Takes one byte from the line; tells what it has ended. */
+/* Takes one byte from the line; returns what it has ended. */
 static inline surefoot_event surefoot_decode(surefoot_decoder *decoder, uint8_t byte)
 {
     size_t length = decoder->length, size;

@@ -23,7 +23,7 @@ import tyro
 from surefoot.cli.helpers.policies import find_policy, load_policy
 from surefoot.evaluate.gap import away_task
 from surefoot.evaluate.rollout import run_episodes
-from surefoot.evaluate.runs import Runs
+from surefoot.evaluate.runs import measure_runs
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.world.interface import SimulationFactory, WorldConfig
 from surefoot.world.registry import find_world
@@ -109,7 +109,7 @@ def measure(command: Command, name: str) -> Iterator[dict[str, Any]]:
             varied = replace(base, params=change.params, thermal_protection=change.thermal_protection)
             world = changed(make, change, other)
             traces = run_episodes(policy, varied, command.runs, world, command.seed, world_name=command.world)
-            runs = Runs.of_traces(traces)
+            runs = measure_runs(traces)
             yield {
                 "policy": policy.contract.name,
                 "change": change.name,

@@ -177,27 +177,32 @@ def gap_comparison() -> Callable[..., Comparison]:
     Gaps of group a's policies are 1 m, 1.1 m, ...; b's policies have none and go three metres; c's fall at home.
     """
     pytest.importorskip("gymnasium")
-    from surefoot.evaluate.runs import Runs
-    from surefoot.studies.comparison import Comparison, Curve, GroupResult, SeedResult
+    import pandas as pd
+
+    from surefoot.studies.comparison import Comparison, GroupResult, SeedResult
 
     steady, at = (True, True, True), np.arange(1, 11) * 1e5
-    curve = Curve(at, at * 1e-6, at * 1e-7, np.zeros(10), np.ones(10))
+    curve = pd.DataFrame({"steps": at, "return": at * 1e-6, "speed": at * 1e-7, "falls": 0.0, "episodes": 1})
 
-    def runs(world: str, level: float, spread: float, balanced: tuple[bool, ...]) -> dict[str, Any]:
+    def runs(world: str, level: float, spread: float, balanced: tuple[bool, ...]) -> pd.DataFrame:
         """Three runs whose distance is their return and half a metre; those that fall do so after 250 steps."""
         returns, stood = level + spread * np.array([-1.0, 0.0, 1.0]), np.array(balanced)
         steps = np.where(stood, 1000.0, 250.0)
-        distance = returns + 0.5
-        speed = distance / (0.006 * steps)
-        return Runs(world, returns, distance, speed, np.full(3, 10.0), steps, ~stood, stood).to_mapping()
+        speed = (returns + 0.5) / (0.006 * steps)
+        columns = {"return": returns, "distance": returns + 0.5, "speed": speed, "power": 10.0, "steps": steps}
+        return pd.DataFrame({"world": world, "run": range(3), **columns, "fell": ~stood, "balanced": stood})
 
     def policy(
         seed: int, level: float, gap: float, away: tuple[bool, ...] = steady, home: tuple[bool, ...] = steady
     ) -> SeedResult:
-        nominal = {"returns": [level] * 20, "speed": [level / 6] * 20, "fell": [False] * 20}
-        both = {"home": runs("mujoco", level, 0.1, home), "away": runs("bullet", level - gap, 0.3, away)}
-        both["described"] = runs("mujoco-described", level - gap / 2, 0.2, away)
-        return SeedResult(seed, 1_000_000, 120.0, curve, {"nominal": nominal, "gap": both})
+        nominal = {"run": list(range(20)), "return": [level] * 20, "speed": [level / 6] * 20, "fell": [False] * 20}
+        worlds = [
+            runs("mujoco", level, 0.1, home),
+            runs("bullet", level - gap, 0.3, away),
+            runs("mujoco-described", level - gap / 2, 0.2, away),
+        ]
+        results = {"nominal": {"runs": nominal}, "gap": {"runs": pd.concat(worlds).to_dict("list")}}
+        return SeedResult(seed, 1_000_000, 120.0, curve, results)
 
     def make(seeds: int = 5) -> Comparison:
         a = tuple(policy(s, 2.0 + 0.2 * s, 1.0 + 0.1 * s, (True, s > 2, False)) for s in range(seeds))

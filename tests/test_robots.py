@@ -19,8 +19,7 @@ from processes import EmulatorHere, emulators, refused, surefoot  # noqa: E402
 
 from surefoot.evaluate.sensitivity import make_test_worlds  # noqa: E402
 from surefoot.learn.config import load_train_config  # noqa: E402
-from surefoot.learn.export import export_trainer  # noqa: E402
-from surefoot.learn.trainer import Trainer  # noqa: E402
+from surefoot.learn.ppo_learner import PpoLearner  # noqa: E402
 from surefoot.robot import PhysicalParams, RobotDescription  # noqa: E402
 from surefoot.robot.randomization import draw_hidden, load_ranges  # noqa: E402
 from surefoot.world.interface import WorldConfig  # noqa: E402
@@ -38,7 +37,7 @@ def robot(request: pytest.FixtureRequest) -> RobotDescription:
 def policy(robot: RobotDescription, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Make the file of a trot that has learned nothing: it follows the reference."""
     config = replace(load_train_config("trot", robot.name), num_envs=2, threads=1)
-    return export_trainer(Trainer(config, SimWorld), tmp_path_factory.mktemp(robot.name) / "untrained.onnx")
+    return PpoLearner(config, SimWorld).export(tmp_path_factory.mktemp(robot.name) / "untrained.onnx")
 
 
 def test_leg_space_goes_to_motors_and_back(robot: RobotDescription, rng: np.random.Generator) -> None:
@@ -67,7 +66,7 @@ def test_it_stands_alike_in_both_engines(robot: RobotDescription) -> None:
 def test_table_1_can_be_drawn_and_set(robot: RobotDescription) -> None:
     ranges = load_ranges("table1", robot=robot.name)
     worlds = make_test_worlds(ranges, PhysicalParams.nominal(robot), 2)
-    assert {world.row for world in worlds} == set(ranges)
+    assert {row for row, *_ in worlds} == set(ranges)
     drawn = draw_hidden(robot, ranges, 1)
     world = SimWorld(robot, 1, drawn, config=WorldConfig(threads=1))
     world.step(world.resting_angles[None])

@@ -17,7 +17,7 @@ class SurefootError(ValueError):
 
 
 @contextmanager
-def accessible(what: object, verb: str = "read") -> Iterator[None]:
+def describe_os_errors(what: object, verb: str = "read") -> Iterator[None]:
     """Turn a failure of the file system inside into one line: `WHAT: can't be VERB: REASON`."""
     try:
         yield
@@ -26,7 +26,7 @@ def accessible(what: object, verb: str = "read") -> Iterator[None]:
 
 
 @contextmanager
-def located(where: object) -> Iterator[None]:
+def prefix_errors(where: object) -> Iterator[None]:
     """Put a file's path, or another place, before the message of an error that is raised inside: `WHERE: MESSAGE`."""
     try:
         yield
@@ -34,7 +34,7 @@ def located(where: object) -> Iterator[None]:
         raise SurefootError(f"{where}: {error}") from error.__cause__
 
 
-def at_least(name: str, number: float, least: int) -> None:
+def check_at_least(name: str, number: float, least: int) -> None:
     """Refuse a number that is too small, by its name."""
     if number < least:
         raise SurefootError(f"{name} is {number}; it must be {least} or more")
@@ -44,7 +44,7 @@ def check_name(what: str, name: str) -> None:
     """Refuse a name that is not safe as the name of a file or folder; `what` says what is so called."""
     if not re.fullmatch(r"[A-Za-z0-9_][A-Za-z0-9_-]{0,99}", name):
         raise SurefootError(
-            f"{what} is {quoted(name)}; a name has letters, digits, - and _ only, does not start with -, and has 1 to "
+            f"{what} is {quote(name)}; a name has letters, digits, - and _ only, does not start with -, and has 1 to "
             "100 characters, since it names a file or folder"
         )
 
@@ -56,7 +56,7 @@ _QUOTES.maxstring = _QUOTES.maxother = 100
 _QUOTES.maxlong = 40
 
 
-def quoted(value: Any) -> str:
+def quote(value: Any) -> str:
     """Return a value as messages quote it: as Python writes it, shortened where it is long or deep."""
     text = _QUOTES.repr(value)
     return text if len(text) <= 200 else f"{text[:200]}..."

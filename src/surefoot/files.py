@@ -7,10 +7,8 @@ import json
 import os
 import re
 import stat
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 CONFIGURATION_BYTES = 1 << 18
 """Size of the largest configuration file that is read."""
@@ -26,13 +24,13 @@ def check_readable(path: Path, limit: int = DATA_BYTES) -> None:
     Raises:
         OSError: one of these, or the file can't be found.
     """
-    found = path.stat()
-    if stat.S_ISDIR(found.st_mode):
+    status = path.stat()
+    if stat.S_ISDIR(status.st_mode):
         raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
-    if not stat.S_ISREG(found.st_mode):
+    if not stat.S_ISREG(status.st_mode):
         raise OSError(errno.EINVAL, "not a regular file", str(path))
-    if found.st_size > limit:
-        raise OSError(errno.EFBIG, f"it has {found.st_size} bytes; at most {limit} are read", str(path))
+    if status.st_size > limit:
+        raise OSError(errno.EFBIG, f"it has {status.st_size} bytes; at most {limit} are read", str(path))
 
 
 def read_configuration(path: Path) -> bytes:
@@ -53,26 +51,22 @@ def read_configuration(path: Path) -> bytes:
 def remove_abandoned(folder: Path) -> None:
     """Remove unfinished files that killed processes left in a folder."""
     for path in folder.glob(".*.tmp"):
-        if (found := _PARTIAL.fullmatch(path.name)) is None:
+        if (match := _PARTIAL.fullmatch(path.name)) is None:
             continue
         try:
-            os.kill(int(found[1]), 0)
+            os.kill(int(match[1]), 0)
         except (ProcessLookupError, OverflowError):
             path.unlink(missing_ok=True)
         except PermissionError:
-            continue  # It runs, as another user's.
+            continue  # Another user's process runs.
 
 
-@contextmanager
-def whole_file(path: Path) -> Iterator[BinaryIO]:
-    """Open a file for writing beside `path`; it takes the name `path` once everything is on the disk.
-
-    If anything goes wrong before that, what stood at `path` is untouched and nothing is left behind.
-    """
+def atomic_write(path: Path, content: str | bytes) -> None:
+    """Write a file whole or not at all: it takes the name `path` once everything is on the disk."""
     partial = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:
         with partial.open("wb") as file:
-            yield file
+            file.write(content.encode() if isinstance(content, str) else content)
             file.flush()
             os.fsync(file.fileno())
         os.replace(partial, path)

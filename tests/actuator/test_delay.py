@@ -1,4 +1,4 @@
-"""Late readings against signals whose past is known in closed form."""
+"""Delayed readings of signals that are known in closed form."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from surefoot.actuator.delay import push_kernel, read_kernel
 
 
-class Line:
+class History:
     """The history of one robot's samples of two numbers."""
 
     def __init__(self, times=(), capacity: int = 64) -> None:
@@ -35,7 +35,7 @@ def ramp(time: float) -> np.ndarray:
 
 @pytest.mark.parametrize("latency", [0.0, 1.0, 2.0, 5.0])
 def test_a_latency_of_whole_samples_reads_a_sample(latency: float):
-    assert np.array_equal(Line(np.arange(10.0)).read(9.0 - latency), ramp(9.0 - latency))
+    assert np.array_equal(History(np.arange(10.0)).read(9.0 - latency), ramp(9.0 - latency))
 
 
 @pytest.mark.parametrize(
@@ -45,31 +45,31 @@ def test_a_latency_of_whole_samples_reads_a_sample(latency: float):
         ([0.0, 0.1, 0.9, 1.0, 3.5], [0.05, 0.5, 0.95, 2.0, 3.4]),
     ],
 )
-def test_between_samples_it_interpolates(times, at: list[float]):
-    line = Line(times)
-    np.testing.assert_allclose([line.read(time) for time in at], [ramp(time) for time in at], rtol=1e-13)
+def test_readings_between_samples_are_interpolated(times, at: list[float]):
+    history = History(times)
+    np.testing.assert_allclose([history.read(time) for time in at], [ramp(time) for time in at], rtol=1e-13)
 
 
 # The table in the module's docstring, with O_k = k + 10.
 @pytest.mark.parametrize(("latency", "expected"), [(0.0, [10, 11, 12]), (1.0, [10, 10, 11]), (1.5, [10, 10, 10.5])])
-def test_readings_as_the_docstring_says(latency: float, expected: list[float]):
-    line, seen = Line(), []
+def test_the_readings_of_the_docstrings_table(latency: float, expected: list[float]):
+    history, seen = History(), []
     for k in range(3):
-        line.push(float(k), np.array([k + 10.0, 0.0]))
-        seen.append(line.read(k - latency, width=1)[0])
+        history.push(float(k), np.array([k + 10.0, 0.0]))
+        seen.append(history.read(k - latency, width=1)[0])
     assert seen == expected
 
 
 @pytest.mark.parametrize(("at", "held"), [(-49.0, 0.0), (1.4, 1.0)])
-def test_before_the_oldest_and_after_the_newest_sample_these_are_held(at: float, held: float):
-    assert np.array_equal(Line([0.0, 1.0]).read(at), ramp(held))
+def test_the_oldest_and_the_newest_sample_are_held(at: float, held: float):
+    assert np.array_equal(History([0.0, 1.0]).read(at), ramp(held))
 
 
-def test_a_full_line_keeps_the_last_samples():
-    line = Line(np.arange(100.0), capacity=4)
+def test_a_full_history_keeps_the_last_samples():
+    history = History(np.arange(100.0), capacity=4)
     for latency in (0.0, 0.5, 2.9, 3.0):
-        np.testing.assert_allclose(line.read(99.0 - latency), ramp(99.0 - latency), rtol=1e-13)
-    assert np.array_equal(line.read(95.5), ramp(96.0))
+        np.testing.assert_allclose(history.read(99.0 - latency), ramp(99.0 - latency), rtol=1e-13)
+    assert np.array_equal(history.read(95.5), ramp(96.0))
 
 
 @given(
@@ -79,8 +79,8 @@ def test_a_full_line_keeps_the_last_samples():
     offset=st.floats(-100, 100),
 )
 def test_a_straight_line_is_read_exactly(gaps: list[float], share: float, slope: float, offset: float):
-    times, line = np.cumsum([0.0, *gaps]), Line()
+    times, history = np.cumsum([0.0, *gaps]), History()
     for time in times:
-        line.push(time, np.array([slope * time + offset, 0.0]))
+        history.push(time, np.array([slope * time + offset, 0.0]))
     at = share * times[-1]
-    assert line.read(at)[0] == pytest.approx(slope * at + offset, abs=1e-9)
+    assert history.read(at)[0] == pytest.approx(slope * at + offset, abs=1e-9)

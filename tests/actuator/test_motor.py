@@ -39,7 +39,7 @@ def torque(amperes, strength=1.0):
         (1.0, 691.0, (16 - 65.9214) / 0.186),  # -49.9 V is within
     ],
 )
-def test_current(duty: float, speed: float, expected: float):
+def test_the_current_of_the_motor(duty: float, speed: float, expected: float):
     assert current(duty, speed) == pytest.approx(expected, abs=1e-4)
 
 
@@ -65,11 +65,6 @@ def test_torque_at_stall_and_at_a_working_point():
 )
 def test_torque_at_between_and_beyond_the_tables_points(amperes: float, expected: float):
     assert torque(amperes) == pytest.approx(expected, abs=1e-12)
-
-
-def test_what_is_no_number_gives_no_torque():
-    assert np.isnan(current(np.nan, 0.0))
-    assert np.isnan(torque(np.nan))
 
 
 @pytest.mark.parametrize("strength", [0.0, 0.8, 1.2])
@@ -100,7 +95,7 @@ def test_friction_by_hand(speed: float, coulomb: float, viscous: float, expected
     assert motor_friction(speed, coulomb, viscous) == pytest.approx(expected, abs=1e-7)
 
 
-def test_friction_takes_power():
+def test_friction_dissipates_power():
     speed = np.linspace(-20, 20, 101)
     assert np.all(motor_friction(speed, 0.05, 0.0) * speed <= 0)
 
@@ -125,7 +120,7 @@ def test_a_motor_that_turns_freely_slows_with_its_time_constant(strength: float,
     assert speed == pytest.approx(10.0 * np.exp(-steps * dt / time_constant), rel=1e-3)
 
 
-def test_a_step_of_friction_does_not_turn_a_motor_back():
+def test_a_step_of_friction_does_not_reverse_a_motor():
     # (.05 / .1 + .1) N m s/rad x 1 ms is below the least inertia that a leg of the Minitaur has for one motor, .00064.
     speed = np.geomspace(1e-6, 100, 200)
     after = speed + motor_friction(speed, 0.05, 0.1) * 0.001 / 0.00064
@@ -133,7 +128,7 @@ def test_a_step_of_friction_does_not_turn_a_motor_back():
     assert np.all(after < speed)
 
 
-def test_hot_time_counts_and_starts_anew():
+def test_hot_time_grows_above_the_limit_and_resets_below_it():
     hot = 0.0
     for _ in range(5):
         hot = overheat_kernel(2.5, hot, 0.001, 2.45)
@@ -143,7 +138,7 @@ def test_hot_time_counts_and_starts_anew():
     assert overheat_kernel(0.0, hot, 0.001, 2.45) == 0.0
 
 
-def test_laws_broadcast_over_robots_and_motors(rng: np.random.Generator):
+def test_the_motor_broadcasts_over_robots_and_motors(rng: np.random.Generator):
     duty, speed = rng.uniform(-1, 1, (5, 8)), rng.uniform(-50, 50, (5, 8))
     voltage, strength = rng.uniform(14, 17, (5, 1)), rng.uniform(0.8, 1.2, (5, 8))
     amperes = motor_current(duty, speed, voltage, KT, RESISTANCE, CLIP)
@@ -170,20 +165,8 @@ def test_laws_broadcast_over_robots_and_motors(rng: np.random.Generator):
         (3.5, 2.0, 50.0, 0.75),  # the sum is clipped, not its parts: 1.5 - .75
     ],
 )
-def test_duty(target: float, angle: float, speed: float, expected: float):
+def test_the_duty_of_the_servo(target: float, angle: float, speed: float, expected: float):
     assert servo_duty(target, angle, speed, 1.0, 0.015) == pytest.approx(expected)
-
-
-def test_what_is_no_number_gives_no_duty():
-    assert np.isnan(servo_duty(np.nan, 2.0, 0.0, 1.0, 0.015))
-    assert np.isnan(servo_duty(2.0, 2.0, np.nan, 1.0, 0.015))
-
-
-def test_duty_broadcasts_over_robots_and_motors_with_gains_of_their_own(rng: np.random.Generator):
-    target, angle, speed = rng.normal(size=(3, 5, 8))
-    kp, kd = rng.uniform(0.5, 2, (5, 1)), rng.uniform(0, 0.1, (5, 1))
-    duty = servo_duty(target, angle, speed, kp, kd)
-    np.testing.assert_allclose(duty, np.clip(kp * (target - angle) - kd * speed, -1, 1), rtol=1e-13)
 
 
 @pytest.mark.parametrize(
@@ -195,10 +178,10 @@ def test_duty_broadcasts_over_robots_and_motors_with_gains_of_their_own(rng: np.
         (0.5, 0.5, 4.0, -2.0),  # damping: -.5 x 4
         (0.5, 0.5, -4.0, 2.0),
         (0.8, 0.5, 4.0, 7.0),
-        (10.5, 0.5, 0.0, 300.0),  # the limit is not its matter
+        (10.5, 0.5, 0.0, 300.0),  # without the limit
     ],
 )
-def test_torque_that_a_joint_drive_asks_for(target: float, angle: float, speed: float, expected: float):
+def test_the_torque_of_a_joint_actuators_controller(target: float, angle: float, speed: float, expected: float):
     assert joint_torque(target, angle, speed, 30.0, 0.5) == pytest.approx(expected)
 
 
@@ -226,31 +209,34 @@ def test_torque_that_a_joint_drive_asks_for(target: float, angle: float, speed: 
         (0.0, 45.0, 0.0),
     ],
 )
-def test_torque_that_a_joint_drive_has_at_a_speed(torque: float, speed: float, expected: float):
+def test_the_torque_limit_of_a_joint_actuator_at_a_speed(torque: float, speed: float, expected: float):
     assert joint_limit(torque, speed, 20.0, 10.0, 30.0) == pytest.approx(expected, abs=1e-12)
 
 
-def test_a_drive_whose_speeds_are_equal_stops_at_once():
+def test_a_joint_actuator_with_equal_speeds_has_no_torque_above_them():
     assert joint_limit(25.0, 10.0, 20.0, 10.0, 10.0) == 20.0
     assert joint_limit(25.0, 10.001, 20.0, 10.0, 10.0) == 0.0
     assert joint_limit(-25.0, 10.001, 20.0, 10.0, 10.0) == -20.0
 
 
-def test_what_is_no_number_gives_no_joint_torque():
-    for which in range(3):
-        given = [0.5, 0.5, 0.0]
-        given[which] = np.nan
-        assert np.isnan(joint_torque(*given, 30.0, 0.5))
+def test_nan_gives_neither_duty_nor_torque():
+    assert np.isnan(current(np.nan, 0.0))
+    assert np.isnan(torque(np.nan))
+    for arguments in np.where(np.eye(3, dtype=bool), np.nan, 0.5):
+        assert np.isnan(servo_duty(*arguments, 1.0, 0.015))
+        assert np.isnan(joint_torque(*arguments, 30.0, 0.5))
     for speed in (0.0, 15.0, -15.0, 45.0):
         assert np.isnan(joint_limit(np.nan, speed, 20.0, 10.0, 30.0))
 
 
-def test_joint_actuators_broadcast_over_robots_and_motors(rng: np.random.Generator):
+def test_servo_and_joint_actuator_broadcast_over_robots_and_motors(rng: np.random.Generator):
     target, angle, speed = rng.normal(size=(3, 5, 12))
     kp, kd = rng.uniform(10, 100, (5, 12)), rng.uniform(0, 2, 12)
     limit, full, none = rng.uniform(10, 40, 12), rng.uniform(0.1, 0.5, 12), rng.uniform(1, 2, 12)
-    wanted = joint_torque(target, angle, speed, kp, kd)
-    np.testing.assert_allclose(wanted, kp * (target - angle) - kd * speed, rtol=1e-13, atol=1e-12)
-    share = np.where(wanted * speed > 0, np.clip((none - np.abs(speed)) / (none - full), 0, 1), 1)
-    expected = np.clip(wanted, -share * limit, share * limit)
-    np.testing.assert_allclose(joint_limit(wanted, speed, limit, full, none), expected, rtol=1e-13, atol=1e-12)
+    torques = joint_torque(target, angle, speed, kp, kd)
+    expected = kp * (target - angle) - kd * speed
+    np.testing.assert_allclose(torques, expected, rtol=1e-13, atol=1e-12)
+    np.testing.assert_allclose(servo_duty(target, angle, speed, kp, kd), np.clip(expected, -1, 1), rtol=1e-13)
+    share = np.where(torques * speed > 0, np.clip((none - np.abs(speed)) / (none - full), 0, 1), 1)
+    expected = np.clip(torques, -share * limit, share * limit)
+    np.testing.assert_allclose(joint_limit(torques, speed, limit, full, none), expected, rtol=1e-13, atol=1e-12)

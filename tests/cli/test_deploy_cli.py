@@ -80,13 +80,12 @@ def test_the_trot_goes_as_far_as_in_simulation(emulate, tmp_path, repository):
 def test_a_policy_over_foot_trajectories_goes_as_far_as_in_simulation(emulate, tmp_path, repository):
     pytest.importorskip("torch")
     from surefoot.learn.config import load_train_config
-    from surefoot.learn.export import export_trainer
-    from surefoot.learn.trainer import Trainer
+    from surefoot.learn.ppo_learner import PpoLearner
     from surefoot.world.sim_world import SimWorld
 
     config = load_train_config(str(repository / "results/handcrafted/trot-60.yaml"))
     config = replace(config, num_envs=4, ppo=replace(config.ppo, policy_hidden=(8,)))
-    policy = export_trainer(Trainer(config, SimWorld), tmp_path / "untrained.onnx")
+    policy = PpoLearner(config, SimWorld).export(tmp_path / "untrained.onnx")
     assert (PolicyRuntime.load(policy).contract.reference or {})["kind"] == "foot"
     simulated = json.loads(surefoot("evaluate", policy, "--episodes", "3", "--json").stdout)
     robot = emulate("--ideal-sensors")
@@ -245,7 +244,7 @@ def test_what_cannot_be_done_is_told_in_one_line(words, match):
     ("words", "change", "match"),
     [
         (["deploy", "--port", "x"], {"control_latency": float("nan")}, "contract: is not JSON: it holds NaN"),
-        (["deploy", "--port", "x"], {"task": {"fall_angle": 1e9}}, "policy 'trot': fall_angle is 1e+09; it must be"),
+        (["deploy", "--port", "x"], {"task": {"fall_angle": 1e9}}, "fall_angle is 1e+09; it must be"),
         (["evaluate"], {"control_latency": -0.02}, "contract.control_latency is -0.02; it must be 0 or more"),
     ],
 )

@@ -30,7 +30,7 @@ from surefoot.cli import play
 from surefoot.cli.helpers.drive_page import DrivePage, serve
 from surefoot.deploy.command_sources import FileCommands
 from surefoot.errors import SurefootError
-from surefoot.evaluate.driven import Row
+from surefoot.evaluate.driven import DrivenStep
 from surefoot.report.pages.server import PageServer
 from surefoot.report.pages.view import RobotView
 
@@ -52,7 +52,7 @@ class Running:
             assert time.monotonic() < end, "it did not happen"
             time.sleep(0.02)
 
-    def measured(self, seconds: float) -> list[Row]:
+    def measured(self, seconds: float) -> list[DrivenStep]:
         """Wait for some simulated time [s], and return its control steps."""
         robot, begin = self.drive.robot, self.drive.robot.time
         self.until(lambda: robot.time >= begin + seconds)
@@ -226,19 +226,19 @@ def page(running: Running, shared: Page) -> Page:
     return shared
 
 
-def speed(rows: list[Row]) -> float:
+def speed(rows: list[DrivenStep]) -> float:
     return float(np.mean([row.velocity[0] for row in rows]))
 
 
-def torque(rows: list[Row]) -> float:
+def torque(rows: list[DrivenStep]) -> float:
     return float(np.mean([np.abs(row.torque).mean() for row in rows]))
 
 
-def height(rows: list[Row]) -> float:
+def height(rows: list[DrivenStep]) -> float:
     return float(np.mean([row.position[2] for row in rows]))
 
 
-def heat(rows: list[Row]) -> float:
+def heat(rows: list[DrivenStep]) -> float:
     return float(np.mean([row.heat for row in rows]))
 
 
@@ -253,7 +253,7 @@ def test_the_joystick_moves_the_robot_and_lets_it_stand(running: Running, page: 
     assert abs(speed(running.measured(1.0)[-20:])) < 0.3
 
 
-def shift(rows: list[Row]) -> float:
+def shift(rows: list[DrivenStep]) -> float:
     return float(max(np.linalg.norm(row.position[:2] - rows[0].position[:2]) for row in rows))
 
 
@@ -301,7 +301,7 @@ def test_a_slider_changes_the_motion_of_the_same_robot(
     name: str,
     value: float,
     walks: bool,
-    figure: Callable[[list[Row]], float],
+    figure: Callable[[list[DrivenStep]], float],
     low: float,
     high: float,
 ):

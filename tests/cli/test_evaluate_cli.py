@@ -37,8 +37,7 @@ LEGS = {"front_left", "back_left", "front_right", "back_right"}
 def policy(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """An untrained policy of short episodes."""
     from surefoot.learn.config import PPOConfig, load_train_config
-    from surefoot.learn.export import export_trainer
-    from surefoot.learn.trainer import Trainer
+    from surefoot.learn.ppo_learner import PpoLearner
     from surefoot.world.sim_world import SimWorld
 
     config = load_train_config("trot")
@@ -49,7 +48,7 @@ def policy(tmp_path_factory: pytest.TempPathFactory) -> Path:
         ppo=PPOConfig(policy_hidden=(8,)),
         name="untrained",
     )
-    return export_trainer(Trainer(config, SimWorld), tmp_path_factory.mktemp("policy") / "untrained.onnx")
+    return PpoLearner(config, SimWorld).export(tmp_path_factory.mktemp("policy") / "untrained.onnx")
 
 
 def test_help_is_fast_and_names_the_commands():

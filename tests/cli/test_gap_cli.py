@@ -18,7 +18,7 @@ from processes import refused, surefoot
 pytest.importorskip("mujoco")
 pytest.importorskip("matplotlib")
 
-from surefoot.cli.gap import Side, labels
+from surefoot.cli.gap import Side, make_labels
 from surefoot.errors import SurefootError
 from surefoot.robot import RobotDescription
 from surefoot.task.trace import EpisodeTrace
@@ -247,14 +247,14 @@ def test_motors_that_overheat_go_with_dc_motors_only(here: Path):
 
 def test_sides_have_names_of_their_own():
     worlds, folder = [Side("mujoco"), Side("mujoco")], Side(folder=Path("a/robot"))
-    assert labels(["mujoco", "mujoco"], worlds) == ["mujoco", "mujoco-away"]
-    assert labels(["mujoco", "mujoco", "lab"], [*worlds, folder]) == ["mujoco", "mujoco-away", "lab"]
-    assert labels(["lab", "lab", "lab"], [folder, folder, Side(folder=Path("b/robot"))]) == [
+    assert make_labels(["mujoco", "mujoco"], worlds) == ["mujoco", "mujoco-away"]
+    assert make_labels(["mujoco", "mujoco", "lab"], [*worlds, folder]) == ["mujoco", "mujoco-away", "lab"]
+    assert make_labels(["lab", "lab", "lab"], [folder, folder, Side(folder=Path("b/robot"))]) == [
         *("lab", "lab-robot", "lab-robot-2")
     ]
-    assert Side.of_words("--to", ("trace", "x y")) == Side(folder=Path("x y"))
+    assert Side.from_words("--to", ("trace", "x y")) == Side(folder=Path("x y"))
     with pytest.raises(SurefootError, match="--to is 'nothing'"):
-        Side.of_words("--to", ())
+        Side.from_words("--to", ())
 
 
 @pytest.mark.parametrize("name", ["a/b c", "..", "../../x"])

@@ -254,7 +254,7 @@ def test_ctrl_c_ends_it_and_keeps_what_was_recorded(hanging: EmulatorHere, tmp_p
 
 
 def test_an_experiment_refuses_another_robot_than_the_data_sheets(robot: RobotDescription):
-    said = make_handshake(robot, Limits.of(robot), "", robot.timing.servo_step)
+    said = make_handshake(robot, Limits.from_robot(robot), "", robot.timing.servo_step)
     refuse_another_robot(said, robot)
     signs = np.array(said.motor_signs, float)
     signs[3] *= -1

@@ -63,32 +63,32 @@ def result(line: str, *more: str) -> dict[str, Any]:
 
 def test_a_file_stands_in_place_of_the_task_s_parameters():
     former = TaskConfig(params={"resistance": 0.2, "voltage": 14.0, "control_step": 0.008}, params_source={"file": "x"})
-    task = Simulator(params=Path("robot.toml")).of(former)
+    task = Simulator(params=Path("robot.toml")).apply(former)
     assert task.params == {**VALUES, "control_step": 0.008}
     assert task.params_source == SOURCE
-    assert Simulator().of(task) == task
+    assert Simulator().apply(task) == task
 
 
 def test_options_and_settings_go_over_the_file():
-    task = Simulator(servo_latency=0.001, params=Path("robot.toml")).of(TaskConfig(), {"voltage": 15.0})
+    task = Simulator(servo_latency=0.001, params=Path("robot.toml")).apply(TaskConfig(), {"voltage": 15.0})
     assert task.params == {**VALUES, "servo_latency": 0.001, "voltage": 15.0}
     with pytest.raises(SurefootError, match="servo_latency is given twice"):
-        Simulator(servo_latency=0.001, params=Path("robot.toml")).of(TaskConfig(), {"servo_latency": 0.0})
+        Simulator(servo_latency=0.001, params=Path("robot.toml")).apply(TaskConfig(), {"servo_latency": 0.0})
 
 
 def test_a_control_step_belongs_to_the_policy():
     robot = RobotDescription.load("minitaur")
     write_params(Path("all.toml"), robot, PhysicalParams.nominal(robot))
     own = robot.timing.control_step
-    assert Simulator(params=Path("all.toml")).of(TaskConfig()).params["control_step"] == own
+    assert Simulator(params=Path("all.toml")).apply(TaskConfig()).params["control_step"] == own
     with pytest.raises(SurefootError, match=rf"all\.toml: control_step is {own:g}, and the task's is 0\.01"):
-        Simulator(params=Path("all.toml")).of(TaskConfig(params={"control_step": 0.01}))
+        Simulator(params=Path("all.toml")).apply(TaskConfig(params={"control_step": 0.01}))
 
 
 def test_options_change_the_task():
-    assert Simulator().of(TASK) == TASK
-    assert Simulator().of(TASK, {"control_latency": 0.01}).params["control_latency"] == 0.01
-    task = Simulator("constraint", 0.0, 0.003).of(TASK)
+    assert Simulator().apply(TASK) == TASK
+    assert Simulator().apply(TASK, {"control_latency": 0.01}).params["control_latency"] == 0.01
+    task = Simulator("constraint", 0.0, 0.003).apply(TASK)
     assert task == replace(
         TASK, actuator="constraint", params={"voltage": 15.0, "control_latency": 0.0, "servo_latency": 0.003}
     )

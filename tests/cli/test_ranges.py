@@ -10,7 +10,7 @@ import pytest
 import yaml
 from processes import surefoot
 
-from surefoot.cli.helpers.simulator import ranges_help, take_ranges
+from surefoot.cli.helpers.ranges import ranges_help, take_ranges
 from surefoot.errors import SurefootError
 from surefoot.robot.params import PARAMETERS
 from surefoot.robot.randomization import Ranges, RelativeRange, load_ranges
@@ -83,10 +83,9 @@ def test_a_range_of_one_parameter(line: str, ranges: Ranges):
     assert taken(f"{line} trot -v") == (["trot", "-v"], ranges)
 
 
-@pytest.mark.parametrize("name", PARAMETERS)
-def test_every_parameter_can_have_a_range(name: str):
-    assert taken(f"--randomize.{name} 0.1 0.2")[1] == {name: (0.1, 0.2)}
-    assert taken(f"--randomize.{name} none", {name: (0.1, 0.2), **LATENCY})[1].keys() == LATENCY.keys() - {name}
+def test_every_parameter_can_have_a_range():
+    for name in PARAMETERS:
+        assert take_ranges([f"--randomize.{name}", "0.1", "0.2"])[1].ranges == {name: (0.1, 0.2)}
 
 
 @pytest.mark.parametrize(

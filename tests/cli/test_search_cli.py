@@ -115,12 +115,12 @@ def check(folder: Path, trials: int) -> None:
 
 def check_same(folder: Path, number: int) -> None:
     """A trial that was lost and taken up again is what it would have been in one go, here and without Ray."""
-    from surefoot.learn.run import TrainingRun
     from surefoot.learn.run_folder import RunFolder
+    from surefoot.learn.training_loop import TrainingLoop
     from surefoot.world.sim_world import SimWorld
 
     _, config = RunFolder.open(folder / f"out/trials/trial_{number:04d}")
-    again = TrainingRun(config, RunFolder.create_at(config, folder / "again"), SimWorld)
+    again = TrainingLoop(config, RunFolder.create_at(config, folder / "again"), SimWorld)
     again.run(lambda *_: None)
     assert [untimed(row) for row in again.folder.rows()] == [untimed(row) for row in rows(folder, number)]
 
@@ -160,7 +160,7 @@ BAD = [
 def test_bad_input_gets_one_line_and_exit_code_2(
     words: list[str], message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("surefoot.studies.workers._CONNECTING", 0.5)
+    monkeypatch.setattr("surefoot.studies.workers._CONNECT_TIMEOUT", 0.5)
     (tmp_path / "unknown.yaml").write_text("ppo.leg: {low: 0, high: 1}")
     (tmp_path / "reversed.yaml").write_text("ppo.gamma: {low: 0.9, high: 0.8}")
     (tmp_path / "robot.yaml").write_text("task.robot: {choices: [minitaur, centipede]}")

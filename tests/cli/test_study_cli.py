@@ -174,30 +174,32 @@ def test_a_study_of_the_reality_gap(
     from surefoot.cli import study
     from surefoot.cli.helpers import study_results
     from surefoot.cli.main import main
-    from surefoot.studies.workers import Outcome, Worker
+    from surefoot.studies import evaluations
+    from surefoot.studies.workers import TrainingsOutcome, Worker
     from surefoot.world.sim_world import SimWorld
 
-    def train_here(title: str, trainings: list[Training], *_: object) -> Outcome:
+    def train_here(title: str, trainings: list[Training], *_: object) -> TrainingsOutcome:
         """Train as a worker does, without Ray."""
         for training in trainings:
-            trainer = Worker(lambda _: SimWorld, ".")
-            told = trainer.begin(training)
-            while not told.finished:
-                told = trainer.advance()
-        return Outcome([training.name for training in trainings])
+            worker = Worker(".")
+            report = worker.begin(training)
+            while not report.finished:
+                report = worker.advance()
+        return TrainingsOutcome([training.name for training in trainings])
 
     (tmp_path / "gaps.yaml").write_text(GAP)
     monkeypatch.setattr(study, "train_many", train_here)
     monkeypatch.chdir(tmp_path)
-    asked: list[str] = []
+    worlds: list[str] = []
 
     def find_world(name: str) -> type[SimWorld]:
-        asked.append(name)
+        worlds.append(name)
         return SimWorld
 
     monkeypatch.setattr(study_results, "find_world", find_world)
+    monkeypatch.setattr(evaluations, "find_world", find_world)
     assert main(["study", "gaps.yaml", "--workers", "1"]) == 0, capsys.readouterr().err
-    assert set(asked) == {"mujoco", "ensemble"}
+    assert set(worlds) == {"mujoco", "ensemble"}
     for group, actuator, latency in (("baseline", "constraint", 0.0), ("improved", "dc", None)):
         folder = tmp_path / "runs/gaps" / group / "seed_0/evaluations/gap"
         home, away = ([EpisodeTrace.load(f) for f in sorted((folder / w).iterdir())] for w in ("mujoco", "ensemble"))
@@ -227,7 +229,7 @@ def test_a_study_of_the_reality_gap(
         assert all(row["best_steps"] in ("512", "1024") for row in csv.DictReader(file))
 
     capsys.readouterr()
-    asked.clear()
+    worlds.clear()
     before = (out / "episodes.csv").read_text()
     assert main(["study", "gaps.yaml"]) == 0
     shown = capsys.readouterr().out

@@ -32,7 +32,8 @@ class ToyRobot:
 
     def __init__(self, robot: RobotDescription) -> None:
         self.codec = Codec(robot.num_motors)
-        self.firmware = Firmware(make_handshake(robot, Limits.of(robot), "toy", 0.001), Limits.of(robot))
+        limits = Limits.from_robot(robot)
+        self.firmware = Firmware(make_handshake(robot, limits, "toy", 0.001), limits)
         self._decoder = Decoder(self.codec)
         self.angle = robot.pose_angles(np.zeros(4), np.full(4, 0.9))
         self.sensors: Callable[[float, Sensors], Sensors] = lambda time, readings: readings

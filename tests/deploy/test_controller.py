@@ -62,10 +62,10 @@ def test_a_simulated_episode_gets_the_same_targets(path, a_state):
         moment = k * policy.contract.control_step
         assert readings.time[0] == pytest.approx(moment, abs=1e-12)
         if env.source is not None:
-            assert controller.give(env.source.command[0]) == ""
+            assert controller.set_command(env.source.command[0]) == ""
         given = controller.observe(moment, state)
         assert given == pytest.approx(observation, abs=1e-6)
-        target = controller.command(moment, given)
+        target = controller.compute_target(moment, given)
         observation, *_ = env.step(env.gait.action(policy.feedback(observation)))
         assert target == pytest.approx(env.target[0], abs=1e-6)
 
@@ -75,7 +75,7 @@ def test_history_is_the_newest_first_and_starts_full(contract, robot, a_state):
     controller = Controller(policy, robot)
     for k in range(1, 5):
         state = replace(a_state, roll_pitch_yaw=np.array([k / 10, 0.0, 0.0]))
-        controller.command(0.0, controller.observe(0.0, state))
+        controller.compute_target(0.0, controller.observe(0.0, state))
     rolls = [seen.reshape(3, -1)[:, 0].tolist() for seen in policy.seen]
     assert rolls[0] == pytest.approx([0.1, 0.1, 0.1])
     assert rolls[1] == pytest.approx([0.2, 0.1, 0.1])
@@ -89,7 +89,7 @@ def test_missed_steps_count_in_the_history(contract, robot, a_state):
     controller = Controller(policy, robot)
     for roll, missed in ((0.1, 0), (0.2, 0), (0.3, 1), (0.4, 7)):
         state = replace(a_state, roll_pitch_yaw=np.array([roll, 0.0, 0.0]))
-        controller.command(0.0, controller.observe(0.0, state, missed))
+        controller.compute_target(0.0, controller.observe(0.0, state, missed))
     rolls = [seen.reshape(3, -1)[:, 0].tolist() for seen in policy.seen]
     assert rolls[2] == pytest.approx([0.3, 0.2, 0.2])
     assert rolls[3] == pytest.approx([0.4, 0.3, 0.3])
@@ -104,7 +104,7 @@ def test_readings_that_are_not_finite_are_named(contract, robot, a_state):
 def test_feedback_that_is_not_finite_is_named(contract, robot, a_state):
     controller = Controller(Echo(contract, np.inf), robot)
     with pytest.raises(NotFiniteError, match=r"feedback 'swing.front_left' is inf"):
-        controller.command(0.0, controller.observe(0.0, a_state))
+        controller.compute_target(0.0, controller.observe(0.0, a_state))
 
 
 def test_a_gait_beyond_the_legs_is_refused(contract, robot):

@@ -19,14 +19,14 @@ def document(repository: Path) -> str:
 
 def test_the_hosts_limits_are_those_of_the_code(document: str, robot: RobotDescription):
     rows = re.findall(r"^\| `([a-z_]+)` \| ([\d.]+) \w", document, re.MULTILINE)
-    assert {name: float(number) for name, number in rows} == asdict(SafetyLimits.of(robot))
+    assert {name: float(number) for name, number in rows} == asdict(SafetyLimits.from_robot(robot))
 
 
 def test_the_robots_limits_are_those_of_the_emulator(document: str, robot: RobotDescription):
     pytest.importorskip("numba")
     from surefoot.emulator.limits import Limits
 
-    limits = Limits.of(robot)
+    limits = Limits.from_robot(robot)
     paragraph = re.search(r"^The robot's own.*?\n\n", document, re.MULTILINE | re.DOTALL)
     assert paragraph is not None
     text = " ".join(paragraph[0].split())
@@ -63,7 +63,7 @@ def test_every_phase_of_a_run_stands_in_the_table(document: str):
     from surefoot.deploy import motion_runner as motion
     from surefoot.deploy.deployment import PUNCTUAL
 
-    assert f"| keep time | {PUNCTUAL * 0.006:.1f} s |" in document
+    assert f"| check timing | {PUNCTUAL * 0.006:.1f} s |" in document
     flat, fold, pause = motion.FLAT, motion.FOLD, motion.PAUSE
     assert f"| lay legs flat, draw legs in, sit | {flat + fold + pause:.1f} s |" in document
     assert f"| stand up, stand | {motion.RISE + motion.HOLD:.1f} s |" in document

@@ -62,13 +62,13 @@ def deployment(link, computer, controller, monitor) -> Deployment:
     return Deployment(link, controller, Operator(), monitor)
 
 
-def greet(deployment: Deployment) -> None:
-    deployment.greet(lambda handshake: None)
+def connect(deployment: Deployment) -> None:
+    deployment.connect(lambda handshake: None)
 
 
 def test_a_punctual_computer_goes_through_so_many_steps_once_and_commands_nothing(deployment, toy, monitor):
-    greet(deployment)
-    assert monitor.phases == ["greet", "keep time"]
+    connect(deployment)
+    assert monitor.phases == ["connect", "check timing"]
     kinds = {type(message) for _, message in toy.heard}
     assert Ping in kinds
     assert not kinds & {Arm, Position}
@@ -81,15 +81,15 @@ def test_what_is_slow_only_at_first_is_forgiven(deployment, computer, monitor):
 
     def late(moment: float) -> float:
         # Three stalls of five control steps, each once the loop is under way, and then none.
-        if "keep time" in monitor.phases and len(begun) < 3 and (not begun or moment > begun[-1] + 0.1):
+        if "check timing" in monitor.phases and len(begun) < 3 and (not begun or moment > begun[-1] + 0.1):
             begun.append(moment)
             return 5 * STEP
         return 0.0
 
     computer.late = late
-    greet(deployment)
+    connect(deployment)
     assert len(begun) == 3
-    assert monitor.phases.count("keep time") == 4
+    assert monitor.phases.count("check timing") == 4
 
 
 def test_a_computer_that_stalls_again_and_again_arms_no_robot(deployment, computer, toy, monitor):
@@ -103,8 +103,8 @@ def test_a_computer_that_stalls_again_and_again_arms_no_robot(deployment, comput
 
     computer.late = late
     with pytest.raises(SurefootError, match=r"not armed: \d+ control steps in a row were missed; at most 2"):
-        greet(deployment)
-    assert monitor.phases.count("keep time") == TRIES
+        connect(deployment)
+    assert monitor.phases.count("check timing") == TRIES
     assert Arm not in {type(message) for _, message in toy.heard}
 
 
@@ -118,10 +118,10 @@ def test_a_battery_that_is_low_or_a_motor_that_is_hot_from_the_start(deployment,
 
     toy.sensors = worse
     with pytest.raises(SurefootError, match=f"the robot is not armed: {text}"):
-        greet(deployment)
+        connect(deployment)
 
 
 def test_who_asks_to_stop_meanwhile_is_not_told_of_an_error(deployment, toy):
     deployment.operator.stops = 1
-    greet(deployment)
+    connect(deployment)
     assert Arm not in {type(message) for _, message in toy.heard}

@@ -33,13 +33,13 @@ def snapshot(a_state) -> Snapshot:
     )
 
 
-def test_the_picture_tells_all_that_came():
-    picture = StatusPanel()
-    picture.take({"title": "trot on minitaur", "recording": "recording to run_000.npz"})
-    picture.take({"phase": "run", "left": 2.0, "rate": 166.7, "lateness": [0.01] * 98 + [1.0, 3.0], "inference": 0.09})
-    picture.take({"missed": 1, "dropped": 2, "state_age": 1.2, "voltage": 15.7, "temperature": 31.0})
-    picture.take({"roll": -0.02, "pitch": 0.11, "warning": "battery below 14.4 V"})
-    rows = dict(picture.rows())
+def test_the_panel_shows_what_the_messages_hold():
+    panel = StatusPanel()
+    panel.update({"title": "trot on minitaur", "recording": "recording to run_000.npz"})
+    panel.update({"phase": "run", "left": 2.0, "rate": 166.7, "lateness": [0.01] * 98 + [1.0, 3.0], "inference": 0.09})
+    panel.update({"missed": 1, "dropped": 2, "state_age": 1.2, "voltage": 15.7, "temperature": 31.0})
+    panel.update({"roll": -0.02, "pitch": 0.11, "warning": "battery below 14.4 V"})
+    rows = dict(panel.rows())
     assert rows["phase"] == "run, 2.0 s left"
     assert rows["loop"] == "166.7 Hz"
     assert rows["lateness"].startswith("0.01 median, ")
@@ -48,10 +48,10 @@ def test_the_picture_tells_all_that_came():
     assert rows["hottest motor"] == "31 degC"
     assert rows["roll, pitch"] == "-0.02, +0.11 rad"
     assert rows["recording"] == "to run_000.npz"
-    assert picture.warnings == ["battery below 14.4 V"]
+    assert panel.warnings == ["battery below 14.4 V"]
 
 
-def test_a_picture_of_nothing_shows_dashes():
+def test_an_empty_panel_shows_dashes():
     rows = dict(StatusPanel().rows())
     assert rows["loop"] == "-"
     assert rows["lateness"] == "-"
@@ -112,16 +112,15 @@ def test_the_displays_process_ends_with_its_input():
     assert "15.7 V" in drawn
 
 
-def test_plain_lines_tell_phases_and_warnings(snapshot):
-    stream = io.StringIO()
-    lines = PlainLines(stream)
+def test_plain_lines_print_phases_and_warnings(snapshot, capsys):
+    lines = PlainLines()
     lines.phase("arm", 0.0)
     lines.phase("run", 6.0)
     lines.tick(snapshot)
     lines.warn("battery below 14.4 V")
     lines.recording("recording stopped: No space left on device")
     lines.close()
-    assert stream.getvalue().splitlines() == [
+    assert capsys.readouterr().err.splitlines() == [
         "surefoot: arm",
         "surefoot: run (6.0 s)",
         "surefoot: warning: battery below 14.4 V",
@@ -129,7 +128,8 @@ def test_plain_lines_tell_phases_and_warnings(snapshot):
     ]
 
 
-def test_a_terminal_that_is_gone_is_no_reason_to_stop():
+def test_plain_lines_survive_a_closed_terminal(monkeypatch):
     stream = io.StringIO()
     stream.close()
-    PlainLines(stream).phase("run", 6.0)
+    monkeypatch.setattr(sys, "stderr", stream)
+    PlainLines().phase("run", 6.0)

@@ -361,7 +361,7 @@ def test_row_3_a_policy_that_breaks(ended, reason, text):
 @pytest.mark.parametrize(
     ("scenario", "text"),
     [
-        ("other-robot", "the policy is for 'minitaur', the robot says 'not-minitaur'"),
+        ("other-robot", "is 'minitaur' (policy), 'not-minitaur' (robot)"),
         ("other-order", "names and order must be the same"),
         ("other-gains", "the robot's servos have kp 1.5"),
         ("other-schema", "the robot has version 1 and schema"),

@@ -75,16 +75,16 @@ def stop(toy):
 
 @pytest.fixture
 def deploy(toy, link, robot, policy, stop, monitor, tmp_path):
-    """Make a deployment, greet the robot, run; returns outcome, what was kept, and timing."""
+    """Connect a deployment and run it; return outcome, saved run and timing."""
 
     def make(policy=policy, steps=STEPS, dry_run=False, prepare=None):
         deployment = Deployment(link, Controller(policy, robot), stop, monitor, dry_run)
-        deployment.greet(lambda handshake: None)
+        deployment.connect(lambda handshake: None)
         keeper, timing = RunSaver(deployment, tmp_path / "run_000.npz", steps), LoopTiming(5000)
         keeper.begin()
         if prepare is not None:
             prepare()
-        outcome = deployment.run(keeper.recorder, timing, keeper.keep, keeper.begun)
+        outcome = deployment.run(keeper.recorder, timing)
         kept = keeper.finish(outcome, timing, None)
         make.deployment = deployment
         return outcome, kept, timing
@@ -100,7 +100,7 @@ def test_a_whole_run(deploy, toy, monitor):
     outcome, kept, timing = deploy()
     assert (outcome.ended, outcome.safe) == ("time", False)
     assert monitor.phases == [
-        *("greet", "arm", "lay legs flat", "draw legs in", "sit", "stand up", "stand"),
+        *("connect", "arm", "lay legs flat", "draw legs in", "sit", "stand up", "stand"),
         *("run", "drop", "sit", "disarm"),
     ]
     assert toy.kinds() == ["Hello", "Arm", "Position", "Disarm"]
@@ -399,10 +399,10 @@ def test_a_dry_run_arms_and_commands_nothing(deploy, toy):
 @pytest.mark.parametrize(
     ("what", "match"),
     [
-        (raises, "policy 'trot' fails on what the robot tells now: ZeroDivisionError: division by zero"),
+        (raises, "policy 'trot' fails on the robot's present state: ZeroDivisionError: division by zero"),
         (
             lambda: np.full((1, 8), np.nan),
-            "fails on what the robot tells now: NotFiniteError: feedback 'swing.front_left'",
+            "fails on the robot's present state: NotFiniteError: feedback 'swing.front_left'",
         ),
     ],
 )
@@ -434,7 +434,7 @@ def test_a_robot_that_does_not_arm_again_ends_its_second_run(deploy, toy, link, 
     toy.firmware._vitals = replace(toy.firmware._vitals, temperature=95.0)
     toy.firmware.tick = lambda now, vitals: None
     keeper = RunSaver(deployment, None, STEPS)
-    outcome = deployment.run(keeper.recorder, LoopTiming(100), keeper.keep, keeper.begun)
+    outcome = deployment.run(keeper.recorder, LoopTiming(100))
     assert (outcome.ended, outcome.reason, outcome.safe) == ("fault", "arm", True)
     assert "a motor has 95 degC" in outcome.text
 

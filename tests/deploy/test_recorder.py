@@ -12,9 +12,9 @@ import pytest
 from surefoot.deploy.recorder import Recorder
 from surefoot.deploy.run_saver import PartialFile, next_free
 from surefoot.errors import SurefootError
-from surefoot.task.partial_trace import Layout, recover, trace_of
+from surefoot.task.partial_trace import RowLayout, make_trace, recover
 
-LAYOUT = Layout(motors=8, legs=4, observations=3, actions=8)
+LAYOUT = RowLayout(motors=8, legs=4, observations=3, actions=8)
 STEP = 0.006
 META = {
     "robot": "minitaur",
@@ -39,7 +39,7 @@ def recorded(a_state):
         return replace(a_state, roll_pitch_yaw=np.array([k / 100, 0.0, 0.0]), energy=float(k**2))
 
     recorder = Recorder(LAYOUT, STEP, 10)
-    recorder.begin(state(0))
+    recorder.begin(state(0), 100.0)
     for k in range(4):
         recorder.close(k, state(k), 100.0 + k * STEP)
         if k < 3:
@@ -63,8 +63,8 @@ def test_a_row_has_its_start_and_the_state_of_its_end(recorded):
 def test_missed_steps_repeat_what_the_servos_held(recorded):
     recorder, state = recorded
     recorder.open(*opened(3))
-    rows = recorder.close(6, state(6), 100.036)
-    assert len(rows) == 3
+    recorder.close(6, state(6), 100.036)
+    assert recorder.steps == 6
     assert recorder.missed == [4, 5]
     columns = LAYOUT.columns(recorder.rows)
     assert np.diff(columns["time"]) == pytest.approx(STEP)
@@ -95,17 +95,17 @@ def test_energy_that_starts_anew_counts_nothing(recorded):
 
 
 def test_what_the_robot_does_not_know_is_nan_in_the_trace(recorded):
-    trace = trace_of(LAYOUT, recorded[0].rows, META)
+    trace = make_trace(LAYOUT, recorded[0].rows, META)
     assert trace.num_steps == 3
     assert np.isnan(trace.base_position_world).all()
     assert np.isnan(trace.foot_contact).all()
     assert trace.motor_torque.shape == (3, 8)
     with pytest.raises(SurefootError, match="no control step was done"):
-        trace_of(LAYOUT, recorded[0].rows[:0], META)
+        make_trace(LAYOUT, recorded[0].rows[:0], META)
 
 
 def test_a_partial_file_gives_the_same_trace(recorded, tmp_path):
-    path = tmp_path / "deep" / "run.partial"
+    path = tmp_path / "run.partial"
     file = PartialFile(path, LAYOUT, META)
     for row in recorded[0].rows:
         file.add(row[None])
@@ -114,7 +114,7 @@ def test_a_partial_file_gives_the_same_trace(recorded, tmp_path):
     trace = recover(path)
     assert trace.meta["ended"] == "fault"
     assert trace.meta["reason"] == "cut off"
-    whole = trace_of(LAYOUT, recorded[0].rows, META)
+    whole = make_trace(LAYOUT, recorded[0].rows, META)
     for name in ("time", "target", "observation", "energy", "roll_pitch_yaw"):
         assert getattr(trace, name).tolist() == getattr(whole, name).tolist()
     file.remove()
@@ -137,11 +137,11 @@ def test_a_row_that_was_cut_is_left_out(recorded, tmp_path):
         (b"", "is not one"),
         (b"{}\n", "is not one"),
         (b"[1]\n", "is not one"),
-        (b'{"kind": "other"}\n', "is not one: of another kind"),
+        (b'{"kind": "other"}\n', "is not one"),
         (b"\xff\xfe\n", "is not one"),
         (
             json.dumps(
-                {"kind": "surefoot-partial-trace", "motors": 8, "legs": 4, "observations": 3, "meta": {}}
+                {"kind": "surefoot-partial-trace", "motors": 8, "legs": 4, "observations": 3, "actions": 8, "meta": {}}
             ).encode(),
             "holds no whole control step",
         ),
@@ -155,7 +155,7 @@ def test_a_file_that_is_no_partial_trace_is_refused(content, match, tmp_path):
         recover(path)
 
 
-def test_a_folder_that_cannot_be_made_stops_recording(tmp_path):
+def test_a_file_that_cannot_be_opened_stops_recording(tmp_path):
     (tmp_path / "file").write_text("")
     file = PartialFile(tmp_path / "file" / "run.partial", LAYOUT, META)
     file.add(np.zeros((1, LAYOUT.width)))

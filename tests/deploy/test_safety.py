@@ -33,7 +33,7 @@ def judge(a_state, guard):
     """What is done in an ordinary step, with changes: of the state by name, of the rest by keyword."""
 
     def make(time=0.0, state_age=0.001, guard=guard, missed=0, stops=0, armed=True, upright=True, **state) -> Verdict:
-        return guard.judge(time, replace(a_state, **state), state_age, missed, stops, armed, upright)
+        return guard.check(time, replace(a_state, **state), state_age, missed, stops, armed, upright)
 
     return make
 

@@ -36,11 +36,10 @@ class Rig:
 
     def __init__(self, robot, encoder, *words: str, rack: bool = True) -> None:
         plant = Plant(robot, sensors=SensorConfig.ideal(), power=PowerConfig.ideal(), rack=rack)
-        said = make_handshake(robot, Limits.of(robot), "test 1", 0.001)
+        limits, faults = Limits.from_robot(robot), parse_faults(words)
         self.robot, self.wire = robot, encoder
-        faults = parse_faults(words)
         self.line = SerialHostLink(Hosts(), 8, faults, seed=1)
-        self.board = Board(plant, said, self.line, faults=faults)
+        self.board = Board(plant, make_handshake(robot, limits, "test 1", 0.001), self.line, limits, faults)
         self.frames: list[Packet] = []
         self.angles = robot.pose_angles(0.0, 1.5)
 

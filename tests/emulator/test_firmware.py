@@ -55,7 +55,7 @@ class Bench:
     """
 
     def __init__(self, robot: Any, where: str) -> None:
-        limits = Limits.of(robot)
+        limits = Limits.from_robot(robot)
         self.firmware = Firmware(make_handshake(robot, limits, "test 1", 0.001), limits)
         self.line = SerialHostLink(NoHosts(), 8) if where == "serial line" else None
         self.host = Decoder(Codec(8))

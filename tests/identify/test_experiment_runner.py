@@ -141,7 +141,7 @@ def test_the_port_closes(emulate: Callable[..., Any], make_plan: MakePlan, run_o
 def test_a_robot_that_was_not_greeted(healthy: Any, robot: RobotDescription, make_plan: MakePlan):
     link = open_link(healthy.port, 8, lockstep=True)
     try:
-        with pytest.raises(SurefootError, match="the robot was not greeted"):
+        with pytest.raises(SurefootError, match="the robot is not connected"):
             run_plan(link, make_plan(), robot, PlainLines())
     finally:
         link.close()

@@ -143,6 +143,6 @@ def test_training_takes_it(robot: RobotDescription, tmp_path: Path):
 
     path = tmp_path / "robot.toml"
     write_overlay(path, robot, overlay(read_prior(None, robot), motor(), robot))
-    task = Simulator(params=path).of(TaskConfig())
+    task = Simulator(params=path).apply(TaskConfig())
     assert set(task.params) == {"motor_strength", "motor_friction", "voltage"}
     assert task.nominal(robot).motor_strength[0, 0] == 0.9

@@ -50,7 +50,7 @@ def test_a_robot_can_follow(
     name: str, swing: float | list[float], extension: float, plans: dict[str, Plan], robot: RobotDescription
 ):
     """However it lies or hangs when it is armed."""
-    plan, said = plans[name], make_handshake(robot, Limits.of(robot), "", robot.timing.servo_step)
+    plan, said = plans[name], make_handshake(robot, Limits.from_robot(robot), "", robot.timing.servo_step)
     before = robot.pose_angles(swing, extension)
     for phase in plan.phases:
         if phase.mode == Mode.PWM:
@@ -71,7 +71,7 @@ def test_a_robot_can_follow(
 
 
 def test_no_clipping_is_needed_to_stand_or_sit(plans: dict[str, Plan], robot: RobotDescription):
-    said = make_handshake(robot, Limits.of(robot), "", robot.timing.servo_step)
+    said = make_handshake(robot, Limits.from_robot(robot), "", robot.timing.servo_step)
     for name, plan in plans.items():
         assert (plan.experiment, plan.rack) == (name, EXPERIMENTS[name].rack)
         assert plan.duration < plan.limits.duration

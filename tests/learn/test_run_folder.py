@@ -1,4 +1,4 @@
-"""One process trains in a folder, and what killed ones left there is removed."""
+"""Run folders and their lock."""
 
 from __future__ import annotations
 
@@ -13,34 +13,34 @@ pytest.importorskip("torch")
 from surefoot.cli.main import main
 from surefoot.errors import SurefootError
 from surefoot.learn.config import TrainConfig
+from surefoot.learn.folder_lock import folder_lock
 from surefoot.learn.run_folder import RunFolder, read_checkpoint
-from surefoot.learn.run_lock import alone
 
 
 def test_a_second_resume_is_refused_in_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     folder = RunFolder.create_at(TrainConfig(), tmp_path / "run")
     before, rule = sorted(folder.path.rglob("*")), "another process trains in this folder; wait for it, or end it"
-    with alone(folder.path):
+    with folder_lock(folder.path):
         assert main(["train", "--resume", str(folder.path)]) == 2
-        with pytest.raises(SurefootError, match=rule), alone(folder.path, patience=0.1):
+        with pytest.raises(SurefootError, match=rule), folder_lock(folder.path, timeout=0.1):
             pass
     assert capsys.readouterr() == ("", f"surefoot: error: {folder.path}: {rule}\n")
     assert sorted(folder.path.rglob("*")) == sorted([*before, folder.path / "lock"])
 
 
-def test_what_a_killed_run_had_under_way_is_removed(tmp_path: Path):
+def test_unfinished_files_of_a_killed_run_are_removed(tmp_path: Path):
     folder = RunFolder.create_at(TrainConfig(), tmp_path / "run")
     dead = subprocess.Popen([sys.executable, "-c", ""])
     dead.wait()
     left = [folder.checkpoints / f".fresh.ckpt.{dead.pid}.tmp", folder.path / f".figures.jsonl.{dead.pid}.tmp"]
     for path in left:
         path.touch()
-    with alone(folder.path):
+    with folder_lock(folder.path):
         assert not any(path.exists() for path in left)
 
 
 @pytest.mark.parametrize("content", ["{", "[]", "{}", "[" * 10_000])
-def test_a_folder_whose_record_is_damaged_is_refused(tmp_path: Path, content: str):
+def test_a_damaged_run_json_is_refused(tmp_path: Path, content: str):
     (tmp_path / "run.json").write_text(content)
     with pytest.raises(SurefootError, match=r"run\.json: is damaged; it must be the JSON that surefoot wrote"):
         RunFolder.open(tmp_path)

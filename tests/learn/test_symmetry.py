@@ -30,7 +30,7 @@ def test_columns_by_hand():
     source, sign = mirror_columns(names)
     assert source.tolist() == [0, 1, 3, 2, 4]
     assert sign.tolist() == [-1, 1, 1, 1, 1]
-    assert mirror_columns(names, half_a_period=True)[1].tolist() == [-1, 1, 1, 1, -1]
+    assert mirror_columns(names, half_period=True)[1].tolist() == [-1, 1, 1, 1, -1]
 
 
 def test_a_column_without_counterpart_is_refused():

@@ -15,8 +15,7 @@ pytest.importorskip("mujoco")
 
 from surefoot.errors import SurefootError  # noqa: E402
 from surefoot.learn.config import PPOConfig, load_train_config  # noqa: E402
-from surefoot.learn.export import export_trainer  # noqa: E402
-from surefoot.learn.trainer import Trainer  # noqa: E402
+from surefoot.learn.ppo_learner import PpoLearner  # noqa: E402
 from surefoot.policy.contract import METADATA_KEY  # noqa: E402
 from surefoot.policy.digest import add_digest  # noqa: E402
 from surefoot.policy.export import export_policy  # noqa: E402
@@ -25,26 +24,26 @@ from surefoot.task.contract_mapping import make_contract  # noqa: E402
 from surefoot.world.sim_world import SimWorld  # noqa: E402
 
 
-def make_trainer(task: str, activation: str = "elu", history: int = 1) -> Trainer:
-    """An untrained trainer whose normalizer and last layer are not those of the first moment."""
+def make_learner(task: str, activation: str = "elu", history: int = 1) -> PpoLearner:
+    """An untrained learner whose normalizer and last layer are not those of the first moment."""
     config, ppo = load_train_config(task), PPOConfig(policy_hidden=(16, 8), activation=activation)
     config = replace(config, task=replace(config.task, history=history), num_envs=2, threads=1, ppo=ppo)
-    trainer = Trainer(config, SimWorld)
+    learner = PpoLearner(config, SimWorld)
     with torch.no_grad():
-        trainer.policy.mlp[-1].weight.mul_(20)
+        learner.policy.mlp[-1].weight.mul_(20)
         for name, low, high in (("_mean", -1.0, 1.0), ("_std", 0.1, 3.0)):
-            getattr(trainer.policy.obs_normalizer, name).uniform_(low, high)
-    return trainer
+            getattr(learner.policy.obs_normalizer, name).uniform_(low, high)
+    return learner
 
 
 @pytest.fixture(scope="module")
-def trainer() -> Trainer:
-    return make_trainer("trot")
+def learner() -> PpoLearner:
+    return make_learner("trot")
 
 
 @pytest.fixture(scope="module")
-def policy_file(trainer: Trainer, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return export_trainer(trainer, tmp_path_factory.mktemp("policy") / "test.onnx", {"speed_mean": 0.1 + 0.2})
+def policy_file(learner: PpoLearner, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return learner.export(tmp_path_factory.mktemp("policy") / "test.onnx", {"speed_mean": 0.1 + 0.2})
 
 
 @pytest.mark.parametrize(
@@ -54,24 +53,24 @@ def policy_file(trainer: Trainer, tmp_path_factory: pytest.TempPathFactory) -> P
 def test_a_policy_file_computes_the_feedback_of_network_and_environment(
     task: str, activation: str, history: int, tmp_path: Path, rng: np.random.Generator
 ):
-    trainer = make_trainer(task, activation, history)
-    runtime = PolicyRuntime.load(export_trainer(trainer, tmp_path / "p.onnx"))
+    learner = make_learner(task, activation, history)
+    runtime = PolicyRuntime.load(learner.export(tmp_path / "p.onnx"))
     observation = rng.normal(scale=3.0, size=(200, runtime.contract.width)).astype(np.float32)
-    action = trainer.act(observation)
+    action = learner.act(observation)
     assert np.any(np.abs(action) > 1)
     assert np.any(np.abs(action) < 1)
-    expected = trainer.env.gait.feedback(action)
+    expected = learner.env.gait.feedback(action)
     assert np.allclose(runtime.feedback(observation), expected, rtol=0, atol=1e-5)
 
 
-def test_the_file_is_the_same_from_the_module_and_from_the_trainer(trainer: Trainer, tmp_path: Path):
-    contract = make_contract(trainer.env)
-    path = export_policy(trainer.policy, "elu", contract, tmp_path / "deep" / "p.onnx")
+def test_the_file_is_the_same_from_the_module_and_from_the_learner(learner: PpoLearner, tmp_path: Path):
+    contract = make_contract(learner.env)
+    path = export_policy(learner.policy, "elu", contract, tmp_path / "deep" / "p.onnx")
     assert PolicyRuntime.load(path).contract == contract
     assert [file.name for file in path.parent.iterdir()] == ["p.onnx"]
 
 
-def test_the_contract_states_the_task(policy_file: Path, trainer: Trainer):
+def test_the_contract_states_the_task(policy_file: Path, learner: PpoLearner):
     contract = PolicyRuntime.load(policy_file).contract
     assert contract.robot == "minitaur"
     assert contract.columns == ("roll", "pitch", "roll_rate", "pitch_rate")
@@ -79,7 +78,7 @@ def test_the_contract_states_the_task(policy_file: Path, trainer: Trainer):
     assert contract.low == (-0.25,) * 8
     assert contract.figures["speed_mean"] == 0.1 + 0.2
     assert (contract.control_step, contract.control_latency) == (0.006, 0.02)
-    assert contract.reference == trainer.env.gait.reference.to_dict()
+    assert contract.reference == learner.env.gait.reference.to_dict()
 
 
 def test_feedback_is_clipped_to_the_bounds_exactly(policy_file: Path):
@@ -173,32 +172,32 @@ def test_feedback_that_is_not_finite_is_refused(policy_file: Path, tmp_path: Pat
         runtime.feedback(np.zeros((1, 4)))
 
 
-def test_a_network_that_could_not_be_loaded_is_not_written(trainer: Trainer, tmp_path: Path, monkeypatch):
+def test_a_network_that_could_not_be_loaded_is_not_written(learner: PpoLearner, tmp_path: Path, monkeypatch):
     monkeypatch.setattr("surefoot.policy.network.MAX_WIDTH", 15)
     with pytest.raises(SurefootError, match=r"p\.onnx: constant 'weight_0' has shape \(16, 4\).*it is not written"):
-        export_policy(trainer.policy, "elu", make_contract(trainer.env), tmp_path / "p.onnx")
+        export_policy(learner.policy, "elu", make_contract(learner.env), tmp_path / "p.onnx")
     assert not list(tmp_path.iterdir())
 
 
 def test_a_failed_export_leaves_the_old_file(policy_file: Path, tmp_path: Path):
-    trainer = make_trainer("trot")
+    learner = make_learner("trot")
     path = tmp_path / "p.onnx"
     path.write_bytes(policy_file.read_bytes())
     with torch.no_grad():
-        trainer.policy.mlp[0].bias[0] = float("nan")
+        learner.policy.mlp[0].bias[0] = float("nan")
     with pytest.raises(SurefootError, match="not finite"):
-        export_trainer(trainer, path)
+        learner.export(path)
     assert path.read_bytes() == policy_file.read_bytes()
     assert [file.name for file in tmp_path.iterdir()] == ["p.onnx"]
 
 
-def test_an_export_that_does_not_fit_is_refused(trainer: Trainer, tmp_path: Path):
-    contract = make_contract(trainer.env)
+def test_an_export_that_does_not_fit_is_refused(learner: PpoLearner, tmp_path: Path):
+    contract = make_contract(learner.env)
     for activation, fitting, name, message in (
         ("sine", contract, "p.onnx", "activation is 'sine'; choices: elu, relu"),
         ("elu", replace(contract, history=2), "p.onnx", "takes 4 and gives 8; its contract says 8 and 8"),
         ("elu", contract, "p.pt", "must end in .onnx"),
     ):
         with pytest.raises(SurefootError, match=message):
-            export_policy(trainer.policy, activation, fitting, tmp_path / name)
+            export_policy(learner.policy, activation, fitting, tmp_path / name)
     assert not list(tmp_path.iterdir())

@@ -11,22 +11,23 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 
 pytest.importorskip("gymnasium")
 pytest.importorskip("matplotlib")
 import matplotlib
 from matplotlib.figure import Figure
+from run_tables import policy_gap, runs_table, sensitivity_table
 
 from surefoot.errors import SurefootError
 from surefoot.evaluate.gap import PolicyGap
-from surefoot.evaluate.runs import Runs
-from surefoot.evaluate.sensitivity import Nominal, Sensitivity, TestWorld
+from surefoot.evaluate.sensitivity import Sensitivity
 from surefoot.report.figures.parameters import aggregate_figure, parameter_figure, parameters_figure
 from surefoot.report.figures.runs import _mean_power, episode_plot, footfall_diagram, side_by_side
 from surefoot.report.figures.tracking import tracking_figure
 from surefoot.robot import RobotDescription
-from surefoot.studies.comparison import Comparison, Curve
+from surefoot.studies.comparison import Comparison
 from surefoot.studies.study_figures import gap_figure, group_figure, learning_curves
 from surefoot.task.trace import EpisodeTrace
 
@@ -116,16 +117,10 @@ def test_matplotlib_is_imported_only_when_drawing() -> None:
     assert subprocess.run([sys.executable, "-c", code], check=False, timeout=60).returncode == 0
 
 
-def runs(world: str, *returns: float, falls: int = 0) -> Runs:
-    gained = np.array(returns)
-    fell, ones = np.arange(len(gained)) < falls, np.ones(len(gained))
-    return Runs(world, gained, gained + 1, ones, 20 * ones, 100 * ones, fell, ~fell)
-
-
 @pytest.mark.parametrize(("count", "worlds"), [(1, 1), (3, 8), (200, 1)])
 def test_a_bar_for_each_policy_and_world(count: int, worlds: int, tmp_path: Path, drawn: list[Figure]) -> None:
-    away = tuple(runs(f"world {i}", *[2.0 - 0.1 * i] * count, falls=i) for i in range(worlds))
-    policy = PolicyGap("trot", runs("mujoco", *[3.0] * count), away)
+    away = [runs_table(f"world {i}", *[2.0 - 0.1 * i] * count, falls=i) for i in range(worlds)]
+    policy = PolicyGap.from_runs("trot", [runs_table("mujoco", *[3.0] * count), *away])
     gap_figure([policy, replace(policy, name="gallop, slow")], tmp_path / "gap.png")
     expected = [3.0, *(2.0 - 0.1 * i for i in range(worlds))]
     np.testing.assert_allclose(heights(drawn[0]), expected * 2)
@@ -140,35 +135,24 @@ def test_a_bar_for_each_policy_and_world(count: int, worlds: int, tmp_path: Path
     )
 
 
-def test_returns_that_are_not_known_or_below_zero(tmp_path: Path, drawn: list[Figure]) -> None:
-    unknown = PolicyGap("p", runs("a", 1.0), (runs("b", math.nan, falls=1),))
-    gap_figure([unknown], tmp_path / "a.png")
-    gap_figure([PolicyGap("p", runs("a", -1.0, -3.0), (runs("b", 0.5, 0.5),))], tmp_path / "b.png")
+def test_a_gap_figure_shows_unknown_and_negative_returns(tmp_path: Path, drawn: list[Figure]) -> None:
+    gap_figure([policy_gap("p", [1.0], {"b": [math.nan]}, falls=1)], tmp_path / "a.png")
+    gap_figure([policy_gap("p", [-1.0, -3.0], {"b": [0.5, 0.5]})], tmp_path / "b.png")
     assert heights(drawn[0]) == [1.0]
     assert "return\nnot known\n1 of 1\nfell" in [text.get_text() for text in drawn[0].axes[0].texts]
     assert heights(drawn[1]) == [-2.0, 0.5]
     assert drawn[1].axes[0].get_ylim()[0] < -3.0
 
 
-def test_a_gap_figure_takes_one_set_of_worlds(tmp_path: Path) -> None:
-    one, two = (PolicyGap("p", runs("a", 1.0), tuple(runs(name, 1.0) for name in names)) for names in ("b", "bc"))
-    for policies, message in (([], "0 policies"), ([one, two], "2 policies in 2 sets of worlds")):
-        with pytest.raises(SurefootError, match=message):
-            gap_figure(policies, tmp_path / "a.png")
-    assert list(tmp_path.iterdir()) == []
-
-
 def sensitivity(policy: str = "trot", values: int = 5, episodes: int = 4, level: float = 3.0) -> Sensitivity:
     """Test worlds of latency and mass, in which the robot falls at the upper end of each."""
-    worlds = [TestWorld("control_latency", float(value)) for value in np.linspace(0.0, 0.04, values)]
-    worlds += [TestWorld("base_mass_ratio", float(value)) for value in np.linspace(0.8, 1.2, values)]
+    worlds = [("control_latency", float(value)) for value in np.linspace(0.0, 0.04, values)]
+    worlds += [("base_mass_ratio", float(value)) for value in np.linspace(0.8, 1.2, values)]
     along = np.tile(np.linspace(0.0, 1.0, values), 2)[:, None]
     returns = level - 2.0 * along + np.linspace(-0.2, 0.2, episodes)
     fell = np.broadcast_to(along > 0.7, returns.shape)
-    nominal = Nominal(
-        {"control_latency": 0.02, "base_mass_ratio": 1.0}, np.full(4, 2.0), np.zeros(4, np.bool_), np.zeros(4)
-    )
-    return Sensitivity(policy, tuple(worlds), returns, fell, returns / 6.0, nominal)
+    nominal = {"control_latency": 0.02, "base_mass_ratio": 1.0}, np.full(episodes, 2.0), np.zeros(episodes, np.bool_)
+    return sensitivity_table(policy, worlds, returns, fell, nominal)
 
 
 def test_returns_and_falls_against_a_parameter(tmp_path: Path, drawn: list[Figure]) -> None:
@@ -213,9 +197,9 @@ def test_a_parameter_figure_refuses_a_row_that_was_not_varied(tmp_path: Path) ->
 
 
 def test_learning_curves_are_means_over_seeds(tmp_path: Path, drawn: list[Figure]) -> None:
-    steps, nothing = np.arange(1, 41) * 1e5, np.full(1, np.nan)
-    curves = [Curve(steps, level + 0 * steps, 0.5 + 0 * steps, 0 * steps, 1 + 0 * steps) for level in (1.0, 3.0)]
-    young = Curve(steps[:1], nothing, nothing, nothing, np.zeros(1))
+    columns = {"steps": np.arange(1, 41) * 1e5, "speed": 0.5, "falls": 0.0, "episodes": 1}
+    curves = [pd.DataFrame({**columns, "return": level}) for level in (1.0, 3.0)]
+    young = curves[0][:1].assign(**dict.fromkeys(("return", "speed", "falls"), np.nan), episodes=0)
     learning_curves({"a": curves, "one": curves[:1], "young": [young]}, tmp_path / "a.png")
     first, second = lines(drawn[0], 0)
     assert (set(first), set(second)) == ({2.0}, {1.0})

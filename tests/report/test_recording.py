@@ -14,7 +14,7 @@ from recordings import data_of, standing_height, swinging
 
 from surefoot.errors import SurefootError
 from surefoot.evaluate.foot_forces import foot_forces
-from surefoot.report.pages.recorded_runs import MOST_RUNS, Recording, recording_page
+from surefoot.report.pages.recorded_runs import MAX_TRACES, ShownTrace, recording_page
 from surefoot.robot import RobotDescription
 from surefoot.rotations import quat_matrix, rpy_quat
 from surefoot.task.trace import LOG, EpisodeTrace
@@ -151,7 +151,7 @@ def test_legs_that_close_nowhere_are_refused(make_run: MakeRun):
 def test_a_trace_of_another_robot_and_too_many_are_refused(make_run: MakeRun):
     one = swinging(make_run)
     with pytest.raises(SurefootError, match="is of robot 'go2'"):
-        Recording("x", RobotDescription.load("solo8"), one.trace)
-    for number in (0, MOST_RUNS + 1):
+        ShownTrace("x", RobotDescription.load("solo8"), one.trace)
+    for number in (0, MAX_TRACES + 1):
         with pytest.raises(SurefootError, match=f"{number} traces are given"):
             recording_page([one] * number)

@@ -41,7 +41,7 @@ def test_feet_are_where_the_leg_geometry_has_them():
     bars = ROBOT.five_bar
     for leg, index in zip(ROBOT.legs, ROBOT.leg_motor_index, strict=True):
         angles = theta[0, index]
-        end, knee = bars.foot_in_plane(angles), bars.knees(*angles)[1]
+        end, knee = bars.foot_in_plane(angles), bars.knees(angles)[1]
         centre = knee + (end - knee) * (bars.foot - bars.foot_radius) / bars.foot
         hip = found[leg.motors[0].replace("motor", "rotor")][0, :3, 3]
         assert np.allclose((found[leg.foot][0] @ FOOT)[[0, 2]], hip[[0, 2]] + centre, atol=1e-9)

@@ -16,9 +16,16 @@ from chromium import CHROMIUM, in_browser
 pytest.importorskip("matplotlib")
 
 from surefoot.errors import SurefootError
-from surefoot.evaluate.runs import Estimate
-from surefoot.evaluate.statistics import Interval
-from surefoot.studies.paper import Counts, Source, difference, find_counts, find_number, load_content, write_page
+from surefoot.evaluate.statistics import Interval, MeanEstimate
+from surefoot.studies.paper import (
+    NumberSource,
+    ValueCounts,
+    difference,
+    find_counts,
+    find_number,
+    load_content,
+    write_page,
+)
 
 
 @pytest.fixture
@@ -29,57 +36,57 @@ def results(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def test_a_number_stands_in_the_one_row_that_fits(results: Path):
+def test_a_number_is_read_from_the_row_of_its_columns(results: Path):
     where = {"group": "a", "world": "away"}
-    found = find_number(results, Source("groups.csv", "mean", where, error="error", scale=100))
-    assert found == Estimate(150.0, 20.0)
+    number = find_number(results, NumberSource("groups.csv", "mean", where, error="error", scale=100))
+    assert number == MeanEstimate(150.0, 20.0)
 
 
-def test_a_number_stands_behind_keys_of_a_json_file(results: Path):
-    assert find_number(results, Source("run.json", "calm.speed")) == Interval(0.66)
+def test_a_number_is_read_at_keys_of_a_json_file(results: Path):
+    assert find_number(results, NumberSource("run.json", "calm.speed")) == Interval(0.66)
 
 
 def test_an_interval_or_error_of_a_single_policy_is_left_out(results: Path):
     where = {"group": "b"}
-    assert find_number(results, Source("groups.csv", "mean", where, low="error", high="error")).text() == "1.00"
-    assert find_number(results, Source("groups.csv", "mean", where, error="error")).text() == "1.00"
+    assert find_number(results, NumberSource("groups.csv", "mean", where, low="error", high="error")).text() == "1.00"
+    assert find_number(results, NumberSource("groups.csv", "mean", where, error="error")).text() == "1.00"
     with pytest.raises(SurefootError, match="has no number low"):
-        find_number(results, Source("groups.csv", "mean", where, low="low", high="high"))
+        find_number(results, NumberSource("groups.csv", "mean", where, low="low", high="high"))
 
 
 def test_values_are_counted_the_most_frequent_first(results: Path):
     (results / "gaits.csv").write_text("state,gait\ncomplete,bound\ncomplete,trot\npruned,trot\nfail,\n")
-    assert find_counts(results, Counts("gaits.csv", "gait")) == "2 trot, 1 bound"
-    assert find_counts(results, Counts("gaits.csv", "gait", {"state": "complete"})) == "1 bound, 1 trot"
+    assert find_counts(results, ValueCounts("gaits.csv", "gait")) == "2 trot, 1 bound"
+    assert find_counts(results, ValueCounts("gaits.csv", "gait", {"state": "complete"})) == "1 bound, 1 trot"
     with pytest.raises(SurefootError, match=r"gaits\.csv: has no column pattern in rows of any kind"):
-        find_counts(results, Counts("gaits.csv", "pattern"))
+        find_counts(results, ValueCounts("gaits.csv", "pattern"))
     with pytest.raises(SurefootError, match="has no column gait in rows of state running"):
-        find_counts(results, Counts("gaits.csv", "gait", {"state": "running"}))
+        find_counts(results, ValueCounts("gaits.csv", "gait", {"state": "running"}))
 
 
 @pytest.mark.parametrize(
     ("source", "pieces"),
     [
-        (Source("groups.csv", "mean", {"group": "a"}), ["groups.csv: has 2 rows of group a; there must be one"]),
-        (Source("groups.csv", "mean", {"group": "c"}), ["has 0 rows of group c"]),
-        (Source("groups.csv", "mode", {"group": "b"}), ["has no number mode"]),
-        (Source("groups.csv", "error", {"group": "b"}), ["has no number error"]),
-        (Source("run.json", "calm.power"), ["run.json: has no number calm.power"]),
-        (Source("run.json", "gait"), ["has no number gait"]),
-        (Source("run.json", "falls.mean"), ["has no number falls.mean"]),
+        (NumberSource("groups.csv", "mean", {"group": "a"}), ["groups.csv: has 2 rows of group a; there must be one"]),
+        (NumberSource("groups.csv", "mean", {"group": "c"}), ["has 0 rows of group c"]),
+        (NumberSource("groups.csv", "mode", {"group": "b"}), ["has no number mode"]),
+        (NumberSource("groups.csv", "error", {"group": "b"}), ["has no number error"]),
+        (NumberSource("run.json", "calm.power"), ["run.json: has no number calm.power"]),
+        (NumberSource("run.json", "gait"), ["has no number gait"]),
+        (NumberSource("run.json", "falls.mean"), ["has no number falls.mean"]),
     ],
 )
-def test_a_number_that_is_not_there_is_told(results: Path, source: Source, pieces: list[str]):
+def test_find_number_refuses_a_source_without_a_number(results: Path, source: NumberSource, pieces: list[str]):
     with pytest.raises(SurefootError) as caught:
         find_number(results, source)
     for piece in pieces:
         assert piece in str(caught.value)
 
 
-def test_a_file_that_is_cut_off_is_told(results: Path):
+def test_find_number_refuses_a_file_that_is_cut_off(results: Path):
     (results / "cut.json").write_text('{"speed": ')
     with pytest.raises(SurefootError, match=r"cut\.json: is not JSON"):
-        find_number(results, Source("cut.json", "speed"))
+        find_number(results, NumberSource("cut.json", "speed"))
 
 
 @pytest.mark.parametrize(
@@ -99,7 +106,7 @@ def test_the_difference_in_words(paper: float | str, ours: Interval | None, word
     assert difference(paper, ours) == words
 
 
-def sources() -> Iterator[Source | Counts]:
+def sources() -> Iterator[NumberSource | ValueCounts]:
     for section in load_content().sections:
         for item in section.items:
             if not isinstance(item.ours, str):
@@ -110,7 +117,7 @@ def test_every_number_of_the_page_is_among_the_results(repository: Path):
     for one in sources():
         if not (repository / one.file).parent.is_dir():
             assert Path(one.file).parts[1] in ("from-scratch", "search")
-        elif isinstance(one, Source):
+        elif isinstance(one, NumberSource):
             assert math.isfinite(find_number(repository, one).mean), one
         else:
             assert find_counts(repository, one), one
@@ -141,7 +148,7 @@ SEARCH = {
 4,fail,,,
 5,pruned,0.4,other,other
 """,
-    "top.csv": """rank,claimed,fresh,fresh_low,fresh_high,flattery,flattery_low,flattery_high,\
+    "top.csv": """rank,claimed,fresh,fresh_low,fresh_high,selection_bias,selection_bias_low,selection_bias_high,\
 mujoco_speed_mean,mujoco_speed_error,mujoco_success_rate,bullet_return_mean,bullet_return_error,bullet_success_rate
 1,5.1,4.71,4.6,4.82,0.39,0.28,0.5,2.1,0.01,1,4.41,0.11,1
 2,4.9,4.61,4.5,4.72,0.29,0.18,0.4,2,0.01,1,4.31,0.12,0.9
@@ -183,7 +190,7 @@ def page(root: Path) -> Path:
 
 def shown(root: Path) -> int:
     """Return how many pictures the page has."""
-    return sum(len(one.found(root)) for section in load_content().sections for one in section.pictures)
+    return sum(len(one.find_files(root)) for section in load_content().sections for one in section.pictures)
 
 
 def lines(page: Path, title: str) -> dict[str, list[str]]:
@@ -193,37 +200,37 @@ def lines(page: Path, title: str) -> dict[str, list[str]]:
     return {row[0]: row[1:] for row in rows if row}
 
 
-def test_what_emerged_from_scratch_stands_beside_the_papers_walk_and_gallop(page: Path):
-    found = lines(page, "Section VI-A: from scratch")
-    assert found["baseline: gaits of the policies"][:2] == ["a slow walk", "2 lateral-sequence walk, 1 walking trot"]
-    assert found["baseline: speed in simulation"][1] == "0.31 [0.22, 0.40] m/s"
-    assert found["baseline: episodes with a fall in simulation"][1] == "5 [0, 14] %"
-    assert found["improved: gaits of the policies"][:2] == ["gallop", "2 rotary gallop, 1 transverse gallop"]
-    told = ["1.34 m/s", "2.01 [1.30, 2.72] m/s", "the interval holds the paper&#x27;s"]
-    assert found["improved: speed in simulation"][:3] == told
-    assert "over three seeds" in found["improved: speed in simulation"][3]
+def test_the_page_shows_gaits_from_scratch_beside_those_of_the_paper(page: Path):
+    cells = lines(page, "Section VI-A: from scratch")
+    assert cells["baseline: gaits of the policies"][:2] == ["a slow walk", "2 lateral-sequence walk, 1 walking trot"]
+    assert cells["baseline: speed in simulation"][1] == "0.31 [0.22, 0.40] m/s"
+    assert cells["baseline: episodes with a fall in simulation"][1] == "5 [0, 14] %"
+    assert cells["improved: gaits of the policies"][:2] == ["gallop", "2 rotary gallop, 1 transverse gallop"]
+    numbers = ["1.34 m/s", "2.01 [1.30, 2.72] m/s", "the interval holds the paper&#x27;s"]
+    assert cells["improved: speed in simulation"][:3] == numbers
+    assert "over three seeds" in cells["improved: speed in simulation"][3]
 
 
-def test_a_hundred_controllers_and_how_the_best_flatter_themselves(page: Path):
-    found = lines(page, "Section VI-B: a hundred controllers")
-    assert found["trials"][:2] == ["100 a group", "3 complete, 2 pruned, 1 fail"]
-    returns = {name: words[1] for name, words in found.items() if ": return" in name}
+def test_the_page_shows_the_best_of_a_search_and_their_selection_bias(page: Path):
+    cells = lines(page, "Section VI-B: a hundred controllers")
+    assert cells["trials"][:2] == ["100 a group", "3 complete, 2 pruned, 1 fail"]
+    returns = {name: words[1] for name, words in cells.items() if ": return" in name}
     assert list(returns.values()) == [
         *("5.10 m", "4.71 [4.60, 4.82] m", "4.41 ± 0.11 m"),
         *("4.90 m", "4.61 [4.50, 4.72] m", "4.31 ± 0.12 m"),
         *("4.00 m", "4.08 [3.90, 4.26] m", "3.31 ± 0.13 m"),
         "0.200 [-0.410, 0.810] m",
     ]
-    assert found["top three: speed at home"][:3] == ["1.34 m/s", "2.02 ± 0.02 m/s", "51% more"]
-    assert found["top three: episodes with balance kept, at home"][1] == "97 %"
-    assert found["top three: episodes with balance kept, in Bullet"][1] == "90 %"
+    assert cells["top three: speed at home"][:3] == ["1.34 m/s", "2.02 ± 0.02 m/s", "51% more"]
+    assert cells["top three: episodes with balance kept, at home"][1] == "97 %"
+    assert cells["top three: episodes with balance kept, in Bullet"][1] == "90 %"
 
 
 def test_the_gaits_of_a_search_are_counted_and_each_is_drawn(page: Path):
-    found = lines(page, "Section VI-A: gaits that emerge")
-    assert found["gaits, all policies"][1] == "2 gallop, 1 pace, 1 bound, 1 other"
-    assert found["gaits, policies trained to the end"][1] == "2 gallop, 1 bound"
-    assert found["the same, in more words"][1] == "1 rotary gallop, 1 transverse gallop, 1 bound"
+    cells = lines(page, "Section VI-A: gaits that emerge")
+    assert cells["gaits, all policies"][1] == "2 gallop, 1 pace, 1 bound, 1 other"
+    assert cells["gaits, policies trained to the end"][1] == "2 gallop, 1 bound"
+    assert cells["the same, in more words"][1] == "1 rotary gallop, 1 transverse gallop, 1 bound"
     text = page.read_text(encoding="utf-8")
     assert re.findall(r"Footfalls: (\w+)</figcaption>", text) == ["gallop", "other", "pace"]
 
@@ -239,7 +246,7 @@ def test_the_page_holds_every_section_number_and_picture_and_loads_nothing(page:
     assert not re.search(r'(src|href)="(?!data:)', text)
 
 
-def test_results_that_are_not_there_are_named_and_not_made_up(tmp_path: Path):
+def test_missing_results_are_named(tmp_path: Path):
     missing = write_page(tmp_path, tmp_path / "paper.html")
     assert "results/policies/trot.json" in missing
     assert {"docs/motor.png", "results/from-scratch/policies.csv", "results/search/gait_*.png"} <= set(missing)

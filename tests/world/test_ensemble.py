@@ -82,8 +82,3 @@ def test_a_seed_is_a_robot(robot):
     # What one row draws does not change with the others.
     alone = draw_hidden(robot, {"voltage": RANGES["voltage"]}, 4)
     assert alone.voltage == one.voltage
-
-
-def test_a_range_beyond_the_robots_is_refused(robot):
-    with pytest.raises(SurefootError, match="minitaur allows voltage from 5 to 30"):
-        draw_hidden(robot, {"voltage": (40.0, 50.0)}, 1)

@@ -147,7 +147,7 @@ def test_an_error_in_a_process_is_raised_here_and_the_world_goes_on(robot, sprea
         spread.set_params(np.arange(NUM), bad)
     assert spread.params.voltage.max() < 17
     with pytest.raises(ValueError, match="broadcast") as caught:
-        spread._ask("push", [(np.zeros((7, 2)),)] * 3)
+        spread._call("push", [(np.zeros((7, 2)),)] * 3)
     assert "in a process of the world" in caught.value.__notes__[0]
     assert spread.step(trot(0)).motor_angle.shape == (NUM, 8)
     with pytest.raises(IndexError, match="the world has 5 robots"):

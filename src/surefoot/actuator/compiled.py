@@ -1,14 +1,12 @@
-"""How kernels with arrays are compiled: into their caller, without counting references.
+"""Compilation of kernels with arrays: inlined into their caller, without reference counts.
 
-numba counts a reference, an atomic operation, whenever an array is taken out of a named tuple or sliced; the loop over
-servo steps had some 500 places that do. Without numba's runtime there are none, and a kernel that would allocate memory
-in an inner loop does not compile. Whoever calls from Python owns the arrays. Division is IEEE's: a check for a zero
-divisor would be an exception to raise, and a branch in every kernel. Both together took the world of 64 to 256 robots
-from .83 of MuJoCo's bare speed to over .9; which of them does how much was not measured.
+numba counts references, an atomic operation, whenever an array is taken out of a named tuple or sliced; the loop over
+servo steps had some 500 such places. Without numba's runtime there are none, and a kernel that would allocate memory
+in an inner loop does not compile. The Python caller owns the arrays. Division is IEEE's, without a branch for a zero
+divisor in every kernel. Both together took the world of 64 to 256 robots from .83 of MuJoCo's bare speed to over .9.
 
-numba caches compiled functions beside their source and checks only that file's age. A loop in one module into
-which a law of another was inlined would keep the old law after an edit. So all caches of the kernels are dropped
-whenever any of their sources has changed.
+numba caches compiled functions beside their source and checks only that file's age. A loop that inlines a law of
+another module would keep the old law after an edit. So all caches are deleted whenever a source has changed.
 """
 
 from __future__ import annotations

@@ -1,7 +1,4 @@
-"""Servo and motor: angle to duty, duty and speed to current, current to torque, friction, overheating.
-
-And the position motor of physics engines, a constraint on the motor's state at the end of the step.
-"""
+"""Servo, DC motor, joint actuator, friction, overheating; the constraint motor of physics engines."""
 
 from __future__ import annotations
 
@@ -31,8 +28,8 @@ def servo_duty(target, angle, speed, kp, kd):  # type: ignore[no-untyped-def]
 
     Args:
         target: commanded motor angle [rad].
-        angle: motor angle that the servo sees, `servo_latency` old [rad].
-        speed: motor speed that the servo sees, equally old [rad/s].
+        angle: motor angle as the servo reads it, `servo_latency` old [rad].
+        speed: motor speed as the servo reads it, equally old [rad/s].
         kp: proportional gain [1/rad].
         kd: derivative gain [s/rad].
 
@@ -149,12 +146,12 @@ def joint_torque_kernel(target: float, angle: float, speed: float, kp: float, kd
 
 @vectorize(cache=True)
 def joint_torque(target, angle, speed, kp, kd):  # type: ignore[no-untyped-def]
-    """Return the torque [N m] that the PD controller of a joint actuator asks for: k_p (q_target - q) - k_d qdot.
+    """Return the torque [N m] of a joint actuator's PD controller, before its limit: k_p (q_target - q) - k_d qdot.
 
     Args:
         target: commanded angle [rad].
-        angle: angle that the actuator sees, `servo_latency` old [rad].
-        speed: speed that it sees, equally old and filtered [rad/s].
+        angle: angle as the actuator reads it, `servo_latency` old [rad].
+        speed: speed as it reads it, equally old and filtered [rad/s].
         kp: proportional gain [N m/rad].
         kd: derivative gain [N m s/rad].
     """
@@ -174,13 +171,13 @@ def joint_limit_kernel(torque: float, speed: float, limit: float, full: float, n
 
 @vectorize(cache=True)
 def joint_limit(torque, speed, limit, full, none):  # type: ignore[no-untyped-def]
-    """Return a joint actuator's torque [N m] within what it can give at a speed.
+    """Return a joint actuator's torque [N m] within its limit at a speed.
 
-    An actuator that brakes has its whole torque. One that drives has it up to the speed `full`; from there it falls in
-    a straight line to none at the speed `none`, where the supply's voltage is used up.
+    A braking actuator has its whole torque. A driving one has it up to the speed `full`; from there the torque falls
+    linearly to none at the speed `none`, where the supply's voltage is used up.
 
     Args:
-        torque: torque asked for [N m].
+        torque: torque of the controller [N m].
         speed: present speed [rad/s].
         limit: greatest torque [N m].
         full: speed up to which a driving motor has it [rad/s].

@@ -16,15 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from surefoot.cli.helpers.link_options import LinkOptions
-from surefoot.cli.helpers.options import (
-    PAGE_PORT,
-    Count,
-    Json,
-    PagePort,
-    PolicyName,
-    Port,
-    check_folder,
-)
+from surefoot.cli.helpers.options import PAGE_PORT, Count, Json, PagePort, PolicyName, Port, check_folder
 from surefoot.cli.helpers.output import show_command
 from surefoot.cli.helpers.parsing import parse
 from surefoot.configuration import Duration
@@ -83,14 +75,14 @@ def main(argv: list[str]) -> int:
     if command.drive and command.lockstep:
         raise SurefootError("--drive and --lockstep are given; a page drives in real time")
     if command.drive:
-        import_module("viser")  # what is not installed is told before the robot is asked
+        import_module("viser")  # what is not installed is reported before the robot is connected
     from surefoot.check_result import first_failure
     from surefoot.cli.helpers.policies import find_policy, open_policy
     from surefoot.deploy.checks import check_contract
     from surefoot.deploy.command_sources import ChannelCommands, CommandSource, open_commands
     from surefoot.deploy.controller import Controller
     from surefoot.deploy.deployment import Deployment
-    from surefoot.deploy.display import PlainLines, RunMonitors, open_display
+    from surefoot.deploy.display import open_display
     from surefoot.deploy.loop import RunMonitor
     from surefoot.deploy.pacer import undisturbed
     from surefoot.stop_signals import StopSignals
@@ -100,43 +92,44 @@ def main(argv: list[str]) -> int:
     controller = Controller(policy, robot)
 
     def check(handshake: Handshake) -> None:
-        why = first_failure(check_contract(contract, handshake, robot))
-        if why is not None:
-            raise SurefootError(f"policy '{contract.name}' must not run on this robot: {why}")
+        error = first_failure(check_contract(contract, handshake, robot))
+        if error is not None:
+            raise SurefootError(f"policy '{contract.name}' must not run on this robot: {error}")
 
     with StopSignals() as stop, contextlib.ExitStack() as stack:
         link = command.open_link(command.port, len(contract.motor_names))
         title = f"{contract.name} on {robot.name}, {command.port}" + (", dry run" if command.dry_run else "")
         commands: CommandSource | None = None
+        monitor: RunMonitor
         if command.commands is not None:
             if contract.commands is None:
                 raise SurefootError(f"--commands is given; policy '{contract.name}' has no commands to follow")
             commands = open_commands(command.commands, contract.commands)
             stack.callback(commands.close)
-        monitor: RunMonitor = PlainLines() if command.drive else open_display(title)
-        stack.callback(monitor.close)
         if command.drive:
             from surefoot.cli.helpers.deploy_page import DeployPage
 
             channel = ChannelCommands(0)
             stack.callback(channel.close)
-            page = DeployPage(
+            monitor = page = DeployPage(
                 title, str(robot.folder), contract.name, contract.commands, command.page_port, channel.port
             )
-            stack.callback(page.close)
             print(f"{page.address}   (Ctrl-C: the robot sits)", file=sys.stderr, flush=True)
-            monitor, commands = RunMonitors(page, monitor), channel if contract.commands is not None else None
+            commands = channel if contract.commands is not None else None
+        else:
+            monitor = open_display(title)
+        stack.callback(monitor.close)
         deployment = Deployment(link, controller, stop, monitor, dry_run=command.dry_run, commands=commands)
         stack.callback(deployment.close)
         if not command.lockstep:
             stack.enter_context(undisturbed())
-        deployment.greet(check)
+        deployment.connect(check)
         results, code = _runs(command, deployment)
-    return _tell(command, deployment, results, code)
+    return _report(command, deployment, results, code)
 
 
 def _runs(command: DeployCommand, deployment: Deployment) -> tuple[list[dict[str, Any]], int]:
-    """Run after run, until one ends early; returns what is to be told of each, and the exit code."""
+    """Run after run, until one ends early; return the report of each, and the exit code."""
     from surefoot.deploy.motion_runner import DOWN, UP
     from surefoot.deploy.pacer import LoopTiming
     from surefoot.deploy.run_saver import RunSaver, next_free
@@ -151,59 +144,56 @@ def _runs(command: DeployCommand, deployment: Deployment) -> tuple[list[dict[str
     code = 0
     for run in range(command.runs):
         path = None if command.dry_run and command.out is None else next_free(command.out or Path("deploy"))
-        keeper = RunSaver(deployment, path, steps, command.world_name, run)
+        saver = RunSaver(deployment, path, steps, command.world_name, run)
         timing = LoopTiming(steps + round((UP + DOWN) / step) + 16)
-        keeper.begin()
-        outcome = deployment.run(keeper.recorder, timing, keeper.keep, keeper.begun)
-        kept = keeper.finish(outcome, timing, command.motion_capture)
-        results.append(_result(outcome, timing, kept, keeper.recorder.steps))
-        if outcome.safe or kept.lost:
+        saver.begin()
+        outcome = deployment.run(saver.recorder, timing)
+        saved = saver.finish(outcome, timing, command.motion_capture)
+        results.append(_result(outcome, timing, saved, saver.recorder.steps))
+        if outcome.safe or saved.lost:
             code = SAFETY
         if outcome.ended != "time" or outcome.safe:
             break
     return results, code
 
 
-def _result(outcome: RunOutcome, timing: LoopTiming, kept: SavedRun, steps: int) -> dict[str, Any]:
-    """What is told of a run."""
+def _result(outcome: RunOutcome, timing: LoopTiming, saved: SavedRun, steps: int) -> dict[str, Any]:
     speed = distance = None
-    if kept.trace is not None:
-        moved = float(kept.trace.base_position_world[-1, 0] - kept.trace.base_position_world[0, 0])
-        if math.isfinite(moved):
-            distance, speed = moved, moved / kept.trace.duration
+    if saved.trace is not None:
+        forward = saved.trace.base_position_world[:, 0]
+        if math.isfinite(forward[-1] - forward[0]):
+            distance = float(forward[-1] - forward[0])
+            speed = distance / saved.trace.duration
     return {
         "ended": outcome.ended,
         "reason": outcome.reason,
         "what": outcome.text,
         "steps": steps,
-        "trace": str(kept.path) if kept.path is not None else None,
+        "trace": str(saved.path) if saved.path is not None else None,
         "distance": distance,
         "speed": speed,
-        "notes": kept.notes,
+        "notes": saved.notes,
         "timing": timing.figures(),
     }
 
 
-def _tell(command: DeployCommand, deployment: Deployment, results: list[dict[str, Any]], code: int) -> int:
-    """Print what happened; whether anybody reads it or not, the exit code says it too."""
+def _report(command: DeployCommand, deployment: Deployment, results: list[dict[str, Any]], code: int) -> int:
+    """Print what happened; return the exit code, also where nobody reads the output."""
     statistics, state = deployment.link.statistics, deployment.link.state
-    told = {
+    counts = ("received", "damaged", "missing", "repeated", "unsent")
+    report = {
         "policy": deployment.contract.name,
         "robot": deployment.robot.name,
         "exit_code": code,
         "runs": results,
         "frames": {
-            "received": statistics.received,
-            "damaged": statistics.damaged,
-            "missing": statistics.missing,
-            "repeated": statistics.repeated,
-            "unsent": statistics.unsent,
+            **{name: getattr(statistics, name) for name in counts},
             "commands_refused": state.dropped if state is not None else None,
         },
     }
     with contextlib.suppress(OSError):
         if command.json:
-            print(json.dumps(told), flush=True)
+            print(json.dumps(report), flush=True)
             return code
         for result in results:
             _print_result(result)
@@ -214,19 +204,18 @@ def _tell(command: DeployCommand, deployment: Deployment, results: list[dict[str
 
 def _print_result(result: dict[str, Any]) -> None:
     figures = result["timing"]
-    words = [
+    parts = [
         f"{result['ended']}: {result['what']}" if result["ended"] != "time" else str(result["what"]),
         f"{result['steps']} steps",
     ]
     if result["distance"] is not None:
-        words.append(f"{result['distance']:.2f} m at {result['speed']:.2f} m/s")
+        parts.append(f"{result['distance']:.2f} m at {result['speed']:.2f} m/s")
     if figures["lateness_median_ms"] is not None:
         late = "/".join(f"{figures[f'lateness_{key}_ms']:.2f}" for key in ("median", "p99_9", "max"))
-        words.append(f"lateness {late} ms (median/99.9 %/max)")
+        parts.append(f"lateness {late} ms (median/99.9 %/max)")
     if figures["inference_median_ms"] is not None:
-        words.append(f"inference {figures['inference_median_ms']:.2f} ms")
-    words.append(f"{figures['missed']} missed")
-    words += result["notes"]
+        parts.append(f"inference {figures['inference_median_ms']:.2f} ms")
+    parts += [f"{figures['missed']} missed", *result["notes"]]
     if result["trace"] is not None:
-        words.append(f"wrote {result['trace']}")
-    print("; ".join(words), flush=True)
+        parts.append(f"wrote {result['trace']}")
+    print("; ".join(parts), flush=True)

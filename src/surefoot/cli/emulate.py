@@ -25,15 +25,14 @@ if TYPE_CHECKING:
     from surefoot.emulator.serial.pty_port import PtyPort
 
 STRIDE = 3
-"""Servo steps that physics goes through at once in real time, if it can: one by one they cost half as much again in
-Bullet."""
+"""Servo steps that physics may advance at once in real time; one by one they cost half as much again in Bullet."""
 
 
 @dataclass(frozen=True)
 class EmulateCommand:
     """Emulate a robot: open a pseudo-terminal, print its name, and serve the wire protocol there until interrupted.
 
-    The physics runs in real time; with --lockstep it follows the times in the frames that come instead. One line at
+    The physics runs in real time; with --lockstep it follows the times in the frames that arrive instead. One line at
     the end sums up the run. --fault help lists the faults.
     """
 
@@ -47,7 +46,7 @@ class EmulateCommand:
     settings: Settings = ()
     """Physical parameters that differ, such as motor_strength=0.8."""
     hidden_seed: Seed | None = None
-    """Draw physical parameters that nobody is told."""
+    """Draw physical parameters that are not printed."""
     hidden_ranges: str = "table1"
     """Table of ranges to draw them from; with ensemble, seeds 1 to 20 are the robots of world ensemble."""
     hidden_out: Path | None = None
@@ -55,7 +54,7 @@ class EmulateCommand:
     faults: Annotated[Repeated, tyro.conf.arg(name="fault", metavar="NAME[=VALUE][@TIME] [...]")] = ()
     """What goes wrong, such as drop=0.01, or unplug=1.5 (s after the robot is first armed); help lists them."""
     lockstep: bool = False
-    """Follow the times in the frames that come, instead of the computer's clock."""
+    """Follow the times in the frames that arrive, instead of the computer's clock."""
     rack: bool = False
     """Hold the base in the air."""
     ideal_sensors: bool = False
@@ -91,19 +90,13 @@ def main(argv: list[str]) -> int:
     faults = parse_faults(words, command.lockstep, robot.num_motors)
     if "tilt" in faults and command.rack:
         raise SurefootError("fault tilt needs a robot that can fall; it does not go with --rack")
-    servo_every = 1
-    if "slow-servo" in faults:
-        period, step = faults["slow-servo"].value, robot.timing.servo_step
-        servo_every = round(period / step)
-        if servo_every < 1 or abs(period / step - servo_every) > 1e-6:
-            raise SurefootError(f"fault slow-servo is {period:g}; it must be whole servo steps of {step:g} s")
     check_takes_params(command.world)
     if command.viewer:
         from surefoot.cli.helpers.viewer import has_display
 
         if not has_display():
             raise SurefootError("viewer: there is no display here (DISPLAY is not set); run without --viewer")
-    return _run(command, robot, faults, servo_every)
+    return _run(command, robot, faults)
 
 
 def _check(command: EmulateCommand) -> None:
@@ -131,15 +124,21 @@ def _params(command: EmulateCommand, robot: RobotDescription) -> PhysicalParams:
     return params
 
 
+def _servo_every(robot: RobotDescription, fault: InjectedFault | None) -> int:
+    """Return the physics steps between two steps of the servo, with its fault if it has one."""
+    if fault is None:
+        return 1
+    step = robot.timing.servo_step
+    every = round(fault.value / step)
+    if every < 1 or abs(fault.value / step - every) > 1e-6:
+        raise SurefootError(f"fault slow-servo is {fault.value:g}; it must be whole servo steps of {step:g} s")
+    return every
+
+
 def make_loop(
-    command: EmulateCommand,
-    robot: RobotDescription,
-    faults: dict[str, InjectedFault],
-    port: PtyPort,
-    summary: Summary,
-    servo_every: int = 1,
+    command: EmulateCommand, robot: RobotDescription, faults: dict[str, InjectedFault], port: PtyPort, summary: Summary
 ) -> RealTime | Lockstep:
-    """Return the loop that moves the robot, warmed up."""
+    """Return the loop that runs the robot, warmed up."""
     from surefoot import __version__
     from surefoot.deploy.serial.serial_link import LEAD
     from surefoot.emulator.board import Board
@@ -150,10 +149,10 @@ def make_loop(
     from surefoot.emulator.serial.lockstep import PATIENCE, Lockstep
     from surefoot.emulator.serial.serial_host_link import SerialHostLink
 
+    every = _servo_every(robot, faults.get("slow-servo"))
     sensors, power = (SensorConfig.ideal(), PowerConfig.ideal()) if command.ideal_sensors else (None, None)
-    params = _params(command, robot)
-    plant = Plant(robot, params, command.seed, sensors, power, command.rack, command.world, servo_every=servo_every)
-    limits = Limits.of(robot)
+    params, limits = _params(command, robot), Limits.from_robot(robot)
+    plant = Plant(robot, params, command.seed, sensors, power, command.rack, command.world, every)
     handshake = make_handshake(robot, limits, f"surefoot emulator {__version__}", robot.timing.servo_step)
     if command.lockstep:
         link = SerialHostLink(port, robot.num_motors, faults, seed=command.seed, patience=PATIENCE)
@@ -163,7 +162,7 @@ def make_loop(
     return RealTime(Board(plant, handshake, link, limits, faults, STRIDE), summary, load)
 
 
-def _run(command: EmulateCommand, robot: RobotDescription, faults: dict[str, InjectedFault], servo_every: int) -> int:
+def _run(command: EmulateCommand, robot: RobotDescription, faults: dict[str, InjectedFault]) -> int:
     from surefoot.deploy.pacer import undisturbed
     from surefoot.emulator.capture_writer import CaptureWriter
     from surefoot.emulator.real_time import Summary
@@ -179,7 +178,7 @@ def _run(command: EmulateCommand, robot: RobotDescription, faults: dict[str, Inj
     observers: list[CaptureWriter | EmulateViewer] = []
     with StopSignals(on_signal=end, respect_nohup=True):
         try:
-            loop = make_loop(command, robot, faults, port, summary, servo_every)
+            loop = make_loop(command, robot, faults, port, summary)
             board = loop.board
             if command.motion_capture is not None:
                 observers.append(CaptureWriter(command.motion_capture, board.plant, later=not command.lockstep))
@@ -188,7 +187,7 @@ def _run(command: EmulateCommand, robot: RobotDescription, faults: dict[str, Inj
 
                 observers.append(EmulateViewer(command.robot, board.plant))
             board.on_step = [observer.see for observer in observers]
-            # A microcontroller has a processor of its own, so that the emulator comes before what else runs here.
+            # A microcontroller has a processor of its own, so the emulator comes before other processes.
             with contextlib.nullcontext() if command.lockstep else undisturbed():
                 print(f"robot on {port.path}", flush=True)
                 loop.run(command.duration)

@@ -15,9 +15,9 @@ from surefoot.cli.helpers.options import Ray, Seed, Workers, check_folder
 from surefoot.cli.helpers.parsing import parse
 from surefoot.cli.helpers.training_queue import train_many
 from surefoot.configuration import Within
-from surefoot.errors import located
+from surefoot.errors import prefix_errors
 from surefoot.learn.config import Steps
-from surefoot.studies.search import Search, SearchConfig, check_there, make_config
+from surefoot.studies.search import Search, SearchConfig, check_holds_search, make_config
 from surefoot.studies.search_space import put
 from surefoot.studies.workers import check_address
 
@@ -54,7 +54,7 @@ def main(argv: list[str]) -> int:
     """Run the command with the words after its name; returns the exit code."""
     command = parse(SearchCommand, argv, "surefoot search")
     from surefoot.cli.helpers.search_results import report
-    from surefoot.learn.run_lock import alone
+    from surefoot.learn.folder_lock import folder_lock
 
     config = make_config(command.task, command.space, command.seed, command.steps)
     if not command.report_only:
@@ -63,11 +63,11 @@ def main(argv: list[str]) -> int:
     check_folder(out)
     going_on = command.resume or command.report_only
     if going_on:
-        check_there(out)
+        check_holds_search(out)
     _check(config)
     console = Console(highlight=False, soft_wrap=True)
     out.mkdir(parents=True, exist_ok=True)
-    with alone(out):
+    with folder_lock(out):
         search = Search(config, out, going_on)
         for note in search.notes:
             console.print(note)
@@ -86,28 +86,21 @@ def _check(config: SearchConfig) -> None:
     check_config(config.train)
     for end in (0, -1):
         values = {name: one.samples[end] for name, one in config.space.items()}
-        with located("space"):
+        with prefix_errors("space"):
             check_config(put(config.train, config.space, values))
 
 
 def _train(search: Search, command: SearchCommand, console: Console) -> bool:
     """Run the trials that are missing; returns whether that was stopped."""
     counts = search.counts
-    told = ", ".join(f"{count} {state}" for state, count in counts.items()) or "none yet"
-    title = f"{search.config.train.task.name}: {command.trials} trials, {told}"
+    states = ", ".join(f"{count} {state}" for state, count in counts.items()) or "none yet"
+    title = f"{search.config.train.task.name}: {command.trials} trials, {states}"
     if sum(counts.values()) >= command.trials and "running" not in counts:
         console.print(title)
         return False
     start = time.monotonic()
-    outcome = train_many(
-        title,
-        search.trainings(command.trials),
-        command.workers,
-        command.ray,
-        console,
-        search.told,
-        search.changed,
-    )
+    trainings, where = search.trainings(command.trials), (command.workers, command.ray, console)
+    outcome = train_many(title, trainings, *where, search.on_report, search.on_change)
     hours = (time.monotonic() - start) / 3600
     console.print(f"{len(outcome.done)} trials in {60 * hours:.1f} min: {len(outcome.done) / hours:.1f} an hour")
     for name, line in outcome.failed.items():

@@ -11,15 +11,16 @@ from typing import TYPE_CHECKING
 from surefoot.cli.helpers.options import PAGE_PORT, PagePort
 from surefoot.cli.helpers.output import make_console, next_command
 from surefoot.cli.helpers.parsing import parse
-from surefoot.cli.helpers.simulator import Simulator, SimulatorOptions, ranges_help, take_ranges
+from surefoot.cli.helpers.ranges import ranges_help, take_ranges
+from surefoot.cli.helpers.simulator import Simulator, SimulatorOptions
 from surefoot.errors import SurefootError, choices
 from surefoot.learn.config import TrainConfig, load_train_config
 from surefoot.stop_signals import StopSignals
 from surefoot.task.config import preset_names
 
 if TYPE_CHECKING:
-    from surefoot.learn.run import Evaluation
-    from surefoot.learn.trainer import UpdateFigures
+    from surefoot.learn.ppo_learner import UpdateFigures
+    from surefoot.learn.training_loop import Evaluation
 
 _USAGE = """usage: surefoot train TASK [options]                 learn a gait
        surefoot train --resume RUN [--browser]         resume a run exactly where it stopped, with its own options
@@ -93,7 +94,7 @@ def _parse(argv: list[str]) -> tuple[TrainConfig, TrainCommand]:
     command = parse(TrainCommand, words, f"surefoot train {argv[0]}", preset)
     # Parameters given by name go over a file of parameters, which replaces the task's own.
     params = {name: value for name, value in command.task.params.items() if base.task.params.get(name) != value}
-    task = command.simulator.of(replace(command.task, params=base.task.params), params)
+    task = command.simulator.apply(replace(command.task, params=base.task.params), params)
     task = replace(task, pushes=replace(task.pushes, enabled=task.pushes.enabled or command.pushes))
     return TrainConfig(**{name: getattr(command, name) for name in vars(base)} | {"task": task}), command
 
@@ -110,9 +111,9 @@ def _robot_name(argv: list[str]) -> str | None:
 def _train(config: TrainConfig | None, path: Path, page_port: int | None) -> int:
     """Train in a new folder below `path`, or without a configuration resume the run in it; return the exit code."""
     from surefoot.cli.helpers.training import TrainingProgress, finish_run
-    from surefoot.learn.run import TrainingRun
+    from surefoot.learn.folder_lock import folder_lock
     from surefoot.learn.run_folder import RunFolder
-    from surefoot.learn.run_lock import alone
+    from surefoot.learn.training_loop import TrainingLoop
     from surefoot.world.registry import find_world
 
     console, resume = make_console(), config is None
@@ -123,17 +124,17 @@ def _train(config: TrainConfig | None, path: Path, page_port: int | None) -> int
             raise KeyboardInterrupt
         console.print("Stopping after this update; once more stops at once, back at the last checkpoint.")
 
-    with alone(folder.path):
-        run = TrainingRun(config, folder, find_world(config.world), resume=resume)
+    with folder_lock(folder.path):
+        loop = TrainingLoop(config, folder, find_world(config.world), resume=resume)
         console.print(f"{'Going on with' if resume else 'Training'} {config.task.name} in {folder.path}")
         with ExitStack() as stack:
-            progress = stack.enter_context(TrainingProgress(config, console, run.trainer.steps))
+            progress = stack.enter_context(TrainingProgress(config, console, loop.learner.steps))
             stops = stack.enter_context(StopSignals(("SIGINT", "SIGTERM"), stop))
             page = None
             if page_port is not None:
                 from surefoot.cli.helpers.train_page import TrainingPage
 
-                page = TrainingPage(run, page_port)
+                page = TrainingPage(loop, page_port)
                 stack.callback(page.close)
 
             def report(figures: UpdateFigures, evaluation: Evaluation | None) -> None:
@@ -141,10 +142,10 @@ def _train(config: TrainConfig | None, path: Path, page_port: int | None) -> int
                 if page is not None:
                     page.update()
 
-            run.run(report, lambda: stops.count > 0)
-        if not run.finished:
-            console.print(f"Stopped and saved at {run.trainer.steps:,} steps.")
+            loop.run(report, lambda: stops.count > 0)
+        if not loop.finished:
+            console.print(f"Stopped and saved at {loop.learner.steps:,} steps.")
             console.print(next_command("resume", "train", "--resume", folder.path))
             return 130
-        finish_run(run, folder)
+        finish_run(loop, folder)
     return 0

@@ -9,7 +9,7 @@ import numpy as np
 from surefoot.arrays import Array
 from surefoot.check_result import CheckResult, fail_if, judge
 from surefoot.deploy.messages import Handshake
-from surefoot.errors import SurefootError, choices, located
+from surefoot.errors import SurefootError, choices, prefix_errors
 from surefoot.policy.contract import Contract
 from surefoot.robot import RobotDescription
 from surefoot.task.contract_mapping import task_from_contract
@@ -33,7 +33,7 @@ def check_policy(contract: Contract, robot: RobotDescription) -> None:
     Raises:
         SurefootError: another robot, other motors, legs or observations, or a gait that the legs do not allow.
     """
-    with located(f"policy '{contract.name}' must not run on {robot.name}"):
+    with prefix_errors(f"policy '{contract.name}' must not run on {robot.name}"):
         if contract.robot != robot.name:
             raise SurefootError(f"it is for robot '{contract.robot}'")
         if (error := _signs_error(robot, contract.motor_signs, "policy")) is not None:

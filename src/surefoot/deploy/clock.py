@@ -8,9 +8,9 @@ from collections import deque
 from collections.abc import Callable
 
 SPIN = 150e-6
-"""A wait's last part [s] is spent looking at the clock: a sleeping process is woken too late by up to so much."""
+"""Last part of a wait [s], in which the clock is polled: a sleeping process wakes too late by up to as much."""
 WINDOW = 10.0
-"""Time [s] over which the quickest frame counts: within it clocks that run 50 ppm apart part by half a millisecond."""
+"""Time [s] in which the quickest frame is looked for. Clocks that differ by 50 ppm drift by 0.5 ms in it."""
 
 
 class MonotonicClock:
@@ -24,7 +24,7 @@ class MonotonicClock:
         return time.monotonic() - self._start
 
     def wait_until(self, moment: float) -> None:
-        """Wait until `moment` [s]: sleep most of the time, then look at the clock."""
+        """Wait until `moment` [s]: sleep most of the time, then poll the clock."""
         left = moment - self.now()
         if left > SPIN:
             time.sleep(left - SPIN)
@@ -38,14 +38,14 @@ class LockstepClock:
     def __init__(self) -> None:
         self._now = 0.0
         self.follow: Callable[[], None] | None = None
-        """Lets the robot run to the present and receives what it sends until then; set by the link."""
+        """Runs the robot to the present and receives what it sends until then; set by the link."""
 
     def now(self) -> float:
         """Return the time [s]."""
         return self._now
 
     def wait_until(self, moment: float) -> None:
-        """Let time go to `moment` [s], and receive what the robot sends until then.
+        """Advance time to `moment` [s], and receive what the robot sends until then.
 
         Raises:
             SurefootError: the robot does not follow.
@@ -62,20 +62,20 @@ Clock = MonotonicClock | LockstepClock
 class ClockSync:
     """The least difference between arrival here and sending there, over the last `WINDOW` seconds.
 
-    The frame that came quickest is taken to have come at once: what is told is how much later than the quickest one
-    a frame is, never how long the quickest one took. The robot judges the age of commands by the same, the other way
-    round.
+    The quickest frame is taken to arrive at once, so an age is the delay beyond the quickest frame's. The robot
+    measures the age of commands in the same way, in the other direction.
 
     Args:
-        second: a second in the unit of all times given: 1, or 1,000,000 for whole microseconds.
+        second: a second in the unit of all times: 1, or 1,000,000 for whole microseconds.
     """
 
     def __init__(self, second: int = 1) -> None:
         self._second = second
         self._buckets: deque[tuple[float, float]] = deque()
+        """For each second its number and the least difference in it."""
 
     def add(self, sent: float, arrived: float) -> None:
-        """Take a frame: sent on the robot's clock [s], arrived on this computer's [s]."""
+        """Take a frame: sent on the other clock, arrived on this one."""
         second, difference = arrived // self._second, arrived - sent
         if self._buckets and self._buckets[-1][0] == second:
             difference = min(difference, self._buckets.pop()[1])
@@ -85,11 +85,11 @@ class ClockSync:
 
     @property
     def offset(self) -> float:
-        """This computer's time [s] when the robot's is 0; infinite while nothing has come."""
+        """This clock's time when the other's is 0; infinite while nothing has arrived."""
         return min((difference for _, difference in self._buckets), default=math.inf)
 
     def age(self, sent: float, now: float) -> float:
-        """How long ago [s] the robot's clock showed `sent`, when it is `now` here."""
+        """Return how long ago the other clock showed `sent`."""
         return now - (sent + self.offset)
 
     def forget(self) -> None:

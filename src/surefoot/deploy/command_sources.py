@@ -1,8 +1,8 @@
-"""Where commands to a steered robot come from: a file, the keyboard, a gamepad, or a channel that a program feeds.
+"""Sources of commands to a steered robot: a file, the keyboard, a gamepad, or a channel that a program feeds.
 
 The channel is UDP on this computer's loopback address. A datagram is one JSON object with numbers `forward`, `sideways`
-[m/s] and `yaw_rate` [rad/s]; what is left out is 0. The newest one counts for `FRESH` seconds; then the robot is told
-to stand. What is not such a datagram is counted and ignored. A gamepad that is gone means stand, too.
+[m/s] and `yaw_rate` [rad/s]; what is left out is 0. The newest one holds for `FRESH` seconds; then the robot stands.
+Other datagrams are counted and ignored. The robot also stands when its gamepad or terminal is gone.
 """
 
 from __future__ import annotations
@@ -30,17 +30,17 @@ from surefoot.robot.commands import COMMANDS, STAND, CommandLimits
 from surefoot.task.commands import CommandSchedule, read_schedule
 
 FRESH = 0.3
-"""Age [s] from which a command of the channel means stand."""
-_LONGEST = 1024
-"""Bytes of a datagram that is looked at."""
-_MOST_AT_ONCE = 64
-"""Datagrams that are taken in one control step; older ones wait, or are dropped by the system."""
+"""Age [s] up to which a command of the channel holds."""
+_MAX_BYTES = 1024
+"""Length of a datagram that is read."""
+_MAX_DATAGRAMS = 64
+"""Datagrams that are read in one control step; older ones wait, or are dropped by the system."""
 _STEP = 0.1
-"""What a key changes, in greatest commands."""
+"""Change of a command by one key, as a share of the greatest command."""
 _KEYS = {"w": (0, 1), "s": (0, -1), "a": (1, 1), "d": (1, -1), "q": (2, 1), "e": (2, -1)}
 KEYS = "w/s forward, a/d sideways, q/e turn, space stand"
 _ESCAPE = re.compile(r"\x1b(?:\[[0-9;]*[ -~]|O?.)?")
-"""What arrows and other keys without a letter send; they end in letters that mean something else."""
+"""Sequences of arrows and other keys without a letter; they end in letters that have another meaning."""
 _AXES = {1: (0, -1), 0: (1, -1), 3: (2, -1)}
 """Axes of a gamepad: command and sign; sticks are positive to the right and backward."""
 _DEAD_ZONE = 0.1
@@ -49,29 +49,27 @@ _EVENT = struct.Struct("<IhBB")
 
 
 class CommandSource(Protocol):
-    """Where commands come from; reading takes no time and raises nothing."""
+    """A source of commands; `read` returns at once and raises nothing."""
 
     def read(self, moment: float) -> Array:
-        """Return the command (3,) that holds at a moment [s] of the run."""
-        ...
+        """Return the command (3,) at a moment [s] of the run."""
 
     def close(self) -> None:
-        """Give back what is held."""
-        ...
+        """Release what the source holds."""
 
 
 class FileCommands:
-    """Commands over time, of a file; who runs the robot clamps them, and says so."""
+    """Commands over time, of a file; whoever runs the robot clamps them."""
 
     def __init__(self, path: Path) -> None:
         self._schedule = CommandSchedule([read_schedule(path)], None, 1)
 
     def read(self, moment: float) -> Array:
-        """Return the command (3,) that holds at a moment [s] of the run."""
+        """Return the command (3,) at a moment [s] of the run."""
         return self._schedule.at(moment)
 
     def close(self) -> None:
-        """Give back nothing."""
+        """Do nothing."""
 
 
 class ChannelCommands:
@@ -86,7 +84,7 @@ class ChannelCommands:
     """
 
     def __init__(self, port: int, clock: Callable[[], float] = time.monotonic) -> None:
-        self._clock, self._command, self._at = clock, np.array(STAND), -math.inf
+        self._clock, self._command, self._received = clock, np.array(STAND), -math.inf
         self.refused = 0
         """Datagrams that were no commands."""
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -99,18 +97,18 @@ class ChannelCommands:
         self.port = int(self._socket.getsockname()[1])
 
     def read(self, moment: float) -> Array:
-        """Return the newest command (3,), or stand if there is none that is fresh."""
-        for _ in range(_MOST_AT_ONCE):
+        """Return the newest command (3,), or stand if none is fresh."""
+        for _ in range(_MAX_DATAGRAMS):
             try:
-                data = self._socket.recv(_LONGEST + 1)
+                data = self._socket.recv(_MAX_BYTES + 1)
             except OSError:
                 break
             command = parse_command(data)
             if command is None:
                 self.refused += 1
             else:
-                self._command, self._at = command, self._clock()
-        return self._command if self._clock() - self._at < FRESH else np.array(STAND)
+                self._command, self._received = command, self._clock()
+        return self._command if self._clock() - self._received < FRESH else np.array(STAND)
 
     def close(self) -> None:
         """Stop listening."""
@@ -119,15 +117,15 @@ class ChannelCommands:
 
 def parse_command(data: bytes) -> Array | None:
     """Return the command (3,) of a datagram; None if it is none."""
-    if len(data) > _LONGEST:
+    if len(data) > _MAX_BYTES:
         return None
     try:
-        given = json.loads(data)
+        values = json.loads(data)
     except (ValueError, RecursionError):
         return None
-    if not isinstance(given, dict) or not set(given) <= set(COMMANDS) or not all(map(is_number, given.values())):
+    if not isinstance(values, dict) or not set(values) <= set(COMMANDS) or not all(map(is_number, values.values())):
         return None
-    return np.array([float(given.get(name, 0.0)) for name in COMMANDS])
+    return np.array([float(values.get(name, 0.0)) for name in COMMANDS])
 
 
 def send_command(port: int, forward: float = 0.0, sideways: float = 0.0, yaw_rate: float = 0.0) -> None:
@@ -153,7 +151,7 @@ class KeyboardCommands:
         if not os.isatty(self._file):
             raise SurefootError("commands: keyboard needs a terminal as standard input; choices: a file, gamepad, PORT")
         self._termios, self._before = termios, termios.tcgetattr(self._file)
-        # Keys come at once and are not shown; Ctrl-C stays what it is.
+        # Keys arrive at once and are not shown; Ctrl-C keeps its meaning.
         tty.setcbreak(self._file)
 
     def read(self, moment: float) -> Array:
@@ -161,63 +159,62 @@ class KeyboardCommands:
         with contextlib.suppress(OSError):
             while select.select([self._file], [], [], 0)[0]:
                 keys = os.read(self._file, 64).decode("ascii", "ignore")
-                if not keys:
-                    self._command = np.array(STAND)
-                    break
                 for key in _ESCAPE.sub("", keys).lower():
                     self._press(key)
+                if not keys:
+                    self._press(" ")
+                    break
         return self._command
 
     def _press(self, key: str) -> None:
         if key == " ":
             self._command = np.array(STAND)
         elif key in _KEYS:
-            which, sign = _KEYS[key]
-            most = self._limits.high if sign > 0 else -self._limits.low
-            changed = self._command[which] + sign * _STEP * most[which]
+            axis, sign = _KEYS[key]
+            low, high = self._limits.low[axis], self._limits.high[axis]
+            changed = self._command[axis] + sign * _STEP * (high if sign > 0 else -low)
+            # Steps add up with rounding; a command near zero is zero.
+            near = abs(changed) < 0.5 * _STEP * max(abs(low), high)
             self._command = self._command.copy()
-            # Small steps add up with rounding; a command near zero is zero.
-            near = abs(changed) < 0.5 * _STEP * max(abs(self._limits.low[which]), self._limits.high[which])
-            self._command[which] = 0.0 if near else np.clip(changed, self._limits.low[which], self._limits.high[which])
+            self._command[axis] = 0.0 if near else np.clip(changed, low, high)
 
     def close(self) -> None:
-        """Give the terminal back as it was."""
+        """Restore the terminal."""
         with contextlib.suppress(OSError, self._termios.error):
             self._termios.tcsetattr(self._file, self._termios.TCSADRAIN, self._before)
 
 
 class GamepadCommands:
-    """Commands of a gamepad's sticks: left one forward and sideways, right one turns; stand when it is gone.
+    """Commands of a gamepad's sticks: the left one forward and sideways, the right one turns.
 
     Raises:
         SurefootError: no gamepad.
     """
 
     def __init__(self, limits: CommandLimits, device: Path = Path("/dev/input/js0")) -> None:
-        self._limits, self._axes = limits, np.zeros(3)
+        self._limits, self._axes, self._rest = limits, np.zeros(3), b""
         try:
             self._file = os.open(device, os.O_RDONLY | os.O_NONBLOCK)
         except OSError as error:
             raise SurefootError(f"commands: gamepad {device}: {error.strerror}; is one connected?") from error
-        self._rest = b""
 
     def read(self, moment: float) -> Array:
         """Return the command (3,) of the sticks."""
         try:
             events = os.read(self._file, 64 * _EVENT.size)
-            self._rest += events
             gone = not events
         except BlockingIOError:
-            gone = False
+            events, gone = b"", False
         except OSError:
-            gone = True
+            events, gone = b"", True
+        self._rest += events
         whole = len(self._rest) // _EVENT.size * _EVENT.size
         for _, value, kind, number in _EVENT.iter_unpack(self._rest[:whole]):
-            # The first events tell where axes are (0x80).
+            # The first events have the axes' initial values and 0x80 in their kind.
             if kind & 0x7F == 2 and number in _AXES:
-                which, sign = _AXES[number]
+                axis, sign = _AXES[number]
                 share = sign * value / 32767
-                self._axes[which] = 0.0 if abs(share) < _DEAD_ZONE else share
+                self._axes[axis] = 0.0 if abs(share) < _DEAD_ZONE else share
         self._rest = self._rest[whole:]
         if gone:
             self._axes[:] = 0.0
@@ -228,19 +225,19 @@ class GamepadCommands:
         os.close(self._file)
 
 
-def open_commands(given: str, limits: CommandLimits) -> CommandSource:
+def open_commands(source: str, limits: CommandLimits) -> CommandSource:
     """Return the source that `--commands` names: `keyboard`, `gamepad`, a port's number, or a file's path.
 
     Raises:
         SurefootError: none of them, or one that can't be opened.
     """
-    if given == "keyboard":
+    if source == "keyboard":
         return KeyboardCommands(limits)
-    if given == "gamepad":
+    if source == "gamepad":
         return GamepadCommands(limits)
-    if given.isdecimal():
-        port = int(given)
+    if source.isdecimal():
+        port = int(source)
         if not 1024 <= port <= 65535:
             raise SurefootError(f"commands: port is {port}; it must be 1024 to 65535")
         return ChannelCommands(port)
-    return FileCommands(Path(given))
+    return FileCommands(Path(source))

@@ -1,4 +1,4 @@
-"""The policy on a robot: from a state to motor angles, the same arithmetic as in training."""
+"""The policy on a robot: from a state to motor angles, with the arithmetic of training."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from surefoot.robot import RobotDescription
 from surefoot.robot.commands import STAND
 from surefoot.task.commands import CommandFilter, CommandState
 from surefoot.task.contract_mapping import task_from_contract
-from surefoot.task.observation import Moment, Observer
+from surefoot.task.observation import ObservationInputs, Observer
 from surefoot.world.interface import Readings
 
 
 class Controller:
-    """Observation, history, policy, reference: one control step after another, on the robot that the policy is for.
+    """Observation, history, policy and reference for one robot, step by step.
 
     Raises:
         SurefootError: an observation that does not exist, or a gait that the robot does not allow.
@@ -30,51 +30,49 @@ class Controller:
     def __init__(self, policy: PolicyRuntime, robot: RobotDescription) -> None:
         self.policy, self.robot, self.contract = policy, robot, policy.contract
         self.task = task_from_contract(policy.contract, robot)
-        contract = self.contract
+        contract, limits = self.contract, self.contract.commands
         self.observer = Observer(robot, tuple(part.name for part in contract.observation), contract.action_names)
         self.gait = self.task.gait(robot)
         self.observation = np.zeros(self.observer.width)
-        """What the policy saw last (O,), history left out."""
+        """The newest observation (O,)."""
         self.feedback = np.zeros(len(contract.action_names))
-        """Its last feedback (A,)."""
+        """The last feedback (A,)."""
         self.target = robot.resting_angles
-        """Its last motor angles (M,) [rad]."""
+        """The last motor angles (M,) [rad]."""
         self.inference = 0.0
-        """How long the policy took for it [s]."""
+        """Time of the last inference [s]."""
+        self.command = np.array(STAND)
+        """The command (3,), within the contract's limits: speeds [m/s], yaw rate [rad/s]."""
         self._history: NDArray[np.float32] | None = None
-        limits = contract.commands
-        self.commands = None if limits is None else CommandFilter.of(self.gait.reference, limits, robot, 1)
-        """What the gait follows, of a policy with commands."""
-        self.given = np.array(STAND)
-        """The command (3,) that is given, within the contract's limits: speeds [m/s], yaw rate [rad/s]."""
+        self._filter = None if limits is None else CommandFilter.from_reference(self.gait.reference, limits, robot, 1)
 
     def reset(self) -> None:
-        """Start a new episode; the robot is told to stand."""
+        """Start a new episode, with the command to stand."""
         self.feedback = np.zeros_like(self.feedback)
-        self.given = np.array(STAND)
+        self.command = np.array(STAND)
         self._history = None
 
-    def give(self, command: ArrayLike) -> str:
-        """Set the command (3,) to follow from the next control step on; returns what was out of range, in words.
+    def set_command(self, command: ArrayLike) -> str:
+        """Set the command (3,) from the next control step on; return what was clamped, in words.
 
         Raises:
             SurefootError: a policy without commands, or not three finite numbers.
         """
         if self.contract.commands is None:
-            raise SurefootError(f"policy '{self.contract.name}' has no commands; it goes as it was trained to")
-        self.given, changed = self.contract.commands.clamped(command)
-        return changed
+            raise SurefootError(f"policy '{self.contract.name}' has no commands to follow")
+        self.command, clamped = self.contract.commands.clamped(command)
+        return clamped
 
     def _state(self) -> CommandState | None:
-        return None if self.commands is None else self.commands.state
+        return None if self._filter is None else self._filter.state
 
     def observe(self, moment: float, state: State, missed: int = 0) -> NDArray[np.float32]:
-        """What the policy is given (1, O * history), the newest observation first.
+        """Return the policy's input (1, O * history), the newest observation first.
 
         Args:
-            moment: of the policy's own clock [s].
+            moment: of the episode [s].
             state: the newest state.
-            missed: control steps that were missed before; they count as having seen what the last one saw.
+            missed: control steps missed before; in the history they have the last step's observation.
 
         Raises:
             NotFiniteError: a reading that is not finite.
@@ -86,26 +84,26 @@ class Controller:
             motor_angle=state.motor_angle[None],
             motor_velocity=state.motor_velocity[None],
         )
-        if self.commands is not None:
+        if self._filter is not None:
             yaw = readings.roll_pitch_yaw[:, 2]
             if self._history is None:
-                self.commands.reset(np.arange(1), yaw)
+                self._filter.reset(np.arange(1), yaw)
             else:
                 step = np.array([self.contract.control_step * (missed + 1)])
-                self.commands.advance(self.given[None], step, yaw)
-        moment_now = Moment(readings, self.gait.reference, self.feedback[None], self._state())
-        self.observation = self.observer.observe(moment_now)[0]
+                self._filter.advance(self.command[None], step, yaw)
+        inputs = ObservationInputs(readings, self.gait.reference, self.feedback[None], self._state())
+        self.observation = self.observer.observe(inputs)[0]
         check_finite("observation", self.contract.columns, self.observation)
         if self._history is None:
             self._history = np.tile(self.observation, (self.contract.history, 1)).astype(np.float32)
-            return self._history.reshape(1, -1)
-        for _ in range(min(missed + 1, self.contract.history)):
-            self._history[1:] = self._history[:-1].copy()
-        self._history[0] = self.observation
+        else:
+            for _ in range(min(missed + 1, self.contract.history)):
+                self._history[1:] = self._history[:-1].copy()
+            self._history[0] = self.observation
         return self._history.reshape(1, -1)
 
-    def command(self, moment: float, observation: NDArray[np.float32]) -> Array:
-        """Motor angles (M,) [rad] for what the policy is given, at a moment [s] of its own clock.
+    def compute_target(self, moment: float, observation: NDArray[np.float32]) -> Array:
+        """Return motor angles (M,) [rad] for the policy's input at a moment of the episode [s].
 
         Raises:
             NotFiniteError: feedback or target that is not finite.

@@ -1,4 +1,4 @@
-"""A policy on a robot from beginning to end: greet, check, arm, stand up, run, sit down, disarm."""
+"""A policy on a robot from beginning to end: connect, check, arm, stand up, run, sit down, disarm."""
 
 from __future__ import annotations
 
@@ -20,12 +20,9 @@ from surefoot.deploy.safety import GO, Act, Guard, SafetyLimits, Verdict
 from surefoot.errors import SurefootError
 from surefoot.stop_signals import StopSignals
 
-Keep = Callable[[Array], None]
-Begun = Callable[[float], None]
-
 _WARM_UP = 20
 PUNCTUAL, TRIES = 200, 10
-"""Control steps that must come and go without a fault before a robot is armed, and how often that is tried."""
+"""Control steps that must pass without a fault before a robot is armed, and how often that is tried."""
 
 
 @dataclass(frozen=True)
@@ -33,25 +30,20 @@ class RunOutcome:
     """How a run ended."""
 
     ended: str
-    """time, fall, fault or stopped, as traces have it: how the policy's part ended."""
+    """How the policy's part ended, as in traces: time, fall, fault or stopped."""
     reason: str
-    """In a word or two."""
+    """In one or two words."""
     text: str
-    """In plain words, what came afterwards included."""
+    """As a sentence, with what happened afterwards."""
     safe: bool
     """Whether the robot's or the computer's safety ended the run."""
 
 
 class Deployment:
-    """One operator's time with a robot.
+    """One operator's use of a robot.
 
-    Args:
-        link: to the robot.
-        controller: the policy on it.
-        operator: may ask to stop.
-        monitor: is told how it goes.
-        dry_run: compute everything, and neither arm nor send.
-        commands: what steers it, of a policy with commands; without it the robot stands.
+    A dry run computes everything, and neither arms nor sends. Without a source of commands, a policy that has them
+    stands.
     """
 
     def __init__(
@@ -63,90 +55,78 @@ class Deployment:
         dry_run: bool = False,
         commands: CommandSource | None = None,
     ) -> None:
-        self.commands = commands
         self.link, self.controller, self.operator, self.monitor = link, controller, operator, monitor
-        self.contract, self.robot = controller.contract, controller.robot
-        self.limits, self.dry_run = SafetyLimits.of(self.robot), dry_run
+        self.contract, self.robot, self.commands = controller.contract, controller.robot, commands
+        self.limits, self.dry_run = SafetyLimits.from_robot(self.robot), dry_run
         self._moved = False
 
-    def greet(self, check: Callable[[Handshake], None]) -> None:
-        """Ask for the robot, check it, and wait until it tells its state.
-
-        Args:
-            check: raises an error for a robot that the policy is not for.
+    def connect(self, check: Callable[[Handshake], None]) -> None:
+        """Connect to the robot, check its handshake, and make sure that policy and computer keep time.
 
         Raises:
-            SurefootError: no robot, another one, one that tells nothing or that must not be armed; or a computer that
-                does not keep time.
+            SurefootError: no robot, another one, one that sends no state or must not be armed, a policy that fails, or
+                a computer that does not keep time.
         """
-        self.monitor.phase("greet", 0.0)
+        self.monitor.phase("connect", 0.0)
         try:
             check(self.link.connect(state_period=self.contract.control_step))
             if not self.link.wait_for(lambda: self.link.state is not None, 1.0):
-                raise SurefootError("the robot tells nothing of itself within 1 s; switch it off and on again")
+                raise SurefootError("the robot sends no state within 1 s; switch it off and on again")
             self._warm_up()
             if not self.link.lockstep:
-                self._keep_time()
+                self._check_timing()
         except LinkLostError as error:
             raise SurefootError(f"the robot was lost before it was armed: {error}") from error
         self.controller.reset()
 
+    def _target(self, k: int, state: State, missed: int = 0) -> Array:
+        moment = k * self.contract.control_step
+        return self.controller.compute_target(moment, self.controller.observe(moment, state, missed))
+
     def _warm_up(self) -> None:
-        """Ask the policy some times: a network's first runs are slow, and what fails is best found now."""
+        """Run the policy some times: its first runs are slow, and a policy that fails should fail before arming."""
         try:
             for _ in range(_WARM_UP):
-                self.controller.command(0.0, self.controller.observe(0.0, self.link.last_state()))
+                self._target(0, self.link.last_state())
         except SurefootError:
             raise
         except Exception as error:
             text = " ".join(str(error).split())
             raise SurefootError(
-                f"policy '{self.contract.name}' fails on what the robot tells now: {type(error).__name__}: {text}"
+                f"policy '{self.contract.name}' fails on the robot's present state: {type(error).__name__}: {text}"
             ) from error
 
-    def _keep_time(self) -> None:
-        """Go through control steps as if the robot were armed, until the computer does them in time.
+    def _check_timing(self) -> None:
+        """Run control steps as if the robot were armed, until the computer does them in time.
 
-        What is done for the first time takes longer: pages are read, caches filled. And a computer that is too busy,
-        or a robot that should not be armed, shows it here, while nothing moves.
+        First runs take longer: pages are read, caches filled. A computer that is too busy, and a robot that should not
+        be armed, are found here, while nothing moves.
 
         Raises:
-            SurefootError: something that would end a run is so from the start, or goes wrong again and again.
+            SurefootError: what would end a run holds from the start, or occurs again and again.
         """
         step, verdict = self.contract.control_step, GO
-
-        def compute(k: int, state: State, missed: int) -> Array:
-            return self.controller.command(k * step, self.controller.observe(k * step, state, missed))
-
         for _ in range(TRIES):
             guard = Guard(self.limits, step, self.link.session, math.inf)
-            loop = ControlLoop(
-                self.link, step, guard, self.operator, self.monitor, LoopTiming(PUNCTUAL + 1), dry_run=True
-            )
-            verdict = loop.follow("keep time", PUNCTUAL, compute)
+            timing = LoopTiming(PUNCTUAL + 1)
+            loop = ControlLoop(self.link, step, guard, self.operator, self.monitor, timing, dry_run=True)
+            verdict = loop.follow("check timing", PUNCTUAL, self._target)
             if verdict.act in (Act.GO, Act.SIT):
-                # The operator's wish to stop is for `run` to heed; a battery or a motor that is at its limit is not.
                 break
+        # `run` handles an operator who asks to stop; a battery or a motor at its limit is an error.
         if verdict.act is not Act.GO and not self.operator.stops:
             raise SurefootError(f"the robot is not armed: {verdict.text}")
 
-    def run(self, recorder: Recorder, timing: LoopTiming, keep: Keep, begun: Begun) -> RunOutcome:
-        """Arm, stand up, run the policy, sit down, disarm.
-
-        Args:
-            recorder: takes the policy's control steps; as many are done as it has place for.
-            timing: keeps lateness.
-            keep: called with rows that have been closed.
-            begun: called with the robot's time [s] when the policy starts.
+    def run(self, recorder: Recorder, timing: LoopTiming) -> RunOutcome:
+        """Arm, stand up, run the policy for `recorder.max_steps`, sit down, disarm.
 
         Raises:
-            SurefootError: the robot was not greeted, or does not arm for its first run; nothing has moved.
+            SurefootError: the robot is not connected, or does not arm for its first run; nothing has moved.
         """
-        contract = self.contract
         runner = MotionRunner(
             self.link,
             self.robot,
-            contract.control_step,
+            self.contract.control_step,
             self.operator,
             self.monitor,
             self.limits,
@@ -165,50 +145,42 @@ class Deployment:
                 raise SurefootError(str(error)) from error
             return RunOutcome("fault", "arm", str(error), True)
         self._moved = True
-        verdict, ran = runner.stand_up(self.robot.pose_angles(*contract.rest)), False
+        verdict, ran = runner.stand_up(self.robot.pose_angles(*self.contract.rest)), False
         if verdict.act is Act.GO:
-            verdict, ran = self._run_policy(runner.loop, recorder, keep, begun), True
+            verdict, ran = self._run_policy(runner.loop, recorder), True
         return self._finish(runner, verdict, ran)
 
-    def _run_policy(self, loop: ControlLoop, recorder: Recorder, keep: Keep, begun: Begun) -> Verdict:
-        controller, step = self.controller, self.contract.control_step
+    def _run_policy(self, loop: ControlLoop, recorder: Recorder) -> Verdict:
+        controller = self.controller
         controller.reset()
-
-        said = ""
+        clamped = ""
 
         def compute(k: int, state: State, missed: int) -> Array:
-            nonlocal said
+            nonlocal clamped
             if self.commands is not None:
-                changed = controller.give(self.commands.read(k * step))
-                if changed and not said:
-                    self.monitor.warn(f"command out of range: {changed}")
-                said = changed
-            target = controller.command(k * step, controller.observe(k * step, state, missed))
+                before, clamped = clamped, controller.set_command(self.commands.read(k * self.contract.control_step))
+                if clamped and not before:
+                    self.monitor.warn(f"command out of range: {clamped}")
+            target = self._target(k, state, missed)
             loop.inference = controller.inference
             return target
 
         def after(k: int, state: State, computed: bool) -> None:
             if k == 0:
-                begun(loop.pacer.due(0) - self.link.sync.offset)
-                recorder.begin(state)
-            rows = recorder.close(k, state, self.link.state_sent)
-            if len(rows):
-                keep(rows)
+                recorder.begin(state, loop.pacer.due(0) - self.link.sync.offset)
+            recorder.close(k, state, self.link.state_sent)
             if computed:
-                recorder.open(controller.observation, controller.feedback, controller.target, controller.given)
+                recorder.open(controller.observation, controller.feedback, controller.target, controller.command)
 
         return loop.follow("run", recorder.max_steps, compute, after)
 
-    def _finish(self, runner: MotionRunner, verdict: Verdict, running: bool) -> RunOutcome:
-        """Bring the robot to rest, whatever ended the run, and whether the policy was running or not."""
+    def _finish(self, runner: MotionRunner, verdict: Verdict, ran: bool) -> RunOutcome:
+        """Bring the robot to rest, whatever ended the run, and whether the policy ran or not."""
         outcome = _outcome(verdict)
         try:
             if verdict.act in (Act.GO, Act.SIT):
-                if running:
-                    ending = runner.drop()
-                else:
-                    # A robot that still lies would stall its motors to sit: it is let go as it is.
-                    ending = runner.sit_down() if runner.risen else GO
+                # A robot that still lies would stall its motors to sit: it is disarmed as it is.
+                ending = runner.drop() if ran else runner.sit_down() if runner.risen else GO
                 if ending.act is Act.GO and not self.dry_run:
                     ending = runner.disarm()
                 if ending.act is not Act.GO:
@@ -225,7 +197,7 @@ class Deployment:
         return outcome
 
     def close(self) -> None:
-        """Give the robot back."""
+        """End the session and the link."""
         with contextlib.suppress(LinkLostError, OSError):
             self.link.close()
 

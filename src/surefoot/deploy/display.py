@@ -1,7 +1,7 @@
-"""The live display, in a process of its own: drawing can never make the control loop wait.
+"""The live display, in a process of its own, so that drawing never makes the control loop wait.
 
-The loop's process writes one line of JSON for each telling into a pipe that never blocks; what the pipe does not take
-is dropped. `python -m surefoot.deploy.display` reads the lines and draws.
+The loop's process writes each event as a line of JSON into a pipe that never blocks; what the pipe does not take is
+dropped. `python -m surefoot.deploy.display` reads the lines and draws.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import signal
 import subprocess
 import sys
 from collections import deque
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator
 from typing import Any, TextIO
 
 import numpy as np
@@ -22,60 +22,52 @@ import numpy as np
 from surefoot.deploy.loop import RunMonitor, Snapshot
 
 WINDOW = 1000
-"""Steps over which the display tells lateness."""
-_SCALE = 1e3
+"""Steps of which the display shows the lateness."""
 
 
 class LiveDisplay(RunMonitor):
-    """Starts the display's process and feeds it.
-
-    Args:
-        title: of the display.
-        module: what is run as the process; it ends with its input.
-        stdout: of the process; this process's, if None.
-    """
+    """Starts the display's process, which runs a module until its input ends, and sends it what the loop does."""
 
     def __init__(self, title: str, module: str = "surefoot.deploy.display", stdout: int | None = None) -> None:
         command = [sys.executable, "-m", module]
         self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=stdout)
-        if (stdin := self._process.stdin) is None:
-            raise RuntimeError("the display has no pipe")
-        self._stdin, self._pipe = stdin, stdin.fileno()
-        os.set_blocking(self._pipe, False)
+        assert self._process.stdin is not None
+        self._stdin = self._process.stdin
+        os.set_blocking(self._stdin.fileno(), False)
         self._send(title=title)
 
     def _send(self, **message: Any) -> None:
-        # Up to 4096 bytes a pipe takes whole or not at all. A display that is gone is no reason to stop.
+        # A pipe takes up to 4096 bytes whole or not at all. A display that has ended does not end the run.
         with contextlib.suppress(OSError):
-            os.write(self._pipe, json.dumps(message).encode()[:4095] + b"\n")
+            os.write(self._stdin.fileno(), json.dumps(message).encode()[:4095] + b"\n")
 
     def phase(self, name: str, duration: float) -> None:
-        """Tell what the robot does."""
+        """Show what the robot does."""
         self._send(phase=name, left=duration)
 
     def warn(self, text: str) -> None:
-        """Tell something that the operator should know."""
+        """Show a warning."""
         self._send(warning=text)
 
     def recording(self, text: str) -> None:
-        """Tell how recording goes."""
+        """Show a line about the recording."""
         self._send(recording=text)
 
     def tick(self, snapshot: Snapshot) -> None:
-        """Tell how the loop does."""
-        self._send(**self._about(snapshot))
+        """Show the state of the loop."""
+        self._send(**self._message(snapshot))
 
-    def _about(self, snapshot: Snapshot) -> dict[str, Any]:
+    def _message(self, snapshot: Snapshot) -> dict[str, Any]:
         state = snapshot.state
         return {
             "phase": snapshot.phase,
             "left": round(snapshot.left, 1),
             "rate": round(snapshot.rate, 1),
-            "lateness": [round(_SCALE * late, 3) for late in snapshot.lateness],
-            "inference": None if math.isnan(snapshot.inference) else round(_SCALE * snapshot.inference, 3),
+            "lateness": [round(1e3 * late, 3) for late in snapshot.lateness],
+            "inference": None if math.isnan(snapshot.inference) else round(1e3 * snapshot.inference, 3),
             "missed": snapshot.missed,
             "dropped": snapshot.dropped,
-            "state_age": round(_SCALE * snapshot.state_age, 2),
+            "state_age": round(1e3 * snapshot.state_age, 2),
             "voltage": round(state.voltage, 2),
             "temperature": float(np.max(state.temperature)),
             "roll": round(float(state.roll_pitch_yaw[0]), 3),
@@ -92,96 +84,67 @@ class LiveDisplay(RunMonitor):
             self._process.kill()
 
 
-class RunMonitors(RunMonitor):
-    """Several that monitor the same run; told as often as the first wants it."""
-
-    def __init__(self, *monitors: RunMonitor) -> None:
-        self._monitors, self.period = monitors, monitors[0].period
-
-    def phase(self, name: str, duration: float) -> None:
-        """Tell all what the robot does."""
-        for monitor in self._monitors:
-            monitor.phase(name, duration)
-
-    def tick(self, snapshot: Snapshot) -> None:
-        """Tell all how the loop does."""
-        for monitor in self._monitors:
-            monitor.tick(snapshot)
-
-    def warn(self, text: str) -> None:
-        """Tell all something that the operator should know."""
-        for monitor in self._monitors:
-            monitor.warn(text)
-
-    def recording(self, text: str) -> None:
-        """Tell all how recording goes."""
-        for monitor in self._monitors:
-            monitor.recording(text)
-
-    def close(self) -> None:
-        """It is over for all."""
-        for monitor in self._monitors:
-            monitor.close()
-
-
 class PlainLines(RunMonitor):
-    """A line for each phase and warning, for everything that is no terminal."""
+    """A line on standard error for each phase and warning, where there is no terminal.
 
-    def __init__(self, stream: TextIO | None = None) -> None:
-        self._stream = stream or sys.stderr
-
-    def _say(self, text: str) -> None:
-        with contextlib.suppress(OSError, ValueError):
-            print(text, file=self._stream, flush=True)
+    As the first of two base classes it passes on what it prints to the second.
+    """
 
     def phase(self, name: str, duration: float) -> None:
-        """Tell what the robot does."""
-        self._say(f"surefoot: {name}" + (f" ({duration:.1f} s)" if duration > 0 else ""))
+        """Print what the robot does."""
+        _print_line(name + (f" ({duration:.1f} s)" if duration > 0 else ""))
+        super().phase(name, duration)
 
     def warn(self, text: str) -> None:
-        """Tell something that the operator should know."""
-        self._say(f"surefoot: warning: {text}")
+        """Print a warning."""
+        _print_line(f"warning: {text}")
+        super().warn(text)
 
     def recording(self, text: str) -> None:
-        """Tell how recording goes."""
-        if text:
-            self._say(f"surefoot: {text}")
+        """Print a line about the recording."""
+        _print_line(text)
+        super().recording(text)
 
 
-def open_display(title: str, stream: TextIO | None = None) -> LiveDisplay | PlainLines:
-    """Return a live display on a terminal, plain lines on any other stream; standard error, if none is given."""
-    return LiveDisplay(title) if (stream or sys.stderr).isatty() else PlainLines(stream)
+def _print_line(text: str) -> None:
+    with contextlib.suppress(OSError, ValueError):
+        print(f"surefoot: {text}", file=sys.stderr, flush=True)
+
+
+def open_display(title: str) -> LiveDisplay | PlainLines:
+    """Return a live display if standard error is a terminal, plain lines otherwise."""
+    return LiveDisplay(title) if sys.stderr.isatty() else PlainLines()
 
 
 class StatusPanel:
-    """What the display shows, from the messages that came."""
+    """What the display shows, from the messages that it received."""
 
     def __init__(self) -> None:
-        self.now: dict[str, Any] = {"phase": "", "title": "", "recording": ""}
+        self.values: dict[str, Any] = {"phase": "", "title": "", "recording": ""}
         self.warnings: list[str] = []
         self._lateness: deque[float] = deque(maxlen=WINDOW)
 
-    def take(self, message: dict[str, Any]) -> None:
+    def update(self, message: dict[str, Any]) -> None:
         """Take a message."""
         self._lateness.extend(message.pop("lateness", ()))
         if "warning" in message:
             self.warnings.append(str(message.pop("warning")))
-        self.now.update(message)
+        self.values.update(message)
 
     def rows(self) -> list[tuple[str, str]]:
-        """Name and text of each line."""
-        now = self.now
+        """Return name and text of each line."""
+        values = self.values
 
         def text(key: str, form: str, unit: str) -> str:
-            value = now.get(key)
+            value = values.get(key)
             return "-" if value is None else f"{value:{form}} {unit}".rstrip()
 
         late = "-"
         if self._lateness:
-            median, high, most = np.percentile(self._lateness, (50, 99, 100))
-            late = f"{median:.2f} median, {high:.2f} 99 %, {most:.2f} max ms"
+            median, high, greatest = np.percentile(self._lateness, (50, 99, 100))
+            late = f"{median:.2f} median, {high:.2f} 99 %, {greatest:.2f} max ms"
         return [
-            ("phase", f"{now['phase']}, {now.get('left', 0.0):.1f} s left" if now.get("left") else str(now["phase"])),
+            ("phase", str(values["phase"]) + (f", {values['left']:.1f} s left" if values.get("left") else "")),
             ("loop", text("rate", ".1f", "Hz")),
             ("lateness", late),
             ("inference", text("inference", ".2f", "ms")),
@@ -191,11 +154,11 @@ class StatusPanel:
             ("battery", text("voltage", ".1f", "V")),
             ("hottest motor", text("temperature", ".0f", "degC")),
             ("roll, pitch", f"{text('roll', '+.2f', '')}, {text('pitch', '+.2f', 'rad')}"),
-            ("recording", str(now["recording"]).removeprefix("recording ") or "-"),
+            ("recording", str(values["recording"]).removeprefix("recording ") or "-"),
         ]
 
     def draw(self) -> Any:
-        """As Rich shows it."""
+        """Return a panel for Rich."""
         from rich.console import Group
         from rich.panel import Panel
         from rich.table import Table
@@ -204,34 +167,43 @@ class StatusPanel:
         table = Table.grid(padding=(0, 2))
         for name, value in self.rows():
             table.add_row(Text(name, style="dim"), Text(value))
-        parts: Sequence[Any] = [table, *(Text(f"! {text}", style="yellow") for text in self.warnings[-4:])]
-        return Panel(Group(*parts), title=Text(str(self.now["title"])), title_align="left", width=64)
+        warnings = [Text(f"! {text}", style="yellow") for text in self.warnings[-4:]]
+        return Panel(Group(table, *warnings), title=Text(str(self.values["title"])), title_align="left", width=64)
+
+
+def read_messages(lines: Iterable[str]) -> Iterator[dict[str, Any]]:
+    """Yield the messages of a `LiveDisplay`; lines that are no JSON object are skipped."""
+    for line in lines:
+        with contextlib.suppress(ValueError):
+            message = json.loads(line)
+            if isinstance(message, dict):
+                yield message
 
 
 def show(lines: Iterable[str], stream: TextIO) -> None:
-    """Draw on a terminal what messages tell until they end; a line that is no JSON object is passed over."""
+    """Draw messages on a terminal until they end."""
     from rich.console import Console
 
     from surefoot.progress import ProgressDisplay
 
-    picture = StatusPanel()
-    with ProgressDisplay(Console(file=stream, force_terminal=True), picture.draw) as display:
-        for line in lines:
-            try:
-                message = json.loads(line)
-            except ValueError:
-                continue
-            if isinstance(message, dict):
-                picture.take(message)
-                display.refresh()
+    panel = StatusPanel()
+    with ProgressDisplay(Console(file=stream, force_terminal=True), panel.draw) as display:
+        for message in read_messages(lines):
+            panel.update(message)
+            display.refresh()
 
 
-def main() -> None:
-    """Run the display's process: it ends with its input, whatever signals its terminal sends."""
+def run_in_background() -> None:
+    """Ignore signals of the terminal, since the process ends with its input, and lower its priority."""
     for name in ("SIGINT", "SIGTERM", "SIGHUP"):
         signal.signal(getattr(signal, name), signal.SIG_IGN)
     with contextlib.suppress(OSError):
         os.nice(10)
+
+
+def main() -> None:
+    """Run the display's process."""
+    run_in_background()
     with contextlib.suppress(OSError, ValueError):
         show(sys.stdin, sys.stderr)
 

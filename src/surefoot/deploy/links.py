@@ -10,13 +10,9 @@ from surefoot.deploy.serial.serial_link import SerialLink
 
 
 def open_link(port: str, motors: int, lockstep: bool = False, baud: int = BAUD) -> RobotLink:
-    """Open a link to a robot.
+    """Open a link to a robot with so many motors at a serial port or pseudo-terminal.
 
-    Args:
-        port: path of a serial port or pseudo-terminal.
-        motors: number of motors.
-        lockstep: the other end is an emulator that follows this computer's clock.
-        baud: bits a second.
+    In lockstep, the other end is an emulator that follows this computer's clock.
 
     Raises:
         SurefootError: a port that can't be opened, or that another program has.

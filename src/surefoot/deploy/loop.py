@@ -1,6 +1,6 @@
-"""The control loop: one beat for all phases, from an armed robot to one that is disarmed or damped.
+"""The control loop: one cycle for all phases, from an armed robot to one that is disarmed or damped.
 
-A tick: wait until the step is due, take what the robot has said, judge, compute, send; everything else comes after.
+A cycle waits until its step is due, receives states, checks, computes and sends; everything else comes afterwards.
 """
 
 from __future__ import annotations
@@ -9,6 +9,8 @@ import contextlib
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+
+import numpy as np
 
 from surefoot.arrays import Array
 from surefoot.deploy.messages import State
@@ -21,69 +23,61 @@ from surefoot.stop_signals import StopSignals
 Compute = Callable[[int, State, int], Array]
 """Motor angles for a step: its number in the phase, the newest state, steps missed before it."""
 After = Callable[[int, State, bool], None]
-"""Called when a step's command is on its way: its number, the state that it saw, whether a command was computed."""
+"""Called when a step's command has been sent: its number, the state that it saw, whether a command was computed."""
 
 EARLY = 0.0005
-"""How long before a step is due [s] the loop looks at the link a first time."""
+"""Time [s] before a step is due at which the loop receives a first time, so that little is left to decode then."""
+PING_STEPS = 16
+"""Steps between two pings of a dry run: a silent operator may lose the robot to another one after a second."""
 
 
 @dataclass(frozen=True)
 class Snapshot:
-    """How the loop does, for monitors."""
+    """State of the control loop, for monitors. Times in s; "since" refers to the last snapshot."""
 
     phase: str
-    """What the robot is doing."""
     left: float
-    """Time that the phase still takes [s]."""
+    """Time until the phase ends."""
     rate: float
-    """Steps done a second since the last telling [Hz]."""
+    """Steps a second since [Hz]."""
     lateness: tuple[float, ...]
-    """How late the steps since then were [s]."""
+    """Lateness of the steps since."""
     inference: float
-    """How long the policy took, the longest since then [s]; NaN, if it was not asked."""
+    """Longest inference of the policy since; NaN without any."""
     missed: int
-    """Steps missed so far in this run."""
+    """Steps missed in this run."""
     state_age: float
-    """Age of the newest state [s]."""
     state: State
-    """The newest state."""
     dropped: int
-    """Frames lost or damaged so far."""
+    """Frames lost or damaged on this link."""
 
 
 class RunMonitor:
     """No-op monitor of a run. Methods must return at once."""
 
     period = 0.1
-    """Time between two calls of `tick` [s]."""
+    """Time between two snapshots [s]."""
 
     def phase(self, name: str, duration: float) -> None:
-        """A phase of so many seconds starts."""
+        """Take the name of a phase that starts, and its duration [s]."""
 
     def tick(self, snapshot: Snapshot) -> None:
-        """Several times a second."""
+        """Take the state of the loop, once every `period`."""
 
     def warn(self, text: str) -> None:
-        """Something that the operator should know."""
+        """Take a warning for the operator."""
 
     def recording(self, text: str) -> None:
-        """How recording goes."""
+        """Take a line about the recording."""
 
     def close(self) -> None:
-        """It is over."""
+        """End with the run."""
 
 
 class ControlLoop:
-    """Ticks of one run.
+    """Control steps of one run.
 
-    Args:
-        link: to the robot.
-        control_step: time between two commands [s].
-        guard: judges each tick.
-        operator: may ask to stop.
-        monitor: is told how it goes.
-        timing: keeps lateness.
-        dry_run: compute everything and send nothing.
+    `control_step` is the time between two commands [s]. A dry run computes everything and sends nothing.
     """
 
     def __init__(
@@ -102,13 +96,14 @@ class ControlLoop:
         self.target: Array | None = None
         """Motor angles (M,) [rad] that were sent last, or duties if the guard's mode is that of duties."""
         self.inference = math.nan
-        """How long the policy took in this step [s]; whoever asks it says so here."""
+        """Time [s] that the policy took in this step; set by whoever runs it."""
         self._phase, self._steps = "", 0
         self._states = link.states
-        self._told, self._told_steps, self._told_warnings, self._worst = -math.inf, 0, 0, math.nan
+        self._reported, self._reported_steps, self._reported_warnings = -math.inf, 0, 0
+        self._longest_inference = math.nan
 
     def steps_of(self, duration: float) -> int:
-        """Control steps in a time [s], at least one."""
+        """Return the control steps in a time [s], at least one."""
         return max(round(duration / self.control_step), 1)
 
     def follow(
@@ -120,48 +115,44 @@ class ControlLoop:
         upright: bool = True,
         sitting: bool = False,
     ) -> Verdict:
-        """Do so many control steps, and one more that sees how the last one ended and holds its target.
+        """Run a phase of `steps` control steps, and one more that sees how the last one ended and holds its target.
 
         Args:
-            phase: what the robot does meanwhile.
-            steps: how many.
-            compute: gives the motor angles of steps 0 to `steps` - 1.
-            after: is told of each step, and of the one more.
+            phase: its name.
+            steps: how many, from 0.
+            compute: called in each step but the one more.
+            after: called after each step, and after the one more.
             upright: whether a tilt is a fall.
-            sitting: the robot is about to be disarmed, so that nothing less than damping can come sooner.
+            sitting: the robot sits down anyway, so that only what damps it ends the phase early.
 
         Returns:
-            `GO`, or what ended the phase early; damping has been asked for already, where it is due.
+            `GO`, or what ended the phase early. Where that damps, the robot has been asked to.
         """
         self.monitor.phase(phase, steps * self.control_step)
         self._phase, self._steps = phase, steps
         self.pacer.restart()
         while True:
-            verdict, index = self._tick(steps, compute, after, upright, sitting)
+            verdict, index = self._step(steps, compute, after, upright, sitting)
             if verdict.act is not Act.GO or index >= steps:
                 return verdict
 
-    def _tick(
+    def _step(
         self, steps: int, compute: Compute, after: After | None, upright: bool, sitting: bool
     ) -> tuple[Verdict, int]:
         link, clock = self.link, self.link.clock
         try:
             if not link.lockstep:
-                # What has come by then is taken apart before it is needed.
                 clock.wait_until(self.pacer.due(self.pacer.index + 1) - EARLY)
                 link.update()
             tick = self.pacer.next()
             link.update()
+            state = link.last_state()
         except (LinkLostError, SurefootError) as error:
             self.damp()
             return Verdict(Act.GONE, "link", str(error)), steps
-        state = link.state
-        if state is None:
-            return Verdict(Act.GONE, "link", "the robot has said nothing yet"), steps
-        self.inference = math.nan
-        computed = False
+        self.inference, computed = math.nan, False
         try:
-            verdict = self.guard.judge(
+            verdict = self.guard.check(
                 clock.now(), state, link.state_age(), tick.missed, self.operator.stops, not self.dry_run, upright
             )
             if sitting and verdict.act is Act.SIT:
@@ -176,53 +167,49 @@ class ControlLoop:
             self.damp()
             verdict = _failure(error)
         sent = clock.now() - tick.due
-        fresh = link.states > self._states
-        self._states = link.states
+        fresh, self._states = link.states > self._states, link.states
         self.timing.add(tick.late, sent, self.inference, tick.missed, fresh)
         if after is not None:
             after(tick.index, state, computed and verdict.act is Act.GO)
-        self._tell(tick.index, state)
+        self._report(tick.index, state)
         return verdict, tick.index
 
     def _send(self) -> None:
-        if self.dry_run:
-            # Whoever says nothing for a second may lose the robot to another operator.
-            if self.timing.steps % 16 == 0:
-                self.link.ping()
-        elif self.target is not None:
-            self.link.command(self.guard.mode, self.target)
+        if not self.dry_run:
+            if self.target is not None:
+                self.link.command(self.guard.mode, self.target)
+        elif self.timing.steps % PING_STEPS == 0:
+            self.link.ping()
 
     def damp(self) -> None:
-        """Ask for damped motors, if there is still somebody to ask."""
+        """Ask the robot to damp its motors, if the link is not lost."""
         if not self.dry_run:
             with contextlib.suppress(LinkLostError):
                 self.link.damp()
 
-    def _tell(self, index: int, state: State) -> None:
-        if not math.isnan(self.inference):
-            self._worst = max(self.inference, self._worst) if not math.isnan(self._worst) else self.inference
+    def _report(self, index: int, state: State) -> None:
+        self._longest_inference = float(np.fmax(self.inference, self._longest_inference))
         now = self.link.clock.now()
-        if now - self._told < self.monitor.period:
+        if now - self._reported < self.monitor.period:
             return
-        for text in self.guard.warnings[self._told_warnings :]:
+        for text in self.guard.warnings[self._reported_warnings :]:
             self.monitor.warn(text)
-        self._told_warnings = len(self.guard.warnings)
-        done = self.timing.steps - self._told_steps
-        statistics = self.link.statistics
+        done, statistics = self.timing.steps - self._reported_steps, self.link.statistics
         self.monitor.tick(
             Snapshot(
                 phase=self._phase,
                 left=max(self._steps - index, 0) * self.control_step,
-                rate=done / (now - self._told),
+                rate=done / (now - self._reported),
                 lateness=tuple(self.timing.last(min(done, 100)).tolist()),
-                inference=self._worst,
+                inference=self._longest_inference,
                 missed=self.timing.missed,
                 state_age=self.link.state_age(),
                 state=state,
                 dropped=statistics.missing + statistics.damaged,
             )
         )
-        self._told, self._told_steps, self._worst = now, self.timing.steps, math.nan
+        self._reported, self._reported_steps, self._longest_inference = now, self.timing.steps, math.nan
+        self._reported_warnings = len(self.guard.warnings)
 
 
 def _failure(error: Exception) -> Verdict:

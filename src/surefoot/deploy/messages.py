@@ -58,6 +58,13 @@ def quantity(unit: str, meaning: str) -> Any:
 
 
 @dataclass(frozen=True)
+class SessionMessage(Message):
+    """A message of the operator who has the robot."""
+
+    session: int = quantity("1", "the operator's session")
+
+
+@dataclass(frozen=True)
 class Hello(Message):
     """Ask for the robot. Starts a session, or goes on with one; the answer is `Handshake`, or `Fault` with BUSY."""
 
@@ -73,50 +80,41 @@ class Ping(Message):
 
 
 @dataclass(frozen=True)
-class Arm(Message):
+class Arm(SessionMessage):
     """Let the motors follow commands of one kind; asked again it changes the times."""
 
-    session: int = quantity("1", "the operator's session")
     mode: int = quantity("1", "Mode.POSITION or Mode.PWM")
     command_period: float = quantity("s", "time between two commands")
     report_after: float = quantity("s", "time from a command's arrival to the state that answers it")
 
 
 @dataclass(frozen=True)
-class Position(Message):
+class Position(SessionMessage):
     """Motor angles that the servos hold until the next command."""
 
-    session: int = quantity("1", "the operator's session")
     target: Array = quantity("rad", "motor angles, in motor order")
 
 
 @dataclass(frozen=True)
-class Pwm(Message):
+class Pwm(SessionMessage):
     """Duty of every motor until the next command, without a servo; for identification."""
 
-    session: int = quantity("1", "the operator's session")
     duty: Array = quantity("1", "PWM duty, -1 to 1, in motor order")
 
 
 @dataclass(frozen=True)
-class Damp(Message):
+class Damp(SessionMessage):
     """Damp the motors at once and stay so until armed anew."""
 
-    session: int = quantity("1", "the operator's session")
-
 
 @dataclass(frozen=True)
-class Disarm(Message):
+class Disarm(SessionMessage):
     """End of commands in good order: damp the motors."""
 
-    session: int = quantity("1", "the operator's session")
-
 
 @dataclass(frozen=True)
-class Bye(Message):
+class Bye(SessionMessage):
     """End the session: the robot disarms and is free for another operator."""
-
-    session: int = quantity("1", "the operator's session")
 
 
 @dataclass(frozen=True)

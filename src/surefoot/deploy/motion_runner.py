@@ -1,6 +1,6 @@
-"""The one motion runner: arms a greeted robot, moves it under control loop and guard, and lets it go.
+"""Motions of a connected robot under control loop and guard, from arming to disarming.
 
-Deployments, the doctor and identification move robots with it. The link may lose frames: what matters is asked again.
+Deployments, the doctor and identification use it. The link may lose frames, so requests that matter are repeated.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ FLAT, FOLD, PAUSE, RISE, HOLD = 1.0, 1.0, 0.3, 1.5, 0.5
 UP = FLAT + FOLD + PAUSE + RISE + HOLD
 """Time [s] from arming to the policy's start."""
 DROP, REST = 0.2, 0.7
-"""Time [s] to drop from a gait to sitting, and to come to rest."""
+"""Time [s] to drop from a gait to sitting, and to come to rest there."""
 SIT = 1.5
 """Time [s] to sit down from standing, or from a fall."""
 DOWN = max(DROP + REST, SIT)
@@ -40,23 +40,17 @@ _CLEAN_MARGIN = 0.1
 
 
 class MotionRunner:
-    """A greeted robot whose motors can be armed, moved and let go; each motion is smooth and watched by the guard.
+    """A connected robot that can be armed, moved and disarmed; each motion is smooth and checked by the guard.
 
     Args:
-        link: to the robot.
-        robot: its data sheet.
         control_step: time between two commands [s].
-        operator: may ask to stop.
-        monitor: is told how it goes.
-        limits: when a motion ends early.
         tilt: roll or pitch [rad] that is a fall; the limits', if not given.
         mode: what the commands are.
-        lead: how long before the next command the robot is to send its state [s]; the link's, if not given.
-        timing: keeps lateness.
+        lead: time [s] between a state's sending and the next command; the link's, if not given.
         dry_run: compute everything and send nothing.
 
     Raises:
-        SurefootError: the robot was not greeted.
+        SurefootError: the robot is not connected.
     """
 
     def __init__(
@@ -74,17 +68,17 @@ class MotionRunner:
         dry_run: bool = False,
     ) -> None:
         if link.handshake is None:
-            raise SurefootError("the robot was not greeted")
+            raise SurefootError("the robot is not connected")
         self.link, self.robot, self.control_step, self.lead = link, robot, control_step, lead
         self.handshake: Handshake = link.handshake
         self.mode = mode
-        guard = Guard(limits or SafetyLimits.of(robot), control_step, link.session, tilt, mode)
+        guard = Guard(limits or SafetyLimits.from_robot(robot), control_step, link.session, tilt, mode)
         monitor, timing = monitor or RunMonitor(), timing or LoopTiming(0)
         self.loop = ControlLoop(link, control_step, guard, operator, monitor, timing, dry_run)
         self.clean_time = self.handshake.rearm_after + _CLEAN_MARGIN
-        """Time [s] for which a damped robot wants a clean link, and a little more."""
+        """Time [s] of a clean link after which a damped robot arms, with a margin."""
         self.risen = False
-        """Whether the robot has begun to rise from sitting: only then does it need to sit down again."""
+        """Whether the robot has begun to rise from sitting, so that it must sit down again."""
 
     @property
     def state(self) -> State:
@@ -97,41 +91,43 @@ class MotionRunner:
         return self.loop.target if self.loop.target is not None else self.state.motor_angle
 
     def arm(self) -> None:
-        """Let the servos hold the present pose, or motors be without duty.
+        """Arm: servos hold the present pose, or motors have no duty.
 
         Raises:
-            SurefootError: the robot does not arm; says why.
+            SurefootError: the robot does not arm; with its reason.
         """
         if self.state.mode == Mode.FAULT or self.state.reason != Reason.NONE:
-            self.keep_talking(lambda: False, self.clean_time)
-        refusal = self._ask_to_arm()
+            self.ping_until(lambda: False, self.clean_time)
+        refusal = self._request_arming()
         if refusal is not None and refusal.reason == Reason.NOT_CLEAN:
-            self.keep_talking(lambda: False, self.clean_time)
-            refusal = self._ask_to_arm()
+            self.ping_until(lambda: False, self.clean_time)
+            refusal = self._request_arming()
         if self.state.mode != self.mode:
             self.link.disarm()
             raise SurefootError(f"the robot does not arm: {refusal.text if refusal is not None else 'no answer'}")
 
-    def _ask_to_arm(self) -> Fault | None:
-        """Return what the robot has against it, if it says so."""
+    def _request_arming(self) -> Fault | None:
         faults = self.link.faults
-        asked = len(faults)
-        self._ask_until(
+        before = len(faults)
+        self._repeat_until(
             lambda: self.link.arm(self.mode, self.control_step, self.lead),
-            lambda: self.state.mode == self.mode or len(faults) > asked,
+            lambda: self.state.mode == self.mode or len(faults) > before,
         )
-        return faults[-1] if len(faults) > asked else None
+        return faults[-1] if len(faults) > before else None
 
     def release(self, damp: bool = False) -> bool:
-        """Disarm the robot, or damp its motors, until it says that it has; return whether it did."""
-        ask = self.loop.damp if damp else self.link.disarm
-        if self._ask_until(ask, lambda: self.state.mode in (Mode.DISARMED, Mode.FAULT)):
+        """Disarm the robot, or damp its motors, until it reports that; return whether it did."""
+        request = self.loop.damp if damp else self.link.disarm
+        if self._repeat_until(request, lambda: self.state.mode in (Mode.DISARMED, Mode.FAULT)):
             return True
         self.loop.damp()
         return False
 
-    def keep_talking(self, condition: Callable[[], bool], timeout: float) -> bool:
-        """Wait until a condition holds, and ping meanwhile, so that the link is seen to be clean."""
+    def ping_until(self, condition: Callable[[], bool], timeout: float) -> bool:
+        """Wait until a condition holds, at most `timeout` [s], with pings that show that the link is clean.
+
+        Return whether it holds.
+        """
         clock, last = self.link.clock, -math.inf
 
         def ping() -> None:
@@ -142,10 +138,9 @@ class MotionRunner:
 
         return self.link.wait_for(condition, timeout, ping)
 
-    def _ask_until(self, ask: Callable[[], None], condition: Callable[[], bool]) -> bool:
-        """Ask again and again until a condition holds; return whether it did."""
+    def _repeat_until(self, request: Callable[[], None], condition: Callable[[], bool]) -> bool:
         for _ in range(_ATTEMPTS):
-            ask()
+            request()
             if self.link.wait_for(condition, _ANSWER / _ATTEMPTS):
                 return True
         return False
@@ -159,15 +154,16 @@ class MotionRunner:
         upright: bool = True,
         sitting: bool = False,
     ) -> Verdict:
-        """Go smoothly to a pose, within the angles that the robot takes: it may be switched on in a pose beyond.
+        """Move smoothly to a pose, and return the verdict of `ControlLoop.follow`.
+
+        Targets are clipped to the angles that the robot takes: it may be switched on in a pose beyond them.
 
         Args:
-            phase: what the robot does meanwhile.
+            phase: name of the motion.
             end: motor angles (M,) [rad].
             duration: [s].
             start: motor angles (M,) [rad] to start from; the present target, if not given.
-            upright: as of `ControlLoop.follow`, whose verdict is returned.
-            sitting: likewise.
+            upright, sitting: see `ControlLoop.follow`.
         """
         start, steps = self.target if start is None else start, self.loop.steps_of(duration)
 
@@ -179,18 +175,19 @@ class MotionRunner:
         return self.loop.follow(phase, steps, compute, upright=upright, sitting=sitting)
 
     def check_state(self, state: State) -> None:
-        """Look at the newest state before each command of a motion; what this raises damps the motors."""
+        """Check the newest state before each command of a motion; an exception damps the motors."""
 
     def stand_up(self, standing: Array) -> Verdict:
-        """Rise from wherever the legs lie: a damped robot sinks onto its belly, and its legs slide out from under it.
+        """Rise to motor angles (M,) [rad] from wherever the legs lie.
 
-        They are laid flat and drawn in first. Motors that pushed the body up at once, with the feet out at the side,
-        would stall at full current and then leap.
+        A damped robot sinks onto its belly, and its legs slide out from under it. They are laid flat and drawn in
+        first. With the feet out at the side, motors that push the body up stall at full current, and then the robot
+        leaps.
         """
-        found = self.state.motor_angle
-        flat, drawn = lying_pose(self.robot, found), sitting_pose(self.robot)
+        present = self.state.motor_angle
+        flat, drawn = lying_pose(self.robot, present), sitting_pose(self.robot)
         for phase, start, end, duration in (
-            ("lay legs flat", found, flat, FLAT),
+            ("lay legs flat", present, flat, FLAT),
             ("draw legs in", flat, drawn, FOLD),
             ("sit", drawn, drawn, PAUSE),
             ("stand up", drawn, standing, RISE),
@@ -205,9 +202,9 @@ class MotionRunner:
     def drop(self) -> Verdict:
         """Drop from a gait to sitting, and come to rest there.
 
-        Low and with all feet on the ground a robot stops at any speed of its gaits. One that fades from the gait to
-        standing stumbles over its own momentum when it is fast. A nod of more than the limit is no fall here: damped
-        motors would do no better. The robot's own limit still holds.
+        Low and with all feet on the ground, a robot stops from any speed of its gaits; a slow change from the gait to
+        standing makes a fast robot stumble. A tilt beyond the limit is no fall here, since damped motors would do no
+        better. The robot's own limit still holds.
         """
         drawn = sitting_pose(self.robot)
         verdict = self.move("drop", drawn, DROP, upright=False, sitting=True)
@@ -216,16 +213,16 @@ class MotionRunner:
         return self.move("sit", drawn, REST, start=drawn, upright=False, sitting=True)
 
     def sit_down(self, upright: bool = True) -> Verdict:
-        """Sit slowly, from the pose that was asked for last."""
+        """Sit down slowly from the last target."""
         return self.move("sit down", sitting_pose(self.robot), SIT, upright=upright, sitting=True)
 
     def disarm(self) -> Verdict:
         """End commands in good order."""
         self.loop.monitor.phase("disarm", 0.0)
-        return GO if self.release() else Verdict(Act.DAMP, "disarm", "the robot does not say that it has disarmed")
+        return GO if self.release() else Verdict(Act.DAMP, "disarm", "the robot does not report that it has disarmed")
 
     def recover_from_fall(self) -> str:
-        """Wait until a damped robot lies still, then let it sit, if it is not on its side; say what came of it.
+        """Wait until a damped robot lies still, then let it sit, unless it lies on its side; return the result.
 
         Raises:
             LinkLostError: the robot is gone.
@@ -239,7 +236,7 @@ class MotionRunner:
             speed = max(np.abs(self.state.motor_velocity).max(), np.abs(self.state.angular_velocity_base).max())
             return clock.now() >= earliest and bool(speed < STILL_SPEED)
 
-        if not self.keep_talking(still, _STILL_PATIENCE):
+        if not self.ping_until(still, _STILL_PATIENCE):
             return "it does not come to rest and stays damped"
         if np.abs(self.state.roll_pitch_yaw[:2]).max() > self.handshake.tilt_limit:
             return "it lies on its side and stays damped"

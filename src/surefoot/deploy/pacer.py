@@ -1,4 +1,4 @@
-"""The control loop's beat: when each step is due, how late it comes, which ones are missed; what keeps it punctual."""
+"""Timing of the control loop: due times, lateness and missed steps, and what keeps the process in time."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from surefoot.deploy.clock import Clock
 
 _ROUNDING = 1e-9
 PRIORITY = 20
-"""Of 1 to 99 among real-time processes: above everything ordinary, below the kernel's own helpers at 50."""
+"""Priority, 1 to 99, among real-time processes: above ordinary processes, below the kernel's own threads at 50."""
 _NICE = -10
 _SWITCH = 1e-4
 """Longest time [s] for which another thread of this process keeps the loop's thread from running."""
@@ -27,37 +27,32 @@ class Tick:
     """A control step that starts."""
 
     index: int
-    """Its number since the beat began; missed steps have numbers too."""
+    """Its number since the start; missed steps have numbers too."""
     due: float
     """When it should have started [s]."""
     late: float
-    """How much later than the first step that was due since the last one it did [s]: missed steps count."""
+    """Delay after the first step that was due since the last tick [s]; missed steps count."""
     missed: int
-    """Steps that passed without a tick since the last one."""
+    """Steps without a tick since the last one."""
 
 
 class Pacer:
-    """Wakes once a period. A tick that would start a period late or more is missed: the beat itself never shifts.
-
-    Args:
-        clock: whose time.
-        period: time between two steps [s].
-    """
+    """Wakes once a period [s]. A step that would start a period late or more is missed; due times never shift."""
 
     def __init__(self, clock: Clock, period: float) -> None:
         self.clock, self.period = clock, period
         self.start, self.index = clock.now(), -1
 
     def restart(self) -> None:
-        """Count from 0 again: step 0 takes the place of the next step, or is due now if that has passed."""
+        """Count from 0 again: step 0 is due when the next step is, or now if that has passed."""
         self.start, self.index = max(self.due(self.index + 1), self.clock.now()), -1
 
     def due(self, index: int) -> float:
-        """When a step is due [s]."""
+        """Return when a step is due [s]."""
         return self.start + index * self.period
 
     def next(self) -> Tick:
-        """Wait for the next step."""
+        """Wait for the next step and return it."""
         index = self.index + 1
         self.clock.wait_until(self.due(index))
         late = self.clock.now() - self.due(index)
@@ -67,62 +62,50 @@ class Pacer:
 
 
 class LoopTiming:
-    """Lateness and computing times of a run, kept without making anything while it goes.
+    """Lateness and computing times of a run, in arrays that are allocated before it.
 
     Args:
-        steps: how many at most; further ones are not kept.
+        steps: greatest number of steps that are kept; later ones are only counted.
     """
 
     def __init__(self, steps: int) -> None:
-        self._started, self._sent, self._inference = (np.full(steps, np.nan) for _ in range(3))
-        self.steps = 0
-        """Steps that were done."""
-        self.missed = 0
-        """Steps that were missed."""
-        self.stale = 0
-        """Steps that had no new state."""
+        self._times = np.full((3, steps), np.nan)
+        self.steps = self.missed = self.stale = 0
+        """Steps that were done, that were missed, and that had no new state."""
 
     def add(self, started: float, sent: float, inference: float, missed: int, fresh: bool) -> None:
-        """Take a step.
+        """Take a step: delays of its start and of its command at the port [s], and time that the policy took [s].
 
-        Args:
-            started: how late it started [s].
-            sent: how late its command was handed to the port [s].
-            inference: how long the policy took [s]; NaN, if it was not asked.
-            missed: steps missed before it.
-            fresh: whether it had a new state.
+        `missed` steps were missed before it; `fresh` says whether it had a new state.
         """
-        if self.steps < len(self._started):
-            self._started[self.steps] = started + 0.0
-            self._sent[self.steps] = sent
-            self._inference[self.steps] = inference
+        if self.steps < self._times.shape[1]:
+            self._times[:, self.steps] = started, sent, inference
         self.steps += 1
         self.missed += missed
         self.stale += not fresh
 
     def last(self, count: int) -> Array:
-        """Lateness [s] of the last steps, at most so many."""
-        end = min(self.steps, len(self._started))
-        return self._started[max(end - count, 0) : end]
+        """Return the lateness of the last steps, at most so many [s]."""
+        end = min(self.steps, self._times.shape[1])
+        return self._times[0, max(end - count, 0) : end]
 
     def figures(self) -> dict[str, float | int | None]:
-        """Median, 99.9th percentile and maximum in ms, and counts."""
-        kept = slice(0, min(self.steps, len(self._started)))
-        told: dict[str, float | int | None] = {"steps": self.steps, "missed": self.missed, "stale": self.stale}
-        for name, values in (("lateness", self._started), ("sent", self._sent), ("inference", self._inference)):
-            known = values[kept][~np.isnan(values[kept])]
+        """Return median, 99.9th percentile and maximum in ms, and counts."""
+        figures: dict[str, float | int | None] = {"steps": self.steps, "missed": self.missed, "stale": self.stale}
+        for name, times in zip(("lateness", "sent", "inference"), self._times, strict=True):
+            times = times[~np.isnan(times)]
             for key, share in (("median", 50), ("p99_9", 99.9), ("max", 100)):
-                told[f"{name}_{key}_ms"] = round(1e3 * float(np.percentile(known, share)), 4) if len(known) else None
-        return told
+                figures[f"{name}_{key}_ms"] = round(1e3 * float(np.percentile(times, share)), 4) if len(times) else None
+        return figures
 
 
 @contextlib.contextmanager
 def undisturbed() -> Iterator[None]:
-    """No garbage collection, and the highest priority that this process may have, while it lasts.
+    """Run without garbage collection and with the highest priority that this process may have.
 
-    Quietly does with less where it has no right to more. Children start with ordinary priority.
+    Without the right to more, it takes the priority that it can get. Children start with ordinary priority.
     """
-    before = sys.getswitchinterval(), gc.isenabled()
+    interval, collecting = sys.getswitchinterval(), gc.isenabled()
     gc.collect()
     gc.disable()
     sys.setswitchinterval(_SWITCH)
@@ -133,17 +116,17 @@ def undisturbed() -> Iterator[None]:
         if raised:
             with contextlib.suppress(OSError):
                 os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
-        sys.setswitchinterval(before[0])
-        if before[1]:
+        sys.setswitchinterval(interval)
+        if collecting:
             gc.enable()
 
 
 def _raise_priority() -> bool:
-    """Ask for real time, or else for more of the ordinary; whether it is real time."""
+    """Request real time, or else a higher ordinary priority; return whether it is real time."""
     if not hasattr(os, "sched_setscheduler"):
         return False
-    policy = os.SCHED_FIFO | getattr(os, "SCHED_RESET_ON_FORK", 0)
     try:
+        policy = os.SCHED_FIFO | getattr(os, "SCHED_RESET_ON_FORK", 0)
         os.sched_setscheduler(0, policy, os.sched_param(PRIORITY))
     except OSError:
         with contextlib.suppress(OSError):

@@ -1,4 +1,4 @@
-"""Poses between gaits, and the way from one to the other."""
+"""Poses between gaits, and a smooth motion from one to another."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ def sitting_pose(robot: RobotDescription) -> Array:
 
 
 def lying_pose(robot: RobotDescription, angles: ArrayLike) -> Array:
-    """Return the motor angles (M,) [rad] with which legs lie beside a body on its belly, from how they came to lie.
+    """Return the motor angles (M,) [rad] of legs that lie flat beside the body, on the side of `angles` (M,).
 
-    Legs that slid out to one side stay on it: unfolded flat they move freely, and can then be drawn in from there. Legs
-    under the body are put as in `sitting_pose`; so are all legs of a robot whose sheet has no `poses.spread`.
+    From there they move freely and can be drawn in. Legs under the body get the pose of `sitting_pose`; so do all legs
+    of a robot whose sheet has no `poses.spread`.
     """
     swing = robot.to_pose(angles)[-2]
     *first, rest, extension = robot.poses.sit
@@ -30,9 +30,9 @@ def lying_pose(robot: RobotDescription, angles: ArrayLike) -> Array:
 
 
 def minimum_jerk(start: ArrayLike, end: ArrayLike, share: float) -> Array:
-    """A pose on the way from `start` to `end`, at a share of the time from 0 to 1.
+    """Interpolate from `start` to `end` at a share of the time, clipped to 0 to 1 (Flash and Hogan 1985).
 
-    The fifth-order polynomial of least jerk: speed and acceleration are 0 at both ends (Flash and Hogan 1985).
+    start + (end - start) (10 s^3 - 15 s^4 + 6 s^5): speed and acceleration are 0 at both ends.
     """
     s = min(max(share, 0.0), 1.0)
     first, last = np.asarray(start, float), np.asarray(end, float)

@@ -1,19 +1,21 @@
-"""The link between the control computer and a robot: what every kind of link offers to loop, doctor and experiments."""
+"""A link between the control computer and a robot, whatever carries its messages."""
 
 from __future__ import annotations
 
 import math
+import secrets
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 
 from surefoot.arrays import Array
+from surefoot.deploy import messages
 from surefoot.deploy.clock import Clock, ClockSync, LockstepClock
-from surefoot.deploy.messages import Fault, Handshake, Mode, Packet, Pong, State
+from surefoot.deploy.messages import Fault, Handshake, Message, Mode, Packet, Pong, Reason, State
 from surefoot.errors import SurefootError
 
 STATE_PERIOD = 0.010
-"""Time [s] between two states that a robot is asked for while it gets no commands."""
+"""Time [s] between two states while a robot receives no commands."""
 _POLL = 0.002
 
 
@@ -34,9 +36,9 @@ class LinkStatistics:
     """Packets that one end of a link has counted since it was opened."""
 
     sent: int = 0
-    """Sent; one that is sent again counts once."""
+    """Sent; a packet that is sent again counts once."""
     unsent: int = 0
-    """Not taken by the line, so lost."""
+    """Lost because the line did not take them."""
     received: int = 0
     """Received whole and understood."""
     damaged: int = 0
@@ -54,17 +56,17 @@ class LinkStatistics:
 class RobotLink(ABC):
     """One operator's link to a robot, and the newest that the robot has reported. Only `connect` and waits take time.
 
-    A robot damps its motors by itself when no command comes for `Handshake.command_timeout`: whoever implements a link
-    to motors that do not (they hold the last command) keeps a process beside the control loop that does.
+    A robot damps its motors by itself when no command comes for `Handshake.command_timeout`. A link to motors that
+    hold the last command instead must keep a process beside the control loop that damps them.
 
     Args:
         clock: this computer's; in lockstep the robot follows it.
-        session: number of the operator's session.
-        lead: how long before the next control step the robot is to send its state, in real time [s].
+        lead: time [s] between a state's sending and the control step that uses it, in real time.
+        session: number of the operator's session; drawn, if not given.
     """
 
-    def __init__(self, clock: Clock, session: int, lead: float) -> None:
-        self.clock, self.session = clock, session
+    def __init__(self, clock: Clock, lead: float, session: int | None = None) -> None:
+        self.clock, self.session = clock, session or 1 + secrets.randbelow(2**16 - 1)
         self.lockstep = isinstance(clock, LockstepClock)
         """Whether the robot follows this computer's clock."""
         self.lead = 0.0 if self.lockstep else lead
@@ -83,27 +85,22 @@ class RobotLink(ABC):
         """Answers to pings, by token."""
         self.on_state: Callable[[State, float, float], None] | None = None
         """Called for each state with the robot's time [s] and this computer's [s]."""
+        self._tokens = 0
+
+    # What carries the messages.
 
     @property
     @abstractmethod
     def next_number(self) -> int:
-        """Number of the next command, as `State.command` reports it; consecutive while only commands are sent."""
+        """Number of the next message, as `State.command` reports it; consecutive while only commands are sent."""
 
     @abstractmethod
-    def connect(self, timeout: float = 2.0, state_period: float = STATE_PERIOD) -> Handshake:
-        """Start or continue a session.
-
-        Args:
-            timeout: [s].
-            state_period: time between two states while no command comes [s].
-
-        Raises:
-            SurefootError: no answer, a robot of another protocol, or one that another operator has.
-        """
+    def send(self, message: Message) -> object:
+        """Send a message; never waits."""
 
     @abstractmethod
     def receive(self) -> list[Arrival]:
-        """Return all packets that have come since, in order; never waits.
+        """Return all packets that have arrived since the last call, in order; never waits.
 
         Raises:
             LinkLostError: the link is gone.
@@ -114,28 +111,72 @@ class RobotLink(ABC):
         """Wait until something can be received, at most `timeout` [s]."""
 
     @abstractmethod
-    def ping(self) -> int:
-        """Send a ping, which keeps the session; return its token in `pongs`."""
-
-    @abstractmethod
-    def arm(self, mode: Mode, command_period: float, lead: float | None = None) -> None:
-        """Ask the robot to follow commands that come every `command_period` [s]; `lead` in place of the link's [s]."""
-
-    @abstractmethod
-    def command(self, mode: Mode, values: Array) -> None:
-        """Send motor angles (M,) [rad], or a duty for each motor (M,) in the mode of duties."""
-
-    @abstractmethod
-    def damp(self) -> None:
-        """Ask the robot to damp its motors at once."""
-
-    @abstractmethod
-    def disarm(self) -> None:
-        """End commands in good order."""
-
-    @abstractmethod
     def close(self) -> None:
         """End the session and the link."""
+
+    def protocol_error(self) -> str | None:
+        """Return how the protocol of what was received differs from this one; None if it does not."""
+        return None
+
+    # What an operator sends.
+
+    def connect(self, timeout: float = 2.0, state_period: float = STATE_PERIOD) -> Handshake:
+        """Start or continue a session, with a state every `state_period` [s] while no command comes.
+
+        Raises:
+            SurefootError: no answer, a robot of another protocol, or one that another operator has.
+        """
+        end = self.clock.now() + timeout
+        self.handshake = None
+        while self.clock.now() < end:
+            self.send(messages.Hello(self.session, state_period))
+            try:
+                self.wait_for(lambda: self.handshake is not None or self._refusal() is not None, 0.1)
+            except SurefootError as error:
+                # In lockstep a robot of another protocol does not answer pings either.
+                raise SurefootError(self.protocol_error() or str(error)) from error
+            if self.handshake is not None:
+                return self.handshake
+            if self._refusal() is not None:
+                raise SurefootError(f"the robot refuses: {self._refusal()}")
+            if (different := self.protocol_error()) is not None:
+                raise SurefootError(different)
+        raise SurefootError(
+            f"no robot answers within {timeout:g} s; check port, cable and baud rate, and that it is switched on"
+        )
+
+    def _refusal(self) -> str | None:
+        return next((fault.text for fault in self.faults if fault.reason == Reason.BUSY), None)
+
+    def ping(self) -> int:
+        """Send a ping, which keeps the session; return its token in `pongs`."""
+        self._tokens += 1
+        self.send(messages.Ping(self._tokens))
+        return self._tokens
+
+    def arm(self, mode: Mode, command_period: float, lead: float | None = None) -> None:
+        """Ask the robot to follow commands that come every `command_period` [s]; `lead` in place of the link's [s].
+
+        A state is due a whole number of microseconds after a command. It is rounded down, so that it is never due after
+        the next command.
+        """
+        report_after = max(command_period - (self.lead if lead is None else lead), 0.0)
+        report_after = math.floor(1e6 * report_after + 1e-3) * 1e-6
+        self.send(messages.Arm(self.session, int(mode), command_period, report_after))
+
+    def command(self, mode: Mode, values: Array) -> None:
+        """Send motor angles (M,) [rad], or a duty for each motor (M,) in the mode of duties."""
+        self.send((messages.Pwm if mode == Mode.PWM else messages.Position)(self.session, values))
+
+    def damp(self) -> None:
+        """Ask the robot to damp its motors at once."""
+        self.send(messages.Damp(self.session))
+
+    def disarm(self) -> None:
+        """End commands in good order."""
+        self.send(messages.Disarm(self.session))
+
+    # What the robot has sent.
 
     def update(self) -> None:
         """Receive all that has come."""
@@ -173,12 +214,9 @@ class RobotLink(ABC):
         return self.sync.age(self.state_sent, self.clock.now()) if self.state is not None else math.inf
 
     def wait_for(self, condition: Callable[[], bool], timeout: float, each: Callable[[], None] | None = None) -> bool:
-        """Receive until a condition holds; return whether it did within `timeout` [s].
+        """Receive until a condition holds; return whether it did within `timeout` [s] of this computer's clock.
 
-        Args:
-            condition: evaluated after each look at the link.
-            timeout: on this computer's clock.
-            each: called before each look, such as to ping.
+        `each` is called whenever it does not hold yet, such as to ping.
         """
         end = self.clock.now() + timeout
         while True:

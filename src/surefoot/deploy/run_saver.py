@@ -1,51 +1,47 @@
-"""Keeps a run: rows on the disk several times a second while it goes, the whole trace when it is over.
+"""Saves a run: rows to the disk several times a second while it goes on, the whole trace at its end.
 
-So a killed computer leaves its run. What stands in the file of rows, and how it is read again: `task.partial_trace`.
+If the computer stops, the rows remain. `task.partial_trace` defines their file and reads it.
 """
 
 from __future__ import annotations
 
 import itertools
+import math
 import os
 import tempfile
 import threading
 from collections import deque
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
-
-import numpy as np
+from typing import Any, BinaryIO
 
 from surefoot.arrays import Array
 from surefoot.deploy.deployment import Deployment, RunOutcome
 from surefoot.deploy.motion_capture import base_and_feet, read_capture
 from surefoot.deploy.pacer import LoopTiming
 from surefoot.deploy.recorder import Recorder
-from surefoot.errors import SurefootError, accessible
-from surefoot.task.partial_trace import SUFFIX, Layout, head_line, row_bytes, trace_of
+from surefoot.errors import SurefootError, describe_os_errors
+from surefoot.task.partial_trace import SUFFIX, RowLayout, head_line, make_trace, row_bytes
 from surefoot.task.trace import EpisodeTrace
 
 FLUSH = 0.1
 """Time [s] between two writes."""
 PATIENCE = 2.0
 """Time [s] that the disk has for the last write."""
-_MOST = 20_000
-"""Rows that may wait for the disk; beyond that recording stops, the memory of a robot's computer is not endless."""
+MAX_WAITING = 20_000
+"""Rows that may wait for the disk, as memory of a robot's computer is short; beyond that recording stops."""
 
 
 class PartialFile:
-    """Writes rows from a thread of its own; whoever adds rows never waits for the disk.
+    """Writes rows from a thread of its own, so that the control loop never waits for the disk.
 
-    Args:
-        path: the file; made with the first row, and replaced, if there is one.
-        layout: of a row.
-        meta: meta of the trace, as far as it is known when the first row comes.
+    The file is made or replaced when the first row comes, with the trace's meta as far as it is known then.
     """
 
-    def __init__(self, path: Path, layout: Layout, meta: dict[str, Any]) -> None:
+    def __init__(self, path: Path, layout: RowLayout, meta: dict[str, Any]) -> None:
         self.path = path
         self.stopped = ""
-        """Why nothing is written any more; empty while all goes well."""
+        """Why nothing is written any more; empty while writing succeeds."""
         self._layout, self._meta = layout, meta
         self._begun = False
         self._waiting: deque[bytes] = deque()
@@ -55,10 +51,9 @@ class PartialFile:
 
     def add(self, rows: Array) -> None:
         """Take rows (n, width)."""
-        if self.stopped:
-            return
-        if len(self._waiting) > _MOST:
+        if len(self._waiting) > MAX_WAITING:
             self.stopped = "the disk is too slow"
+        if self.stopped:
             return
         if not self._begun:
             self._begun = True
@@ -66,39 +61,38 @@ class PartialFile:
         self._waiting.append(row_bytes(rows))
 
     def _write(self) -> None:
+        file: BinaryIO | None = None
+        over = False
         try:
-            while not self._waiting:
-                if self._end.wait(FLUSH) and not self._waiting:
-                    return
-            self.path.parent.mkdir(parents=True, exist_ok=True)
-            with self.path.open("wb", buffering=0) as file:
-                while True:
-                    over = self._end.wait(FLUSH)
-                    parts = [self._waiting.popleft() for _ in range(len(self._waiting))]
-                    data = memoryview(b"".join(parts))
-                    while data:
-                        data = data[file.write(data) :]
-                    if over and not self._waiting:
-                        return
+            while not over or self._waiting:
+                over = self._end.wait(FLUSH)
+                data = b"".join(self._waiting.popleft() for _ in range(len(self._waiting)))
+                if data and file is None:
+                    file = self.path.open("wb", buffering=0)
+                while data and file is not None:
+                    data = data[file.write(data) :]
         except OSError as error:
             self.stopped = error.strerror or str(error)
             self._waiting.clear()
+        finally:
+            if file is not None:
+                file.close()
 
     def close(self) -> None:
-        """Write what waits, and end; waits for the disk no longer than `PATIENCE`."""
+        """Write the rest, and end; wait for the disk no longer than `PATIENCE`."""
         self._end.set()
         self._thread.join(PATIENCE)
         if self._thread.is_alive() and not self.stopped:
             self.stopped = "the disk does not answer"
 
     def remove(self) -> None:
-        """Drop the file, once the whole trace is kept elsewhere."""
+        """Close and delete the file, once the whole trace is saved elsewhere."""
         self.close()
         self.path.unlink(missing_ok=True)
 
 
 def next_free(folder: Path) -> Path:
-    """The first of run_000.npz, run_001.npz, ... that stands for no run yet, whole or partial."""
+    """Return the first of run_000.npz, run_001.npz, ... that no run has, whole or partial."""
     taken = set(os.listdir(folder)) if folder.is_dir() else set()
     names = (f"run_{number:03d}.npz" for number in itertools.count())
     return folder / next(name for name in names if not {name, name + SUFFIX} & taken)
@@ -106,45 +100,29 @@ def next_free(folder: Path) -> Path:
 
 @dataclass(frozen=True)
 class SavedRun:
-    """What is left of a run."""
+    """The record of a run."""
 
     trace: EpisodeTrace | None = None
     """The trace, if any control step was done."""
     path: Path | None = None
-    """Where it is."""
+    """Its file."""
     notes: list[str] = field(default_factory=list)
-    """What could not be kept, and why."""
+    """What could not be saved, and why."""
     lost: bool = False
     """Whether the trace, or a part of it, is on no disk."""
 
 
 class RunSaver:
-    """One run's record.
-
-    Args:
-        deployment: whose run it is; the robot has been greeted.
-        path: the trace's file (.npz); None keeps nothing on the disk.
-        max_steps: control steps at most.
-        world: name of the world, for the trace.
-        run: number of the run.
-    """
+    """Saves one run of a connected deployment to a file (.npz), or makes its trace alone if there is no path."""
 
     def __init__(
-        self,
-        deployment: Deployment,
-        path: Path | None,
-        max_steps: int,
-        world: str = "robot",
-        run: int = 0,
+        self, deployment: Deployment, path: Path | None, max_steps: int, world: str = "robot", run: int = 0
     ) -> None:
-        contract, robot = deployment.contract, deployment.robot
+        contract, robot, controller = deployment.contract, deployment.robot, deployment.controller
         self.path, self.link, self._monitor = path, deployment.link, deployment.monitor
-        controller = deployment.controller
-        actions = len(controller.contract.action_names)
-        layout = Layout(
-            robot.num_motors, len(robot.legs), controller.observer.width, actions, 3 if contract.commands else 0
-        )
-        self.recorder = Recorder(layout, contract.control_step, max_steps)
+        actions, commands = len(contract.action_names), 3 if contract.commands else 0
+        layout = RowLayout(robot.num_motors, len(robot.legs), controller.observer.width, actions, commands)
+        self.recorder = Recorder(layout, contract.control_step, max_steps, self._keep)
         handshake = self.link.handshake
         self.meta: dict[str, Any] = {
             "robot": robot.name,
@@ -167,88 +145,75 @@ class RunSaver:
             "reason": "cut off",
         }
         self._partial: PartialFile | None = None
-        self._told = False
+        self._stop_reported = False
 
     def begin(self) -> None:
-        """Get ready to write; the robot has not moved yet.
+        """Prepare to write, before the robot moves.
 
         Raises:
             SurefootError: the folder can't be written.
         """
         if self.path is not None:
-            with accessible(f"folder {self.path.parent}", "written"):
+            with describe_os_errors(f"folder {self.path.parent}", "written"):
                 self.path.parent.mkdir(parents=True, exist_ok=True)
                 with tempfile.TemporaryFile(dir=self.path.parent):
                     pass
             self._partial = PartialFile(self.path.with_name(self.path.name + SUFFIX), self.recorder.layout, self.meta)
             self._monitor.recording(f"recording to {self.path}")
 
-    def keep(self, rows: Array) -> None:
-        """Take rows that have been closed."""
-        if self._partial is not None:
-            self._partial.add(rows)
-            if self._partial.stopped and not self._told:
-                self._told = True
-                self._monitor.recording(f"recording stopped: {self._partial.stopped}; the robot goes on")
-
-    def begun(self, robot_time: float) -> None:
-        """Take the robot's time [s] at which the policy started."""
-        self.meta["robot_time_start"] = robot_time if np.isfinite(robot_time) else None
+    def _keep(self, rows: Array) -> None:
+        start, partial = self.recorder.start, self._partial
+        self.meta["robot_time_start"] = start if math.isfinite(start) else None
+        if partial is not None:
+            partial.add(rows)
+            if partial.stopped and not self._stop_reported:
+                self._stop_reported = True
+                self._monitor.recording(f"recording stopped: {partial.stopped}; the robot goes on")
 
     def finish(self, outcome: RunOutcome, timing: LoopTiming, capture: Path | None) -> SavedRun:
-        """Make the trace and write it.
-
-        Args:
-            outcome: how the run ended.
-            timing: how late the loop was.
-            capture: a motion capture file, if there is one.
-        """
-        partial, notes = self._partial, []
+        """Make the trace, with base and feet of a motion capture file if there is one, and write it."""
+        partial, recorder, notes = self._partial, self.recorder, []
         if partial is not None:
             partial.close()
             if partial.stopped:
                 notes.append(f"recording stopped: {partial.stopped}")
+        if not recorder.steps:
+            if partial is not None:
+                partial.remove()
+            return SavedRun(notes=[*notes, "no control step was done, so there is no trace"])
         meta = {
             **self.meta,
             "ended": outcome.ended,
             "reason": outcome.reason,
             "what": outcome.text,
-            "missed_steps": self.recorder.missed,
+            "missed_steps": recorder.missed,
             "timing": timing.figures(),
             "frames_missing": self.link.statistics.missing,
         }
-        if not self.recorder.steps:
-            if partial is not None:
-                partial.remove()
-            return SavedRun(notes=[*notes, "no control step was done, so there is no trace"])
         truth: dict[str, Array] | None = None
         if capture is not None:
             try:
                 truth = self._truth(capture)
             except SurefootError as error:
                 notes.append(f"{error}; the trace has no base motion")
+        trace: EpisodeTrace | None = None
         try:
-            trace = trace_of(self.recorder.layout, self.recorder.rows, meta, truth)
-        except SurefootError as error:
-            notes.append(f"the rows make no trace: {error}")
-            return SavedRun(notes=notes, lost=True)
-        if self.path is None:
-            return SavedRun(trace, notes=notes)
-        try:
+            trace = make_trace(recorder.layout, recorder.rows, meta, truth)
+            if self.path is None:
+                return SavedRun(trace, notes=notes)
             trace.save(self.path)
-        except OSError as error:
-            why = error.strerror or str(error)
-            left = "it is lost"
+        except (OSError, SurefootError) as error:
+            reason, left = getattr(error, "strerror", None) or error, "it is lost"
             if partial is not None and partial.path.exists():
                 left = f"what could be written is in {partial.path}"
-            notes.append(f"trace {self.path} can't be written: {why}; {left}")
+            notes.append(f"trace {self.path} can't be written: {reason}; {left}")
             return SavedRun(trace, notes=notes, lost=True)
         if partial is not None:
             partial.remove()
         return SavedRun(trace, self.path, notes)
 
     def _truth(self, capture: Path) -> dict[str, Array]:
-        start = self.meta.get("robot_time_start")
+        start = self.meta["robot_time_start"]
         if start is None:
             raise SurefootError("the robot's time of the start is not known")
         recorder, legs = self.recorder, tuple(self.meta["leg_names"])

@@ -1,13 +1,13 @@
-"""The control computer's safety: its limits, and the guard that judges every control step by them.
+"""The control computer's safety: its limits, and the guard that checks every control step against them.
 
-The guard only judges; the loop does what it says. It knows no clock and no link, so that all of it can be tried alone.
+The guard decides and the loop acts. The guard has no clock and no link, so that tests can run it alone.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from enum import Enum
 
 import numpy as np
@@ -29,64 +29,54 @@ class SafetyLimits:
     battery_low: float
     """Battery voltage [V] below which, for `battery_time`, the robot sits and is disarmed."""
     state_age: float = 3
-    """Age of the newest state [control steps] that damps: two states may be lost; the fastest motor of the trot turns
-    by 0.15 rad in three steps of 6 ms."""
+    """Age of the newest state [control steps] that damps. Two states may be lost: the fastest motor of the trot
+    turns by 0.15 rad in three steps of 6 ms."""
     missed_steps: int = 2
-    """Control steps missed in a row, held at first; more of them damp, as for the state's age."""
+    """Control steps in a row that may be missed, with the target held; more of them damp."""
     tilt: float = 0.5
-    """Roll or pitch [rad] that damps, if the policy's task has no `fall_angle`; the robot then sits. It is where an
-    episode of the paper ends; no trained gait comes back from there."""
+    """Roll or pitch [rad] that damps, if the policy's task has no `fall_angle`; the robot then sits. Episodes of the
+    paper end there; no trained gait recovers from it."""
     battery_time: float = 1.0
-    """How long [s] the battery may be low: two strides, as the voltage sags for a moment whenever all motors push."""
+    """How long [s] the battery may be low: two strides, since the voltage sags briefly whenever all motors push."""
     temperature_warn: float = 70.0
-    """Temperature [degC] of the hottest motor that warns once, some minutes before the next limit at a walk."""
+    """Temperature [degC] of the hottest motor that warns once; a walk reaches the next limit some minutes later."""
     temperature_high: float = 80.0
-    """Temperature [degC] of the hottest motor at which the robot sits and is disarmed: magnets and glue of small
-    outrunner motors; the robot itself damps at 90."""
+    """Temperature [degC] of the hottest motor at which the robot sits and is disarmed: what magnets and glue of small
+    outrunner motors bear; the robot damps itself at 90."""
 
     @classmethod
-    def of(cls, robot: RobotDescription) -> SafetyLimits:
-        """Return the limits of a robot; its sheet has the battery's."""
+    def from_robot(cls, robot: RobotDescription) -> SafetyLimits:
+        """Return the limits of a robot; the battery's are those of its data sheet."""
         return cls(robot.battery.warn, robot.battery.low)
 
     def __post_init__(self) -> None:
-        """Refuse limits that no run could keep, or that come in the wrong order."""
-        for item in fields(self):
-            number = getattr(self, item.name)
-            if not 0 < number < float("inf"):
-                raise SurefootError(f"safety limit {item.name} is {number}; it must be a finite number over 0")
+        """Refuse limits that are not positive and finite, or that come in the wrong order."""
+        for name, number in vars(self).items():
+            if not 0 < number < math.inf:
+                raise SurefootError(f"safety limit {name} is {number}; it must be a finite number over 0")
         for soft, hard in (("battery_low", "battery_warn"), ("temperature_warn", "temperature_high")):
-            if getattr(self, soft) > getattr(self, hard):
-                raise SurefootError(
-                    f"safety limit {soft} is {getattr(self, soft):g}; it must not be above {hard} "
-                    f"({getattr(self, hard):g})"
-                )
+            low, high = getattr(self, soft), getattr(self, hard)
+            if low > high:
+                raise SurefootError(f"safety limit {soft} is {low:g}; it must not be above {hard} ({high:g})")
 
 
 class Act(Enum):
-    """What is to be done in a control step."""
+    """What the loop does in a control step."""
 
-    GO = "go"
-    """Go on."""
-    SIT = "sit"
-    """Sit down and disarm."""
-    DAMP = "damp"
-    """Have the motors damped at once."""
-    FALL = "fall"
-    """Have the motors damped at once; sit when the robot is still."""
-    GONE = "gone"
-    """The robot has damped its motors itself."""
+    GO = "go on"
+    SIT = "sit down and disarm"
+    DAMP = "damp the motors at once"
+    FALL = "damp the motors at once; sit when the robot is still"
+    GONE = "nothing: the robot has damped its motors itself, or the link is lost"
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """What is to be done, and why."""
+    """What the loop does, and why: `reason` in one or two words for traces, `text` as a sentence."""
 
     act: Act
     reason: str = ""
-    """In one word or two, for traces."""
     text: str = ""
-    """In plain words."""
 
 
 GO = Verdict(Act.GO)
@@ -97,11 +87,7 @@ class NotFiniteError(RuntimeError):
 
 
 def check_finite(what: str, names: Sequence[str], values: ArrayLike) -> None:
-    """Refuse numbers that are not finite.
-
-    Raises:
-        NotFiniteError: names the first one.
-    """
+    """Raise `NotFiniteError` for the first number that is not finite."""
     array = np.asarray(values, float).ravel()
     if not np.isfinite(array).all():
         first = int(np.argmin(np.isfinite(array)))
@@ -109,20 +95,19 @@ def check_finite(what: str, names: Sequence[str], values: ArrayLike) -> None:
 
 
 def is_finite(state: State) -> bool:
-    """Whether all readings of a state are finite."""
+    """Return whether all readings of a state are finite."""
     parts = (state.roll_pitch_yaw, state.angular_velocity_base, state.motor_angle, state.motor_velocity)
     return math.isfinite(state.energy) and all(np.isfinite(part).all() for part in parts)
 
 
 class Guard:
-    """Judges what each control step sees.
+    """Checks the state that each control step sees.
 
     Args:
-        limits: the limits.
         control_step: time between two control steps [s].
-        session: the operator's session.
+        session: number of the operator's session.
         tilt: roll or pitch [rad] that is a fall; the limits', if not given.
-        mode: in which an armed robot must be.
+        mode: of an armed robot.
     """
 
     def __init__(
@@ -136,10 +121,10 @@ class Guard:
         self.limits, self.control_step, self.session, self.mode = limits, control_step, session, mode
         self.tilt = limits.tilt if tilt is None else tilt
         self.warnings: list[str] = []
-        """What the operator should know, each once, oldest first."""
+        """Warnings for the operator, each once, oldest first."""
         self._low_since: dict[float, float] = {}
 
-    def judge(
+    def check(
         self,
         time: float,
         state: State,
@@ -149,7 +134,7 @@ class Guard:
         armed: bool = True,
         upright: bool = True,
     ) -> Verdict:
-        """What is to be done in a control step, by what it knows when it starts.
+        """Return what the loop does in a control step; the most urgent verdict comes first.
 
         Args:
             time: this computer's clock [s].
@@ -158,7 +143,7 @@ class Guard:
             missed: control steps that passed since the last one that was done.
             stops: how often the operator has asked to stop.
             armed: whether the robot should be following commands.
-            upright: whether a robot that tilts too far has fallen; False while a fallen one sits.
+            upright: whether a tilt beyond the limit is a fall; False while a fallen robot sits down.
         """
         for verdict in (
             Verdict(Act.DAMP, "operator", "stopped at once by the operator") if stops > 1 else GO,
@@ -178,8 +163,7 @@ class Guard:
         if state.session != self.session:
             return Verdict(Act.DAMP, "session", "the robot has forgotten this operator; it was switched on anew")
         if state.mode == Mode.FAULT:
-            reason = Reason(state.reason) if state.reason in {*Reason} else None
-            name = reason.name.lower() if reason is not None else str(state.reason)
+            name = Reason(state.reason).name.lower() if state.reason in {*Reason} else str(state.reason)
             return Verdict(Act.GONE, f"robot {name}", f"the robot has damped its motors ({name})")
         if state.mode != self.mode:
             return Verdict(Act.DAMP, "mode", f"the robot is in mode {state.mode}; it must be in {int(self.mode)}")
@@ -188,38 +172,36 @@ class Guard:
     def _lateness(self, state_age: float, missed: int) -> Verdict:
         steps, limits = state_age / self.control_step, self.limits
         if not steps <= limits.state_age + _ROUNDING:
-            told = f"{1e3 * state_age:.0f} ms old, {steps:.1f} control steps; at most {limits.state_age:g}"
-            return Verdict(Act.DAMP, "stale state", f"the newest state is {told}")
+            text = f"the newest state is {1e3 * state_age:.0f} ms old, {steps:.1f} control steps"
+            return Verdict(Act.DAMP, "stale state", f"{text}; at most {limits.state_age:g}")
         if missed > limits.missed_steps:
-            told = f"{missed} control steps in a row were missed; at most {limits.missed_steps}"
-            return Verdict(Act.DAMP, "late", told)
+            text = f"{missed} control steps in a row were missed; at most {limits.missed_steps}"
+            return Verdict(Act.DAMP, "late", text)
         return GO
 
     def _tilt(self, state: State) -> Verdict:
         roll, pitch = state.roll_pitch_yaw[:2]
         if abs(roll) <= self.tilt and abs(pitch) <= self.tilt:
             return GO
-        return Verdict(
-            Act.FALL, "tilt", f"roll {roll:+.2f} and pitch {pitch:+.2f} rad; beyond {self.tilt:g} rad is a fall"
-        )
+        text = f"roll {roll:+.2f} and pitch {pitch:+.2f} rad; beyond {self.tilt:g} rad is a fall"
+        return Verdict(Act.FALL, "tilt", text)
 
     def _battery(self, time: float, voltage: float) -> Verdict:
         limits = self.limits
 
         def low_for(limit: float) -> float:
-            """How long the voltage has been seen below a limit [s]."""
+            """Return how long the voltage has been below a limit [s]."""
             if voltage >= limit:
                 self._low_since.pop(limit, None)
                 return 0.0
             return time - self._low_since.setdefault(limit, time)
 
-        # It sags for a moment whenever motors push.
         if low_for(limits.battery_warn) >= limits.battery_time:
             self.warn(f"battery below {limits.battery_warn:g} V; charge it soon")
         if low_for(limits.battery_low) < limits.battery_time:
             return GO
-        told = f"the battery has {voltage:.1f} V, below {limits.battery_low:g} V for {limits.battery_time:g} s"
-        return Verdict(Act.SIT, "battery", told)
+        text = f"the battery has {voltage:.1f} V, below {limits.battery_low:g} V for {limits.battery_time:g} s"
+        return Verdict(Act.SIT, "battery", text)
 
     def _temperature(self, state: State) -> Verdict:
         hottest = float(state.temperature.max())
@@ -227,11 +209,10 @@ class Guard:
             self.warn(f"a motor is hotter than {self.limits.temperature_warn:g} degC")
         if hottest <= self.limits.temperature_high:
             return GO
-        return Verdict(
-            Act.SIT, "temperature", f"a motor has {hottest:.0f} degC; at most {self.limits.temperature_high:g}"
-        )
+        text = f"a motor has {hottest:.0f} degC; at most {self.limits.temperature_high:g}"
+        return Verdict(Act.SIT, "temperature", text)
 
     def warn(self, text: str) -> None:
-        """Keep something that the operator should know, once."""
+        """Add a warning for the operator, once."""
         if text not in self.warnings:
             self.warnings.append(text)

@@ -1,4 +1,4 @@
-"""Microcontroller, robot and link together, moved by time, in real time or in lockstep."""
+"""Microcontroller, robot and link together, advanced in time, in real time or in lockstep."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from surefoot.emulator.firmware import Firmware
 from surefoot.emulator.host_link import HostLink
 from surefoot.emulator.limits import Limits
 from surefoot.emulator.plant import Plant
-from surefoot.emulator.signals import MotorOrder, Sensors
+from surefoot.emulator.signals import MotorOrder, Sensors, microseconds
 
 _BOOT_TIME = 200_000
 """Time [us] that a microcontroller takes to start."""
@@ -22,17 +22,11 @@ _BOOT_TIME = 200_000
 class Board:
     """The whole emulated robot. Times are whole microseconds since it was switched on.
 
-    At the same moment, the physics advances first, then a state that is due is sent, then what arrives is received: a
+    At one moment, the physics advances first, then a state that is due is sent, then what arrives is received. A
     command that arrives at a servo step acts from that step on.
 
-    Args:
-        plant: the body.
-        handshake: the robot's handshake.
-        link: its end of the link to hosts.
-        limits: when the robot damps itself.
-        faults: what goes wrong.
-        stride: servo steps that the physics may advance at once while nothing arrives or is due. The microcontroller
-            checks tilt, battery and heat only between them. With faults it is 1.
+    While nothing arrives or is due, the physics may advance `stride` servo steps at once. The microcontroller checks
+    tilt, battery and heat only between them. With faults, `stride` is 1.
     """
 
     def __init__(
@@ -40,27 +34,23 @@ class Board:
         plant: Plant,
         handshake: Handshake,
         link: HostLink,
-        limits: Limits | None = None,
+        limits: Limits,
         faults: dict[str, InjectedFault] | None = None,
         stride: int = 1,
     ) -> None:
         faults = faults or {}
         self.stride = stride if not faults and plant.servo_every == 1 else 1
-        self.plant, self.limits = plant, limits or Limits.of(plant.robot)
+        self.plant, self.limits, self.link = plant, limits, link
         self.injector = FaultInjector(faults, plant, handshake)
-        self.link = link
         link.chances = self.injector.chances
         self.now = self.reboots = 0
         self.on_step: list[Callable[[int], None]] = []
         """Called with the time [us] after servo steps: after all, or at least after each that motion capture sees."""
-        self._step = round(plant.robot.timing.servo_step * 1e6)
-        self.firmware = self._boot()
+        self._step = microseconds(plant.robot.timing.servo_step)
+        self.firmware = Firmware(self.injector.handshake, limits)
         self._booted = 0
         self._order: MotorOrder | None = None
         self._damped = self._last = MotorOrder(Mode.DISARMED, np.zeros(plant.robot.num_motors))
-
-    def _boot(self) -> Firmware:
-        return Firmware(self.injector.handshake, self.limits)
 
     @property
     def next_step(self) -> int:
@@ -74,7 +64,7 @@ class Board:
         return max(min(physics, self.link.next_arrival, self.link.next_departure, self.firmware.next_state), self.now)
 
     def run_to(self, time: int) -> None:
-        """Let everything happen that happens until then."""
+        """Run everything that happens until a time."""
         while True:
             standing = self._standing_until()
             step, due = self.next_step, max(self.firmware.next_state, standing)
@@ -101,7 +91,7 @@ class Board:
             return 1
         first = self.next_step
         possible = min(self.stride, int(moment - first) // self._step + 1)
-        # Motion capture looks at the robot at multiples of its period.
+        # Motion capture reads the robot at multiples of its period.
         return min(possible, (-first % PERIOD) // self._step + 1)
 
     def _standing_until(self) -> int:
@@ -131,7 +121,7 @@ class Board:
         if self.injector.began("unplug"):
             self.link.cut_off()
         if not self.reboots and self.injector.began("reboot"):
-            self.firmware, self._last = self._boot(), self._damped
+            self.firmware, self._last = Firmware(self.injector.handshake, self.limits), self._damped
             self.link.restart()
             self.reboots, self._booted = 1, end + _BOOT_TIME
         for observe in self.on_step:

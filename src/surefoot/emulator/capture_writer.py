@@ -23,7 +23,7 @@ class CaptureWriter:
     The contact of a foot is the share of the time since the row before in which it touched the ground.
 
     Args:
-        path: file to write (.csv); it must not be there yet.
+        path: file to write (.csv); it must not exist yet.
         plant: the body.
         later: let a thread write, 20 times per second, so that a slow disk does not delay the robot; otherwise every
             row is in the file when `see` returns.
@@ -51,7 +51,7 @@ class CaptureWriter:
             self._writer.start()
 
     def see(self, now: int) -> None:
-        """Take note of a servo step that ended at this time [us]."""
+        """Add a row if a servo step that ended at `now` [us] is due for one."""
         if now % PERIOD:
             return
         seen, ticks = self._plant.capture(), self._plant.ticks
@@ -79,7 +79,7 @@ class CaptureWriter:
                 self.failed = error.strerror or str(error)
 
     def close(self) -> None:
-        """Write what is left and close the file."""
+        """Write the rest and close the file."""
         self._ended.set()
         if self._writer is not None:
             self._writer.join()

@@ -1,4 +1,4 @@
-"""Faults of an emulated robot, by name, as in `--fault NAME[=VALUE][@TIME]`, and what each changes, and when."""
+"""Faults of an emulated robot, by name, as in `--fault NAME[=VALUE][@TIME]`: what each changes, and when."""
 
 from __future__ import annotations
 
@@ -20,10 +20,8 @@ HARMS = ("garbage", "drop", "cut-frames", "corrupt", "reorder", "duplicate")
 """What can happen to a packet on the line, in the order in which it is drawn; `FAULTS` describes each."""
 _MOTOR = "number of the motor"
 _AFTER_ARMING = "s after arming"
-TILT_FORCE = 1.1
-"""Force of the push that topples a robot, over its weight."""
-TILT_TIME = 0.4
-"""Duration of the push [s]."""
+TILT_FORCE, TILT_TIME = 1.1, 0.4
+"""Force of the push that topples a robot, over its weight, and its duration [s]."""
 FALL_OF_VOLTAGE = 2.0
 """Rate [V/s] at which a battery becomes low."""
 RISE_OF_TEMPERATURE = 40.0
@@ -51,7 +49,7 @@ def _rate(meaning: str) -> FaultKind:
     return FaultKind(meaning, 0.05, high=1.0, unit="chance a frame")
 
 
-def _moment(meaning: str) -> FaultKind:
+def _at_time(meaning: str) -> FaultKind:
     return FaultKind(meaning, 1.0, unit=_AFTER_ARMING)
 
 
@@ -60,38 +58,40 @@ def _motor(meaning: str) -> FaultKind:
 
 
 FAULTS: dict[str, FaultKind] = {
-    "corrupt": _rate("one to three bits of a frame are turned over"),
+    "corrupt": _rate("one to three bits of a frame are flipped"),
     "drop": _rate("frames are lost"),
     "duplicate": _rate("frames come twice"),
     "reorder": _rate("frames come after the next one"),
     "garbage": _rate("bytes that nobody sent come between frames"),
     "cut-frames": _rate("only the beginning or the end of a frame comes"),
     "batching": FaultKind(
-        "bytes to the host arrive in batches, as some USB adapters hand them over",
+        "bytes to the host arrive in batches, as with some USB adapters",
         *(0.016, 0.0, 1.0, "s between batches"),
         real_time=True,
     ),
-    "unplug": _moment("the cable is pulled"),
-    "swap-motors": _motor("commands of a motor and of the one after it go to each other's"),
-    "flip-sign": _motor("a motor turns the other way round its rest than it is told"),
-    "flip-encoder": _motor("a motor's encoder reads the other way round its rest"),
+    "unplug": _at_time("the cable is pulled"),
+    "swap-motors": _motor("commands of a motor and of the one after it are exchanged"),
+    "flip-sign": _motor("a motor turns the wrong way from its rest"),
+    "flip-encoder": _motor("a motor's encoder reads the wrong way from its rest"),
     "imu-flip": FaultKind(
-        "the IMU is mounted otherwise than it says: 0 exchanges roll and pitch, 1 negates roll, 2 pitch, 3 both",
+        "the IMU is mounted wrongly: 0 exchanges roll and pitch, 1 negates roll, 2 pitch, 3 both",
         *(0.0, 0.0, 3.0, "way"),
     ),
-    "other-robot": FaultKind("the robot says that it is another one"),
-    "other-order": FaultKind("the robot names its motors in another order"),
-    "other-gains": FaultKind("the robot states other servo gains", 1.5, 0.0, 100.0, "times the nominal ones"),
-    "other-schema": FaultKind("the robot speaks another schema of the protocol"),
-    "slow-servo": FaultKind("the servo runs slower, and says so", 0.002, 0.001, 0.1, "s between two steps"),
-    "stale-state": _moment("states tell again and again what one told"),
-    "repeat-sequence": _moment("all states have the same number"),
-    "backward-sequence": _moment("numbers of states go backward"),
+    "other-robot": FaultKind("the handshake names another robot"),
+    "other-order": FaultKind("the handshake names the motors in another order"),
+    "other-gains": FaultKind("the handshake states other servo gains", 1.5, 0.0, 100.0, "times the nominal ones"),
+    "other-schema": FaultKind("the robot has another schema of the protocol"),
+    "slow-servo": FaultKind(
+        "the servo runs slower, and the handshake states it", 0.002, 0.001, 0.1, "s between two steps"
+    ),
+    "stale-state": _at_time("states repeat the readings of one"),
+    "repeat-sequence": _at_time("all states have the same number"),
+    "backward-sequence": _at_time("numbers of states decrease"),
     "late-states": FaultKind("readings are older than they should be", 0.02, 0.0, 0.06, "s more"),
     "battery-low": FaultKind("the battery's voltage without load falls, 2 V a second", 12.0, 1.0, 30.0, "V", start=1.0),
     "motor-hot": FaultKind("the first motor grows hot, 40 degC a second", 95.0, 0.0, 250.0, "degC", start=1.0),
-    "tilt": _moment("a hard push from the side topples the robot"),
-    "reboot": _moment("the microcontroller starts anew, and knows nobody"),
+    "tilt": _at_time("a hard push from the side topples the robot"),
+    "reboot": _at_time("the microcontroller restarts and forgets its operator"),
     "hang": FaultKind("the microcontroller's program stands still", 0.2, 0.0, 60.0, "s", start=1.0),
     "overload": FaultKind("physics needs more than real time", 1.5, 0.0, 1000.0, "times real time", real_time=True),
 }
@@ -109,45 +109,38 @@ class InjectedFault:
 
 
 def parse_faults(words: Sequence[str], lockstep: bool = False, motors: int = 8) -> dict[str, InjectedFault]:
-    """Return faults by name, from words `NAME[=VALUE][@TIME]`.
-
-    Args:
-        words: as given on a command line.
-        lockstep: whether robot time follows the times in the host's frames.
-        motors: number of motors.
+    """Return faults by name, from words `NAME[=VALUE][@TIME]`, for a robot with so many motors.
 
     Raises:
         SurefootError: no such fault, a fault given twice, or a number that it does not take.
     """
-    found: dict[str, InjectedFault] = {}
+    faults: dict[str, InjectedFault] = {}
     for word in words:
         rest, at, time = word.partition("@")
         name, equals, text = rest.partition("=")
         kind = FAULTS.get(name)
         if kind is None:
             raise SurefootError(f"'{name}' is no fault; choices: {choices(FAULTS)}")
-        if name in found:
+        if name in faults:
             raise SurefootError(f"fault {name} is given twice; give it once")
         if kind.real_time and lockstep:
             raise SurefootError(f"fault {name} is about real time; it does not go with --lockstep")
-        value = _number(word, text) if equals else kind.value
         if equals and math.isnan(kind.value):
             raise SurefootError(f"fault {name} takes no number; '{word}' gives one")
-        high = kind.high
-        if kind.unit == _MOTOR:
-            high = motors - 2 if name == "swap-motors" else motors - 1
+        if at and kind.unit == _AFTER_ARMING:
+            raise SurefootError(f"fault {name} takes its time as {name}=TIME; '{word}' gives another")
+        value = _number(word, text) if equals else kind.value
+        high = motors - (2 if name == "swap-motors" else 1) if kind.unit == _MOTOR else kind.high
         if equals and not kind.low <= value <= high:
             allowed = f"{kind.low:g} to {high:g}" if high < math.inf else f"{kind.low:g} or more"
             raise SurefootError(f"fault {name} is {value:g}; it must be {allowed} (unit: {kind.unit})")
         if kind.unit in (_MOTOR, "way") and value != round(value):
             raise SurefootError(f"fault {name} is {value:g}; it must be a whole number")
-        if at and kind.unit == _AFTER_ARMING:
-            raise SurefootError(f"fault {name} takes its time as {name}=TIME; '{word}' gives another")
         start = _number(word, time) if at else 0.0 if math.isnan(kind.start) else kind.start
         if not 0 <= start < math.inf:
             raise SurefootError(f"fault {name} begins at {start:g} s; it must be 0 or more")
-        found[name] = InjectedFault(value, value if kind.unit == _AFTER_ARMING else start)
-    return found
+        faults[name] = InjectedFault(value, value if kind.unit == _AFTER_ARMING else start)
+    return faults
 
 
 def _number(word: str, text: str) -> float:
@@ -171,43 +164,37 @@ def describe() -> list[str]:
 
 
 class FaultInjector:
-    """The faults of one robot; without any it changes nothing. Times are whole microseconds.
-
-    Args:
-        faults: by name.
-        plant: the body.
-        handshake: the robot's handshake; `self.handshake` is the one with its faults.
-    """
+    """The faults of one robot; without any it changes nothing. Times are whole microseconds."""
 
     def __init__(self, faults: dict[str, InjectedFault], plant: Plant, handshake: Handshake) -> None:
         self._faults, self._plant = faults, plant
         self._rest = plant.robot.resting_angles
-        self.handshake = self._introduce(handshake)
+        self.handshake = self._change_handshake(handshake)
         self.armed_at: int | None = None
         """When the robot was first armed."""
         self.hangs_until = 0
         """When the microcontroller's program goes on."""
         self._now = 0
-        self._given: MotorOrder | None = None
-        self._changed: MotorOrder | None = None
+        self._order: MotorOrder | None = None
+        self._changed_order: MotorOrder | None = None
         self._old: Packet | None = None
         self._number = 0
         if "late-states" in faults:
             plant.extra_latency = faults["late-states"].value
 
-    def _introduce(self, said: Handshake) -> Handshake:
+    def _change_handshake(self, handshake: Handshake) -> Handshake:
         faults = self._faults
         if "other-robot" in faults:
-            said = replace(said, robot=f"not-{said.robot}"[:24])
+            handshake = replace(handshake, robot=f"not-{handshake.robot}"[:24])
         if "other-order" in faults:
-            first, second, *others = said.motor_names
-            said = replace(said, motor_names=(second, first, *others))
-        if "other-gains" in faults:
-            factor = faults["other-gains"].value
-            said = replace(said, servo_kp=said.servo_kp * factor, servo_kd=said.servo_kd * factor)
-        if "slow-servo" in faults:
-            said = replace(said, servo_period=faults["slow-servo"].value)
-        return said
+            first, second, *others = handshake.motor_names
+            handshake = replace(handshake, motor_names=(second, first, *others))
+        if fault := faults.get("other-gains"):
+            kp, kd = handshake.servo_kp * fault.value, handshake.servo_kd * fault.value
+            handshake = replace(handshake, servo_kp=kp, servo_kd=kd)
+        if fault := faults.get("slow-servo"):
+            handshake = replace(handshake, servo_period=fault.value)
+        return handshake
 
     def _since(self, fault: InjectedFault) -> float:
         """Return the time since a fault began [s]; below 0 before."""
@@ -219,7 +206,7 @@ class FaultInjector:
         return fault if fault and (fault.start == 0 or self._since(fault) >= 0) else None
 
     def began(self, name: str) -> bool:
-        """Return whether a fault was requested whose time, after arming, has come."""
+        """Return whether a fault was requested and its time after arming has passed."""
         return name in self._faults and self._since(self._faults[name]) >= 0
 
     @property
@@ -228,7 +215,7 @@ class FaultInjector:
         return {name: fault.value for name in HARMS if (fault := self._active(name))}
 
     def tick(self, now: int, armed: bool) -> None:
-        """Take note that a servo step has ended."""
+        """Take the end of a servo step, and whether the robot is armed."""
         self._now = now
         if armed and self.armed_at is None:
             self.armed_at = now
@@ -247,12 +234,12 @@ class FaultInjector:
             self.hangs_until = now + round(self._faults["hang"].value * 1e6)
 
     def order(self, order: MotorOrder) -> MotorOrder:
-        """Return what the motors get instead of an order; the same for the same order."""
-        if order is not self._given:
-            self._given, self._changed = order, self._change(order)
-        return self._changed or order
+        """Return what the motors get instead of an order; the same object for the same order."""
+        if order is not self._order:
+            self._order, self._changed_order = order, self._change_order(order)
+        return self._changed_order or order
 
-    def _change(self, order: MotorOrder) -> MotorOrder:
+    def _change_order(self, order: MotorOrder) -> MotorOrder:
         values = order.values.copy()
         if fault := self._active("swap-motors"):
             motor = int(fault.value)
@@ -274,10 +261,7 @@ class FaultInjector:
         if fault := self._active("imu-flip"):
             angles, rates = seen.roll_pitch_yaw.copy(), seen.angular_velocity_base.copy()
             for array in (angles, rates):
-                if fault.value == 0:
-                    array[:2] = array[[1, 0]]
-                else:
-                    array[:2] *= _IMU_SIGNS[int(fault.value)]
+                array[:2] = array[[1, 0]] if fault.value == 0 else array[:2] * _IMU_SIGNS[int(fault.value)]
             seen = replace(seen, roll_pitch_yaw=angles, angular_velocity_base=rates)
         return seen
 

@@ -1,7 +1,7 @@
 """The microcontroller's program, without its hardware: messages and time in, orders for the motors and messages out.
 
-It knows neither physics nor ports. Its caller passes what arrives (`receive`), asks once per servo step what the motors
-are to do (`tick`), lets it report when a state is due (`report`), and sends its packets (`take`). All times are whole
+It uses neither physics nor ports. Its caller passes what arrives to `receive`, calls `tick` once per servo step for the
+order to the motors, calls `report` when a state is due, and sends the packets of `take`. All times are whole
 microseconds on the robot's own clock.
 
     mode       motors                            left by
@@ -20,25 +20,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from surefoot.deploy import messages
 from surefoot.deploy.clock import ClockSync
-from surefoot.deploy.messages import (
-    Arm,
-    Bye,
-    Damp,
-    Disarm,
-    Fault,
-    Handshake,
-    Hello,
-    Message,
-    Mode,
-    Packet,
-    Ping,
-    Pong,
-    Position,
-    Pwm,
-    Reason,
-    State,
-)
+from surefoot.deploy.messages import Handshake, Hello, Message, Mode, Packet, Position, Pwm, Reason
 from surefoot.emulator.limits import Limits
 from surefoot.emulator.signals import MotorOrder, Sensors, Vitals, microseconds
 
@@ -46,69 +30,57 @@ ARMED = (Mode.POSITION, Mode.PWM)
 
 
 class LinkWatch:
-    """One operator's frames, seen from the robot. All times are whole microseconds on the robot's clock.
-
-    Args:
-        clean_gap: longest silence on a clean link.
-    """
+    """Order, age and continuity of one operator's packets; a clean link is silent for `clean_gap` at most."""
 
     def __init__(self, clean_gap: int) -> None:
         self.clean_gap = clean_gap
-        self.last_number = 0
-        """Highest number of a frame that was taken."""
-        self.last_heard = 0
-        self.old_numbers = 0
-        """Frames dropped because their number was not above the last one taken."""
+        self.last_number = self.last_received = self.old_numbers = 0
+        """Highest number of a packet that was taken; when one was received; packets with old numbers, dropped."""
         self._clean_since: int | None = None
         self._sync = ClockSync(second=1_000_000)
 
     def restart(self) -> None:
         """Begin another session: its numbers and its clock are new."""
-        self.last_number = 0
+        self.last_number, self._clean_since = 0, None
         self._sync.forget()
-        self._clean_since = None
 
-    def takes(self, number: int) -> bool:
-        """Return whether a frame's number is above all before; if so, it is the last one from now on."""
+    def is_next(self, number: int) -> bool:
+        """Return whether a packet's number is above all before; if so, it is the last one from now on."""
         if number <= self.last_number:
             self.old_numbers += 1
             return False
         self.last_number = number
         return True
 
-    def heard(self, now: int) -> None:
-        """Take note that the operator was heard."""
-        if self._clean_since is None or now - self.last_heard > self.clean_gap:
-            self._clean_since = now
-        self.last_heard = now
+    def _is_silent(self, now: int) -> bool:
+        return self._clean_since is None or now - self.last_received > self.clean_gap
 
-    def damaged(self) -> None:
-        """Take note of a damaged frame: at best, the link is clean from the next good one on."""
+    def receive(self, now: int) -> None:
+        """Take note of a packet."""
+        if self._is_silent(now):
+            self._clean_since = now
+        self.last_received = now
+
+    def note_damage(self) -> None:
+        """Take note of a damaged packet: at best, the link is clean from the next good one on."""
         self._clean_since = None
 
     def clean_for(self, now: int) -> int:
         """Return how long the link has been clean."""
-        if self._clean_since is None or now - self.last_heard > self.clean_gap:
-            return 0
-        return now - self._clean_since
+        return 0 if self._clean_since is None or self._is_silent(now) else now - self._clean_since
 
     def age(self, now: int, sent: int) -> float:
-        """Return the age of a frame that was sent at `sent` on the operator's clock; see `ClockSync`."""
+        """Return the age of a packet that was sent at `sent` on the operator's clock; see `ClockSync`."""
         self._sync.add(sent, now)
         return self._sync.age(sent, now)
 
 
 class Firmware:
-    """The microcontroller's program.
-
-    Args:
-        handshake: the robot's handshake.
-        limits: when it damps itself.
-    """
+    """The microcontroller's program."""
 
     def __init__(self, handshake: Handshake, limits: Limits) -> None:
         self.handshake, self.limits = handshake, limits
-        self.watch = LinkWatch(microseconds(self.limits.clean_gap))
+        self.watch = LinkWatch(microseconds(limits.clean_gap))
         self.mode, self.reason, self.owner = Mode.DISARMED, Reason.NONE, 0
         self.period = 0
         self.next_state = math.inf
@@ -119,14 +91,13 @@ class Firmware:
         self._sent = 0
         self._order = self._damped = MotorOrder(Mode.DISARMED, np.zeros(len(handshake.motor_names)))
         self._fresh = False
-        self._state_period = microseconds(self.limits.state_period[1])
-        self._report_after = 0
-        self._command = self._command_time = 0
+        self._state_period = microseconds(limits.state_period[1])
+        self._report_after = self._command = self._command_time = 0
         self._dropped = self._dropped_in_a_row = 0
         self._low_since = math.inf
         self._vitals: Vitals | None = None
         self._energy_start: float | None = None
-        self._mentioned: dict[Reason, deque[int]] = {}
+        self._refusals: dict[Reason, deque[int]] = {}
 
     @property
     def armed(self) -> bool:
@@ -134,8 +105,8 @@ class Firmware:
         return self.mode in ARMED
 
     def is_taken(self, now: int) -> bool:
-        """Return whether the robot has an operator who may keep it."""
-        silent = now - self.watch.last_heard > microseconds(self.limits.owner_timeout)
+        """Return whether the robot has an operator that may keep it."""
+        silent = now - self.watch.last_received > microseconds(self.limits.owner_timeout)
         return bool(self.owner) and (self.armed or not silent)
 
     def take(self) -> list[Packet]:
@@ -143,79 +114,77 @@ class Firmware:
         packets, self._out = self._out, []
         return packets
 
-    def _say(self, now: int, message: Message) -> None:
+    def _send(self, now: int, message: Message) -> None:
         self._sent += 1
         self._out.append(Packet(message, self._sent, now / 1e6))
 
-    # Messages.
-
     def note_damage(self) -> None:
         """Take note of a damaged packet: the link is not clean."""
-        self.watch.damaged()
+        self.watch.note_damage()
 
     def refuse_foreign(self, now: int, text: str) -> None:
         """Refuse a packet of another version or schema of the protocol."""
-        self.watch.damaged()
-        self._mention(now, 0, Reason.SCHEMA, text)
+        self.watch.note_damage()
+        self._refuse_rarely(now, 0, Reason.SCHEMA, text)
 
     def receive(self, now: int, packet: Packet) -> None:
         """Take a packet."""
         message = packet.message
-        if isinstance(message, Ping):
+        if isinstance(message, messages.Ping):
             # A ping has no session and changes nothing: it is answered whatever its number.
             if self.owner:
-                self.watch.heard(now)
-            self._say(now, Pong(message.token))
+                self.watch.receive(now)
+            self._send(now, messages.Pong(message.token))
             return
         session = getattr(message, "session", 0)
         if isinstance(message, Hello) and session and session != self.owner:
-            self._greet_stranger(now, packet, message)
+            self._start_session(now, packet, message)
             return
         if not session or session != self.owner:
-            self._mention(now, session, Reason.SESSION, f"session {session} is not known")
+            self._refuse_rarely(now, session, Reason.SESSION, f"session {session} is not known")
             return
         age = self.watch.age(now, microseconds(packet.time))
-        if not self.watch.takes(packet.sequence):
+        if not self.watch.is_next(packet.sequence):
             if isinstance(message, Position | Pwm):
                 self._drop(now, "commands came twice or out of order")
             return
-        self.watch.heard(now)
+        self.watch.receive(now)
         if isinstance(message, Position | Pwm):
-            self._obey(now, packet.sequence, message, age)
+            self._take_command(now, packet.sequence, message, age)
         elif isinstance(message, Hello):
-            self._greet(now, message)
-        elif isinstance(message, Arm):
+            self._answer_hello(now, message)
+        elif isinstance(message, messages.Arm):
             self._arm(now, message)
-        elif isinstance(message, Damp):
+        elif isinstance(message, messages.Damp):
             self._fail(now, Reason.HOST, "the operator asked for it")
-        elif isinstance(message, Disarm):
+        elif isinstance(message, messages.Disarm):
             if self.armed:
                 self._disarm(now)
-        elif isinstance(message, Bye):
+        elif isinstance(message, messages.Bye):
             self._disarm(now)
             self.owner, self.next_state = 0, math.inf
 
-    def _greet_stranger(self, now: int, packet: Packet, hello: Hello) -> None:
+    def _start_session(self, now: int, packet: Packet, hello: Hello) -> None:
         if self.is_taken(now):
             self._refuse(now, hello.session, Reason.BUSY, "another operator has the robot")
             return
         self._disarm(now)
         self.owner = hello.session
         self.watch.restart()
-        self.watch.takes(packet.sequence)
-        self.watch.heard(now)
+        self.watch.is_next(packet.sequence)
+        self.watch.receive(now)
         self.watch.age(now, microseconds(packet.time))
         self._command = self._command_time = self._dropped = 0
         self._energy_start = None
-        self._greet(now, hello)
+        self._answer_hello(now, hello)
 
-    def _greet(self, now: int, hello: Hello) -> None:
+    def _answer_hello(self, now: int, hello: Hello) -> None:
         shortest, longest = self.limits.state_period
         self._state_period = microseconds(min(max(hello.state_period, shortest), longest))
-        self._say(now, replace(self.handshake, session=self.owner))
+        self._send(now, replace(self.handshake, session=self.owner))
         self.next_state = min(self.next_state, now + self._state_period)
 
-    def _arm(self, now: int, arm: Arm) -> None:
+    def _arm(self, now: int, arm: messages.Arm) -> None:
         shortest, longest = self.limits.command_period
         if arm.mode not in ARMED or (self.armed and arm.mode != self.mode):
             self._refuse(now, self.owner, Reason.MODE, f"mode {arm.mode} can't be armed while {self.mode.name}")
@@ -225,8 +194,8 @@ class Firmware:
         elif not self.armed and self.reason and self.watch.clean_for(now) < microseconds(self.limits.rearm_after):
             text = f"the link must be clean for {self.limits.rearm_after:g} s ({self.reason.name.lower()})"
             self._refuse(now, self.owner, Reason.NOT_CLEAN, text)
-        elif (wrong := self._wrong(now)) is not None:
-            self._refuse(now, self.owner, *wrong)
+        elif (hazard := self._hazard(now)) is not None:
+            self._refuse(now, self.owner, *hazard)
         else:
             self.period = microseconds(arm.command_period)
             self._report_after = microseconds(arm.report_after)
@@ -235,19 +204,17 @@ class Firmware:
                 self._command_time, self._dropped_in_a_row, self._fresh = now, 0, True
             self.next_state = now + self._report_after
 
-    # Commands.
-
-    def _obey(self, now: int, number: int, message: Position | Pwm, age: float) -> None:
-        said = self.handshake
+    def _take_command(self, now: int, number: int, message: Position | Pwm, age: float) -> None:
+        handshake = self.handshake
         if isinstance(message, Position):
-            mode, values, low, high = Mode.POSITION, message.target, said.angle_low, said.angle_high
+            mode, values, low, high = Mode.POSITION, message.target, handshake.angle_low, handshake.angle_high
         else:
             high = np.full_like(message.duty, self.limits.duty)
             mode, values, low = Mode.PWM, message.duty, -high
         if self.mode != mode:
             self._dropped += 1
-            if self.mode != Mode.FAULT:  # a faulted robot has said why, and says it in every state
-                self._mention(now, self.owner, Reason.MODE, f"a command came while {self.mode.name}")
+            if self.mode != Mode.FAULT:  # every state of a faulted robot has the reason
+                self._refuse_rarely(now, self.owner, Reason.MODE, f"a command came while {self.mode.name}")
             return
         if age > self.limits.stale_after * self.period:
             self.stale += 1
@@ -256,7 +223,7 @@ class Firmware:
         bad = np.flatnonzero(~((values >= low) & (values <= high)))
         if bad.size:
             self._dropped += 1
-            self._fail(now, Reason.COMMAND, f"{said.motor_names[bad[0]]} was to go to {values[bad[0]]:g}")
+            self._fail(now, Reason.COMMAND, f"{handshake.motor_names[bad[0]]} was sent to {values[bad[0]]:g}")
             return
         self._command, self._command_time, self._dropped_in_a_row, self._fresh = number, now, 0, False
         self._order = MotorOrder(self.mode, values)
@@ -268,17 +235,15 @@ class Firmware:
         if self.armed and self._dropped_in_a_row >= self.limits.stale_drops:
             self._fail(now, Reason.STALE, text)
 
-    # What the robot does by itself.
-
     def tick(self, now: int, vitals: Vitals) -> MotorOrder:
-        """Return what the motors are to do in the servo step that begins."""
+        """Return the order to the motors in the servo step that begins."""
         self._vitals = vitals
         self._low_since = min(self._low_since, now) if vitals.voltage < self.limits.voltage else math.inf
         if self.armed:
             if now - self._command_time >= microseconds(self.limits.command_timeout):
                 self._fail(now, Reason.TIMEOUT, f"no command for {self.limits.command_timeout:g} s")
-            elif (wrong := self._wrong(now)) is not None:
-                self._fail(now, *wrong)
+            elif (hazard := self._hazard(now)) is not None:
+                self._fail(now, *hazard)
         if not self.armed:
             return self._damped
         if self._fresh:
@@ -288,8 +253,8 @@ class Firmware:
             self._order = MotorOrder(self.mode, held)
         return self._order
 
-    def _wrong(self, now: int) -> tuple[Reason, str] | None:
-        """Return what forbids motors to move, by the sensors of the last servo step."""
+    def _hazard(self, now: int) -> tuple[Reason, str] | None:
+        """Return why motors must not move, by the sensors of the last servo step; None if they may."""
         vitals, limits = self._vitals, self.limits
         if vitals is None:
             return None
@@ -315,27 +280,26 @@ class Firmware:
             self.next_state = min(self.next_state, now + self._state_period)
 
     def _refuse(self, now: int, session: int, reason: Reason, text: str) -> None:
-        """Send a fault."""
-        self._say(now, Fault(session, int(reason), text))
+        self._send(now, messages.Fault(session, int(reason), text))
 
-    def _mention(self, now: int, session: int, reason: Reason, text: str) -> None:
-        """Refuse what may come often, at most `Limits.refusals` times per second for each reason."""
-        times = self._mentioned.setdefault(reason, deque(maxlen=self.limits.refusals))
+    def _refuse_rarely(self, now: int, session: int, reason: Reason, text: str) -> None:
+        """Refuse what may arrive often, at most `Limits.refusals` times per second for each reason."""
+        times = self._refusals.setdefault(reason, deque(maxlen=self.limits.refusals))
         if len(times) == self.limits.refusals and now - times[0] < 1_000_000:
             return
         times.append(now)
         self._refuse(now, session, reason, text)
 
     def report(self, now: int, read: Callable[[], Sensors]) -> None:
-        """Send a state if one is due, with what `read` returns."""
+        """Send a state if one is due, with the readings of `read`."""
         if now < self.next_state:
             return
         sensors = read()
         if self._energy_start is None:
             self._energy_start = sensors.energy
-        self._say(
+        self._send(
             now,
-            State(
+            messages.State(
                 session=self.owner,
                 mode=int(self.mode),
                 reason=int(self.reason),

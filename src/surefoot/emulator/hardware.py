@@ -1,7 +1,6 @@
-"""Sensors, battery and heat of an emulated robot, beyond `PhysicalParams`. All numbers are assumed.
+"""Sensors, battery and heat of an emulated robot, beyond `PhysicalParams`.
 
-None of them was measured on a robot. They are typical of the data sheets of such parts, and each states its source;
-another robot will differ.
+All numbers are assumed, none was measured on a robot. They are typical of data sheets of such parts.
 """
 
 from __future__ import annotations
@@ -25,17 +24,16 @@ class SensorConfig:
     """Resolution of the motor angles [rad]: 14 bits a turn, as magnetic encoders of the AS5047 kind have."""
     speed_noise: float = 0.05
     """Standard deviation of the motor speeds [rad/s]: differences of 14-bit angles over 1 ms have a step of .38 rad/s,
-    a microcontroller's filter leaves about an eighth of it."""
+    and a microcontroller's filter leaves about an eighth of it."""
     gyro_noise: float = 0.003
     """Standard deviation of the angular velocity [rad/s]: .01 deg/s/sqrt(Hz) over a band of 300 Hz."""
     gyro_bias: float = 0.005
-    """Standard deviation of the gyro's constant error [rad/s], drawn once: some .3 deg/s are left after calibration."""
+    """Standard deviation of the gyro's constant error [rad/s], drawn once: about .3 deg/s after calibration."""
     torque_noise: float = 0.02
-    """Standard deviation of the motor torques [N m], which firmware computes from phase currents: some .2 A of noise
-    on these, at .1 N m/A."""
+    """Standard deviation of the motor torques [N m], from phase currents with noise of about .2 A at .1 N m/A."""
     torque_gain: float = 0.01
-    """Standard deviation of the constant relative error of each motor's torque, drawn once: what calibration leaves of
-    the errors of current sense resistors (1 % parts) and of the torque curve."""
+    """Standard deviation of the constant relative error of each motor's torque, drawn once: errors of current sense
+    resistors (1 % parts) and of the torque curve after calibration."""
 
     @classmethod
     def ideal(cls) -> SensorConfig:
@@ -47,7 +45,7 @@ class PowerConfig(NamedTuple):
     """Battery and heat of the motors."""
 
     battery_resistance: float = 0.015
-    """Internal resistance [Ohm]: four lithium cells of some 3.5 mOhm each, and their leads."""
+    """Internal resistance [Ohm]: four lithium cells of about 3.5 mOhm each, and their leads."""
     battery_capacity: float = 10_800.0
     """Charge [C] until it is empty: 3 Ah."""
     battery_drop: float = 2.8
@@ -55,13 +53,13 @@ class PowerConfig(NamedTuple):
     ambient: float = 25.0
     """Temperature of the air, and of the motors at first [degC]."""
     heat_capacity: float = 80.0
-    """Of one motor [J/K]: winding and stator, some 200 g of copper and iron at .4 J/(g K)."""
+    """Of one motor [J/K]: winding and stator, about 200 g of copper and iron at .4 J/(g K)."""
     heat_resistance: float = 1.5
     """From winding to air [K/W]; with the capacity, a time constant of two minutes."""
 
     @classmethod
     def ideal(cls) -> PowerConfig:
-        """Return a battery that never sags and never empties; motors still grow warm."""
+        """Return a battery that neither sags nor empties; motors still grow warm."""
         return cls(battery_resistance=0.0, battery_capacity=math.inf)
 
 
@@ -84,30 +82,27 @@ def power_tick(state: ActuationState, power: PowerConfig, dt: float, temperature
         dt: step [s].
         temperature: of the motors (M,) [degC]; updated.
     """
+    motors, total = len(temperature), 0.0
     table_current, table_torque = state.table_current, state.table_torque
-    motors = len(temperature)
-    total = 0.0
-    if state.joint[0]:
-        for m in range(motors):
-            limit, full = state.max_torque[0, m], state.joint_limits[0, m]
-            torque = state.motor_torque[0, m]
-            heat = HEAT_LOSS * limit * full * (torque / limit) ** 2
-            total += heat + torque * state.sample[0, motors + m]
-            cooling = (temperature[m] - power.ambient) / power.heat_resistance
-            temperature[m] += dt / power.heat_capacity * (heat - cooling)
-        return total / state.voltage[0]
     for m in range(motors):
-        torque, strength = state.motor_torque[0, m], state.strength[0, m]
-        nominal = abs(torque) / strength if strength > 0.0 else 0.0
-        current = table_current[-1]
-        for k in range(len(table_torque) - 1):
-            if nominal <= table_torque[k + 1]:
-                rise = table_torque[k + 1] - table_torque[k]
-                share = (nominal - table_torque[k]) / rise if rise > 0.0 else 0.0
-                current = table_current[k] + share * (table_current[k + 1] - table_current[k])
-                break
-        current = math.copysign(current, torque)
-        heat = state.resistance[0] * current * current
-        total += heat + current * state.torque_constant[0] * state.sample[0, motors + m]
+        torque, speed = state.motor_torque[0, m], state.sample[0, motors + m]
+        if state.joint[0]:
+            limit, full = state.max_torque[0, m], state.joint_limits[0, m]
+            heat = HEAT_LOSS * limit * full * (torque / limit) ** 2
+            work = torque * speed
+        else:
+            strength = state.strength[0, m]
+            nominal = abs(torque) / strength if strength > 0.0 else 0.0
+            current = table_current[-1]
+            for k in range(len(table_torque) - 1):
+                if nominal <= table_torque[k + 1]:
+                    rise = table_torque[k + 1] - table_torque[k]
+                    share = (nominal - table_torque[k]) / rise if rise > 0.0 else 0.0
+                    current = table_current[k] + share * (table_current[k + 1] - table_current[k])
+                    break
+            current = math.copysign(current, torque)
+            heat = state.resistance[0] * current * current
+            work = current * state.torque_constant[0] * speed
+        total += heat + work
         temperature[m] += dt / power.heat_capacity * (heat - (temperature[m] - power.ambient) / power.heat_resistance)
     return total / state.voltage[0]

@@ -23,42 +23,32 @@ class HostLink(Protocol):
     @property
     def statistics(self) -> LinkStatistics:
         """What the firmware has received since it started, and what hosts did not read."""
-        ...
 
     @property
     def next_arrival(self) -> float:
         """When the next packets reach the robot; infinite if none are on their way."""
-        ...
 
     @property
     def next_departure(self) -> float:
         """When the next packets reach the host; infinite if none are on their way."""
-        ...
 
     def poll(self, now: int) -> None:
         """Put what hosts have written on its way to the robot."""
-        ...
 
     def flush(self, now: int) -> None:
         """Hand over to hosts what has reached them by now."""
-        ...
 
     def wait(self, timeout: float) -> bool:
-        """Wait until hosts have written something, at most so long [s]; return whether they have."""
-        ...
+        """Wait until hosts have written something, at most `timeout` [s]; return whether they have."""
 
     def receive(self, now: int, firmware: Firmware) -> None:
         """Hand the firmware the packets that arrive next."""
-        ...
 
     def send(self, now: int, packet: Packet) -> None:
         """Put a packet on its way to the host."""
-        ...
 
     def restart(self) -> None:
-        """Forget what has come of packets that are not complete: the firmware starts anew."""
-        ...
+        """Forget packets that are not complete: the firmware starts anew."""
 
     def cut_off(self) -> None:
         """Pull the cable: what is on its way is lost, and all that follows."""
-        ...

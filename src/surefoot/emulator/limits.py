@@ -1,4 +1,4 @@
-"""What a microcontroller allows, and the handshake with which it answers a greeting."""
+"""What a microcontroller allows, and its handshake."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from surefoot.deploy.messages import Handshake
 from surefoot.robot import RobotDescription
 
 ANGLE_ROOM = 1.0
-"""Room [rad] beyond the angles of leg space that a command may request. Legs of a damped robot that lies on its belly
-fold further than a gait may, and standing up begins with the angles that they have."""
+"""Range [rad] beyond the angles of leg space that a command may request. Legs of a damped robot on its belly fold
+further than a gait may, and standing up begins at their angles."""
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ class Limits:
     clean_gap: float = 0.1
     """Longest silence of the operator on a clean link."""
     owner_timeout: float = 1.0
-    """Silence after which another operator may take a robot that is not armed."""
+    """Silence after which another operator may connect to a robot that is not armed."""
     command_period: tuple[float, float] = (0.002, 0.050)
     """Shortest and longest time between two commands."""
     state_period: tuple[float, float] = (0.001, 1.0)
@@ -39,33 +39,28 @@ class Limits:
     tilt: float = 1.0
     """Roll or pitch [rad] beyond which the robot damps itself."""
     voltage_time: float = 0.5
-    """How long the voltage must be low: starting motors pull it down for a moment."""
+    """How long the voltage must be low: it sags briefly when motors start."""
     temperature: float = 90.0
     """Motor temperature [degC] beyond which the robot damps itself."""
     duty: float = 1.0
     """Largest duty that a PWM command may request."""
     refusals: int = 10
-    """How often per second a message that nobody should send is answered, for each reason."""
+    """Greatest number of refusals per second for each reason."""
 
     @classmethod
-    def of(cls, robot: RobotDescription) -> Limits:
-        """Return the limits of a robot; its sheet has the battery's."""
+    def from_robot(cls, robot: RobotDescription) -> Limits:
+        """Return the limits of a robot; the battery's are those of its data sheet."""
         return cls(robot.battery.empty)
 
 
 def make_handshake(robot: RobotDescription, limits: Limits, firmware: str, servo_period: float) -> Handshake:
-    """Return the handshake of a robot; the session is filled in when it is greeted.
+    """Return the handshake of a robot; the session is filled in when an operator connects.
 
-    The extremes of leg space, with `ANGLE_ROOM`, are what a command may request.
-
-    Args:
-        robot: its data sheet gives the nominal gains, whatever the emulated motors do.
-        limits: what the microcontroller enforces.
-        firmware: name and version.
-        servo_period: time between two servo steps [s].
+    A command may request the extremes of leg space and `ANGLE_ROOM` more. Gains are nominal, whatever the emulated
+    motors have. `firmware` is its name and version; the servo steps every `servo_period` [s].
     """
     least, greatest = robot.angle_extent(*robot.leg_space.values())
-    # Rounded as on the wire: a command of just what the handshake allows must be within.
+    # Rounded as on the wire, so that a command of exactly these angles is within them.
     low, high = (angles.astype(np.float32).astype(np.float64) for angles in (least - ANGLE_ROOM, greatest + ANGLE_ROOM))
     return Handshake(
         session=0,

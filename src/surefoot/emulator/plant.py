@@ -36,11 +36,8 @@ class Plant:
     """One robot, switched on while it sits, with damped motors. Steps are those of the robot's servo.
 
     Args:
-        robot: what to emulate.
-        params: its physical parameters, one row; the control step is the host's and is not used.
+        params: physical parameters, one row; the control step is the host's and is not used.
         seed: of all noise.
-        sensors: encoders, IMU and current sensors.
-        power: battery and heat.
         rack: hold the base in the air.
         engine: name of the physics engine in the registry of worlds.
         servo_every: physics steps between two of the servo.
@@ -64,10 +61,8 @@ class Plant:
         self.sensors, self.power, self.servo_every = sensors or SensorConfig(), power or PowerConfig(), servo_every
         config = WorldConfig(rest=robot.poses.sit, rack=rack, threads=1)
         self.world = SimWorld(robot, 1, self.params, seed, config, engine)
-        self.extra_latency = 0.0
-        """Further age of all readings [s]."""
-        self.voltage_drop = 0.0
-        """Drop of the open-circuit voltage [V] besides that by the charge that was used."""
+        self.extra_latency = self.voltage_drop = 0.0
+        """Further age of all readings [s]; fall of the open-circuit voltage [V] besides that by the charge used."""
         motors = robot.num_motors
         self._noise = generator(seed, "emulated sensors")
         self._gyro_bias = self.sensors.gyro_bias * self._noise.standard_normal(3)
@@ -82,7 +77,7 @@ class Plant:
         self.energy = self._used = 0.0
         self._contact = np.zeros(len(robot.legs))
         self._obey(MotorOrder(Mode.DISARMED, np.zeros(motors)))
-        # Load compiled code now, not in the first step; the world has run the physics already.
+        # Load compiled code before the first step; the world has run the physics already.
         self._look(0.0, 0.0)
         self._draw_power(np.zeros(motors))
 
@@ -102,11 +97,9 @@ class Plant:
         return float(self.world.actuation.voltage[0])
 
     def step(self, order: MotorOrder, count: int = 1) -> None:
-        """Run servo steps under one order; update battery and heat after the last one.
+        """Run `count` servo steps under one order; update battery and heat after the last one.
 
-        Args:
-            order: what the motors are to do.
-            count: how many steps; 1 if the servo runs less often than the physics.
+        `count` is 1 if the servo runs less often than the physics.
 
         Raises:
             SurefootError: the physics diverged.
@@ -121,27 +114,27 @@ class Plant:
         self._count[0] = count
         world.engine.advance(self._count)
         if world.engine.diverged[0]:
-            raise SurefootError(f"the physics of the emulated robot broke down after {self.ticks} servo steps")
+            raise SurefootError(f"the physics of the emulated robot diverged after {self.ticks} servo steps")
         self.energy += float(actuation.energy[0])
         self._contact += actuation.contact_ticks[0]
         self._draw_power(self.temperature, count)
 
     def _obey(self, order: MotorOrder) -> None:
-        actuation, follows = self.world.actuation, order.mode == Mode.POSITION
-        # Damped motors have the servo's own gain: with twice as much, and speeds some milliseconds old, they oscillate.
-        none = np.zeros(self.robot.num_motors)
-        self._order, self._gains = order, (none, np.asarray(self.robot.actuator.kd))
-        if follows:
+        actuation, none = self.world.actuation, np.zeros(self.robot.num_motors)
+        position, pwm = order.mode == Mode.POSITION, order.mode == Mode.PWM
+        self._order = order
+        if position:
             self._gains = self.params.servo_kp[0], self.params.servo_kd[0]
-        elif order.mode == Mode.PWM:
-            self._gains = none, none
-        actuation.duty[0] = order.values if order.mode == Mode.PWM else 0.0
-        actuation.target[0] = order.values if follows else 0.0
+        else:
+            # Damped motors have the servo's own gain: with twice as much, and delayed speeds, they oscillate.
+            self._gains = none, none if pwm else np.asarray(self.robot.actuator.kd)
+        actuation.duty[0] = order.values if pwm else 0.0
+        actuation.target[0] = order.values if position else 0.0
         # A servo that runs less often than the physics is computed in `step`; its duty holds in between.
         actuation.kp[0], actuation.kd[0] = self._gains if self.servo_every == 1 else (none, none)
 
     def _duty(self, target: Array, angle: Array, speed: Array) -> Array:
-        """Return what servos ask for: a duty of DC motors, a share of the torque limit of joint actuators."""
+        """Return the servos' output: a duty of DC motors, a share of the torque limit of joint actuators."""
         if self.robot.actuator.kind == "dc":
             return np.asarray(servo_duty(target, angle, speed, *self._gains))
         return np.asarray(joint_torque(target, angle, speed, *self._gains) / self.world.actuation.max_torque[0])
@@ -152,8 +145,6 @@ class Plant:
         self._used += current * dt
         open_circuit = self._voltage - self.voltage_drop - power.battery_drop * self._used / power.battery_capacity
         actuation.voltage[0] = max(open_circuit - power.battery_resistance * current, 1.0)
-
-    # Sensors.
 
     def _look(self, since_step: float, latency: float) -> Array:
         """Return the state `latency` [s] before now, which is `since_step` [s] after the last servo step."""
@@ -174,11 +165,9 @@ class Plant:
         )
 
     def read(self, since_step: float, lead: float) -> Sensors:
-        """Return the readings for the control computer, older than now by the control latency less the lead.
+        """Return the readings for the control computer, older than now by the control latency less the lead [s].
 
-        Args:
-            since_step: time since the last servo step [s].
-            lead: time from sending the readings to their use [s].
+        The last servo step ended `since_step` [s] ago.
         """
         latency = max(float(self.params.control_latency[0]) + self.extra_latency - lead, 0.0)
         row, motors = self._look(since_step, latency).copy(), self.robot.num_motors

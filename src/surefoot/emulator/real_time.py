@@ -1,4 +1,4 @@
-"""The emulator in real time: a board moved by the computer's clock."""
+"""The emulator in real time: a board that follows the computer's clock."""
 
 from __future__ import annotations
 
@@ -16,6 +16,8 @@ BEHIND = 10_000
 """Lag of the physics [us] from which on it is reported."""
 SLIP = 50_000
 """Lag [us] beyond which robot time slips instead of catching up."""
+_MAX_STRIDE = 4_000
+"""Time [us] that the robot may advance before the port is read again, so that arrivals are stamped in time."""
 _REPORT_EVERY = 1.0
 _PAUSE = 1e-3
 """Pause [s] when robot time slips: a process that has priority over all others must not keep the processor."""
@@ -23,22 +25,18 @@ _PAUSE = 1e-3
 
 @dataclass
 class Summary:
-    """What happened while the emulator ran."""
+    """What happened while the emulator ran. Times in s."""
 
     robot_time: float = 0.0
-    """Time on the robot's clock [s]."""
     real_time: float = 0.0
-    """Time on the computer's clock [s]."""
     processor_time: float = 0.0
-    """Processor time of the process [s]."""
     behind: int = 0
     """How often the physics fell behind by more than `BEHIND`."""
-    slips: int = 0
-    """How often robot time slipped."""
-    slipped: float = 0.0
-    """By how much in total [s]."""
     worst: float = 0.0
-    """Largest lag [s]."""
+    """Largest lag."""
+    slips: int = 0
+    slipped: float = 0.0
+    """How often robot time slipped, and by how much in total."""
     stop: bool = field(default=False, repr=False)
     """Set from outside to end the loop."""
 
@@ -46,7 +44,7 @@ class Summary:
         """Return one line for the end."""
         statistics, firmware = board.link.statistics, board.firmware
         share = self.processor_time / self.real_time if self.real_time > 0 else 0.0
-        words = [
+        parts = [
             f"{self.robot_time:.3f} s of robot time in {self.real_time:.1f} s",
             f"{100 * share:.0f} % of a processor",
             f"behind {self.behind} times (by {1e3 * self.worst:.1f} ms at worst)",
@@ -55,7 +53,7 @@ class Summary:
             f"repeated {firmware.watch.old_numbers}, stale {firmware.stale}, not read {statistics.unsent}",
             f"mode {firmware.mode.name}, reason {firmware.reason.name}",
         ]
-        return "; ".join(words)
+        return "; ".join(parts)
 
 
 @contextmanager
@@ -69,12 +67,9 @@ def measure(board: Board, summary: Summary) -> Iterator[None]:
 
 
 class RealTime:
-    """Moves a board by the computer's monotonic clock, and sleeps in between.
+    """Advances a board by the computer's monotonic clock, and sleeps in between, until `summary.stop` is set.
 
-    Args:
-        board: the robot.
-        summary: kept up to date; its `stop` ends the loop.
-        load: least time that the physics takes, in multiples of real time; 0: no minimum.
+    The physics takes at least `load` times real time.
     """
 
     def __init__(self, board: Board, summary: Summary, load: float = 0.0) -> None:
@@ -106,10 +101,8 @@ class RealTime:
                     time.sleep(_PAUSE)
                 if readable:
                     link.poll(max(now, board.now))
-                # At most a few steps before the port is read again, or what arrives would be stamped too late.
-                target = min(now, end, board.next_step + 4_000)
                 before = board.plant.ticks
-                board.run_to(max(target, board.now))
+                board.run_to(max(min(now, end, board.next_step + _MAX_STRIDE), board.now))
                 if self._load:
                     time.sleep(self._load * 1e-3 * (board.plant.ticks - before))
                 link.flush(board.now)

@@ -24,7 +24,7 @@ class Vitals:
 
 @dataclass(frozen=True)
 class Sensors:
-    """What a state contains of the sensors; see `wire.messages.State`."""
+    """The readings in a state, as `messages.State` defines them."""
 
     motor_angle: Array
     motor_velocity: Array

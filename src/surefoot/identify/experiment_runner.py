@@ -40,7 +40,7 @@ class _ExperimentRunner:
         self, link: RobotLink, plan: Plan, robot: RobotDescription, operator: StopSignals, monitor: RunMonitor
     ) -> None:
         if link.handshake is None:
-            raise SurefootError("the robot was not greeted")
+            raise SurefootError("the robot is not connected")
         self.link, self.plan, self.robot, self.operator = link, plan, robot, operator
         self.handshake: Handshake = link.handshake
         self.period = min(max(PERIOD, self.handshake.command_period_min), self.handshake.command_period_max)
@@ -49,7 +49,8 @@ class _ExperimentRunner:
         steps = LATE / self.period
         # Batteries sag under what an experiment asks for, and recover: only what would stop the robot itself counts.
         low = self.handshake.voltage_min + BATTERY_ROOM
-        self._limits = replace(SafetyLimits.of(robot), state_age=steps, missed_steps=int(steps) - 1, battery_low=low)
+        limits = SafetyLimits.from_robot(robot)
+        self._limits = replace(limits, state_age=steps, missed_steps=int(steps) - 1, battery_low=low)
         self._monitor = monitor
         self._states: list[tuple[State, float, float]] = []
         self._sent: list[tuple[int, float, int, Array]] = []
@@ -67,7 +68,7 @@ class _ExperimentRunner:
         link.on_state = lambda state, sent, came: self._states.append((state, sent, came))
         self._started = link.clock.now()
         try:
-            self._runner(self.plan.phases[0].mode).keep_talking(lambda: False, REST)
+            self._runner(self.plan.phases[0].mode).ping_until(lambda: False, REST)
             resting = len(self._states)
             # Legs on a rack hang down, and those of a robot that lies are folded: there the way to the plan begins.
             angle = link.last_state().motor_angle

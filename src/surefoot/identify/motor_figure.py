@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from surefoot.arrays import Array
-from surefoot.errors import SurefootError, accessible, choices
+from surefoot.errors import SurefootError, choices, describe_os_errors
 from surefoot.files import check_readable
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.world.interface import ACTUATORS, SimulationFactory, WorldConfig
@@ -64,7 +64,7 @@ class MotorLog:
             SurefootError: a file that can't be read or is no such table.
         """
         try:
-            with accessible(f"motor log {path}"):
+            with describe_os_errors(f"motor log {path}"):
                 check_readable(path)
                 with path.open(newline="", encoding="utf-8") as file:
                     rows = list(csv.DictReader(file))

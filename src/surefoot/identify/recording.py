@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 
 from surefoot.arrays import Array
 from surefoot.configuration import is_number
-from surefoot.errors import SurefootError, choices, located
-from surefoot.files import check_readable, whole_file
+from surefoot.errors import SurefootError, choices, prefix_errors
+from surefoot.files import check_readable
+from surefoot.npz import write_npz
 from surefoot.robot import RobotDescription
 
 SCHEMA = 1
@@ -154,9 +155,7 @@ class Recording:
     def save(self, path: Path) -> Path:
         """Write an .npz file, whole or not at all."""
         arrays = {item.name: getattr(self, item.name) for item in fields(self) if item.name != "meta"}
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with whole_file(path) as file:
-            np.savez_compressed(file, meta=np.array(json.dumps(self.meta)), **arrays)
+        write_npz(path, arrays, self.meta)
         return path
 
 
@@ -213,7 +212,7 @@ def load_recording(path: Path, robot: RobotDescription, experiment: str | None =
         SurefootError: no such file, cut off, damaged, changed, of another schema, robot or experiment, or an experiment
             that did not come to its end.
     """
-    with located(f"recording {path}"):
+    with prefix_errors(f"recording {path}"):
         arrays, meta = _read(path)
         if not isinstance(meta, dict) or meta.get("schema") != SCHEMA:
             schema = meta.get("schema") if isinstance(meta, dict) else None

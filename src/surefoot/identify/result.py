@@ -16,6 +16,7 @@ import numpy as np
 
 from surefoot.arrays import Array
 from surefoot.robot import PhysicalParams, RobotDescription
+from surefoot.robot.params import PARAMETERS
 
 FitProgress = Callable[[str, float], None]
 """Callback of a fit: the step, and the mean square of the residuals in standard deviations (NaN if there is none)."""
@@ -83,7 +84,7 @@ class ParameterEstimate:
         identifiable: bool = True,
     ) -> ParameterEstimate:
         """Return an estimate of a physical parameter, with its unit and the robot's bounds."""
-        return cls(name, value, deviation, PhysicalParams.unit(name), index, identifiable, *robot.allowed[name])
+        return cls(name, value, deviation, PARAMETERS[name].unit, index, identifiable, *robot.allowed[name])
 
     @property
     def interval(self) -> tuple[float, float]:

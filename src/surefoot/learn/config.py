@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import Annotated, Any, Literal
 
 from surefoot.configuration import Seed, Threads, Within, check_bounds, from_mapping
-from surefoot.errors import SurefootError, check_name, located, quoted
+from surefoot.errors import SurefootError, check_name, prefix_errors, quote
 from surefoot.task.config import TaskConfig, load_task
 from surefoot.task.reward import check_reward
 
@@ -137,8 +137,8 @@ def load_train_config(task: str, robot: str | None = None) -> TrainConfig:
         SurefootError: no such task, or a file that does not fit.
     """
     task_config, train = load_task(task, robot)
-    with located(f"{task}: train"):
+    with prefix_errors(f"{task}: train"):
         if not isinstance(train, Mapping):
-            raise SurefootError(f"it is {quoted(train)}; it must be a table of keys and values")
+            raise SurefootError(f"it is {quote(train)}; it must be a table of keys and values")
         data: dict[str, Any] = {"name": task_config.name, **train}
         return from_mapping(TrainConfig, data, base=TrainConfig(task=task_config))

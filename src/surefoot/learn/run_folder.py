@@ -19,11 +19,11 @@ import torch
 
 from surefoot import __version__
 from surefoot.configuration import from_mapping, read_yaml, write_yaml
-from surefoot.errors import SurefootError, accessible, located
-from surefoot.files import read_configuration, read_json_lines, whole_file
+from surefoot.errors import SurefootError, describe_os_errors, prefix_errors
+from surefoot.files import atomic_write, read_configuration, read_json_lines
 from surefoot.learn.config import TrainConfig
 
-FORMAT = 3
+FORMAT = 4
 _MAGIC = b"surefoot checkpoint 1\n"
 _KINDS = (bool, np.int64, np.float32, np.float64)
 _ARRAYS: list[Any] = [np.zeros(0).__reduce__()[0], np.ndarray, np.dtype, *(type(np.dtype(kind)) for kind in _KINDS)]
@@ -35,8 +35,7 @@ _PACKAGES = ("mujoco", "numpy", "numba", "torch", "rsl-rl-lib", "gymnasium", "on
 def _write(path: Path, content: bytes) -> None:
     """Write a file whole or not at all."""
     try:
-        with whole_file(path) as file:
-            file.write(content)
+        atomic_write(path, content)
     except OSError as error:
         raise SurefootError(
             f"{path}: can't be written: {error.strerror}; what was saved before is untouched"
@@ -61,7 +60,7 @@ def read_checkpoint(path: Path) -> dict[str, Any]:
     Raises:
         SurefootError: it is missing, cut off, damaged, or no checkpoint; or it holds what could run code.
     """
-    with accessible(path):
+    with describe_os_errors(path):
         content = path.read_bytes()
     if not content.startswith(_MAGIC):
         raise SurefootError(f"{path}: is not a surefoot checkpoint, or its start is damaged")
@@ -163,7 +162,7 @@ class RunFolder:
             )
         config_path = path / "config.yaml"
         data = read_yaml(config_path)
-        with located(config_path):
+        with prefix_errors(config_path):
             config = from_mapping(TrainConfig, data)
         return cls(path), config
 

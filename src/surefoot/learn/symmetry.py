@@ -1,4 +1,4 @@
-"""Left-right symmetry: a robot that is its own mirror image learns from mirrored samples too.
+"""Left-right symmetry: PPO of a symmetric robot learns from mirrored samples too.
 
 Every sample is used twice in an update, as it was and mirrored in the robot's middle plane (data augmentation, see
 Mittal et al. 2024, "Symmetry Considerations for Learning Task Symmetric Robot Policies").
@@ -24,8 +24,8 @@ _FLIPPED = (
     *("command_sideways", "command_yaw_rate", "heading_error"),
 )
 """Columns that change their sign in the mirror; all others keep it."""
-_OF_ANGLES = ("angle", "speed", "joint", "last_joint")
-"""What columns of motors are called that have the sign of the motor's angle."""
+_ANGLE_COLUMNS = ("angle", "speed", "joint", "last_joint")
+"""Prefixes of the motors' columns that have the sign of the motor's angle."""
 _PHASE = ("phase_sin", "phase_cos")
 
 
@@ -37,9 +37,9 @@ def mirror_name(name: str) -> str:
 def mirror_motors(robot: RobotDescription) -> dict[str, tuple[str, float]]:
     """Return for each motor the one on the other side, and the sign of its angle in the mirror image.
 
-    In the mirror, turns about the base's x axis (abduction) change their sense, those about y keep it.
+    In the mirror image, rotations about the base's x axis (abduction) change their sign, those about y keep it.
     """
-    legs, found = {leg.name: leg for leg in robot.legs}, {}
+    legs, mirror = {leg.name: leg for leg in robot.legs}, {}
     for place, leg in enumerate(robot.legs):
         other = legs.get(mirror_name(leg.name), leg)
         for k, motors in enumerate(zip(leg.motors, other.motors, strict=True)):
@@ -48,29 +48,29 @@ def mirror_motors(robot: RobotDescription) -> dict[str, tuple[str, float]]:
                 turn = robot.leg_geometry.turn[:, k]
                 sign = float(turn[place] * turn[robot.legs.index(other)])
                 sign = -sign if k == 0 and robot.leg_geometry.abducts else sign
-            found[motors[0]] = (motors[1], sign)
-    return found
+            mirror[motors[0]] = (motors[1], sign)
+    return mirror
 
 
 def mirror_columns(
-    columns: Sequence[str], half_a_period: bool = False, motors: Mapping[str, tuple[str, float]] | None = None
+    columns: Sequence[str], half_period: bool = False, motors: Mapping[str, tuple[str, float]] | None = None
 ) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
     """Return each column's source column in the mirror image, and its sign; (C,) each.
 
     Args:
         columns: their names.
-        half_a_period: whether the mirrored reference gait is the reference half a period later.
+        half_period: whether the mirrored reference gait is the reference half a period later.
         motors: as of `mirror_motors`, for columns NAME.MOTOR.
 
     Raises:
         SurefootError: a column without a counterpart.
     """
     places = {name: place for place, name in enumerate(columns)}
-    known = motors or {}
+    motors = motors or {}
 
     def other(name: str) -> str:
-        what, _, motor = name.partition(".")
-        return f"{what}.{known[motor][0]}" if motor in known else mirror_name(name)
+        prefix, _, motor = name.partition(".")
+        return f"{prefix}.{motors[motor][0]}" if motor in motors else mirror_name(name)
 
     try:
         source = np.array([places[other(name)] for name in columns], np.int64)
@@ -78,12 +78,12 @@ def mirror_columns(
         raise SurefootError(
             f"symmetry: column {error} has no counterpart; legs must be called left and right"
         ) from None
-    flipped = _FLIPPED + _PHASE if half_a_period else _FLIPPED
+    flipped = _FLIPPED + _PHASE if half_period else _FLIPPED
     sign = [-1.0 if name in flipped else 1.0 for name in columns]
     for place, name in enumerate(columns):
-        what, _, motor = name.partition(".")
-        if motor in known and what in _OF_ANGLES:
-            sign[place] = known[motor][1]
+        prefix, _, motor = name.partition(".")
+        if motor in motors and prefix in _ANGLE_COLUMNS:
+            sign[place] = motors[motor][1]
     return source, np.array(sign, np.float32)
 
 
@@ -91,7 +91,7 @@ def reference_shift(env: LocomotionEnv) -> bool:
     """Return whether the mirrored reference gait is the reference half a period later (else its own mirror image).
 
     Raises:
-        SurefootError: neither, so that nothing learned on one side holds on the other.
+        SurefootError: it is neither.
     """
     reference, legs = env.gait.reference, env.robot.leg_names
     period = reference.period or 1.0
@@ -116,14 +116,14 @@ class MirrorSamples:
     """Samples and their mirror images, as rsl_rl requests them.
 
     Args:
-        env: names the columns.
+        env: the environment of the samples.
 
     Raises:
         SurefootError: a robot or a reference gait that is not its own mirror image.
     """
 
     def __init__(self, env: LocomotionEnv) -> None:
-        half = reference_shift(env)
+        half_period = reference_shift(env)
         columns = {
             "policy": (env.observer.columns, env.task.history),
             "privileged": (env.privileged_columns, 1),
@@ -131,9 +131,9 @@ class MirrorSamples:
         }
         self._mirrors, motors = {}, mirror_motors(env.robot)
         for group, (names, times) in columns.items():
-            source, sign = mirror_columns(names, half, motors)
-            whole = np.concatenate([source + k * len(names) for k in range(times)])
-            self._mirrors[group] = (torch.from_numpy(whole), torch.from_numpy(np.tile(sign, times)))
+            source, sign = mirror_columns(names, half_period, motors)
+            sources = np.concatenate([source + k * len(names) for k in range(times)])
+            self._mirrors[group] = (torch.from_numpy(sources), torch.from_numpy(np.tile(sign, times)))
 
     def mirrored(self, group: str, values: torch.Tensor) -> torch.Tensor:
         """Return the mirror image of a group's values (B, C)."""

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from onnx import TensorProto, helper, numpy_helper
 
 from surefoot.errors import SurefootError, choices
-from surefoot.files import whole_file
+from surefoot.files import atomic_write
 from surefoot.policy.contract import METADATA_KEY, Contract
 from surefoot.policy.digest import add_digest, read_parts
 from surefoot.policy.network import INPUT, OPSET, OUTPUT, check_network
@@ -132,8 +132,7 @@ def export_policy(actor: Any, activation: str, contract: Contract, path: str | P
     except SurefootError as error:
         raise SurefootError(f"policy file {path}: {error}; it is not written") from error
     path.parent.mkdir(parents=True, exist_ok=True)
-    with whole_file(path) as file:
-        file.write(add_digest(data))
+    atomic_write(path, add_digest(data))
     return path
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from surefoot.arrays import Array
-from surefoot.errors import SurefootError, accessible, located
+from surefoot.errors import SurefootError, describe_os_errors, prefix_errors
 from surefoot.native_output import stdout_to_stderr
 from surefoot.policy.contract import Contract
 from surefoot.policy.digest import check_digest
@@ -39,9 +39,9 @@ class PolicyRuntime:
                 changed since it was exported.
         """
         path = Path(path)
-        with accessible(f"policy file {path}"), path.open("rb") as file:
+        with describe_os_errors(f"policy file {path}"), path.open("rb") as file:
             data = file.read(MAX_BYTES + 1)
-        with located(f"policy file {path}"):
+        with prefix_errors(f"policy file {path}"):
             if not data:
                 raise SurefootError("is empty; a policy is an ONNX file that surefoot exported")
             try:

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from surefoot.arrays import Array
 from surefoot.configuration import from_mapping, read_toml
-from surefoot.errors import SurefootError, check_name, choices, located
+from surefoot.errors import SurefootError, check_name, choices, prefix_errors
 from surefoot.robot.actuator import ActuatorData, DcMotorData, read_actuator
 from surefoot.robot.experiments import Experiments, read_experiments
 from surefoot.robot.leg import FiveBar, Legs
@@ -104,11 +104,11 @@ class RobotDescription:
                 f"robot '{robot}': no such robot and no folder with a robot.toml; robots: {choices(cls.available())}"
             )
         data, _ = read_toml(sheet_path)
-        with located(sheet_path):
+        with prefix_errors(sheet_path):
             sheet = from_mapping(Sheet, data)
             check_name("name", sheet.name)
         urdf = read_urdf(folder / sheet.urdf)
-        with located(sheet_path):
+        with prefix_errors(sheet_path):
             return cls._from_sheet(sheet, urdf, folder)
 
     @classmethod

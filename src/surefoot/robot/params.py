@@ -59,13 +59,18 @@ class Parameter:
         return motor_names if self.per == "motors" else tuple(self.per.split(", ")) if self.per else ()
 
 
-def _ratio(meaning: str, bounds: tuple[float, float] = (0.2, 5.0), per: str = "", independent: bool = False) -> Any:
-    return _parameter("1", meaning, bounds, per, 1.0, independent=independent)
-
-
-def _parameter(unit: str, meaning: str, bounds: tuple[float, float], *options: Any, **named: Any) -> Any:
+def _parameter(unit: str, meaning: str, bounds: tuple[float, float], per: str = "", **options: Any) -> Any:
     """Declare a parameter; see `Parameter`."""
-    return field(metadata={"parameter": Parameter(unit, meaning, bounds, *options, **named)})
+    return field(metadata={"parameter": Parameter(unit, meaning, bounds, per, **options)})
+
+
+def _ratio(meaning: str, bounds: tuple[float, float] = (0.2, 5.0), per: str = "") -> Any:
+    return _parameter("1", meaning, bounds, per, nominal=1.0, independent=bool(per))
+
+
+def _deviation(unit: str, meaning: str, bounds: tuple[float, float], per: str = "", **options: Any) -> Any:
+    """Declare a parameter that is 0 for most robots."""
+    return _parameter(unit, meaning, bounds, per, scalable=False, independent=bool(per), **options)
 
 
 @dataclass(frozen=True)
@@ -81,46 +86,33 @@ class PhysicalParams:
     motor_friction: Array = _parameter("N m", "Coulomb friction in each motor", (0.0, 20.0), "motors")
     base_inertia_ratio: Array = _ratio("rotational inertia of the base, over the description's")
     leg_inertia_ratio: Array = _ratio("rotational inertia of every moving link, over the description's")
-    motor_strength: Array = _ratio("motor torque, over the motor model's", (0.0, 2.0), per="motors", independent=True)
-    control_step: Array = _parameter("s", "time between two commands of the policy", (0.001, 0.050))
-    control_latency: Array = _parameter("s", "age of the readings that the policy observes", (0.0, 0.100))
+    motor_strength: Array = _ratio("motor torque, over the motor model's", (0.0, 2.0), "motors")
+    control_step: Array = _parameter("s", "time between two commands of the policy", (0.001, 0.05))
+    control_latency: Array = _parameter("s", "age of the readings that the policy observes", (0.0, 0.1))
     voltage: Array = _parameter("V", "battery voltage", (5.0, 30.0), actuator="dc")
     contact_friction: Array = _parameter("1", "lateral friction coefficient of the feet", (0.05, 3.0))
-    imu_bias: Array = _parameter(
-        "rad", "constant error of roll and pitch", (-0.5, 0.5), "roll, pitch", scalable=False, independent=True
-    )
-    imu_noise: Array = _parameter(
-        "rad", "standard deviation of the white noise on roll and pitch", (0.0, 0.5), scalable=False
-    )
+    imu_bias: Array = _deviation("rad", "constant error of roll and pitch", (-0.5, 0.5), "roll, pitch")
+    imu_noise: Array = _deviation("rad", "standard deviation of the white noise on roll and pitch", (0.0, 0.5))
     torque_constant: Array = _parameter(
         "N m/A", "torque constant K_t, also the back-EMF constant", (0.01, 1.0), actuator="dc"
     )
     resistance: Array = _parameter("Ohm", "armature resistance R", (0.02, 5.0), actuator="dc")
-    servo_latency: Array = _parameter("s", "age of the motor angles and speeds that the servo uses", (0.0, 0.020))
+    servo_latency: Array = _parameter("s", "age of the motor angles and speeds that the servo uses", (0.0, 0.02))
     contact_stiffness: Array = _parameter("N/m", "stiffness of the feet against the ground", (300.0, 100_000.0))
     contact_spinning_friction: Array = _parameter(
         "m", "friction torque of a foot about the contact normal, over the normal force", (0.0, 0.5)
     )
-    knee_friction: Array = _parameter(
-        "N m", "Coulomb friction in each knee joint; Bullet only", (0.0, 0.5), scalable=False, engines=("bullet",)
+    knee_friction: Array = _deviation(
+        "N m", "Coulomb friction in each knee joint; Bullet only", (0.0, 0.5), engines=("bullet",)
     )
-    knee_play: Array = _parameter(
-        "m",
-        "radial clearance of the pins that close the loops; Bullet only",
-        (0.0, 0.005),
-        scalable=False,
-        engines=("bullet",),
+    knee_play: Array = _deviation(
+        "m", "radial clearance of the pins that close the loops; Bullet only", (0.0, 0.005), engines=("bullet",)
     )
-    floor_unevenness: Array = _parameter(
-        "m", "standard deviation of the floor's height; Bullet only", (0.0, 0.02), scalable=False, engines=("bullet",)
+    floor_unevenness: Array = _deviation(
+        "m", "standard deviation of the floor's height; Bullet only", (0.0, 0.02), engines=("bullet",)
     )
-    imu_mount: Array = _parameter(
-        "rad",
-        "roll, pitch and yaw of the IMU against the base",
-        (-0.5, 0.5),
-        "roll, pitch, yaw",
-        scalable=False,
-        independent=True,
+    imu_mount: Array = _deviation(
+        "rad", "roll, pitch and yaw of the IMU against the base", (-0.5, 0.5), "roll, pitch, yaw"
     )
     servo_kp: Array = _parameter(
         "1/rad, N m/rad",
@@ -139,10 +131,7 @@ class PhysicalParams:
         "1", "friction of a joint actuator over its torque", (0.0, 0.9), "motors", actuator="joint"
     )
     speed_filter: Array = _parameter(
-        "s",
-        "time constant of the first-order filter on the speed that a joint actuator uses",
-        (0.0, 0.1),
-        actuator="joint",
+        "s", "time constant of the first-order filter on a joint actuator's speed", (0.0, 0.1), actuator="joint"
     )
     rotor_inertia: Array = _parameter(
         "kg m2", "inertia of each rotor, at its joint", (0.0, 1.0), "motors", actuator="joint"
@@ -150,31 +139,16 @@ class PhysicalParams:
     torque_limit: Array = _parameter(
         "N m", "greatest torque of a joint actuator at low speed", (1e-6, 1e9), "motors", actuator="joint"
     )
-    motor_offset: Array = _parameter(
+    motor_offset: Array = _deviation(
+        "rad", "angle that each encoder measures, less the true one", (-0.5, 0.5), "motors"
+    )
+    base_offset: Array = _deviation("m", "centre of mass of the base, less the description's", (-0.1, 0.1), "x, y, z")
+    imu_yaw_drift: Array = _deviation("rad/s", "bias of the gyro about z, with which the IMU's yaw drifts", (-0.5, 0.5))
+    presliding: Array = _deviation(
         "rad",
-        "angle that each motor's encoder measures, less the true one",
-        (-0.5, 0.5),
-        "motors",
-        scalable=False,
-        independent=True,
-    )
-    base_offset: Array = _parameter(
-        "m",
-        "centre of mass of the base, less the description's",
-        (-0.1, 0.1),
-        "x, y, z",
-        scalable=False,
-        independent=True,
-    )
-    imu_yaw_drift: Array = _parameter(
-        "rad/s", "bias of the gyro about z, with which the IMU's yaw drifts", (-0.5, 0.5), scalable=False
-    )
-    presliding: Array = _parameter(
-        "rad",
-        "angle over which a joint actuator's friction builds up; 0: it depends on the speed alone",
+        "angle over which a joint actuator's friction builds up; 0: at once",
         (0.0, 0.2),
         "motors",
-        scalable=False,
         actuator="joint",
     )
     contact_shear_ratio: Array = _ratio("stiffness of the feet along the ground, over that against it", (0.01, 10.0))
@@ -190,21 +164,13 @@ class PhysicalParams:
         return [name for name, item in PARAMETERS.items() if robot is None or item.belongs_to(robot)]
 
     @classmethod
-    def unit(cls, name: str) -> str:
-        """Return the unit of a parameter; 1 for ratios."""
-        return PARAMETERS[name].unit
-
-    @classmethod
     def nominal(cls, robot: _Robot, num_envs: int = 1) -> PhysicalParams:
         """Return the parameters that the robot's description states, for `num_envs` robots."""
-        nominal, motors = robot.nominal_params(), robot.motor_names
-        widths = {name: (len(parts),) if (parts := item.parts(motors)) else () for name, item in PARAMETERS.items()}
-        return cls(
-            **{
-                name: np.broadcast_to(nominal[name], (num_envs, *width)).astype(np.float64)
-                for name, width in widths.items()
-            }
-        )
+        nominal, params = robot.nominal_params(), {}
+        for name, declared in PARAMETERS.items():
+            shape = (num_envs, len(declared.parts(robot.motor_names))) if declared.per else (num_envs,)
+            params[name] = np.broadcast_to(nominal[name], shape).astype(np.float64)
+        return cls(**params)
 
     def with_values(self, robot: _Robot, **values: ArrayLike) -> PhysicalParams:
         """Return a copy with some parameters set, each given for all robots or one row per robot.

@@ -20,10 +20,10 @@ from typing import Any
 import numpy as np
 
 from surefoot.configuration import is_number, read_toml
-from surefoot.errors import SurefootError, accessible, choices, located, quoted
-from surefoot.files import whole_file
+from surefoot.errors import SurefootError, choices, describe_os_errors, prefix_errors, quote
+from surefoot.files import atomic_write
 from surefoot.robot.description import RobotDescription
-from surefoot.robot.params import PhysicalParams, parse_settings
+from surefoot.robot.params import PARAMETERS, PhysicalParams, parse_settings
 
 ParamValue = float | tuple[float, ...]
 """A parameter of one robot: one number, or one for each motor or axis."""
@@ -101,7 +101,7 @@ def read_params(path: Path, robot: RobotDescription) -> ParamsFile:
     """
     data, content = read_toml(path)
     table = data.pop("params", None)
-    with located(path):
+    with prefix_errors(path):
         if not isinstance(table, dict):
             raise SurefootError("has no table [params]; it holds NAME = number or list")
         if data.get("robot", robot.name) != robot.name:
@@ -109,7 +109,7 @@ def read_params(path: Path, robot: RobotDescription) -> ParamsFile:
         for name, value in table.items():
             numbers = value if isinstance(value, list) else [value]
             if not numbers or not all(map(is_number, numbers)):
-                raise SurefootError(f"params.{name} is {quoted(value)}; it must be a finite number or a list of such")
+                raise SurefootError(f"params.{name} is {quote(value)}; it must be a finite number or a list of such")
         params = PhysicalParams.nominal(robot).with_values(robot, **table)
     source = {"file": path.name, "sha256": hashlib.sha256(content).hexdigest()}
     return ParamsFile(params, tuple(table), data, source)
@@ -140,13 +140,13 @@ def write_params(
     lines += ["", "[params]"]
     for name in PhysicalParams.names(robot) if names is None else names:
         value = np.asarray(getattr(params, name)[0])
-        unit = PhysicalParams.unit(name)
+        unit = PARAMETERS[name].unit
         lines.append(f"{name} = {_toml(value.tolist())}  # {unit}")
     for key, value in others.items():
         if _is_table(value):
             lines += _table(_key(key), value)
-    with accessible(path, "written"), whole_file(path) as file:
-        file.write("\n".join([*lines, ""]).encode())
+    with describe_os_errors(path, "written"):
+        atomic_write(path, "\n".join([*lines, ""]))
     return path
 
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from surefoot.arrays import Array
 from surefoot.configuration import from_mapping, read_yaml, to_mapping
-from surefoot.errors import SurefootError, choices, located
+from surefoot.errors import SurefootError, choices, prefix_errors
 from surefoot.robot import DEFAULT_ROBOT, PhysicalParams, RobotDescription
 from surefoot.robot.params import PARAMETERS, check_parameter
 from surefoot.robot.params_file import read_params
@@ -31,7 +31,7 @@ Intervals = Interval | tuple[Interval, ...]
 
 @dataclass(frozen=True)
 class RelativeRange:
-    """A range around the nominal value; it has either `scale` or `add`. Draws are cut to what the robot allows."""
+    """A range around the nominal value; it has either `scale` or `add`. Draws are clipped to what the robot allows."""
 
     scale: Intervals | None = None
     """Factors of the nominal value."""
@@ -42,10 +42,11 @@ class RelativeRange:
 
 
 ParamRange = Interval | tuple[Interval, ...] | RelativeRange
+"""A range: absolute, in the parameter's unit, or relative."""
 Ranges = dict[str, ParamRange]
 """Ranges by the names of parameters."""
 
-_RANGES = Path(__file__).parent / "ranges"
+_TABLES = Path(__file__).parent / "ranges"
 _HIDDEN: Ranges = {
     "torque_constant": RelativeRange(scale=(0.9, 1.1)),
     "resistance": RelativeRange(scale=(0.9, 1.1)),
@@ -59,112 +60,86 @@ _FORMER_NAMES = {
     "spinning_friction": "contact_spinning_friction",
     "friction": "motor_friction: {scale: [LOW, HIGH], independent: true}",
     "viscous_friction": "motor_viscous_friction: {scale: [LOW, HIGH]}",
-    "scaled": "NAME: {scale: [LOW, HIGH]}",
 }
 """Keys of earlier versions, and what to write in their place."""
 _FIRST_STREAM_ENDS = "servo_latency"
 """The last parameter that draws from a robot's stream itself; later ones draw from parts far ahead in it."""
 
 
-def interval_of(given: ParamRange, nominal: Array) -> tuple[Array, Array]:
-    """Return the least and the greatest value of a range, each in the shape of the nominal value, (N,) or (N, k)."""
-    low, high = np.transpose(_intervals(given))
-    if isinstance(given, RelativeRange):
-        return (nominal + low, nominal + high) if given.scale is None else (nominal * low, nominal * high)
+def _intervals(param_range: ParamRange) -> Array:
+    """Return the interval (2,), or those of motors or axes (k, 2), of a range."""
+    if isinstance(param_range, RelativeRange):
+        return np.array(param_range.add if param_range.scale is None else param_range.scale, float)
+    return np.array(param_range, float)
+
+
+def resolve_range(param_range: ParamRange, nominal: Array) -> tuple[Array, Array]:
+    """Return least and greatest values, each in the shape of the nominal values, (N,) or (N, k)."""
+    low, high = _intervals(param_range).T
+    if isinstance(param_range, RelativeRange):
+        return (nominal + low, nominal + high) if param_range.scale is None else (nominal * low, nominal * high)
     return np.broadcast_to(low, nominal.shape), np.broadcast_to(high, nominal.shape)
 
 
-def mean_interval(given: ParamRange, nominal: Array) -> Interval:
-    """Return the least and the greatest value of a range, each the mean over motors or axes that differ."""
-    low, high = (float(end.flat[0] if np.ptp(end) == 0 else end.mean()) for end in interval_of(given, nominal))
+def mean_interval(param_range: ParamRange, nominal: Array) -> Interval:
+    """Return least and greatest value, each the mean over motors or axes that differ."""
+    low, high = (float(end.flat[0] if np.ptp(end) == 0 else end.mean()) for end in resolve_range(param_range, nominal))
     return low, high
 
 
-def is_independent(name: str, given: ParamRange) -> bool:
+def is_independent(name: str, param_range: ParamRange) -> bool:
     """Return whether each motor or axis draws a number of its own."""
-    if isinstance(given, RelativeRange) and given.independent is not None:
-        return given.independent
-    return PARAMETERS[name].independent or np.ndim(_intervals(given)) == 2
-
-
-def _intervals(given: ParamRange) -> Intervals:
-    if isinstance(given, RelativeRange):
-        return given.scale or given.add or ()
-    return given
+    if isinstance(param_range, RelativeRange) and param_range.independent is not None:
+        return param_range.independent
+    return PARAMETERS[name].independent or _intervals(param_range).ndim == 2
 
 
 def check_ranges(ranges: Mapping[str, ParamRange], robot: RobotDescription | None = None) -> None:
     """Refuse ranges that no robot can have, or that a robot's description does not allow."""
-    for name, given in ranges.items():
-        where = f"randomize.{name}"
+    for name, param_range in ranges.items():
         if name in _FORMER_NAMES:
-            raise SurefootError(f"{where} is not a physical parameter; write {_FORMER_NAMES[name]}")
-        with located("randomize"):
+            raise SurefootError(f"randomize.{name} is not a physical parameter; write {_FORMER_NAMES[name]}")
+        with prefix_errors("randomize"):
             check_parameter(name, robot)
-        if isinstance(given, RelativeRange):
-            if (given.scale is None) == (given.add is None):
-                raise SurefootError(f"{where} must have one of scale and add")
-            where += ".add" if given.scale is None else ".scale"
-            if given.scale is not None and not PARAMETERS[name].scalable:
+        _check_range(name, param_range, robot)
+
+
+def _check_range(name: str, param_range: ParamRange, robot: RobotDescription | None) -> None:
+    where, least, allowed = f"randomize.{name}", -math.inf, (-math.inf, math.inf)
+    if isinstance(param_range, RelativeRange):
+        if (param_range.scale is None) == (param_range.add is None):
+            raise SurefootError(f"{where} must have one of scale and add")
+        where += ".add" if param_range.scale is None else ".scale"
+        if param_range.scale is not None:
+            least = 0.0
+            if not PARAMETERS[name].scalable:
                 raise SurefootError(f"{where} is given; write add, as {name} is 0 for most robots")
-        pairs = np.reshape(_intervals(given), (-1, 2))
-        for low, high in pairs:
-            shown = f"{where} is [{low:g}, {high:g}]"
-            if not (math.isfinite(low) and math.isfinite(high)):
-                raise SurefootError(f"{shown}; both bounds must be finite numbers")
-            if low > high:
-                raise SurefootError(f"{shown}; the lower bound must come first")
-            if isinstance(given, RelativeRange):
-                if given.scale is not None and low < 0:
-                    raise SurefootError(f"{shown}; factors are 0 or more")
-            elif robot is not None:
-                least, greatest = robot.allowed[name]
-                if not (least <= low and high <= greatest):
-                    raise SurefootError(
-                        f"{shown}; {robot.name} allows {name} from {least:g} to {greatest:g} "
-                        f"(unit: {PARAMETERS[name].unit})"
-                    )
-        parts = () if robot is None else PARAMETERS[name].parts(robot.motor_names)
-        if robot is not None and np.ndim(_intervals(given)) == 2 and len(pairs) != len(parts):
-            rule = f"one, or one for each of {', '.join(parts)}" if parts else "one"
-            raise SurefootError(f"{where} has {len(pairs)} intervals; it must have {rule}")
+    elif robot is not None:
+        allowed = robot.allowed[name]
+    intervals = _intervals(param_range)
+    pairs = intervals.reshape(-1, 2)
+    low, high = pairs.T
+    by = "" if robot is None else robot.name
+    for bad, rule in (
+        (~np.isfinite(pairs).all(axis=1), "both bounds must be finite numbers"),
+        (low > high, "the lower bound must come first"),
+        (low < least, "factors are 0 or more"),
+        (
+            (low < allowed[0]) | (high > allowed[1]),
+            f"{by} allows {name} from {allowed[0]:g} to {allowed[1]:g} (unit: {PARAMETERS[name].unit})",
+        ),
+    ):
+        if bad.any():
+            raise SurefootError(f"{where} is [{low[bad][0]:g}, {high[bad][0]:g}]; {rule}")
+    parts = PARAMETERS[name].parts(robot.motor_names) if robot is not None else ()
+    if not len(pairs) or (robot is not None and intervals.ndim == 2 and len(pairs) != len(parts)):
+        rule = f"one, or one for each of {', '.join(parts)}" if parts else "one"
+        raise SurefootError(f"{where} has {len(pairs)} intervals; it must have {rule}")
 
 
 def range_names() -> list[str]:
     """Return the names of the tables of ranges that ship with surefoot, each for every robot."""
-    return sorted(path.stem for path in _RANGES.glob("*.yaml"))
-
-
-def load_ranges(name: str, folder: Path = Path(), robot: str | Path = DEFAULT_ROBOT) -> Ranges:
-    """Read a table of ranges, and check it against a robot; it is in the order of `PARAMETERS`.
-
-    Args:
-        name: of a table that ships, the robot's own if it has one; of an identification that ships with the robot,
-            whose intervals are the ranges; or the path of a YAML file.
-        folder: what the path is relative to.
-        robot: name or folder of the robot.
-    """
-    description = RobotDescription.load(robot)
-    own, identification = description.folder / "ranges" / f"{name}.yaml", description.folder / f"{name}.toml"
-    if name in range_names():
-        path = own if own.is_file() else _RANGES / f"{name}.yaml"
-    elif name != "robot" and identification.is_file():
-        path = identification
-    else:
-        path = folder / name
-    if not path.is_file():
-        raise SurefootError(
-            f"randomize '{name}' does not exist; choices: {choices(range_names())}, or the path of a YAML file"
-        )
-    if path == identification:
-        ranges = _ranges_from_intervals(path, description)
-    else:
-        data = read_yaml(path)
-        with located(path):
-            ranges = ranges_from_mapping(data)
-    with located(path):
-        check_ranges(ranges, description)
-    return {name: ranges[name] for name in PARAMETERS if name in ranges}
+    return sorted(path.stem for path in _TABLES.glob("*.yaml"))
 
 
 @dataclass(frozen=True)
@@ -172,66 +147,77 @@ class _Table:
     randomize: Ranges
 
 
-def ranges_from_mapping(data: Mapping[str, Any]) -> Ranges:
-    """Return ranges from plain lists and tables; entries that are None are left out."""
-    if former := [name for name in data if name in _FORMER_NAMES]:
-        check_ranges({name: (0.0, 0.0) for name in former})
-    return from_mapping(_Table, {"randomize": _without_none(data)}).randomize
+def load_ranges(name: str, folder: Path = Path(), robot: str | Path = DEFAULT_ROBOT) -> Ranges:
+    """Read a table of ranges that a robot allows, in the order of `PARAMETERS`.
+
+    Args:
+        name: of a table that ships, the robot's own if it has one, or of a file of parameters that ships with the
+            robot; or the path of a file: a table (.yaml), or parameters whose intervals are the ranges (.toml).
+        folder: what the path is relative to.
+        robot: name or folder of the robot.
+    """
+    description = RobotDescription.load(robot)
+    own = description.folder
+    paths = [own / f"{name}.toml", folder / name]
+    if name in range_names():
+        paths = [own / "ranges" / f"{name}.yaml", _TABLES / f"{name}.yaml"]
+    path = next((path for path in paths if path.is_file()), None)
+    if path is None:
+        raise SurefootError(
+            f"randomize '{name}' does not exist; choices: {choices(range_names())}, or the path of a YAML file"
+        )
+    data = _read_intervals(path, description) if path.suffix == ".toml" else read_yaml(path)
+    with prefix_errors(path):
+        ranges = from_mapping(_Table, {"randomize": _drop_none(data)}).randomize
+        check_ranges(ranges, description)
+    return {name: ranges[name] for name in PARAMETERS if name in ranges}
 
 
-def _without_none(data: Mapping[str, Any]) -> dict[str, Any]:
+def _drop_none(data: Mapping[str, Any]) -> dict[str, Any]:
     return {name: value for name, value in data.items() if value is not None}
 
 
-def resolve_ranges(data: dict[str, Any], folder: Path = Path(), robot: str | Path = DEFAULT_ROBOT) -> dict[str, Any]:
-    """Return a task's table in which `randomize` holds ranges in place of the name or the path of a table.
+def resolve_table(data: dict[str, Any], folder: Path = Path(), robot: str | Path = DEFAULT_ROBOT) -> dict[str, Any]:
+    """Return a task's mapping in which `randomize` holds ranges in place of the name or the path of a table.
 
     It names a table either alone, or under `table` beside ranges that differ from it; None drops a range.
 
     Raises:
         SurefootError: no such table, or a file that does not fit.
     """
-    given = data.get("randomize")
-    ranges = {"table": given} if isinstance(given, str) else given
+    ranges = data.get("randomize")
+    if isinstance(ranges, str):
+        ranges = {"table": ranges}
     if not isinstance(ranges, Mapping):
         return data
-    ranges = dict(ranges)
-    name = ranges.pop("table", None)
+    name = ranges.get("table")
     table = {} if name is None else to_mapping(load_ranges(str(name), folder, robot))
-    return {**data, "randomize": _without_none({**table, **ranges})}
+    return {**data, "randomize": _drop_none({**table, **ranges, "table": None})}
 
 
-def _ranges_from_intervals(path: Path, robot: RobotDescription) -> Ranges:
-    """Return the 95 % intervals in the file of an identified robot as ranges.
+def _read_intervals(path: Path, robot: RobotDescription) -> dict[str, Any]:
+    """Return the 95 % intervals in a file of parameters, within what the robot allows.
 
-    A motor or axis without an interval keeps its identified value, where others have one.
+    A motor or axis without an interval keeps its value, where others have one.
     """
-    file, ranges = read_params(path, robot), Ranges()
-    for name, given in file.tables.get("intervals", {}).items():
-        if name not in PARAMETERS:
-            continue
-        with located(f"{path}: intervals.{name}"):
-            pairs = _read_pairs(given)
-        bounded = np.isfinite(pairs).all(axis=-1, keepdims=True)
-        values = getattr(file.params, name)[0]
-        if bounded.any():
+    file, ranges = read_params(path, robot), {}
+    for name, value in file.tables.get("intervals", {}).items():
+        with prefix_errors(f"{path}: intervals.{name}"):
+            try:
+                pairs = np.array(value, float)
+            except (TypeError, ValueError):
+                pairs = np.zeros(0)
+            if pairs.shape[-1:] != (2,) or pairs.ndim > 2:
+                raise SurefootError("must be a pair of numbers, or a list of such pairs")
+        bounded = np.isfinite(pairs).all(axis=-1)
+        if name in PARAMETERS and bounded.any():
+            values = getattr(file.params, name)[0]
             if pairs.ndim == 2 and len(pairs) == values.size:
-                pairs = np.where(bounded, pairs, values.reshape(-1, 1))
-            pairs = np.clip(pairs, *robot.allowed[name])
-            ranges[name] = tuple(map(tuple, pairs.tolist())) if pairs.ndim == 2 else tuple(pairs.tolist())
+                pairs[~bounded] = values[~bounded, None]
+            ranges[name] = np.clip(pairs, *robot.allowed[name]).tolist()
     if not ranges:
         raise SurefootError(f"{path}: has no intervals to draw from")
     return ranges
-
-
-def _read_pairs(given: Any) -> Array:
-    try:
-        pairs = np.asarray(given, float)
-    except (TypeError, ValueError):
-        pairs = np.zeros(0)
-    if pairs.shape[-1:] != (2,) or pairs.ndim > 2:
-        raise SurefootError("must be a pair of numbers, or a list of such pairs")
-    return pairs
 
 
 class Randomizer:
@@ -242,8 +228,8 @@ class Randomizer:
     dropped. Parameters that were added later take theirs from far ahead in the same stream.
 
     Args:
-        ranges: by parameter.
-        robot: its bounds hold.
+        ranges: by parameter; they must be what the robot allows.
+        robot: the robot's description.
         nominal: values of parameters that are not drawn, one row per robot.
         seed: seed of the streams.
     """
@@ -254,22 +240,20 @@ class Randomizer:
         self.nominal, self._robot = nominal, robot
         self.streams = generators(seed, "randomize", nominal.num_envs)
         self._counts = [0, 0, 0]
-        self._slots: dict[str, tuple[int, slice]] = {}
+        self._slots: dict[str, tuple[int, NDArray[np.int64]]] = {}
         part = 0
         for name, declared in PARAMETERS.items():
-            size, given = getattr(nominal, name)[0].size, self.ranges.get(name)
-            slot = self._next_slot(part, size if declared.independent else 1)
-            own = self._next_slot(2, 0 if declared.independent else size)
-            if given is not None and is_independent(name, given):
-                self._slots[name] = slot if declared.independent else own
-            elif given is not None:
-                self._slots[name] = part, slice(slot[1].start, slot[1].start + 1)
+            size = getattr(nominal, name)[0].size
+            slot = self._reserve(size if declared.independent else 1, part)
+            each = slot if declared.independent else self._reserve(size, 2)
+            if name in self.ranges:
+                self._slots[name] = each if is_independent(name, self.ranges[name]) else (part, slot[1][:1])
             part = 1 if name == _FIRST_STREAM_ENDS else part
 
-    def _next_slot(self, part: int, count: int) -> tuple[int, slice]:
-        start = self._counts[part]
+    def _reserve(self, count: int, part: int) -> tuple[int, NDArray[np.int64]]:
+        """Return a part of the stream and the places of the next `count` numbers in it."""
         self._counts[part] += count
-        return part, slice(start, start + count)
+        return part, np.arange(self._counts[part] - count, self._counts[part])
 
     @property
     def enabled(self) -> bool:
@@ -286,7 +270,7 @@ class Randomizer:
         params = self.nominal.rows(index)
         for name, (part, slot) in self._slots.items():
             values, unit = getattr(params, name), units[part][:, slot]
-            low, high = interval_of(self.ranges[name], values)
+            low, high = resolve_range(self.ranges[name], values)
             drawn = low + (high - low) * (unit if values.ndim == 2 else unit[:, 0])
             values[...] = np.clip(drawn, *self._robot.allowed[name])
         return params
@@ -294,7 +278,7 @@ class Randomizer:
     @property
     def _varied(self) -> list[str]:
         """Names of the parameters whose ranges have a width."""
-        return [name for name, given in self.ranges.items() if np.ptp(_intervals(given), axis=-1).any()]
+        return [name for name, param_range in self.ranges.items() if np.ptp(_intervals(param_range), axis=-1).any()]
 
     @property
     def columns(self) -> list[str]:
@@ -317,7 +301,7 @@ class Randomizer:
             kept = slice(None) if self._is_vector(name) else slice(1)
             values, low, high = (
                 array.reshape(params.num_envs, -1)[:, kept]
-                for array in (getattr(params, name), *interval_of(self.ranges[name], nominal))
+                for array in (getattr(params, name), *resolve_range(self.ranges[name], nominal))
             )
             width = high - low
             columns.append(np.divide(2 * values - low - high, width, out=np.zeros(width.shape), where=width != 0))
@@ -338,14 +322,15 @@ def draw_hidden(robot: RobotDescription, ranges: Mapping[str, ParamRange], seed:
     ranges. The control step stays, as it belongs to the control computer.
     """
     nominal = PhysicalParams.nominal(robot)
-    ranges = {name: given for name, given in _HIDDEN.items() if PARAMETERS[name].belongs_to(robot)} | dict(ranges)
-    ranges.pop("control_step", None)
-    check_ranges(ranges, robot)
+    hidden = {name: param_range for name, param_range in _HIDDEN.items() if PARAMETERS[name].belongs_to(robot)}
     drawn = {}
-    for name, given in ranges.items():
+    for name, param_range in {**hidden, **ranges}.items():
+        if name == "control_step":
+            continue
         # A stream for each name: draws of a parameter do not change with the others.
         values = getattr(nominal, name)
-        unit = generator(seed, f"hidden {name}").uniform(size=values.shape if is_independent(name, given) else 1)
-        low, high = interval_of(given, values)
+        size = values.shape if is_independent(name, param_range) else 1
+        unit = generator(seed, f"hidden {name}").uniform(size=size)
+        low, high = resolve_range(param_range, values)
         drawn[name] = np.clip(low + (high - low) * unit, *robot.allowed[name])
     return nominal.with_values(robot, **drawn)

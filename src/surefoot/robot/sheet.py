@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from typing import Annotated, Any, Literal
 
 from surefoot.configuration import NotNegative, Positive, Within, from_mapping, is_number
-from surefoot.errors import SurefootError, choices, quoted
+from surefoot.errors import SurefootError, choices, quote
 from surefoot.robot.leg import FiveBar, Legs
 from surefoot.robot.urdf import Urdf
 
@@ -149,7 +149,7 @@ def read_legs(sheet: Sheet, urdf: Urdf) -> tuple[Leg, ...]:
     motors, tables = sheet.motors.order, dict(sheet.legs)
     order = tables.pop("order", None)
     if not isinstance(order, list) or not order or sorted(map(str, order)) != sorted(tables):
-        raise SurefootError(f"legs.order is {quoted(order)}; it must name each leg once: {choices(tables)}")
+        raise SurefootError(f"legs.order is {quote(order)}; it must name each leg once: {choices(tables)}")
     legs = tuple(replace(from_mapping(Leg, tables[name], f"legs.{name}"), name=name) for name in order)
     check_names("base", (sheet.base,), urdf.links)
     check_names("motors.order", motors, hinges)
@@ -184,7 +184,7 @@ def check_names(key: str, names: Sequence[str], valid: Iterable[str]) -> None:
         if name not in valid:
             raise SurefootError(f"{key} names '{name}', which the robot does not have; choices: {choices(valid)}")
     if len(set(names)) != len(names):
-        raise SurefootError(f"{key} is {quoted(list(names))}; names must not repeat")
+        raise SurefootError(f"{key} is {quote(list(names))}; names must not repeat")
 
 
 def check_ranges(where: str, ranges: Mapping[str, Range]) -> None:

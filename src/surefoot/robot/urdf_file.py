@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from surefoot.arrays import Array
-from surefoot.errors import SurefootError, accessible, choices
+from surefoot.errors import SurefootError, choices, describe_os_errors
 from surefoot.files import read_configuration
 from surefoot.robot.rigid_body import RigidBody
 from surefoot.robot.urdf import GREY, Color, Joint, Link, Shape, Urdf
@@ -25,7 +25,7 @@ KINDS = ("fixed", "revolute", "continuous")
 
 def read_xml(path: Path) -> ElementTree.Element:
     """Return the root element of an XML file; refuse one that can't be read, and entities."""
-    with accessible(path):
+    with describe_os_errors(path):
         content = read_configuration(path)
     if b"<!DOCTYPE" in content or b"<!ENTITY" in content:
         raise SurefootError(f"{path}: declares XML entities; a robot's description has none")

@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 
 from surefoot.evaluate.gap import gap_difference
-from surefoot.evaluate.statistics import CONFIDENCE, Interval, decimal, t_interval
-from surefoot.files import whole_file
+from surefoot.evaluate.statistics import CONFIDENCE, Interval, MeanEstimate, decimal, t_interval
+from surefoot.files import atomic_write
 from surefoot.report.figures.parameters import parameter_figure, parameters_figure
 from surefoot.report.figures.runs import footfall_diagram
-from surefoot.studies.comparison import CONTENTS, FAR, Comparison, GroupResult, difference, write_tables
-from surefoot.studies.evaluations import EVALUATIONS, gait_trace
+from surefoot.studies.comparison import CONTENTS, FAR, Comparison, GroupResult, difference, late_gain, write_tables
+from surefoot.studies.evaluations import EVALUATIONS, load_gait_trace
 from surefoot.studies.study_figures import gap_figure, group_figure, learning_curves
 from surefoot.tables import markdown
 
@@ -22,7 +22,7 @@ _BARS = ("nominal_speed", "table1_falls", "sensitivity_mean", "sensitivity_std",
 _HOW_TO_READ = (
     f"Means over seeds, with intervals of {CONFIDENCE:.0%} confidence in brackets: Student's t over seeds for a group, "
     "Welch's for a difference, none widened for the number of comparisons. Episodes within one seed are averaged "
-    "first. Too few seeds for an interval: no brackets. Bold: the interval does not include zero."
+    "first. Brackets are left out where there are too few seeds. Bold: the interval does not include zero."
 )
 _GAP_TERMS = (
     "Home: the simulator that a policy was trained in, with the motors and delays of its own task. Described: the same "
@@ -33,13 +33,7 @@ _GAP_TERMS = (
 
 
 def write_report(comparison: Comparison, folder: Path, command: str) -> Path:
-    """Write tables, figures and README.md into a folder; returns the path of the last.
-
-    Args:
-        comparison: the groups.
-        folder: where to.
-        command: what makes the report.
-    """
+    """Write tables, figures and README.md, with the command that made them, into a folder; return README's path."""
     files = write_tables(comparison, folder)
     group_figure(comparison, folder / "groups.png", _BARS)
     text = [
@@ -68,14 +62,13 @@ def write_report(comparison: Comparison, folder: Path, command: str) -> Path:
         "## Files",
         "\n".join(f"- [{file.name}]({file.name}): {CONTENTS.get(file.stem, 'all but the episodes')}" for file in files),
     ]
-    with whole_file(folder / "README.md") as file:
-        file.write(("\n\n".join(text) + "\n").encode())
+    atomic_write(folder / "README.md", "\n\n".join(text) + "\n")
     return folder / "README.md"
 
 
 def _training(group: GroupResult) -> dict[str, str]:
-    """Return the row of a group's trainings: late gain is how the return goes from the fourth fifth to the last."""
-    gains = np.array([seed.curve.late_gain for seed in group.seeds])
+    """Return the row of a group's trainings."""
+    gains = np.array([late_gain(seed.curve) for seed in group.seeds])
     gains = gains[np.isfinite(gains)]
     return {
         "group": group.label,
@@ -89,7 +82,7 @@ def _training(group: GroupResult) -> dict[str, str]:
 
 
 def _curves(comparison: Comparison, folder: Path) -> list[str]:
-    """Draw the learning curves, a figure for each set of groups, and return what shows them."""
+    """Draw the learning curves, a figure for each set of groups; return lines that show them."""
     lines = []
     for name, groups in comparison.sets() if comparison.bars else [("", comparison.groups)]:
         file = f"learning_curves_{name}.png" if name else "learning_curves.png"
@@ -107,7 +100,7 @@ def _by_figure(comparison: Comparison, columns: Mapping[str, Sequence[Interval]]
 
     return markdown(
         [
-            {"figure": figure.heading} | {name: cell(found[i], figure.digits) for name, found in columns.items()}
+            {"figure": figure.heading} | {name: cell(values[i], figure.digits) for name, values in columns.items()}
             for i, figure in enumerate(comparison.figures)
         ]
     )
@@ -133,29 +126,24 @@ def _seeds(comparison: Comparison) -> str:
 
 
 def _gaits(comparison: Comparison, folder: Path) -> list[str]:
-    """Name the gait of each policy, draw an episode of each group's first, and return what shows them."""
+    """Name the gait of each policy and draw an episode of each group's first; return the section."""
     rows, figures = [], []
     for group in comparison.groups:
         for seed in group.seeds:
-            found = seed.results["gait"]
-            numbers = {name: decimal(math.nan if found[name] is None else found[name]) for name in ("stride", "duty")}
-            row = {
-                "group": group.label,
-                "seed": str(seed.seed),
-                "gait": found["gait"],
-                "agree": f"{found['agree']} of 5",
-            }
-            row |= {"pattern": found["pattern"], "why unnamed": found["reason"] or ""}
-            rows.append(row | {"stride (s)": numbers["stride"], "duty factor": numbers["duty"]})
+            gait = seed.results["gait"]
+            stride, duty = (decimal(math.nan if gait[name] is None else gait[name]) for name in ("stride", "duty"))
+            row = {"group": group.label, "seed": str(seed.seed), "gait": gait["gait"], "agree": f"{gait['agree']} of 5"}
+            row |= {"pattern": gait["pattern"], "why unnamed": gait["reason"] or ""}
+            rows.append(row | {"stride (s)": stride, "duty factor": duty})
         policy, file = group.seeds[0].policy, f"gait_{group.name}.png"
         assert policy is not None
-        footfall_diagram(gait_trace(policy), folder / file)
+        footfall_diagram(load_gait_trace(policy), folder / file)
         figures.append(f"![Footfalls: {group.label}, seed {group.seeds[0].seed}]({file})")
     return ["## Gaits", markdown(rows), *figures]
 
 
 def _parameters(comparison: Comparison, folder: Path) -> list[str]:
-    """Draw returns and falls against each parameter, and return what shows them."""
+    """Draw returns and falls against each parameter; return the section."""
     groups = {group.label: group.sensitivities for group in comparison.groups}
     rows = comparison.groups[0].sensitivities[0].rows
     parameters_figure(groups, folder / "parameters.png")
@@ -169,7 +157,7 @@ def _parameters(comparison: Comparison, folder: Path) -> list[str]:
 
 
 def _gaps(comparison: Comparison, folder: Path) -> list[str]:
-    """Draw the gaps of each set of groups, and return the section on them."""
+    """Draw the gaps of each set of groups; return the section."""
     best, parts = comparison.best(), ["## Reality gap", _GAP_TERMS]
     for name, groups in comparison.sets():
         file = f"gap_{name}.png"
@@ -197,20 +185,21 @@ def _gaps(comparison: Comparison, folder: Path) -> list[str]:
 
 
 def _finding(comparison: Comparison, name: str) -> list[str]:
-    """Return what the paper found of a set of groups, those without policies included."""
-    found = comparison.finding(comparison.bars.get(name, [group.name for group in comparison.groups]))
-    return [f"In the paper: {found}"] if found else []
+    """Return the paper's finding on a set of groups, those without policies included."""
+    text = comparison.finding(comparison.bars.get(name, [group.name for group in comparison.groups]))
+    return [f"In the paper: {text}"] if text else []
 
 
 def _gap_rows(group: GroupResult) -> list[dict[str, str]]:
     gap, rows = group.gap, []
-    for runs, row in zip(gap.runs, gap.text_rows(), strict=True):
+    for number, (world, row) in enumerate(zip(gap.worlds, gap.text_rows(), strict=True)):
+        runs = gap.in_world(world)
         start = {"group": row.pop("policy"), "seeds": ", ".join(str(seed.seed) for seed in group.seeds)}
-        if runs is not gap.home:
-            row["gap (m)"] = gap.gap_over_runs(runs.world).text()
+        if number:
+            row["gap (m)"] = gap.gap_over_runs(world).text()
         more = {
-            "gap, interval (m)": "" if runs is gap.home else gap.interval(runs.world).text(),
-            "distance (m)": runs.estimate("distance").text(),
+            "gap, interval (m)": gap.interval(world).text() if number else "",
+            "distance (m)": MeanEstimate.from_values(runs.distance).text(),
             "least distance (m)": decimal(runs.distance.min()),
             f"over {FAR:g} m": f"{(runs.distance > FAR).sum()} of {len(runs)}",
         }

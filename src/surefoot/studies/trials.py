@@ -1,4 +1,4 @@
-"""The trials of a search: what each came to, which gaits emerged, and how much the best flatter themselves."""
+"""The trials of a search: their results, the gaits that emerged, and the selection bias of the best."""
 
 from __future__ import annotations
 
@@ -8,9 +8,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import numpy as np
+import pandas as pd
 
-from surefoot.evaluate.runs import Runs
 from surefoot.evaluate.statistics import Interval, t_interval
 from surefoot.studies.evaluations import Result
 from surefoot.tables import plain_value
@@ -35,7 +34,7 @@ class TrialResult:
     curve: tuple[tuple[int, float], ...]
     """Control steps and return [m] of each evaluation."""
     params: dict[str, Any]
-    """What the search chose, by dotted name."""
+    """Proposed settings, by dotted name."""
     policy: Path | None
     """Its policy file; None if it has none."""
     gait: Result | None = None
@@ -67,33 +66,33 @@ class TrialResult:
 
 @dataclass(frozen=True)
 class Retest:
-    """A policy that a search found good, in episodes that the search has not seen."""
+    """One of the best policies of a search, in episodes that the search has not seen."""
 
     trial: TrialResult
     """The trial."""
-    home: Runs
-    """Fresh episodes in the simulator that it was trained in."""
-    away: Runs | None
-    """Episodes in Bullet; None where Bullet is not installed."""
+    runs: pd.DataFrame
+    """Fresh episodes in the simulator of its training, and in Bullet if that is installed; as `measure_runs`."""
+
+    def in_world(self, number: int) -> pd.DataFrame:
+        """Return the runs at home, 0, or in Bullet, 1; empty without Bullet."""
+        worlds = self.runs.world.unique()
+        return self.runs[self.runs.world == worlds[number]] if number < len(worlds) else self.runs[:0]
 
     @property
     def fresh(self) -> Interval:
         """Mean return of fresh episodes at home [m]."""
-        return t_interval(self.home.returns)
+        return t_interval(self.in_world(0)["return"])
 
     @property
-    def flattery(self) -> Interval:
-        """The return that the search gave less the one in fresh episodes [m]: selection bias.
-
-        What the search gave is a number; the interval is that of the mean return of fresh episodes.
-        """
+    def selection_bias(self) -> Interval:
+        """Return that the search saw, less the one in fresh episodes with its interval [m]."""
         fresh, claimed = self.fresh, self.trial.value
         return Interval(claimed - fresh.mean, claimed - fresh.high, claimed - fresh.low)
 
 
 @dataclass(frozen=True)
 class SearchResult:
-    """A search, as its report tells it."""
+    """A search, as its report shows it."""
 
     name: str
     """Name of the task."""
@@ -111,30 +110,22 @@ class SearchResult:
     """The best trials anew, best first."""
 
     @property
-    def complete(self) -> list[TrialResult]:
-        """Trials that were trained to the end."""
-        return [trial for trial in self.trials if trial.complete]
-
-    @property
-    def flattery(self) -> Interval:
-        """By how much the best trials flatter themselves [m]: mean over them, with its interval over policies."""
-        return t_interval([retest.flattery.mean for retest in self.retests])
+    def selection_bias(self) -> Interval:
+        """Mean selection bias of the best trials [m], with its interval over policies."""
+        return t_interval([retest.selection_bias.mean for retest in self.retests])
 
     def census(self) -> dict[str, list[TrialResult]]:
         """Return trials by the name of their gait, the most frequent first; within, those of the highest return first.
 
-        Pruned trials count: their policies are those of the time when they were pruned.
+        Pruned trials count, with the gait of the policy that was pruned.
         """
-        found: dict[str, list[TrialResult]] = {}
-        for trial in self.trials:
+        gaits: dict[str, list[TrialResult]] = {}
+        for trial in best(self.trials):
             if trial.gait is not None:
-                found.setdefault(trial.gait["gait"], []).append(trial)
-        ranked = {name: best(trials, len(trials)) for name, trials in found.items()}
-        return dict(sorted(ranked.items(), key=lambda item: (-len(item[1]), item[0])))
+                gaits.setdefault(trial.gait["gait"], []).append(trial)
+        return dict(sorted(gaits.items(), key=lambda item: (-len(item[1]), item[0])))
 
 
-def best(trials: Sequence[TrialResult], count: int) -> list[TrialResult]:
-    """Return the trials of the highest return, best first; those without a return last."""
-    known = [trial.value if math.isfinite(trial.value) else -math.inf for trial in trials]
-    order = np.argsort(-np.array(known), kind="stable")[:count]
-    return [trials[i] for i in order]
+def best(trials: Sequence[TrialResult]) -> list[TrialResult]:
+    """Return trials by their return, the highest first; those without a return last."""
+    return sorted(trials, key=lambda trial: -trial.value if math.isfinite(trial.value) else math.inf)

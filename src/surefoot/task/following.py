@@ -17,7 +17,7 @@ from surefoot.arrays import Array
 from surefoot.errors import SurefootError
 from surefoot.robot import RobotDescription
 from surefoot.robot.commands import CommandLimits
-from surefoot.task.commands import HEADING_ERROR, CommandState
+from surefoot.task.commands import MAX_HEADING_ERROR, CommandState
 from surefoot.task.foot import RATE_STEP, FootReference
 
 _PHASES = 48
@@ -73,7 +73,7 @@ class FollowingReference:
     def _extremes(self) -> CommandState:
         """Return the states in which legs are furthest from their places: strides all around, at every phase."""
         corners = np.array(np.meshgrid(*zip(self.limits.low, self.limits.high, strict=True))).reshape(3, -1).T
-        rate = np.max(np.abs(self.limits.yaw_rate)) + self.limits.heading_gain * HEADING_ERROR
+        rate = np.max(np.abs(self.limits.yaw_rate)) + self.limits.heading_gain * MAX_HEADING_ERROR
         corners[:, 2] = np.where(corners[:, 2] > 0, rate, -rate)
         corners = np.concatenate([corners, corners * [1, 1, 0], np.zeros((1, 3))])
         phase = np.tile(np.arange(_PHASES) / _PHASES, len(corners))
@@ -107,20 +107,16 @@ class FollowingReference:
         stride, share = self._on_the_spot(command)
         stride = stride / (1.0 + self.frequency_rise * share)[:, None, None]
         length = np.linalg.norm(stride, axis=-1, keepdims=True)
-        limited: Array = stride * np.minimum(1.0, self.feet.stroke[:, None] / np.maximum(length, 1e-9))
-        return limited
+        return np.asarray(stride * np.minimum(1.0, self.feet.stroke[:, None] / np.maximum(length, 1e-9)))
 
     def frequency(self, command: Array) -> Array:
         """Return the frequency (N,) [Hz] at commands (N, 3)."""
         _, share = self._on_the_spot(command)
-        frequency: Array = self.feet.frequency * (1.0 + self.frequency_rise * share)
-        return frequency
+        return np.asarray(self.feet.frequency * (1.0 + self.frequency_rise * share))
 
     def pose(self, time: ArrayLike, state: CommandState | None = None) -> Array:
-        """Return the poses (N, C, L) at what the gait follows; without it, of steps on the spot at times (N,) [s]."""
-        if state is None:
-            cycle = np.atleast_1d(np.asarray(time, float)) / self.period
-            state = CommandState(np.zeros((len(cycle), 3)), np.ones(len(cycle)), cycle % 1.0)
+        """Return the poses (N, C, L) at what the gait follows, whatever the times (N,)."""
+        assert state is not None
         along, bump = self.feet.curve(state.phase)
         active = state.activity[:, None]
         step = (active * along)[..., None] * self.strides(state.command)
@@ -134,12 +130,9 @@ class FollowingReference:
 
     def pose_rate(self, time: ArrayLike, state: CommandState | None = None) -> Array:
         """Return the velocities (N, C, L) of the poses at what the gait follows, in units of leg space a second."""
-        if state is None:
-            time = np.asarray(time, float)
-            before, after = self.pose(time - RATE_STEP), self.pose(time + RATE_STEP)
-        else:
-            turn = RATE_STEP * self.frequency(state.command)
-            before, after = (self.pose(time, replace(state, phase=state.phase + way * turn)) for way in (-1, 1))
+        assert state is not None
+        change = RATE_STEP * self.frequency(state.command)
+        before, after = (self.pose(time, replace(state, phase=state.phase + sign * change)) for sign in (-1, 1))
         return (after - before) / (2 * RATE_STEP)
 
     def extent(self) -> tuple[tuple[float, float], ...]:

@@ -84,8 +84,7 @@ class FootReference:
 
     def shares(self, cycle: ArrayLike) -> Array:
         """Return the part of each leg's own cycle that is over (..., N, L), 0 to 1, after cycles (..., N)."""
-        share: Array = (np.asarray(cycle, float)[..., None] - self.phase) % 1.0
-        return share
+        return np.asarray((np.asarray(cycle, float)[..., None] - self.phase) % 1.0)
 
     def curve(self, cycle: ArrayLike) -> tuple[Array, Array]:
         """Return where feet are along their strokes, .5 (front) to -.5, and above `height` [m], after cycles (..., N).

@@ -17,8 +17,8 @@ from surefoot.world.interface import Readings
 
 
 @dataclass(frozen=True)
-class Moment:
-    """Everything an observation may be composed of, for N robots."""
+class ObservationInputs:
+    """Inputs of an observation, of N robots."""
 
     readings: Readings
     reference: Reference
@@ -36,7 +36,7 @@ class Part:
     frame: str
     columns: Callable[[RobotDescription], list[str]]
     """Names of its numbers."""
-    read: Callable[[Moment], Array]
+    read: Callable[[ObservationInputs], Array]
     """Its numbers (N, width)."""
 
 
@@ -48,26 +48,26 @@ def phase(time: Array, period: float | None) -> Array:
     return np.stack([np.sin(angle), np.cos(angle)], -1)
 
 
-def gait_phase(moment: Moment) -> Array:
+def gait_phase(inputs: ObservationInputs) -> Array:
     """Return sine and cosine (N, 2) of the gait's phase; with commands, times the share of full steps."""
-    if moment.commands is None:
-        return phase(moment.readings.time, moment.reference.period)
-    return moment.commands.activity[:, None] * phase(moment.commands.phase, 1.0)
+    if inputs.commands is None:
+        return phase(inputs.readings.time, inputs.reference.period)
+    return inputs.commands.activity[:, None] * phase(inputs.commands.phase, 1.0)
 
 
-def _command(moment: Moment) -> Array:
+def _command(inputs: ObservationInputs) -> Array:
     """Return the commands (N, 3) that are followed; the task must have commands."""
-    if moment.commands is None:
+    if inputs.commands is None:
         raise SurefootError("observation 'command' needs commands with a range; this task has none")
-    return moment.commands.command
+    return inputs.commands.command
 
 
 def _motor_columns(prefix: str) -> Callable[[RobotDescription], list[str]]:
     return lambda robot: [f"{prefix}.{name}" for name in robot.motor_names]
 
 
-def _angular_velocity(axis: int) -> Callable[[Moment], Array]:
-    return lambda moment: moment.readings.angular_velocity_base[:, axis : axis + 1]
+def _angular_velocity(axis: int) -> Callable[[ObservationInputs], Array]:
+    return lambda inputs: inputs.readings.angular_velocity_base[:, axis : axis + 1]
 
 
 PARTS: dict[str, Part] = {
@@ -122,9 +122,9 @@ class Observer:
         """Numbers in an observation."""
         return len(self.columns)
 
-    def observe(self, moment: Moment) -> Array:
+    def observe(self, inputs: ObservationInputs) -> Array:
         """Return the observations (N, width), raw SI values."""
-        return np.concatenate([PARTS[name].read(moment) for name in self.names], axis=1)
+        return np.concatenate([PARTS[name].read(inputs) for name in self.names], axis=1)
 
     def describe(self) -> list[dict[str, str]]:
         """Return name, unit and frame of each part, for the contract."""

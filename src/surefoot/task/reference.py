@@ -190,8 +190,7 @@ class TableReference:
         place = np.asarray(time, float) / self.period % 1.0 * rows
         first = np.floor(place).astype(int) % rows
         share = (place - np.floor(place))[..., None, None]
-        pose: Array = self.rows[first] + share * (self.rows[(first + 1) % rows] - self.rows[first])
-        return pose
+        return np.asarray(self.rows[first] + share * (self.rows[(first + 1) % rows] - self.rows[first]))
 
     def extent(self) -> tuple[tuple[float, float], ...]:
         """Return the lowest and highest value of each coordinate over all legs and times."""

@@ -233,7 +233,7 @@ def protect_motor(state: ActuationState, i: int, m: int, torque: float, hot_torq
 
 @kernel
 def compute_joint_torque(state: ActuationState, i: int) -> None:
-    """Compute `state.torque` of robot `i` by joint actuators, from the angles and speeds that they see."""
+    """Compute `state.torque` of robot `i` by joint actuators, from the angles and speeds that they measure."""
     motors = state.target.shape[1]
     dt = state.constants[3]
     follow = dt / (state.speed_filter[i] + dt)
@@ -241,7 +241,7 @@ def compute_joint_torque(state: ActuationState, i: int) -> None:
     for m in range(motors):
         speed = state.sample[i, motors + m]
         state.filtered_speed[i, m] += follow * (state.servo_sample[i, motors + m] - state.filtered_speed[i, m])
-        wanted = joint_torque_kernel(
+        desired = joint_torque_kernel(
             state.target[i, m],
             state.servo_sample[i, m],
             state.filtered_speed[i, m],
@@ -250,7 +250,7 @@ def compute_joint_torque(state: ActuationState, i: int) -> None:
         )
         full, none, hot_torque = state.joint_limits[:, m]
         limit = state.max_torque[i, m]
-        torque = joint_limit_kernel(wanted + state.duty[i, m] * limit, speed, limit, full, none) * state.strength[i, m]
+        torque = joint_limit_kernel(desired + state.duty[i, m] * limit, speed, limit, full, none) * state.strength[i, m]
         torque = protect_motor(state, i, m, torque, hot_torque)
         power += torque * speed
         state.heat[i, m] += dt * HEAT_LOSS * full * torque * torque / limit

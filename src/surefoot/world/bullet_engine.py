@@ -49,12 +49,12 @@ class BulletEngine:
         self.gravity = settings.gravity
         num_envs = len(actuation.ticks)
         self._p = import_pybullet()
-        self._meeting = collision_pairs(robot)
-        self.models = [BulletModel(robot, config, settings, self._meeting) for _ in range(num_envs)]
+        self._collision_pairs = collision_pairs(robot)
+        self.models = [BulletModel(robot, config, settings, self._collision_pairs) for _ in range(num_envs)]
         model = self.models[0]
         self._joints = list(model.joints.values())
         joints = len(self._joints)
-        self._spoilt = np.zeros(num_envs, np.bool_)
+        self._invalid = np.zeros(num_envs, np.bool_)
         sign = robot.motor_sign.astype(np.float64)
         self._layout = Layout(sign, model.base_quat, model.rack)
         self._from_link = quat_matrix(model.base_quat)
@@ -62,7 +62,7 @@ class BulletEngine:
         self._motor_columns = np.concatenate([columns, columns + joints])
         self._feet = {link: leg for leg, link in enumerate(model.feet)}
         self._applied = np.zeros((num_envs, len(sign)))
-        self._seen = np.zeros((num_envs, JOINTS + 3 * len(sign)))
+        self._measured = np.zeros((num_envs, JOINTS + 3 * len(sign)))
         self.diverged = np.zeros(num_envs, np.bool_)
         self._force = np.zeros((num_envs, 3))
         self._rows = np.zeros((num_envs, JOINTS + 2 * joints))
@@ -108,67 +108,67 @@ class BulletEngine:
 
         All take a step before any takes the next, so that what is compiled is called once for all of them.
         """
-        actuation, seen, applied, layout = self.actuation, self._seen, self._applied, self._layout
+        actuation, measured, applied, layout = self.actuation, self._measured, self._applied, self._layout
         actuation.energy[servo_steps > 0] = 0.0
         actuation.heat[servo_steps > 0] = 0.0
         actuation.contact_ticks[servo_steps > 0] = 0.0
-        left = np.where(self.diverged, 0, servo_steps)
-        rows = np.flatnonzero(left).tolist()
+        remaining = np.where(self.diverged, 0, servo_steps)
+        rows = np.flatnonzero(remaining).tolist()
         constraint = bool(actuation.constraint[0])
-        substep(layout, actuation, seen, applied, left, self.diverged, False)
+        substep(layout, actuation, measured, applied, remaining, self.diverged, False)
         for i in rows:
-            self._look(i)
+            self._gather_measured(i)
             if constraint:
                 self._set_constraint_motors(i)
-        turned = np.asarray(actuation.friction.any(axis=1) | actuation.viscous.any(axis=1) | (not constraint))
-        pushed = np.asarray(self._force.any(axis=1))
-        while going := np.flatnonzero(left).tolist():
+        has_torque = np.asarray(actuation.friction.any(axis=1) | actuation.viscous.any(axis=1) | (not constraint))
+        has_force = np.asarray(self._force.any(axis=1))
+        while active := np.flatnonzero(remaining).tolist():
             torques = applied.tolist()
-            for i in going:
-                self._step(i, torques[i] if turned[i] else None, pushed[i])
-            substep(layout, actuation, seen, applied, left, self.diverged, True)
+            for i in active:
+                self._step(i, torques[i] if has_torque[i] else None, has_force[i])
+            substep(layout, actuation, measured, applied, remaining, self.diverged, True)
         for i in rows:
-            self._end(i)
+            self._finish(i)
 
-    def _step(self, i: int, torques: list[float] | None, pushed: np.bool_) -> None:
+    def _step(self, i: int, torques: list[float] | None, has_force: np.bool_) -> None:
         """Step robot `i`, with joint torques and the force on its base if there are any."""
-        p, model, seen = self._p, self.models[i], self._seen[i]
+        p, model, measured = self._p, self.models[i], self._measured[i]
         client, body, motors = model.client, model.body, model.motors
         if torques is not None:
             p.setJointMotorControlArray(body, motors, p.TORQUE_CONTROL, forces=torques, physicsClientId=client)
-        if pushed:  # Bullet forgets a force after a step, and when torques are set
-            p.applyExternalForce(body, -1, self._force[i].tolist(), seen[:3].tolist(), p.WORLD_FRAME, client)
+        if has_force:  # Bullet forgets a force after a step, and when torques are set
+            p.applyExternalForce(body, -1, self._force[i].tolist(), measured[:3].tolist(), p.WORLD_FRAME, client)
         if model.soles:
-            model.push_soles()
+            model.apply_sole_forces()
         p.stepSimulation(client)
         if model.values["knee_play"]:
-            model.move_pins()
-        seen[:] = self._read(i, motors)
+            model.update_pins()
+        measured[:] = self._read(i, motors)
         points = p.getContactPoints(body, model.floor, physicsClientId=client)
         if model.soles:
-            model.move_soles(points)
+            model.update_soles(points)
         for leg in {self._feet[point[3]] for point in points if point[9] > 0.0 and point[3] in self._feet}:
             self.actuation.contact_ticks[i, leg] += 1.0
 
-    def _end(self, i: int) -> None:
+    def _finish(self, i: int) -> None:
         """Read robot `i`'s whole state from Bullet, and write it back."""
         row = self._rows[i]
         row[:] = self._read(i, self._joints)[: len(row)]
         # Knees are looked at here only: what is wrong with one shows at its motor, too, a step later.
         self.diverged[i] |= not np.abs(row).max() < SPEED_LIMIT
-        self._spoilt[i] = self.diverged[i]
+        self._invalid[i] = self.diverged[i]
         if not self.diverged[i]:
-            self._turn_rotors(i)
+            self._set_rotors(i)
             if not self._config.rack:
                 self._write_base(i)
 
-    def _look(self, i: int) -> Array:
+    def _gather_measured(self, i: int) -> Array:
         """Return the base, angles and speeds that `observe` takes, from robot `i`'s row."""
         row, motors = self._rows[i], self.models[i].motors
-        seen: Array = self._seen[i]
-        seen[:JOINTS] = row[:JOINTS]
-        seen[JOINTS : JOINTS + 2 * len(motors)] = row[self._motor_columns]
-        return seen
+        measured: Array = self._measured[i]
+        measured[:JOINTS] = row[:JOINTS]
+        measured[JOINTS : JOINTS + 2 * len(motors)] = row[self._motor_columns]
+        return measured
 
     def _set_constraint_motors(self, i: int) -> None:
         """Give Bullet's joint motors their targets, gains and limits, which they keep until they get others.
@@ -196,32 +196,32 @@ class BulletEngine:
     def observe(self, rows: Index) -> None:
         """Write states to `actuation.sample`."""
         for i in rows:
-            observe(self._layout, self.actuation, i, self._look(i))
+            observe(self._layout, self.actuation, i, self._gather_measured(i))
 
     def get_state(self, rows: Index) -> Array:
         """Return the whole states (n, size); contacts are forgotten and pins centred, as `set_state` does."""
         for i in rows:
-            self.models[i].forget()
+            self.models[i].clear_contacts()
         offsets = np.array([self.models[i].base_offset for i in rows])
         return np.concatenate([self._rows[rows], self._force[rows], offsets], axis=1)
 
     def set_state(self, rows: Index, states: Array) -> None:
         """Put robots into states from `get_state`, or all into one."""
         for i, state in zip(rows, np.broadcast_to(states, (len(rows), states.shape[-1])), strict=True):
-            self._put(i, state)
+            self._set_robot_state(i, state)
 
-    def _put(self, i: int, state: Array) -> None:
-        if self._spoilt[i]:
+    def _set_robot_state(self, i: int, state: Array) -> None:
+        if self._invalid[i]:
             # Bullet's contact search does not recover from positions that are not finite.
             values, rotors = self.models[i].values, self.models[i].rotor_inertia
             self._renew(i, self.models[i].base_offset)
             self.models[i].apply(values, rotors)
-            self._spoilt[i] = False
+            self._invalid[i] = False
         p, model, row = self._p, self.models[i], self._rows[i]
         row[:], self._force[i] = state[: len(row)], state[len(row) : len(row) + 3]
         # Bullet's base is at its centre of mass.
-        if (moved := model.base_offset - state[len(row) + 3 :]).any() and not model.rack:
-            arm = xyzw_matrix(row[3:7]) @ self._from_link.T @ moved
+        if (displacement := model.base_offset - state[len(row) + 3 :]).any() and not model.rack:
+            arm = xyzw_matrix(row[3:7]) @ self._from_link.T @ displacement
             row[:3] += arm
             row[VELOCITY:OMEGA] += np.cross(row[OMEGA:JOINTS], arm)
         if not self._config.rack:
@@ -229,18 +229,18 @@ class BulletEngine:
         angles, speeds = np.split(row[JOINTS:], 2)
         for joint, angle, speed in zip(self._joints, angles.tolist(), speeds.tolist(), strict=True):
             p.resetJointState(model.body, joint, angle, speed, model.client)
-        self._turn_rotors(i)
-        model.forget()
+        self._set_rotors(i)
+        model.clear_contacts()
         self.diverged[i] = False
 
-    def _turn_rotors(self, i: int) -> None:
+    def _set_rotors(self, i: int) -> None:
         angles, speeds = np.split(self._rows[i, self._motor_columns], 2)
-        self.models[i].turn_rotors(angles.tolist(), speeds.tolist())
+        self.models[i].set_rotors(angles.tolist(), speeds.tolist())
 
     def _renew(self, i: int, base_offset: Array) -> None:
         """Give robot `i` a client of its own anew, with nominal parameters but for the base's centre of mass."""
         self.models[i].close()
-        self.models[i] = BulletModel(self.robot, self._config, self._settings, self._meeting, base_offset)
+        self.models[i] = BulletModel(self.robot, self._config, self._settings, self._collision_pairs, base_offset)
 
     def set_base_velocity(self, rows: Index, linear_world: Array, angular_base: Array) -> None:
         """Set velocities (n, 3) [m/s] in the world and angular velocities (n, 3) [rad/s] in the base frames."""
@@ -274,7 +274,7 @@ class BulletEngine:
                 self.set_state(rows[k : k + 1], state)
             values = {name: float(getattr(params, name)[k]) for name in PARAMETERS}
             self.models[i].apply(values, params.rotor_inertia[k])
-            self.models[i].forget()
+            self.models[i].clear_contacts()
 
     def base(self) -> Array:
         """Return the base position [m], quaternion (w x y z) and velocity [m/s], all in the world frame, (N, 10)."""

@@ -34,7 +34,7 @@ VELOCITY, OMEGA, JOINTS = 7, 10, 13
 """Where in a row these begin."""
 PIN_LOAD = 1.0
 """Load [N] at which a pin with play has moved half of its clearance; it smooths the change from side to side."""
-PIN_FOLLOWS = 0.2
+PIN_FOLLOW_RATE = 0.2
 """Share of its path that such a pin moves in a step of 1 ms: .1 kg at 5 N crosses half a millimetre in some 5 ms."""
 
 
@@ -47,29 +47,29 @@ class Layout(NamedTuple):
 
 
 @njit(cache=True)
-def observe(layout: Layout, state: ActuationState, i: int, seen: Array) -> bool:
+def observe(layout: Layout, state: ActuationState, i: int, measured: Array) -> bool:
     """Write robot `i`'s state to `state.sample`; return false, and write nothing, if it is not finite.
 
-    Seen are the first 13 numbers of its row, then angles and speeds of its motors' joints.
+    `measured` holds the first 13 numbers of its row, then angles and speeds of its motors' joints.
     """
     motors = len(layout.sign)
     for k in range(JOINTS + 2 * motors):
-        if not np.isfinite(seen[k]):
+        if not np.isfinite(measured[k]):
             return False
-        if (VELOCITY <= k < JOINTS or k >= JOINTS + motors) and not abs(seen[k]) < SPEED_LIMIT:
+        if (VELOCITY <= k < JOINTS or k >= JOINTS + motors) and not abs(measured[k]) < SPEED_LIMIT:
             return False
     now = state.sample[i]
     for m in range(2 * motors):
-        now[m] = layout.sign[m % motors] * seen[JOINTS + m]
+        now[m] = layout.sign[m % motors] * measured[JOINTS + m]
     for m in range(motors):
         now[m] += state.motor_offset[i, m]
     if layout.rack:
         now[2 * motors :] = 0.0
         return True
     b = layout.base_quat
-    quat = quat_product((seen[6], seen[3], seen[4], seen[5]), (b[0], -b[1], -b[2], -b[3]))
+    quat = quat_product((measured[6], measured[3], measured[4], measured[5]), (b[0], -b[1], -b[2], -b[3]))
     now[2 * motors], now[2 * motors + 1], now[2 * motors + 2] = roll_pitch_yaw(*quat)
-    omega = rotate_inverse(quat, (seen[OMEGA], seen[OMEGA + 1], seen[OMEGA + 2]))
+    omega = rotate_inverse(quat, (measured[OMEGA], measured[OMEGA + 1], measured[OMEGA + 2]))
     now[2 * motors + 3], now[2 * motors + 4], now[2 * motors + 5] = omega
     return True
 
@@ -78,47 +78,47 @@ def observe(layout: Layout, state: ActuationState, i: int, seen: Array) -> bool:
 def substep(
     layout: Layout,
     state: ActuationState,
-    seen: Array,
+    measured: Array,
     applied: Array,
-    left: Index,
+    remaining: Index,
     diverged: NDArray[np.bool_],
-    ended: bool,
+    step_done: bool,
 ) -> None:
     """Run everything between two steps of Bullet for all robots: the end of one, the start of the next.
 
     Args:
         layout: see there.
         state: servos, motors and sensors of N robots.
-        seen: their states after the step, see `observe`, then the torques of Bullet's own joint motors [N m], (N, ...).
+        measured: states after the step, see `observe`, then the torques of Bullet's joint motors [N m], (N, ...).
         applied: output, joint torques (N, M) [N m] for the next step.
-        left: steps that each has to go, the one that has ended included (N,); updated, 0 where a robot diverges.
+        remaining: steps to go, the one that has ended included (N,); updated, 0 where a robot diverges.
         diverged: set where a robot diverges (N,).
-        ended: a step has ended; if not, the first is about to start.
+        step_done: a step has ended; if not, the first is about to start.
     """
     motors = len(layout.sign)
-    for i in range(len(left)):
-        if left[i] == 0:
+    for i in range(len(remaining)):
+        if remaining[i] == 0:
             continue
-        if ended:
+        if step_done:
             state.ticks[i] += 1
-            if not observe(layout, state, i, seen[i]):
-                diverged[i], left[i] = True, 0
+            if not observe(layout, state, i, measured[i]):
+                diverged[i], remaining[i] = True, 0
                 continue
             if state.constraint[0]:
                 for m in range(motors):
                     # A motor without strength is left out of the solver, and keeps the torque that it had before.
                     limit = state.constraint_torque[i, m]
-                    torque = layout.sign[m] * seen[i, JOINTS + 2 * motors + m]
+                    torque = layout.sign[m] * measured[i, JOINTS + 2 * motors + m]
                     state.motor_torque[i, m] = min(max(torque, -limit), limit)
                 add_constraint_work(state, i)
             record_sample(state, i)
-            left[i] -= 1
-        if left[i] > 0:
+            remaining[i] -= 1
+        if remaining[i] > 0:
             compute_torque(state, i)
             for m in range(motors):
                 applied[i, m] = layout.sign[m] * state.torque[i, m]
                 if not np.isfinite(applied[i, m]):
-                    diverged[i], left[i] = True, 0
+                    diverged[i], remaining[i] = True, 0
 
 
 @njit(cache=True)
@@ -140,10 +140,10 @@ def pin_kernel(quats: Array, forces: Array, axes: Array, play: float, shift: Arr
         fx, fy, fz = rotate_inverse(quat, (forces[k, 0], forces[k, 1], forces[k, 2]))
         along = fx * axes[k, 0] + fy * axes[k, 1] + fz * axes[k, 2]
         fx, fy, fz = fx - along * axes[k, 0], fy - along * axes[k, 1], fz - along * axes[k, 2]
-        reach = play / (math.sqrt(fx * fx + fy * fy + fz * fz) + PIN_LOAD)
-        shift[k, 0] += PIN_FOLLOWS * (reach * fx - shift[k, 0])
-        shift[k, 1] += PIN_FOLLOWS * (reach * fy - shift[k, 1])
-        shift[k, 2] += PIN_FOLLOWS * (reach * fz - shift[k, 2])
+        offset_per_force = play / (math.sqrt(fx * fx + fy * fy + fz * fz) + PIN_LOAD)
+        shift[k, 0] += PIN_FOLLOW_RATE * (offset_per_force * fx - shift[k, 0])
+        shift[k, 1] += PIN_FOLLOW_RATE * (offset_per_force * fy - shift[k, 1])
+        shift[k, 2] += PIN_FOLLOW_RATE * (offset_per_force * fz - shift[k, 2])
 
 
 @njit(cache=True)

@@ -42,7 +42,7 @@ ROTOR_RATIO = 300.0
 """Turns of a rotor for a turn of its joint in Bullet; the more, the less it resists the turning of what it is on."""
 _ROTOR = "rotor of "
 _ROTOR_MASS = 1e-9
-_LEAST_ROTOR = 1e-6
+_MIN_ROTOR_INERTIA = 1e-6
 
 
 @dataclass(frozen=True)
@@ -82,7 +82,7 @@ def import_pybullet() -> ModuleType:
 class BulletModel:
     """A robot in a Bullet client of its own, on the ground, motors off; the client ends with the object.
 
-    With `meeting`, links that may collide, as `collision_pairs` returns them: it takes a tenth of a second.
+    With `pairs`, links that may collide, as `collision_pairs` returns them: it takes a tenth of a second.
 
     Bullet's link frames are inertial frames. L links besides the base, each with one joint; M motors, F feet, P pins
     that close loops. Indices of links and joints are the same in all clients.
@@ -137,10 +137,10 @@ class BulletModel:
         robot: RobotDescription,
         config: WorldConfig,
         settings: BulletSettings,
-        meeting: Sequence[tuple[str, str]] | None = None,
+        pairs: Sequence[tuple[str, str]] | None = None,
         base_offset: Array = _NO_OFFSET,
     ) -> None:
-        self._meeting = collision_pairs(robot) if meeting is None else meeting
+        self._pairs = collision_pairs(robot) if pairs is None else pairs
         self.robot, self.rack, self._p, self._ground = robot, config.rack, import_pybullet(), config.ground
         self.base_offset = base_offset.copy()
         self._fused = robot.urdf.fuse_fixed_links({robot.base: base_offset})
@@ -170,8 +170,8 @@ class BulletModel:
             deterministicOverlappingPairs=1,
             physicsClientId=client,
         )
-        self.ground = self.floor = self._lay(self._ground, settings.ground == "box")
-        meeting = {frozenset(places[link][0] for link in pair) for pair in self._meeting}
+        self.ground = self.floor = self._add_ground(self._ground, settings.ground == "box")
+        pairs = {frozenset(places[link][0] for link in pair) for pair in self._pairs}
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / "fused.urdf"
             urdf = self._fused if settings.feet == "sphere" else self._with_shanks(self._fused)
@@ -182,7 +182,7 @@ class BulletModel:
                     str(path),
                     [0, 0, RACK_HEIGHT],
                     useFixedBase=self.rack,
-                    flags=p.URDF_USE_INERTIA_FROM_FILE | (p.URDF_USE_SELF_COLLISION if meeting else 0),
+                    flags=p.URDF_USE_INERTIA_FROM_FILE | (p.URDF_USE_SELF_COLLISION if pairs else 0),
                     physicsClientId=client,
                 )
             except p.error as error:
@@ -192,16 +192,16 @@ class BulletModel:
         numbers = {info[1].decode(): info[0] for info in infos}
         self.joints = {name: number for name, number in numbers.items() if not name.startswith(_ROTOR)}
         self.links = {base: -1} | {info[12].decode(): info[0] for info in infos if info[0] in self.joints.values()}
-        if meeting:
+        if pairs:
             for one, other in itertools.combinations(self.links, 2):
-                apart = int({one, other} in meeting)
+                apart = int({one, other} in pairs)
                 p.setCollisionFilterPair(self.body, self.body, self.links[one], self.links[other], apart, client)
         self.motors = [self.joints[name] for name in robot.motor_names]
         geared = [name for name in robot.motor_names if f"{_ROTOR}{name}" in numbers]
         self.rotors = {self.joints[name]: numbers[f"{_ROTOR}{name}"] for name in geared}
         self.knees = [joint for joint in self.joints.values() if joint not in self.motors]
         self.feet = [self.links[places[leg.foot][0]] for leg in robot.legs]
-        self._touching = list(self.links.values()) if meeting else [-1, *self.feet]
+        self._touching = list(self.links.values()) if pairs else [-1, *self.feet]
         centres, radii = zip(*(self._foot_sphere(leg.foot) for leg in robot.legs), strict=True)
         self.foot_centre, self.foot_radius = np.array(centres), np.array(radii)
         _, axes = links[base].body.principal()
@@ -219,7 +219,7 @@ class BulletModel:
         self.check_masses(self.mass)
         self._gear_rotors()
 
-    def _lay(self, ground: Ground, box: bool = False) -> int:
+    def _add_ground(self, ground: Ground, box: bool = False) -> int:
         """Return the number of a body to stand on, which does not move; a flat one is a plane or the top of a box."""
         p, client, place = self._p, self.client, [0.0, 0.0, 0.0]
         if ground.heights.size:
@@ -265,12 +265,12 @@ class BulletModel:
             ends = (body, joint, body, rotor, p.JOINT_GEAR, [0, 0, 1], [0, 0, 0], [0, 0, 0])
             gear = p.createConstraint(*ends, physicsClientId=self.client)
             p.changeConstraint(gear, gearRatio=-1.0 / ROTOR_RATIO, maxForce=1e9, physicsClientId=self.client)
-        self._weigh_rotors()
+        self._set_rotor_inertia()
 
-    def _weigh_rotors(self) -> None:
+    def _set_rotor_inertia(self) -> None:
         for joint, inertia in zip(self.motors, self.rotor_inertia.tolist(), strict=True):
             if joint in self.rotors:
-                moments = [max(inertia, _LEAST_ROTOR) / ROTOR_RATIO**2] * 3
+                moments = [max(inertia, _MIN_ROTOR_INERTIA) / ROTOR_RATIO**2] * 3
                 self._p.changeDynamics(
                     self.body,
                     self.rotors[joint],
@@ -279,12 +279,12 @@ class BulletModel:
                     physicsClientId=self.client,
                 )
 
-    def turn_rotors(self, angles: list[float], speeds: list[float]) -> None:
+    def set_rotors(self, angles: list[float], speeds: list[float]) -> None:
         """Put rotors where joints at angles (M,) [rad] and speeds (M,) [rad/s] of the motors have them."""
         for motor, angle, speed in zip(self.motors, angles, speeds, strict=True):
             if motor in self.rotors:
-                turned = (ROTOR_RATIO * angle, ROTOR_RATIO * speed)
-                self._p.resetJointState(self.body, self.rotors[motor], *turned, self.client)
+                position = (ROTOR_RATIO * angle, ROTOR_RATIO * speed)
+                self._p.resetJointState(self.body, self.rotors[motor], *position, self.client)
 
     def _foot_sphere(self, foot: str) -> tuple[Array, float]:
         """Return the centre [m] of a foot's sphere in its link's inertial frame, and its radius [m]."""
@@ -346,10 +346,10 @@ class BulletModel:
                 maxJointVelocity=_SPEED_CUT,
                 physicsClientId=self.client,
             )
-        self._brake([*self.joints.values(), *self.rotors.values()], 0.0)
+        self._set_joint_friction([*self.joints.values(), *self.rotors.values()], 0.0)
         self._set_foot_contact()
 
-    def _brake(self, joints: list[int], torque: float) -> None:
+    def _set_joint_friction(self, joints: list[int], torque: float) -> None:
         """Give joints motors with target speed 0 and at most a torque [N m]."""
         forces = [torque] * len(joints)
         p = self._p
@@ -358,25 +358,25 @@ class BulletModel:
     def apply(self, values: dict[str, float], rotor_inertia: Array) -> None:
         """Give the robot other `PARAMETERS` and rotors; what depends on those that stay is left as it is."""
         changed = {name for name in PARAMETERS if values[name] != self.values[name]}
-        turned = not np.array_equal(rotor_inertia, self.rotor_inertia)
+        rotors_changed = not np.array_equal(rotor_inertia, self.rotor_inertia)
         self.values, self.rotor_inertia = values, rotor_inertia.copy()
         if changed.intersection(CONTACT):
             self._set_foot_contact()
         if changed.intersection(RATIOS):
             self._scale_masses()
-        if turned:
-            self._weigh_rotors()
+        if rotors_changed:
+            self._set_rotor_inertia()
         if "knee_friction" in changed:
-            self._brake(self.knees, values["knee_friction"])
+            self._set_joint_friction(self.knees, values["knee_friction"])
         if "floor_unevenness" in changed:
-            self._lay_floor(values["floor_unevenness"])
+            self._set_floor(values["floor_unevenness"])
 
     def _set_foot_contact(self) -> None:
         friction, stiffness, spinning, shear = (self.values[name] for name in CONTACT)
         # Bullet's own friction holds a foot where it is, without give.
         self.soles = shear != 1.0 and not self.rack
         self._sole_law = (friction, stiffness * shear, self.robot.contact.damping, self.robot.timing.servo_step)
-        self._forget_soles()
+        self._reset_soles()
         for link in self.feet:
             self._p.changeDynamics(
                 self.body,
@@ -415,7 +415,7 @@ class BulletModel:
                     f"they must be {value:g} kg and {tuple(moments.tolist())}"
                 )
 
-    def _lay_floor(self, unevenness: float) -> None:
+    def _set_floor(self, unevenness: float) -> None:
         """Give the feet another floor, see `uneven_floor`.
 
         All of the robot but its feet stays on `ground`: an uneven floor under every link costs time.
@@ -427,11 +427,11 @@ class BulletModel:
         for link in self.feet:
             p.setCollisionFilterPair(self.body, self.ground, link, -1, int(unevenness == 0.0), physicsClientId=client)
         if unevenness != 0.0:
-            self.floor = self._lay(uneven_floor(unevenness))
+            self.floor = self._add_ground(uneven_floor(unevenness))
             for link in set(self.links.values()) - set(self.feet):
                 p.setCollisionFilterPair(self.body, self.floor, link, -1, 0, physicsClientId=client)
 
-    def move_pins(self) -> None:
+    def update_pins(self) -> None:
         """Move pins with play in their bores, as the forces through them have it after a step; see `pin_kernel`."""
         p, client = self._p, self.client
         states = p.getLinkStates(self.body, self._pin_links, physicsClientId=client)
@@ -441,18 +441,18 @@ class BulletModel:
         pin_kernel(quats, -forces, self._pin_axes, self.values["knee_play"], self.pin_shift)
         self._place_pins()
 
-    def _forget_soles(self) -> None:
+    def _reset_soles(self) -> None:
         self._sole_stretch = np.zeros((len(self.feet), 2))
         self._sole_force, self._sole_place = np.zeros((2, len(self.feet), 3))
 
-    def push_soles(self) -> None:
+    def apply_sole_forces(self) -> None:
         """Apply the forces along the ground on the feet, which Bullet forgets after a step."""
         p, client = self._p, self.client
         for link, force, place in zip(self.feet, self._sole_force.tolist(), self._sole_place.tolist(), strict=True):
             if any(force):
                 p.applyExternalForce(self.body, link, force, place, p.WORLD_FRAME, client)
 
-    def move_soles(self, points: Sequence[tuple[Any, ...]]) -> None:
+    def update_soles(self, points: Sequence[tuple[Any, ...]]) -> None:
         """Move soles with their feet, from Bullet's contact points after a step; see `sole_kernel`."""
         loads = np.zeros((len(self.feet), 3))
         for point in points:
@@ -463,9 +463,9 @@ class BulletModel:
         feet = (self.foot_centre, self.foot_radius)
         sole_kernel(links, loads, *feet, self._sole_law, self._sole_stretch, self._sole_force, self._sole_place)
 
-    def forget(self) -> None:
+    def clear_contacts(self) -> None:
         """Forget the contacts that Bullet remembers and the soles' stretch, and centre pins with play."""
-        self._forget_soles()
+        self._reset_soles()
         if self.pin_shift.any():
             self.pin_shift[:] = 0.0
             self._place_pins()

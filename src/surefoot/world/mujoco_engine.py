@@ -70,7 +70,7 @@ class MujocoEngine:
         self._pool = ThreadPoolExecutor(self.threads - 1) if self.threads > 1 else None
         self.diverged = np.zeros(num_envs, np.bool_)
         nominal = [np.ones(len(RATIOS)), self._nominal.dof_armature[self._native.motor_dof], np.zeros(3)]
-        self._given = np.tile(np.concatenate(nominal), (num_envs, 1))
+        self._mass_params = np.tile(np.concatenate(nominal), (num_envs, 1))
         self.initial_state = self._resting_state()
 
     def _layout(self) -> Native:
@@ -196,10 +196,10 @@ class MujocoEngine:
         native.shear[rows] = params.contact_stiffness * params.contact_shear_ratio
         native.spinning[rows] = params.contact_spinning_friction
         ratios = np.stack([getattr(params, name) for name in RATIOS], axis=1)
-        given = np.concatenate([ratios, params.rotor_inertia, params.base_offset], axis=1)
-        for k in np.flatnonzero((self._given[rows] != given).any(axis=1)):
+        mass_params = np.concatenate([ratios, params.rotor_inertia, params.base_offset], axis=1)
+        for k in np.flatnonzero((self._mass_params[rows] != mass_params).any(axis=1)):
             native.mass[rows[k]] = self._scaled_masses(ratios[k], params.rotor_inertia[k], params.base_offset[k])
-        self._given[rows] = given
+        self._mass_params[rows] = mass_params
 
     def _scaled_masses(self, ratios: Array, rotors: Array, offset: Array) -> Array:
         """Return what `_masses` does for other parameters.
@@ -217,7 +217,7 @@ class MujocoEngine:
         model.body_inertia[legs] = nominal.body_inertia[legs] * leg_inertia
         model.dof_armature[self._native.motor_dof] = rotors
         model.body_ipos[base] = nominal.body_ipos[base] + offset
-        # Quantities that MuJoCo derives from the masses, with a state of no robot's.
+        # Quantities that MuJoCo derives from the masses, from a state that belongs to no robot.
         mujoco.mj_setConst(model, self._scratch)
         return _masses(model)
 

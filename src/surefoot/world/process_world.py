@@ -35,7 +35,7 @@ _WAIT = 2.0
 """Time [s] that a process has to end by itself."""
 _ROWS = ("engine", "control_steps", "noise", "diverged")
 """Arrays of a world's state with a row for each robot."""
-_kept: list[subprocess.Popen[bytes]] | None = None
+_idle_processes: list[subprocess.Popen[bytes]] | None = None
 """Processes that wait for the next world; None where none are kept."""
 
 
@@ -45,23 +45,23 @@ def worker_pool() -> Iterator[None]:
 
     With the context end those that no world has then.
     """
-    global _kept
-    before, kept = _kept, list[subprocess.Popen[bytes]]()
-    _kept = kept
+    global _idle_processes
+    before, pool = _idle_processes, list[subprocess.Popen[bytes]]()
+    _idle_processes = pool
     try:
         yield
     finally:
-        _kept = before
-        _end(kept)
+        _idle_processes = before
+        _terminate(pool)
 
 
 def _start() -> subprocess.Popen[bytes]:
     """Start a process that waits for requests; it imports this package, and nothing of the user's script."""
     package = str(Path(__file__).resolve().parents[2])
-    known = [package, *os.environ.get("PYTHONPATH", "").split(os.pathsep)]
+    paths = [package, *os.environ.get("PYTHONPATH", "").split(os.pathsep)]
     environment = {
         **os.environ,
-        "PYTHONPATH": os.pathsep.join(filter(None, known)),
+        "PYTHONPATH": os.pathsep.join(filter(None, paths)),
         # One core each: what they compute is too small to be shared between threads.
         **dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"), "1"),
     }
@@ -75,15 +75,15 @@ def _start() -> subprocess.Popen[bytes]:
     )
 
 
-def _leave(processes: Sequence[subprocess.Popen[bytes]]) -> None:
+def _release(processes: Sequence[subprocess.Popen[bytes]]) -> None:
     """Let the processes of a world go, none of which has an answer that was not read."""
-    if _kept is None:
-        _end(processes)
+    if _idle_processes is None:
+        _terminate(processes)
     else:
-        _kept.extend(processes)
+        _idle_processes.extend(processes)
 
 
-def _end(processes: Sequence[subprocess.Popen[bytes]]) -> None:
+def _terminate(processes: Sequence[subprocess.Popen[bytes]]) -> None:
     for process in processes:
         for pipe in (process.stdin, process.stdout):
             if pipe is not None:
@@ -103,7 +103,7 @@ def _join(parts: Sequence[Rows]) -> Rows:
     return type(parts[0])(**columns)
 
 
-def _joined(parts: Sequence[dict[str, Array]]) -> dict[str, Array]:
+def _join_arrays(parts: Sequence[dict[str, Array]]) -> dict[str, Array]:
     """Join arrays of a state by name, of consecutive robots."""
     return {
         name: array if name in SHARED_ARRAYS else np.concatenate([part[name] for part in parts])
@@ -111,7 +111,7 @@ def _joined(parts: Sequence[dict[str, Array]]) -> dict[str, Array]:
     }
 
 
-def _cut(arrays: dict[str, Array], share: slice) -> dict[str, Array]:
+def _select_rows(arrays: dict[str, Array], share: slice) -> dict[str, Array]:
     """Return of arrays of a state by name the rows of some robots."""
     return {name: array if name in SHARED_ARRAYS else array[share] for name, array in arrays.items()}
 
@@ -141,11 +141,11 @@ class ProcessWorld:
         self._truths: list[Truth] | None = None
         self.divergences = 0
         self._processes: list[subprocess.Popen[bytes]] = []
-        self._finalizer = weakref.finalize(self, _leave, self._processes)
-        self._processes.extend(_kept.pop() if _kept else _start() for _ in range(count))
+        self._finalizer = weakref.finalize(self, _release, self._processes)
+        self._processes.extend(_idle_processes.pop() if _idle_processes else _start() for _ in range(count))
         shared = {"robot": robot, "seed": seed, "config": replace(config, threads=1), "engine": engine}
         try:
-            self._ask(
+            self._call(
                 "make",
                 [
                     {
@@ -158,19 +158,19 @@ class ProcessWorld:
                 ],
             )
         except BaseException:
-            self._break()
+            self._abort()
             raise
 
     def close(self) -> None:
         """End the processes, or keep them as `worker_pool` says; the world cannot be used afterwards."""
         self._finalizer()
 
-    def _break(self) -> None:
+    def _abort(self) -> None:
         """End the processes, whatever state they are in."""
         if self._finalizer.detach() is not None:
-            _end(self._processes)
+            _terminate(self._processes)
 
-    def _ask(self, method: str, arguments: Sequence[Any]) -> list[Any]:
+    def _call(self, method: str, arguments: Sequence[Any]) -> list[Any]:
         """Send each process its own arguments; return their answers in order, or raise the error that one reports."""
         if not self._finalizer.alive:
             raise SurefootError("this world is closed, or one of its processes is gone")
@@ -186,29 +186,29 @@ class ProcessWorld:
         except (BrokenPipeError, EOFError, pickle.UnpicklingError) as error:
             with contextlib.suppress(subprocess.TimeoutExpired):
                 process.wait(_WAIT)
-            self._break()
+            self._abort()
             raise SurefootError(
                 f"a process of the simulated world ended on its own (exit code {process.returncode}); "
                 "it may have run out of memory"
             ) from error
         except BaseException:
-            self._break()  # answers that were not read would be taken for those to the next question
+            self._abort()  # answers that were not read would be taken for those to the next request
             raise
-        for sound, answer in replies:
-            if not sound:
+        for succeeded, answer in replies:
+            if not succeeded:
                 raise answer
         return [answer for _, answer in replies]
 
-    def _each(self, *arguments: Any) -> list[tuple[Any, ...]]:
+    def _split_arguments(self, *arguments: Any) -> list[tuple[Any, ...]]:
         """Return the arguments of every process: arrays with a row for each robot are cut to its share."""
         return [tuple(None if item is None else item[share] for item in arguments) for share in self._shares]
 
-    def _moved(self, replies: list[tuple[Readings, Truth, int]]) -> Readings:
+    def _store_truths(self, replies: list[tuple[Readings, Truth, int]]) -> Readings:
         readings, truths, divergences = zip(*replies, strict=True)
         self._truths, self.divergences = list(truths), sum(divergences)
         return _join(readings)
 
-    def _split(self, index: ArrayLike | None) -> list[tuple[NDArray[np.int64], NDArray[np.int64]]]:
+    def _split_index(self, index: ArrayLike | None) -> list[tuple[NDArray[np.int64], NDArray[np.int64]]]:
         """Return for each process the places in `index` of its robots, and their numbers there."""
         rows = np.arange(self.num_envs) if index is None else np.atleast_1d(np.asarray(index, np.int64))
         rows = np.where(rows < 0, rows + self.num_envs, rows)
@@ -222,49 +222,49 @@ class ProcessWorld:
 
     def reset(self, index: ArrayLike | None = None) -> Readings:
         """Bring the robots at `index` (all, if none is given) to the resting pose; return readings of all robots."""
-        return self._moved(self._ask("reset", [(rows,) for _, rows in self._split(index)]))
+        return self._store_truths(self._call("reset", [(rows,) for _, rows in self._split_index(index)]))
 
     def step(self, target: ArrayLike, active: NDArray[np.bool_] | None = None) -> Readings:
         """Hold motor angles (N, M) [rad] for one control step of each (active) robot; return readings at its end."""
         angles = np.broadcast_to(np.asarray(target, float), (self.num_envs, self.robot.num_motors))
-        return self._moved(self._ask("step", self._each(angles, active)))
+        return self._store_truths(self._call("step", self._split_arguments(angles, active)))
 
     def readings(self) -> Readings:
         """Return the present readings again."""
-        return _join(self._ask("readings", self._each()))
+        return _join(self._call("readings", self._split_arguments()))
 
     def truth(self) -> Truth:
         """Return the true state; the arrays belong to the caller."""
         if self._truths is None:
-            self._truths = self._ask("truth", self._each())
+            self._truths = self._call("truth", self._split_arguments())
         return _join(self._truths)
 
     def foot_positions(self) -> Array:
         """Return the centres of the rounded feet in the world frame [m], (N, L, 3)."""
-        return np.concatenate(self._ask("foot_positions", self._each()))
+        return np.concatenate(self._call("foot_positions", self._split_arguments()))
 
     def set_params(self, index: ArrayLike, params: PhysicalParams) -> None:
         """Give the robots at `index` other physical parameters, one row each; see `SimWorld.set_params`."""
         rows = np.atleast_1d(np.asarray(index, np.int64))
         params.check(self.robot)
         self._truths = None
-        self._ask("set_params", [(own, params.rows(places)) for places, own in self._split(index)])
+        self._call("set_params", [(own, params.rows(places)) for places, own in self._split_index(index)])
         self.params.set_rows(rows, params)
 
     def push(self, force_world: ArrayLike) -> None:
         """Set the force (N, 3) [N] on each base's centre of mass from now on, in the world frame."""
-        self._ask("push", self._each(np.asarray(force_world, float)))
+        self._call("push", self._split_arguments(np.asarray(force_world, float)))
 
     def get_state(self) -> dict[str, Any]:
         """Return the whole state of the world, as a single `SimWorld` does."""
-        states = self._ask("get_state", self._each())
+        states = self._call("get_state", self._split_arguments())
         own = [share.stop - share.start for share in self._shares]
         # Each part has the streams of its robots' sensors, then those of their starts.
         sensors = [stream for state, n in zip(states, own, strict=True) for stream in state["streams"][:n]]
         starts = [stream for state, n in zip(states, own, strict=True) for stream in state["streams"][n:]]
         return {
-            **_joined([{key: state[key] for key in _ROWS} for state in states]),
-            **{part: _joined([state[part] for state in states]) for part in ("actuation", "params")},
+            **_join_arrays([{key: state[key] for key in _ROWS} for state in states]),
+            **{part: _join_arrays([state[part] for state in states]) for part in ("actuation", "params")},
             "streams": sensors + starts,
             "divergences": sum(state["divergences"] for state in states),
         }
@@ -278,14 +278,14 @@ class ProcessWorld:
         for number, share in enumerate(self._shares):
             sensors, starts = state["streams"][:count][share], state["streams"][count:][share]
             own = {
-                **_cut({key: state[key] for key in _ROWS}, share),
-                **{part: _cut(state[part], share) for part in ("actuation", "params")},
+                **_select_rows({key: state[key] for key in _ROWS}, share),
+                **{part: _select_rows(state[part], share) for part in ("actuation", "params")},
                 "streams": [*sensors, *starts],
                 "divergences": state["divergences"] if number == 0 else 0,
             }
             parts.append((own,))
         self._truths = None
-        self.divergences = sum(self._ask("set_state", parts))
+        self.divergences = sum(self._call("set_state", parts))
 
 
 def processes_for(num_envs: int, config: WorldConfig) -> int:

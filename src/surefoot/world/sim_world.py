@@ -72,7 +72,7 @@ class SimWorld:
         self.resting_angles = robot.pose_angles(*(self.config.rest or robot.rest))
         # How deep nominal feet stand in the ground: weight over stiffness of all feet [m].
         self._weight = self.engine.gravity * robot.urdf.total_mass / len(robot.legs)
-        self._sunk = self._weight / robot.contact.stiffness
+        self._nominal_depth = self._weight / robot.contact.stiffness
         self._settled = self._settle(make_engine)
         self._imu_streams = generators(seed, "imu noise", first + num_envs)[first:]
         self._start_streams = generators(seed, "start", first + num_envs)[first:]
@@ -117,7 +117,7 @@ class SimWorld:
         self._control_steps[rows] = 0
         self._draw_noise(rows)
         self.engine.set_state(rows, self._settled)
-        rise = self._sunk - self._weight / self.params.contact_stiffness[rows]
+        rise = self._nominal_depth - self._weight / self.params.contact_stiffness[rows]
         self.engine.raise_base(rows[rise != 0], rise[rise != 0])
         if config.start_linear_speed or config.start_angular_speed:
             draw = np.array([self._start_streams[i].uniform(-1, 1, 6) for i in rows]).reshape(-1, 6)

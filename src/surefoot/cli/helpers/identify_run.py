@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import contextlib
-import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TextIO
 
 import numpy as np
 from rich.console import Console
@@ -127,7 +125,7 @@ def _show_plan(plan: Plan, handshake: Handshake, console: Console) -> None:
 
 def _run(command: ExperimentCommand, link: RobotLink, plan: Plan, robot: RobotDescription, path: Path) -> Recording:
     with contextlib.ExitStack() as stack:
-        watch = ExperimentProgress(plan, f"{plan.experiment} experiment, {robot.name}, {command.port}", sys.stderr)
+        watch = ExperimentProgress(plan, f"{plan.experiment} experiment, {robot.name}, {command.port}")
         stack.callback(watch.close)
         if not command.lockstep:
             stack.enter_context(undisturbed())
@@ -137,16 +135,10 @@ def _run(command: ExperimentCommand, link: RobotLink, plan: Plan, robot: RobotDe
 
 
 class ExperimentProgress(RunMonitor):
-    """Number of the phase and time left of a whole experiment, on the display of a robot.
+    """Number of the phase and time left of a whole experiment, on the display of a robot."""
 
-    Args:
-        plan: the experiment.
-        title: title of the display.
-        stream: where to show it.
-    """
-
-    def __init__(self, plan: Plan, title: str, stream: TextIO) -> None:
-        self._display = open_display(title, stream)
+    def __init__(self, plan: Plan, title: str) -> None:
+        self._display = open_display(title)
         self._phases, self._number, self._name = plan.phases, 0, ""
 
     def phase(self, name: str, duration: float) -> None:

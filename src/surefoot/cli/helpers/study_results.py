@@ -18,37 +18,36 @@ if TYPE_CHECKING:
     from surefoot.studies.comparison import Comparison, SeedResult
 
 
-def check_kinds(study: StudyConfig, worlds: bool) -> None:
-    """Refuse evaluations that can't be made, and `worlds` that do not exist, before anything is trained.
+def check_evaluations(study: StudyConfig, worlds: bool) -> None:
+    """Refuse evaluations that do not exist or lack a `worlds`, before anything is trained.
 
     Raises:
-        SurefootError: with what can't be made.
+        SurefootError: an unknown evaluation or world, or bars without a gap.
     """
     from surefoot.studies.evaluations import EVALUATIONS, evaluation_names
 
     kinds = evaluation_names(study.evaluate)
     if study.bars and "gap" not in kinds:
         raise SurefootError("bars: they show the reality gap; evaluate must name 'gap' for them")
-    for world in {name: None for kind in kinds for name in EVALUATIONS[kind].world_names} if worlds else ():
+    for world in {name for kind in kinds for name in EVALUATIONS[kind].world_names} if worlds else ():
         find_world(world)
 
 
 def evaluate_runs(study: StudyConfig, runs: list[Training], threads: int, console: Console) -> None:
-    """Make every evaluation of every finished run that is not there yet."""
+    """Run every evaluation of every finished run that is not cached."""
     from surefoot.evaluate.statistics import decimal
     from surefoot.studies.evaluations import EVALUATIONS, evaluate, evaluation_names, stored_result
     from surefoot.world.process_world import worker_pool
 
-    kinds = evaluation_names(study.evaluate)
-    finished = [run for run in runs if run.state == "finished"]
+    kinds, finished = evaluation_names(study.evaluate), [run for run in runs if run.state == "finished"]
     todo = [(run, kind) for run in finished for kind in kinds if stored_result(run.policy, kind) is None]
     with worker_pool():
         for number, (run, kind) in enumerate(todo, start=1):
             start = time.perf_counter()
             with console.status(f"evaluating {run.name}: {kind} ({number} of {len(todo)})"):
-                result = evaluate(run.policy, kind, find_world, threads)
+                values = EVALUATIONS[kind].read_figures(evaluate(run.policy, kind, threads))
             figures = ", ".join(
-                f"{one.title} {decimal(one.read(result), one.digits)} {one.unit}" for one in EVALUATIONS[kind].figures
+                f"{one.title} {decimal(values[one.name], one.digits)} {one.unit}" for one in EVALUATIONS[kind].figures
             )
             seconds = time.perf_counter() - start
             console.print(
@@ -57,7 +56,7 @@ def evaluate_runs(study: StudyConfig, runs: list[Training], threads: int, consol
 
 
 def report(study: StudyConfig, root: Path, out: Path, command: str, console: Console) -> None:
-    """Write tables, figures and README of all runs that are finished and evaluated, whichever were asked for now."""
+    """Write tables, figures and README of all runs that are finished and evaluated, of whichever group."""
     comparison = _collect(study, root)
     make_figures_folder(out)
     from surefoot.studies.study_report import write_report
@@ -74,33 +73,25 @@ def _collect(study: StudyConfig, root: Path) -> Comparison:
     from surefoot.studies.evaluations import evaluation_names
 
     kinds = evaluation_names(study.evaluate)
-    found: dict[str, list[SeedResult]] = {name: [] for name in study.groups}
+    results: dict[str, list[SeedResult]] = {name: [] for name in study.groups}
     missing = []
     for run in study_runs(study, root):
         result = _result(run, kinds)
         if result is None:
             missing.append(run.name)
         else:
-            found[run.group].append(result)
-    groups = tuple(GroupResult(name, study.label(name), tuple(seeds)) for name, seeds in found.items() if seeds)
+            results[run.group].append(result)
+    groups = tuple(GroupResult(name, study.label(name), tuple(seeds)) for name, seeds in results.items() if seeds)
     if not groups:
         raise SurefootError(f"{root}: no run of the study is finished and evaluated; there is nothing to report yet")
-    return Comparison(
-        study.name,
-        kinds,
-        groups,
-        study.pairs,
-        tuple(missing),
-        study.top,
-        study.bars,
-        tuple((frozenset(finding.groups), finding.text) for finding in study.findings),
-    )
+    findings = tuple((frozenset(finding.groups), finding.text) for finding in study.findings)
+    return Comparison(study.name, kinds, groups, study.pairs, tuple(missing), study.top, study.bars, findings)
 
 
 def _result(run: Training, kinds: tuple[str, ...]) -> SeedResult | None:
-    """What is known of a run; None if it is not finished, not evaluated, or not what the study asks for."""
+    """Return the result of a run; None if it is not finished, not evaluated, or not the one of the study."""
     from surefoot.policy.runtime import PolicyRuntime
-    from surefoot.studies.comparison import Curve, SeedResult
+    from surefoot.studies.comparison import SeedResult, learning_curve
     from surefoot.studies.evaluations import stored_result
 
     if run.state != "finished":
@@ -114,6 +105,5 @@ def _result(run: Training, kinds: tuple[str, ...]) -> SeedResult | None:
         return None
     rows = run.rows()
     best = PolicyRuntime.load(run.policy).contract.figures.get("training", {}).get("steps")
-    return SeedResult(
-        run.config.seed, rows[-1]["steps"], rows[-1]["seconds"], Curve.of_rows(rows), results, best, run.policy
-    )
+    about = (run.config.seed, rows[-1]["steps"], rows[-1]["seconds"])
+    return SeedResult(*about, learning_curve(rows), results, best, run.policy)

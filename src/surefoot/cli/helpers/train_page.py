@@ -23,7 +23,7 @@ from surefoot.errors import SurefootError
 from surefoot.policy.runtime import PolicyRuntime
 
 if TYPE_CHECKING:
-    from surefoot.learn.run import TrainingRun
+    from surefoot.learn.training_loop import TrainingLoop
 
 _WRITE_PERIOD = 5.0
 """Time between two policy files [s]."""
@@ -43,10 +43,10 @@ class TrainingPage:
         port: TCP port of the page; 0 for a free one.
     """
 
-    def __init__(self, run: TrainingRun, port: int) -> None:
-        self._run, self._file = run, run.folder.path / "newest.onnx"
+    def __init__(self, loop: TrainingLoop, port: int) -> None:
+        self._loop, self._file = loop, loop.folder.path / "newest.onnx"
         self._write()
-        command = [sys.executable, "-m", __name__, str(self._file), run.config.world, str(port)]
+        command = [sys.executable, "-m", __name__, str(self._file), loop.config.world, str(port)]
         # A session of its own: Ctrl-C is for the training. Its input ends with this process, however that ends.
         self._process = subprocess.Popen(command, stdin=subprocess.PIPE, start_new_session=True)
 
@@ -57,9 +57,8 @@ class TrainingPage:
                 self._write()
 
     def _write(self) -> None:
-        from surefoot.learn.export import export_trainer  # not at the top: the page's process needs no torch
 
-        export_trainer(self._run.trainer, self._file)
+        self._loop.learner.export(self._file)
         self._written = time.monotonic()
 
     def close(self) -> None:

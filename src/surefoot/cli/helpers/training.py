@@ -18,9 +18,9 @@ from surefoot.progress import ProgressBar
 from surefoot.world.registry import find_world
 
 if TYPE_CHECKING:
-    from surefoot.learn.run import Evaluation, TrainingRun
+    from surefoot.learn.ppo_learner import UpdateFigures
     from surefoot.learn.run_folder import RunFolder
-    from surefoot.learn.trainer import UpdateFigures
+    from surefoot.learn.training_loop import Evaluation, TrainingLoop
 
 _LINE_PERIOD = 10.0
 """Least time between two lines of progress where there is no terminal [s]."""
@@ -72,7 +72,7 @@ class TrainingProgress(ProgressBar):
             )
 
 
-def finish_run(run: TrainingRun, folder: RunFolder) -> None:
+def finish_run(loop: TrainingLoop, folder: RunFolder) -> None:
     """Export the best policy and evaluate it: on the nominal robot, and with randomization and pushes if the task has.
 
     Tables, figures and a video of the median episode go to the run folder.
@@ -80,14 +80,13 @@ def finish_run(run: TrainingRun, folder: RunFolder) -> None:
     from surefoot.evaluate.gap import home_task
     from surefoot.evaluate.rollout import run_episodes
     from surefoot.evaluate.runs import summarize
-    from surefoot.learn.export import export_run
     from surefoot.policy.runtime import PolicyRuntime
     from surefoot.robot import RobotDescription
-    from surefoot.studies.comparison import Curve
+    from surefoot.studies.comparison import learning_curve
     from surefoot.studies.study_figures import learning_curves
 
-    export_run(run, folder.policy)
-    task, policy, world = run.config.task, PolicyRuntime.load(folder.policy), run.config.world
+    loop.export(folder.policy)
+    task, policy, world = loop.config.task, PolicyRuntime.load(folder.policy), loop.config.world
     robot, figures = RobotDescription.load(task.robot), folder.path / "figures"
     print(f"Evaluating over {_EPISODES} episodes ...", flush=True)
     nominal = home_task(task)
@@ -95,7 +94,7 @@ def finish_run(run: TrainingRun, folder: RunFolder) -> None:
     if task.randomize:
         kinds["randomized"] = (replace(nominal, randomize=task.randomize), _RANDOMIZED_EPISODES)
     if task.pushes.enabled:
-        kinds["with_pushes"] = (replace(nominal, pushes=task.pushes.in_full(True)), _EPISODES)
+        kinds["with_pushes"] = (replace(nominal, pushes=task.pushes.for_evaluation(True)), _EPISODES)
     name = policy.contract.name
     traces = {
         kind: run_episodes(policy, task, episodes, find_world(world), seed=0, world_name=world, policy_name=name)
@@ -107,7 +106,7 @@ def finish_run(run: TrainingRun, folder: RunFolder) -> None:
     figures.mkdir(exist_ok=True)
     rows = folder.rows()
     if any(row["return_mean"] is not None for row in rows):
-        learning_curves({task.name: [Curve.of_rows(rows)]}, figures / "learning_curve.png")
+        learning_curves({task.name: [learning_curve(rows)]}, figures / "learning_curve.png")
     episodes = sorted(traces["without_pushes"], key=lambda trace: trace.base_position_world[-1, 0])
     median = episodes[len(episodes) // 2]
     draw_episode(figures, median, robot)

@@ -72,7 +72,7 @@ def examine(
         for _ in range(REST_ATTEMPTS):
             # A robot that was just put down, or switched on, has some time to come to rest.
             at_rest = record_states(link)
-            results = check_rest(at_rest, robot, handshake, SafetyLimits.of(robot))
+            results = check_rest(at_rest, robot, handshake, SafetyLimits.from_robot(robot))
             if all(result.passed for result in results):
                 break
         yield from note_failures(results)

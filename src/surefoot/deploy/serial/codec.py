@@ -1,7 +1,4 @@
-"""Messages as little-endian packed structs; docs/wire-protocol.md specifies them for a firmware's author.
-
-Schema hash and C header are made from `SCHEMA` and the messages; tests compare the tables of the document with them.
-"""
+"""Messages as little-endian packed structs. docs/wire-protocol.md specifies them; tests compare it with `SCHEMA`."""
 
 from __future__ import annotations
 
@@ -9,21 +6,8 @@ import hashlib
 import struct
 from dataclasses import fields, replace
 
-from surefoot.deploy.messages import (
-    Arm,
-    Bye,
-    Damp,
-    Disarm,
-    Fault,
-    Handshake,
-    Hello,
-    Message,
-    Ping,
-    Pong,
-    Position,
-    Pwm,
-    State,
-)
+from surefoot.deploy import messages
+from surefoot.deploy.messages import Message
 from surefoot.deploy.serial.fields import MOTORS, FieldEncoding, MessageLayout
 from surefoot.errors import SurefootError
 
@@ -37,15 +21,15 @@ _U8, _U16, _U32, _F32 = FieldEncoding("u8"), FieldEncoding("u16"), FieldEncoding
 _TIME = FieldEncoding("u32", scale=1e-6)
 _MOTORS, _VECTOR = FieldEncoding("f32", MOTORS), FieldEncoding("f32", 3)
 SCHEMA: dict[type[Message], tuple[int, dict[str, FieldEncoding]]] = {
-    Hello: (1, {"session": _U16, "state_period": _TIME}),
-    Ping: (2, {"token": _U32}),
-    Arm: (3, {"session": _U16, "mode": _U8, "command_period": _TIME, "report_after": _TIME}),
-    Position: (4, {"session": _U16, "target": _MOTORS}),
-    Pwm: (5, {"session": _U16, "duty": _MOTORS}),
-    Damp: (6, {"session": _U16}),
-    Disarm: (7, {"session": _U16}),
-    Bye: (8, {"session": _U16}),
-    Handshake: (
+    messages.Hello: (1, {"session": _U16, "state_period": _TIME}),
+    messages.Ping: (2, {"token": _U32}),
+    messages.Arm: (3, {"session": _U16, "mode": _U8, "command_period": _TIME, "report_after": _TIME}),
+    messages.Position: (4, {"session": _U16, "target": _MOTORS}),
+    messages.Pwm: (5, {"session": _U16, "duty": _MOTORS}),
+    messages.Damp: (6, {"session": _U16}),
+    messages.Disarm: (7, {"session": _U16}),
+    messages.Bye: (8, {"session": _U16}),
+    messages.Handshake: (
         65,
         {
             "session": _U16,
@@ -67,8 +51,8 @@ SCHEMA: dict[type[Message], tuple[int, dict[str, FieldEncoding]]] = {
             "rearm_after": _TIME,
         },
     ),
-    Pong: (66, {"token": _U32}),
-    State: (
+    messages.Pong: (66, {"token": _U32}),
+    messages.State: (
         67,
         {
             "session": _U16,
@@ -87,7 +71,7 @@ SCHEMA: dict[type[Message], tuple[int, dict[str, FieldEncoding]]] = {
             "temperature": FieldEncoding("u8", MOTORS, scale=1.0),
         },
     ),
-    Fault: (68, {"session": _U16, "reason": _U8, "text": FieldEncoding("text", length=80, cut=True)}),
+    messages.Fault: (68, {"session": _U16, "reason": _U8, "text": FieldEncoding("text", length=80, cut=True)}),
 }
 """Number of each kind of message, and how its fields stand in a frame."""
 MESSAGES = tuple(SCHEMA)
@@ -95,13 +79,13 @@ NUMBERS = {kind: number for kind, (number, _) in SCHEMA.items()}
 
 
 def encodings(kind: type[Message]) -> dict[str, FieldEncoding]:
-    """Return how the fields of a message stand in a frame, with their units and meanings."""
+    """Return the encoding of each field of a message, with its unit and meaning."""
     _, encodings = SCHEMA[kind]
     return {item.name: replace(encodings[item.name], **item.metadata) for item in fields(kind)}  # type: ignore[arg-type]
 
 
 class Codec:
-    """Messages to payloads and back, for robots of a number of motors.
+    """Messages to payloads and back, for robots of so many motors.
 
     Raises:
         SurefootError: no motors, or more than fit a frame.
@@ -143,11 +127,8 @@ class Codec:
 
     def unpack(self, number: int, payload: bytes) -> Message | None:
         """Return the message of a payload; None for an unknown kind, another length, or bytes that are no text."""
-        kind = self.kinds.get(number)
-        if kind is None:
-            return None
         try:
-            message: Message = self.layouts[kind].unpack(payload)
-        except ValueError:
+            message: Message = self.layouts[self.kinds[number]].unpack(payload)
+        except (KeyError, ValueError):
             return None
         return message

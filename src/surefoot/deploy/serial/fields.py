@@ -1,7 +1,8 @@
-"""Fields of a message as bytes: how a number or a text stands in a frame."""
+"""Fields of a message as bytes."""
 
 from __future__ import annotations
 
+import itertools
 import math
 import struct
 from dataclasses import dataclass
@@ -12,7 +13,7 @@ import numpy as np
 MOTORS = -1
 """Count of a field that has one entry a motor."""
 CODES = {"u8": "B", "i8": "b", "u16": "H", "i16": "h", "u32": "I", "f32": "f"}
-"""Kinds of numbers, and how `struct` names them."""
+"""Kinds of numbers, and their codes in `struct`."""
 _LIMITS = {"u8": (0, 2**8 - 1), "i16": (-(2**15), 2**15 - 1), "u16": (0, 2**16 - 1), "u32": (0, 2**32 - 1)}
 _TOO_LARGE = (2 - 2**-24) * 2.0**127
 """Least number that an f32 rounds to infinity."""
@@ -25,75 +26,69 @@ class FieldEncoding:
     kind: str
     """One of `CODES` (f32 is IEEE 754), or text (UTF-8, ends at the first zero byte or at its full length)."""
     count: int = 1
-    """How many; `MOTORS` for one a motor."""
+    """Number of entries; `MOTORS` for one a motor."""
     scale: float = 0.0
     """Value = scale * number on the wire; 0: the number itself. One over a whole number."""
     length: int = 0
     """Bytes of a text."""
     cut: bool = False
-    """A text that is too long loses its end; otherwise it is refused."""
+    """Whether the end of a text that is too long is cut off; otherwise the text is refused."""
     unit: str = ""
-    """SI unit of the value, as the message states it."""
     meaning: str = ""
-    """The value's meaning, as the message states it."""
+    """SI unit and meaning of the value, from the message's dataclass."""
 
     def entries(self, motors: int) -> int:
-        """How many entries a robot of that many motors has."""
+        """Return the number of entries for a robot of so many motors."""
         return motors if self.count == MOTORS else self.count
 
     def format(self, motors: int) -> str:
-        """As `struct` writes it."""
+        """Return the field's format of `struct`."""
         if self.kind == "text":
             return f"{self.length}s" * self.entries(motors)
         return f"{self.entries(motors)}{CODES[self.kind]}"
 
 
 class MessageLayout:
-    """The fields of one kind of message as bytes and back, for robots of a number of motors.
+    """The fields of one kind of message as bytes and back, for robots of so many motors.
 
-    No float of a scaled field or of an f32 is refused, so that a control loop never stops for one. Scaled numbers are
-    rounded to the nearest, those that do not fit are clipped, and NaN becomes the least. In an f32, NaN and infinities
-    go as they are, and what is too large becomes infinite.
-
-    Args:
-        message: the dataclass.
-        encodings: how each of its fields stands in a frame, in the order of the fields.
-        motors: number of motors.
+    No float of a scaled field or of an f32 is refused, so that none stops a control loop. Scaled numbers are rounded to
+    the nearest, those that do not fit are clipped, and NaN becomes the least. An f32 keeps NaN and infinities, and what
+    is too large becomes infinite.
     """
 
-    def __init__(self, message: type, encodings: dict[str, FieldEncoding], motors: int) -> None:
-        self.fields = encodings
-        self.struct = struct.Struct("<" + "".join(spec.format(motors) for spec in self.fields.values()))
+    def __init__(self, message: type, fields: dict[str, FieldEncoding], motors: int) -> None:
+        self.fields = fields
+        self.struct = struct.Struct("<" + "".join(spec.format(motors) for spec in fields.values()))
         self._message = message
-        self._plan: list[tuple[str, FieldEncoding, int, int, int]] = []
-        at = 0
-        for name, spec in self.fields.items():
-            end = at + spec.entries(motors)
-            self._plan.append((name, spec, at, end, round(1 / spec.scale) if spec.scale else 0))
-            at = end
+        ends = list(itertools.accumulate(spec.entries(motors) for spec in fields.values()))
+        self._plan = [
+            (name, spec, start, end, round(1 / spec.scale) if spec.scale else 0)
+            for (name, spec), start, end in zip(fields.items(), [0, *ends], ends, strict=False)
+        ]
+        """Of each field its name, encoding, first and last entry, and numbers on the wire in one of its unit."""
 
     def pack(self, message: Any) -> bytes:
-        """The bytes of a message's fields.
+        """Return the bytes of a message's fields.
 
         Raises:
             ValueError: an array of another length, a text too long, or a whole number that does not fit.
         """
         flat: list[Any] = []
         try:
-            for name, spec, at, end, per in self._plan:
+            for name, spec, start, end, per in self._plan:
                 value = getattr(message, name)
                 if spec.kind == "text":
                     flat += _texts(name, spec, [value] if spec.count == 1 else value)
                 else:
                     flat += _numbers(spec.kind, per, [value] if spec.count == 1 else np.asarray(value).tolist())
                 if len(flat) != end:
-                    raise ValueError(f"{name} has {len(flat) - at} entries; it must have {end - at}")
+                    raise ValueError(f"{name} has {len(flat) - start} entries; it must have {end - start}")
             return self._packed(flat)
         except (struct.error, TypeError, OverflowError) as error:
             raise ValueError(f"{type(message).__name__}: {error}") from error
 
     def unpack(self, payload: bytes) -> Any:
-        """The message of these bytes; arrays are float64, texts of several entries tuples.
+        """Return the message of these bytes; arrays are float64, several texts a tuple.
 
         Raises:
             ValueError: another number of bytes, or bytes that are no text.
@@ -102,14 +97,14 @@ class MessageLayout:
             raise ValueError(f"{self._message.__name__} has {len(payload)} bytes; it must have {self.struct.size}")
         flat = self.struct.unpack(payload)
         values: list[Any] = []
-        for _, spec, at, end, per in self._plan:
+        for _, spec, start, end, per in self._plan:
             if spec.kind == "text":
-                texts = tuple(raw.partition(b"\0")[0].decode() for raw in flat[at:end])
+                texts = tuple(raw.partition(b"\0")[0].decode() for raw in flat[start:end])
                 values.append(texts[0] if spec.count == 1 else texts)
             elif spec.count == 1:
-                values.append(flat[at] / per if per else flat[at])
+                values.append(flat[start] / per if per else flat[start])
             else:
-                array = np.array(flat[at:end], np.float64)
+                array = np.array(flat[start:end], np.float64)
                 values.append(array / per if per else array)
         return self._message(*values)
 
@@ -123,7 +118,7 @@ class MessageLayout:
 
 
 def _numbers(kind: str, per: int, values: list[Any]) -> list[Any]:
-    """Values as `struct` takes them; `per`: how many units on the wire make one of the value, 0 without a scale."""
+    """Return values as `struct` takes them; `per` numbers on the wire make one of the value's unit, 0: no scale."""
     if per:
         low, high = _LIMITS[kind]
         return [low if not (x := value * per) > low else high if x > high else round(x) for value in values]
@@ -131,10 +126,8 @@ def _numbers(kind: str, per: int, values: list[Any]) -> list[Any]:
 
 
 def _texts(name: str, spec: FieldEncoding, values: Any) -> list[bytes]:
-    found = []
-    for value in values:
-        raw = str(value).encode()
+    encoded = [str(value).encode() for value in values]
+    for value, raw in zip(values, encoded, strict=True):
         if len(raw) > spec.length and not spec.cut:
             raise ValueError(f"{name} is '{value}'; it may have {spec.length} bytes")
-        found.append(raw[: spec.length].decode(errors="ignore").encode())
-    return found
+    return [raw[: spec.length].decode(errors="ignore").encode() for raw in encoded]

@@ -2,8 +2,8 @@
 
     00 | COBS( header (18) | payload | CRC-32 of both (4) ) | 00
 
-A zero byte stands nowhere else, so a receiver that starts anywhere finds the next frame. The zero in front keeps what
-was lost or invented between two frames away from the second one.
+A zero byte stands nowhere else, so a receiver that starts anywhere finds the next frame. The zero in front separates
+a frame from bytes that were lost or added before it.
 """
 
 from __future__ import annotations
@@ -23,19 +23,13 @@ CRC_BYTES = 4
 
 
 def frame_bytes(codec: Codec, kind: type[Message]) -> int:
-    """Most bytes of a message's frame on the line, with its zeros."""
+    """Return the greatest number of bytes of a message's frame, with its zeros."""
     body = HEADER.size + codec.size(kind) + CRC_BYTES
     return body + math.ceil(body / 254) + 2
 
 
 def encode_frame(codec: Codec, message: Message, sequence: int, time: float) -> bytes:
-    """A frame, with its zeros.
-
-    Args:
-        codec: of the robot.
-        message: what to send.
-        sequence: number of the frame, 1 to 2^32 - 1.
-        time: now, on the sender's clock [s]; before 0 counts as 0.
+    """Return the frame of a message, with its zeros, numbered and sent at `time` [s] on the sender's clock.
 
     Raises:
         ValueError: a number out of range, a time that is not finite, or a message that does not fit.
@@ -57,19 +51,14 @@ class Decoder:
         self.codec = codec
         self.statistics = statistics or LinkStatistics()
         self.foreign: tuple[int, int] | None = None
-        """Version and schema of the last whole frame that was of others."""
+        """Version and schema of the last whole frame of another protocol."""
         self._held = bytearray()
         self._overlong = False
 
     def feed(self, data: bytes) -> list[Packet]:
         """Take bytes; return the packets whose frames they complete, in order."""
-        packets: list[Packet] = []
         *ended, rest = bytes(data).split(b"\0")
-        for piece in ended:
-            self._hold(piece)
-            packet = self._take()
-            if packet is not None:
-                packets.append(packet)
+        packets = [packet for piece in ended if (packet := self._take(piece)) is not None]
         self._hold(rest)
         return packets
 
@@ -80,8 +69,9 @@ class Decoder:
         elif not self._overlong:
             self._held += piece
 
-    def _take(self) -> Packet | None:
-        """Return the packet of the frame that a zero has just ended, if it is one."""
+    def _take(self, piece: bytes) -> Packet | None:
+        """Return the packet of the frame that ends with this piece and a zero, if it is one."""
+        self._hold(piece)
         stuffed, overlong = bytes(self._held), self._overlong
         self._held.clear()
         self._overlong = False

@@ -1,4 +1,4 @@
-"""A serial port that never blocks and that one program has at a time."""
+"""A serial port that never blocks and that one program holds at a time."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _CHUNK = 65_536
 
 
 class SerialPort:
-    """A serial port, or a pseudo-terminal, that no one else may open meanwhile.
+    """A serial port, or a pseudo-terminal, that no other program may open meanwhile.
 
     Args:
         path: such as /dev/ttyUSB0.
@@ -46,7 +46,7 @@ class SerialPort:
             self._serial.set_low_latency_mode(True)
 
     def read(self) -> bytes:
-        """What has come since, maybe nothing; never waits."""
+        """Return the bytes that have arrived, maybe none; never waits."""
         parts = []
         try:
             while part := os.read(self._file, _CHUNK):
@@ -63,7 +63,7 @@ class SerialPort:
         return b"".join(parts)
 
     def write(self, data: bytes) -> int:
-        """Hand over bytes, never wait; returns how many the line took."""
+        """Write bytes; never waits. Return how many the line took."""
         try:
             return os.write(self._file, data)
         except BlockingIOError:
@@ -76,5 +76,5 @@ class SerialPort:
         self._poll.poll(max(timeout, 0.0) * 1e3)
 
     def close(self) -> None:
-        """Give the port back."""
+        """Release the port."""
         self._serial.close()

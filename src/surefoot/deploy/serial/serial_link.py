@@ -2,30 +2,12 @@
 
 from __future__ import annotations
 
-import math
-import secrets
 import time
 from collections.abc import Sequence
 
-from surefoot.arrays import Array
 from surefoot.deploy.clock import Clock, LockstepClock
-from surefoot.deploy.messages import (
-    Arm,
-    Bye,
-    Damp,
-    Disarm,
-    Handshake,
-    Hello,
-    Message,
-    Mode,
-    Packet,
-    Ping,
-    Pong,
-    Position,
-    Pwm,
-    Reason,
-)
-from surefoot.deploy.robot_link import STATE_PERIOD, Arrival, RobotLink
+from surefoot.deploy.messages import Bye, Handshake, Hello, Message, Packet, Ping, Pong, Position, Pwm
+from surefoot.deploy.robot_link import Arrival, RobotLink
 from surefoot.deploy.serial.codec import VERSION, Codec
 from surefoot.deploy.serial.frames import Decoder, encode_frame
 from surefoot.deploy.serial.port import SerialPort
@@ -38,42 +20,41 @@ At 921,600 baud a command of 8 motors takes 0.6 ms and a state 1.7 ms; the polic
 state that arrives too late is a whole control step older, one that arrives too early a millisecond or two."""
 _PATIENCE = (0.05, 0.15, 0.5, 1.3, 3.0)
 """Real time [s] after which a ping is sent again, and at last given up. A robot in lockstep answers within a few
-milliseconds, unless the line lost the ping or its pong: then waiting is in vain."""
+milliseconds, unless the line lost the ping or its pong."""
 
 
 class SerialLink(RobotLink):
     """A link over a serial port. Frames whose numbers repeat or decrease are dropped and counted.
 
-    In lockstep, frames are received only where time goes on: otherwise it would be chance whether the answer to a
-    message is seen at once or a step later. Commands are sent with the ping that lets time go on, in one piece: two
+    In lockstep, frames are received only where time passes: otherwise chance would decide whether the answer to a
+    message is seen at once or a step later. Commands are sent in one piece with the ping that lets time pass: two
     pieces would wake the other end twice.
-
-    Args:
-        port: the line.
-        codec: of the robot.
-        clock: stamps what is sent and received; in lockstep the other end follows it.
-        session: number of the operator's session; drawn, if not given.
     """
 
     def __init__(self, port: SerialPort, codec: Codec, clock: Clock, session: int | None = None) -> None:
-        super().__init__(clock, session or 1 + secrets.randbelow(2**16 - 1), LEAD)
+        super().__init__(clock, LEAD, session)
         self.port, self.codec = port, codec
         self.decoder = Decoder(codec, self.statistics)
         self.awaits_handshake = False
         """Whether the session's handshake is awaited. It is the one frame that is taken whatever its number."""
-        self._sequence = 0
-        self._last = 0
+        self._sequence = self._last = 0
         self._inbox: list[Arrival] = []
-        self._tokens = 0
         self._held, self._unread = b"", b""
         if isinstance(clock, LockstepClock):
             clock.follow = self._follow
+
+    @property
+    def next_number(self) -> int:
+        """Number of the next frame."""
+        return self._sequence + 1
 
     def send(self, message: Message) -> bytes:
         """Send a message; return its frame."""
         self._sequence += 1
         data = encode_frame(self.codec, message, self._sequence, self.clock.now())
         self.statistics.sent += 1
+        if isinstance(message, Hello):
+            self.awaits_handshake = True
         if self.lockstep and isinstance(message, Position | Pwm):
             self._held += data
         else:
@@ -120,18 +101,11 @@ class SerialLink(RobotLink):
         """Wait until something can be received, at most `timeout` [s]."""
         self.port.wait(timeout)
 
-    def ping(self) -> int:
-        """Send a ping, which keeps the session; return its token."""
-        self._tokens += 1
-        self.send(Ping(self._tokens))
-        return self._tokens
-
     def ping_through(self, patience: Sequence[float] = _PATIENCE) -> bool:
-        """Send a ping and wait for its pong, keep what else comes before it; return whether it came.
+        """Send a ping and wait for its pong, keep what else comes before it; return whether the pong came.
 
-        Args:
-            patience: seconds of real time to wait before the ping is sent again, and at last given up. It is the same
-                frame each time: how quick the other end is leaves no trace in the numbers of frames.
+        After each time of `patience` [s] the same frame is sent again, so that numbers of frames do not depend on how
+        quick the other end is.
         """
         self._tokens += 1
         token, frame = self._tokens, b""
@@ -153,66 +127,16 @@ class SerialLink(RobotLink):
         if not self.ping_through():
             raise SurefootError("the robot does not answer; a clock in lockstep needs an emulator run with --lockstep")
 
-    def connect(self, timeout: float = 2.0, state_period: float = STATE_PERIOD) -> Handshake:
-        """Start or continue a session; see `RobotLink.connect`."""
-        end = self.clock.now() + timeout
-        self.handshake = None
-        while self.clock.now() < end:
-            self.awaits_handshake = True
-            self.send(Hello(self.session, state_period))
-            try:
-                answered = self.wait_for(lambda: self.handshake is not None or self._refusal() is not None, 0.1)
-            except SurefootError:
-                # In lockstep a robot of another protocol does not answer pings either: say so, if it was heard.
-                self._check_protocol()
-                raise
-            if answered:
-                if self.handshake is not None:
-                    return self.handshake
-                raise SurefootError(f"the robot refuses: {self._refusal()}")
-            self._check_protocol()
-        raise SurefootError(
-            f"no robot answers within {timeout:g} s; check port, cable and baud rate, and that it is switched on"
-        )
-
-    def _refusal(self) -> str | None:
-        return next((fault.text for fault in self.faults if fault.reason == Reason.BUSY), None)
-
-    def _check_protocol(self) -> None:
+    def protocol_error(self) -> str | None:
+        """Return how the protocol of what was received differs from this one; None if it does not."""
         foreign, codec = self.decoder.foreign, self.codec
-        if foreign is not None:
-            raise SurefootError(
-                f"the robot has version {foreign[0]} and schema {foreign[1]:#010x} of the protocol; this surefoot "
-                f"has version {VERSION} and schema {codec.schema:#010x} (for {codec.motors} motors): "
-                f"build its firmware with python -m surefoot.deploy.serial.c_header --motors {codec.motors}"
-            )
-
-    @property
-    def next_number(self) -> int:
-        """Number of the next frame."""
-        return self._sequence + 1
-
-    def arm(self, mode: Mode, command_period: float, lead: float | None = None) -> None:
-        """Ask the robot to follow commands that come every `command_period` [s].
-
-        Times of sending are rounded to a microsecond: a state that is due so much before the next command, rounded
-        down, is never due after it.
-        """
-        report_after = max(command_period - (self.lead if lead is None else lead), 0.0)
-        report_after = math.floor(1e6 * report_after + 1e-3) * 1e-6
-        self.send(Arm(self.session, int(mode), command_period, report_after))
-
-    def command(self, mode: Mode, values: Array) -> None:
-        """Send motor angles (M,) [rad], or a duty for each motor (M,) in the mode of duties."""
-        self.send((Pwm if mode == Mode.PWM else Position)(self.session, values))
-
-    def damp(self) -> None:
-        """Ask the robot to damp its motors at once."""
-        self.send(Damp(self.session))
-
-    def disarm(self) -> None:
-        """End commands in good order."""
-        self.send(Disarm(self.session))
+        if foreign is None:
+            return None
+        return (
+            f"the robot has version {foreign[0]} and schema {foreign[1]:#010x} of the protocol; this surefoot "
+            f"has version {VERSION} and schema {codec.schema:#010x} (for {codec.motors} motors): "
+            f"build its firmware with python -m surefoot.deploy.serial.c_header --motors {codec.motors}"
+        )
 
     def close(self) -> None:
         """End the session and give the port back."""

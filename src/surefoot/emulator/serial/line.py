@@ -1,4 +1,4 @@
-"""One direction of a serial line: transmission time, and what happens to frames on the way."""
+"""One direction of a serial line: transmission time, and harm to frames on the way."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from surefoot.emulator.faults import HARMS
 
 BITS_PER_BYTE = 10
 """Start bit, eight data bits, stop bit."""
-_LONGEST = 4096
+_MAX_OPEN = 4096
 """Bytes that are kept while no zero ends a frame."""
 
 
@@ -20,9 +20,9 @@ class Line:
     """One direction of the line. Times are whole microseconds.
 
     Args:
-        random: draws what happens to frames.
+        random: draws harms of frames.
         baud: bits per second; 0: bytes take no time.
-        batch: bytes arrive only at multiples of this time [s], as some USB adapters deliver them; 0: when they come.
+        batch: bytes arrive only at multiples of this time [s], as with some USB adapters; 0: without delay.
     """
 
     def __init__(self, random: np.random.Generator, baud: float = 0.0, batch: float = 0.0) -> None:
@@ -60,7 +60,7 @@ class Line:
             else:
                 start = end + 1
         # A zero that begins a frame waits for the rest; bytes that never become a frame are passed on as they are.
-        if len(self._open) > _LONGEST:
+        if len(self._open) > _MAX_OPEN:
             self._put(now, bytes(self._open))
             self._open.clear()
 
@@ -75,7 +75,7 @@ class Line:
             self._put(now, late)
 
     def _harmed(self, frame: bytes) -> list[bytes]:
-        """Return what becomes of a frame; keep one that is to come later."""
+        """Return the pieces that a frame becomes; keep a frame that arrives after the next one."""
         random = self._random
         draws = dict(zip(HARMS, random.random(len(HARMS)).tolist(), strict=True))
 

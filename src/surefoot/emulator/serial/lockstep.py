@@ -1,4 +1,4 @@
-"""The emulator in lockstep: a board moved by the times in the frames that arrive."""
+"""The emulator in lockstep: a board that follows the times in the frames that arrive."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from surefoot.emulator.serial.serial_host_link import SerialHostLink
 from surefoot.emulator.signals import microseconds
 
 PATIENCE = 2.0
-"""Time [s] that a host has for reading what the robot sends."""
+"""Time [s] that a host has to read what the robot sends."""
 _IDLE = 0.05
 _POLL_PERIOD = 0.005
 """Time [s] between two checks whether a host has opened the port."""
@@ -23,24 +23,20 @@ _STRIDE = 10_000
 
 
 class Lockstep:
-    """Moves a board by the times in the frames that arrive.
+    """Advances a board by the times in the frames that arrive.
 
     Before a frame is handed over, the robot runs to the frame's time and sends what is due until then. So a host that
     has the pong of its ping has all that the robot sent until then.
 
-    Robot time begins with the first frame. A frame's time on the robot's clock is its own plus an offset. The frames
-    that name no session (pings) have the offset of the first frame, and so has the first operator; the clock of any
-    other operator is set to the present when its first frame comes. A time that goes back leaves the robot's as it is.
+    Robot time begins with the first frame. A frame's time on the robot's clock is its own plus an offset. Frames
+    without a session (pings) have the offset of the first frame, and so has the first operator; the clock of any other
+    operator is set to the present when its first frame arrives. A time that goes back leaves the robot's as it is.
 
-    A host that dies sends no more frames: time would stand still, and the robot would stay armed and owned for good. So
-    when the last host has closed the port, time goes on by itself until another operator may take the robot. A host
-    that is only slow keeps its port open, and its robot.
+    A host that dies sends no more frames: time would stand still, and the robot would stay armed and owned. So when the
+    last host has closed the port, time goes on by itself until another operator may connect. A slow host keeps its port
+    open, and its robot.
 
-    Args:
-        board: the robot.
-        link: its end of the line, which takes no time.
-        port: the link's; it must not be held.
-        summary: kept up to date; its `stop` ends the loop.
+    The link takes no time, its port must not be held, and `summary.stop` ends the loop.
     """
 
     def __init__(self, board: Board, link: SerialHostLink, port: PtyPort, summary: Summary) -> None:
@@ -57,13 +53,13 @@ class Lockstep:
         with measure(board, summary):
             while not summary.stop and board.now < end:
                 if port.deserted():
-                    self._pass_time_alone()
+                    self._pass_time()
                     time.sleep(_POLL_PERIOD)  # nothing to wait for would wake the process
                 elif port.wait(_IDLE) and (data := port.read()):
                     self._receive(data)
 
-    def _pass_time_alone(self) -> None:
-        """Let robot time go on until another operator may take the robot; what it sends meanwhile is lost."""
+    def _pass_time(self) -> None:
+        """Let robot time go on until another operator may connect; what the robot sends meanwhile is lost."""
         board = self.board
         while board.firmware.is_taken(board.now) and not self._summary.stop:
             board.run_to(board.now + _STRIDE)

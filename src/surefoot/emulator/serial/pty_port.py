@@ -1,4 +1,4 @@
-"""The robot's end of a pseudo-terminal; hosts open the other end like a serial port."""
+"""The robot's end of a pseudo-terminal; hosts open the other end as a serial port."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ _CHUNK = 65_536
 
 
 class PtyPort:
-    """A pseudo-terminal in raw mode that hosts open and close. It blocks only where a timeout is given.
+    """A pseudo-terminal in raw mode that hosts open and close. It blocks only with a timeout.
 
     Args:
-        link: symbolic link to make, removed when the port is closed.
+        link: symbolic link to make; it is removed when the port is closed.
         held: keep the hosts' end open here too, so that the last host's closing has no effect.
 
     Raises:
@@ -52,16 +52,16 @@ class PtyPort:
             return b""
 
     def deserted(self) -> bool:
-        """Return whether no host has the port open and everything written is read; never, if it is held."""
+        """Return whether no host has the port open and all that was written is read; False, if it is held."""
         events = sum(event for _, event in self._hangup.poll(0))
         return bool(events & select.POLLHUP) and not events & select.POLLIN
 
     def wait(self, timeout: float) -> bool:
-        """Wait until something can be read, at most so long [s]; return whether it can."""
+        """Wait until something can be read, at most `timeout` [s]; return whether it can."""
         return bool(select.select([self._master], [], [], max(timeout, 0.0))[0])
 
     def write(self, data: bytes, patience: float = 0.0) -> None:
-        """Write to the hosts; drop what they leave unread for longer than `patience` [s]."""
+        """Write to the hosts; drop what they do not read within `patience` [s]."""
         while data:
             try:
                 data = data[os.write(self._master, data) :]

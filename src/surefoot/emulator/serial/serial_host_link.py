@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Protocol
 
 from surefoot.deploy.messages import Packet
 from surefoot.deploy.robot_link import LinkStatistics
@@ -12,25 +11,8 @@ from surefoot.deploy.serial.frames import Decoder, encode_frame
 from surefoot.emulator.faults import InjectedFault
 from surefoot.emulator.firmware import Firmware
 from surefoot.emulator.serial.line import Line
+from surefoot.emulator.serial.pty_port import PtyPort
 from surefoot.seeding import generator
-
-
-class Port(Protocol):
-    """Where hosts read and write; see `PtyPort`."""
-
-    unread: int
-
-    def read(self) -> bytes:
-        """Return what hosts have written since the last call."""
-        ...
-
-    def wait(self, timeout: float) -> bool:
-        """Wait until something can be read, at most so long [s]; return whether it can."""
-        ...
-
-    def write(self, data: bytes, patience: float = 0.0) -> None:
-        """Write to the hosts; drop what they leave unread for longer than `patience` [s]."""
-        ...
 
 
 class SerialHostLink:
@@ -38,17 +20,15 @@ class SerialHostLink:
 
     Args:
         port: where the line ends for hosts.
-        motors: number of motors.
         faults: by name; those of the line act here.
         baud: bits per second; 0: bytes take no time.
-        seed: of what happens to frames on the way.
-        patience: time [s] that hosts have for reading.
-        lead: see `HostLink`.
+        seed: of harms of frames.
+        patience: time [s] that hosts have to read.
     """
 
     def __init__(
         self,
-        port: Port,
+        port: PtyPort,
         motors: int,
         faults: Mapping[str, InjectedFault] | None = None,
         baud: float = 0.0,
@@ -98,10 +78,10 @@ class SerialHostLink:
 
     def take(self, now: int) -> bytes:
         """Return the bytes that have reached the hosts by now."""
-        parts = []
+        data = b""
         while self.outbound.next_time <= now:
-            parts.append(self.outbound.take())
-        return b"".join(parts)
+            data += self.outbound.take()
+        return data
 
     def flush(self, now: int) -> None:
         """Write what has reached the hosts by now."""
@@ -109,11 +89,11 @@ class SerialHostLink:
             self.port.write(data, self._patience)
 
     def wait(self, timeout: float) -> bool:
-        """Wait until hosts have written something, at most so long [s]; return whether they have."""
+        """Wait until hosts have written something, at most `timeout` [s]; return whether they have."""
         return self.port.wait(timeout)
 
     def receive(self, now: int, firmware: Firmware) -> None:
-        """Hand the firmware the packets of the bytes that arrive next, and tell it of damage."""
+        """Hand the firmware the packets of the bytes that arrive next, and report damage to it."""
         statistics = self._decoder.statistics
         damaged, foreign = statistics.damaged + statistics.unknown, statistics.foreign
         packets = self._decoder.feed(self.inbound.take())
@@ -129,7 +109,7 @@ class SerialHostLink:
         self.outbound.send(now, encode_frame(self.codec, packet.message, packet.sequence, packet.time))
 
     def restart(self) -> None:
-        """Forget what has come of frames that are not complete: the firmware starts anew."""
+        """Forget frames that are not complete: the firmware starts anew."""
         self._decoder = Decoder(self.codec)
 
     def cut_off(self) -> None:

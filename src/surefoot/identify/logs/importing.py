@@ -21,7 +21,7 @@ import numpy as np
 
 from surefoot.arrays import Array
 from surefoot.configuration import from_mapping, read_yaml
-from surefoot.errors import SurefootError, choices, located
+from surefoot.errors import SurefootError, choices, prefix_errors
 from surefoot.identify.logs.robot_log import check_rising
 from surefoot.identify.logs.table import ColumnTable, read_table
 from surefoot.robot import RobotDescription
@@ -100,7 +100,7 @@ def import_log(path: Path, robot: RobotDescription, mapping: Path | None = None)
     columns = default_mapping(robot)
     if mapping is not None:
         data = read_yaml(mapping)
-        with located(mapping):
+        with prefix_errors(mapping):
             columns = from_mapping(LogMapping, data)
             for name in columns.motors:
                 if name not in robot.motor_names:
@@ -109,7 +109,7 @@ def import_log(path: Path, robot: RobotDescription, mapping: Path | None = None)
                     )
             if missing := [name for name in robot.motor_names if name not in columns.motors]:
                 raise SurefootError(f"motors lacks {choices(missing)}; every motor has a command")
-    with located(f"log {path}"):
+    with prefix_errors(f"log {path}"):
         return _trace(read_table(path), columns, robot, mapping is None, path.name)
 
 

@@ -17,9 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.arrays import Array
-from surefoot.errors import SurefootError, choices, located
+from surefoot.errors import SurefootError, choices, prefix_errors
+from surefoot.npz import read_npz
 from surefoot.robot import RobotDescription
-from surefoot.task.trace import EpisodeTrace, read_members
+from surefoot.task.trace import EpisodeTrace
 
 MIN_MOTION = 0.02
 """Range of its commands [rad] from which a joint counts as moving."""
@@ -131,7 +132,7 @@ def read_log(path: Path, robot: RobotDescription) -> RobotLog:
     Raises:
         SurefootError: no such file, a damaged one, one with other arrays, of another robot, or refused by `RobotLog`.
     """
-    with located(f"log {path}"):
+    with prefix_errors(f"log {path}"):
         arrays = read_arrays(path)
         if "meta" in arrays:
             trace = EpisodeTrace.load(path)
@@ -148,7 +149,7 @@ def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
         SurefootError: no such file, or one that is damaged, too large or holds objects; without its path.
     """
     try:
-        return read_members(path)
+        return read_npz(path)
     except OSError as error:
         raise SurefootError(f"can't be read: {error.strerror}") from error
     # The last of these: a flipped bit that makes a member look encrypted, or packed in another way.

@@ -21,7 +21,7 @@ import numpy as np
 import yaml
 
 from surefoot.arrays import Array
-from surefoot.errors import SurefootError, accessible
+from surefoot.errors import SurefootError, describe_os_errors
 from surefoot.files import check_readable
 from surefoot.identify.logs.robot_log import read_arrays
 
@@ -60,7 +60,7 @@ def read_table(path: Path) -> ColumnTable:
     readers = {".npz": _read_npz, ".csv": _read_csv, ".pkl": _read_pickle, ".pickle": _read_pickle}
     if suffix not in readers:
         raise SurefootError(f"is of kind '{suffix}'; kinds: {', '.join(readers)}, .mcap, .bag, or the folder of a bag")
-    with accessible("it"):
+    with describe_os_errors("it"):
         check_readable(path, FILE_BYTES)
         return readers[suffix](path)
 
@@ -223,7 +223,7 @@ def _read_bag(path: Path) -> ColumnTable:
     from rosbags.typesys import Stores, get_typestore
 
     rows: list[tuple[float, dict[str, float]]] = []
-    with accessible("it"):
+    with describe_os_errors("it"):
         if not path.exists():
             raise SurefootError("does not exist")
         if path.is_file():

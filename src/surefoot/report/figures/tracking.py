@@ -17,7 +17,7 @@ from surefoot.task.trace import EpisodeTrace
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-_MOST = {"m/s": 0.2, "rad/s": 0.4}
+_MAX_ERROR = {"m/s": 0.2, "rad/s": 0.4}
 """Errors from which on colours are the same."""
 _NAMES = ("forward", "to the left", "yaw rate")
 
@@ -29,7 +29,7 @@ def tracking_figure(traces: Sequence[EpisodeTrace], path: str | Path) -> Path:
     """
     commands = np.array([trace.command[0] for trace in traces])
     errors = np.array(
-        [Tracking.of_traces([trace], float(trace.meta["gait_period"] or STRIDE)).rmse_stride for trace in traces]
+        [Tracking.from_traces([trace], float(trace.meta["gait_period"] or STRIDE)).rmse_stride for trace in traces]
     )
     fell = np.array([trace.fell for trace in traces])
     across = [2, *([1] if commands[:, 1].any() else [])]
@@ -38,7 +38,7 @@ def tracking_figure(traces: Sequence[EpisodeTrace], path: str | Path) -> Path:
             chosen = commands[:, 3 - other] == 0
             for k, (name, unit) in enumerate(zip(_NAMES, COMMANDS.values(), strict=True)):
                 ax = axes[3 * row + k]
-                image = _panel(ax, commands[chosen][:, [0, other]], errors[chosen, k], fell[chosen], _MOST[unit])
+                image = _panel(ax, commands[chosen][:, [0, other]], errors[chosen, k], fell[chosen], _MAX_ERROR[unit])
                 ax.set_title(f"error {name}")
                 ax.set_xlabel("forward (m/s)")
                 ax.set_ylabel(f"{_NAMES[other]} ({list(COMMANDS.values())[other]})")

@@ -7,7 +7,7 @@ from html import escape
 from pathlib import Path
 
 from surefoot import __version__
-from surefoot.files import whole_file
+from surefoot.files import atomic_write
 from surefoot.identify.result import Identification, ParameterEstimate
 from surefoot.report.figures.identification import cells, full_name, identification_figure
 from surefoot.report.pages import html
@@ -29,8 +29,7 @@ def write_report(
     folder.mkdir(parents=True, exist_ok=True)
     picture = identification_figure(found, robot, known, folder / "report.png")
     path = folder / "report.html"
-    with whole_file(path) as file:
-        file.write(page(found, robot, known, picture.read_bytes(), source).encode())
+    atomic_write(path, page(found, robot, known, picture.read_bytes(), source))
     return [picture, path]
 
 

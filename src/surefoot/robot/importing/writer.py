@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from surefoot.arrays import Array
-from surefoot.errors import SurefootError, accessible, check_name
-from surefoot.files import whole_file
+from surefoot.errors import SurefootError, check_name, describe_os_errors
+from surefoot.files import atomic_write
 from surefoot.robot.actuator import PLACEHOLDER_TORQUE
 from surefoot.robot.importing.imported import LEGS, ImportedRobot, Knees
 from surefoot.robot.rigid_body import RigidBody
@@ -46,7 +46,7 @@ def write_robot(robot: ImportedRobot, folder: Path, name: str, knees: Knees | No
     if (folder / "robot.toml").exists():
         raise SurefootError(f"{folder}: holds a robot; give another --out, or move it away")
     lines = _sheet(robot, name, knees)
-    with accessible(folder, "made"):
+    with describe_os_errors(folder, "made"):
         folder.mkdir(parents=True, exist_ok=True)
     _write(folder / "robot.urdf", format_urdf(_urdf(robot), name))
     _write(folder / "robot.toml", "\n".join(f"{line}  # guessed: {why}" if why else line for line, why in lines) + "\n")
@@ -62,8 +62,8 @@ def set_servo_step(folder: Path, step: float) -> str:
 
 
 def _write(path: Path, text: str) -> None:
-    with accessible(path, "written"), whole_file(path) as file:
-        file.write(text.encode())
+    with describe_os_errors(path, "written"):
+        atomic_write(path, text)
 
 
 def _sheet(robot: ImportedRobot, name: str, knees: Knees | None) -> list[_Line]:

@@ -1,4 +1,4 @@
-"""A folder that one process trains in, and no other. Whoever only keeps others away needs no torch."""
+"""Lock of a folder in which one process trains. It needs no torch."""
 
 from __future__ import annotations
 
@@ -14,22 +14,22 @@ from surefoot.files import remove_abandoned
 
 
 @contextmanager
-def alone(path: Path, patience: float = 0.0) -> Iterator[None]:
-    """Hold a run's folder so that no other process trains in it, and remove unfinished files of killed ones.
+def folder_lock(path: Path, timeout: float = 0.0) -> Iterator[None]:
+    """Lock a folder, so that no other process trains in it, and remove unfinished files of killed processes.
 
     Args:
         path: the folder.
-        patience: how long [s] to wait for another process to leave.
+        timeout: how long to wait for another process [s].
 
     Raises:
-        SurefootError: another process keeps it, or nothing can be written there.
+        SurefootError: another process has the lock, or nothing can be written there.
     """
     try:
         lock = (path / "lock").open("a+")
     except OSError as error:
         raise SurefootError(f"{path}: can't be trained in: {error.strerror}") from error
     with lock:
-        end = time.monotonic() + patience
+        end = time.monotonic() + timeout
         while True:
             try:
                 fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -1,3 +1,66 @@
+/* surefoot wire protocol, version ${version}, for robots of ${motors} motors. docs/wire-protocol.md specifies it.
+ *
+ * Made by `python -m surefoot.deploy.serial.c_header --motors ${motors}`: change the definitions, not this file.
+ *
+ * A field's comment begins with what its number counts: [0.001 N m] makes 1500 stand for 1.5 N m. Texts are UTF-8, and
+ * end at the first zero byte or at their full length. Structs go over the line as they lie in memory, so the
+ * processor must be little-endian and its floats IEEE 754. To send, fill a struct and call surefoot_encode. To receive,
+ * give every byte to surefoot_decode, and copy the payload into the struct of its type with memcpy. */
+#ifndef SUREFOOT_WIRE_H
+#define SUREFOOT_WIRE_H
+
+#include <stddef.h>
+#include <stdint.h>
+#include <string.h>
+
+#if defined(__BYTE_ORDER__) && __BYTE_ORDER__ != __ORDER_LITTLE_ENDIAN__
+#error "the structs of this header are for little-endian processors"
+#endif
+
+#define SUREFOOT_VERSION ${version}u
+#define SUREFOOT_SCHEMA 0x${schema}u
+#define SUREFOOT_MOTORS ${motors}
+#define SUREFOOT_MAX_FRAME ${max_frame}u /* bytes between two zeros beyond which nothing is a frame */
+#define SUREFOOT_BODY_BYTES ${body}u /* most bytes of header, payload and CRC-32 together */
+#define SUREFOOT_FRAME_BYTES ${frame}u /* most bytes of a frame on the line, with its zeros */
+
+#if defined(__cplusplus) && __cplusplus >= 201103L
+#define SUREFOOT_SIZE(type, size) static_assert(sizeof(type) == (size), "size of " #type)
+#elif defined(__STDC_VERSION__) && __STDC_VERSION__ >= 201112L
+#define SUREFOOT_SIZE(type, size) _Static_assert(sizeof(type) == (size), "size of " #type)
+#else
+#define SUREFOOT_SIZE(type, size) typedef char size_of_##type[sizeof(type) == (size) ? 1 : -1]
+#endif
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+${enums}
+#pragma pack(push, 1)
+
+/* Stands in front of every payload. */
+typedef struct {
+    uint8_t version;   /* SUREFOOT_VERSION; first in every version */
+    uint8_t type;      /* a surefoot_type */
+    uint32_t schema;   /* SUREFOOT_SCHEMA; at this place in every version */
+    uint32_t sequence; /* counts all frames of this sender, from 1 */
+    uint64_t time;     /* [1e-6 s] when it was sent, on the sender's clock */
+} surefoot_header;
+
+${structs}
+#pragma pack(pop)
+
+${sizes}
+/* Bytes of a payload; 0 for a type that is none. */
+static inline size_t surefoot_payload_size(uint8_t type)
+{
+    switch (type) {
+${cases}    default:
+        return 0;
+    }
+}
+
 /* CRC-32 as in zip and Ethernet: polynomial 04C11DB7, bits reflected, begun with all ones and inverted at the end.
  * The CRC-32 of "123456789" is CBF43926. */
 static inline uint32_t surefoot_crc32(const uint8_t *data, size_t length)
@@ -101,7 +164,7 @@ typedef enum {
     SUREFOOT_NOTHING, /* nothing yet */
     SUREFOOT_FRAME,   /* a whole, known frame: see `header` and surefoot_payload */
     SUREFOOT_DAMAGED, /* bytes that are no whole frame */
-    SUREFOOT_FOREIGN, /* a whole frame of another version or schema; `header` tells which */
+    SUREFOOT_FOREIGN, /* a whole frame of another version or schema, which are in `header` */
     SUREFOOT_UNKNOWN  /* a whole frame of a type, or of a length, that this schema does not have */
 } surefoot_event;
 
@@ -122,7 +185,7 @@ static inline const uint8_t *surefoot_payload(const surefoot_decoder *decoder)
     return decoder->held + sizeof(surefoot_header);
 }
 
-/* Takes one byte from the line; tells what it has ended. */
+/* Takes one byte from the line; returns what it has ended. */
 static inline surefoot_event surefoot_decode(surefoot_decoder *decoder, uint8_t byte)
 {
     size_t length = decoder->length, size;
@@ -163,3 +226,9 @@ static inline surefoot_event surefoot_decode(surefoot_decoder *decoder, uint8_t 
     decoder->frames++;
     return SUREFOOT_FRAME;
 }
+
+#ifdef __cplusplus
+}
+#endif
+
+#endif /* SUREFOOT_WIRE_H */

@@ -1,11 +1,13 @@
-"""The learning loop (rollout, advantages, update), with the state for an exact resume."""
+"""PPO on a batch of robots: rollout, advantages, update, and the state for an exact resume."""
 
 from __future__ import annotations
 
 import gc
 import os
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,6 +21,8 @@ from tensordict import TensorDict
 from surefoot.errors import SurefootError
 from surefoot.learn.config import TrainConfig
 from surefoot.learn.symmetry import MirrorSamples
+from surefoot.policy.export import export_policy
+from surefoot.task.contract_mapping import make_contract
 from surefoot.task.env import LocomotionEnv, SimulationFactory
 
 
@@ -50,7 +54,7 @@ class UpdateFigures:
     learn_seconds: float
 
 
-class Trainer:
+class PpoLearner:
     """PPO on a batch of robots.
 
     Args:
@@ -67,7 +71,7 @@ class Trainer:
         self.observation = self._tensors(observation)
         self.algorithm = self._make_algorithm()
         self.update_count = 0
-        # Some hundred thousand objects of imported packages would be looked through again and again; they stay anyway.
+        # The collector would search the many objects of imported packages again and again; they stay anyway.
         gc.freeze()
 
     @property
@@ -95,7 +99,7 @@ class Trainer:
             distribution_cfg={"class_name": "GaussianDistribution", "init_std": ppo.init_std, "std_type": "log"},
         )
         critic = MLPModel(obs, groups, "critic", 1, ppo.value_hidden, ppo.activation, obs_normalization=True)
-        # A first policy near the middle of the bounds for any observation.
+        # The first policy acts near the middle of the bounds for any observation.
         with torch.no_grad():
             actor.mlp[-1].weight.mul_(0.1)
         storage = RolloutStorage("rl", self.config.num_envs, self.config.steps_per_update, obs, [actions], "cpu")
@@ -135,7 +139,8 @@ class Trainer:
         start = time.perf_counter()
         # Threads of torch that spin between small products would take the cores from the physics.
         torch.set_num_threads(1)
-        rewards, ended = 0.0, []
+        rewards = 0.0
+        episodes: list[NDArray[np.float64]] = [np.zeros((4, 0))]
         with torch.inference_mode():
             for _ in range(config.steps_per_update):
                 actions = algorithm.act(self.observation)
@@ -145,7 +150,8 @@ class Trainer:
                 rewards += float(reward.mean())
                 if "figures" in info:
                     figures, rows = info["figures"], info["_figures"]
-                    ended.append([figures[key][rows] for key in ("return", "steps", "distance", "duration")])
+                    columns = [figures[key][rows] for key in ("return", "steps", "distance", "duration")]
+                    episodes.append(np.array(columns))
                 algorithm.process_env_step(
                     self.observation,
                     torch.from_numpy(gain.astype(np.float32)),
@@ -157,8 +163,7 @@ class Trainer:
         torch.set_num_threads(self._threads)
         losses = algorithm.update()
         self.update_count += 1
-        episodes = np.concatenate(ended, axis=1) if ended else np.zeros((4, 0))
-        returns, lengths, distances, durations = episodes
+        returns, lengths, distances, durations = np.concatenate(episodes, axis=1)
         return UpdateFigures(
             steps=self.steps,
             episodes=len(returns),
@@ -177,14 +182,19 @@ class Trainer:
         )
 
     def act(self, observation: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return the actions of the deterministic policy (N, 2 L) for observations (N, O)."""
+        """Return the actions of the deterministic policy (N, A) for observations (N, O * history)."""
         with torch.inference_mode():
             mean: NDArray[np.float32] = self.policy(
                 TensorDict({"policy": torch.from_numpy(observation)}, batch_size=[len(observation)])
             ).numpy()
         return mean
 
-    def start_with(self, algorithm: dict[str, Any]) -> None:
+    def export(self, path: str | Path, figures: Mapping[str, Any] | None = None, created: str = "") -> Path:
+        """Write the present policy as a policy file; see `make_contract` and `export_policy`."""
+        contract = make_contract(self.env, self.config, figures, created)
+        return export_policy(self.policy, self.config.ppo.activation, contract, path)
+
+    def load_networks(self, algorithm: dict[str, Any]) -> None:
         """Load only the networks of another run's state.
 
         Raises:
@@ -198,7 +208,7 @@ class Trainer:
             ) from None
 
     def get_state(self) -> dict[str, Any]:
-        """Return the whole state of the run, for an exact resume."""
+        """Return the state for an exact resume."""
         return {
             "algorithm": self.algorithm.save(),
             "learning_rate": self.algorithm.learning_rate,

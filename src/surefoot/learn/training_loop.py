@@ -1,4 +1,4 @@
-"""A training run: updates, evaluations, checkpoints, figures; resuming gives exactly the same result."""
+"""The training loop: updates, evaluations, checkpoints, figures. A resumed run gives exactly the same result."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from torch.utils.tensorboard import SummaryWriter
 from surefoot.errors import SurefootError
 from surefoot.evaluate.rollout import run_to_end
 from surefoot.learn.config import TrainConfig
+from surefoot.learn.ppo_learner import PpoLearner, UpdateFigures
 from surefoot.learn.run_folder import RunFolder, write_checkpoint
-from surefoot.learn.trainer import Trainer, UpdateFigures
 from surefoot.task.env import LocomotionEnv, SimulationFactory
 
 EVALUATION_SEED = 1_000_003
@@ -44,25 +44,25 @@ class Evaluation:
         return -self.falls, self.return_mean - 0.25 * self.pushed_falls
 
 
-def evaluate_policy(trainer: Trainer, make_world: SimulationFactory, episodes: int) -> Evaluation:
+def evaluate_policy(learner: PpoLearner, make_world: SimulationFactory, episodes: int) -> Evaluation:
     """Run the deterministic policy for whole episodes, always from the same seed."""
-    config, found = trainer.config, []
-    ruled = replace(config.task, reward=config.evaluation_reward or config.task.reward)
+    config, results = learner.config, []
+    base = replace(config.task, reward=config.evaluation_reward or config.task.reward)
+    base = replace(base, commands=replace(base.commands, ramp=0))
     for pushed in (False, True) if config.task.pushes.enabled else (False,):
-        task = replace(ruled, pushes=replace(config.task.pushes, enabled=pushed, ramp=0))
-        task = replace(task, commands=replace(task.commands, ramp=0))
+        task = replace(base, pushes=replace(base.pushes, enabled=pushed, ramp=0))
         env = LocomotionEnv(task, episodes, make_world, EVALUATION_SEED + config.seed, False, config.threads)
-        found.append(run_to_end(trainer.act, env, env.reset()[0]))
-    runs, falls = found[0], [int((~one.balanced).sum()) for one in found]
-    speed, gained, power = (float(column.mean()) for column in (runs.speed, runs.returns, runs.power))
-    return Evaluation(trainer.steps, speed, gained, falls[0], falls[1] if len(falls) > 1 else 0, power)
+        results.append(run_to_end(learner.act, env, env.reset()[0]))
+    runs, falls = results[0], [int((~result.balanced).sum()) for result in results]
+    speed, mean_return, power = (float(column.mean()) for column in (runs.speed, runs["return"], runs.power))
+    return Evaluation(learner.steps, speed, mean_return, falls[0], sum(falls[1:]), power)
 
 
-class TrainingRun:
-    """A run in its folder.
+class TrainingLoop:
+    """The training of a policy in a run folder.
 
     Args:
-        config: the run.
+        config: configuration of the run.
         folder: its run folder.
         make_world: makes the simulation.
         resume: continue from the folder's last checkpoint.
@@ -75,9 +75,9 @@ class TrainingRun:
         self, config: TrainConfig, folder: RunFolder, make_world: SimulationFactory, resume: bool = False
     ) -> None:
         self.config, self.folder, self._make_world = config, folder, make_world
-        self.trainer = Trainer(config, make_world)
+        self.learner = PpoLearner(config, make_world)
         if config.start_from is not None and not resume:
-            self.trainer.start_with(RunFolder.open(Path(config.start_from))[0].load()["trainer"]["algorithm"])
+            self.learner.load_networks(RunFolder.open(Path(config.start_from))[0].load()["learner"]["algorithm"])
         self.best: Evaluation | None = None
         self.best_actor: dict[str, Any] = {}
         self.seconds = 0.0
@@ -85,7 +85,7 @@ class TrainingRun:
         if resume:
             state = folder.load()
             try:
-                self.trainer.set_state(state["trainer"])
+                self.learner.set_state(state["learner"])
             except (SurefootError, LookupError, TypeError, ValueError) as error:
                 raise SurefootError(
                     f"{folder.latest}: does not fit the run's config.yaml: {error}; restore the file with which the "
@@ -93,29 +93,29 @@ class TrainingRun:
                 ) from error
             self.best = Evaluation(**state["best"]) if state["best"] else None
             self.best_actor, self.seconds = state["best_actor"], state["seconds"]
-            self._saved_steps = self.trainer.steps
-            folder.drop_rows_after(self.trainer.steps)
-        self._writer = SummaryWriter(str(folder.path), purge_step=self.trainer.steps if resume else None)
+            self._saved_steps = self.learner.steps
+            folder.drop_rows_after(self.learner.steps)
+        self._writer = SummaryWriter(str(folder.path), purge_step=self.learner.steps if resume else None)
 
     def save(self) -> None:
         """Save everything that the run needs to continue."""
-        if self._saved_steps == self.trainer.steps:
+        if self._saved_steps == self.learner.steps:
             return
         self.folder.save(
             {
-                "steps": self.trainer.steps,
-                "trainer": self.trainer.get_state(),
+                "steps": self.learner.steps,
+                "learner": self.learner.get_state(),
                 "best": asdict(self.best) if self.best else None,
                 "best_actor": self.best_actor,
                 "seconds": self.seconds,
             }
         )
-        self._saved_steps = self.trainer.steps
+        self._saved_steps = self.learner.steps
 
     @property
     def finished(self) -> bool:
         """Whether all steps are done."""
-        return self.trainer.update_count >= self.config.updates
+        return self.learner.update_count >= self.config.updates
 
     def run(
         self,
@@ -138,17 +138,31 @@ class TrainingRun:
     def step(self) -> tuple[UpdateFigures, Evaluation | None]:
         """Do one update, the evaluation and the checkpoint that are due then, and log; returns the first two."""
         start = time.perf_counter()
-        figures = self.trainer.update()
+        figures = self.learner.update()
         evaluation = self._evaluate_if_due()
         self.seconds += time.perf_counter() - start
         self._log(figures, evaluation)
         if self._due(self.config.checkpoint_every):
             self.save()
             write_checkpoint(
-                self.folder.checkpoints / f"steps_{self.trainer.steps:09d}.ckpt",
-                {"steps": self.trainer.steps, "actor": self.trainer.policy.state_dict()},
+                self.folder.checkpoints / f"steps_{self.learner.steps:09d}.ckpt",
+                {"steps": self.learner.steps, "actor": self.learner.policy.state_dict()},
             )
         return figures, evaluation
+
+    def export(self, path: str | Path, last: bool = False) -> Path:
+        """Write the best evaluated policy, or the last one, as a policy file with the figures of its training.
+
+        The best policy's weights take the place of the last ones.
+        """
+        if last:
+            training = self.folder.evaluations()[-1]
+        else:
+            training = asdict(self.best) if self.best else {}
+            self.learner.policy.load_state_dict(self.best_actor)
+        figures = {"seconds": round(self.seconds, 1), "seed": self.config.seed, "steps": self.learner.steps}
+        created = time.strftime("%Y-%m-%dT%H:%M:%S%z")
+        return self.learner.export(path, {"training": training, **figures}, created)
 
     def close(self) -> None:
         """Close the log."""
@@ -156,16 +170,16 @@ class TrainingRun:
 
     def _due(self, every: int) -> bool:
         """Return whether a multiple of `every` steps was passed in the last update, or the run is over."""
-        before = self.trainer.steps - self.config.samples_per_update
-        return self.trainer.steps // every > before // every or self.finished
+        before = self.learner.steps - self.config.samples_per_update
+        return self.learner.steps // every > before // every or self.finished
 
     def _evaluate_if_due(self) -> Evaluation | None:
         if not self._due(self.config.evaluate_every):
             return None
-        evaluation = evaluate_policy(self.trainer, self._make_world, self.config.evaluation_episodes)
+        evaluation = evaluate_policy(self.learner, self._make_world, self.config.evaluation_episodes)
         if self.best is None or evaluation.rank > self.best.rank:
             self.best = evaluation
-            self.best_actor = {key: value.clone() for key, value in self.trainer.policy.state_dict().items()}
+            self.best_actor = {key: value.clone() for key, value in self.learner.policy.state_dict().items()}
         return evaluation
 
     def _log(self, figures: UpdateFigures, evaluation: Evaluation | None) -> None:

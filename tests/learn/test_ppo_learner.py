@@ -1,4 +1,4 @@
-"""What the learning algorithm is given."""
+"""The rewards that PPO learns from, presets, and threads."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ import pytest
 import torch
 
 from surefoot.learn.config import TrainConfig, load_train_config
-from surefoot.learn.trainer import Trainer
+from surefoot.learn.ppo_learner import PpoLearner
 from surefoot.robot.randomization import load_ranges
 from surefoot.world.sim_world import SimWorld
 
 
-def rewards_given(fall_cost: float) -> tuple[torch.Tensor, torch.Tensor, Trainer]:
-    """What is learned from in one update of robots that fall at once: rewards and ends of episodes, (T, N)."""
+def rewards_of_an_update(fall_cost: float) -> tuple[torch.Tensor, torch.Tensor, PpoLearner]:
+    """Return rewards and ends of episodes (T, N) of one update of robots that fall at once, and the learner."""
     preset = load_train_config("trot")
     config = replace(
         preset,
@@ -30,40 +30,40 @@ def rewards_given(fall_cost: float) -> tuple[torch.Tensor, torch.Tensor, Trainer
         task=replace(preset.task, fall_angle=0.03),
         ppo=replace(preset.ppo, fall_cost=fall_cost, reward_scale=10.0, init_std=1.0),
     )
-    trainer = Trainer(config, SimWorld)
-    taken: list[tuple[torch.Tensor, torch.Tensor]] = []
-    process = trainer.algorithm.process_env_step
+    learner = PpoLearner(config, SimWorld)
+    samples: list[tuple[torch.Tensor, torch.Tensor]] = []
+    process = learner.algorithm.process_env_step
 
     def keep(observation: Any, rewards: torch.Tensor, dones: torch.Tensor, extras: Any) -> None:
-        taken.append((rewards.clone(), dones.clone()))
+        samples.append((rewards.clone(), dones.clone()))
         process(observation, rewards, dones, extras)
 
-    trainer.algorithm.process_env_step = keep  # type: ignore[method-assign]
-    figures = trainer.update()
+    learner.algorithm.process_env_step = keep  # type: ignore[method-assign]
+    figures = learner.update()
     assert figures.falls > 0
-    rewards, dones = zip(*taken, strict=True)
-    return torch.stack(rewards), torch.stack(dones), trainer
+    rewards, dones = zip(*samples, strict=True)
+    return torch.stack(rewards), torch.stack(dones), learner
 
 
-def test_a_fall_costs_its_price_once_and_nothing_else_changes():
-    free, fell, _ = rewards_given(0.0)
-    dear, fell_too, trainer = rewards_given(2.5)
+def test_a_fall_costs_fall_cost_once_and_no_other_reward_changes():
+    rewards, fell, _ = rewards_of_an_update(0.0)
+    with_cost, fell_too, learner = rewards_of_an_update(2.5)
     assert torch.equal(fell, fell_too)
     assert 0 < int(fell.sum()) < fell.numel()
-    torch.testing.assert_close(dear, free - 10.0 * 2.5 * fell.float())
-    # Figures are the task's own: no price in them.
-    assert float(trainer.env.returns.min()) > -1.0
+    torch.testing.assert_close(with_cost, rewards - 10.0 * 2.5 * fell.float())
+    # Figures are without the cost.
+    assert float(learner.env.returns.min()) > -1.0
 
 
 @pytest.mark.parametrize("preset", ["trot-robust", "gallop-robust"])
-def test_robust_presets_draw_table_1_and_feet_of_any_stiffness(preset):
+def test_robust_presets_randomize_table_1_and_contact_stiffness(preset):
     config: TrainConfig = load_train_config(preset)
     stiffness = {"contact_stiffness": (3000.0, 30000.0)}
     assert config.task.randomize == load_ranges("table1") | stiffness
 
 
-def test_threads_of_torch_wait_asleep() -> None:
-    words = [sys.executable, "-c", "import surefoot.learn.trainer"]
+def test_idle_threads_of_torch_sleep() -> None:
+    words = [sys.executable, "-c", "import surefoot.learn.ppo_learner"]
     # OpenMP prints its settings when it is loaded.
     environment = {key: value for key, value in os.environ.items() if key != "OMP_WAIT_POLICY"}
     environment["OMP_DISPLAY_ENV"] = "true"

@@ -1,4 +1,4 @@
-"""Training runs: the same seed, interrupted or not, ends with the same weights; accidents lose nothing."""
+"""The training loop and its checkpoints."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ import torch
 from surefoot.configuration import from_mapping
 from surefoot.errors import SurefootError
 from surefoot.learn.config import TrainConfig, load_train_config
-from surefoot.learn.run import TrainingRun
 from surefoot.learn.run_folder import RunFolder, read_checkpoint, write_checkpoint
+from surefoot.learn.training_loop import TrainingLoop
 from surefoot.robot.randomization import load_ranges
 from surefoot.world.sim_world import SimWorld
 
@@ -43,39 +43,39 @@ def tiny_config(**changes: object) -> TrainConfig:
     return from_mapping(TrainConfig, {**TINY, **changes}, base=load_train_config("trot"))
 
 
-def train(root: Path, config: TrainConfig, stop_after: int | None = None) -> TrainingRun:
-    run = TrainingRun(config, RunFolder.create(config, root), SimWorld)
+def train(root: Path, config: TrainConfig, stop_after: int | None = None) -> TrainingLoop:
+    loop = TrainingLoop(config, RunFolder.create(config, root), SimWorld)
     updates = []
-    run.run(
+    loop.run(
         lambda *figures: updates.append(figures),
         lambda: stop_after is not None and len(updates) >= stop_after,
     )
-    return run
+    return loop
 
 
-def resume(path: Path) -> TrainingRun:
+def resume(path: Path) -> TrainingLoop:
     folder, config = RunFolder.open(path)
-    return TrainingRun(config, folder, SimWorld, resume=True)
+    return TrainingLoop(config, folder, SimWorld, resume=True)
 
 
-def same_weights(a: TrainingRun, b: TrainingRun) -> bool:
-    first, second = a.trainer.policy.state_dict(), b.trainer.policy.state_dict()
+def same_weights(a: TrainingLoop, b: TrainingLoop) -> bool:
+    first, second = a.learner.policy.state_dict(), b.learner.policy.state_dict()
     return first.keys() == second.keys() and all(torch.equal(first[key], second[key]) for key in first)
 
 
 @pytest.fixture(scope="module")
-def whole(tmp_path_factory: pytest.TempPathFactory) -> TrainingRun:
+def whole(tmp_path_factory: pytest.TempPathFactory) -> TrainingLoop:
     return train(tmp_path_factory.mktemp("whole"), tiny_config())
 
 
-def test_another_seed_goes_another_way(whole: TrainingRun, tmp_path: Path) -> None:
+def test_another_seed_gives_another_policy(whole: TrainingLoop, tmp_path: Path) -> None:
     other = train(tmp_path, tiny_config(seed=1), stop_after=1)
     assert other.folder.rows()[0]["std_mean"] != whole.folder.rows()[0]["std_mean"]
 
 
 @pytest.mark.parametrize("stop_after", [1, 3])
-def test_a_run_of_the_same_seed_ends_alike_to_the_last_bit_though_it_was_interrupted(
-    whole: TrainingRun, tmp_path: Path, stop_after: int
+def test_an_interrupted_run_ends_with_the_same_weights_to_the_last_bit(
+    whole: TrainingLoop, tmp_path: Path, stop_after: int
 ) -> None:
     stopped = train(tmp_path, tiny_config(), stop_after)
     assert not stopped.finished
@@ -99,27 +99,27 @@ def test_a_run_with_drawn_parameters_and_symmetry_resumes_exactly(tmp_path: Path
     assert same_weights(resumed, through)
 
 
-def test_a_run_starts_with_anothers_networks_and_goes_its_own_way(whole: TrainingRun, tmp_path: Path) -> None:
+def test_a_run_can_start_from_the_networks_of_another_run(whole: TrainingLoop, tmp_path: Path) -> None:
     config = tiny_config(start_from=str(whole.folder.path), seed=5, steps=256)
-    run = TrainingRun(config, RunFolder.create(config, tmp_path), SimWorld)
-    last = whole.folder.load()["trainer"]["algorithm"]["actor_state_dict"]
-    first = run.trainer.policy.state_dict()
+    loop = TrainingLoop(config, RunFolder.create(config, tmp_path), SimWorld)
+    last = whole.folder.load()["learner"]["algorithm"]["actor_state_dict"]
+    first = loop.learner.policy.state_dict()
     assert all(torch.equal(first[key], last[key]) for key in last)
-    assert run.trainer.steps == 0
-    run.run(lambda *_: None)
-    assert not same_weights(run, whole)
-    # Resumed, it goes on from its own state, also when the other run is gone.
-    again = resume(run.folder.path)
-    assert same_weights(again, run)
+    assert loop.learner.steps == 0
+    loop.run(lambda *_: None)
+    assert not same_weights(loop, whole)
+    # Resumed, it continues from its own state, not from the other run's.
+    again = resume(loop.folder.path)
+    assert same_weights(again, loop)
 
 
-def test_networks_that_do_not_fit_are_refused(whole: TrainingRun, tmp_path: Path) -> None:
+def test_start_from_refuses_networks_of_other_layers(whole: TrainingLoop, tmp_path: Path) -> None:
     config = tiny_config(start_from=str(whole.folder.path), ppo={"policy_hidden": [16]})
     with pytest.raises(SurefootError, match=r"start_from: the other run's networks do not fit"):
-        TrainingRun(config, RunFolder.create(config, tmp_path), SimWorld)
+        TrainingLoop(config, RunFolder.create(config, tmp_path), SimWorld)
     config = tiny_config(start_from=str(tmp_path / "nowhere"))
     with pytest.raises(SurefootError, match=r"nowhere: is not a run folder"):
-        TrainingRun(config, RunFolder.create(config, tmp_path), SimWorld)
+        TrainingLoop(config, RunFolder.create(config, tmp_path), SimWorld)
 
 
 @pytest.mark.parametrize(
@@ -130,14 +130,14 @@ def test_networks_that_do_not_fit_are_refused(whole: TrainingRun, tmp_path: Path
     ],
 )
 def test_resume_refuses_a_configuration_that_does_not_fit_the_checkpoint(
-    whole: TrainingRun, change: dict, reason: str
+    whole: TrainingLoop, change: dict, reason: str
 ) -> None:
     with pytest.raises(SurefootError, match=rf"latest\.ckpt: does not fit the run's config\.yaml: {reason}") as caught:
-        TrainingRun(tiny_config(**change), whole.folder, SimWorld, resume=True)
+        TrainingLoop(tiny_config(**change), whole.folder, SimWorld, resume=True)
     assert "\n" not in str(caught.value)
 
 
-def test_folder_holds_what_the_run_was_made_with(whole: TrainingRun) -> None:
+def test_a_run_folder_holds_configuration_versions_and_checkpoints(whole: TrainingLoop) -> None:
     about = json.loads((whole.folder.path / "run.json").read_text())
     assert about["seed"] == 0
     assert about["packages"]["torch"].startswith("2.13.0")
@@ -146,7 +146,7 @@ def test_folder_holds_what_the_run_was_made_with(whole: TrainingRun) -> None:
     assert len(list(whole.folder.checkpoints.glob("steps_*.ckpt"))) == 3
 
 
-def test_cut_off_checkpoint_is_refused_and_the_one_before_named(whole: TrainingRun, tmp_path: Path) -> None:
+def test_the_error_of_a_cut_off_checkpoint_names_the_one_before(whole: TrainingLoop, tmp_path: Path) -> None:
     folder = RunFolder(shutil.copytree(whole.folder.path, tmp_path / "run"))
     content = folder.latest.read_bytes()
     folder.latest.write_bytes(content[: len(content) // 2])
@@ -158,7 +158,7 @@ def test_cut_off_checkpoint_is_refused_and_the_one_before_named(whole: TrainingR
         folder.load()
 
 
-def test_one_flipped_bit_is_found(tmp_path: Path) -> None:
+def test_a_checkpoint_with_a_flipped_bit_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "a.ckpt"
     write_checkpoint(path, {"weights": torch.arange(1000.0)})
     content = bytearray(path.read_bytes())
@@ -180,7 +180,7 @@ class Intruder:
 
 @pytest.mark.parametrize("inside", ["array", "table"])
 def test_a_checkpoint_that_would_run_code_is_refused(tmp_path: Path, inside: str) -> None:
-    """With a digest that fits: whoever writes such a file writes that too."""
+    """The digest matches: whoever writes such a file writes that too."""
     path, mark = tmp_path / "a.ckpt", tmp_path / "was-here"
     bad = Intruder(f"touch {mark}")
     write_checkpoint(path, {"steps": np.array([bad], object) if inside == "array" else bad})
@@ -200,15 +200,15 @@ def test_arrays_come_back_to_the_last_bit(tmp_path: Path, kind: type) -> None:
     assert again["stream"] == state["stream"]
 
 
-def test_folder_of_another_version_is_refused(tmp_path: Path) -> None:
+def test_a_run_folder_of_another_format_is_refused(tmp_path: Path) -> None:
     folder = RunFolder.create(tiny_config(), tmp_path)
     about = json.loads((folder.path / "run.json").read_text())
     (folder.path / "run.json").write_text(json.dumps({**about, "format": 99, "surefoot": "9.0"}))
-    with pytest.raises(SurefootError, match=r"format 99, by surefoot 9\.0.*reads format 3"):
+    with pytest.raises(SurefootError, match=r"format 99, by surefoot 9\.0.*reads format 4"):
         RunFolder.open(folder.path)
 
 
-def test_full_disk_leaves_the_old_checkpoint_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_full_disk_leaves_the_old_checkpoint_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "a.ckpt"
     write_checkpoint(path, {"steps": 1})
 
@@ -224,7 +224,7 @@ def test_full_disk_leaves_the_old_checkpoint_whole(tmp_path: Path, monkeypatch: 
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
-def test_full_disk_under_the_log_is_told_in_one_line(whole: TrainingRun) -> None:
+def test_a_full_disk_under_the_log_is_one_line_of_error(whole: TrainingLoop) -> None:
     folder = RunFolder(whole.folder.path)
     folder.figures_log = Path("/dev/full")
     with pytest.raises(SurefootError, match="No space left on device; checkpoints are untouched"):
@@ -242,12 +242,12 @@ def test_full_disk_under_the_log_is_told_in_one_line(whole: TrainingRun) -> None
         ({"ppo": {"epochs": "many"}}, "ppo.epochs is 'many'; it must be a whole number"),
     ],
 )
-def test_impossible_runs_are_refused(changes: dict[str, object], rule: str) -> None:
+def test_a_configuration_out_of_bounds_is_refused(changes: dict[str, object], rule: str) -> None:
     with pytest.raises(SurefootError, match=rule.replace(".", r"\.")):
         tiny_config(**changes)
 
 
-def test_rank_prefers_no_falls_over_return(whole: TrainingRun) -> None:
+def test_rank_prefers_no_falls_over_return(whole: TrainingLoop) -> None:
     assert whole.best is not None
     steady = replace(whole.best, falls=0, pushed_falls=0, return_mean=1.0)
     assert steady.rank > replace(steady, falls=1, return_mean=5.0).rank

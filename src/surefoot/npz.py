@@ -1,0 +1,58 @@
+"""Files of arrays (.npz) with a table of other values under `meta`."""
+
+from __future__ import annotations
+
+import json
+import math
+import zipfile
+from collections.abc import Mapping
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surefoot.files import DATA_BYTES, atomic_write, check_readable
+
+
+def write_npz(path: Path, arrays: Mapping[str, Any], meta: Mapping[str, Any]) -> None:
+    """Write arrays and what JSON can hold, whole or not at all, with the file's folder."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    buffer = BytesIO()
+    np.savez_compressed(buffer, meta=np.array(json.dumps(meta)), **arrays)
+    atomic_write(path, buffer.getvalue())
+
+
+def read_npz(path: Path) -> dict[str, NDArray[Any]]:
+    """Read every array of an .npz file whole, so that each member's checksum is verified.
+
+    Raises:
+        OSError: no such file, or one that can't be read.
+        ValueError, EOFError, RuntimeError, zipfile.BadZipFile, zlib.error: a damaged file, one that unpacks to more
+            than `DATA_BYTES`, or one with objects in it.
+    """
+    check_readable(path)
+    with path.open("rb") as file:
+        start = file.read(2)
+        if not start:
+            raise EOFError("the file is empty")
+        if start != b"PK":
+            raise ValueError("not an .npz file")
+        file.seek(0)
+        with zipfile.ZipFile(file) as archive:
+            if sum(member.file_size for member in archive.infolist()) > DATA_BYTES:
+                raise ValueError(f"it unpacks to more than {DATA_BYTES} bytes")
+            return {name.removesuffix(".npy"): _read_array(archive.read(name)) for name in archive.namelist()}
+
+
+def _read_array(content: bytes) -> NDArray[Any]:
+    """Return the array of a .npy file, which must hold as many numbers as its header says."""
+    file = BytesIO(content)
+    version = np.lib.format.read_magic(file)
+    read_header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+    shape, _, kind = read_header(file)
+    if not kind.hasobject and math.prod(shape) * kind.itemsize > len(content):
+        raise ValueError(f"an array of shape {shape} is longer than its file")
+    file.seek(0)
+    return np.lib.format.read_array(file)
