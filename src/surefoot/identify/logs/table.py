@@ -57,7 +57,7 @@ def read_table(path: Path) -> ColumnTable:
     suffix = path.suffix.lower()
     if path.is_dir() or suffix in (".mcap", ".bag", ".db3"):
         return _read_bag(path)
-    readers = {".npz": _read_npz, ".csv": _read_csv, ".pkl": _read_pickle, ".pickle": _read_pickle}
+    readers = {".npz": _read_npz, ".csv": read_csv, ".pkl": _read_pickle, ".pickle": _read_pickle}
     if suffix not in readers:
         raise SurefootError(f"is of kind '{suffix}'; kinds: {', '.join(readers)}, .mcap, .bag, or the folder of a bag")
     with describe_os_errors("it"):
@@ -92,7 +92,8 @@ def _place_name(name: str, place: tuple[int, ...]) -> str:
     return name + (f"[{','.join(map(str, place))}]" if place else "")
 
 
-def _read_csv(path: Path) -> ColumnTable:
+def read_csv(path: Path) -> ColumnTable:
+    """Read a CSV file whose first line names the columns; texts that are no numbers are NaN."""
     lines = csv.reader(io.StringIO(path.read_text(encoding="utf-8-sig", errors="replace")))
     try:
         names = [name.strip() for name in next(lines, [])]
