@@ -180,6 +180,7 @@ def gap_comparison() -> Callable[..., Comparison]:
     import pandas as pd
 
     from surefoot.studies.comparison import Comparison, GroupResult, SeedResult
+    from surefoot.studies.study_config import GroupConfig, PublishedFinding, StudyConfig
 
     steady, at = (True, True, True), np.arange(1, 11) * 1e5
     curve = pd.DataFrame({"steps": at, "return": at * 1e-6, "speed": at * 1e-7, "falls": 0.0, "episodes": 1})
@@ -208,17 +209,18 @@ def gap_comparison() -> Callable[..., Comparison]:
         a = tuple(policy(s, 2.0 + 0.2 * s, 1.0 + 0.1 * s, (True, s > 2, False)) for s in range(seeds))
         b = tuple(policy(s, 3.0 + 0.1 * s, 0.0) for s in range(seeds))
         c = tuple(policy(s, 0.1, 0.0, home=(False, False, True)) for s in range(seeds))
-        return Comparison(
-            "gaps",
-            ("nominal", "gap"),
-            (GroupResult("a", "first", a), GroupResult("b", "second", b), GroupResult("c", "third", c)),
-            (("a", "b"), ("a", "c")),
-            top=3,
+        groups = GroupResult("a", "first", a), GroupResult("b", "second", b), GroupResult("c", "third", c)
+        study = StudyConfig(
+            groups={name: GroupConfig() for name in (*"abc", "absent")},
+            name="gaps",
+            evaluate=("gap",),
+            compare=(("a", "b"), ("a", "c")),
             bars={"both": ("a", "b", "absent")},
             findings=(
-                (frozenset(("a", "b")), "the second did better."),
-                (frozenset(("a", "b", "absent")), "all was well."),
+                PublishedFinding(("a", "b"), "the second did better."),
+                PublishedFinding(("a", "b", "absent"), "all was well."),
             ),
         )
+        return Comparison(study, groups)
 
     return make

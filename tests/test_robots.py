@@ -40,13 +40,6 @@ def policy(robot: RobotDescription, tmp_path_factory: pytest.TempPathFactory) ->
     return PpoLearner(config, SimWorld).export(tmp_path_factory.mktemp(robot.name) / "untrained.onnx")
 
 
-def test_leg_space_goes_to_motors_and_back(robot: RobotDescription, rng: np.random.Generator) -> None:
-    low, high = np.transpose(list(robot.leg_space.values()))
-    middle, reach = (low + high) / 2, 0.4 * (high - low)
-    poses = middle[:, None] + reach[:, None] * rng.uniform(-1, 1, (20, len(low), len(robot.legs)))
-    np.testing.assert_allclose(robot.to_pose(robot.to_motors(poses)), poses, atol=1e-9)
-
-
 def test_it_stands_alike_in_both_engines(robot: RobotDescription) -> None:
     pytest.importorskip("pybullet")
     stood = []

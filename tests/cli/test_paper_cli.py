@@ -42,7 +42,9 @@ def test_the_page_is_written_from_a_clone(repository: Path, tmp_path: Path):
         (["--root", "REPOSITORY", "--quick", "--folder", "file"], ["file; it must be a folder"]),
     ],
 )
-def test_what_does_not_go_together_is_refused(words: list[str], parts: list[str], repository: Path, tmp_path: Path):
+def test_paper_refuses_options_that_do_not_go_together(
+    words: list[str], parts: list[str], repository: Path, tmp_path: Path
+):
     (tmp_path / "file").touch()
     refused(surefoot("paper", *(word.replace("REPOSITORY", str(repository)) for word in words), cwd=tmp_path), *parts)
 
@@ -55,7 +57,7 @@ def shipped(repository: Path, tmp_path: Path) -> Path:
     return tmp_path / "runs"
 
 
-def test_runs_are_made_once_stopped_and_gone_on_with(
+def test_runs_are_made_once_and_go_on_after_a_stop(
     repository: Path, shipped: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
     made: list[str] = []
@@ -135,7 +137,7 @@ PARSERS = {
 }
 
 
-def test_all_runs_are_commands_that_are_understood(repository: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_all_runs_are_valid_commands(repository: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     said: list[list[str]] = []
 
     def main(words: list[str]) -> int:
@@ -201,7 +203,7 @@ def test_all_runs_are_commands_that_are_understood(repository: Path, tmp_path: P
         paper_runs.search(full)
 
 
-def test_a_run_that_makes_nothing_is_told(repository: Path, shipped: Path, monkeypatch: pytest.MonkeyPatch):
+def test_a_run_without_its_file_is_an_error(repository: Path, shipped: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(paper_runs, "STAGES", (Stage("results/none.json", lambda runs: None),))
     done = surefoot("paper", "--root", repository, "--quick", "--folder", shipped)
     refused_late = "surefoot: error: results/none.json was not made; see the output above\n"

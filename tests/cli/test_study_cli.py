@@ -66,7 +66,7 @@ def alive(pid: int) -> bool:
 
 @pytest.mark.slow
 @pytest.mark.timeout(600)
-def test_a_study_goes_on_after_whatever_stops_it(tmp_path: Path) -> None:
+def test_a_study_goes_on_after_kills_and_interrupts(tmp_path: Path) -> None:
     (tmp_path / "tiny.yaml").write_text(TINY)
     groups = ("plain", "drawn")
 
@@ -238,7 +238,7 @@ def test_a_study_of_the_reality_gap(
     assert (out / "episodes.csv").read_text() == before
 
 
-def test_a_world_that_there_is_not_is_refused_before_training(
+def test_a_missing_world_is_refused_before_training(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     from surefoot.cli.helpers import study_results
@@ -273,7 +273,7 @@ BAD = [
 
 
 @pytest.mark.parametrize(("words", "message"), BAD, ids=[" ".join(words) for words, _ in BAD])
-def test_bad_input_gets_one_line_and_exit_code_2(words: list[str], message: str, tmp_path: Path) -> None:
+def test_study_refuses_bad_input_in_one_line(words: list[str], message: str, tmp_path: Path) -> None:
     (tmp_path / "tiny.yaml").write_text(TINY)
     (tmp_path / "kind.yaml").write_text("{groups: {a: {}}, evaluate: [luck]}")
     (tmp_path / "bars.yaml").write_text("{groups: {a: {}}, bars: {all: [a]}}")

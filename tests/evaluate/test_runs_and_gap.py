@@ -154,13 +154,9 @@ def test_summary_by_hand(make_trace: MakeRun) -> None:
     assert json.loads(json.dumps(summary, allow_nan=False)) == summary
 
 
-def test_return_uses_the_weight_of_the_trace(make_trace: MakeRun) -> None:
-    assert summarize([make_trace(energy_weight=0.0)], MASS)["return_mean"] == pytest.approx(3.6)
-
-
 def test_going_backward_has_no_cost_of_transport(make_trace: MakeRun) -> None:
-    summary = summarize([make_trace(speed=-0.1)], MASS)
-    assert summary["distance_mean"] == pytest.approx(-0.6)
+    summary = summarize([make_trace(speed=-0.1, energy_weight=0.0)], MASS)
+    assert summary["distance_mean"] == summary["return_mean"] == pytest.approx(-0.6)
     assert summary["cost_of_transport_mean"] is None
 
 

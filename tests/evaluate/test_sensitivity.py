@@ -24,7 +24,7 @@ from surefoot.evaluate.rollout import run_episodes
 from surefoot.evaluate.runs import measure_runs
 from surefoot.evaluate.sensitivity import Sensitivity, find_breaks, make_test_worlds, row_unit, run_sensitivity
 from surefoot.robot import PhysicalParams, RobotDescription
-from surefoot.robot.randomization import Ranges, load_ranges
+from surefoot.robot.randomization import Ranges, RelativeRange, load_ranges
 from surefoot.task.config import TaskConfig, load_task
 from surefoot.world.interface import Readings
 from surefoot.world.sim_world import SimWorld
@@ -99,6 +99,15 @@ def test_worlds_are_the_ends_and_evenly_spaced_values_between(robot: RobotDescri
     assert [world[:2] for world in worlds] == [(MASS, 0.9), (MASS, 1.0), (MASS, 1.1), ("voltage", 15.0)]
     with pytest.raises(SurefootError, match="the table of ranges is empty"):
         make_test_worlds({}, PhysicalParams.nominal(robot))
+
+
+def test_a_relative_range_scales_the_values_of_all_motors():
+    robot = RobotDescription.load("go2")
+    nominal = PhysicalParams.nominal(robot)
+    least, greatest = make_test_worlds({"motor_friction": RelativeRange(scale=(0.5, 1.5))}, nominal, 2)
+    assert np.ptp(nominal.motor_friction) > 0
+    np.testing.assert_allclose(least.values, 0.5 * nominal.motor_friction[0])
+    assert greatest.value == pytest.approx(1.5 * nominal.motor_friction.mean())
 
 
 def test_returns_by_hand_over_the_same_time():
@@ -255,7 +264,7 @@ def test_the_nearest_break_comes_first():
         },
         {MASS: [0, 0, 0, 0, 4], LATENCY: [0, 0, 0, 1, 3]},
     )
-    latency, mass = find_breaks(study)
+    latency, mass = find_breaks(study).itertuples()
     assert (latency.row, latency.value, latency.above, latency.fraction) == (
         LATENCY,
         0.03,
@@ -285,7 +294,7 @@ def test_the_nearest_break_comes_first():
 )
 def test_breaks_on_both_sides(returns: list[float], falls: list[int], breaks: list[tuple[float, int, int]]):
     result = find_breaks(made_up({LATENCY: returns}, {LATENCY: falls}, nominal=10.0 if returns[0] > 0 else -1.0))
-    assert [(item.value, item.beyond, item.broken_beyond) for item in result] == [
+    assert [(item.value, item.beyond, item.broken_beyond) for item in result.itertuples()] == [
         (pytest.approx(value), beyond, broken) for value, beyond, broken in breaks
     ]
 

@@ -45,7 +45,7 @@ def motor(strength: float = 0.9, missing: int = 3) -> Identification:
 def test_without_a_file_the_description_is_known(robot: RobotDescription, tmp_path: Path):
     for path in (None, tmp_path / "none.toml"):
         known = read_prior(path, robot)
-        assert (known.given, known.tables) == ((), {})
+        assert (known.names, known.tables) == ((), {})
         assert known.params.voltage[0] == robot.dc_motor.voltage
         assert missing_experiments(known, ("motor", "mass")) == ("motor", "mass")
 
@@ -56,7 +56,7 @@ def test_what_was_found_is_written_and_read_to_the_last_bit(robot: RobotDescript
     write_overlay(path, robot, after)
     again = read_prior(path, robot)
     # Parameters stand in the order of `PhysicalParams`; what was not identifiable is not there.
-    assert again.given == ("motor_friction", "motor_strength", "voltage")
+    assert again.names == ("motor_friction", "motor_strength", "voltage")
     assert again.tables == {"robot": "minitaur", **after.tables}
     np.testing.assert_array_equal(again.params.motor_strength, after.params.motor_strength)
     expected = 0.9 + 0.01 * np.arange(8)
@@ -98,7 +98,7 @@ def test_everything_else_in_the_file_stays(robot: RobotDescription, tmp_path: Pa
     known = read_prior(path, robot)
     assert known.tables["owner"] == "lab 3"
     assert known.tables["note"] == {"by": "hand", "more": {"deep": [[1, 2], [3]]}}
-    assert known.given == ("motor_friction", "motor_strength", "voltage", "contact_friction")
+    assert known.names == ("motor_friction", "motor_strength", "voltage", "contact_friction")
     # The motor that was not identifiable keeps what the file said of it.
     assert known.params.motor_strength[0, 3] == 0.97
     assert (known.params.voltage[0], known.params.contact_friction[0]) == (15.2, 0.7)

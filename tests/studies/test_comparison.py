@@ -67,7 +67,8 @@ def test_differences_of_gaps_join_the_errors_of_four_means(gap_comparison: MakeC
 
 
 def test_tables_hold_groups_pairs_and_every_run(tmp_path: Path, gap_comparison: MakeComparison) -> None:
-    write_tables(gap_comparison(), tmp_path)
+    study = gap_comparison()
+    write_tables(study, study_tables(study), tmp_path)
 
     def rows(name: str) -> list[dict[str, str]]:
         with (tmp_path / name).open() as file:

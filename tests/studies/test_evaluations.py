@@ -21,6 +21,7 @@ from surefoot.robot.randomization import load_ranges
 from surefoot.studies import evaluations
 from surefoot.studies.evaluations import (
     EVALUATIONS,
+    EvaluationRun,
     Result,
     Traces,
     cached_result,
@@ -63,7 +64,7 @@ def rollouts(monkeypatch: pytest.MonkeyPatch, make_run: Callable[..., EpisodeTra
 
 
 def run(kind: str, threads: int = 1) -> tuple[Result, Traces]:
-    return EVALUATIONS[kind].run(POLICY, baseline(), EVALUATIONS[kind].settings, threads)
+    return EVALUATIONS[kind].run(EvaluationRun(POLICY, baseline(), EVALUATIONS[kind].settings, threads))
 
 
 def baseline() -> TaskConfig:

@@ -33,11 +33,8 @@ def make(folder: Path, seed: int = 3) -> SearchConfig:
 
 
 def settings(training: Training) -> tuple[Any, ...]:
-    return training.config.seed, *(get(training.config, name) for name in make_space())
-
-
-def make_space() -> tuple[str, ...]:
-    return "ppo.learning_rate", "ppo.epochs", "ppo.value_hidden"
+    names = ("ppo.learning_rate", "ppo.epochs", "ppo.value_hidden")
+    return training.config.seed, *(get(training.config, name) for name in names)
 
 
 def evaluated(steps: int, value: float) -> dict[str, Any]:
@@ -105,8 +102,8 @@ def test_a_trial_that_falls_behind_is_pruned_after_a_third(tmp_path: Path) -> No
     for _ in range(8):
         finish(search, next(trials), 1.0)
     bad, every = next(trials), search.config.train.evaluate_every
-    said = [search.on_report(bad, ProgressReport(n * every, None, (evaluated(n * every, 0.2),))) for n in range(1, 5)]
-    assert said == [False, False, False, True]
+    pruned = [search.on_report(bad, ProgressReport(n * every, None, (evaluated(n * every, 0.2),))) for n in range(1, 5)]
+    assert pruned == [False, False, False, True]
     finish(search, bad, 0.2, 4 * every)
     good = next(trials)
     assert not any(

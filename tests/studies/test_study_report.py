@@ -27,6 +27,7 @@ from surefoot.studies.comparison import (
     learning_curve,
     study_tables,
 )
+from surefoot.studies.study_config import GroupConfig, StudyConfig
 from surefoot.studies.study_report import write_report
 from surefoot.task.trace import EpisodeTrace
 
@@ -69,15 +70,17 @@ def comparison(
         ("large_plain", "12-D", 2.3, 1.8, 1_500_000),
         ("large_randomized", "12-D, randomized", 1.9, 0.5, 3_000_000),
     )
-    return Comparison(
-        "robustness",
-        kinds,
-        tuple(
-            GroupResult(name, label, tuple(seed_result(seed, level, droop, steps, kinds) for seed in seeds))
-            for name, label, level, droop, steps in groups
-        ),
-        (("small_plain", "small_randomized"), ("large_plain", "large_randomized")),
+    results = tuple(
+        GroupResult(name, label, tuple(seed_result(seed, level, droop, steps, kinds) for seed in seeds))
+        for name, label, level, droop, steps in groups
     )
+    config = StudyConfig(
+        groups={one.name: GroupConfig() for one in results},
+        name="robustness",
+        evaluate=kinds,
+        compare=(("small_plain", "small_randomized"), ("large_plain", "large_randomized")),
+    )
+    return Comparison(config, results)
 
 
 @pytest.fixture(scope="module")
@@ -173,7 +176,7 @@ def test_the_report_names_gaits_and_draws_one_of_each_group(tmp_path: Path, make
 
     groups = tuple(replace(group, seeds=tuple(map(walked, group.seeds))) for group in plain.groups)
     text = write_report(
-        replace(plain, kinds=("nominal", "gait"), groups=groups), tmp_path / "out", "command"
+        replace(plain, study=replace(plain.study, evaluate=("gait",)), groups=groups), tmp_path / "out", "command"
     ).read_text()
     section = text.split("## Gaits")[1].split("## Files")[0]
     assert section.count("| pace | 4 of 5 | walking pace |") == 4 * 2

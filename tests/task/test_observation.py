@@ -13,7 +13,6 @@ pytest.importorskip("torch")
 
 from scripted import ScriptedWorld
 
-from surefoot.configuration import from_mapping, to_mapping
 from surefoot.errors import SurefootError
 from surefoot.policy.contract import Contract
 from surefoot.task.config import FeedbackConfig, TaskConfig
@@ -128,13 +127,6 @@ def test_the_papers_twelve_numbers(make_env):
         *("angle.back_right_1_motor", "angle.back_right_2_motor"),
     )
     assert TaskConfig().observations == IMU_AND_MOTORS_12D
-
-
-@given(names=choices_of_parts)
-def test_a_task_file_keeps_the_names_and_their_order(names):
-    task = from_mapping(TaskConfig, {"observations": list(names)})
-    assert task.observations == names
-    assert from_mapping(TaskConfig, to_mapping(task)) == task
 
 
 def test_another_order_is_another_contract(make_env):

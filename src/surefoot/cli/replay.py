@@ -13,7 +13,7 @@ import tyro
 from surefoot.cli.helpers.options import Json, Settings, World, check_suffix
 from surefoot.cli.helpers.parsing import parse
 from surefoot.robot import RobotDescription
-from surefoot.robot.params_file import given_params
+from surefoot.robot.params_file import load_params
 from surefoot.tables import plain_value
 
 
@@ -51,7 +51,7 @@ def main(argv: list[str]) -> int:
     if command.out is not None:
         import_module("matplotlib")
     robot = RobotDescription.load(command.robot)
-    params = given_params(robot, command.params, command.settings)
+    params = load_params(robot, command.params, command.settings)
     from surefoot.identify.logs.errors import compare_logs, replay_log
     from surefoot.identify.logs.robot_log import read_log
     from surefoot.identify.replay import Replayer

@@ -141,7 +141,7 @@ def _summary(result: Sensitivity) -> dict[str, Any]:
         "fall_rate": result.fall_rate,
         "nominal_return": float(result.nominal["return"].mean()),
         "nominal_falls": int(result.nominal.fell.sum()),
-        "breaks": [vars(item) for item in find_breaks(result)],
+        "breaks": find_breaks(result).to_dict("records"),
     }
 
 
@@ -173,7 +173,7 @@ def _print_tables(results: list[Sensitivity], files: list[Path]) -> None:
                     "worst return (m)": f"{worst.return_mean:.2f}",
                     "at": f"{worst.value:.3g}",
                     "falls": f"{worlds.falls.sum()} of {worlds.episodes.sum()}",
-                    "breaks at": ", ".join(f"{item.value:.3g}" for item in breaks if item.row == row) or "-",
+                    "breaks at": ", ".join(f"{value:.3g}" for value in breaks.value[breaks.row == row]) or "-",
                 }
             )
     print_table(policies, "Test worlds: mean and standard deviation of their returns")

@@ -269,34 +269,17 @@ def _share_streams(env: LocomotionEnv, episodes: int) -> None:
     env.set_state(state)
 
 
-@dataclass(frozen=True)
-class GaitBreak:
-    """Where a gait breaks, going from a row's nominal value to one end of its range.
+def find_breaks(sensitivity: Sensitivity) -> pd.DataFrame:
+    """Find where a gait breaks, going from each row's nominal value to either end of its range.
 
     A gait breaks in a world in which it falls in half of the episodes or more, or in which its mean return is below
     half of the nominal one (if that is over 0).
+
+    Returns:
+        a break a row, the nearest to nominal first: row of the table, value at which the gait breaks first, whether
+        that is above the nominal one, its distance from there over that of the end of the range (`fraction`), falls and
+        mean return [m] there, the number of test worlds beyond, and in how many of them the gait breaks too.
     """
-
-    row: str
-    """Row of the table."""
-    value: float
-    """Value nearest to the nominal one in whose world the gait breaks."""
-    above: bool
-    """Whether the value is over the nominal one."""
-    fraction: float
-    """Distance from the nominal value, over that of the end of the range on this side."""
-    falls: int
-    """Episodes in which the robot falls there."""
-    mean_return: float
-    """Mean return there [m]."""
-    beyond: int
-    """Test worlds beyond."""
-    broken_beyond: int
-    """In how many of these the gait breaks too."""
-
-
-def find_breaks(sensitivity: Sensitivity) -> list[GaitBreak]:
-    """Return where the gait breaks, up to two a row (below and above its nominal value), nearest to nominal first."""
     worlds, nominal = sensitivity.worlds, sensitivity.nominal["return"].mean()
     broken = worlds.falls >= worlds.episodes / 2
     if nominal > 0:
@@ -309,21 +292,11 @@ def find_breaks(sensitivity: Sensitivity) -> list[GaitBreak]:
             # A value that is the nominal one but for rounding belongs to neither side.
             beside = distance > 1e-9 * max(np.ptp(tests.value), abs(centre))
             side = tests.assign(distance=distance)[beside].sort_values("distance")
-            if not side.broken.any():
-                continue
-            first = int(side.broken.to_numpy().argmax())
-            world = side.iloc[first]
-            breaks.append(
-                GaitBreak(
-                    row=row,
-                    value=float(world.value),
-                    above=above,
-                    fraction=float(world.distance / side.distance.iloc[-1]),
-                    falls=int(world.falls),
-                    mean_return=float(world.return_mean),
-                    beyond=len(side) - first - 1,
-                    broken_beyond=int(side.broken[first + 1 :].sum()),
-                )
-            )
+            first = int(side.broken.to_numpy().argmax()) if side.broken.any() else len(side)
+            for world in side[first : first + 1].itertuples():
+                fraction = world.distance / side.distance.iloc[-1]
+                beyond = len(side) - first - 1, int(side.broken[first + 1 :].sum())
+                breaks.append((row, world.value, above, fraction, world.falls, world.return_mean, *beyond))
     # Equal fractions differ in their last digits; rounded, they keep the order of the table.
-    return sorted(breaks, key=lambda item: round(item.fraction, 9))
+    columns = ["row", "value", "above", "fraction", "falls", "mean_return", "beyond", "broken_beyond"]
+    return pd.DataFrame(sorted(breaks, key=lambda one: round(one[3], 9)), columns=columns)

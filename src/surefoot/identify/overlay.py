@@ -64,7 +64,7 @@ def overlay(prior: ParamsFile, result: Identification, robot: RobotDescription, 
         identified_by[name] = result.experiment
     data = {"date": result.date, "data": result.digest, "file": source, "surefoot": __version__}
     tables.setdefault("identified", {})[result.experiment] = {key: value for key, value in data.items() if value}
-    names = {*prior.given, *result.identified_names()}
+    names = {*prior.names, *result.identified_names()}
     given = tuple(name for name in PhysicalParams.names() if name in names)
     return ParamsFile(result.params(robot, prior.params), given, tables)
 
@@ -72,7 +72,7 @@ def overlay(prior: ParamsFile, result: Identification, robot: RobotDescription, 
 def write_overlay(path: Path, robot: RobotDescription, params: ParamsFile) -> Path:
     """Write a file of parameters, whole or not at all, with its folder."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    return write_params(path, robot, params.params, params.tables, params.given)
+    return write_params(path, robot, params.params, params.tables, params.names)
 
 
 def _interval(result: Identification, name: str, before: Any, robot: RobotDescription) -> list[Any]:

@@ -153,6 +153,8 @@ def read_legs(sheet: Sheet, urdf: Urdf) -> tuple[Leg, ...]:
     legs = tuple(replace(from_mapping(Leg, tables[name], f"legs.{name}"), name=name) for name in order)
     check_names("base", (sheet.base,), urdf.links)
     check_names("motors.order", motors, hinges)
+    if sheet.motors.sign and len(sheet.motors.sign) != len(motors):
+        raise SurefootError(f"motors.sign has {len(sheet.motors.sign)} numbers; it must have {len(motors)}")
     for index, loop in enumerate(sheet.loops):
         check_names(f"loops[{index}].links", loop.links, [joint.child for joint in urdf.joints.values()])
     for leg in legs:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -20,7 +20,8 @@ from surefoot.evaluate.runs import summarize_runs
 from surefoot.evaluate.sensitivity import Sensitivity
 from surefoot.evaluate.statistics import CONFIDENCE, Interval, MeanEstimate, t_interval, welch_interval
 from surefoot.files import atomic_write
-from surefoot.studies.evaluations import EVALUATIONS, Result, ResultFigure, gap_from_result
+from surefoot.studies.evaluations import EVALUATIONS, Result, ResultFigure, evaluation_names, gap_from_result
+from surefoot.studies.study_config import StudyConfig
 from surefoot.tables import plain_rows, write_csv
 
 FAR = 3.0
@@ -141,24 +142,19 @@ class GroupResult:
 
 @dataclass(frozen=True)
 class Comparison:
-    """Groups side by side."""
+    """The groups of a study side by side."""
 
-    name: str
-    """Name of the study."""
-    kinds: tuple[str, ...]
-    """Kinds of evaluation that every policy has."""
+    study: StudyConfig
+    """The study."""
     groups: tuple[GroupResult, ...]
-    """The groups, one or more, each with one policy or more."""
-    pairs: tuple[tuple[str, str], ...] = ()
-    """Names of groups whose difference is reported, the second against the first."""
+    """Its groups with one policy or more."""
     missing: tuple[str, ...] = ()
-    """Runs of the study that are not in it."""
-    top: int = 3
-    """How many policies of a group, those with the highest return in their own simulator, measure its reality gap."""
-    bars: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
-    """Names of groups whose reality gaps stand side by side, by the name of the set."""
-    findings: tuple[tuple[frozenset[str], str], ...] = ()
-    """Published results, each with the names of the groups that repeat them."""
+    """Names of its trainings that are not in it."""
+
+    @property
+    def kinds(self) -> tuple[str, ...]:
+        """Kinds of evaluation that every policy has."""
+        return evaluation_names(self.study.evaluate)
 
     @property
     def figures(self) -> tuple[ResultFigure, ...]:
@@ -166,25 +162,24 @@ class Comparison:
         return tuple(figure for kind in self.kinds for figure in EVALUATIONS[kind].figures)
 
     def best(self) -> Comparison:
-        """Return the comparison with only the `top` policies of each group."""
-        return replace(self, groups=tuple(group.best(self.top) for group in self.groups))
+        """Return the comparison with the `top` policies of each group alone."""
+        return replace(self, groups=tuple(group.best(self.study.top) for group in self.groups))
 
     def present_pairs(self) -> list[tuple[GroupResult, GroupResult]]:
         """Return the pairs of which both groups have policies."""
         by_name = {group.name: group for group in self.groups}
-        return [(by_name[a], by_name[b]) for a, b in self.pairs if a in by_name and b in by_name]
+        return [(by_name[a], by_name[b]) for a, b in self.study.pairs if a in by_name and b in by_name]
 
     def sets(self) -> list[tuple[str, tuple[GroupResult, ...]]]:
         """Return the groups of each set of bars, and those in no set as `others`; all as `groups` without sets."""
-        by_name = {group.name: group for group in self.groups}
-        rest = tuple(group for group in self.groups if not any(group.name in names for names in self.bars.values()))
-        sets = [(name, tuple(by_name[one] for one in names if one in by_name)) for name, names in self.bars.items()]
-        sets.append(("others" if self.bars else "groups", rest))
+        bars = {name: set(groups) for name, groups in self.study.bars.items()}
+        bars["others" if bars else "groups"] = {one.name for one in self.groups}.difference(*bars.values())
+        sets = [(name, tuple(one for one in self.groups if one.name in names)) for name, names in bars.items()]
         return [(name, groups) for name, groups in sets if groups]
 
     def finding(self, names: Iterable[str]) -> str:
         """Return the published results on the same groups; empty if there are none."""
-        return " ".join(text for groups, text in self.findings if groups == set(names))
+        return " ".join(one.text for one in self.study.findings if set(one.groups) == set(names))
 
 
 def difference(base: GroupResult, other: GroupResult, figure: str) -> Interval:
@@ -230,12 +225,11 @@ def study_tables(comparison: Comparison) -> dict[str, pd.DataFrame]:
     return {name: pd.DataFrame(table) for name, table in tables.items()}
 
 
-def write_tables(comparison: Comparison, folder: Path) -> list[Path]:
+def write_tables(comparison: Comparison, tables: Mapping[str, pd.DataFrame], folder: Path) -> list[Path]:
     """Write each table as CSV, and summary.json with all but the episodes; return the paths."""
-    tables = study_tables(comparison)
     files = [write_csv(folder / f"{name}.csv", table) for name, table in tables.items() if len(table)]
     summary = {
-        "study": comparison.name,
+        "study": comparison.study.name,
         "confidence": CONFIDENCE,
         "evaluations": {
             name: {"what": EVALUATIONS[name].what, "settings": EVALUATIONS[name].settings} for name in comparison.kinds
@@ -259,10 +253,10 @@ def _episodes(groups: Sequence[GroupResult]) -> pd.DataFrame:
     for group in groups:
         for seed in group.seeds:
             for kind, result in seed.results.items():
-                for key in {"runs", "episodes"} & set(result):
-                    table = pd.DataFrame(result[key]).assign(group=group.name, seed=seed.seed, evaluation=kind)
-                    world = table.get("world", EVALUATIONS[kind].world_names[0])
-                    tables.append(table.assign(world=world).reindex(columns=_EPISODE_COLUMNS))
+                if columns := result.get("runs") or result.get("episodes"):
+                    about = {"group": group.name, "seed": seed.seed, "evaluation": kind}
+                    world = {"world": EVALUATIONS[kind].world_names[0]} | columns
+                    tables.append(pd.DataFrame(about | world).reindex(columns=_EPISODE_COLUMNS))
     return pd.concat(tables)
 
 

@@ -61,6 +61,23 @@ class ResultFigure:
 
 
 @dataclass(frozen=True)
+class EvaluationRun:
+    """One evaluation of a policy."""
+
+    policy: PolicyRuntime
+    task: TaskConfig
+    """The task of the policy."""
+    settings: dict[str, Any]
+    """Settings of the kind of evaluation."""
+    threads: int
+
+    def run(self, task: TaskConfig, world: str) -> list[EpisodeTrace]:
+        """Run episodes of a task in a world."""
+        how = (self.settings["episodes"], find_world(world), self.settings["seed"], self.threads)
+        return run_episodes(self.policy, task, *how, world_name=world, policy_name=self.policy.contract.name)
+
+
+@dataclass(frozen=True)
 class EvaluationKind:
     """A kind of evaluation of a policy."""
 
@@ -68,8 +85,8 @@ class EvaluationKind:
     """What is done, in words."""
     settings: dict[str, Any]
     """Everything besides the policy that the result depends on."""
-    run: Callable[[PolicyRuntime, TaskConfig, dict[str, Any], int], tuple[Result, Traces]]
-    """Evaluates a policy of a task by these settings, with a number of threads."""
+    run: Callable[[EvaluationRun], tuple[Result, Traces]]
+    """Evaluates a policy."""
     read: Callable[[Result], tuple[float, ...]]
     """Returns the figures of a result."""
     figures: tuple[ResultFigure, ...]
@@ -86,62 +103,44 @@ class EvaluationKind:
         return dict(zip(names, map(float, self.read(result)), strict=True))
 
 
-def _run_episodes(
-    policy: PolicyRuntime, task: TaskConfig, settings: dict[str, Any], threads: int
-) -> tuple[Result, Traces]:
+def _run_episodes(run: EvaluationRun) -> tuple[Result, Traces]:
     """Run whole episodes without pushes, each with parameters drawn from a table of ranges.
 
     Actuator and nominal parameters are those of the policy's task.
     """
-    task = replace(home_task(task), randomize=load_ranges(settings["ranges"], robot=task.robot))
-    runs = measure_runs(_run(policy, task, settings["world"], settings, threads))
+    task = replace(home_task(run.task), randomize=load_ranges(run.settings["ranges"], robot=run.task.robot))
+    runs = measure_runs(run.run(task, run.settings["world"]))
     # A diverged simulation counts as a fall: the policy has brought the robot to where the model does not hold.
     return {"runs": runs.assign(fell=~runs.balanced).to_dict("list")}, {}
 
 
-def _run_test_worlds(
-    policy: PolicyRuntime, task: TaskConfig, settings: dict[str, Any], threads: int
-) -> tuple[Result, Traces]:
+def _run_test_worlds(run: EvaluationRun) -> tuple[Result, Traces]:
     """Run test worlds in which one parameter is not nominal."""
-    options = {name: settings[name] for name in ("values", "episodes", "seed")}
-    ranges = load_ranges(settings["ranges"], robot=task.robot)
-    result = run_sensitivity(policy, task, find_world(settings["world"]), ranges=ranges, threads=threads, **options)
-    return result.to_mapping(), {}
+    options = {name: run.settings[name] for name in ("values", "episodes", "seed")}
+    options |= {"ranges": load_ranges(run.settings["ranges"], robot=run.task.robot), "threads": run.threads}
+    return run_sensitivity(run.policy, run.task, find_world(run.settings["world"]), **options).to_mapping(), {}
 
 
-def _run_gap(policy: PolicyRuntime, task: TaskConfig, settings: dict[str, Any], threads: int) -> tuple[Result, Traces]:
+def _run_gap(run: EvaluationRun) -> tuple[Result, Traces]:
     """Run some episodes at home, and as many in another world, one on each of its robots.
 
     As many again in the engine of home on the robot of the data sheet separate the effect of motors and delays.
     """
-    home, away = settings["home"], settings["away"]
-    parts = (
-        (home, home_task(task), home),
-        (away, away_task(task), away),
-        (f"{home}-described", away_task(task), home),
-    )
-    traces = {name: _run(policy, side, world, settings, threads) for name, side, world in parts}
+    home, away, described = run.settings["home"], run.settings["away"], away_task(run.task)
+    traces = {home: run.run(home_task(run.task), home), away: run.run(described, away)}
+    traces[f"{home}-described"] = run.run(described, home)
     runs = pd.concat([measure_runs(part, name) for name, part in traces.items()])
     return {"runs": runs.to_dict("list")}, traces
 
 
-def _run(
-    policy: PolicyRuntime, task: TaskConfig, world: str, settings: dict[str, Any], threads: int
-) -> list[EpisodeTrace]:
-    episodes, seed, name = settings["episodes"], settings["seed"], policy.contract.name
-    return run_episodes(policy, task, episodes, find_world(world), seed, threads, world_name=world, policy_name=name)
-
-
-def _name_gait(
-    policy: PolicyRuntime, task: TaskConfig, settings: dict[str, Any], threads: int
-) -> tuple[Result, Traces]:
+def _name_gait(run: EvaluationRun) -> tuple[Result, Traces]:
     """Name the gait of some episodes at home; store the first episode with the most frequent name."""
-    traces = _run(policy, home_task(task), settings["world"], settings, threads)
+    world = run.settings["world"]
+    traces = run.run(home_task(run.task), world)
     feet = [analyze_footfalls(trace) for trace in traces]
     gaits = [one.gait for one in feet]
     gait = Counter(gaits).most_common(1)[0][0]
-    index = gaits.index(gait)
-    first = feet[index]
+    first = feet[gaits.index(gait)]
     result = {
         "gait": gait,
         "agree": gaits.count(gait),
@@ -150,7 +149,7 @@ def _name_gait(
         "stride": plain_value(first.stride_period),
         "duty": plain_value(float(np.mean(list(first.duty_factor.values())))),
     }
-    return result, {settings["world"]: [traces[index]]}
+    return result, {world: [traces[gaits.index(gait)]]}
 
 
 def load_gait_trace(policy: Path) -> EpisodeTrace:
@@ -265,7 +264,8 @@ def evaluate(policy: Path, name: str, threads: int = 0) -> Result:
 
     def compute() -> Result:
         runtime, kind = PolicyRuntime.load(policy), EVALUATIONS[name]
-        result, stored = kind.run(runtime, task_from_contract(runtime.contract), kind.settings, threads)
+        task = task_from_contract(runtime.contract)
+        result, stored = kind.run(EvaluationRun(runtime, task, kind.settings, threads))
         # Traces before the result, so that a result never lacks them.
         for world, traces in stored.items():
             save_runs(_result_path(policy, name).with_suffix("") / world, traces)

@@ -17,7 +17,7 @@ from surefoot.files import atomic_write
 from surefoot.robot import RobotDescription
 from surefoot.studies.raibert import RaibertConfig, RaibertController
 from surefoot.task.config import TaskConfig, load_task
-from surefoot.task.foot import FootReference
+from surefoot.task.foot_references import FootReference
 from surefoot.task.reference import make_reference
 
 KEY = "handcrafted"

@@ -24,7 +24,7 @@ from surefoot.arrays import Array
 from surefoot.configuration import Within, check_bounds
 from surefoot.errors import SurefootError, choices
 from surefoot.robot import RobotDescription
-from surefoot.task.foot import FootReference
+from surefoot.task.foot_references import FootReference
 
 OBSERVATIONS = ("roll", "pitch", "roll_rate", "pitch_rate", "motor_angles", "motor_speeds", "reference_phase")
 """Observations of the controller, in this order."""

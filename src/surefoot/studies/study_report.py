@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import pandas as pd
 
-from surefoot.evaluate.gap import gap_difference
 from surefoot.evaluate.statistics import CONFIDENCE, Interval, MeanEstimate, decimal, t_interval
 from surefoot.files import atomic_write
 from surefoot.report.figures.parameters import parameter_figure, parameters_figure
 from surefoot.report.figures.runs import footfall_diagram
-from surefoot.studies.comparison import CONTENTS, FAR, Comparison, GroupResult, difference, late_gain, write_tables
+from surefoot.studies.comparison import CONTENTS, FAR, Comparison, GroupResult, late_gain, study_tables, write_tables
 from surefoot.studies.evaluations import EVALUATIONS, load_gait_trace
 from surefoot.studies.study_figures import gap_figure, group_figure, learning_curves
 from surefoot.tables import markdown
@@ -34,29 +35,34 @@ _GAP_TERMS = (
 
 def write_report(comparison: Comparison, folder: Path, command: str) -> Path:
     """Write tables, figures and README.md, with the command that made them, into a folder; return README's path."""
-    files = write_tables(comparison, folder)
+    tables, missing = study_tables(comparison), ", ".join(comparison.missing)
+    files = write_tables(comparison, tables, folder)
     group_figure(comparison, folder / "groups.png", _BARS)
     text = [
-        f"# Study: {comparison.name}",
+        f"# Study: {comparison.study.name}",
         f"```sh\n{command}\n```",
-        *([f"**Not complete.** Not in this report: {', '.join(comparison.missing)}."] if comparison.missing else []),
+        *([f"**Not complete.** Not in this report: {missing}."] if missing else []),
         "## Trainings",
         markdown([_training(group) for group in comparison.groups]),
         *_curves(comparison, folder),
         "## Evaluations",
         "\n".join(f"- **{name}**: {EVALUATIONS[name].what}." for name in comparison.kinds),
-        *(_gaps(comparison, folder) if "gap" in comparison.kinds else []),
+        *(_gaps(comparison, tables, folder) if "gap" in comparison.kinds else []),
         "## Results",
         _HOW_TO_READ,
-        _by_figure(
-            comparison,
-            {group.label: [group.interval(one.name) for one in comparison.figures] for group in comparison.groups},
-        ),
+        _by_figure(comparison, tables["groups"].rename(columns={"label": "column"})),
         "![Groups side by side](groups.png)",
         "## Differences",
-        *_differences(comparison),
+        _differences(comparison, tables["differences"]),
         "## Every seed",
-        _seeds(comparison),
+        markdown(
+            [
+                {"group": group.label, "seed": seed.seed}
+                | {figure.heading: decimal(seed.figures[figure.name], figure.digits) for figure in comparison.figures}
+                for group in comparison.groups
+                for seed in group.seeds
+            ]
+        ),
         *(_gaits(comparison, folder) if "gait" in comparison.kinds else []),
         *(_parameters(comparison, folder) if "sensitivity" in comparison.kinds else []),
         "## Files",
@@ -64,6 +70,14 @@ def write_report(comparison: Comparison, folder: Path, command: str) -> Path:
     ]
     atomic_write(folder / "README.md", "\n\n".join(text) + "\n")
     return folder / "README.md"
+
+
+def _differences(comparison: Comparison, table: pd.DataFrame) -> str:
+    if not len(table):
+        return "There are no two groups to compare."
+    label = {group.name: group.label for group in comparison.groups}
+    pairs = [f"{label[row.group]}, against {label[row.against]}" for row in table.itertuples()]
+    return _by_figure(comparison, table.assign(column=pairs), "difference")
 
 
 def _training(group: GroupResult) -> dict[str, str]:
@@ -84,45 +98,28 @@ def _training(group: GroupResult) -> dict[str, str]:
 def _curves(comparison: Comparison, folder: Path) -> list[str]:
     """Draw the learning curves, a figure for each set of groups; return lines that show them."""
     lines = []
-    for name, groups in comparison.sets() if comparison.bars else [("", comparison.groups)]:
+    for name, groups in comparison.sets() if comparison.study.bars else [("", comparison.groups)]:
         file = f"learning_curves_{name}.png" if name else "learning_curves.png"
         learning_curves({group.label: [seed.curve for seed in group.seeds] for group in groups}, folder / file)
         lines.append(f"![Learning curves]({file})")
     return lines
 
 
-def _by_figure(comparison: Comparison, columns: Mapping[str, Sequence[Interval]], sign: bool = False) -> str:
-    """Return a table with a row for each figure and a column for each group or pair; `sign` marks what is not zero."""
+def _by_figure(comparison: Comparison, table: pd.DataFrame, change: str = "") -> str:
+    """Return intervals with a row for each figure and a column for each group or pair.
 
-    def cell(interval: Interval, digits: int) -> str:
-        text = interval.text(digits, sign)
-        return f"**{text}**" if sign and not interval.covers_zero else text
-
-    return markdown(
-        [
-            {"figure": figure.heading} | {name: cell(values[i], figure.digits) for name, values in columns.items()}
-            for i, figure in enumerate(comparison.figures)
-        ]
-    )
-
-
-def _differences(comparison: Comparison) -> list[str]:
-    pairs = {f"{other.label}, against {base.label}": (base, other) for base, other in comparison.present_pairs()}
-    if not pairs:
-        return ["There are no two groups to compare."]
-    changes = {name: [difference(*pair, figure.name) for figure in comparison.figures] for name, pair in pairs.items()}
-    return [_by_figure(comparison, changes, sign=True)]
-
-
-def _seeds(comparison: Comparison) -> str:
-    return markdown(
-        [
-            {"group": group.label, "seed": seed.seed}
-            | {figure.heading: decimal(seed.figures[figure.name], figure.digits) for figure in comparison.figures}
-            for group in comparison.groups
-            for seed in group.seeds
-        ]
-    )
+    Columns of the ends begin with `change` where the intervals are of differences: those without zero are bold then.
+    """
+    names = [change, f"{change}_low", f"{change}_high"] if change else ["mean", "low", "high"]
+    rows = []
+    for figure in comparison.figures:
+        cells = {"figure": figure.heading}
+        for _, row in table[table.figure == figure.name].iterrows():
+            interval = Interval(*row[names])
+            text = interval.text(figure.digits, sign=bool(change))
+            cells[row.column] = f"**{text}**" if change and not interval.covers_zero else text
+        rows.append(cells)
+    return markdown(rows)
 
 
 def _gaits(comparison: Comparison, folder: Path) -> list[str]:
@@ -156,52 +153,63 @@ def _parameters(comparison: Comparison, folder: Path) -> list[str]:
     ]
 
 
-def _gaps(comparison: Comparison, folder: Path) -> list[str]:
+def _gaps(comparison: Comparison, tables: Mapping[str, pd.DataFrame], folder: Path) -> list[str]:
     """Draw the gaps of each set of groups; return the section."""
     best, parts = comparison.best(), ["## Reality gap", _GAP_TERMS]
-    for name, groups in comparison.sets():
-        file = f"gap_{name}.png"
-        chosen = [group for group in best.groups if group.name in {one.name for one in groups}]
-        gap_figure([group.gap for group in chosen], folder / file)
-        parts += [f"### {name}", f"![Return at home and away]({file})", *_finding(comparison, name)]
-        parts.append(markdown([row for group in chosen for row in _gap_rows(group)]))
-    parts += ["### All policies", markdown([row for group in comparison.groups for row in _gap_rows(group)])]
-    changes = []
-    for which, part in ((f"best {comparison.top}", best), ("all", comparison)):
-        for base, other in part.present_pairs():
-            over_runs, crossed, away = gap_difference(base.gap, other.gap)
-            changes.append(
-                {
-                    "group": other.label,
-                    "against": base.label,
-                    "policies": which,
-                    "gap (m)": over_runs.text(sign=True),
-                    "gap, interval (m)": crossed.text(sign=True),
-                    "return away, interval (m)": away.text(sign=True),
-                    "paper": comparison.finding((base.name, other.name)),
-                }
-            )
-    return [*parts, *(["### Differences of gaps", markdown(changes)] if changes else [])]
+    groups, changes = tables["gap_groups"], tables["gap_differences"]
+    for name, members in comparison.sets():
+        names, file = [group.name for group in members], f"gap_{name}.png"
+        gap_figure([group.gap for group in best.groups if group.name in names], folder / file)
+        finding = comparison.finding(comparison.study.bars.get(name, names))
+        parts += [f"### {name}", f"![Return at home and away]({file})"]
+        parts += [f"In the paper: {finding}"] if finding else []
+        parts.append(_gap_table(groups[(groups.policies == "top") & groups.group.isin(names)]))
+    parts += ["### All policies", _gap_table(groups[groups.policies == "all"])]
+    if len(changes):
+        labels = {group.name: group.label for group in comparison.groups}
+        rows = [
+            {
+                "group": labels[row.group],
+                "against": labels[row.against],
+                "policies": f"best {comparison.study.top}" if row.policies == "top" else "all",
+                "gap (m)": MeanEstimate(row.difference, row.error).text(sign=True),
+                "gap, interval (m)": _interval(row, "interval_difference").text(sign=True),
+                "return away, interval (m)": _interval(row, "away_difference").text(sign=True),
+                "paper": comparison.finding((row.against, row.group)),
+            }
+            for row in changes.itertuples()
+        ]
+        parts += ["### Differences of gaps", markdown(rows)]
+    return parts
 
 
-def _finding(comparison: Comparison, name: str) -> list[str]:
-    """Return the paper's finding on a set of groups, those without policies included."""
-    text = comparison.finding(comparison.bars.get(name, [group.name for group in comparison.groups]))
-    return [f"In the paper: {text}"] if text else []
+def _interval(row: Any, name: str) -> Interval:
+    return Interval(*(getattr(row, f"{name}{end}") for end in ("", "_low", "_high")))
 
 
-def _gap_rows(group: GroupResult) -> list[dict[str, str]]:
-    gap, rows = group.gap, []
-    for number, (world, row) in enumerate(zip(gap.worlds, gap.text_rows(), strict=True)):
-        runs = gap.in_world(world)
-        start = {"group": row.pop("policy"), "seeds": ", ".join(str(seed.seed) for seed in group.seeds)}
-        if number:
-            row["gap (m)"] = gap.gap_over_runs(world).text()
-        more = {
-            "gap, interval (m)": gap.interval(world).text() if number else "",
-            "distance (m)": MeanEstimate.from_values(runs.distance).text(),
-            "least distance (m)": decimal(runs.distance.min()),
-            f"over {FAR:g} m": f"{(runs.distance > FAR).sum()} of {len(runs)}",
-        }
-        rows.append(start | row | more)
-    return rows
+def _gap_table(table: pd.DataFrame) -> str:
+    """Return rows of the table `gap_groups` as text."""
+
+    def mean(row: Any, name: str, digits: int = 2) -> str:
+        return MeanEstimate(getattr(row, f"{name}_mean"), getattr(row, f"{name}_error")).text(digits)
+
+    return markdown(
+        [
+            {
+                "group": row.label,
+                "seeds": row.seeds.replace(" ", ", "),
+                "world": row.world,
+                "return (m)": mean(row, "return"),
+                "gap (m)": "" if math.isnan(row.gap) else MeanEstimate(row.gap, row.gap_error).text(),
+                "speed (m/s)": mean(row, "speed"),
+                "power (W)": mean(row, "power", 1),
+                "falls": f"{row.falls} of {row.runs}",
+                "success": f"{100 * row.success_rate:.0f} %",
+                "gap, interval (m)": "" if math.isnan(row.gap) else _interval(row, "gap").text(),
+                "distance (m)": mean(row, "distance"),
+                "least distance (m)": decimal(row.least_distance),
+                f"over {FAR:g} m": f"{row.far} of {row.runs}",
+            }
+            for row in table.itertuples()
+        ]
+    )

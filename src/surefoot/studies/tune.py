@@ -26,7 +26,7 @@ from surefoot.studies.handcrafted import HandcraftedGait, OpenLoop
 from surefoot.studies.raibert import HISTORY, OBSERVATIONS, RaibertConfig, RaibertController
 from surefoot.task.config import FeedbackConfig, TaskConfig
 from surefoot.task.env import LocomotionEnv
-from surefoot.task.foot import FootReference
+from surefoot.task.foot_references import FootReference
 from surefoot.task.gait import HybridGait
 from surefoot.task.observation import IMU_4D
 from surefoot.task.reference import FootConfig, ReferenceConfig, make_reference

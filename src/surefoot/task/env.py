@@ -18,7 +18,7 @@ from surefoot.task.commands import CommandFilter, CommandSource, CommandState
 from surefoot.task.config import TaskConfig
 from surefoot.task.observation import ObservationInputs, Observer, gait_phase
 from surefoot.task.pushes import Pusher
-from surefoot.task.reward import Scales, StepMotion, step_reward
+from surefoot.task.reward import Scales, StepMotion, base_height, step_reward
 from surefoot.world.ground import FLAT, Ground
 from surefoot.world.interface import Readings, Simulation, SimulationFactory, Truth, WorldConfig
 
@@ -33,12 +33,7 @@ def has_fallen(truth: Truth, angle: float, height: float = 0.0, ground: Ground =
     Tan et al. 2018, section IV-C: an episode ends when the base tilts by more than .5 rad; the axis is not stated.
     """
     tilted = np.any(np.abs(truth.roll_pitch_yaw[:, :2]) > angle, axis=1)
-    return tilted | (_height(truth.base_position_world, ground) < height) if height else tilted
-
-
-def _height(position: Array, ground: Ground) -> Array:
-    """Return the heights (N,) [m] of points (N, 3) in the world over the level of the ground."""
-    return np.asarray(position[:, 2] - ground.level(position[:, :2]))
+    return tilted | (base_height(truth.base_position_world, ground) < height) if height else tilted
 
 
 class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
@@ -217,7 +212,8 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
             duration=self.world.params.control_step,
             before=before,
             after=self.truth,
-            height=_height(self.truth.base_position_world, self._ground) - _height(self.start_position, self._ground),
+            start_position=self.start_position,
+            ground=self._ground,
             gait=self.gait,
             feedback=self.feedback,
             last_feedback=last_feedback,
@@ -252,7 +248,7 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
         if self.commands is not None:
             velocity = in_heading_frame(velocity, truth.roll_pitch_yaw[:, 2])
         parts = [
-            (["height"], _height(truth.base_position_world, self._ground)[:, None]),
+            (["height"], base_height(truth.base_position_world, self._ground)[:, None]),
             (["velocity_x", "velocity_y", "velocity_z"], velocity),
             (["roll", "pitch", "yaw"], truth.roll_pitch_yaw),
             ([f"angle.{motor}" for motor in motors], truth.motor_angle),

@@ -12,8 +12,7 @@ from surefoot.arrays import Array
 from surefoot.errors import SurefootError
 from surefoot.robot import RobotDescription
 from surefoot.task.commands import CommandState
-from surefoot.task.following import FollowingReference
-from surefoot.task.foot import FootReference
+from surefoot.task.foot_references import FollowingReference, FootReference
 from surefoot.task.reference import Reference
 
 Range = tuple[float, float]

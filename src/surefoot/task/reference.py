@@ -24,8 +24,7 @@ from surefoot.files import check_readable
 from surefoot.robot import GRAVITY, RobotDescription
 from surefoot.robot.commands import CommandLimits
 from surefoot.task.commands import CommandState
-from surefoot.task.following import FollowingReference
-from surefoot.task.foot import LENGTHS, FootReference
+from surefoot.task.foot_references import LENGTHS, FollowingReference, FootReference
 
 PerLeg = float | dict[str, float]
 """One number, or one for each leg by name."""

@@ -20,6 +20,7 @@ from surefoot.robot import GRAVITY, RobotDescription
 from surefoot.rotations import in_heading_frame
 from surefoot.task.gait import HybridGait
 from surefoot.task.trace import ENERGY_WEIGHT
+from surefoot.world.ground import Ground
 from surefoot.world.interface import Truth
 
 PAPER_REWARD = {"progress": 1.0, "energy": -ENERGY_WEIGHT}
@@ -44,6 +45,11 @@ class Scales:
         """Return a robot's scales."""
         length = robot.leg_geometry.length
         return cls(length, float(np.sqrt(GRAVITY * length)), float(np.sqrt(GRAVITY / length)), robot.weight)
+
+
+def base_height(position: Array, ground: Ground) -> Array:
+    """Return heights (N,) [m] of points (N, 3) in the world over the level of the ground."""
+    return np.asarray(position[:, 2] - ground.level(position[:, :2]))
 
 
 def base_rates(before: Truth, after: Truth, duration: Array | float) -> tuple[Array, Array]:
@@ -73,8 +79,9 @@ class StepMotion:
     """Truth at the beginning."""
     after: Truth
     """Truth at the end."""
-    height: Array
-    """Height of the base above where it settled (N,) [m]."""
+    start_position: Array
+    """Where the base settled (N, 3) [m]."""
+    ground: Ground
     gait: HybridGait
     feedback: Array
     """Feedback of the step (N, A), see `HybridGait`."""
@@ -88,6 +95,11 @@ class StepMotion:
     @cached_property
     def _rates(self) -> tuple[Array, Array]:
         return base_rates(self.before, self.after, self.duration[:, None])
+
+    @property
+    def height(self) -> Array:
+        """Height of the base above where it settled (N,) [m]."""
+        return base_height(self.after.base_position_world, self.ground) - base_height(self.start_position, self.ground)
 
     @property
     def velocity(self) -> Array:
@@ -175,16 +187,16 @@ TERMS: dict[str, Term] = {
 """Every term that a task's reward can have. Costs have negative weights."""
 
 
-def check_reward(weights: Mapping[str, float], limits: Mapping[str, float]) -> None:
+def check_reward(weights: Mapping[str, float], limits: Mapping[str, float], key: str = "reward") -> None:
     """Refuse a reward without terms, terms that do not exist, and limits of terms that the reward does not have."""
     if not weights:
-        raise SurefootError(f"reward has no term; choices: {choices(TERMS)}")
+        raise SurefootError(f"{key} has no term; choices: {choices(TERMS)}")
     for name in weights:
         if name not in TERMS:
-            raise SurefootError(f"reward.{name} is not a term; choices: {choices(TERMS)}")
+            raise SurefootError(f"{key}.{name} is not a term; choices: {choices(TERMS)}")
     for name in limits:
         if name not in weights:
-            raise SurefootError(f"reward_limits.{name} is not a term of the reward; choices: {choices(weights)}")
+            raise SurefootError(f"reward_limits.{name} is not a term of {key}; choices: {choices(weights)}")
 
 
 def step_reward(weights: Mapping[str, float], limits: Mapping[str, float], motion: StepMotion) -> Array:

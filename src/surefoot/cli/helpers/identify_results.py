@@ -97,7 +97,7 @@ def save_and_print(
 
 
 def _estimates_table(robot: RobotDescription, prior: ParamsFile, result: Identification) -> Table:
-    before = "prior" if prior.given else "sheet"
+    before = "prior" if prior.names else "sheet"
     table = _table(f"{result.experiment}: {robot.name}", "parameter", before, "estimate", "95 % interval", "unit")
     groups: dict[str, list[ParameterEstimate]] = {}
     for item in result.estimates:

@@ -73,7 +73,7 @@ def _apply_file(task: TaskConfig, path: Path) -> TaskConfig:
     path = find_params(path, robot)
     file, expected = read_params(path, robot), float(task.nominal(robot).control_step[0])
     step = float(file.params.control_step[0])
-    if "control_step" in file.given and not math.isclose(step, expected, rel_tol=1e-9):
+    if "control_step" in file.names and not math.isclose(step, expected, rel_tol=1e-9):
         raise SurefootError(
             f"{path}: control_step is {step:g}, and the task's is {expected:g}; "
             "it belongs to the policy, not to the robot: leave it out of the file"

@@ -84,8 +84,7 @@ def _collect(study: StudyConfig, root: Path) -> Comparison:
     groups = tuple(GroupResult(name, study.label(name), tuple(seeds)) for name, seeds in results.items() if seeds)
     if not groups:
         raise SurefootError(f"{root}: no run of the study is finished and evaluated; there is nothing to report yet")
-    findings = tuple((frozenset(finding.groups), finding.text) for finding in study.findings)
-    return Comparison(study.name, kinds, groups, study.pairs, tuple(missing), study.top, study.bars, findings)
+    return Comparison(study, groups, tuple(missing))
 
 
 def _result(run: Training, kinds: tuple[str, ...]) -> SeedResult | None:

@@ -1,4 +1,4 @@
-"""A reference gait that follows commands: strides, turning, standing, reach."""
+"""Foot trajectories that follow commands: strides, turning, standing, reach."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from surefoot.errors import SurefootError
 from surefoot.robot import RobotDescription
 from surefoot.task.commands import CommandState
 from surefoot.task.config import load_task
-from surefoot.task.following import FollowingReference
+from surefoot.task.foot_references import FollowingReference
 
 ROBOTS = ("minitaur", "solo8", "go2", "pupper_v2")
 
