@@ -106,7 +106,7 @@ def test_bad_input_gets_one_line_and_exit_code_2(words: list[str], message: str,
     result = surefoot("robot", *words, cwd=tmp_path)
     assert result.returncode == 2
     if not words:
-        assert message in result.stdout
+        assert message in result.stderr
         return
     refused(result)
     assert message in result.stderr

@@ -6,7 +6,6 @@ Exit codes: 0 done; 2 refused before anything moved, or data that identify nothi
 from __future__ import annotations
 
 import datetime
-import json
 import sys
 from dataclasses import dataclass
 from importlib import import_module
@@ -15,7 +14,7 @@ from typing import Annotated
 
 from surefoot.cli.helpers.identify_run import ExperimentCommand, run_experiment
 from surefoot.cli.helpers.options import Json, Seed, check_folder, check_suffix
-from surefoot.cli.helpers.output import table_lines
+from surefoot.cli.helpers.output import print_json, table_lines
 from surefoot.cli.helpers.parsing import parse
 from surefoot.configuration import Within
 from surefoot.errors import SurefootError, choices
@@ -237,7 +236,7 @@ def _print_recording(command: ExperimentCommand, recording: Recording, path: Pat
     complete = ended == COMPLETE
     if command.json:
         outcome = {"experiment": name, "robot": recording.meta["robot"], "ended": ended, "recording": str(path)}
-        print(json.dumps({**outcome, "duration": recording.duration, "digest": recording.digest}))
+        print_json({**outcome, "duration": recording.duration, "digest": recording.digest})
     else:
         what = "recorded" if complete else f"stopped after {recording.duration:.1f} s: {ended}; recorded until then"
         print(f"{name} experiment {what}: {path}", file=sys.stdout if complete else sys.stderr)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import json
 import math
 from collections.abc import Callable, Iterator
 from importlib import import_module
@@ -15,6 +14,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from surefoot.cli.helpers.output import print_json
 from surefoot.errors import SurefootError, choices
 from surefoot.identify.overlay import overlay, write_overlay
 from surefoot.identify.result import Identification, ParameterEstimate
@@ -79,7 +79,7 @@ def save_and_print(
     files = [write_overlay(params or folder / "robot.toml", robot, overlay(prior, result, robot, source))]
     files += write_report(result, robot, prior.params, folder, source)
     if as_json:
-        print(json.dumps(_as_mapping(robot, prior.params, result) | more | {"files": [str(file) for file in files]}))
+        print_json(_as_mapping(robot, prior.params, result) | more | {"files": files})
         return
     console = Console(highlight=False, emoji=False)
     console.print(_estimates_table(robot, prior, result))
