@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,7 +20,7 @@ from surefoot.cli.helpers.options import (
     Threads,
     make_figures_folder,
 )
-from surefoot.cli.helpers.output import show_command
+from surefoot.cli.helpers.output import print_json, show_command
 from surefoot.cli.helpers.parsing import parse
 from surefoot.cli.helpers.simulator import RunOptions, Simulator, describe_simulator, with_duration
 from surefoot.configuration import Duration
@@ -273,4 +272,4 @@ def _report(
         "pooled": plain[pooled[0].name] if pooled else None,
         "files": [str(file) for file in files],
     }
-    print(json.dumps(result, allow_nan=False))
+    print_json(result)
