@@ -9,6 +9,7 @@ import math
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Collection, Iterable, Mapping
 from pathlib import Path
+from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
@@ -208,46 +209,39 @@ def format_urdf(urdf: Urdf, name: str, *, principal: bool = False) -> str:
     """
 
     def words(*values: float) -> str:
-        return " ".join(f"{value:.17g}" if principal else f"{value:.9g}" for value in values)
+        return quoteattr(" ".join(f"{value:.17g}" if principal else f"{value:.9g}" for value in values))
 
-    def add_origin(element: ElementTree.Element, frame: Array) -> None:
+    def origin(frame: Array) -> str:
         place, turn = frame[:3, 3], np.asarray(matrix_rpy(frame[:3, :3]))
         if not principal:
             place, turn = (np.where(np.abs(part) < 1e-9, 0.0, part) for part in (place, turn))
-        ElementTree.SubElement(element, "origin", xyz=words(*place), rpy=words(*turn))
+        return f"<origin xyz={words(*place)} rpy={words(*turn)}/>"
 
-    root = ElementTree.Element("robot", name=name)
+    lines = [f"<robot name={quoteattr(name)}>"]
     for link_name, link in urdf.links.items():
-        element = ElementTree.SubElement(root, "link", name=link_name)
-        inertial = ElementTree.SubElement(element, "inertial")
         frame, inertia = np.eye(4), link.body.inertia
         frame[:3, 3] = link.body.centre
         if principal:
             moments, frame[:3, :3] = link.body.principal()
             inertia = np.diag(moments)
-        add_origin(inertial, frame)
-        ElementTree.SubElement(inertial, "mass", value=words(link.body.mass))
-        tensor = {f"i{'xyz'[r]}{'xyz'[c]}": words(inertia[r, c]) for r in range(3) for c in range(r, 3)}
-        ElementTree.SubElement(inertial, "inertia", tensor)
+        tensor = " ".join(f"i{'xyz'[r]}{'xyz'[c]}={words(inertia[r, c])}" for r in range(3) for c in range(r, 3))
+        mass = f"<mass value={words(link.mass)}/><inertia {tensor}/>"
+        lines += [f"  <link name={quoteattr(link_name)}>", f"    <inertial>{origin(frame)}{mass}</inertial>"]
         for use, shapes in (("visual", link.visuals), ("collision", link.collisions)):
             for shape in shapes:
-                item = ElementTree.SubElement(element, use)
-                add_origin(item, shape.frame)
-                sizes = {"size": words(*(2 * side for side in shape.size))}
-                if shape.kind != "box":
-                    sizes = {"radius": words(shape.size[0])}
-                if shape.kind == "cylinder":
-                    sizes["length"] = words(2 * shape.size[1])
-                ElementTree.SubElement(ElementTree.SubElement(item, "geometry"), shape.kind, sizes)
+                size = f"radius={words(shape.size[0])}"
+                if shape.kind == "box":
+                    size = f"size={words(*(2 * side for side in shape.size))}"
+                elif shape.kind == "cylinder":
+                    size += f" length={words(2 * shape.size[1])}"
+                lines.append(f"    <{use}>{origin(shape.frame)}<geometry><{shape.kind} {size}/></geometry></{use}>")
+        lines.append("  </link>")
     for joint in urdf.joints.values():
-        element = ElementTree.SubElement(root, "joint", name=joint.name, type=joint.kind)
-        add_origin(element, joint.frame)
-        ElementTree.SubElement(element, "parent", link=joint.parent)
-        ElementTree.SubElement(element, "child", link=joint.child)
+        parts = f"<parent link={quoteattr(joint.parent)}/><child link={quoteattr(joint.child)}/>{origin(joint.frame)}"
         if joint.kind != "fixed":
-            ElementTree.SubElement(element, "axis", xyz=words(*joint.axis))
+            parts += f"<axis xyz={words(*joint.axis)}/>"
         if joint.limits is not None:
             low, high = map(words, joint.limits)
-            ElementTree.SubElement(element, "limit", lower=low, upper=high, effort="1000", velocity="1000")
-    ElementTree.indent(root)
-    return ElementTree.tostring(root, encoding="unicode") + "\n"
+            parts += f'<limit lower={low} upper={high} effort="1000" velocity="1000"/>'
+        lines.append(f'  <joint name={quoteattr(joint.name)} type="{joint.kind}">{parts}</joint>')
+    return "\n".join([*lines, "</robot>", ""])
