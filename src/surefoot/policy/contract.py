@@ -140,8 +140,8 @@ class Contract:
         schema = data.pop("schema", None)
         if schema != SCHEMA:
             raise SurefootError(
-                f"contract: has schema {schema!r:.40}; this surefoot reads schema {SCHEMA}: use the version that wrote it, "
-                "or train the policy again"
+                f"contract: has schema {schema!r:.40}; this surefoot reads schema {SCHEMA}: use the version that wrote "
+                "it, or train the policy again"
             )
         return from_mapping(cls, data, "contract")
 
