@@ -1,4 +1,4 @@
-"""The contract of a policy file: what is needed to run the policy, and to refuse a robot that it is not for."""
+"""The contract of a policy file: robot, observation, action, reference, rates and delays of the policy."""
 
 from __future__ import annotations
 
