@@ -107,7 +107,7 @@ def test_a_relative_range_scales_the_values_of_all_motors():
     least, greatest = make_test_worlds({"motor_friction": RelativeRange(scale=(0.5, 1.5))}, nominal, 2)
     assert np.ptp(nominal.motor_friction) > 0
     np.testing.assert_allclose(least[2], 0.5 * nominal.motor_friction[0])
-    assert greatest.value == pytest.approx(1.5 * nominal.motor_friction.mean())
+    assert greatest[1] == pytest.approx(1.5 * nominal.motor_friction.mean())
 
 
 def test_returns_by_hand_over_the_same_time():
