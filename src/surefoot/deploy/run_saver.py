@@ -100,16 +100,15 @@ def next_free(folder: Path) -> Path:
 
 @dataclass(frozen=True)
 class SavedRun:
-    """The record of a run."""
+    """The trace of a run, if any control step was done, its file, and notes on what could not be saved.
+
+    `lost`: whether the trace, or a part of it, is on no disk.
+    """
 
     trace: EpisodeTrace | None = None
-    """The trace, if any control step was done."""
     path: Path | None = None
-    """Its file."""
     notes: list[str] = field(default_factory=list)
-    """What could not be saved, and why."""
     lost: bool = False
-    """Whether the trace, or a part of it, is on no disk."""
 
 
 class RunSaver:
