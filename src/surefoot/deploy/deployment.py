@@ -27,7 +27,7 @@ PUNCTUAL, TRIES = 200, 10
 
 @dataclass(frozen=True)
 class RunOutcome:
-    """How a run ended: as in traces (time, fall, fault or stopped), with a reason in one or two words, and as a sentence.
+    """How a run ended: in the word of traces (time, fall, fault or stopped), with a short reason, and as a sentence.
 
     `safe`: whether the robot's or the computer's safety ended it.
     """

@@ -121,7 +121,6 @@ def undisturbed() -> Iterator[None]:
 
 
 def _raise_priority() -> bool:
-    """Request real time, or else a higher ordinary priority; return whether it is real time."""
     if not hasattr(os, "sched_setscheduler"):
         return False
     try:
