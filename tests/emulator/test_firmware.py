@@ -82,7 +82,7 @@ class Bench:
     def put(self, data: bytes) -> None:
         """Put bytes on the line to the robot."""
         if self.line is None:
-            self.firmware.note_damage()
+            self.firmware.watch.note_damage()
             return
         self.line.inbound.send(self.now, data)
         while self.line.next_arrival <= self.now:
