@@ -1,4 +1,4 @@
-"""The emulator on a real pseudo-terminal: as a process, in real time, in lockstep."""
+"""The emulator on a real pseudo-terminal: as a process, in real time and in lockstep."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ def test_hosts_come_and_go_and_the_robot_never_blocks(emulate_here):
 
 
 @pytest.mark.parametrize(("number", "words"), [(signal.SIGINT, ["--lockstep"]), (signal.SIGHUP, ["--rack"])])
-def test_it_ends_cleanly_when_asked_to(emulate, tmp_path, number, words):
+def test_a_signal_ends_it_and_removes_its_link(emulate, tmp_path, number, words):
     link, seen = tmp_path / "robot", tmp_path / "seen.csv"
     # Whoever runs the tests without a terminal may ignore hangups, and children inherit that.
     before = signal.signal(number, signal.SIG_DFL)
@@ -108,14 +108,14 @@ def test_it_ends_cleanly_when_asked_to(emulate, tmp_path, number, words):
 
 
 @pytest.mark.realtime
-def test_it_tells_when_it_cannot_keep_real_time(capsys):
+def test_it_reports_when_it_cannot_keep_real_time(capsys):
     assert main(["emulate", "--fault", "overload=2", "--duration", "0.5"]) == 0
     lines = capsys.readouterr().err.splitlines()
     assert "behind real time (it used " in lines[0]
     assert "slipped 0 times" not in lines[-1]
 
 
-def test_in_lockstep_time_is_the_frames(emulate_here):
+def test_in_lockstep_time_is_that_of_the_frames(emulate_here):
     host = emulate_here("--lockstep").host()
     # Robot time begins with the first frame.
     host.send(Hello(ME, 0.010), 5.0)
